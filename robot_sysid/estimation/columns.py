@@ -153,7 +153,7 @@ class Columns:
         self.prior = np.append(arm.prior, np.zeros(len(of_joints) + len(common)))
         self.index = {name: index for index, name in enumerate(self.names)}
         # Parameters that act in no recording have no columns, which would enlarge every triangle.
-        no_drift = () if any(dataset.place for dataset in datasets) else self._drifts
+        no_drift = () if any(dataset.order for dataset in datasets) else self._drifts
         self._loaded = any(dataset.is_loaded for dataset in datasets)
         empty = () if self._loaded else PAYLOAD_NAMES
         self._nowhere = {*no_drift, *empty}
@@ -261,7 +261,7 @@ class Columns:
             point.gravity, angles, tilt_axes(gravity_vector(self.robot), point.gravity)
         )
 
-    def whole_tilt(self, point: Point, values: Array) -> Array:
+    def total_tilt(self, point: Point, values: Array) -> Array:
         """Return the angles (2,) [rad] from the model's gravity to that of an estimate (p,)."""
         steps = values[self.indices(TILT_NAMES)]
         return tilt_angles(gravity_vector(self.robot), self._tilt_gravity(point, steps))
@@ -371,7 +371,7 @@ class Columns:
                 friction_names[: 1 + len(NONLINEAR_TERMS)], friction_columns.values()
             ):
                 friction += column[:, row] * point.values[self.index[name]]
-            drifted = 1.0 + drift * dataset.place
+            drifted = 1.0 + drift * dataset.order
 
             late = _late(dataset, base.time, block[:, smooth] @ coefficients[smooth])
             nonlinear = np.stack(
@@ -380,7 +380,7 @@ class Columns:
             point_columns = {
                 friction_names: (nonlinear, drifted),
                 (self._scales[row],): (gear[:, None], 1.0),
-                (self._drifts[row],): (friction[:, None], dataset.place),
+                (self._drifts[row],): (friction[:, None], dataset.order),
                 (*self._zeros, *self._tilts): (common[:, joint], 1.0 + exact),
                 (DELAY_NAME,): (late[:, None], 1.0),
                 PAYLOAD_NAMES: (slice(N_INERTIAL), (1.0 + exact) * dataset.is_loaded),
@@ -391,7 +391,7 @@ class Columns:
                 ((slice(None), factor), *map(point_columns.__getitem__, names))
             )
             right_sides.append(
-                base.tau[row] + exact * linear + drift * dataset.place * friction
+                base.tau[row] + exact * linear + drift * dataset.order * friction
             )
             columns.append(np.concatenate((indices, *map(self.indices, names))))
         return replace(

@@ -1,8 +1,14 @@
-"""One recording as equations: filtered motion, or poses at which the arm rests."""
+"""One recording as equations: filtered motion, or poses at which the arm rests.
+
+Rows of equations take most of the memory. Long recordings keep theirs in a temporary file
+(``store_rows``), columns that depend on the linearisation point are put beside them on access
+(``AssembledRows``), and ``release_memory`` gives freed rows back to the system.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import itertools
 import tempfile
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -60,14 +66,11 @@ class DecimatedSamples:
 
     def in_use(self, joint: int) -> tuple[Array, Array]:
         """Return a joint's rows (m, k) and right-hand sides (m,) of the samples in use."""
-        used = np.isfinite(self.tau[joint])
-        rows = self.rows
-        selected = (
-            rows.select(joint, used)
-            if isinstance(rows, AssembledRows)
-            else rows[joint][used]
-        )
-        return selected, self.tau[joint][used]
+        is_used = np.isfinite(self.tau[joint])
+        right_side = self.tau[joint][is_used]
+        if isinstance(self.rows, AssembledRows):
+            return self.rows.select(joint, is_used), right_side
+        return self.rows[joint][is_used], right_side
 
     def information(self) -> SquareRootInformation:
         """Return the square-root information of the samples in use."""
@@ -76,21 +79,22 @@ class DecimatedSamples:
     def where(self, used: Mask) -> DecimatedSamples:
         """Return the samples without those for which ``used``, (K,) or (K, joints), is false."""
         masks = np.broadcast_to(used.T, (len(self.tau), len(self)))
+        pairs = zip(masks, self.tau)
         return replace(
-            self, tau=tuple(np.where(m, t, np.nan) for m, t in zip(masks, self.tau))
+            self, tau=tuple(np.where(mask, tau, np.nan) for mask, tau in pairs)
         )
 
     def only(self, names: tuple[str, ...]) -> DecimatedSamples:
         """Return the samples with the named parameters alone, in the order of ``names``."""
         order = {name: index for index, name in enumerate(names)}
-        at = [
-            np.array([order.get(self.names[k], -1) for k in columns])
-            for columns in self.columns
-        ]
-        rows = tuple(row[:, columns >= 0] for row, columns in zip(self.rows, at))
-        return replace(
-            self, names=names, columns=tuple(a[a >= 0] for a in at), rows=rows
-        )
+        new_indices = np.array([order.get(name, -1) for name in self.names])
+        columns = []
+        rows = []
+        for joint_rows, joint_columns in zip(self.rows, self.columns):
+            indices = new_indices[joint_columns]
+            columns.append(indices[indices >= 0])
+            rows.append(joint_rows[:, indices >= 0])
+        return replace(self, names=names, columns=tuple(columns), rows=tuple(rows))
 
     def squared_torque(self) -> Array:
         """Return (joints,) sum of squares of the measured torque over the rows in use [N^2 m^2]."""
@@ -98,6 +102,16 @@ class DecimatedSamples:
         return np.array(
             [np.sum(measured[np.isfinite(tau)] ** 2) for tau, measured in pairs]
         )
+
+
+def release_memory() -> None:
+    """Return free memory to the system.
+
+    glibc keeps freed blocks that lie between blocks in use: with many joints, whose triangles are
+    of all sizes, that is a quarter of all memory.
+    """
+    with contextlib.suppress(AttributeError, OSError, TypeError):  # another C library
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 class _RowFile:
@@ -111,32 +125,33 @@ class _RowFile:
 
 
 class _StoredRows(Sequence[Array]):
-    """Each joint's rows in a file, read on access."""
+    """Each joint's rows (K, k) in a file, read on access."""
 
-    def __init__(self, rows: Sequence[Array], store: _RowFile) -> None:
-        self._store = store
-        self._positions = list[tuple[int, Any]]()
+    def __init__(self, rows: Sequence[Array], row_file: _RowFile) -> None:
+        self._row_file = row_file
+        self._blocks = list[tuple[int, Any]]()
         for block in rows:
-            self._positions.append((store.file.seek(0, 2), block.shape))
-            store.file.write(np.ascontiguousarray(block).data)
-        store.file.flush()
+            start = row_file.file.seek(0, 2)
+            self._blocks.append((start, block.shape))
+            row_file.file.write(np.ascontiguousarray(block).data)
+        row_file.file.flush()
 
     def __len__(self) -> int:
-        return len(self._positions)
+        return len(self._blocks)
 
     def __getitem__(self, joint: Any) -> Any:
         # Mapped, not read: threads share the file and its read position.
-        start, shape = self._positions[joint]
-        return np.asarray(np.memmap(self._store.file, np.float64, "r", start, shape))
+        start, shape = self._blocks[joint]
+        return np.asarray(np.memmap(self._row_file.file, np.float64, "r", start, shape))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return tuple, (tuple(map(np.array, self)),)
 
 
 class AssembledRows(Sequence[Array]):
-    """Each joint's rows, from blocks of columns side by side, each with its factor.
+    """Each joint's rows, assembled on access from blocks of columns, each with its factor.
 
-    They are assembled on access: most columns are the same around any point and stay in ``base``.
+    Most columns are the same around any point: they stay in ``base``, which points share.
 
     Args:
         base: per joint (K, k).
@@ -160,45 +175,46 @@ class AssembledRows(Sequence[Array]):
     def select(self, joint: int, used: Mask | slice) -> Array:
         """Return the used rows (m, k) of a joint, in less memory than all of them take."""
         base = self._base[joint]
-        pairs = [
-            (base[:, b] if isinstance(b, slice) else b, f)
-            for b, f in self._blocks[joint]
-        ]
-        return np.hstack([block[used] * factor for block, factor in pairs])
+        columns = []
+        for block, factor in self._blocks[joint]:
+            block_columns = base[:, block] if isinstance(block, slice) else block
+            columns.append(block_columns[used] * factor)
+        return np.hstack(columns)
 
 
 def store_rows(
     samples: Iterable[DecimatedSamples], limit: int = _IN_MEMORY
 ) -> list[DecimatedSamples]:
-    """Return each recording's samples, with rows of more than ``limit`` numbers in a file."""
-    logs = []
-    file = None
-    for log in samples:
-        if sum(rows.size for rows in log.rows) > limit:
-            with contextlib.suppress(
-                OSError
-            ):  # without a writable folder, rows stay in memory
-                file = file or _RowFile(tempfile.TemporaryFile())  # noqa: SIM115
-                log = replace(log, rows=_StoredRows(log.rows, file))
-        logs.append(log)
-    return logs
+    """Return each recording's samples, with rows of more than ``limit`` numbers in a file.
+
+    Without a writable folder, all rows stay in memory.
+    """
+    recordings = []
+    row_file = None
+    for recording in samples:
+        if sum(rows.size for rows in recording.rows) > limit:
+            with contextlib.suppress(OSError):
+                row_file = row_file or _RowFile(tempfile.TemporaryFile())  # noqa: SIM115
+                stored = _StoredRows(recording.rows, row_file)
+                recording = replace(recording, rows=stored)
+        recordings.append(recording)
+    return recordings
 
 
 def information_of(
     groups: Collection[Sequence[DecimatedSamples]],
 ) -> tuple[SquareRootInformation, ...]:
     """Return the square-root information of each group of recordings, from the samples in use."""
-    (first, *_), *_ = groups
-    totals = [
-        InformationAccumulator(first.names, first.joints, first.columns) for _ in groups
-    ]
+    first = next(iter(groups))[0]
+    totals = []
+    for _ in groups:
+        columns = first.columns
+        totals.append(InformationAccumulator(first.names, first.joints, columns))
     # Joint by joint: most rows are assembled on access.
-    for index, (total, group) in itertools.product(
-        range(len(first.joints)), zip(totals, groups)
-    ):
-        total.add(
-            index, *map(np.concatenate, zip(*[log.in_use(index) for log in group]))
-        )
+    for joint in range(len(first.joints)):
+        for total, group in zip(totals, groups):
+            pieces = zip(*[recording.in_use(joint) for recording in group])
+            total.add(joint, *map(np.concatenate, pieces))
     return tuple(total.result() for total in totals)
 
 
@@ -207,7 +223,8 @@ def decimated_equations(
 ) -> DecimatedSamples:
     """Build the equations of the motion and pass both sides through the same low-pass.
 
-    Columns of friction that depends on the load are NaN.
+    Columns of friction that depends on the load are NaN. Columns of bodies contain no sign of a
+    speed, so that they are smooth and computed at fewer instants.
 
     Raises:
         InputError: no joint ever moves fast enough for its equations to be used.
@@ -216,9 +233,9 @@ def decimated_equations(
     bodies = signals.filter_columns(
         equations.bodies, smooth=True, chunk=max(1, _NUMBERS // width)
     )
-    unknown = itertools.repeat(np.array(np.nan))
+    unknown_load = itertools.repeat(np.array(np.nan))
     friction = signals.filter_columns(
-        lambda motion: equations.friction(motion, unknown)
+        lambda motion: equations.friction(motion, unknown_load)
     )
     usable = signals.usable()[:, list(equations.joint_indices)]
     if not np.any(usable):
@@ -271,15 +288,15 @@ class Dataset:
         name: its name in messages.
         source: the signals of a motion, or the poses at which the arm rests.
         is_loaded: whether it carries the payload.
-        place: its position in the order of recording, -1 the first and 1 the last; 0 where the
-            order is not known.
+        order: its position in the order of recording, from -1 for the first to 1 for the last; 0
+            where the order is not known.
         used: (K,) which rows may be used; None for all.
     """
 
     name: str
     source: ProcessedSignals | RestingPoses
     is_loaded: bool = False
-    place: float = 0.0
+    order: float = 0.0
     used: Mask | None = None
 
     @property
@@ -323,19 +340,18 @@ class Dataset:
 
 
 def block_masks(log: DecimatedSamples) -> Iterator[Mask]:
-    """Yield the mask (K,) of each block's rows in a recording.
+    """Yield the mask (K,) of each block's rows in a recording: every ``BLOCKS``-th stretch of it.
 
     Raises:
         InputError: the recording has fewer rows in use than blocks.
     """
-    rows = np.flatnonzero(np.any([np.isfinite(tau) for tau in log.tau], axis=0))
+    rows = np.flatnonzero(np.any(np.isfinite(log.tau), axis=0))
     if len(rows) < BLOCKS:
         raise InputError(
             f"{len(rows)} rows cannot be cut into {BLOCKS} blocks; record longer"
         )
-    rounds = int(
-        max((log.time[-1] - log.time[0]) // (BLOCKS * 0.5 * LONGEST_STRETCH), 1)
-    )
+    duration = log.time[-1] - log.time[0]
+    rounds = int(max(duration // (BLOCKS * 0.5 * LONGEST_STRETCH), 1))
     count = BLOCKS * min(rounds, len(rows) // BLOCKS)
     edges = [round(k * len(rows) / count) for k in range(count + 1)]
     for block in range(BLOCKS):

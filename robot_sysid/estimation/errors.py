@@ -40,13 +40,8 @@ from robot_sysid.estimation.algebra.uncertainty import (
     uncertainty,
 )
 from robot_sysid.estimation.columns import Columns, Point
-from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
-from robot_sysid.estimation.fit import (
-    EstimatedRows,
-    Fit,
-    release_memory,
-    squared_effect,
-)
+from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, release_memory
+from robot_sysid.estimation.fit import EstimatedRows, Fit, squared_effect
 from robot_sysid.estimation.unknowns import (
     COMMON,
     LINKS,

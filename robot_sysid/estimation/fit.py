@@ -1,9 +1,7 @@
-"""The one fit: linearise, weight rows, widen priors, solve, make bodies possible; repeat."""
+"""The one fit: linearise, weight rows, widen priors, solve, make bodies consistent; repeat."""
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -29,33 +27,31 @@ from robot_sysid.estimation.algebra.least_squares import (
 from robot_sysid.estimation.algebra.priors import widened_groups, with_prior
 from robot_sysid.estimation.algebra.uncertainty import concentration, memory
 from robot_sysid.estimation.columns import Columns, Point
-from robot_sysid.estimation.dataset import DecimatedSamples, block_masks, information_of
+from robot_sysid.estimation.dataset import (
+    DecimatedSamples,
+    block_masks,
+    information_of,
+    release_memory,
+)
 from robot_sysid.estimation.question import Choice, Question
 from robot_sysid.estimation.unknowns import Unknowns, build_unknowns
 from robot_sysid.records import DELAY_NAME, Array, SquareRootInformation
 from robot_sysid.signals.repetition import Visits
 
-# Largest number of linearisations, with and without a delay or tilt to estimate.
-_MOST_ROUNDS = 8
+# Largest number of linearisations without a delay or tilt to estimate.
+_MAX_ROUNDS = 8
+# Largest number of linearisations with one.
 _AUTO_ROUNDS = 20
 # Largest number of solutions that each hold more parameters at bounds.
-_MOST_BOUNDS = 6
-# Changes that no longer count: of predictions and priors, in standard deviations, of the delay [s],
-# of gravity's direction [rad], of speeds (a share).
+_MAX_BOUND_ROUNDS = 6
+# Change of predictions and priors at convergence, in standard deviations.
 _SETTLED = 0.05
+# Change of the delay at convergence [s].
 _SETTLED_DELAY = 1e-6
+# Change of gravity's direction at convergence [rad].
 _SETTLED_ANGLE = 1e-6
+# Relative change of friction's speeds at convergence.
 _SETTLED_SPEED = 0.02
-
-
-def release_memory() -> None:
-    """Return free memory to the system.
-
-    glibc keeps freed blocks that lie between blocks in use: with many joints, whose triangles are
-    of all sizes, that is a quarter of all memory.
-    """
-    with contextlib.suppress(AttributeError, OSError, TypeError):  # another C library
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 @dataclass(frozen=True)
@@ -81,9 +77,8 @@ class Evidence:
 
     def merge_blocks(self) -> Evidence:
         """Return the evidence of all blocks as one block."""
-        return Evidence(
-            (self.total,), np.sum(self.squared_torque, axis=0)[None], self.torque
-        )
+        squared_torque = np.sum(self.squared_torque, axis=0)[None]
+        return Evidence((self.total,), squared_torque, self.torque)
 
     def of(self, unknowns: Unknowns) -> SquareRootInformation:
         """Return the information of all blocks about the unknowns, other parameters held."""
@@ -92,9 +87,7 @@ class Evidence:
     def squared_residuals(self, values: Array) -> Array:
         """Return squared residuals (blocks, joints, m) at values (blocks, p, m) [N^2 m^2]."""
         pairs = zip(self.blocks, values)
-        return np.array(
-            [block.squared_residuals(block_values) for block, block_values in pairs]
-        )
+        return np.array([block.squared_residuals(x) for block, x in pairs])
 
     @cached_property
     def nonzero(self) -> np.ndarray:
@@ -106,27 +99,35 @@ class Evidence:
 
 
 def evidence(samples: Sequence[DecimatedSamples], torque: Array) -> Evidence:
-    """Return the evidence of recordings, each block of the same stretches of all of them."""
-    blocks = zip(*[[log.where(mask) for mask in block_masks(log)] for log in samples])
-    return evidence_of(list(blocks), torque)
+    """Return the evidence of recordings in the blocks of ``dataset.block_masks``.
+
+    Args:
+        torque: (n,) root mean square of each joint's measured torque [N m].
+    """
+    recordings = [[log.where(mask) for mask in block_masks(log)] for log in samples]
+    return evidence_of(list(zip(*recordings)), torque)
 
 
 def evidence_of(
     blocks: Collection[Sequence[DecimatedSamples]], torque: Array
 ) -> Evidence:
-    """Return the evidence of blocks, each of rows from several recordings."""
-    squares = [
-        np.sum([recording.squared_torque() for recording in block], axis=0)
-        for block in blocks
-    ]
-    return Evidence(information_of(blocks), np.array(squares), torque)
+    """Return the evidence of blocks, each of rows from one or several recordings.
+
+    Args:
+        torque: (n,) root mean square of each joint's measured torque [N m].
+    """
+    squared_torque = []
+    for block in blocks:
+        squares = [recording.squared_torque() for recording in block]
+        squared_torque.append(np.sum(squares, axis=0))
+    return Evidence(information_of(blocks), np.array(squared_torque), torque)
 
 
 @dataclass(frozen=True)
 class EstimatedRows:
-    """Rows of the unknowns, made from recordings' rows of all parameters.
+    """Rows of recordings in the estimated parameters, the torque of held ones subtracted.
 
-    The torque of held parameters is subtracted; iterating makes the rows of one joint at a time.
+    Iterating makes the rows of one joint at a time: those of all joints take much memory.
     """
 
     samples: tuple[DecimatedSamples, ...]
@@ -135,43 +136,57 @@ class EstimatedRows:
     def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
         """Yield (joint number, rows, right-hand sides) of each joint, all recordings together."""
         for joint in range(len(self.samples[0].columns)):
-            yield (
-                joint,
-                *self._joint_rows(joint),
-            )  # no variable here keeps rows in memory meanwhile
+            # No variable here keeps rows in memory while the next ones are made.
+            yield (joint, *self._joint_rows(joint))
 
     def _joint_rows(self, joint: int) -> tuple[Array, Array]:
         columns = self.samples[0].columns[joint]
+        is_estimated = np.isin(columns, self.unknowns.estimated)
+        held = self.unknowns.held[columns[~is_estimated]]
         ends = np.cumsum([len(recording) for recording in self.samples])
-        is_unknown = np.isin(columns, self.unknowns.estimated)
-        tau = list[Array]()
-        held = self.unknowns.held[columns[~is_unknown]]
-        all_rows = np.empty((ends[-1], np.count_nonzero(is_unknown)))
-        for recording, recording_rows in zip(
-            self.samples, np.split(all_rows, ends[:-1])
-        ):
+        all_rows = np.empty((ends[-1], np.count_nonzero(is_estimated)))
+        right_sides = []
+        pairs = zip(self.samples, np.split(all_rows, ends[:-1]))
+        for recording, recording_rows in pairs:
             rows = recording.rows[joint]
-            recording_rows[:] = rows[:, is_unknown]
-            tau.append(recording.tau[joint] - rows[:, ~is_unknown] @ held)
-        return all_rows, np.concatenate(tau)
+            recording_rows[:] = rows[:, is_estimated]
+            right_sides.append(recording.tau[joint] - rows[:, ~is_estimated] @ held)
+        return all_rows, np.concatenate(right_sides)
+
+
+def restrict_samples(samples: DecimatedSamples, unknowns: Unknowns) -> DecimatedSamples:
+    """Return a recording's rows in the estimated parameters, the torque of held ones subtracted."""
+    columns = []
+    for indices in samples.columns:
+        estimated = indices[np.isin(indices, unknowns.estimated)]
+        columns.append(np.searchsorted(unknowns.estimated, estimated))
+    _, rows, right_sides = zip(*EstimatedRows((samples,), unknowns))
+    return replace(
+        samples,
+        names=unknowns.estimated_names,
+        columns=tuple(columns),
+        rows=rows,
+        tau=right_sides,
+    )
 
 
 @dataclass(frozen=True)
 class Fit:
-    """An estimate and what it was made from.
+    """An estimate of all parameters around one linearisation point, and its data.
 
     Attributes:
         columns: parameter names, and the rows of recordings.
-        question, choice: what to estimate, and what the recordings decided.
+        question: what to estimate.
+        choice: what the recordings decided.
         point: around which the equations were linearised.
-        samples: each recording's rows; none where only their evidence is there.
+        samples: each recording's rows; () where only their evidence is available.
         evidence: of these rows.
-        unknowns: which parameters were estimated, and their priors.
+        unknowns: which parameters were estimated, and their priors, widened by the data.
         weights: (joints,) of each joint's equations [1/(N m)].
-        inflation: (joints,) variance inflation of each joint's noise, from motion that repeats.
-        memory: (joints,) rows of each joint per independent row, by its residuals' correlation.
-        free: (p,) the estimate before bodies had to be possible.
-        values: (p,) the estimate.
+        inflation: (joints,) variance inflation of each joint's noise, because motion repeats.
+        memory: (joints,) rows per independent row, by the autocorrelation of the residuals.
+        free: (p,) the estimate before bodies had to be physically consistent.
+        values: (p,) the estimate; delay, tilt and speeds are increments of those of the point.
     """
 
     columns: Columns
@@ -189,7 +204,7 @@ class Fit:
 
     @property
     def information(self) -> SquareRootInformation:
-        """Information of data and priors about the k unknowns; it is large."""
+        """Information of data and priors about the k unknowns, made anew on each access."""
         return with_prior(self.evidence.of(self.unknowns), self.unknowns.groups)
 
     @property
@@ -199,8 +214,8 @@ class Fit:
 
     @property
     def correlation_factors(self) -> Array:
-        """Rows per independent row (joints,), as this fit weighted them."""
-        return autocorrelation_time(self.choice, len(self.columns.joints))
+        """Rows per independent row (joints,) by which the equations were weighted."""
+        return correlation_factors_of(self.choice, len(self.columns.joints))
 
     @property
     def noise_per_joint(self) -> dict[str, float]:
@@ -219,29 +234,32 @@ class Fit:
         return EstimatedRows(self.samples, self.unknowns)
 
     def value(self, name: str) -> float:
-        """Return one parameter, the part of it that the point holds included."""
+        """Return one parameter of ``final``."""
         return float(self.final[self.columns.index[name]])
 
     @property
     def next_point(self) -> Point:
         """The point for the next linearisation, with the increments of this fit added.
 
-        Recordings given as loaded and empty the wrong way round have a payload of negative mass;
-        around a possible one, which is far from it, torque scales would fit its torque.
+        Recordings given as loaded and empty the wrong way round have a payload of negative mass.
+        Around a consistent one, which is far from it, torque scales would fit its torque, so that
+        the point of a payload is the unconstrained estimate.
         """
         values = self.free if self.question.loaded else self.values
         return self.columns.move_point(self.point, values, self.unknowns.increments)
 
     @cached_property
     def final(self) -> Array:
-        """All parameters (p,); delay, tilt and speeds include the part that the point holds."""
+        """All parameters (p,): ``values`` with the point's delay, tilt and estimated speeds added.
+
+        Speeds that are not estimated stay zero, as in ``values``.
+        """
         values = self.values.copy()
         indices = self.columns.index
         values[indices[DELAY_NAME]] += self.point.delay
         if TILT_NAMES[0] in indices:
-            values[self.columns.indices(TILT_NAMES)] = self.columns.whole_tilt(
-                self.point, self.values
-            )
+            tilt = self.columns.total_tilt(self.point, self.values)
+            values[self.columns.indices(TILT_NAMES)] = tilt
         for term, speeds in (self.point.speed or {}).items():
             for joint, speed in zip(self.columns.robot.joint_names, speeds.tolist()):
                 name = speed_name(term, joint)
@@ -252,7 +270,7 @@ class Fit:
 
 @dataclass
 class Fitter:
-    """Fits one question to recordings, and begins with the noise of the fit before.
+    """Fits one question to recordings; each fit begins with the noise of the previous one.
 
     Attributes:
         columns: parameter names, and the rows of recordings.
@@ -265,49 +283,47 @@ class Fitter:
     torque: Array
     visits: Visits | None = None
     on_pass: Callable[[], None] = lambda: None
-    _last: tuple[Point, Evidence, tuple[DecimatedSamples, ...]] | None = field(
-        default=None
-    )
+    _cache: tuple[Point, Evidence, tuple[DecimatedSamples, ...]] | None = None
     _noise: Array | None = None
 
     def around(self, point: Point) -> tuple[Evidence, tuple[DecimatedSamples, ...]]:
-        """Return the evidence of the rows around a point, and the rows of each recording."""
-        if self._last is None or self._last[0] is not point:
+        """Return the evidence of the rows around a point, and the rows of each recording.
+
+        Those of the last point are cached: they take most of the memory.
+        """
+        if self._cache is None or self._cache[0] is not point:
             self.on_pass()
-            self._last = (
-                None  # rows go before others are made: they take most of the memory
-            )
+            self.forget_rows()
             release_memory()
             samples = self.columns.samples(point)
-            self._last = point, evidence(samples, self.torque), samples
-        return self._last[1:]
+            self._cache = point, evidence(samples, self.torque), samples
+        return self._cache[1:]
+
+    def forget_rows(self) -> None:
+        """Free the cached rows before others are made."""
+        self._cache = None
 
     def correlation_factors(self, fit: Fit) -> Array:
         """Return how many rows (joints,) of each joint count as one independent row.
 
-        That is the memory of their residuals, or the concentration of residuals in a few bursts,
-        whichever is larger.
+        That is the autocorrelation time of their residuals, or the concentration of residuals in a
+        few bursts, whichever is larger.
         """
         residuals = list(_residuals(fit.samples, fit.values))
-        burst_memory = np.array([concentration(residual) for residual in residuals])
+        burst_factors = [concentration(residual) for residual in residuals]
         if self.visits is None:
-            correlation_memory = np.array([memory(residual) for residual in residuals])
+            times = np.array([memory(residual) for residual in residuals])
         else:
-            correlation_memory = self.visits.inflation(residuals)[1]
-        return np.maximum(correlation_memory, burst_memory)
+            times = self.visits.inflation(residuals)[1]
+        return np.maximum(times, burst_factors)
 
     def solve_around(self, point: Point, question: Question, choice: Choice) -> Fit:
         """Return the solution of the equations around a point."""
         data, samples = self.around(point)
+        visits = self.visits
+        noise = self._noise
         return solve(
-            self.columns,
-            question,
-            choice,
-            point,
-            data,
-            samples,
-            self.visits,
-            noise=self._noise,
+            self.columns, question, choice, point, data, samples, visits, noise=noise
         )
 
     def fit(
@@ -315,9 +331,9 @@ class Fitter:
         question: Question,
         choice: Choice,
         point: Point | None = None,
-        rounds: int = _MOST_ROUNDS,
+        rounds: int = _MAX_ROUNDS,
     ) -> Fit:
-        """Return the fit, once bodies, delay, tilt and speeds have settled.
+        """Return the fit, once bodies, delay, tilt and speeds have converged.
 
         Args:
             choice: friction terms, couplings, and priors of the links.
@@ -325,33 +341,31 @@ class Fitter:
             rounds: how often to linearise at most.
 
         Raises:
-            SysidError: a delay or a tilt to estimate does not settle.
+            SysidError: a delay or a tilt to estimate does not converge.
         """
         # Columns of the load and those with a speed depend on the estimate. While friction is
         # chosen, a load that only its prior allows for needs no exact columns.
         terms = {term for model in choice.friction for term in model.terms}
-        exact_load = (
-            not terms.isdisjoint(("load", *NONLINEAR_TERMS))
-            or choice.dry_friction is not None
-        )
+        has_nonlinear_terms = not terms.isdisjoint(("load", *NONLINEAR_TERMS))
+        exact_load = has_nonlinear_terms or choice.dry_friction is not None
         point = point or self.columns.start()
         if (point.exact_load, point.in_file) != (exact_load, question.in_file):
             point = replace(point, exact_load=exact_load, in_file=question.in_file)
-        options = question.options
-        auto_names = [
-            name for name in ("delay", "tilt") if getattr(options, name) == "auto"
-        ]
-        rounds = _AUTO_ROUNDS if auto_names and not question.in_file else rounds
+        auto_names = []
+        if not question.in_file:
+            options = vars(question.options)
+            auto_names = [name for name in ("delay", "tilt") if options[name] == "auto"]
+        rounds = _AUTO_ROUNDS if auto_names else rounds
         for rounds_left in reversed(range(rounds)):
             fit = self.solve_around(point, question, choice)
             self._noise = fit.noise
             next_point = fit.next_point
-            if _is_settled(fit, next_point):
+            if _has_converged(fit, next_point):
                 return fit
             if rounds_left:
                 point = next_point
                 del fit  # its rows and their evidence, before others are made
-        if auto_names and not question.in_file:
+        if auto_names:
             raise SysidError(
                 f"the estimates of {' and '.join(auto_names)} do not settle within {rounds} rounds "
                 f"(last delay {1e3 * fit.point.delay:.3g} ms): this log does not show them well "
@@ -365,40 +379,34 @@ def squared_effect(fit: Fit, change: Array) -> float:
 
     Each is in standard deviations: torques in those of the noise, unknowns in those of the prior.
     """
-    pairs = zip(fit.evidence.total.joints, fit.weights)
-    effects = [
-        w * (joint.triangle[:, :-1] @ change[joint.columns]) for joint, w in pairs
-    ]
-    indices = fit.unknowns.estimated
+    effects = []
+    for joint, weight in zip(fit.evidence.total.joints, fit.weights):
+        effects.append(weight * (joint.triangle[:, :-1] @ change[joint.columns]))
     names = fit.unknowns.estimated_names
-    effects += [
-        group.rows(names)[:, :-1] @ change[indices] for group in fit.unknowns.groups
-    ]
+    for group in fit.unknowns.groups:
+        effects.append(group.rows(names)[:, :-1] @ change[fit.unknowns.estimated])
     return float(sum(map(np.vdot, effects, effects)))
 
 
-def _is_settled(fit: Fit, next_point: Point) -> bool:
+def _has_converged(fit: Fit, next_point: Point) -> bool:
     """Tell whether prediction, delay, gravity and speeds change less than the limits above."""
     point = fit.point
-    indices = [
-        k
-        for k in fit.unknowns.estimated
-        if fit.columns.names[k] not in fit.unknowns.increments
-    ]
     change = np.zeros(len(fit.values))
+    indices = np.setdiff1d(
+        fit.unknowns.estimated, fit.columns.indices(fit.unknowns.increments)
+    )
     change[indices] = (next_point.values - point.values)[indices]
     gravity_change = float(np.linalg.norm(np.cross(next_point.gravity, point.gravity)))
     gravity_change /= float(next_point.gravity @ next_point.gravity) or 1.0
-    speeds = zip((next_point.speed or {}).values(), (point.speed or {}).values())
-    speed_change = max(
-        (float(np.max(np.abs(a / b - 1.0))) for a, b in speeds), default=0.0
-    )
-    delay_change = abs(next_point.delay - point.delay)
-    is_small = (
-        squared_effect(fit, change) < _SETTLED**2 and delay_change < _SETTLED_DELAY
-    )
+    speed_change = 0.0
+    for term, speeds in (point.speed or {}).items():
+        relative_change = np.abs((next_point.speed or {})[term] / speeds - 1.0)
+        speed_change = max(speed_change, float(np.max(relative_change)))
     return (
-        is_small and gravity_change < _SETTLED_ANGLE and speed_change < _SETTLED_SPEED
+        squared_effect(fit, change) < _SETTLED**2
+        and abs(next_point.delay - point.delay) < _SETTLED_DELAY
+        and gravity_change < _SETTLED_ANGLE
+        and speed_change < _SETTLED_SPEED
     )
 
 
@@ -420,42 +428,42 @@ def solve(
         data: evidence of the rows around the point.
         samples: these rows of each recording, for motion that repeats.
         visits: which rows pass the same states.
-        inflation: (joints,) as ``Visits.inflation`` returns it, where there are no rows.
+        inflation: (joints,) as ``Visits.inflation`` returns it, where there are no visits.
         noise: (joints,) to begin with [N m].
-        residual_memory: (joints,) as ``Visits.inflation`` returns it, where there are no rows.
+        residual_memory: (joints,) as ``Visits.inflation`` returns it, where there are no visits.
     """
-    unknowns = build_unknowns(columns, question, choice, data.torque, data.nonzero)
-    memory = autocorrelation_time(choice, len(columns.joints))
-    repetition = np.ones_like(memory) if inflation is None else inflation
-    correlation_memory = memory if residual_memory is None else residual_memory
-    next_unknowns: Unknowns | None = unknowns
-    for _ in range(_MOST_BOUNDS):
-        unknowns = next_unknowns or unknowns
-        variance_factor = repetition * memory
+    factors = correlation_factors_of(choice, len(columns.joints))
+    repetition = np.ones_like(factors) if inflation is None else inflation
+    correlation = factors if residual_memory is None else residual_memory
+    start = build_unknowns(columns, question, choice, data.torque, data.nonzero)
+    for _ in range(_MAX_BOUND_ROUNDS):
+        variance_factors = repetition * factors
         unknowns, free, effective_noise = _solve_within_bounds(
-            columns, unknowns, data, variance_factor, correlation_memory / memory, noise
+            columns, start, data, variance_factors, correlation / factors, noise
         )
-        noise = effective_noise / np.sqrt(variance_factor)
-        if visits is not None and inflation is None:
+        noise = effective_noise / np.sqrt(variance_factors)
+        if visits is not None:
             assumed = repetition
-            repetition, correlation_memory = visits.inflation(_residuals(samples, free))
+            repetition, correlation = visits.inflation(_residuals(samples, free))
             widens = any(group.may_widen for group in unknowns.groups)
             if widens or not np.array_equal(assumed, repetition):
-                variance_factor = repetition * memory
+                variance_factors = repetition * factors
                 unknowns, free, effective_noise = _solve_within_bounds(
                     columns,
                     unknowns,
                     data,
-                    variance_factor,
-                    correlation_memory / memory,
+                    variance_factors,
+                    correlation / factors,
                     noise,
                 )
-                noise = effective_noise / np.sqrt(variance_factor)
-        values = possible(unknowns, data, 1.0 / effective_noise, free)
-        # Bodies that are made possible push other parameters across their bounds.
-        next_unknowns = unknowns.hold_at_bounds(values)
-        if next_unknowns is None:
+                noise = effective_noise / np.sqrt(variance_factors)
+        weights = 1.0 / effective_noise
+        values = make_consistent(unknowns, data, weights, free)
+        # Bodies that are made consistent push other parameters across their bounds.
+        bounded = unknowns.hold_at_bounds(values)
+        if bounded is None:
             break
+        start = bounded
     values = np.clip(values, unknowns.lower, unknowns.upper)
     return Fit(
         columns,
@@ -465,31 +473,29 @@ def solve(
         samples,
         data,
         unknowns,
-        1.0 / effective_noise,
+        weights,
         repetition,
-        correlation_memory,
+        correlation,
         free,
         values,
     )
 
 
-def autocorrelation_time(choice: Choice, n_joints: int) -> Array:
+def correlation_factors_of(choice: Choice, n_joints: int) -> Array:
     """Return how many rows (joints,) of each joint count as one independent row."""
-    return (
-        np.ones(n_joints)
-        if choice.correlation_factors is None
-        else np.array(choice.correlation_factors)
-    )
+    factors = choice.correlation_factors
+    return np.ones(n_joints) if factors is None else np.array(factors)
 
 
 def _residuals(samples: Sequence[DecimatedSamples], values: Array) -> Iterator[Array]:
     """Yield residual torques (K,) of each joint at values (p,) [N m], all recordings together."""
     for joint in range(len(samples[0].joints)):
-        residuals = [
-            recording.tau[joint]
-            - recording.rows[joint] @ values[recording.columns[joint]]
-            for recording in samples
-        ]
+        residuals = []
+        for recording in samples:
+            coefficients = values[recording.columns[joint]]
+            residuals.append(
+                recording.tau[joint] - recording.rows[joint] @ coefficients
+            )
         yield np.concatenate(residuals)
 
 
@@ -498,25 +504,23 @@ def _solve_within_bounds(
     unknowns: Unknowns,
     data: Evidence,
     inflation: Array,
-    memory: Array,
+    correlation: Array,
     noise: Array | None,
 ) -> tuple[Unknowns, Array, Array]:
-    """Return (unknowns, values (p,), effective noise (joints,) [N m]), values held at bounds that
-    they would cross; equations are divided by the effective noise.
+    """Return (unknowns, values (p,), effective noise (joints,) [N m]).
+
+    Values that would cross a bound are held at it; equations are divided by the effective noise.
     """
     while True:  # each round holds at least one more parameter
         prior = columns.prior[unknowns.estimated]
         unknowns, values, effective_noise, noise = _solve_weighted(
-            unknowns, data, prior, inflation, memory, noise
+            unknowns, data, prior, inflation, correlation, noise
         )
-        next_unknowns = unknowns.hold_at_bounds(values)
-        if next_unknowns is None:
-            return (
-                unknowns,
-                np.clip(values, unknowns.lower, unknowns.upper),
-                effective_noise,
-            )
-        unknowns = next_unknowns
+        bounded = unknowns.hold_at_bounds(values)
+        if bounded is None:
+            values = np.clip(values, unknowns.lower, unknowns.upper)
+            return unknowns, values, effective_noise
+        unknowns = bounded
 
 
 def _solve_weighted(
@@ -524,12 +528,13 @@ def _solve_weighted(
     data: Evidence,
     prior: Array,
     inflation: Array,
-    memory: Array,
+    correlation: Array,
     noise: Array | None,
 ) -> tuple[Unknowns, Array, Array, Array]:
     """Return (unknowns with widened priors, values (p,), effective noise, noise (joints,) [N m]).
 
-    Bounds do not count here. A call frees rows and their squares, which take most of the memory.
+    Bounds do not count here. It is a function of its own because returning from it frees the rows
+    and their squares, which take most of the memory.
     """
     information = data.of(unknowns)
     posterior = with_prior(information, unknowns.groups)
@@ -537,7 +542,7 @@ def _solve_weighted(
     noise = estimate_noise(posterior, solve_posterior, start=noise)
     effective_noise = noise * np.sqrt(inflation)
     groups = widened_groups(
-        information, effective_noise * np.sqrt(memory), unknowns.groups
+        information, effective_noise * np.sqrt(correlation), unknowns.groups
     )
     if groups is not unknowns.groups:
         unknowns = replace(unknowns, groups=groups)
@@ -548,40 +553,25 @@ def _solve_weighted(
     return unknowns, values, effective_noise, noise
 
 
-def possible(unknowns: Unknowns, data: Evidence, weights: Array, free: Array) -> Array:
+def make_consistent(
+    unknowns: Unknowns, data: Evidence, weights: Array, free: Array
+) -> Array:
     """Return the best values (p,) with which all unknown bodies are physically consistent.
 
-    Where they are so already, that is the plain estimate ``free`` (p,).
+    Where they are consistent already, that is the plain estimate ``free`` (p,).
     """
-    if all(
-        spatial.is_consistent(free[indices]) for indices, _ in unknowns.bodies.values()
-    ):
+    bodies = [free[indices] for indices, _ in unknowns.bodies.values()]
+    if all(map(spatial.is_consistent, bodies)):
         return free
     rows = with_prior(data.of(unknowns), unknowns.groups).equations(weights)
     return unknowns.full(ConsistentLinks(*rows, links_problem(unknowns)).best())
 
 
 def links_problem(unknowns: Unknowns) -> LinksProblem:
-    """Return the indices of each body among the unknowns, and a usual body in its place."""
+    """Return the indices of each body among the unknowns, with its usual body there."""
     prior = np.zeros(len(unknowns.estimated))
     links = []
     for indices, usual_body in unknowns.bodies.values():
         links.append(np.searchsorted(unknowns.estimated, indices))
         prior[links[-1]] = usual_body
     return LinksProblem(tuple(links), prior)
-
-
-def restrict_samples(samples: DecimatedSamples, unknowns: Unknowns) -> DecimatedSamples:
-    """Return a recording's rows in the estimated parameters, with all held ones subtracted."""
-    rows_by_joint = list(EstimatedRows((samples,), unknowns))
-    columns = [
-        np.searchsorted(unknowns.estimated, at[np.isin(at, unknowns.estimated)])
-        for at in samples.columns
-    ]
-    return replace(
-        samples,
-        names=unknowns.estimated_names,
-        columns=tuple(columns),
-        rows=tuple(rows for _, rows, _ in rows_by_joint),
-        tau=tuple(tau for _, _, tau in rows_by_joint),
-    )

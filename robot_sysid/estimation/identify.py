@@ -52,13 +52,13 @@ class Piece:
     Attributes:
         name: the recording's name in messages.
         is_loaded: whether it carries the payload.
-        place: its position in the order of recording, as in ``Dataset``.
+        order: its position in the order of recording, as in ``Dataset``.
     """
 
     name: str
     samples: Measurement
     is_loaded: bool = False
-    place: float = 0.0
+    order: float = 0.0
 
 
 def low_pass_recordings(
@@ -91,7 +91,7 @@ def low_pass_recordings(
             pairs.append((piece, signals))
     datasets = []
     for piece, signals in pairs:
-        dataset = Dataset(piece.name, signals, piece.is_loaded, piece.place)
+        dataset = Dataset(piece.name, signals, piece.is_loaded, piece.order)
         datasets.append(without_standing(robot, dataset, options))
     notes: dict[str, tuple[str, ...]] = {}
     for piece, signals in pairs:
@@ -261,7 +261,7 @@ def _fitter(
     couplings = motors[: len(motors) - len(offered)]
     if not question.resting:
         couplings = select_couplings(fitter, question, model, offered)
-    fitter = replace(fitter, _last=None)  # frees memory for the new rows
+    fitter.forget_rows()
     return replace(fitter, columns=columns.with_couplings(couplings))
 
 

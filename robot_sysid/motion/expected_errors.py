@@ -245,8 +245,8 @@ def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Post
     assert dataset.signals is not None
     if is_loaded:
         datasets = (
-            replace(dataset, place=-1.0),
-            replace(dataset, is_loaded=True, place=1.0),
+            replace(dataset, order=-1.0),
+            replace(dataset, is_loaded=True, order=1.0),
         )
     columns = Columns(robot, datasets, options.torques, choice.couplings)
     torque = mean_torque(datasets)

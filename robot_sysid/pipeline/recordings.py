@@ -13,8 +13,7 @@ import numpy as np
 from robot_sysid.config import SysidConfig
 from robot_sysid.diagnosis.log_checks import look_at
 from robot_sysid.estimation.build_result import result_of, traces_of
-from robot_sysid.estimation.dataset import Dataset
-from robot_sysid.estimation.fit import release_memory
+from robot_sysid.estimation.dataset import Dataset, release_memory
 from robot_sysid.estimation.identify import (
     Piece,
     answer_link,
