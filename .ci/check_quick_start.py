@@ -11,7 +11,7 @@ from pathlib import Path
 
 import mujoco
 
-PROMISED = [
+EXPECTED_LINES = [
     r"Loading robot model from examples/kinova/model/kinova_fullinertia_guess\.xml\.\.\.",
     r"Identified terminal joint: joint6",
     r"Generating excitation trajectory \(15\.0s, 1000 Hz\)\.\.\.",
@@ -32,30 +32,24 @@ PROMISED = [
 
 
 def check_printed() -> None:
-    """Every promised line is there, in order."""
+    """Check that printed.txt has every expected line, in order, and errors.txt only notes."""
     lines = iter(Path("printed.txt").read_text(encoding="utf-8").splitlines())
-    for pattern in PROMISED:
+    for pattern in EXPECTED_LINES:
         assert any(re.fullmatch(pattern, line) for line in lines), (
             f"missing or late: {pattern}"
         )
-    others = [
-        x
-        for x in Path("errors.txt").read_text().splitlines()
-        if not x.startswith("note: ")
-    ]
+    errors = Path("errors.txt").read_text().splitlines()
+    others = [line for line in errors if not line.startswith("note: ")]
     assert others == [], "something else than a note on standard error"
 
 
 def check_files() -> None:
-    """All files are there, nothing else is, and the model loads with the identified mass."""
+    """Check that exactly the result files exist and the model loads with the identified mass."""
     written = sorted(path.name for path in Path("sysid_output").iterdir())
     assert written == ["params.json", "run.toml", "updated_model.xml"], written
-    left = {path.name for path in Path().iterdir()} - {
-        "printed.txt",
-        "errors.txt",
-        "examples",
-    }
-    assert left == {"sysid_output"}, left
+    inputs = {"printed.txt", "errors.txt", "examples"}
+    outputs = {path.name for path in Path().iterdir()} - inputs
+    assert outputs == {"sysid_output"}, outputs
     parameters = json.loads(
         Path("sysid_output/params.json").read_text(encoding="utf-8")
     )
