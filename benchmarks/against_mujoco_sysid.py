@@ -42,7 +42,7 @@ NAMES = tuple(f"joint{index}" for index in range(7))
 
 
 def spec_of(values=None) -> mujoco.MjSpec:
-    """The arm with motors and position sensors; ``values`` maps a number's name to (7,)."""
+    """Return the arm as MjSpec with motors and position sensors; ``values`` maps a name to (7,)."""
     spec = mujoco.MjSpec.from_string(arms.serial_arm(arms.SEVEN_AXES, joint=""))
     spec.option.timestep = STEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -55,7 +55,7 @@ def spec_of(values=None) -> mujoco.MjSpec:
 
 
 def with_motors(spec, names) -> mujoco.MjSpec:
-    """A model with a motor and a position sensor at each joint, called like it."""
+    """Add a motor and a position sensor, named like the joint, to each joint; return the spec."""
     joint = mujoco.mjtTrn.mjTRN_JOINT
     affine = mujoco.mjtBias.mjBIAS_AFFINE
     for name in names:
@@ -73,7 +73,7 @@ def with_motors(spec, names) -> mujoco.MjSpec:
 
 
 def truth(rng) -> dict:
-    """What both look for."""
+    """Return the true armature, damping and frictionloss of the joints, each (7,)."""
     return {
         "armature": np.geomspace(0.5, 0.02, 7),
         "damping": np.geomspace(3.0, 0.5, 7) * rng.uniform(0.7, 1.3, 7),
@@ -82,7 +82,7 @@ def truth(rng) -> dict:
 
 
 def record_log(model, robot, seed: int, seconds: float):
-    """(time, q, held torque) of a controlled motion of the true arm, as sensors read it."""
+    """Return (time, q, held torque) of a controlled motion of the true arm, as sensors read it."""
     rng = np.random.default_rng(seed)
     plan = generate_excitation_trajectory(robot, rng, seconds, ArmTorque(robot))[0]
     plan = plan.scaled(np.array([3.0] * 6 + [1.0]))
@@ -108,7 +108,7 @@ def record_log(model, robot, seed: int, seconds: float):
 
 
 def by_torques(robot, log) -> dict:
-    """The numbers from inverse dynamics."""
+    """Return the joints' numbers identified by robot-sysid's inverse dynamics."""
     clock, q, tau = log
     # A torque held for a step acts half a step later: the mean of two steps belongs to the sample.
     middle = 0.5 * (tau + np.vstack((tau[:1], tau[:-1])))
@@ -124,14 +124,14 @@ def by_torques(robot, log) -> dict:
 
 
 def speeds(q):
-    """Velocities by central differences of smoothed positions, for the states pieces start from."""
+    """Return velocities (N, n): central differences of smoothed positions (N, n)."""
     from scipy.signal import savgol_filter
 
     return savgol_filter(q, 31, 3, deriv=1, delta=STEP, axis=0)
 
 
 def pieces(model, log, seconds: float):
-    """(initial states, torques, positions) of consecutive pieces of (time, q, qd, torque)."""
+    """Return (initial states, torques, positions) of consecutive pieces of a log."""
     clock, q, qd, tau = log
     size = round(seconds / (clock[1] - clock[0]))
     states = []
@@ -152,7 +152,7 @@ def pieces(model, log, seconds: float):
 
 
 def joint_parameters(names=NAMES, bounds=BOUNDS):
-    """The numbers of each joint that mujoco.sysid seeks."""
+    """Return mujoco.sysid's parameters of each joint, with their bounds."""
     from mujoco import sysid
 
     if not hasattr(sysid, "ParameterDict"):
@@ -175,7 +175,7 @@ def joint_parameters(names=NAMES, bounds=BOUNDS):
 
 
 def optimise(spec, log, params, residual=None, steps: int = 200):
-    """What mujoco.sysid makes of parameters on pieces of a log (time, q, qd, torque)."""
+    """Return mujoco.sysid's optimum of parameters on pieces of a log (time, q, qd, torque)."""
     from mujoco import sysid
 
     model = spec.compile()
@@ -192,7 +192,7 @@ def optimise(spec, log, params, residual=None, steps: int = 200):
     built = {}
 
     def once(params, spec):
-        """Its model of these parameters, which it would compile for each piece again."""
+        """Return the model of these parameters, compiled once and not for each piece."""
         key = params.as_vector().tobytes()
         if key not in built:
             while len(built) > params.size + 1:
@@ -209,7 +209,10 @@ def optimise(spec, log, params, residual=None, steps: int = 200):
 
 
 def in_radians(params, predicted, measured, model, all_of_it, **_):
-    """Positions' errors as they are: divided by their norm, a joint that rests at 0 is all."""
+    """Return position errors in radians.
+
+    mujoco.sysid divides them by their norm, where a joint that rests at 0 outweighs all others.
+    """
     from mujoco import sysid
 
     measured = sysid.apply_delayed_ts_window(measured, predicted, 0.0, 0.0)
@@ -218,7 +221,7 @@ def in_radians(params, predicted, measured, model, all_of_it, **_):
 
 
 def by_rollouts(log) -> dict:
-    """The numbers from mujoco.sysid."""
+    """Return the joints' numbers identified by mujoco.sysid's rollouts."""
     optimum = optimise(spec_of(), moving(log), joint_parameters())
     return {
         number: np.array([optimum[f"{name}_{number}"].value[0] for name in NAMES])
@@ -227,7 +230,7 @@ def by_rollouts(log) -> dict:
 
 
 def moving(log):
-    """A log (time, q, torque) with velocities, for the states pieces start from."""
+    """Return a log (time, q, torque) with the velocities that initial states of pieces need."""
     clock, q, tau = log
     return clock, q, speeds(q), tau
 
@@ -244,7 +247,7 @@ def _set(spec, name, number, value) -> None:
 
 
 def rollout_error(values, log) -> float:
-    """Root mean square position error over held-out pieces [mrad]."""
+    """Return the root mean square position error over held-out pieces [mrad]."""
     model = spec_of(values).compile()
     states, torques, positions = pieces(model, moving(log), HORIZON)
     final_states, _ = rollout.rollout(
@@ -270,7 +273,7 @@ class Side:
 
 
 def compare_sides() -> dict[str, Side]:
-    """Both sides on the same log."""
+    """Return numbers, processor time and error of both tools on one log, by name."""
     true = truth(np.random.default_rng(0))
     model = spec_of(true).compile()
     robot = arms.robot_of(spec_of().compile())

@@ -133,6 +133,7 @@ def contents(folder: Path) -> dict[str, list[str]]:
 
 
 def main() -> int:
+    """Record or compare; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     modes = parser.add_subparsers(dest="mode", required=True)
     recording = modes.add_parser("record")

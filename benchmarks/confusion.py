@@ -78,12 +78,12 @@ class Answer:
 
     @property
     def is_far(self) -> bool:
-        """Whether the mass is off by more than 10 %."""
+        """Return whether the mass is off by more than 10 %."""
         return abs(self.mass - self.true_mass) > FAR * self.true_mass
 
     @property
     def is_beyond_error(self) -> bool:
-        """Whether the mass is off by more than two stated errors."""
+        """Return whether the mass is off by more than two stated errors."""
         return abs(self.mass - self.true_mass) > SURE * self.error
 
     def describe(self) -> str:
@@ -108,12 +108,12 @@ class Outcome:
 
     @property
     def is_stopped(self) -> bool:
-        """Whether the log is refused or warned of."""
+        """Return whether the log is refused or warned of."""
         return any(finding.level is not Level.NOTE for finding in self.findings)
 
     @property
     def names(self) -> str:
-        """What is named, with levels."""
+        """Return the names of the findings, with their levels."""
         named = dict.fromkeys(f"{f.name}:{f.level.value}" for f in self.findings)
         return "+".join(named) or "-"
 
@@ -192,7 +192,7 @@ class Case:
 
     @property
     def row(self) -> str:
-        """The row of the table that it belongs to."""
+        """Return the title of the table's row that the case belongs to."""
         is_right = self.cause == RIGHT
         return (
             f"{RIGHT} {self.deviation} {self.duration:g} s" if is_right else self.cause

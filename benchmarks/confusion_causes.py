@@ -45,13 +45,13 @@ class Scene(Truth):
 
     @property
     def usual_torque(self) -> Array:
-        """What each joint carries (n,), of weak ones 2 % of the strongest joint's [N m]."""
+        """Return the rms torque of each joint (n,), at least 2 % of the strongest joint's [N m]."""
         rms_torque = np.sqrt(np.mean(self.rigid**2, axis=0))
         return np.asarray(np.maximum(rms_torque, 0.02 * np.max(rms_torque)))
 
     @property
     def weight(self) -> float:
-        """The whole arm's weight [N]."""
+        """Return the weight of the arm [N]."""
         return float(np.sum(self.robot.thetas[:, 0])) * GRAVITY
 
     def with_more_torque(self, torque: Array) -> Scene:

@@ -53,7 +53,11 @@ def main() -> None:
 
 
 def errors_of_run(study, plan, pair, noise, step, seed):
-    """(error of delay, its standard error [ms], error of gravity's direction, stated [degrees])."""
+    """Return errors of the delay [ms] and of gravity's direction [degrees], with standard errors.
+
+    Returns:
+        (error of the delay, its standard error, error of the direction, its standard error)
+    """
     delay, tilt = pair
     turn = np.radians(tilt) * np.array([np.cos(seed), np.sin(seed), 0.0])
     down = Rotation.from_rotvec(turn).apply(gravity_vector(study.plant))

@@ -43,6 +43,7 @@ def functions(folder: Path, workers: int) -> None:
 
 
 def _search(path: Path, workers: int) -> None:
+    """Write the trajectory that a search with so many worker processes ends with."""
     import numpy as np
 
     from robot_sysid.api.results import one_thread

@@ -19,7 +19,7 @@ random_plan = noise_study.random_plan
 
 
 def designed_plan(robot, seed=1):
-    """The trajectory that ``--excitation optimal`` designs; takes about 20 s."""
+    """Return the trajectory that ``--excitation optimal`` designs; it takes about 20 s."""
     from robot_sysid.motion.design import Design
     from robot_sysid.motion.design_search import design_excitation
     from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
@@ -32,7 +32,7 @@ def designed_plan(robot, seed=1):
 
 
 def friction_errors(study, estimate):
-    """Largest relative errors: (mass, Coulomb, viscous)."""
+    """Return the largest relative errors of (mass, Coulomb friction, viscous friction)."""
     error = np.abs(study.errors(estimate))
     worst = [error[0] / study.truth[0]]
     for term in ("coulomb", "viscous"):

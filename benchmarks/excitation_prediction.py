@@ -66,7 +66,7 @@ OPTIONS = EstimationOptions()
 
 
 def beliefs(problem, motion):
-    """What the estimate knows beforehand: groups of unknowns, and all values where it begins."""
+    """Return the robot, the columns, and the groups of unknowns with their priors."""
     robot = problem.robot
     columns = Columns(problem.robot, (), OPTIONS.torques)
     torque = np.sqrt(np.mean(problem.arm_torque(motion) ** 2, axis=0))
@@ -78,12 +78,7 @@ def beliefs(problem, motion):
 
 
 def drawn_links(robot, rng):
-    """Other links of an arm that may be, drawn from what is believed of them (``link_factor``).
-
-    Drawn until they are possible, thin links would on average be thicker than the model's, and all
-    arms heavier to turn. So what an inertia is off by is halved until it could be off the other way
-    round as well.
-    """
+    """Return parameters of the other links, drawn from their prior and possible as bodies."""
     share = 0.01 * OPTIONS.link_uncertainty
     links = []
     heavier, longer = share * rng.normal(size=2)
@@ -105,12 +100,12 @@ def drawn_links(robot, rng):
 
 
 def is_body(inertia):
-    """Whether a body can have this inertia about its centre of mass."""
+    """Return whether a body can have this inertia (3, 3) about its centre of mass."""
     return spatial.is_consistent(spatial.theta_from_com(1.0, np.zeros(3), inertia))
 
 
 def simulate_log(robot, columns, values, motion):
-    """Torque of an arm with these values, and the positions that its encoders tell."""
+    """Return (torque, positions), each (N, n), that sensors of an arm with these values report."""
     at = {name: float(value) for name, value in zip(columns.names, values)}
 
     def of(term):
@@ -137,8 +132,11 @@ def simulate_log(robot, columns, values, motion):
 
 
 def identification_errors(problem, motion, rng, exact):
-    """Errors (10,) of the result and of the plain estimate, what is stated, and whether a common
-    torque scale was looked for.
+    """Return the errors of one simulated identification.
+
+    Returns:
+        errors (10,) of the result and of the plain estimate, stated standard errors (10,), and
+        whether a common torque scale was allowed for
     """
     robot, columns, groups = beliefs(problem, motion)
     values = columns.prior.copy()
@@ -165,7 +163,7 @@ def identification_errors(problem, motion, rng, exact):
 
 
 def error_line(theta, squares, covariance, title):
-    """A line: mean products (10, 10) of errors, over what is promised."""
+    """Return a line with rms errors over predicted ones; ``squares`` are mean products (10, 10)."""
     ratio = np.sqrt(np.diag(squares) / np.diag(covariance))
     centre = spread_of(theta, squares)[1] / spread_of(theta, covariance)[1]
     ten = np.array2string(ratio, precision=2)
@@ -176,7 +174,7 @@ def error_line(theta, squares, covariance, title):
 
 
 def lines(path, runs, exact):
-    """The lines of one arm."""
+    """Yield the lines of one arm."""
     robot = load_robot_model(path)
     problem = build_problem(robot, LimitOptions(), noise_torque=SIGMA)
     motion = TrajectoryOptions(sample_rate=RATE)

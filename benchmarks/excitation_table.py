@@ -69,14 +69,14 @@ NAMES = ("mass", "centre", "Izz", "ten", "mean")
 
 
 def left_by(design, plan):
-    """Deviations of mass, centre of mass, Izz and all ten, and the mean axis, after a motion."""
+    """Return standard deviations of mass, centre of mass, Izz and the ten, and the mean axis."""
     motion = plan.evaluate(design.grid)
     information = design.told((motion.q, motion.qd, motion.qdd)).information
     return figures(design, information)
 
 
 def figures(design, information):
-    """What some information leaves unknown."""
+    """Return standard deviations of mass, centre of mass, Izz and the ten, from information."""
     covariance = design.criterion.covariance(information)
     standard_errors = np.sqrt(np.diag(covariance))
     scale = sizes(design.problem)
@@ -94,7 +94,7 @@ def figures(design, information):
 
 
 def nearest(robot, plan):
-    """Smallest distance of parts that move against each other, without those that overlap."""
+    """Return the smallest distance of bodies that move and do not overlap at rest [m]."""
     model = copy.copy(robot.mj_model)
     moving_groups = parts_by_joints(robot)
     model.geom_margin[:] = 0.1
@@ -123,7 +123,7 @@ def nearest(robot, plan):
 
 
 def parts_by_joints(robot):
-    """Number of chain joints above each body."""
+    """Return the number of chain joints above each body."""
     model = robot.mj_model
     joints = set(model.dof_jntid[robot.dof_index].tolist())
     groups = np.zeros(model.nbody, dtype=int)
@@ -136,7 +136,7 @@ def parts_by_joints(robot):
 
 
 def line(path, joint, seeds, budget):
-    """The table's line of one arm."""
+    """Return the table's line of one arm."""
     robot = load_robot_model(path, joint=joint)
     motion = TrajectoryOptions()
     options = ExcitationOptions(workers=1)

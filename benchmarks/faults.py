@@ -270,7 +270,7 @@ def interrupt_runs(
 
 @contextlib.contextmanager
 def small_disk(study: Study, size: str) -> Iterator[bool]:
-    """Let the output folder be a small disk; yields whether that was possible."""
+    """Mount a small disk as the output folder; yield whether that was possible."""
     study.shop.fill({})
     study.shop.out.mkdir(parents=True)
     call = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(study.shop.out)]
@@ -283,7 +283,7 @@ def small_disk(study: Study, size: str) -> Iterator[bool]:
 
 
 def disks(study: Study, sizes: list[str]) -> None:
-    """Let the disk be full at several places of the results, and read-only on the way."""
+    """Fill the disk after several sizes of results, and make folders read-only."""
     print(
         "\nfull disk: command, size, exit code, lines on standard error that are no notes"
     )
@@ -329,6 +329,7 @@ def _has_room(study: Study) -> bool:
 
 
 def _tell(study: Study, name: str, event: str, run: Run) -> None:
+    """Print how a run ended, and each fault that it left."""
     print(
         f"  {name:16s} {event:28s} {run.code:4d}  {' | '.join(run.errors)[:150]}",
         flush=True,
@@ -397,6 +398,7 @@ def folders(study: Study) -> None:
 
 
 def _two_at_once(study: Study, name: str) -> None:
+    """Run a command twice at once in one output folder, and print each fault."""
     first = study.start(name)
     second = study.shop.start(
         study.shop.command_arguments(name, 1 if name != "report" else 2), "second"

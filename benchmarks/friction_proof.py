@@ -75,7 +75,7 @@ class Truth:
         self.offset = 0.1 * self.coulomb * rng.choice((-1.0, 1.0), joints)
 
     def torque(self, motion) -> np.ndarray:
-        """(N, n) what the motors give."""
+        """Return the motors' torques (N, n)."""
         links = LinkDynamics(self.robot).motion(motion.q, motion.qd, motion.qdd)
         carried = links.torque(self.thetas)
         sign = np.sign(motion.qd)
@@ -85,7 +85,7 @@ class Truth:
         return carried + smooth + sign * level
 
     def log(self, plan, rng: np.random.Generator) -> Measurement:
-        """What sensors report along a plan."""
+        """Return what sensors report along a plan."""
         clock = np.arange(0.0, plan.duration, 1.0 / RATE)
         motion = plan.evaluate(clock)
         tau = self.torque(motion) + NOISE * rng.normal(size=motion.q.shape)
@@ -93,7 +93,7 @@ class Truth:
 
 
 def draw_wrong_link(theta, rng):
-    """A link's parameters 2 % off."""
+    """Return a link's parameters (10,) with mass, centre of mass and inertia 2 % off."""
     if not np.any(theta):
         return theta
     mass, com, inertia = spatial.com_from_theta(theta)
@@ -104,7 +104,7 @@ def draw_wrong_link(theta, rng):
 
 
 def plans(robot):
-    """The designed motions: sweeps, then sines."""
+    """Return the designed motions: the slow one for friction, then sines."""
     problem = build_problem(robot, LimitOptions(max_velocity=FASTEST))
     options = ExcitationOptions(kind="optimal", draws=DRAWS)
     design = Design(problem, options, TrajectoryOptions(duration=30.0), for_arm=True)
@@ -143,6 +143,7 @@ def prove(name: str, path: str) -> None:
 
 
 def _cell(truth, joint, index, term) -> str:
+    """Return the table's cell of one term of a joint: relative error and stated error."""
     true_value = getattr(truth, term)[index]
     if term not in joint.terms:
         return f"{term} MISSING        "
@@ -154,7 +155,7 @@ def _cell(truth, joint, index, term) -> str:
 
 
 def short(model: str) -> str:
-    """A friction model's name without what all have."""
+    """Return a friction model's name without the terms that all models have."""
     return model.replace("-offset-armature", "")
 
 

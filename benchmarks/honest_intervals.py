@@ -123,7 +123,7 @@ class Arm:
         self.dry: Array = np.zeros(robot.n_joints)
 
     def log(self, loaded: bool = False) -> Measurement:
-        """What its sensors say; friction that is bent falls with speed and grows with load."""
+        """Return a log with a Stribeck drop and friction that grows with load."""
         motion = self.plan.evaluate(np.arange(int(RATE * DURATION)) / RATE)
         exact = next(iter(simulate_inverse(self.arm, iter([motion]))))
         links = self.robot.thetas
@@ -152,7 +152,7 @@ class Arm:
 
 
 def noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
-    """White noise, and half as large noise with a memory."""
+    """Return noise of a shape (N, n): white, plus half as large autocorrelated noise."""
     from scipy.signal import lfilter
 
     memory = np.exp(-1.0 / (RATE * MEMORY))
@@ -190,7 +190,7 @@ def body_off(estimate: BodyEstimate, true: Array) -> Iterator[Off]:
 
 
 def link_errors(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[str]]:
-    """How far the numbers of an arm are off, and the causes that are said to be larger."""
+    """Return how far an arm's numbers are off, and the causes whose priors are contradicted."""
     robot = arm.robot
     result = result_of_logs(arm.robot, [arm.log()], options)
     errors = list(body_off(result.links[-1], arm.thetas[-1]))
@@ -210,7 +210,7 @@ def link_errors(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[s
 
 
 def payload_errors(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[str]]:
-    """How far the payload's numbers are off, and the causes that are said to be larger."""
+    """Return how far a payload's numbers are off, and the causes whose priors are contradicted."""
     order_positions = np.linspace(-1.0, 1.0, len(ORDER)).tolist()
     pieces = [
         Piece(f"log{k}", arm.log(loaded), loaded, order_positions[k])

@@ -28,19 +28,19 @@ SCALE = 0.03
 
 
 def body(mass):
-    """A payload of this mass, with its centre of mass off the axis."""
+    """Return a payload (10,) of this mass [kg], with its centre of mass off the axis."""
     inertia = mass * np.diag([0.004, 0.005, 0.003])
     return spatial.theta_from_com(mass, np.array([0.03, -0.02, 0.08]), inertia)
 
 
 def divide_by_scale(recording, scale):
-    """A recording with its torques divided by scales (n,)."""
+    """Return a recording with its torques divided by scales (n,)."""
     samples = replace(recording.samples, tau=recording.samples.tau / scale)
     return replace(recording, samples=samples, pieces=(samples,))
 
 
 def calibration(robot, arm, rng, sets):
-    """(scales (n,), how far they may be off (n,) [%]) after sets of recordings with a weight."""
+    """Return torque scales (n,) by recordings with a weight, and their errors (n,) [%]."""
     scale = np.ones(robot.n_joints)
     sure = None
     for _ in range(sets):
@@ -59,7 +59,7 @@ def calibration(robot, arm, rng, sets):
 
 
 def run(robot, seed, sets):
-    """(relative errors as measured, with scales, their stated errors, coverage of the scales)."""
+    """Return relative errors as measured and with scales, stated errors, scales' coverage."""
     rng = np.random.default_rng([seed, 78])
     arm = ImperfectArm(robot, rng, Imperfections(scale=SCALE))
     scale, sure = calibration(robot, arm, rng, sets)
@@ -79,6 +79,7 @@ def run(robot, seed, sets):
 
 
 def main():
+    """Print a line per arm."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("models", type=Path)
     parser.add_argument("--runs", type=int, default=5)

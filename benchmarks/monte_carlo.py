@@ -34,7 +34,7 @@ def main() -> None:
 
 
 def line(study, title, noise) -> str:
-    """One line of the table."""
+    """Return one line of the table."""
     outcome = study.run(noise, DRAWS)
     bound = study.bound(noise)
     plain = np.mean(outcome.plain_covered)

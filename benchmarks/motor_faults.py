@@ -104,6 +104,7 @@ def damage_cases(arm: str, runs: int, seed: int) -> list[Case]:
 
 
 def _damage(name, size, joint: int, n: int, random: np.random.Generator) -> Damage:
+    """Return a damage of a field of the feedback frame of a joint (from 0) of n."""
     other = 1 + (joint + int(random.integers(1, n))) % n
     if name == "position":
         return Damage(name, float(size * random.choice([-1.0, 1.0])), joint)

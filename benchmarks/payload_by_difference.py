@@ -49,7 +49,7 @@ SPEED_SHARE = 0.9
 
 
 def trajectory(robot, rng, wide):
-    """A random trajectory within the limits."""
+    """Return a random trajectory within the limits."""
     plan = generate_excitation_trajectory(robot, rng, torque=ArmTorque(robot))[0]
     if not wide:
         return plan
@@ -62,7 +62,7 @@ def trajectory(robot, rng, wide):
 
 
 def turn_body(theta, angle):
-    """A body turned about the z axis by an angle [rad]."""
+    """Return a body (10,) turned about the z axis by an angle [rad]."""
     mass, com, inertia = spatial.com_from_theta(theta)
     turn = np.array(
         [
@@ -77,7 +77,7 @@ def turn_body(theta, angle):
 def recordings(
     robot, arm, rng, different=False, payload=PAYLOAD, wide=True, second=None
 ):
-    """Four recordings in the order empty, loaded, loaded (with a second payload), empty."""
+    """Return four recordings: empty, loaded, loaded with a second payload, empty."""
     plans = [trajectory(robot, rng, wide) for _ in (ORDER if different else ORDER[:1])]
     records = []
     for k, loaded in enumerate(ORDER):
@@ -88,7 +88,7 @@ def recordings(
 
 
 def weigh(robot, raw, estimation=USUAL, drifts=True, **question_options):
-    """The result that the command finds."""
+    """Return the result of ``robot-sysid payload`` on recordings."""
     order_positions = np.linspace(-1.0, 1.0, len(raw))
     pieces = [
         Piece(r.name, r.samples, r.is_loaded, at) for r, at in zip(raw, order_positions)
@@ -102,7 +102,7 @@ def weigh(robot, raw, estimation=USUAL, drifts=True, **question_options):
 
 
 def single_difference(robot, raw):
-    """Difference of the terminal link's mass in two fits, with the other links from the model."""
+    """Return the difference of the terminal link's mass in two separate fits [kg]."""
     options = EstimationOptions(
         link_uncertainty=0.0,
         scale_uncertainty=0.0,
@@ -119,7 +119,7 @@ def single_difference(robot, raw):
 
 
 def run(robot, seed, off, different, single, wide, second):
-    """(error of the mass, stated error, noise error, error of the centre of mass, difference)."""
+    """Return errors of mass (true, stated, by noise), centre of mass, and difference."""
     rng = np.random.default_rng([seed, 77])
     arm = ImperfectArm(robot, rng, off)
     raw = recordings(robot, arm, rng, different, wide=wide, second=second)
@@ -141,6 +141,7 @@ def rms(values):
 
 
 def main():
+    """Print a line per arm and torque scale."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("models", type=Path)
     parser.add_argument("--runs", type=int, default=20)

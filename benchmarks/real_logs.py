@@ -87,7 +87,7 @@ class Case:
 
 
 def split_log(log: str, start: float, end: float) -> tuple:
-    """The first four fifths of a log's motion, and the last."""
+    """Return two stretches of a log: the first four fifths of its motion, and the last fifth."""
     middle = start + 0.8 * (end - start)
     return (log, start, middle), (log, middle, end)
 
@@ -135,7 +135,7 @@ CASES = (
 
 
 def samples(stretch) -> dict:
-    """A stretch of a log."""
+    """Return the samples of a stretch of a log."""
     name, start, end = stretch
     table = np.loadtxt(DATA / name, delimiter=",", skiprows=1)
     table = table[(table[:, 0] >= start) & (table[:, 0] < end)]
@@ -144,20 +144,20 @@ def samples(stretch) -> dict:
 
 
 def signals(stretch, joints, cutoff: float):
-    """A stretch of a log, filtered."""
+    """Return a stretch of a log, low-passed at a cut-off [Hz]."""
     log = samples(stretch)
     return process(Measurement(log["time"], log["q"], None, log["tau"]), joints, cutoff)
 
 
 def as_mjcf(urdf: str) -> str:
-    """The same arm as MJCF, which has a place for rotor inertia."""
+    """Return the arm of a URDF as MJCF, which has a place for rotor inertia."""
     spec = mujoco.MjSpec.from_file(str(DATA / urdf))
     spec.compile()
     return spec.to_xml()
 
 
 def column(case: Case, folder: Path) -> dict[str, str]:
-    """What stands in the table below a case; masses under "... mass"."""
+    """Return the cells of the table's column of a case, by row; masses under "... mass"."""
     mjcf = folder / "arm.xml"
     cells = {"published": case.published}
     mjcf.write_text(as_mjcf(case.model))
@@ -195,14 +195,14 @@ def column(case: Case, folder: Path) -> dict[str, str]:
 
 
 def identify_case(case: Case, model: Path):
-    """What robot-sysid finds."""
+    """Return robot-sysid's result, with defaults."""
     if case.empty is None:
         return identify(model, samples(case.fitted))
     return payload(model, samples(case.empty), samples(case.fitted))
 
 
 def file_error(model, robot, test) -> float:
-    """Relative torque error of a model or its file by ``mj_inverse``, each joint's mean out."""
+    """Return the relative torque error of a model by ``mj_inverse``, each joint's mean out."""
     model = compile_model(model).mj_model if isinstance(model, Path) else model
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     data = mujoco.MjData(model)
@@ -218,7 +218,7 @@ def file_error(model, robot, test) -> float:
 
 
 def relative(test, torque) -> float:
-    """norm(measured - predicted) / norm(measured), all joints stacked, of torques (K, n)."""
+    """Return norm(measured - predicted) / norm(measured) of torques (K, n), all joints stacked."""
     measured = np.where(test.usable(), test.low_pass.decimate(test.tau), np.nan)
     off = measured - torque
     off -= np.nanmean(off, axis=0)
@@ -226,7 +226,7 @@ def relative(test, torque) -> float:
 
 
 def fit_error(fit, test, is_loaded: bool) -> float:
-    """The same of a fit, with scales, zeros, shared motors and all."""
+    """Return the relative torque error of a fit, with scales, zeros and shared motors."""
     fitted = fit.columns
     test_data = [Dataset("", test, is_loaded)]
     columns = Columns(fitted.robot, test_data, fitted.torques, fitted.couplings)
@@ -263,7 +263,7 @@ class LeastSquares:
         )
 
     def columns(self, signals, is_loaded: bool):
-        """Filtered columns (K, n, p)."""
+        """Return filtered columns (K, n, p) of links, joints, shared motor and payload."""
         joints = len(self.robot.links)
         links = (
             LinkDynamics(self.robot)
@@ -295,14 +295,14 @@ class LeastSquares:
         )
 
     def rows(self, signals, is_loaded: bool):
-        """Equations of the rows that may be used."""
+        """Return the matrix and torques of the samples that may be used."""
         use = signals.usable()
         return self.columns(signals, is_loaded)[use], signals.low_pass.decimate(
             signals.tau
         )[use]
 
     def solution(self, links: bool = True):
-        """Parameters (p,): of links, joints and payload; or the catalogue's links kept."""
+        """Return parameters (p,) of links, joints and payload; ``links`` frees the links."""
         free = slice(0 if links else 10 * len(self.robot.links), None)
         residual = self.torque - self.matrix @ self.start
         values = self.start.copy()
@@ -310,11 +310,11 @@ class LeastSquares:
         return values
 
     def error(self, values, test) -> float:
-        """Relative error on another stretch."""
+        """Return the relative torque error of parameters (p,) on another stretch."""
         return relative(test, self.columns(test, self.case.empty is not None) @ values)
 
     def file(self, values) -> str:
-        """What MuJoCo says to a model with these links."""
+        """Return MuJoCo's answer to a model with these links, and how many are impossible."""
         links = values[: 10 * len(self.robot.links)].reshape(-1, 10).copy()
         links[-1] += values[-10:]
         spec = mujoco.MjSpec.from_string(as_mjcf(self.case.model))
@@ -334,11 +334,7 @@ class LeastSquares:
 
 @lru_cache
 def by_rollouts(urdf: str, stretches: tuple, cutoff: float, rotors: bool) -> tuple:
-    """(the model that mujoco.sysid finds, mass that the second stretch adds [kg]).
-
-    It fits positions of pieces that it simulates: the joints first, with the catalogue's links; on
-    a second stretch the last link alone.
-    """
+    """Return mujoco.sysid's model, and the mass that the second stretch adds [kg]."""
     from mujoco import sysid
 
     spec = mujoco.MjSpec.from_string(as_mjcf(urdf))
@@ -365,7 +361,7 @@ def by_rollouts(urdf: str, stretches: tuple, cutoff: float, rotors: bool) -> tup
 
 
 def _inertia(spec, body: str):
-    """Ten parameters of a possible body, in mujoco.sysid's own form."""
+    """Return mujoco.sysid's ten parameters of a possible body."""
     from mujoco import sysid
 
     def put(spec, param) -> None:
@@ -390,12 +386,12 @@ def put_body(body, theta) -> None:
 
 
 def percent(share: float) -> str:
-    """A share in percent."""
+    """Return a fraction in percent."""
     return f"{100.0 * share:.1f} %"
 
 
 def table(columns) -> list[str]:
-    """The page's tables: torque errors, and what the payload weighs."""
+    """Return the lines of the page's tables: torque errors, and masses of the payload."""
     lines = ["| Torque error | " + " | ".join(case.title for case in CASES) + " |"]
     lines.append("| --- |" + " --- |" * len(CASES))
     for key, name in ROWS.items():

@@ -94,7 +94,7 @@ def spin() -> None:
 
 @contextlib.contextmanager
 def load(is_busy: bool) -> Iterator[None]:
-    """Let a program of ordinary priority keep each processor busy."""
+    """Keep each processor busy with a program of ordinary priority."""
     count = os.cpu_count() if is_busy else 0
     programs = [
         multiprocessing.Process(target=spin, daemon=True) for _ in range(count or 0)
@@ -121,13 +121,13 @@ def watch(wait, pauses, leave) -> None:
 
 
 def watch_processor(number: int, pauses, leave) -> None:
-    """Watch whether a processor stands still."""
+    """Append (moment, duration) of each pause of a processor [s]."""
     os.sched_setaffinity(0, {number})
     watch(lambda: time.sleep(1e-3), pauses, leave)
 
 
 def watch_line(pauses, leave) -> None:
-    """Watch how long bytes take through a pseudo-terminal."""
+    """Append (moment, duration) of each byte's way through a pseudo-terminal [s]."""
     reader, writer = os.openpty()
     tty.setraw(writer)
 
@@ -141,7 +141,7 @@ def watch_line(pauses, leave) -> None:
 
 @contextlib.contextmanager
 def witnesses() -> Iterator[list]:
-    """Watch the processors and a line; yields the pauses of each, to be read after the block."""
+    """Watch the processors and a line; yield the pauses of each, complete after the block."""
     with multiprocessing.Manager() as manager:
         *processors, line = [manager.list() for _ in range((os.cpu_count() or 1) + 1)]
         leave = multiprocessing.Event()
@@ -165,7 +165,7 @@ def witnesses() -> Iterator[list]:
 
 @contextlib.contextmanager
 def simulated_arm(arguments: list[str]) -> Iterator[tuple[str, list[str]]]:
-    """Let an arm live behind a pseudo-terminal; yields its device, and what it says at the end."""
+    """Start an arm behind a pseudo-terminal; yield its device and its closing lines."""
     command = [*PROGRAM, "simulate", *arguments]
     arm = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     output: list[str] = []
@@ -259,7 +259,7 @@ def play_until_valid(*run) -> Iterator[Result]:
 
 
 def set_up(name: str, trajectory: Path) -> Result:
-    """List the motors of a simulated arm on a busy computer, and change one of them."""
+    """Return the result of listing and changing a simulated arm's motors on a busy computer."""
     arguments = bus_arguments(name, RATES[1], trajectory)
     n_motors = len(ARMS[name].motors)
     with (

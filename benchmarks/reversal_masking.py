@@ -46,7 +46,7 @@ def main() -> None:
 
 
 def rules():
-    """Name to the function that picks rows from (slow share, speed at the centre / deadband)."""
+    """Return predicates of rows by name: of (slow share, speed at the centre over deadband)."""
     predicates = {"centre": lambda share, speed: speed >= 1.0}
     for share in SHARES:
         predicates[f"share {share:g}"] = lambda slow_share, speed, limit=share: (
@@ -62,6 +62,7 @@ class ClosedLoopStudy(NoiseStudy):
     """
 
     def record(self):
+        """Return what sensors report of the closed loop."""
         loop = ClosedLoop(self.plant, self.plan, noise_study.SAMPLE_RATE)
         log = join_measurements(loop.run())
         log = replace(
@@ -89,7 +90,7 @@ class UnmaskedStudy:
         self.speed = np.abs(signals.qd[centres]) / signals.deadband
 
     def errors_of_rule(self, rule):
-        """(errors without torque noise, errors with 0.1 N m, share of rows used)."""
+        """Return errors without torque noise, with 0.1 N m, and the share of rows used."""
         used = rule(self.share, self.speed)
         study = self.study
         samples = self.study.samples
@@ -105,7 +106,7 @@ class UnmaskedStudy:
 
 
 def table_line(results) -> str:
-    """Median and worst of each error."""
+    """Return the line with median and worst of each error."""
     clean, noisy = (100.0 * np.array([r[k] for r in results]) for k in (0, 1))
     pairs = "  ".join(f"{np.median(e):.3f} {np.max(e):.3f}" for e in clean.T)
     loud = " ".join(f"{value:.2f}" for value in np.median(noisy, axis=0))

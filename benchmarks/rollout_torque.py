@@ -71,7 +71,7 @@ def main(*names: str) -> None:
 
 
 def write_logs(robot, folder: Path, rng) -> tuple[Path, ...]:
-    """Logs of an arm that is not quite its model."""
+    """Write logs of an arm that differs from its model; return their paths."""
     arm = StandIn(robot, rng)
     paths = []
     for number in range(LOGS):
@@ -98,7 +98,7 @@ class StandIn:
         self.load = rng.uniform(0.02, 0.05, n)
 
     def measure(self, motion, rng) -> Measurement:
-        """What its sensors say."""
+        """Return what the sensors report of a motion."""
         tau = self.dynamics.motion(motion.q, motion.qd, motion.qdd).torque(self.thetas)
         tau += self.armature * motion.qdd
         sign = np.sign(motion.qd)
@@ -110,7 +110,7 @@ class StandIn:
 
 
 def other_link(theta, rng):
-    """A link with mass, centre of mass and inertia 2 % off."""
+    """Return a link (10,) with mass, centre of mass and inertia 2 % off."""
     if not np.any(theta):
         return theta
     mass, com, inertia = spatial.com_from_theta(theta)

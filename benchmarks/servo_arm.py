@@ -36,7 +36,7 @@ class ServoArm:
     limit: np.ndarray
 
     def play(self, time, command):
-        """Positions (N, n) at the times (N,) at which commands (N, n) are given, from rest."""
+        """Return positions (N, n) at times (N,) at which commands (N, n) are given, from rest."""
         friction = JointFriction(self.coulomb, np.zeros(len(self.coulomb)))
         model = self.robot.mj_model.__copy__()
         model.dof_armature[self.robot.dof_index] = self.armature
@@ -69,7 +69,7 @@ class ServoArm:
 def other_than(
     robot, rng, gain=(0.4, 0.8), friction=(1.5, 3.0), armature=(0.4, 0.8), delay=0.02
 ):
-    """An arm whose servos and joints are not those of its model."""
+    """Return an arm whose servos and joints differ from those of its model."""
     n = robot.n_joints
     dofs = robot.dof_index
     actuators = chain_actuators(robot)
@@ -88,7 +88,7 @@ def other_than(
 
 
 def commands(robot, rng, seconds=40.0, rate=50.0, amplitude=0.5):
-    """(time (N,), command (N, n)): sums of sines and steps within the joints' limits."""
+    """Return time (N,) [s] and commands (N, n) [rad]: sines and steps within the joints' limits."""
     time = np.arange(round(seconds * rate)) / rate
     lower = np.maximum(robot.limits.lower, -1.5)
     upper = np.minimum(robot.limits.upper, 1.5)

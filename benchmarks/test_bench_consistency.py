@@ -20,7 +20,7 @@ from tests.support.synthetic_data import arm_equations, random_body, sdp_least_s
 
 
 def random_problem(seed):
-    """(A, b, prior); odd seeds are noisy and near the boundary, most of them end on it."""
+    """Return (A, b, prior); odd seeds are noisy and near the boundary of possible bodies."""
     rng = np.random.default_rng(seed)
     equations, _ = arm_equations(rng, 3, 60)
     matrix = np.vstack([rows[:, :10] for rows, _ in equations])
@@ -36,7 +36,7 @@ def random_problem(seed):
 
 
 def consistent(matrix, rhs, prior):
-    """The plain estimate, or the best possible body where that is none."""
+    """Return the plain estimate, or the best possible body where the plain one is none."""
     plain = np.linalg.lstsq(matrix, rhs, rcond=None)[0]
     if spatial.is_consistent(plain):
         return plain

@@ -30,7 +30,7 @@ ARMS = {
 
 @pytest.fixture(params=ARMS)
 def recorded_arm(request):
-    """(arm, its measurements): 15 001 samples in chunks."""
+    """Return (arm, its measurements): 15 001 samples in chunks."""
     path = ARMS[request.param]
     if path is not None and not path.exists():
         pytest.skip("the public models are not here")
@@ -48,7 +48,7 @@ def collect(robot, measurements):
 
 
 def bare_loop(robot, measurements):
-    """What anyone would write first: nothing but mj_inverse per sample."""
+    """Run the plain alternative: nothing but mj_inverse per sample."""
     model = robot.mj_model
     data = mujoco.MjData(model)
     data.qpos[:] = robot.reference_qpos
@@ -64,7 +64,7 @@ def bare_loop(robot, measurements):
 
 
 def best_of(function, *arguments, rounds=5):
-    """Shortest time of several runs [s]."""
+    """Return the shortest time of several runs [s]."""
     times = []
     for _ in range(rounds):
         start = time.perf_counter()

@@ -60,10 +60,11 @@ class SameThreadLink:
         return None
 
     def close(self):
-        """Nothing to release."""
+        """Do nothing: there is nothing to release."""
 
 
 def arm_and_plan(folder, rate: float) -> tuple[SimulatedArm, Plan]:
+    """Return a simulated arm of seven motors and a trajectory for it."""
     joints = damiao_joints(["DM4340"] * JOINTS, JOINTS)
     path = folder / "damiao_trajectory.csv"
     motion = swing(JOINTS, SECONDS, rate=1000.0)
@@ -104,7 +105,7 @@ def tell(benchmark, report, rate: float) -> None:
 
 @contextlib.contextmanager
 def served_in_background(arm, link, clock):
-    """Serve the arm in a thread for as long as the block runs, then close its link."""
+    """Serve the arm in a thread while the block runs, then close its link."""
     leave = threading.Event()
     # Python hands over between busy threads every 5 ms by default: longer than a control cycle.
     interval = sys.getswitchinterval()

@@ -18,7 +18,7 @@ from tests.support.places import GUESS
 
 @cache
 def kinova():
-    """Design of the Kinova example and its best of 20 random trajectories."""
+    """Return the design of the Kinova example and its best of 20 random trajectories."""
     problem = build_problem(load_robot_model(GUESS), LimitOptions())
     design = Design(problem, ExcitationOptions(), TrajectoryOptions())
     return design, min(draw_trajectories(design, 0, range(20)), key=lambda d: d.score).x

@@ -36,7 +36,7 @@ def run(arguments):
 
 
 def best_of(arguments, rounds):
-    """Shortest time of several runs [s]."""
+    """Return the shortest time of several runs [s]."""
     times = []
     for _ in range(rounds):
         start = time.perf_counter()
@@ -46,7 +46,7 @@ def best_of(arguments, rounds):
 
 
 def peak_memory_mb(arguments):
-    """Largest resident memory of a process [MB]."""
+    """Return the largest resident memory of a process [MB]."""
     watched = [sys.executable, "-c", PEAK_MEMORY, *arguments]
     printed = subprocess.run(watched, check=True, capture_output=True, text=True).stdout
     kilobytes = int(printed) if sys.platform != "darwin" else int(printed) / 1024.0

@@ -69,13 +69,13 @@ class Run:
 
     @property
     def code(self) -> int:
-        """The exit code, or minus the signal's number, once it has ended."""
+        """Return the exit code, or minus the signal's number, once the process has ended."""
         self.process.join()
         return int(self.process.exitcode or 0)
 
     @property
     def errors(self) -> list[str]:
-        """Lines on standard error that are no notes."""
+        """Return the lines on standard error that are no notes."""
         lines = self.err.read_text(encoding="utf-8").splitlines()
         return [line for line in lines if not line.startswith("note: ")]
 
@@ -141,7 +141,7 @@ class Workshop:
         return files_in(self.out) if self.out.is_dir() else {}
 
     def fill(self, files: dict[str, bytes]) -> None:
-        """Let the output folder hold these files and nothing else."""
+        """Make the output folder hold these files and nothing else."""
         if self.out.is_symlink() or self.out.is_file():
             self.out.unlink()
         shutil.rmtree(self.out, ignore_errors=True)
@@ -157,7 +157,7 @@ class Workshop:
 
 
 def _command(arguments: list[str], folder: Path, out: Path, err: Path) -> None:
-    """Be the command: in its folder, in a session of its own, with files for what it prints."""
+    """Be the command: in its folder and session, with files for its output."""
     os.setsid()
     # Ignored where this process was started in the background of a script.
     signal.signal(signal.SIGINT, signal.default_int_handler)

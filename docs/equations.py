@@ -14,19 +14,19 @@ _INLINE = re.compile(
 _CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
 
 
-def _display(found: re.Match[str]) -> str:
+def _display(match: re.Match[str]) -> str:
     # The sixty entries of the regressor are wider than a phone.
-    return f'<div style="overflow: auto hidden">{convert(found[1], display="block")}</div>\n'
+    return f'<div style="overflow: auto hidden">{convert(match[1], display="block")}</div>\n'
 
 
-def _inline(found: re.Match[str]) -> str:
+def _inline(match: re.Match[str]) -> str:
     # A span, because a line that begins with an unknown tag would become a paragraph of its own.
-    return f"<span>{convert(found[1])}</span>"
+    return f"<span>{convert(match[1])}</span>"
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Return a page's text with its equations as MathML; code stays as it is."""
     text = _BLOCK.sub(_display, markdown)
-    parts = _CODE.split(text)
-    parts[::2] = [_INLINE.sub(_inline, part) for part in parts[::2]]
-    return "".join(parts)
+    pieces = _CODE.split(text)
+    pieces[::2] = [_INLINE.sub(_inline, piece) for piece in pieces[::2]]
+    return "".join(pieces)

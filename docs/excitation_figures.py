@@ -86,11 +86,11 @@ def skeleton(robot: RobotModel, q: Array) -> Array:
 
 
 def main(folder: Path) -> None:
-    """Design, predict, draw."""
+    """Design a motion and draw its pictures into a folder."""
     robot = load_robot_model(MODEL)
     problem = build_problem(robot, LimitOptions())
-    known = known_of(problem, EstimationOptions(), "link")
-    design = Design(problem, ExcitationOptions(), TrajectoryOptions(), known)
+    prior = known_of(problem, EstimationOptions(), "link")
+    design = Design(problem, ExcitationOptions(), TrajectoryOptions(), prior)
     torque = ArmTorque(robot)
     sines = generate_excitation_trajectory(
         robot, np.random.default_rng(SEED), 15.0, torque

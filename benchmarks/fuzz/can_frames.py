@@ -38,7 +38,7 @@ _FLAGS = ("fd", "error", "echo")
 
 
 def case(random: Random) -> Case:
-    """Frames of 13 bytes each: id, flags, length, data; biased to what motors say."""
+    """Return frames of 13 bytes each (id, flags, length, data), mostly like those of motors."""
     count = random.randint(1, 40)
     return {
         "frames": b"".join(_frame(random) for _ in range(count)),
@@ -47,6 +47,7 @@ def case(random: Random) -> Case:
 
 
 def _frame(random: Random) -> bytes:
+    """Return one frame of 13 bytes."""
     data = bytearray(
         random.choice(
             (bytes(8), b"\xff" * 8, random.getrandbits(64).to_bytes(8, "big"))
@@ -62,7 +63,7 @@ def _frame(random: Random) -> bytes:
 
 
 def _line(random: Random) -> bytes:
-    """What an adapter sends over its serial line."""
+    """Return bytes that an adapter may send over its serial line."""
     frame = b"\xaa\x11" + bytes(13) + b"\x55"
     pieces = bytearray(frame * random.randint(1, 6))
     for _ in range(random.randint(0, 8)):
@@ -94,7 +95,7 @@ class TalkativeBus:
         self._left = _LONGEST
 
     def send(self, frame: Frame) -> None:
-        """Answer, with what the next frames say."""
+        """Answer with the payload of the next frames."""
         self._frames.rotate(-1)
         reply = self._frames[0]
         if reply.bus != 2:
@@ -146,7 +147,7 @@ def _joints() -> Any:
 
 
 def use(case: Case, folder: Path) -> None:
-    """Unpack everything, ask the bus who is there, run motors on it, read the serial line."""
+    """Unpack everything, ask the bus for motors, run motors on it, read the serial line."""
     frames = frames_in(case["frames"])
     _codec(frames)
     _line_read(case["line"])
@@ -160,6 +161,7 @@ def use(case: Case, folder: Path) -> None:
 
 
 def _codec(frames: list[Frame]) -> None:
+    """Decode and encode frames as feedback and commands."""
     raw = np.array(
         [list(f.data) for f in frames if len(f.data) == 8], np.uint8
     ).reshape(-1, 1, 8)
@@ -184,11 +186,12 @@ def _line_read(line: bytes) -> None:
 
 
 def _through_driver(frames: list[Frame]) -> None:
-    """Let python-can's messages become frames; a driver raises what it likes."""
+    """Pass python-can's messages through the bus; its driver raises any error."""
     clock = SimulatedClock()
     waiting = deque(frames)
 
     def recv(timeout: float) -> Any:
+        """Return the next message, or raise as a driver does."""
         clock.sleep_until(clock.now() + 1e-3)
         frame = waiting.popleft()
         if frame.bus == 3:
@@ -215,6 +218,7 @@ def _through_driver(frames: list[Frame]) -> None:
 
 
 def _session(frames: list[Frame]) -> None:
+    """Run motors on a bus whose answers are these frames."""
     clock = SimulatedClock()
     link = GuardedLink(TalkativeBus(frames, clock), clock)
     scaling = Scaling([(12.5, 10.0, 28.0)] * N)

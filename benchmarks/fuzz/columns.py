@@ -43,14 +43,14 @@ wrist,can1,3,19,1,,
 
 @functools.cache
 def _log() -> LogTable:
-    """A log whose titles nobody would guess."""
+    """Return a log whose titles cannot be recognised."""
     titles = ("Zeit", "A1", "A2", "A3", "M1", "M2", "M3")
     cells = log_files.table(log_files.motion(30, 40.0))
     return recordings_table(Path("log"), "arrays", titles, (cells,))
 
 
 def case(random: Random) -> Case:
-    """One file."""
+    """Return one columns file."""
     draw = random.random()
     if draw < 0.6:
         lines = LINES.splitlines()

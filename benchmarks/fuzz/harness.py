@@ -226,7 +226,7 @@ class Watch:
         sys.addaudithook(self._audit)
 
     def outcome(self, target: Target, case: Case) -> tuple[str, str]:
-        """As the function of this name, within the limits."""
+        """Return what ``outcome`` returns, within limits of time, memory and writing."""
         self._acts.clear()
         self._watching = True
         signal.setitimer(signal.ITIMER_REAL, LONGEST)
@@ -246,6 +246,7 @@ class Watch:
         self._log.flush()
 
     def _audit(self, event: str, values: tuple[Any, ...]) -> None:
+        """Note events that write outside, open a network, unpickle or run code."""
         if not self._watching:
             return
         writes = event == "open" and _is_writing(values) or event in _ACTS

@@ -39,7 +39,7 @@ SLOW_SHARE = 0.02
 
 @functools.cache
 def seeds() -> Mapping[str, tuple[str, Case]]:
-    """Form to what is read of it and the files it is made of."""
+    """Return, by format, the path that is read and the files of a recording."""
     data = log_files.motion(ROWS, 40.0)
     with tempfile.TemporaryDirectory() as name:
         recordings = {}
@@ -66,6 +66,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _aloha(path: Path) -> bytes:
+    """Write a recording as ALOHA does; return its bytes."""
     import h5py
 
     with h5py.File(path, "w") as file:
@@ -78,7 +79,7 @@ def _aloha(path: Path) -> bytes:
 
 
 def case(random: Random) -> Case:
-    """A log; the file "read" says which of its paths is read."""
+    """Return the files of a log; "read" holds the path that is read."""
     draw = random.random()
     if draw < 0.35:
         form = "plain"
@@ -96,6 +97,7 @@ def case(random: Random) -> Case:
 
 
 def _damaged_file(random: Random, name: str, content: bytes) -> bytes:
+    """Return a file of a recording with damage that suits its format."""
     if name.endswith(".csv"):
         return damaged_table(
             random, content.decode(), " " if name == "rtde.csv" else ","
@@ -106,7 +108,7 @@ def _damaged_file(random: Random, name: str, content: bytes) -> bytes:
 
 
 def _archive(random: Random) -> bytes:
-    """An .npz file with arrays of odd types and shapes, or one that claims to be huge."""
+    """Return an .npz file with arrays of odd types and shapes, or one that claims to be huge."""
     buffer = io.BytesIO()
     method = random.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))
     with warnings.catch_warnings(), zipfile.ZipFile(buffer, "w", method) as packed:
@@ -118,6 +120,7 @@ def _archive(random: Random) -> bytes:
 
 
 def _array(random: Random, name: str) -> bytes:
+    """Return an .npy file of odd type and shape."""
     columns = 3 if random.random() < 0.7 else random.choice((1, 0, 7, 600))
     shape: tuple[int, ...] = (ROWS,) if name == "time" else (ROWS, columns)
     if random.random() < 0.08:

@@ -128,7 +128,7 @@ PUBLIC_SHARE = 0.001
 
 
 def urdf_arm() -> str:
-    """An arm of three links, the last one on a fixed joint."""
+    """Return a URDF of three links, the last one on a fixed joint."""
     heavy = urdf.inertial(0.5, "0.1 0.2 0.3")
     light = urdf.inertial(0.1)
     links = {"upper": urdf.inertial(), "fore": heavy, "hand": light + _MESH}
@@ -148,7 +148,7 @@ def _roots() -> tuple[Any, ...]:
 
 @functools.cache
 def _public() -> tuple[tuple[Path, Any], ...]:
-    """Public models with where they lie; none where they are absent."""
+    """Return public models with their folders; none where they are absent."""
     paths = sorted(path for form in ("*.xml", "*.urdf") for path in MODELS.rglob(form))
     small = [path for path in paths if path.stat().st_size < 30_000]
     return tuple(
@@ -157,7 +157,7 @@ def _public() -> tuple[tuple[Path, Any], ...]:
 
 
 def case(random: Random) -> Case:
-    """A model with what it may refer to."""
+    """Return a model file and the files that it may refer to."""
     files = {"part.xml": _PART, "shape.obj": model_files.TETRAHEDRON.encode()}
     if random.random() < 0.1:
         files["part.xml"] = damaged_xml(

@@ -98,18 +98,19 @@ _FACTORS = (-1.0, 0.0, 0.5, 0.999, 2.0, 1e-3, 1e3, 1e9, 1e-12)
 
 
 def odd(random: Random) -> str:
-    """A number or a text that a careless reader trips over."""
+    """Return a number or a text that breaks a careless reader."""
     return random.choice(NUMBERS if random.random() < 0.7 else TEXTS)
 
 
 def damage_bytes(random: Random, data: bytes, limit: int = 4) -> bytes:
-    """Bytes with a few of them changed, lost, repeated or put in."""
+    """Return bytes of which a few are changed, lost, repeated or inserted."""
     for _ in range(random.randint(1, limit)):
         data = _damaged_once(random, data)
     return data
 
 
 def _damaged_once(random: Random, data: bytes) -> bytes:
+    """Return bytes with one damage."""
     position = random.randint(0, len(data))
     length = 2 ** random.randint(0, 8)
     piece = data[position : position + length]
@@ -139,7 +140,7 @@ def _damaged_once(random: Random, data: bytes) -> bytes:
 
 
 def damaged_table(random: Random, text: str, separator: str = ",") -> bytes:
-    """A table with a few cells, columns or lines changed; now and then bytes too."""
+    """Return a table with a few cells, columns or lines changed; sometimes bytes too."""
     rows = [line.split(separator) for line in text.split("\n")]
     for _ in range(random.choice((1, 1, 2, 4))):
         _damage_rows(random, rows)
@@ -152,6 +153,7 @@ def damaged_table(random: Random, text: str, separator: str = ",") -> bytes:
 
 
 def _damage_rows(random: Random, rows: list[list[str]]) -> None:
+    """Change one cell, row or the order of the rows."""
     row = random.randrange(min(len(rows), 3) if random.random() < 0.4 else len(rows))
     cell = random.randrange(len(rows[row]))
     damage = random.randint(0, 9)
@@ -175,7 +177,7 @@ def _damage_rows(random: Random, rows: list[list[str]]) -> None:
 
 
 def damaged_json(random: Random, content: Any) -> bytes:
-    """JSON with a few values changed; now and then bytes too, or nested without end."""
+    """Return JSON with a few values changed; sometimes bytes too, or nested without end."""
     content = copy.deepcopy(content)
     for _ in range(random.choice((1, 1, 2, 4))):
         content = _damaged_value(random, content)
@@ -223,14 +225,7 @@ def _damaged_value(random: Random, content: Any) -> Any:
 def damaged_xml(
     random: Random, root: Any, attributes: Sequence[str], tags: Sequence[str]
 ) -> bytes:
-    """XML with a few attributes and elements changed; now and then bytes too.
-
-    Args:
-        random: decides.
-        root: the lxml element to begin with; left as it is.
-        attributes: names to put in.
-        parts: elements to put in, as text.
-    """
+    """Return XML with a few attributes and elements changed; sometimes bytes too."""
     root = copy.deepcopy(root)
     for _ in range(random.choice((1, 1, 2, 4))):
         elements = list(root.iter(etree.Element))
@@ -246,6 +241,7 @@ def _damage_element(
     attributes: Sequence[str],
     tags: Sequence[str],
 ) -> None:
+    """Change, repeat, move or remove one element or attribute."""
     draw = random.random()
     held = list(element.attrib)
     parent = element.getparent()

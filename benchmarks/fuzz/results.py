@@ -27,7 +27,7 @@ where the bytes of a guided run end, zeros follow."""
 
 @functools.cache
 def _runs() -> tuple[tuple[Mapping[str, bytes], Any], ...]:
-    """What runs of a link and of a payload leave, with the content of params.json."""
+    """Return the files of runs of a link and of a payload, with the content of params.json."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         model = folder / "arm.xml"
@@ -43,7 +43,7 @@ def _runs() -> tuple[tuple[Mapping[str, bytes], Any], ...]:
 
 
 def case(random: Random) -> Case:
-    """A folder; the file "page" is there where a page is made of it."""
+    """Return the files of a result folder; "page" is one of them where a report is made."""
     files, content = random.choice(_runs())
     page = {"page": b""} if random.random() > 1.0 - PAGE_SHARE else {}
     if files and random.random() < DATA_SHARE:

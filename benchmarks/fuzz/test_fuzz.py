@@ -44,7 +44,7 @@ acts = [
     lambda folder: time.sleep(5),
 ]
 harness.LONGEST, harness.BATCH = 1, 1
-for told in harness.run(Target(), 1, 0):
+for finding in harness.run(Target(), 1, 0):
     pass
 while len(acts) > 1:
     acts.pop(0)

@@ -47,7 +47,7 @@ def _robot() -> Any:
 
 @functools.cache
 def _texts() -> tuple[Any, ...]:
-    """Every kind of trajectory as JSON."""
+    """Return every kind of trajectory as JSON."""
     two = np.ones((2, 2))
     sines = SineTrajectory(np.zeros(2), 0.1 * two, two, two, 1.0, 0.25)
     basis = FourierBasis(1.0, 1.0, 3, 0.25)
@@ -64,6 +64,7 @@ def _texts() -> tuple[Any, ...]:
 
 
 def _describe(plan: Any) -> Any:
+    """Return a trajectory as the content of its JSON file."""
     file = io.StringIO()
     save_trajectory(file, plan, _robot().joint_names)
     return json.loads(file.getvalue())
@@ -71,7 +72,7 @@ def _describe(plan: Any) -> Any:
 
 @functools.cache
 def _table() -> str:
-    """A trajectory of two motors."""
+    """Return a trajectory file of two motors."""
     file = io.StringIO()
     chunks = motion_chunks(
         SineTrajectory(*np.zeros((1, 2)), *0.1 * np.ones((3, 2, 1)), 1.0, 0.25), 20.0
@@ -82,7 +83,7 @@ def _table() -> str:
 
 
 def case(random: Random) -> Case:
-    """One file."""
+    """Return one trajectory file."""
     if random.random() < TABLE_SHARE:
         return {"motors.csv": damaged_table(random, _table())}
     return {"motion.json": damaged_json(random, random.choice(_texts()))}

@@ -128,6 +128,7 @@ def main() -> None:
 
 
 def _try_all(folder: Path, module: str, test: str) -> None:
+    """Print the mutants of a module that its tests do not notice."""
     source = (ROOT / module).read_text()
     if not survives(folder, test):
         sys.exit(f"{test} fails as it is")

@@ -20,7 +20,9 @@ Array = NDArray[np.float64]
 LINKS = ("base", "link0", "link1", "link2", "link3", "link4", "link5", "link6")
 
 # Turn of a body against its parent, always about x: MuJoCo normalises these quaternions.
-_FLIP, _UP, _DOWN = (0, 1, 0, 0), (1, 1, 0, 0), (1, -1, 0, 0)
+_FLIP = (0, 1, 0, 0)
+_UP = (1, 1, 0, 0)
+_DOWN = (1, -1, 0, 0)
 
 # Kinova's last frame looks into the arm. Ours is turned by pi about x, so that +z leaves the arm
 # at the flange: _DOWN becomes _UP, and the joint axis 0 0 -1 keeps the published sense of turning.

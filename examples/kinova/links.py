@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from shapes import box, drum, lathe, loft, moved, ring, turned
+from shapes import box, drum, lathe, loft, ring, rotate, shift
 
 Array = NDArray[np.float64]
 
-LARGE, SMALL = 0.046, 0.035
+LARGE = 0.046
+SMALL = 0.035
 GAP = 0.0012
 EDGE = 0.006
 
@@ -48,7 +49,7 @@ def knuckle_height(radius: float) -> float:
 
 def _straight_link(reach: float, split: float, radius: float) -> Array:
     """Return a link that runs along -z; its half knuckle lies below y = ``split``."""
-    return turned(_limb((radius, radius), reach, (0.0, -split), side=1.0), TO_MINUS_Z)
+    return rotate(_limb((radius, radius), reach, (0.0, -split), side=1.0), TO_MINUS_Z)
 
 
 def _crossing_link(reach: float, offset: float, radius: float, end: float) -> Array:
@@ -60,7 +61,7 @@ def _crossing_link(reach: float, offset: float, radius: float, end: float) -> Ar
         radius, end: tube radius at the knuckle and at the next joint [m].
     """
     limb = _limb((end, radius), reach, (offset, 0.0), side=-1.0)
-    return turned(moved(turned(limb, END_FOR_END), (0.0, 0.0, reach)), TO_MINUS_Y)
+    return rotate(shift(rotate(limb, END_FOR_END), (0.0, 0.0, reach)), TO_MINUS_Y)
 
 
 def _limb(
@@ -86,7 +87,7 @@ def _limb(
     tube += _blend(neck, half + (0.0, 0.0, reach - 0.75 * radius), 9)[1:]
     tube.append(half + (0.0, 0.0, reach))
     upright = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, side], [0.0, -side, 0.0]])
-    head = moved(turned(drum(radius, GAP, top, EDGE), upright), (0.0, split, reach))
+    head = shift(rotate(drum(radius, GAP, top, EDGE), upright), (0.0, split, reach))
     return np.concatenate((loft(tube), head))
 
 
@@ -155,10 +156,13 @@ def _gripper() -> Array:
 
 
 def _fingers() -> Array:
-    """Two fingers: a leaning link, and a pad that closes on the workpiece."""
-    parts = []
+    """Return the meshes of two fingers: a leaning link, and a pad that closes on the workpiece."""
+    meshes = []
     for side in (-1.0, 1.0):
         heights = ((0.140, 0.052), (0.165, 0.060), (0.185, 0.052), (0.192, 0.044))
         link = [ring((side * x, 0.0, z), 0.008, 0.012, 5.0) for z, x in heights]
-        parts += [loft(link), box((side * 0.0335, 0.0, 0.2035), (0.008, 0.0125, 0.022))]
-    return np.concatenate(parts)
+        meshes += [
+            loft(link),
+            box((side * 0.0335, 0.0, 0.2035), (0.008, 0.0125, 0.022)),
+        ]
+    return np.concatenate(meshes)

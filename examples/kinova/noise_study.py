@@ -131,14 +131,14 @@ class NoiseStudy:
 
     def record(self) -> ProcessedSignals:
         """Return what the true arm's sensors report of the motion."""
-        how = SimulatedArmOptions(encoder_resolution=ENCODER_STEP)
+        sensors = SimulatedArmOptions(encoder_resolution=ENCODER_STEP)
         rng = np.random.default_rng(0)
-        run = PlantSimulation(self.plant, self.plan, how, SAMPLE_RATE, rng)
+        run = PlantSimulation(self.plant, self.plan, sensors, SAMPLE_RATE, rng)
         return process(join_measurements(run), self.robot.joint_names)
 
     @property
     def cutoff(self) -> float:
-        """Cut-off of the low-pass [Hz]."""
+        """Return the cut-off of the low-pass [Hz]."""
         return self.signals.cutoff
 
     def _equations(self) -> Equations:
@@ -146,7 +146,8 @@ class NoiseStudy:
 
     def _true_values(self) -> Array:
         values = dict(zip(PARAMETER_NAMES, self.plant.prior.theta))
-        friction, rotors = self.plant.friction, self.plant.mj_model.dof_armature
+        friction = self.plant.friction
+        rotors = self.plant.mj_model.dof_armature
         for index, joint in enumerate(self.plant.joint_names):
             values[f"coulomb[{joint}]"] = friction.coulomb[index]
             values[f"viscous[{joint}]"] = friction.viscous[index]
@@ -172,19 +173,25 @@ class NoiseStudy:
     def identify(self, samples: DecimatedSamples) -> tuple[Estimate, Estimate]:
         """Return the estimate of the command line, and that before it had to be possible."""
         question = Question(EstimationOptions(**KNOWN))
-        choice, start = Choice(self.friction), self.columns.start()
+        choice = Choice(self.friction)
+        start = self.columns.start()
         data = evidence((samples,), mean_torque(self.columns.datasets))
         fit = solve(self.columns, question, choice, start, data, (samples,))
-        fits, errors = (fit, replace(fit, values=fit.free)), fit_errors(fit)
+        fits = (fit, replace(fit, values=fit.free))
+        errors = fit_errors(fit)
         untested = Validation("nothing", 0, np.nan, None, {}, {})
         possible, plain = (
-            estimate_of(Answer(each, None, errors, untested)) for each in fits
+            estimate_of(Answer(solution, None, errors, untested)) for solution in fits
         )
         return possible, plain
 
     def run(self, noise: Noise, draws: int, seed: int = 0) -> Outcome:
         """Identify from many draws of noise."""
-        errors, plain_errors, reach, constrained, impossible = [], [], [], 0, 0
+        errors = []
+        plain_errors = []
+        reach = []
+        constrained = 0
+        impossible = 0
         for draw in range(draws):
             samples = self.noisy(noise, np.random.default_rng([seed, draw]))
             estimate, plain = self.identify(samples)

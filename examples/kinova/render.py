@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 HERE = Path(__file__).resolve().parent
-GUESS, TRUTH = "kinova_fullinertia_guess.xml", "kinova_fullinertia.xml"
+GUESS = "kinova_fullinertia_guess.xml"
+TRUTH = "kinova_fullinertia.xml"
 BACKENDS = ("egl", "osmesa")
 BACKGROUND = ".865 .88 .89"
 PROBE = "import mujoco; mujoco.GLContext(64, 64).make_current()"
@@ -57,13 +58,13 @@ def main() -> int:
 
 def find_backend() -> str | None:
     """Return the first backend that can open a context, tried in a process of its own."""
-    chosen = os.environ.get("MUJOCO_GL")
-    for backend in (chosen,) if chosen else BACKENDS:
+    requested = os.environ.get("MUJOCO_GL")
+    for backend in (requested,) if requested else BACKENDS:
         environment = {**os.environ, "MUJOCO_GL": backend}
-        tried = subprocess.run(
+        trial = subprocess.run(
             [sys.executable, "-c", PROBE], env=environment, capture_output=True
         )
-        if tried.returncode == 0:
+        if trial.returncode == 0:
             return backend
     return None
 
@@ -92,19 +93,19 @@ class Studio:
     def look(self, at: Sequence[float], distance: float, azimuth: float) -> None:
         """Place the camera: the point it looks at [m], its distance [m] and azimuth [degree]."""
         self.camera.lookat = at
-        self.camera.distance, self.camera.azimuth, self.camera.elevation = (
-            distance,
-            azimuth,
-            -18,
-        )
+        self.camera.distance = distance
+        self.camera.azimuth = azimuth
+        self.camera.elevation = -18
 
     def pose(self, qpos: Array, shadow: bool = True) -> None:
         """Put the arm at joint positions (7,) [rad] and start a new picture with it."""
         self.data.qpos[:] = qpos
         self.mujoco.mj_forward(self.model, self.data)
         self.renderer.update_scene(self.data, self.camera, self.options)
-        flags, names = self.renderer.scene.flags, self.mujoco.mjtRndFlag
-        flags[names.mjRND_HAZE], flags[names.mjRND_SHADOW] = True, shadow
+        flags = self.renderer.scene.flags
+        names = self.mujoco.mjtRndFlag
+        flags[names.mjRND_HAZE] = True
+        flags[names.mjRND_SHADOW] = shadow
 
     def silhouette(self) -> NDArray[np.bool_]:
         """Return which pixels show something else than floor and sky (height, width)."""
@@ -145,28 +146,35 @@ class Studio:
         A homogeneous box with edges a, b, c has I_xx = m (b^2 + c^2) / 12, so that
         (a / 2)^2 = 1.5 (I_yy + I_zz - I_xx) / m.
         """
-        scene, model = self.renderer.scene, self.model
+        scene = self.renderer.scene
+        model = self.model
         for geom in scene.geoms[: scene.ngeom]:
             if geom.objid >= 0 and model.geom_bodyid[geom.objid] == body:
                 geom.rgba[3] = 0.3
         inertia = model.body_inertia[body]
         half = np.sqrt(1.5 * (inertia.sum() - 2.0 * inertia) / model.body_mass[body])
-        box, ball = self.mujoco.mjtGeom.mjGEOM_BOX, self.mujoco.mjtGeom.mjGEOM_SPHERE
-        place = (self.data.xipos[body], self.data.ximat[body])
-        self._new_geom(box, half, *place, (0.90, 0.45, 0.10, 0.45))
-        self._new_geom(ball, np.full(3, 0.008), *place, (0.75, 0.10, 0.10, 1.0))
+        box = self.mujoco.mjtGeom.mjGEOM_BOX
+        ball = self.mujoco.mjtGeom.mjGEOM_SPHERE
+        pose = (self.data.xipos[body], self.data.ximat[body])
+        self._new_geom(box, half, *pose, (0.90, 0.45, 0.10, 0.45))
+        self._new_geom(ball, np.full(3, 0.008), *pose, (0.75, 0.10, 0.10, 1.0))
 
     def picture(self) -> Picture:
         """Return the picture (height, width, 3)."""
         return self.renderer.render()
 
     def _new_geom(
-        self, kind: Any, size: Array, place: Array, turn: Array, rgba: tuple[float, ...]
+        self,
+        shape: Any,
+        size: Array,
+        centre: Array,
+        rotation: Array,
+        rgba: tuple[float, ...],
     ) -> Any:
         scene = self.renderer.scene
         geom = scene.geoms[scene.ngeom]
         self.mujoco.mjv_initGeom(
-            geom, kind, size, place, turn, np.array(rgba, dtype=np.float32)
+            geom, shape, size, centre, rotation, np.array(rgba, dtype=np.float32)
         )
         geom.segid = -1
         scene.ngeom += 1
@@ -174,24 +182,25 @@ class Studio:
 
 
 def draw_home() -> Picture:
-    """The guess at its home pose."""
+    """Draw the guess at its home pose."""
     return _arm(GUESS, (1400, 1000)).picture()
 
 
 def draw_both() -> Picture:
-    """Guess and ground truth side by side."""
+    """Draw guess and ground truth side by side."""
     return np.hstack([_arm(file, (800, 900)).picture() for file in (GUESS, TRUTH)])
 
 
 def draw_sweep() -> Picture:
-    """The arm at home, pale copies along a trajectory of 15 s, and the path of the tool's tip."""
+    """Draw the arm at home, pale copies along 15 s of a trajectory, and the path of the tool."""
     from robot_sysid.parser import load_robot_model
     from robot_sysid.trajectory import generate_excitation_trajectory
 
     robot = load_robot_model(HERE / "model" / GUESS)
     plan, _ = generate_excitation_trajectory(robot, np.random.default_rng(0))
     studio = _arm(GUESS, (1400, 1000))
-    empty, copies = studio.empty(), plan.evaluate(np.linspace(2.0, 13.0, 12)).q
+    empty = studio.empty()
+    copies = plan.evaluate(np.linspace(2.0, 13.0, 12)).q
     picture = empty.astype(float)
     for qpos in copies:
         studio.pose(qpos, shadow=False)
@@ -211,7 +220,7 @@ def over(below: Array, studio: Studio, empty: Picture, opacity: float) -> Array:
 
 
 def draw_terminal_links() -> Picture:
-    """Both terminal links as glass, each with the homogeneous box of the same inertia."""
+    """Draw both terminal links as glass, each with the homogeneous box of its inertia."""
     pictures = []
     for file in (GUESS, TRUTH):
         studio = Studio(file, (800, 640))

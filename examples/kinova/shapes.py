@@ -38,7 +38,8 @@ def ring(
         squareness: k; 2 is an ellipse, larger is closer to a rectangle.
     """
     angle = 2.0 * np.pi * np.arange(SEGMENTS) / SEGMENTS
-    cosine, sine = np.cos(angle), np.sin(angle)
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
     x = half_width * np.sign(cosine) * np.abs(cosine) ** (2.0 / squareness)
     y = half_depth * np.sign(sine) * np.abs(sine) ** (2.0 / squareness)
     return np.column_stack((x, y, np.zeros(SEGMENTS))) + np.asarray(centre, dtype=float)
@@ -86,12 +87,12 @@ def box(centre: Sequence[float], half_sizes: Sequence[float]) -> Array:
     )
 
 
-def turned(mesh: Array, rotation: Array) -> Array:
+def rotate(mesh: Array, rotation: Array) -> Array:
     """Return the mesh with every corner p replaced by ``rotation`` p, rotation being (3, 3)."""
     return mesh @ np.asarray(rotation, dtype=float).T
 
 
-def moved(mesh: Array, offset: Sequence[float]) -> Array:
+def shift(mesh: Array, offset: Sequence[float]) -> Array:
     """Return the mesh shifted by ``offset`` (3,) [m]."""
     return mesh + np.asarray(offset, dtype=float)
 
@@ -122,7 +123,8 @@ def read_stl(path: Path) -> Array:
 
 
 def _wall(lower: Array, upper: Array) -> Array:
-    next_lower, next_upper = np.roll(lower, -1, axis=0), np.roll(upper, -1, axis=0)
+    next_lower = np.roll(lower, -1, axis=0)
+    next_upper = np.roll(upper, -1, axis=0)
     first = np.stack((lower, next_lower, next_upper), axis=1)
     second = np.stack((lower, next_upper, upper), axis=1)
     return np.concatenate((first, second))

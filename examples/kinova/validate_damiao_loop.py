@@ -26,7 +26,8 @@ TRUTH = MODELS / "kinova_fullinertia.xml"
 GUESS = MODELS / "kinova_fullinertia_guess.xml"
 MOTORS = ("DM8009",) * 4 + ("DM4340",) * 3
 DURATION = 30.0
-MASS_TOLERANCE, COM_TOLERANCE = 0.01, 2e-3
+MASS_TOLERANCE = 0.01
+COM_TOLERANCE = 2e-3
 
 
 def main() -> int:
@@ -41,7 +42,7 @@ def main() -> int:
         )
         play_and_record(trajectory, folder / "measured.csv")
         print("3. identify: robot-sysid MODEL --measurements measured.csv")
-        close = compare(identified(model, folder / "measured.csv", folder))
+        close = compare(identify_log(model, folder / "measured.csv", folder))
     return 0 if close else 1
 
 
@@ -63,23 +64,23 @@ def known_links_guessed_tool(folder: Path) -> Path:
 
 def robot_sysid(*arguments: object) -> tuple[int, str]:
     """Run the command robot-sysid; return its exit code and what it printed."""
-    words = io.StringIO()
-    with contextlib.redirect_stdout(words), contextlib.redirect_stderr(words):
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
         code = cli.main([str(argument) for argument in arguments])
-    return code, words.getvalue()
+    return code, output.getvalue()
 
 
 def succeeding(*arguments: object) -> str:
     """Run the command robot-sysid, which has to succeed, and return what it printed."""
-    code, words = robot_sysid(*arguments)
+    code, output = robot_sysid(*arguments)
     if code != 0:
-        print(words)
+        print(output)
         raise SystemExit(f"robot-sysid ended with exit code {code}")
-    return words
+    return output
 
 
 def exported_trajectory(model: Path, folder: Path, duration: float = DURATION) -> Path:
-    """Export the excitation trajectory and return its path."""
+    """Export the excitation trajectory; return its path."""
     types = [word for motor in MOTORS for word in ("--motor-type", motor)]
     options = ("--duration", duration, "--seed", 0, "--output-dir", folder / "export")
     succeeding(model, *options, "--export-damiao", *types)
@@ -103,19 +104,19 @@ def play_and_record(trajectory: Path, record: Path) -> None:
             print(f"   {line}")
 
 
-def identified(model: Path, log: Path, folder: Path) -> dict[str, object]:
+def identify_log(model: Path, log: Path, folder: Path) -> dict[str, object]:
     """Identify the model's terminal link from a log and return params.json."""
     output = folder / "identified"
     succeeding(model, "--measurements", log, "--output-dir", output)
     return dict(json.loads((output / "params.json").read_text()))
 
 
-def compare(found: dict[str, object]) -> bool:
+def compare(params: dict[str, object]) -> bool:
     """Print found and true values and tell whether they are close enough."""
     truth = load_robot_model(TRUTH).prior
     guess = load_robot_model(GUESS).prior
-    mass = float(str(found["mass"]))
-    com = np.array(found["center_of_mass_moment"], dtype=float) / mass
+    mass = float(str(params["mass"]))
+    com = np.array(params["center_of_mass_moment"], dtype=float) / mass
     mass_error = mass / truth.mass - 1.0
     com_error = float(np.linalg.norm(com - truth.com))
     print(

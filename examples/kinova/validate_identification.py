@@ -74,9 +74,9 @@ def identify(
 
 
 def own_simulation(guess: RobotModel, plan: MotionPlan) -> bool:
-    """The model identified from its own simulation has to come back."""
+    """Test that a model is identified from its own simulation."""
     print("1. The guess, identified from its own simulation")
-    return compare(known(guess), identify(guess, guess, plan), guess)
+    return compare(model_parameters(guess), identify(guess, guess, plan), guess)
 
 
 def terminal_torque_only(
@@ -88,20 +88,20 @@ def terminal_torque_only(
     )
     estimate = identify(guess, truth, plan, torques="terminal")
     print(f"   not visible: {'; '.join(estimate.identifiability.unidentifiable)}")
-    expected = known(truth)
-    expected[[0, 3]] = known(guess)[[0, 3]]
+    expected = model_parameters(truth)
+    expected[[0, 3]] = model_parameters(guess)[[0, 3]]
     # Of Ixx and Iyy only the difference shows; their sum stays as guessed.
-    half_sum = 0.5 * (known(guess)[4] + known(guess)[7])
-    half_difference = 0.5 * (known(truth)[4] - known(truth)[7])
+    half_sum = 0.5 * (model_parameters(guess)[4] + model_parameters(guess)[7])
+    half_difference = 0.5 * (model_parameters(truth)[4] - model_parameters(truth)[7])
     expected[[4, 7]] = half_sum + half_difference, half_sum - half_difference
     return compare(expected, estimate, guess)
 
 
 def links_known(guess: RobotModel, truth: RobotModel, plan: MotionPlan) -> bool:
-    """All but the terminal link is known: the truth has to come out, from a wrong start."""
+    """Test that the truth is identified from a wrong model where the other links are known."""
     print("\n3. The truth, when all other links are known")
     start = replace(truth, prior=guess.prior)
-    return compare(known(truth), identify(start, truth, plan), guess)
+    return compare(model_parameters(truth), identify(start, truth, plan), guess)
 
 
 def payload_by_difference(
@@ -122,7 +122,9 @@ def payload_by_difference(
         truth, mj_model=with_link(truth, bare), prior=InertialParameters(bare)
     )
     equations = Equations(guess, "chain", (NO_FRICTION,) * guess.n_joints)
-    found = InformationAccumulator(equations.names, equations.joints, equations.columns)
+    information = InformationAccumulator(
+        equations.names, equations.joints, equations.columns
+    )
     runs = (
         simulate_inverse(arm, motion_chunks(plan, SAMPLE_RATE))
         for arm in (truth, unloaded)
@@ -130,8 +132,8 @@ def payload_by_difference(
     for pair in zip(*runs):
         (loaded, empty) = (equations.rows(measurement) for measurement in pair)
         for joint, ((rows, tau), (_, tau_empty)) in enumerate(zip(loaded, empty)):
-            found.add(joint, rows, tau - tau_empty)
-    estimate = identify_parameters(found.result(), np.zeros(10))
+            information.add(joint, rows, tau - tau_empty)
+    estimate = identify_parameters(information.result(), np.zeros(10))
     return print_table(tool, estimate.values, guess)
 
 
@@ -144,12 +146,12 @@ def links_from_the_catalogue(
     )
     everywhere = (TERMINAL_FRICTION,) * guess.n_joints
     estimate = identify(guess, truth, plan, friction=everywhere)
-    compare(known(truth), estimate, guess)
+    compare(model_parameters(truth), estimate, guess)
     verdict = "a" if estimate.inertial.is_consistent else "no"
     print(f"   residual {estimate.rmse:.3f} N m; {verdict} possible rigid body")
 
 
-def known(robot: RobotModel) -> Array:
+def model_parameters(robot: RobotModel) -> Array:
     """Return a model's own parameters (12,) in the order of NAMES."""
     last = robot.friction.coulomb[-1], robot.friction.viscous[-1]
     return np.append(robot.prior.theta, last)
@@ -158,18 +160,18 @@ def known(robot: RobotModel) -> Array:
 def compare(expected: Array, estimate: Estimate, guess: RobotModel) -> bool:
     """Print an estimate beside what is expected (12,); tell whether they are equal."""
     joint = guess.terminal_joint
-    friction = [estimate.value(f"{kind}[{joint}]") for kind in ("coulomb", "viscous")]
+    friction = [estimate.value(f"{term}[{joint}]") for term in ("coulomb", "viscous")]
     return print_table(expected, np.append(estimate.values[:10], friction), guess)
 
 
-def print_table(expected: Array, found: Array, guess: RobotModel) -> bool:
+def print_table(expected: Array, identified: Array, guess: RobotModel) -> bool:
     """Print values beside the expected ones and their errors, scaled by mass and size."""
     length = spatial.characteristic_length(guess.prior.theta)
     scale = np.append(spatial.parameter_scale(guess.prior.mass, length), [1.0, 1.0])
-    errors = np.abs(found - expected) / scale[: len(found)]
+    errors = np.abs(identified - expected) / scale[: len(identified)]
     print(f"   {'':<10}{'expected':>14}{'identified':>14}{'scaled error':>14}")
-    for name, want, got, error in zip(NAMES, expected, found, errors):
-        print(f"   {name:<10}{want:>14.6f}{got:>14.6f}{error:>14.1e}")
+    for name, expected_value, value, error in zip(NAMES, expected, identified, errors):
+        print(f"   {name:<10}{expected_value:>14.6f}{value:>14.6f}{error:>14.1e}")
     return bool(np.all(errors < TOLERANCE))
 
 

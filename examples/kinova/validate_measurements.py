@@ -30,9 +30,11 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import RobotModel
 
 GRAVITY = 9.81
-MASS, FRICTION = 0.002, 0.02
+MASS = 0.002
+FRICTION = 0.02
 """Largest relative errors with a good encoder and no torque noise."""
-DELAY, TILT = 0.1, 0.02
+DELAY = 0.1
+TILT = 0.02
 """Largest errors of delay [ms] and tilt [degrees] without torque noise."""
 KNOWN = tuple(
     f"--{cause}-uncertainty=0"
@@ -57,8 +59,9 @@ class Bench:
 
     def identify(self, *arguments: object, model: Path | None = None) -> dict[str, Any]:
         """Run robot-sysid and return its params.json; all but noise is known of ``model``."""
-        output, known = self.folder / "out", () if model else KNOWN
-        arguments = (*arguments, *known, "--seed", 1, "--output-dir", output)
+        output = self.folder / "out"
+        options = () if model else KNOWN
+        arguments = (*arguments, *options, "--seed", 1, "--output-dir", output)
         robot_sysid(model or self.model, *arguments)
         return dict(json.loads((output / "params.json").read_text(encoding="utf-8")))
 
@@ -80,26 +83,26 @@ def main() -> int:
 
 
 def saved_and_read_again(bench: Bench) -> bool:
-    """A log that was written and read again gives the same numbers."""
+    """Test that a log that was written and read again gives the same numbers."""
     print("1. save a simulated log, read it again")
     log = bench.folder / "log.csv"
     sensors = ("--noise-torque", 0.1, "--encoder-resolution", 1e-4)
     first = bench.identify("--plant-model", TRUTH, *sensors, "--save-measurements", log)
-    again = bench.identify("--measurements", log)
+    second = bench.identify("--measurements", log)
     same = all(
-        first[key] == again[key]
+        first[key] == second[key]
         for key in ("mass", "inertia_tensor", "standard_errors")
     )
-    print(f"   mass {again['mass']:.6f} kg; all numbers the same: {same}")
+    print(f"   mass {second['mass']:.6f} kg; all numbers the same: {same}")
     return same
 
 
 def good_encoder(bench: Bench) -> bool:
-    """Positions and torques alone give mass and friction."""
+    """Test that positions and torques alone give mass and friction."""
     print("2. friction and armature, encoder step 1e-5 rad")
-    found = bench.identify("--plant-model", TRUTH, "--encoder-resolution", 1e-5)
-    mass = abs(found["mass"] / bench.truth.prior.mass - 1.0)
-    coulomb, viscous = friction_errors(found, bench.truth)
+    params = bench.identify("--plant-model", TRUTH, "--encoder-resolution", 1e-5)
+    mass = abs(params["mass"] / bench.truth.prior.mass - 1.0)
+    coulomb, viscous = friction_errors(params, bench.truth)
     print(
         f"   off by: mass {100 * mass:.3f} %, worst Coulomb {100 * coulomb:.2f} %, worst viscous "
         f"{100 * viscous:.2f} %"
@@ -107,12 +110,17 @@ def good_encoder(bench: Bench) -> bool:
     return mass <= MASS and max(coulomb, viscous) <= FRICTION
 
 
-def friction_errors(found: Mapping[str, Any], truth: RobotModel) -> tuple[float, float]:
+def friction_errors(
+    params: Mapping[str, Any], truth: RobotModel
+) -> tuple[float, float]:
     """Return the largest relative errors of Coulomb and viscous friction over all joints."""
     worst = []
     for term in ("coulomb", "viscous"):
-        terms = [found["joints"][joint]["terms"] for joint in truth.joint_names]
-        values = [each[term]["value"] if term in each else 0.0 for each in terms]
+        terms = [params["joints"][joint]["terms"] for joint in truth.joint_names]
+        values = [
+            joint_terms[term]["value"] if term in joint_terms else 0.0
+            for joint_terms in terms
+        ]
         worst.append(
             float(
                 np.max(np.abs(np.array(values) / getattr(truth.friction, term) - 1.0))
@@ -122,12 +130,12 @@ def friction_errors(found: Mapping[str, Any], truth: RobotModel) -> tuple[float,
 
 
 def delay_and_tilt(bench: Bench) -> bool:
-    """Torques arrive late, and the base stands askew."""
+    """Test that late torques and a tilted base are identified."""
     print("3. late torques and a tilted base, --delay auto --tilt auto")
     print(f"   {'injected':>18}   {'found':>20}")
     passed = True
     for delay, tilt in INJECTED:
-        found = bench.identify(
+        params = bench.identify(
             *(
                 "--plant-model",
                 tilted_truth(bench.folder, tilt),
@@ -136,7 +144,8 @@ def delay_and_tilt(bench: Bench) -> bool:
             ),
             *("--encoder-resolution", 1e-4, "--delay", "auto", "--tilt", "auto"),
         )
-        got, angle = 1e3 * found["delay"], np.degrees(found["tilt"])
+        got = 1e3 * params["delay"]
+        angle = np.degrees(params["tilt"])
         print(f"   {delay:6.3f} ms {tilt:6.3f}°    {got:6.3f} ms {angle:8.4f}°")
         passed &= abs(got - delay) <= DELAY and abs(angle - tilt) <= TILT
     return bool(passed)
@@ -147,7 +156,8 @@ def tilted_truth(folder: Path, degrees: float) -> Path:
     tree = ElementTree.parse(TRUTH)
     turn = Rotation.from_rotvec(np.radians(degrees) * np.array([0.6, 0.8, 0.0]))
     down = turn.apply(np.array([0.0, 0.0, -GRAVITY]))
-    root, compiler = tree.getroot(), tree.find("compiler")
+    root = tree.getroot()
+    compiler = tree.find("compiler")
     assert compiler is not None
     compiler.set("meshdir", str(MODELS / compiler.get("meshdir", "")))
     ElementTree.SubElement(
@@ -159,7 +169,7 @@ def tilted_truth(folder: Path, degrees: float) -> Path:
 
 
 def other_trajectory(bench: Bench) -> bool:
-    """The result predicts torques along a trajectory it has never seen, down to the noise."""
+    """Test that the result predicts torques of another trajectory down to the noise."""
     print("4. --validation-measurements: another trajectory, torque noise 0.1 N m")
     sensors = ("--noise-torque", 0.1, "--encoder-resolution", 1e-4)
     other = bench.folder / "other.csv"
@@ -167,10 +177,11 @@ def other_trajectory(bench: Bench) -> bool:
         *(bench.model, "--plant-model", TRUTH, *sensors, "--seed", 2),
         *("--save-measurements", other, "--output-dir", bench.folder / "other"),
     )
-    found = bench.identify(
+    params = bench.identify(
         "--plant-model", TRUTH, *sensors, "--validation-measurements", other
     )
-    fitted, predicted = found["rmse"], found["validation"][-1]["rmse"]
+    fitted = params["rmse"]
+    predicted = params["validation"][-1]["rmse"]
     print(
         f"   torque error on fitted data {fitted:.4f} N m, on the other log {predicted:.4f} N m"
     )
@@ -178,18 +189,18 @@ def other_trajectory(bench: Bench) -> bool:
 
 
 def links_only_guessed(bench: Bench) -> None:
-    """What a real arm does: the other links are not quite what the model says."""
+    """Test that errors allow for other links that are off, as on a real arm."""
     print(
         "5. the other links only guessed: the interval allows for that, and the verdict says so"
     )
-    found = bench.identify(
+    params = bench.identify(
         "--plant-model", TRUTH, "--encoder-resolution", 1e-4, model=GUESS
     )
-    error = found["standard_errors"]["m"]
+    error = params["standard_errors"]["m"]
     print(
-        f"   mass {found['mass']:.3f} ± {error:.3f} kg, truth {bench.truth.prior.mass:.3f} kg"
+        f"   mass {params['mass']:.3f} ± {error:.3f} kg, truth {bench.truth.prior.mass:.3f} kg"
     )
-    for sentence in found["limitations"]:
+    for sentence in params["limitations"]:
         print(f"   {sentence}")
 
 

@@ -32,7 +32,7 @@ RANDOM_LINKS = 3
 
 
 def main() -> int:
-    """Compare on both models and print a line per terminal link; returns the exit code."""
+    """Print the comparison of both models, a line per terminal link; return the exit code."""
     rng = np.random.default_rng(0)
     print(
         f"{SAMPLES} random states each; torques in N m, error relative to the largest torque"
@@ -44,11 +44,11 @@ def main() -> int:
     for file in ("kinova_fullinertia_guess.xml", "kinova_fullinertia.xml"):
         robot = load_robot_model(MODELS / file)
         for name, theta in terminal_links(robot, rng):
-            expected, found = both_torques(
+            expected, computed = both_torques(
                 robot, theta, random_motion(robot.n_joints, rng)
             )
             scale = float(np.max(np.abs(expected)))
-            error = float(np.max(np.abs(found - expected))) / scale
+            error = float(np.max(np.abs(computed - expected))) / scale
             worst = max(worst, error)
             print(f"{file:<32}{name:<16}{scale:>16.3f}{error:>16.1e}")
     verdict = "agrees" if worst < TOLERANCE else "DOES NOT AGREE"
@@ -79,8 +79,8 @@ def both_torques(
 ) -> tuple[Array, Array]:
     """Return torques (N, n) without friction: MuJoCo's, and known part + Y theta."""
     equations = Equations(robot, "chain", [NO_FRICTION] * robot.n_joints)
-    each = np.stack([*equations.bodies(motion)], axis=1)
-    ours = each[..., :-1] @ theta + each[..., -1]
+    blocks = np.stack([*equations.bodies(motion)], axis=1)
+    ours = blocks[..., :-1] @ theta + blocks[..., -1]
     carrying = replace(robot, mj_model=with_link(robot, theta))
     return ArmDynamics(carrying).torque(motion.q, motion.qd, motion.qdd), ours
 
@@ -90,8 +90,10 @@ def with_link(robot: RobotModel, theta: Array) -> Any:
     mass, com, inertia = spatial.com_from_theta(theta)
     moments, axes = np.linalg.eigh(inertia)
     axes[:, 0] *= np.linalg.det(axes)
-    model, body = copy.copy(robot.mj_model), robot.body_id
-    model.body_mass[body], model.body_ipos[body] = mass, com
+    model = copy.copy(robot.mj_model)
+    body = robot.body_id
+    model.body_mass[body] = mass
+    model.body_ipos[body] = com
     model.body_inertia[body] = moments
     mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
     return model

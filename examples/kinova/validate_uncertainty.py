@@ -26,7 +26,8 @@ CASES = {
     "20 ms, 0.1 to 0.5 N m": Noise(MIXED, 0.02),
     "100 ms, 0.1 to 0.5 N m": Noise(MIXED, 0.1),
 }
-MEDIAN_OVER_BOUND, WORST_OVER_BOUND = 1.05, 1.25
+MEDIAN_OVER_BOUND = 1.05
+WORST_OVER_BOUND = 1.25
 COVERAGE = (0.92, 0.97)
 
 
@@ -48,10 +49,13 @@ def main(draws: int = DRAWS, study: NoiseStudy | None = None) -> int:
 def report(name: str, noise: Noise, study: NoiseStudy, draws: int) -> bool:
     """Run one case, print its line, and tell whether its limits hold."""
     outcome = study.run(noise, draws)
-    median, worst, efficient = "", "", True
+    median = ""
+    worst = ""
+    efficient = True
     if noise.memory == 0.0:
         ratio = outcome.over_bound(study.bound(noise))
-        median, worst = f"{np.median(ratio):.3f}", f"{np.max(ratio):.3f}"
+        median = f"{np.median(ratio):.3f}"
+        worst = f"{np.max(ratio):.3f}"
         efficient = (
             np.median(ratio) <= MEDIAN_OVER_BOUND and np.max(ratio) <= WORST_OVER_BOUND
         )
