@@ -118,7 +118,7 @@ def record(columns, values, is_loaded, seed=0, low_pass=UNFILTERED, duration=0.3
     tau = np.zeros_like(motion.q)
     tau[:, list(columns.joint_indices)] = torque_of(columns, motion, values, is_loaded)
     recording = exact_recording(motion, tau, is_loaded, PLACE)
-    signals = replace(recording.source, low_pass=low_pass, flat=low_pass)
+    signals = replace(recording.source, low_pass=low_pass, position_filter=low_pass)
     datasets = [replace(recording, source=signals)]
     return motion, Columns(columns.robot, datasets, columns.torques, columns.couplings)
 
