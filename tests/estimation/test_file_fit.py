@@ -1,4 +1,4 @@
-"""What a file is given predicts, as a file, as well as is said; what it cannot hold is left out."""
+"""A model file predicts as well as is stated, and leaves out what it cannot hold."""
 
 from __future__ import annotations
 
@@ -24,62 +24,75 @@ from tests.support import arms
 from tests.support.core_fits import BASIC, filter_logs, fit_recordings, fitter_of
 from tests.support.measured_logs import log_of, plan_of
 
+MIDDLE = np.array([0.0, 1.0, 0.0])
+WRIST = np.array([0.0, 1.0, 1.0])
 
-def recorded(plant, model, seed=1, more=None):
-    """(the filtered log of an arm, the options)."""
+
+def record(plant, model, seed=1, extra_torque=None):
+    """Return (low-passed datasets of a log of an arm, options).
+
+    ``extra_torque`` is a function of the exact motion that is added to the plant's torque.
+    """
     plan = plan_of(plant, seed, 20.0)
     log = log_of(plant, plan, seed, noise_torque=0.02, encoder_resolution=1e-5)
-    moved = 0.0 if more is None else more(plan.evaluate(log.time))
-    return filter_logs(model, replace(log, tau=log.tau + moved))
+    if extra_torque is not None:
+        log = replace(log, tau=log.tau + extra_torque(plan.evaluate(log.time)))
+    return filter_logs(model, log)
 
 
-def file_of(plant, model, kept=(), more=None, couplings=()):
-    """The file's fit."""
-    datasets, options = recorded(plant, model, more=more)
-    made = fit_recordings(model, datasets, options, couplings=couplings)
-    return fit_file(
-        fitter_of(model, datasets, couplings=couplings), options, kept, made
-    )
+def fit_file_of(model, datasets, options, kept=(), couplings=(), friction=BASIC):
+    """Return the fit of a model file; ``kept`` are the parts that stay as they are."""
+    fit = fit_recordings(model, datasets, options, friction, couplings)
+    fitter = fitter_of(model, datasets, couplings=couplings)
+    return fit_file(fitter, options, kept, fit)
 
 
-def compiled(robot, fit):
-    """The model as it would be written."""
+def record_and_fit(plant, model, kept=(), extra_torque=None, couplings=()):
+    recording = record(plant, model, extra_torque=extra_torque)
+    return fit_file_of(model, *recording, kept, couplings)
+
+
+def compile_fit(robot, fit):
+    """Return the MuJoCo model as it would be written."""
     model = copy.copy(robot.mj_model)
     for link, theta in zip(robot.links, fit.columns.thetas(fit.values)):
         arms.write_body(model, link.body_id, theta)
-    fields = (("coulomb", model.dof_frictionloss), ("viscous", model.dof_damping))
-    for term, field in (*fields, ("armature", model.dof_armature)):
-        for dof, joint in zip(robot.dof_index, robot.joint_names):
-            field[dof] = fit.value(f"{term}[{joint}]")
+    for term, field in (
+        ("coulomb", model.dof_frictionloss),
+        ("viscous", model.dof_damping),
+        ("armature", model.dof_armature),
+    ):
+        field[robot.dof_index] = joint_values(fit, term)
     model.opt.gravity[:] = fit.point.gravity
     return model
 
 
-def turned(plant, degrees):
-    turn = Rotation.from_rotvec(
-        np.radians(degrees) * np.array([0.5, 0.8, 0.0]) / np.hypot(0.5, 0.8)
-    )
-    return with_gravity(plant, turn.apply(gravity_vector(plant)))
+def joint_values(fit, term):
+    """Return the value of a friction term in each joint."""
+    return [fit.value(f"{term}[{joint}]") for joint in fit.columns.robot.joint_names]
 
 
-def angle(found, truth):
-    cosine = found @ truth / np.linalg.norm(found) / np.linalg.norm(truth)
+def angle_between(vector, other):
+    """Return the angle [deg]."""
+    cosine = vector @ other / np.linalg.norm(vector) / np.linalg.norm(other)
     return np.degrees(np.arccos(min(cosine, 1.0)))
 
 
-def test_the_file_predicts_as_it_is_said_to(plant, robot):
-    found = file_of(plant, robot)
-    fit = found.fit
-    own, other = (recorded(plant, robot, seed)[0][0] for seed in (1, 11))
+def test_the_file_predicts_with_the_stated_error(plant, robot):
+    file = record_and_fit(plant, robot)
+    fit = file.fit
+    signals, other_signals = (
+        record(plant, robot, seed)[0][0].signals for seed in (1, 11)
+    )
     assert all(spatial.is_consistent(theta) for theta in fit.columns.thetas(fit.values))
-    before = torque_error(robot.mj_model, robot, own.signals, "own").relative_error
-    assert found.before.relative_error == pytest.approx(before, rel=0.05)
-    assert found.after.relative_error < 0.02 * found.before.relative_error
-    model = compiled(robot, fit)
-    for recording in (own, other):
-        error = torque_error(model, robot, recording.signals, "file").relative_error
-        assert error == pytest.approx(found.after.relative_error, rel=0.25)
-    # Nothing but what a file holds, and each joint's sensor offset.
+    prior_error = torque_error(robot.mj_model, robot, signals, "log").relative_error
+    assert file.before.relative_error == pytest.approx(prior_error, rel=0.05)
+    assert file.after.relative_error < 0.02 * file.before.relative_error
+    model = compile_fit(robot, fit)
+    for log in (signals, other_signals):
+        error = torque_error(model, robot, log, "file").relative_error
+        assert error == pytest.approx(file.after.relative_error, rel=0.25)
+    # It has only the terms that a file holds, and each joint's sensor offset.
     terms = {
         name.partition("[")[0] for name in fit.unknowns.estimated_names if "[" in name
     }
@@ -88,32 +101,33 @@ def test_the_file_predicts_as_it_is_said_to(plant, robot):
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.5])
-def test_links_and_sensor_offsets_do_not_take_each_other_s_part(plant, offset):
-    """They read alike where joints turn little: the file has to be right without the sensors."""
-    read = np.array([0.0, offset, 0.0])
+def test_links_and_sensor_offsets_are_not_confounded(plant, offset):
+    """Both look alike where joints turn little; the file has to be right without the sensors."""
+    true_offset = offset * MIDDLE
     log = log_of(plant, plan_of(plant, 2, 5.0), 2, noise_torque=0.02)
-    datasets, options = filter_logs(plant, replace(log, tau=log.tau + read))
-    made = fit_recordings(plant, datasets, options)
-    fit = fit_file(fitter_of(plant, datasets), options, (), made).fit
-    found = np.array([fit.value(f"offset[{joint}]") for joint in plant.joint_names])
-    assert found == pytest.approx(read, abs=0.02 if offset else 1e-6)
-    # Beside a sensor that is clearly off, the others may be a little.
+    recording = filter_logs(plant, replace(log, tau=log.tau + true_offset))
+    fit = fit_file_of(plant, *recording).fit
+    tolerance = 0.02 if offset else 1e-6
+    assert joint_values(fit, "offset") == pytest.approx(true_offset, abs=tolerance)
+    # Beside a sensor that clearly has an offset, the others may have a small one.
     assert fit.choice.offsets
     assert all((size > 0.0) == (offset > 0.0) for size in fit.choice.offsets.values())
-    still = log.q[::50]
-    moves = LinkDynamics(plant).motion(still, 0.0 * still, 0.0 * still)
-    weight = moves.torque(plant.thetas)
-    off = moves.torque(fit.columns.thetas(fit.values)) - weight
-    assert np.linalg.norm(off) < 0.02 * np.linalg.norm(weight)
+    q = log.q[::50]
+    dynamics = LinkDynamics(plant).motion(q, 0.0 * q, 0.0 * q)
+    weight = dynamics.torque(plant.thetas)
+    error = dynamics.torque(fit.columns.thetas(fit.values)) - weight
+    assert np.linalg.norm(error) < 0.02 * np.linalg.norm(weight)
 
 
-def test_a_turned_gravity_is_found_and_kept_out_where_it_is_to_stay(plant, robot):
-    askew = turned(plant, 2.0)
-    found = file_of(askew, robot)
-    assert angle(found.fit.point.gravity, gravity_vector(askew)) < 0.3
-    kept = file_of(askew, robot, (GRAVITY,))
+def test_a_tilted_gravity_is_estimated_unless_it_is_kept(plant, robot):
+    axis = np.array([0.5, 0.8, 0.0])
+    turn = Rotation.from_rotvec(np.radians(2.0) * axis / np.linalg.norm(axis))
+    tilted = with_gravity(plant, turn.apply(gravity_vector(plant)))
+    file = record_and_fit(tilted, robot)
+    assert angle_between(file.fit.point.gravity, gravity_vector(tilted)) < 0.3
+    kept = record_and_fit(tilted, robot, (GRAVITY,))
     assert np.array_equal(kept.fit.point.gravity, gravity_vector(robot))
-    assert kept.after.relative_error > found.after.relative_error
+    assert kept.after.relative_error > file.after.relative_error
 
 
 def without_rotors(robot):
@@ -122,72 +136,61 @@ def without_rotors(robot):
     return replace(robot, mj_model=model)
 
 
-def test_a_rotor_is_that_of_the_estimate_where_it_is_clear_else_the_model_s(
-    plant, robot
+@pytest.mark.parametrize(("has_rotors", "tolerance"), [(True, 0.0), (False, 0.01)])
+def test_a_rotor_is_that_of_the_estimate_where_it_is_clear_else_the_models(
+    plant, robot, has_rotors, tolerance
 ):
-    """What a file lacks of friction would look like one."""
+    """Friction that a file cannot hold would look like a rotor."""
 
-    def more(motion):
-        return (
-            1.5
-            * np.sign(motion.qd)
-            * np.exp(-((motion.qd / 0.3) ** 2))
-            * [0.0, 1.0, 0.0]
-        )
+    def stribeck(motion):
+        return 1.5 * np.sign(motion.qd) * np.exp(-((motion.qd / 0.3) ** 2)) * MIDDLE
 
-    for model, error in ((robot, 0.0), (without_rotors(robot), 0.01)):
-        datasets, options = recorded(plant, model, more=more)
-        made = fit_recordings(model, datasets, options, f"{BASIC}-stribeck")
-        fit = fit_file(fitter_of(model, datasets), options, (), made).fit
-        found = [fit.value(f"armature[{joint}]") for joint in model.joint_names]
-        assert found == pytest.approx([0.05] * 3, abs=error)
+    model = robot if has_rotors else without_rotors(robot)
+    recording = record(plant, model, extra_torque=stribeck)
+    fit = fit_file_of(model, *recording, friction=f"{BASIC}-stribeck").fit
+    assert joint_values(fit, "armature") == pytest.approx([0.05] * 3, abs=tolerance)
 
 
-@pytest.mark.parametrize("parts", [(FRICTION,), (ROTORS, LINKS)])
-def test_a_part_that_is_to_stay_stays(plant, robot, parts):
-    fit = file_of(plant, without_rotors(robot), (*parts, GRAVITY)).fit
-    stays = {
-        FRICTION: ["coulomb[joint1]", "viscous[joint2]"],
-        ROTORS: ["armature[joint0]", "armature[joint2]"],
-        LINKS: ["m(link0)", "Izz(link1)"],
-    }
-    for name, held in (
-        (name, kind in parts) for kind, names in stays.items() for name in names
-    ):
-        place = fit.columns.index[name]
-        assert (fit.values[place] == fit.columns.prior[place]) == held, name
+@pytest.mark.parametrize("kept", [(FRICTION,), (ROTORS, LINKS)])
+def test_a_kept_part_stays(plant, robot, kept):
+    fit = record_and_fit(plant, without_rotors(robot), (*kept, GRAVITY)).fit
+    for name, part in {
+        "coulomb[joint1]": FRICTION,
+        "viscous[joint2]": FRICTION,
+        "armature[joint0]": ROTORS,
+        "armature[joint2]": ROTORS,
+        "m(link0)": LINKS,
+        "Izz(link1)": LINKS,
+    }.items():
+        prior = fit.columns.prior[fit.columns.index[name]]
+        assert (fit.value(name) == prior) == (part in kept), name
     assert "offset[joint1]" in fit.unknowns.estimated_names
 
 
 def test_a_urdf_gets_no_rotors(plant, robot):
-    """It cannot hold them: what it has beside links is friction, and rotors count as links."""
-    model = replace(robot, kind="urdf")
-    fit = file_of(plant, model).fit
-    assert not [
-        name for name in fit.unknowns.estimated_names if name.startswith("armature[")
-    ]
-    assert all(fit.value(f"armature[{joint}]") == 0.0 for joint in model.joint_names)
+    """It cannot hold them: beside links it has friction only, and rotors count as links."""
+    fit = record_and_fit(plant, replace(robot, kind="urdf")).fit
+    assert not any("armature[" in name for name in fit.unknowns.estimated_names)
+    assert joint_values(fit, "armature") == [0.0] * 3
 
 
 @pytest.mark.skipif(
     not hasattr(mujoco.MjModel, "dof_dampingpoly"), reason="MuJoCo before 3.7"
 )
 def test_nonlinear_damping_is_given_to_the_joint_that_has_it(plant, robot):
-    def more(motion):
-        return 0.3 * motion.qd * np.abs(motion.qd) * [0.0, 1.0, 0.0]
+    def quadratic(motion):
+        return 0.3 * motion.qd * np.abs(motion.qd) * MIDDLE
 
-    fit = file_of(plant, robot, (GRAVITY,), more).fit
-    bent = ["quadratic" in model.terms for model in fit.choice.friction]
-    assert bent == [False, True, False]
-    joint = robot.joint_names[1]
-    curve = fit.value(f"quadratic[{joint}]") + fit.value(f"cubic[{joint}]")
-    assert curve == pytest.approx(0.3, abs=0.15)
+    fit = record_and_fit(plant, robot, (GRAVITY,), quadratic).fit
+    has_polynomial = ["quadratic" in model.terms for model in fit.choice.friction]
+    assert has_polynomial == [False, True, False]
+    curvature = fit.value("quadratic[joint1]") + fit.value("cubic[joint1]")
+    assert curvature == pytest.approx(0.3, abs=0.15)
     assert holds_polynomial(robot, 1, "mjcf") and not holds_polynomial(robot, 1, "urdf")
-    other = file_of(plant, robot, (FRICTION, GRAVITY), more).fit
-    assert not any("quadratic" in model.terms for model in other.choice.friction)
+    kept = record_and_fit(plant, robot, (FRICTION, GRAVITY), quadratic).fit
+    assert not any("quadratic" in model.terms for model in kept.choice.friction)
 
 
-WRIST = np.array([0.0, 1.0, 1.0])
 holds_motors = pytest.mark.skipif(not CAN_HOLD_ROTORS, reason="MuJoCo before 3.2.7")
 
 
@@ -200,35 +203,32 @@ def shared_motor(motion):
 @holds_motors
 def test_a_motor_that_turns_two_joints_is_in_the_file(plant, robot):
     motors = (coupling(robot, WRIST),)
-    with_it = file_of(plant, robot, (GRAVITY,), shared_motor, motors)
-    without = file_of(plant, robot, (GRAVITY,), shared_motor)
+    file = record_and_fit(plant, robot, (GRAVITY,), shared_motor, motors)
+    without = record_and_fit(plant, robot, (GRAVITY,), shared_motor)
     for term, value in {"coulomb": 1.5, "viscous": 0.4, "armature": 0.02}.items():
-        assert with_it.fit.value(f"{term}[joint1+joint2]") == pytest.approx(
-            value, rel=0.1
-        )
-    assert with_it.after.relative_error < 0.2 * without.after.relative_error
-    assert with_it.beside is None
+        estimate = file.fit.value(f"{term}[joint1+joint2]")
+        assert estimate == pytest.approx(value, rel=0.1)
+    assert file.after.relative_error < 0.2 * without.after.relative_error
+    assert file.beside is None
 
-    kept = file_of(plant, robot, (GRAVITY, FRICTION), shared_motor, motors).fit
-    assert (
-        kept.value("coulomb[joint1+joint2]")
-        == 0.0
-        != kept.value("armature[joint1+joint2]")
-    )
-    kept = file_of(plant, robot, (GRAVITY, FRICTION, ROTORS), shared_motor, motors).fit
-    assert not kept.choice.couplings
+    kept = [GRAVITY, FRICTION]
+    fit = record_and_fit(plant, robot, (*kept,), shared_motor, motors).fit
+    assert fit.value("coulomb[joint1+joint2]") == 0.0
+    assert fit.value("armature[joint1+joint2]") != 0.0
+    fit = record_and_fit(plant, robot, (*kept, ROTORS), shared_motor, motors).fit
+    assert not fit.choice.couplings
 
 
 @holds_motors
-def test_beside_the_mjcf_that_holds_such_a_motor_a_urdf_is_fitted_as_one(plant, robot):
+def test_a_urdf_beside_the_mjcf_that_holds_a_shared_motor_is_fitted_as_a_urdf(
+    plant, robot
+):
     model = replace(robot, kind="urdf")
-    found = file_of(plant, model, (GRAVITY,), shared_motor, (coupling(robot, WRIST),))
-    assert (
-        found.fit.question.file_kind == "mjcf"
-        and found.beside.fit.question.file_kind == "urdf"
-    )
-    alone = file_of(plant, model, (GRAVITY,), shared_motor)
-    assert found.beside.after.relative_error == pytest.approx(
-        alone.after.relative_error, rel=0.05
-    )
-    assert found.after.relative_error < 0.2 * alone.after.relative_error
+    motors = (coupling(robot, WRIST),)
+    file = record_and_fit(plant, model, (GRAVITY,), shared_motor, motors)
+    assert file.fit.question.file_kind == "mjcf"
+    assert file.beside.fit.question.file_kind == "urdf"
+    alone = record_and_fit(plant, model, (GRAVITY,), shared_motor)
+    error = alone.after.relative_error
+    assert file.beside.after.relative_error == pytest.approx(error, rel=0.05)
+    assert file.after.relative_error < 0.2 * error

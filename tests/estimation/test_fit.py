@@ -1,4 +1,4 @@
-"""The one fit: the truth comes back, priors hold what they say, bodies and bounds are possible."""
+"""The fit: the truth comes back, priors hold as stated, bodies and bounds are possible."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from tests.support.core_fits import (
     NOISE_ONLY,
     body_error,
     choice_of,
-    filter_logs,
+    fit_logs,
     fit_recordings,
     fitter_of,
 )
-from tests.support.measured_logs import guess_model, log_of, plan_of
+from tests.support.measured_logs import guess_model, log_of, plan_of, seeded_log
 from tests.support.payload_logs import (
     PAYLOAD,
     TrueArm,
@@ -39,6 +39,7 @@ from tests.support.payload_logs import (
     add_torque,
     exact_recording,
     four_joint_arm,
+    four_joint_xml,
     wide_motion,
 )
 from tests.support.synthetic_data import random_body
@@ -47,14 +48,25 @@ ROBOT = four_joint_arm()
 JOINTS = ROBOT.joint_names
 
 
-def payload(fit):
-    return fit.values[fit.columns.indices(PAYLOAD_NAMES)]
+def payload_error(fit, payload=PAYLOAD):
+    return body_error(fit.values[fit.columns.indices(PAYLOAD_NAMES)], payload)
 
 
-def pair(seed, **arm):
-    """One exact empty and one exact loaded recording of an arm."""
-    true = TrueArm(ROBOT, seed, **arm)
-    return [true.recording(wide_motion([seed, k]), k > 0) for k in range(2)]
+def joint_values(fit, term):
+    """Return the estimate of one parameter of each joint."""
+    return [fit.value(f"{term}[{joint}]") for joint in fit.columns.robot.joint_names]
+
+
+def record_pair(seed, **arm):
+    """Return one exact empty and one exact loaded recording of an arm."""
+    true_arm = TrueArm(ROBOT, seed, **arm)
+    return [true_arm.recording(wide_motion([seed, k]), k > 0) for k in range(2)]
+
+
+def fit_payload(recordings, friction=BASIC, **question):
+    return fit_recordings(
+        ROBOT, recordings, EXACT_SENSORS, friction, loaded=True, **question
+    )
 
 
 # ---- exact recordings
@@ -66,272 +78,235 @@ def test_another_last_link_is_recovered_whatever_is_uncertain(seed):
     arm = TrueArm(ROBOT, seed, model_error=0.0)
     arm.thetas[-1] = random_body(np.random.default_rng(seed))
     recording = arm.recording(wide_motion(seed), False)
-    for options, allowed in (
-        (EstimationOptions(), 1e-8),
-        (EstimationOptions(**NOISE_ONLY), 1e-10),
-    ):
-        fit = fit_recordings(ROBOT, [recording], options)
-        assert body_error(fit.values[:10], arm.thetas[-1]) < allowed
+    torque = np.sqrt(np.mean(recording.torque**2))
+    for uncertainties, tolerance in (({}, 1e-8), (NOISE_ONLY, 1e-10)):
+        fit = fit_recordings(ROBOT, [recording], EstimationOptions(**uncertainties))
+        assert body_error(fit.values[:10], arm.thetas[-1]) < tolerance
         # Exact data makes no error smaller than a millionth of the torque would.
-        torque = np.sqrt(np.mean(recording.torque**2))
-        assert (
-            np.all(1.0 / fit.weights > 0.9e-6 * torque)
-            or options.link_uncertainty == 0.0
-        )
-        truth = arm.values(fit.columns)[fit.unknowns.estimated]
-        assert_allclose(fit.values[fit.unknowns.estimated], truth, atol=1e-6)
+        assert uncertainties or np.all(1.0 / fit.weights > 0.9e-6 * torque)
+        estimated = fit.unknowns.estimated
+        truth = arm.values(fit.columns)[estimated]
+        assert_allclose(fit.values[estimated], truth, atol=1e-6)
 
 
 @settings(max_examples=2)
 @given(arms.SEEDS)
 def test_a_payload_is_recovered_whatever_the_model_has_wrong(seed):
     """Links off by up to 30 %, friction and rotors that the model does not have, other motions."""
-    recordings = pair(seed)
-    assert (
-        body_error(
-            payload(fit_recordings(ROBOT, recordings, EXACT_SENSORS, loaded=True)),
-            PAYLOAD,
-        )
-        < 1e-6
-    )
-    assert (
-        body_error(payload(fit_recordings(ROBOT, recordings, loaded=True)), PAYLOAD)
-        < 1e-4
-    )
+    recordings = record_pair(seed)
+    assert payload_error(fit_payload(recordings)) < 1e-6
+    assert payload_error(fit_recordings(ROBOT, recordings, loaded=True)) < 1e-4
 
 
-def test_torques_times_k_give_bodies_times_k():
-    """Which a scale of all joints is, too: it goes into the payload, not into scales."""
-    recordings = [
-        add_torque(each, 0.3 * each.torque) for each in pair(5, model_error=0.1)
-    ]
-    fit = fit_recordings(ROBOT, recordings, EXACT_SENSORS, loaded=True)
-    assert body_error(payload(fit), 1.3 * PAYLOAD) < 1e-6
-    assert np.mean([fit.value(f"scale[{joint}]") for joint in JOINTS]) == pytest.approx(
-        0, abs=1e-9
-    )
+def test_a_common_factor_of_the_torques_goes_into_the_payload_and_not_into_scales():
+    recordings = record_pair(5, model_error=0.1)
+    fit = fit_payload([add_torque(r, 0.3 * r.torque) for r in recordings])
+    assert payload_error(fit, 1.3 * PAYLOAD) < 1e-6
+    assert np.mean(joint_values(fit, "scale")) == pytest.approx(0, abs=1e-9)
 
 
-def test_a_drift_of_friction_is_told_from_the_payload():
+def test_a_drift_of_friction_is_distinguished_from_the_payload():
     recordings = TrueArm(ROBOT, 3).abba(3, drift=0.15)
-    fit = fit_recordings(ROBOT, recordings, EXACT_SENSORS, loaded=True, drifts=True)
-    assert_allclose([fit.value(f"drift[{j}]") for j in JOINTS], 0.15, rtol=1e-6)
-    assert body_error(payload(fit), PAYLOAD) < 1e-6
-    blind = fit_recordings(ROBOT, recordings, EXACT_SENSORS, loaded=True)
-    assert body_error(payload(blind), PAYLOAD) > 1e-3
+    fit = fit_payload(recordings, drifts=True)
+    assert_allclose(joint_values(fit, "drift"), 0.15, rtol=1e-6)
+    assert payload_error(fit) < 1e-6
+    assert payload_error(fit_payload(recordings)) > 1e-3
 
 
-def test_a_known_mass_tells_the_torque_scales():
+def test_a_known_mass_identifies_the_torque_scales():
     scale = np.array([1.03, 0.96, 1.02, 0.98])
     recordings = TrueArm(ROBOT, 4, scale=scale).abba(4)
-    weight = {"known_mass": float(PAYLOAD[0])}
-    fit = fit_recordings(ROBOT, recordings, EXACT_SENSORS, loaded=True, **weight)
-    assert_allclose([1.0 + fit.value(f"scale[{j}]") for j in JOINTS], scale, atol=1e-6)
-    assert body_error(payload(fit), PAYLOAD) < 1e-5
+    fit = fit_payload(recordings, known_mass=float(PAYLOAD[0]))
+    assert_allclose(joint_values(fit, "scale"), scale - 1.0, atol=1e-6)
+    assert payload_error(fit) < 1e-5
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_links_that_are_off_the_other_way_ask_for_the_opposite_scales(seed):
-    """What may be off either way is no scale on average."""
+def test_opposite_errors_of_links_give_opposite_torque_scales(seed):
+    """An error of unknown sign is no torque scale on average."""
     motion = wide_motion(2)
-    found = []
+    scales = []
     for sign in (1.0, 0.0, -1.0):
         arm = TrueArm(ROBOT, seed, model_error=0.1)
-        model = np.array([link.theta for link in ROBOT.links])
+        model = ROBOT.thetas
         arm.thetas[:-1] = (model + sign * (arm.thetas - model))[:-1]
-        fit = fit_recordings(ROBOT, [add_noise(arm.recording(motion, False), 0.02, 0)])
-        found.append(
-            fit.free[fit.columns.indices([f"scale[{joint}]" for joint in JOINTS])]
-        )
-    bent = found[0] + found[2] - 2.0 * found[1]
-    straight = found[0] - found[2]
-    assert np.linalg.norm(bent) < 0.1 * np.linalg.norm(straight)
+        recording = add_noise(arm.recording(motion, False), 0.02, 0)
+        fit = fit_recordings(ROBOT, [recording])
+        names = [f"scale[{joint}]" for joint in JOINTS]
+        scales.append(fit.free[fit.columns.indices(names)])
+    even = scales[0] + scales[2] - 2.0 * scales[1]
+    odd = scales[0] - scales[2]
+    assert np.linalg.norm(even) < 0.1 * np.linalg.norm(odd)
 
 
-def test_what_gears_lose_with_their_load_is_found_and_stays_within_bounds():
+def test_load_losses_of_gears_are_found_and_stay_within_bounds():
     arm = TrueArm(ROBOT, 6)
+    loss = np.array([0.0, 0.08, -0.05, 0.5])
     recordings = []
-    lost = np.array([0.0, 0.08, -0.05, 0.5])
-    bare = TrueArm(ROBOT, 6)
-    bare.coulomb = bare.viscous = bare.offset = bare.armature = np.zeros(4)
-    for each in arm.abba(6):
-        motion = each.source.motion(np.arange(len(each.source)))
-        carried = bare.torque(motion, each.is_loaded)
-        recordings.append(add_torque(each, lost * np.abs(carried) * np.sign(motion.qd)))
-    fit = fit_recordings(ROBOT, recordings, EXACT_SENSORS, f"{BASIC}-load", loaded=True)
-    found = [fit.value(f"load[{joint}]") for joint in JOINTS]
-    assert found[1] == pytest.approx(0.08, abs=0.02)
-    assert found[2] == 0.0 and found[3] == LARGEST_LOSS
+    for recording in arm.abba(6):
+        motion = recording.source.motion(np.arange(len(recording.source)))
+        load = np.abs(arm.rigid_torque(motion, recording.is_loaded))
+        recordings.append(add_torque(recording, loss * load * np.sign(motion.qd)))
+    fit = fit_payload(recordings, f"{BASIC}-load")
+    losses = joint_values(fit, "load")
+    assert losses[1] == pytest.approx(0.08, abs=0.02)
+    assert losses[2:] == [0.0, LARGEST_LOSS]
     assert {"load[joint2]", "load[joint3]"} <= set(fit.unknowns.names_at_bound)
 
 
-def test_the_speed_of_a_stribeck_term_is_found_with_it_within_its_bounds():
+def test_the_speed_of_a_stribeck_term_is_found_within_its_bounds():
     motion = wide_motion(9)
-    arm = TrueArm(ROBOT, 9, model_error=0.0)
     drop = np.sign(motion.qd) * np.exp(-((motion.qd / 0.3) ** 2))
-    tau = arm.torque(motion, False) + np.array([0.4, 0.4, 0.4, 0.0]) * drop
-    fit = fit_recordings(
-        ROBOT, [exact_recording(motion, tau, False)], friction=f"{BASIC}-stribeck"
-    )
-    for joint in JOINTS[:3]:
-        assert fit.value(f"stribeck_speed[{joint}]") == pytest.approx(0.3, rel=0.05)
-        assert fit.value(f"stribeck[{joint}]") == pytest.approx(0.4, rel=0.1)
-    assert fit.value("stribeck[joint3]") == pytest.approx(0.0, abs=0.02)
+    torque = TrueArm(ROBOT, 9, model_error=0.0).torque(motion, False)
+    tau = torque + np.array([0.4, 0.4, 0.4, 0.0]) * drop
+    recording = exact_recording(motion, tau, False)
+    fit = fit_recordings(ROBOT, [recording], friction=f"{BASIC}-stribeck")
+    *levels, level_without = joint_values(fit, "stribeck")
+    speeds = joint_values(fit, "stribeck_speed")
+    assert speeds[:3] == pytest.approx([0.3] * 3, rel=0.05)
+    assert levels == pytest.approx([0.4] * 3, rel=0.1)
+    assert level_without == pytest.approx(0.0, abs=0.02)
     low, high = NONLINEAR_TERMS["stribeck"].bounds
-    assert np.all(
-        (fit.point.speed["stribeck"] >= low) & (fit.point.speed["stribeck"] <= high)
-    )
+    speed = fit.point.speed["stribeck"]
+    assert np.all((speed >= low) & (speed <= high))
 
 
-# ---- recordings put together
+# ---- several recordings
 
 
 def test_order_and_cuts_of_recordings_change_nothing(recordings):
-    """The same rows, whole, in another order, and cut in two."""
+    def fit_values(datasets):
+        fitter = replace(fitter_of(ROBOT, datasets), visits=None)
+        question = Question(EstimationOptions(), loaded=True)
+        return fitter.fit(question, choice_of(ROBOT)).values
 
-    def values_of(parts):
-        fitter = replace(fitter_of(ROBOT, parts), visits=None)
-        return fitter.fit(
-            Question(EstimationOptions(), loaded=True), choice_of(ROBOT)
-        ).values
-
-    rows = len(recordings[0].motion.time)
-    masks = [np.arange(rows) < rows // 3, np.arange(rows) >= rows // 3]
-    cut = [replace(each, used=mask) for each in recordings for mask in masks]
-    whole = values_of(recordings)
-    for other in (values_of(recordings[::-1]), values_of(cut)):
-        assert_allclose(other, whole, rtol=1e-6, atol=1e-7)
-
-
-def test_a_recording_given_twice_says_no_more(robot, noisy):
-    """What the model leaves comes again as it was, so it does not average."""
-    (log,), options = filter_logs(robot, noisy, **NOISE_ONLY)
-    once, twice = (fit_recordings(robot, [log] * count, options) for count in (1, 2))
-    assert np.all(twice.inflation > 1.7) and np.all(once.inflation < 1.3)
-    roots = [
-        np.linalg.inv(np.linalg.qr(f.information.equations(f.weights)[0], "r"))
-        for f in (once, twice)
+    n_rows = len(recordings[0].motion.time)
+    is_first = np.arange(n_rows) < n_rows // 3
+    pieces = [
+        replace(recording, used=mask)
+        for recording in recordings
+        for mask in (is_first, ~is_first)
     ]
-    errors = [np.linalg.norm(root, axis=1) for root in roots]
-    assert np.all((errors[1] > 0.85 * errors[0]) & (errors[1] < 1.05 * errors[0]))
-    moved = (twice.values - once.values)[once.unknowns.estimated]
-    assert np.max(np.abs(moved) / errors[0]) < 0.02
-    # What is said of a single sample is its own noise.
+    expected = fit_values(recordings)
+    for datasets in (recordings[::-1], pieces):
+        assert_allclose(fit_values(datasets), expected, rtol=1e-6, atol=1e-7)
+
+
+def test_a_repeated_recording_adds_no_information(robot, noisy):
+    """What the model leaves unexplained repeats exactly, so it does not average out."""
+    once = fit_logs(robot, noisy, **NOISE_ONLY)
+    datasets = once.columns.datasets * 2
+    twice = fit_recordings(robot, datasets, once.question.options)
+    assert np.all(twice.inflation > 1.7) and np.all(once.inflation < 1.3)
+    errors = []
+    for fit in (once, twice):
+        triangle = np.linalg.qr(fit.information.equations(fit.weights)[0], "r")
+        errors.append(np.linalg.norm(np.linalg.inv(triangle), axis=1))
+    ratio = errors[1] / errors[0]
+    assert np.all((ratio > 0.85) & (ratio < 1.05))
+    change = (twice.values - once.values)[once.unknowns.estimated]
+    assert np.max(np.abs(change) / errors[0]) < 0.02
+    # The noise of a single sample stays.
     assert_allclose(twice.noise, once.noise, rtol=0.05)
 
 
-# ---- priors
+# ---- sensors and gravity
 
 
-def test_a_wrong_zero_is_found_and_taken_from_its_joint_alone(plant):
+def test_a_wrong_zero_is_found_in_its_joint_alone(plant):
     """The model knows the links; one encoder reads 10 mrad too much."""
     log = log_of(plant, noise_torque=0.02)
-    read = replace(log, q=log.q + np.array([0.0, 0.01, 0.0]))
-    (shifted,), options = filter_logs(
-        plant, read, **{**NOISE_ONLY, "zero_uncertainty": 10.0}
-    )
-    fit = fit_recordings(plant, [shifted], options)
+    shifted = replace(log, q=log.q + np.array([0.0, 0.01, 0.0]))
+    fit = fit_logs(plant, shifted, **{**NOISE_ONLY, "zero_uncertainty": 10.0})
     assert fit.value("zero[joint1]") == pytest.approx(0.01, abs=1e-3)
     assert abs(fit.value("zero[joint2]")) < 1e-3
 
 
-# ---- delay and tilt
-
-
 def test_delay_and_tilt_are_found_together(plant, robot):
     """To 0.1 ms and 0.02 degrees, encoder step 2e-5 rad."""
-    delay = 0.1
-    degrees = 3.0
-    direction = 2.0
-    seed = 5
-    turn = np.radians(degrees) * np.array([np.cos(direction), np.sin(direction), 0.0])
-    askew = with_gravity(plant, Rotation.from_rotvec(turn).apply(gravity_vector(plant)))
+    turn = np.radians(3.0) * np.array([np.cos(2.0), np.sin(2.0), 0.0])
+    down = Rotation.from_rotvec(turn).apply(gravity_vector(plant))
+    plan = plan_of(plant, 5)
     log = log_of(
-        askew, plan_of(plant, seed), torque_delay=delay, encoder_resolution=2e-5
+        with_gravity(plant, down), plan, torque_delay=0.1, encoder_resolution=2e-5
     )
-    datasets, options = filter_logs(robot, log, **NOISE_ONLY, delay="auto", tilt="auto")
-    fit = fit_recordings(robot, datasets, options)
-    assert fit.value(DELAY_NAME) == pytest.approx(delay, abs=1e-4)
-    cosine = fit.point.gravity @ gravity_vector(askew) / 9.81**2
+    fit = fit_logs(robot, log, **NOISE_ONLY, delay="auto", tilt="auto")
+    assert fit.value(DELAY_NAME) == pytest.approx(0.1, abs=1e-4)
+    cosine = fit.point.gravity @ down / 9.81**2
     assert np.degrees(np.arccos(min(cosine, 1.0))) < 0.02
 
 
-def test_a_search_that_does_not_settle_ends_with_a_remedy(robot, noisy, monkeypatch):
+def test_a_search_that_does_not_converge_ends_with_a_remedy(robot, noisy, monkeypatch):
     monkeypatch.setattr(fit_module, "_AUTO_ROUNDS", 1)
-    datasets, options = filter_logs(robot, noisy, delay="auto", tilt="auto")
-    with pytest.raises(
-        SysidError, match="delay and tilt do not settle within 1 rounds"
-    ):
-        fit_recordings(robot, datasets, options)
+    message = "delay and tilt do not settle within 1 rounds"
+    with pytest.raises(SysidError, match=message):
+        fit_logs(robot, noisy, delay="auto", tilt="auto")
 
 
 # ---- bodies
 
 
-def test_a_clean_log_gives_the_truth_whatever_the_guess(plant):
-    (log,), options = filter_logs(plant, log_of(plant))
-    fit = fit_recordings(guess_model(plant, 3.0), [log], options)
+def test_a_clean_log_gives_the_truth_whatever_the_model(plant):
+    fit = fit_logs(guess_model(plant, 3.0), log_of(plant))
     assert body_error(fit.values[:10], plant.prior.theta) < 1e-5
 
 
 def test_no_estimate_is_an_impossible_body_and_a_possible_one_stays(plant, robot):
     """Weak motion, strong noise: the plain estimate is impossible, the result never."""
-    impossible = 0
+    impossible_count = 0
     for seed, noise in enumerate((3.0, 0.02, 1.0, 0.02)):
-        log = log_of(plant, plan_of(plant, seed, 6.0), seed, noise_torque=noise)
-        (one,), options = filter_logs(robot, log, **NOISE_ONLY)
-        fit = fit_recordings(robot, [one], options)
+        log = seeded_log(plant, seed, 6.0, noise_torque=noise)
+        fit = fit_logs(robot, log, **NOISE_ONLY)
         assert spatial.is_consistent(fit.values[:10])
-        wrong = not spatial.is_consistent(fit.free[:10])
-        impossible += wrong
-        assert fit.is_constrained == wrong
-        if not wrong:
+        is_impossible = not spatial.is_consistent(fit.free[:10])
+        impossible_count += is_impossible
+        assert fit.is_constrained == is_impossible
+        if not is_impossible:
             assert_array_equal(fit.values, fit.free)
-    assert 0 < impossible < 4
+    assert 0 < impossible_count < 4
 
 
-def test_terminal_torques_keep_what_they_cannot_see(plant, robot):
-    """First moments that show are not possible with the model's mass, which gives way a little."""
-    for seed in range(2):
-        log = log_of(plant, plan_of(plant, seed), seed, noise_torque=0.3)
-        (one,), options = filter_logs(robot, log, torques="terminal")
-        fit = fit_recordings(robot, [one], options, "coulomb-viscous-offset")
-        assert fit.free[0] == pytest.approx(robot.prior.mass)
-        assert 0.5 < fit.values[0] / robot.prior.mass < 3.0
-        assert spatial.is_consistent(fit.values[:10])
+@pytest.mark.parametrize("seed", range(2))
+def test_parameters_hidden_from_terminal_torques_change_as_little_as_possible(
+    plant, robot, seed
+):
+    """The visible first moments are not possible with the model's mass, which changes a little."""
+    log = seeded_log(plant, seed, noise_torque=0.3)
+    fit = fit_logs(robot, log, friction="coulomb-viscous-offset", torques="terminal")
+    assert fit.free[0] == pytest.approx(robot.prior.mass)
+    assert 0.5 < fit.values[0] / robot.prior.mass < 3.0
+    assert spatial.is_consistent(fit.values[:10])
 
 
-# ---- what is hardly there
+def robot_with(link, theta):
+    """Return the model of the four-joint arm with another body."""
+    model = arms.compile_xml(four_joint_xml())
+    arms.write_body(model, ROBOT.links[link].body_id, theta)
+    return arms.robot_of(model)
 
 
 @pytest.mark.parametrize("link", [1, 3])
-def test_a_placeholder_link_is_found_all_the_same(link):
+def test_a_link_that_the_model_holds_to_be_massless_is_found(link):
     """Its 1e-9 kg in the model are no reason to believe that it weighs nothing."""
     arm = TrueArm(ROBOT, 1, model_error=0.0)
     recording = add_noise(arm.recording(wide_motion(1), False), 0.02, 0)
     tiny = spatial.theta_from_com(1e-9, np.zeros(3), 1e-15 * np.eye(3))
-    model = arms.compile_xml(arms.serial_arm((arms.Z, arms.Y, arms.Y, arms.X)))
-    arms.write_body(model, ROBOT.links[link].body_id, tiny)
-    guess = arms.robot_of(model)
-    fit = fit_recordings(guess, [recording])
-    name = ROBOT.links[link].body_name
-    theta = fit.values[fit.columns.bodies()[name]]
+    fit = fit_recordings(robot_with(link, tiny), [recording])
+    theta = fit.values[fit.columns.bodies()[ROBOT.links[link].body_name]]
     assert spatial.is_consistent(theta) and np.all(np.isfinite(fit.values))
     if link == 3:
         assert theta[0] == pytest.approx(ROBOT.prior.mass, rel=0.1)
-    rows = fit.samples[0].rows[1]
-    tau = fit.samples[0].tau[1]
-    left = tau - rows @ fit.values[fit.samples[0].columns[1]]
-    assert np.std(left) < 0.03
+    (samples,) = fit.samples
+    residual = samples.tau[1] - samples.rows[1] @ fit.values[samples.columns[1]]
+    assert np.std(residual) < 0.03
 
 
 def test_a_tool_far_larger_than_the_models_link_is_not_pulled_towards_it():
-    """Its mass is known to what the errors say also where noise makes an impossible body of it."""
+    """The errors of its mass hold also where noise makes an impossible body of it."""
     small = spatial.theta_from_com(0.1, np.array([0.0, 0.0, 0.01]), 1e-6 * np.eye(3))
-    model = arms.compile_xml(arms.serial_arm((arms.Z, arms.Y, arms.Y, arms.X)))
-    arms.write_body(model, ROBOT.links[-1].body_id, small)
     arm = TrueArm(ROBOT, 2, model_error=0.0)
     recording = add_noise(arm.recording(wide_motion(2), False), 1.0, 2)
-    fit = fit_recordings(arms.robot_of(model), [recording])
-    off = (fit.values[0] - fit.free[0]) / fit_errors(fit).total.standard_errors[0]
-    assert fit.is_constrained and 0.3 < abs(off) < 1.0
+    fit = fit_recordings(robot_with(-1, small), [recording])
+    stated = fit_errors(fit).total.standard_errors[0]
+    change = (fit.values[0] - fit.free[0]) / stated
+    assert fit.is_constrained and 0.3 < abs(change) < 1.0
