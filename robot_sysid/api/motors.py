@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_sysid.api.keywords import Model, path_of, with_keywords
 from robot_sysid.damiao.bus import GuardedLink, inspect_bus
-from robot_sysid.damiao.execution import MotorRun, lasting
+from robot_sysid.damiao.execution import MotorRun, lengthen_hold
 from robot_sysid.damiao.player import PlayReport, StopRequest
 from robot_sysid.damiao.preflight import require_no_stop
 from robot_sysid.damiao.settings import Plan
@@ -73,7 +73,7 @@ def play(
         require_no_stop(asked.checks(plan), "not played")
         asked.require_free(plan)
         arm = asked.simulated_arm(plan, DEFAULT_WATCHDOG) if simulate else None
-        with asked.bus() if arm is None else asked.simulated_bus(arm) as link:
+        with asked.open_guarded() if arm is None else asked.open_simulated(arm) as link:
             return _played(asked, link, plan, say, real=not simulate)
 
 
@@ -93,11 +93,11 @@ def hold(
     if not seconds > 0.0:
         raise InputError(f"seconds must be above 0, got {seconds}")
     asked = _asked(say, model=path_of(model), joint_map=joint_map, **options)
-    with asked.bus() as link:
+    with asked.open_guarded() as link:
         plan = asked.hold_plan(inspect_bus(link))
         require_no_stop(asked.checks(plan), "not held")
         asked.require_free(plan)
-        return _played(asked, link, lasting(plan, seconds), say, real=False)
+        return _played(asked, link, lengthen_hold(plan, seconds), say, real=False)
 
 
 def _asked(say: Say, **values: Any) -> MotorRun:
@@ -109,7 +109,7 @@ def _played(
 ) -> PlayReport:
     stop = StopRequest()
     inspection = inspect_bus(link)
-    require_no_stop(asked.met_checks(plan, inspection, real), "not played")
+    require_no_stop(asked.inspection_checks(plan, inspection, real), "not played")
     return asked.play(link, plan, inspection, stop, say, lambda time: None)
 
 

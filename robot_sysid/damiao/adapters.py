@@ -144,7 +144,7 @@ _LOOKS_TO_SAY = 10
 _LOOKS_TO_END = 50
 # What opening an adapter may take in addition: python-can's slcan sleeps for 2 s [looks].
 _OPENING = 50
-Told = Callable[[str, bool], None]
+StallReport = Callable[[str, bool], None]
 
 
 class DriverWatch:
@@ -155,7 +155,7 @@ class DriverWatch:
     and not seconds, so that a computer that was asleep accuses nobody.
     """
 
-    def __init__(self, tell: Told | None = None) -> None:
+    def __init__(self, tell: StallReport | None = None) -> None:
         self._tell = tell
         # Each call is an object of its own, and one stands for none.
         self._no_call = object()
@@ -301,7 +301,10 @@ class BusLink:
 
 
 def open_bus(
-    address: BusAddress, timing: BusTiming, clock: SystemClock, tell: Told | None = None
+    address: BusAddress,
+    timing: BusTiming,
+    clock: SystemClock,
+    tell: StallReport | None = None,
 ) -> Link:
     """Open one CAN bus or several, or raise InputError; ``ip link`` sets the rates of socketcan.
 

@@ -134,7 +134,7 @@ _SWITCH_INTERVAL = 2e-4
 
 
 @contextlib.contextmanager
-def undisturbed(live: bool = True) -> Iterator[bool]:
+def undisturbed_processor(live: bool = True) -> Iterator[bool]:
     """Keep garbage collection, other threads and other programs from pausing the block.
 
     A ``live`` block keeps to the computer's clock. It has to wait now and then: nothing else runs
@@ -450,7 +450,7 @@ def inspect_bus(link: GuardedLink) -> Inspection:
     if all(motor.feedback for motor in motors.values()):
         addresses = [(motor.address, motor.reply_ids[0]) for motor in motors.values()]
         # As in the run that it is for.
-        with undisturbed(link.clock.live):
+        with undisturbed_processor(link.clock.live):
             times = [client.seconds_to_refresh(addresses) for _ in range(_ROUNDS)]
         answered = [time for time in times if time is not None]
         if len(answered) > _ROUNDS // 2:

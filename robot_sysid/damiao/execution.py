@@ -14,7 +14,7 @@ import numpy as np
 
 from robot_sysid.damiao import preflight
 from robot_sysid.damiao import trajectory as motion
-from robot_sysid.damiao.adapters import BusAddress, Told, open_bus
+from robot_sysid.damiao.adapters import BusAddress, StallReport, open_bus
 from robot_sysid.damiao.bus import (
     GuardedLink,
     InspectedMotor,
@@ -52,8 +52,8 @@ from robot_sysid.damiao.references import (
     STRAIGHT,
     FileHolding,
     HoldingCheck,
-    alongside,
-    reference_along,
+    add_held_motors,
+    trajectory_reference,
 )
 from robot_sysid.damiao.safety.guards import Overload
 from robot_sysid.damiao.session import MotorSession
@@ -79,7 +79,7 @@ class MotorRun:
     ``tell`` is told of a driver that does not return, see ``adapters.DriverWatch``.
     """
 
-    def __init__(self, values: Mapping[str, Any], tell: Told) -> None:
+    def __init__(self, values: Mapping[str, Any], tell: StallReport) -> None:
         self.values = values
         self.clock = SystemClock()
         self._tell = tell
@@ -255,7 +255,7 @@ class MotorRun:
 
         return Contacts(self.robots, self._limits())
 
-    def met_checks(
+    def inspection_checks(
         self, plan: Plan, inspection: Inspection, real: bool = True
     ) -> list[Check]:
         """Return what motors that were met say, and whether ``real`` ones turn as they should."""
@@ -358,18 +358,18 @@ class MotorRun:
         )
 
     @contextlib.contextmanager
-    def simulated_bus(self, arm: SimulatedArm) -> Iterator[GuardedLink]:
+    def open_simulated(self, arm: SimulatedArm) -> Iterator[GuardedLink]:
         """Open a bus with a simulated arm on it, in simulated time."""
         clock = SimulatedClock()
         wire = SimulatedLink(clock, arm, self.timing, echo=True)
         yield GuardedLink(wire, clock, self.timing.fd, self.channels or ("simulated",))
 
-    def open(self, timing: BusTiming | None = None) -> Link:
+    def open_link(self, timing: BusTiming | None = None) -> Link:
         """Open the bus, with other bit rates than those asked for if given."""
         return open_bus(self.address, timing or self.timing, self.clock, self._tell)
 
     @contextlib.contextmanager
-    def bus(
+    def open_guarded(
         self,
         refuse: Callable[[Frame], None] = refuse_harmful,
         timing: BusTiming | None = None,
@@ -379,11 +379,11 @@ class MotorRun:
             raise InputError(
                 "this command needs --channel, for instance --channel can0"
             )
-        with contextlib.closing(self.open(timing)) as link:
+        with contextlib.closing(self.open_link(timing)) as link:
             yield GuardedLink(link, self.clock, self.timing.fd, self.channels, refuse)
 
 
-def lasting(plan: Plan, seconds: float) -> Plan:
+def lengthen_hold(plan: Plan, seconds: float) -> Plan:
     """Return a plan to hold an arm that lasts so long [s]."""
     time = np.array([0.0, seconds])
     return replace(plan, trajectory=replace(plan.trajectory, time=time))
@@ -448,8 +448,10 @@ def run(
                 holding,
                 orders,
             )
-            reference = reference_along(plan.trajectory, settings.speed)
-            report = player.play(alongside(reference, held_positions), plan.duration)
+            reference = trajectory_reference(plan.trajectory, settings.speed)
+            report = player.play(
+                add_held_motors(reference, held_positions), plan.duration
+            )
     finally:
         console.finish()
     _require_complete(console, writer)

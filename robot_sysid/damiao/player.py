@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.damiao import references as paths
-from robot_sysid.damiao.bus import SystemClock, lacks_priority, undisturbed
+from robot_sysid.damiao.bus import SystemClock, lacks_priority, undisturbed_processor
 from robot_sysid.damiao.protocol import MitCommand
 from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.references import (
@@ -27,7 +27,7 @@ from robot_sysid.damiao.references import (
     Reference,
     ReferenceFunction,
     StopStart,
-    hold,
+    hold_reference,
 )
 from robot_sysid.damiao.safety.guards import Replies
 from robot_sysid.damiao.safety.observer import Fault, Observer
@@ -182,7 +182,7 @@ class Player:
         The trajectory is asked at times that never go back, up to its duration [s]. HardwareAbort
         tells the cause when motors that still answer have been brought to rest.
         """
-        with undisturbed(self._clock.live):
+        with undisturbed_processor(self._clock.live):
             try:
                 self._run_phases(trajectory, duration)
             except BaseException as error:
@@ -213,7 +213,7 @@ class Player:
         start = self._session.enable()
         standing = Reference(start, np.zeros_like(start), self._holding.torque(start))
         order = self._orders[0]
-        approach, approach_time = paths.approach(
+        approach, approach_time = paths.transfer_reference(
             standing,
             first,
             settings.approach_speed,
@@ -224,7 +224,7 @@ class Player:
         self._timer = CycleTimer(self._clock, settings.period, settings.max_lateness)
         self._announce("raising the gains")
         self._rising = True
-        self._phase(hold(standing), settings.ramp_time, standing=True)
+        self._phase(hold_reference(standing), settings.ramp_time, standing=True)
         self._rising = False
         self._hold_and_compare(standing)
         # What held the arm lately, or else what was fed forward.
@@ -237,12 +237,12 @@ class Player:
         self._phase(trajectory, duration, record=True)
         self._announce("coming to rest")
         last = trajectory(duration)
-        self._phase(hold(last), settings.rest_time)
+        self._phase(hold_reference(last), settings.rest_time)
         self._leave(last, Reference(start, np.zeros_like(start), holding_torque))
 
     def _hold_and_compare(self, reference: Reference) -> None:
         self._still.clear()
-        self._phase(hold(reference), self._settings.rest_time, standing=True)
+        self._phase(hold_reference(reference), self._settings.rest_time, standing=True)
         if self._still:
             self._holding(*np.mean(self._still[len(self._still) // 2 :], axis=0))
 
@@ -251,7 +251,7 @@ class Player:
             return
         if isinstance(self._park, str) and self._park == "rest":
             self._announce("lowering the arm")
-            self._phase(self._lower_from(last), paths.LONGEST)
+            self._phase(self._lower_from(last), paths.LONGEST_LOWERING)
             return
         carries = self._holding.torque
         target = at_start
@@ -260,10 +260,12 @@ class Player:
             target = Reference(self._park, np.zeros_like(self._park), torque)
         order = self._orders[-1]
         speed = self._settings.approach_speed
-        parking, parking_time = paths.approach(last, target, speed, 1.0, order, carries)
+        parking, parking_time = paths.transfer_reference(
+            last, target, speed, 1.0, order, carries
+        )
         self._announce(f"parking, {order} ({parking_time:.1f} s)")
         self._phase(parking, parking_time)
-        self._phase(hold(target), self._settings.rest_time)
+        self._phase(hold_reference(target), self._settings.rest_time)
 
     def _lower_from(self, begin: Reference) -> paths.Lowering:
         if not self._holding.is_model:
@@ -277,7 +279,7 @@ class Player:
 
     @property
     def _lowering_is_done(self) -> bool:
-        return isinstance(self._follower, paths.Lowering) and self._follower.done
+        return isinstance(self._follower, paths.Lowering) and self._follower.is_done
 
     def _phase(
         self,
@@ -341,12 +343,12 @@ class Player:
 
     def _note(self, replies: Replies, acted: MitCommand) -> None:
         """Keep what was heard: for a reference that follows the arm, and what holds it still."""
-        q, qd = self._session.believed
+        q, qd = self._session.believed_motion
         self._motor_torque = acted.motor_torque(q, qd)
         if isinstance(self._follower, paths.Lowering):
             self._follower.torque = self._motor_torque
         elif self._follower is not None:
-            trusted = self._observer.trusted
+            trusted = self._observer.trusted_joints
             self._follower.q = np.where(trusted, q, np.nan)
             self._follower.qd = np.where(trusted, qd, np.nan)
         if np.any(replies.answered):
@@ -390,7 +392,7 @@ class Player:
             carried = self._carry_from(self._reference)
             self._stop_phase(carried, _LONGEST_CARRIED)
             if self._park is not None and not self._stop.insisted:
-                self._stop_phase(self._lower_from(carried.last), paths.LONGEST)
+                self._stop_phase(self._lower_from(carried.last), paths.LONGEST_LOWERING)
 
     def _carry_from(self, reference: Reference) -> CarriedStop:
         """Return how the arm is stopped, from what it was led to and what is believed of it.
@@ -400,7 +402,10 @@ class Player:
         """
         observer = self._observer
         settings = self._settings
-        q, qd = (np.where(observer.trusted, x, np.nan) for x in self._session.believed)
+        q, qd = (
+            np.where(observer.trusted_joints, x, np.nan)
+            for x in self._session.believed_motion
+        )
         if self._standing:
             has_left = observer.has_left(q, reference.position, reference.torque)
         else:
@@ -408,8 +413,8 @@ class Player:
         is_pushed = observer.is_pushed(q, reference.position, reference.torque)
         model = self._holding.torque(np.where(np.isfinite(q), q, reference.position))
         # While gains rise, what was fed forward is not yet what carries the arm.
-        is_new = np.isnan(observer.fed) | self._rising
-        recent_torque = np.where(is_new, reference.torque, observer.fed)
+        is_new = np.isnan(observer.fed_torque) | self._rising
+        recent_torque = np.where(is_new, reference.torque, observer.fed_torque)
         carrying_torque = model if self._holding.is_model else recent_torque
         fed = np.where(has_left & is_pushed, 0.0, carrying_torque)
         start = StopStart(

@@ -24,7 +24,13 @@ from robot_sysid.records import Array
 
 
 class Reference(NamedTuple):
-    """What the joints should do at one moment: (n,) position [rad], velocity, torque [N m]."""
+    """State commanded to n joints at one moment.
+
+    Attributes:
+        position: (n,) [rad].
+        velocity: (n,) [rad/s].
+        torque: feed-forward torque (n,) [N m].
+    """
 
     position: Array
     velocity: Array
@@ -32,12 +38,15 @@ class Reference(NamedTuple):
 
 
 ReferenceFunction = Callable[[float], Reference]
+"""The reference at a time after the beginning [s]; times never go back."""
 
 
-def reference_along(trajectory: DamiaoTrajectory, speed: float) -> ReferenceFunction:
-    """Return a trajectory between its rows, as a function of the time after its start [s].
+def trajectory_reference(
+    trajectory: DamiaoTrajectory, speed: float
+) -> ReferenceFunction:
+    """Return a trajectory, interpolated between its rows, as a function of time.
 
-    Played at ``speed`` s the joints pass the same positions with s times the velocity. The
+    At a ``speed`` s of the file's the joints pass the same positions with s times the velocity. The
     feed-forward torque is the file's: at reduced speed its inertial part is too large, which the
     position control makes up for. The end is held.
     """
@@ -59,21 +68,27 @@ def reference_along(trajectory: DamiaoTrajectory, speed: float) -> ReferenceFunc
 
 STRAIGHT = "straight"
 ORDERS = (STRAIGHT, "joint by joint from the base", "joint by joint from the tip")
-"""In which order joints may go from one pose to another: all together, or one after the other."""
+"""Orders in which joints go from one pose to another: all at once, or one after the other."""
 
 
 def poses_between(begin: Array, end: Array, order: str) -> list[Array]:
-    """Return the poses (n,) between which an order of ``ORDERS`` goes in straight lines."""
+    """Return the corners (n,) of the path from ``begin`` to ``end`` (n,) [rad], both included.
+
+    The path is straight between corners; its joints move in one of ``ORDERS``.
+    """
     poses = [begin]
     if order != STRAIGHT:
-        joints = np.flatnonzero(begin != end)[:: 1 if order == ORDERS[1] else -1]
-        for moved in (joints[: k + 1] for k in range(len(joints) - 1)):
-            poses.append(begin.copy())
-            poses[-1][moved] = end[moved]
+        joints = np.flatnonzero(begin != end)
+        if order != ORDERS[1]:
+            joints = joints[::-1]
+        for joint in joints[:-1]:
+            pose = poses[-1].copy()
+            pose[joint] = end[joint]
+            poses.append(pose)
     return [*poses, end]
 
 
-def approach(
+def transfer_reference(
     start: Reference,
     target: Reference,
     speed: float,
@@ -81,12 +96,17 @@ def approach(
     order: str = STRAIGHT,
     carries: Callable[[Array], Array] = np.zeros_like,
 ) -> tuple[ReferenceFunction, float]:
-    """Return a motion from rest at ``start`` to rest at the target, and its duration [s].
+    """Return a motion from rest at ``start`` to rest at ``target``, and its duration [s].
 
-    Each straight line is the quintic 10 s^3 - 15 s^4 + 6 s^5, whose peak speed is 15/8 of the mean.
-    No joint goes faster than ``speed`` [rad/s], and no line takes less than ``shortest`` [s]. What
-    is fed forward is what ``carries`` the arm in each pose (n,) [N m], and besides what start and
-    target have beyond it.
+    Along each straight line the arm moves by the quintic 10 s^3 - 15 s^4 + 6 s^5 of the share s of
+    its time, whose peak speed is 15/8 of the mean.
+
+    Args:
+        speed: that no joint exceeds [rad/s].
+        shortest: least duration of a line [s].
+        order: one of ``ORDERS``.
+        carries: from a pose (n,) [rad] to the torque (n,) that carries the arm in it [N m]. It is
+            fed forward, and besides what start and target have beyond it, blended over the time.
     """
     poses = poses_between(start.position, target.position, order)
     lines = np.diff(poses, axis=0)
@@ -110,7 +130,7 @@ def approach(
 
 
 TRANSFER_RATE = 100.0
-"""Rows per second of a way, enough for motions of a second and more [Hz]."""
+"""Rows per second of ``transfer_rows``, enough for motions of a second and more [Hz]."""
 
 
 def transfer_rows(
@@ -120,14 +140,15 @@ def transfer_rows(
     pace: tuple[float, float],
     order: str = STRAIGHT,
 ) -> DamiaoTrajectory:
-    """Return the way between two poses (n,) [rad] as rows, without torque.
+    """Return the motion between two poses (n,) [rad] as rows of a trajectory, without torque.
 
-    For ``pace``, speed and shortest time, and ``order`` see ``approach``.
+    ``trajectory`` gives the motors; for ``pace``, speed [rad/s] and shortest duration [s], and
+    ``order`` see ``transfer_reference``.
     """
     zero = np.zeros_like(begin)
     start = Reference(begin, zero, zero)
     target = Reference(end, zero, zero)
-    reference, duration = approach(start, target, *pace, order)
+    reference, duration = transfer_reference(start, target, *pace, order)
     time = np.linspace(0.0, duration, int(np.ceil(duration * TRANSFER_RATE)) + 1)
     q, qd, tau = (np.array(signal) for signal in zip(*map(reference, time)))
     return replace(
@@ -135,18 +156,29 @@ def transfer_rows(
     )
 
 
-def hold(reference: Reference) -> ReferenceFunction:
-    """Return a function that stays at a reference, at rest."""
+def hold_reference(reference: Reference) -> ReferenceFunction:
+    """Return a function that stays at a reference's position and torque, without velocity."""
     at_rest = Reference(
         reference.position, np.zeros_like(reference.velocity), reference.torque
     )
     return lambda time: at_rest
 
 
-def alongside(reference: ReferenceFunction, positions: Array) -> ReferenceFunction:
-    """Return a reference that also holds further motors at positions (m,) [rad]."""
-    held = positions, np.zeros_like(positions), np.zeros_like(positions)
-    return lambda time: Reference(*map(np.concatenate, zip(reference(time), held)))
+def add_held_motors(
+    reference: ReferenceFunction, positions: Array
+) -> ReferenceFunction:
+    """Return a reference of n + m joints: behind n others it holds m at ``positions`` [rad]."""
+    zero = np.zeros_like(positions)
+
+    def extended(time: float) -> Reference:
+        position, velocity, torque = reference(time)
+        return Reference(
+            np.append(position, positions),
+            np.append(velocity, zero),
+            np.append(torque, zero),
+        )
+
+    return extended
 
 
 # Share of the peak torque at which a joint yields with full speed; less load, less speed. A
@@ -156,18 +188,25 @@ _FULL_LOAD = 0.05
 _FADE = 1.0
 _STILL_SPEED = 0.02
 _STILL_TIME = 0.5
-LONGEST = 20.0
+LONGEST_LOWERING = 20.0
 """After this time [s] the arm counts as lowered."""
 
 
 class Lowering:
-    """A reference that gives way to the torque its joints carry.
+    """A reference that lowers an arm: it gives way to the torque that its joints carry.
 
-    What is fed forward fades within a second, so that the position control carries the load and
-    the commanded torque tells it. Each reference position then moves against that torque, no faster
-    than ``speed`` [rad/s], until the arm lies or hangs, or a joint is at the end of its range,
-    ``lower`` to ``upper`` (n,) [rad]. ``torque`` (n,), as commanded last [N m], is to be set in
-    every cycle; NaN where it is unknown.
+    The feed-forward torque fades within a second, so that the position control carries the load and
+    the commanded torque shows it. Each reference position then moves against that torque until the
+    arm lies or hangs, or a joint is at the end of its range.
+
+    Args:
+        begin: reference from which the arm is lowered.
+        speed: largest speed of a joint [rad/s].
+        peak: peak torque (n,) of the joints [N m].
+        lower, upper: range (n,) of the joints [rad].
+
+    Attributes:
+        torque: commanded last (n,) [N m]; NaN where unknown. The caller sets it in every cycle.
     """
 
     def __init__(
@@ -184,59 +223,63 @@ class Lowering:
 
     def __call__(self, time: float) -> Reference:
         """Return the reference at ``time`` [s] after the beginning; times never go back."""
-        share = np.clip(np.nan_to_num(self.torque) / self._full_load, -1.0, 1.0)
-        faded = max(1.0 - time / _FADE, 0.0)
-        velocity = np.zeros_like(share) if faded > 0.0 else -self._speed * share
+        load_share = np.clip(np.nan_to_num(self.torque) / self._full_load, -1.0, 1.0)
+        fed_share = max(1.0 - time / _FADE, 0.0)
+        velocity = np.zeros_like(load_share)
+        if fed_share == 0.0:
+            velocity = -self._speed * load_share
         moved = self._position + velocity * (time - self._time)
-        inside = np.clip(moved, self._lower, self._upper)
-        velocity = np.where(inside == moved, velocity, 0.0)
-        self._position = inside
+        self._position = np.clip(moved, self._lower, self._upper)
+        velocity = np.where(self._position == moved, velocity, 0.0)
         self._time = time
-        if faded > 0.0 or np.max(np.abs(velocity)) > _STILL_SPEED:
+        if fed_share > 0.0 or np.max(np.abs(velocity)) > _STILL_SPEED:
             self._moved_at = time
-        return Reference(self._position, velocity, faded * self._fed)
+        return Reference(self._position, velocity, fed_share * self._fed)
 
     @property
-    def done(self) -> bool:
+    def is_done(self) -> bool:
         """Whether no joint has yielded for half a second."""
         return self._time - self._moved_at > _STILL_TIME
 
 
-# Torque that says nothing about what a joint carries: this share of its motor's peak (a judgement).
+# Share of a motor's peak torque up to which torque proves no load (a judgement).
 _DOUBT = 0.06
-# Of the doubt: a joint that carries more than this is judged by it, also where a guessed model is
-# twice too heavy; one that then carries less than that is not at the joint it is taken for.
+# In units of the doubt: a joint that should carry more than the first is judged by its torque, also
+# where a guessed model is twice too heavy; one that then carries less than the second is not at the
+# joint it is taken for.
 _LOADED = 2.0
 _BARE = 0.5
 
 
 def torque_doubt(joints: Sequence[DamiaoJoint]) -> Array:
-    """Return the torque (n,) up to which a joint's says nothing about what it carries [N m]."""
+    """Return the torque (n,) of each joint up to which friction hides its load [N m]."""
     return _DOUBT * np.array(
         [joint.spec.peak_torque * joint.torque_ratio for joint in joints]
     )
 
 
 MotionCheck = Callable[[float, Array, Array, Array], Optional[tuple[int, str]]]
-"""Takes time [s], positions, velocities and commanded torques (n,) of each cycle; returns a joint
-in which something is wrong, with a sentence about it, or None."""
+"""Takes time [s], positions, velocities and commanded torques (n,) of each cycle; returns the
+number of a joint in which something is wrong, with a sentence about it, or None."""
 
 
 class HoldingCheck:
-    """Compares the torques that hold an arm still with those that should.
+    """Compares the torques that hold an arm still with those that should hold it.
 
     Args:
-        torque: from a pose (n,) [rad] to what should hold the arm there (n,) [N m].
+        joints: the n joints of the arm, base to terminal.
+        torque: from a pose (n,) [rad] to the torque (n,) that should hold the arm there [N m].
         doubt: (n,) dry friction, where it is known [N m].
-        source: who says what should, in words.
-        load: from a pose to the torque that a kilogram at the arm's end takes there (n,) [N m];
+        source: start of the phrase that states that torque: "the model arm.xml needs".
+        load: from a pose to the torque (n,) that a kilogram at the arm's end takes there [N m];
             None without a model.
-        watch: makes what watches the joints of one run; None where nothing does.
+        watch: makes the check of one run's motion; None where there is none.
 
     Attributes:
         n_joints: joints that are judged; motors beside the arm come behind them.
-        doubt: (n,) torque that says nothing [N m].
-        is_model: whether a model of the arm says what should hold it, in every pose.
+        doubt: torque (n,) up to which friction hides a joint's load [N m].
+        is_model: whether a model of the arm states what should hold it, in every pose.
+        watch: as above.
     """
 
     def __init__(
@@ -248,7 +291,7 @@ class HoldingCheck:
         load: Callable[[Array], Array] | None = None,
         watch: Callable[[], MotionCheck] | None = None,
     ) -> None:
-        self._due = torque
+        self._expected_torque = torque
         self._joints = joints
         self._source = source
         self._load = load
@@ -258,35 +301,40 @@ class HoldingCheck:
         self.is_model = load is not None
 
     def unverified_joints(self, q: Array) -> list[DamiaoJoint]:
-        """Return the unverified joints whose load at q (n,) shows no direction."""
-        bare = np.abs(self._due(q)) <= _LOADED * self.doubt
-        return [
-            j for j, is_bare in zip(self._joints, bare) if is_bare and not j.verified
-        ]
+        """Return the unverified joints whose load at q (n,) [rad] is too small for a direction."""
+        is_bare = np.abs(self._expected_torque(q)) <= _LOADED * self.doubt
+        joints = [self._joints[j] for j in np.flatnonzero(is_bare).tolist()]
+        return [joint for joint in joints if not joint.verified]
 
     def load(self, q: Array) -> Array:
-        """Return the torque (n,) that a kilogram at the arm's end takes at q [N m]."""
+        """Return the torque (n,) that a kilogram at the arm's end takes at q (n + m,) [N m]."""
         assert self._load is not None
         return self._load(q[: self.n_joints])
 
     def torque(self, q: Array) -> Array:
-        """Return what holds the arm at q [N m]; zero for motors beside it, behind the joints."""
-        return np.append(
-            self._due(q[: self.n_joints]), np.zeros(len(q) - self.n_joints)
-        )
+        """Return the torque (n + m,) that holds the arm at q (n + m,) [rad]; 0 for m others [N m].
+
+        The m motors beside the arm come behind its joints.
+        """
+        n_others = len(q) - self.n_joints
+        return np.append(self._expected_torque(q[: self.n_joints]), np.zeros(n_others))
 
     def __call__(self, q: Array, tau: Array) -> None:
-        """Raise HardwareAbort where a torque (n,) [N m] at rest at q (n,) is not what holds it."""
-        due = self._due(q[: self.n_joints])
+        """Compare the torques tau (n + m,) [N m] of an arm that is held still at q (n + m,) [rad].
+
+        HardwareAbort where a joint is loaded the other way, or far less, than it should be.
+        """
+        expected = self._expected_torque(q[: self.n_joints])
         tau = tau[: self.n_joints]
-        along = np.sign(due) * tau
-        is_wrong = (np.abs(due) > self.doubt) & (along < -self.doubt)
-        is_wrong |= (np.abs(due) > _LOADED * self.doubt) & (along < _BARE * self.doubt)
+        size = np.abs(expected)
+        along = np.sign(expected) * tau
+        is_wrong = (size > self.doubt) & (along < -self.doubt)
+        is_wrong |= (size > _LOADED * self.doubt) & (along < _BARE * self.doubt)
         for j in np.flatnonzero(is_wrong).tolist():
             raise HardwareAbort(
                 f"{self._joints[j].label} holds the arm with {tau[j]:.1f} N m but {self._source} "
-                f"{due[j]:.1f} N m in this pose: a motor turns the other way than its joint, sits "
-                "at another one, or has another zero; see 'motors map'"
+                f"{expected[j]:.1f} N m in this pose: a motor turns the other way than its joint, "
+                "sits at another one, or has another zero; see 'motors map'"
             )
 
 
@@ -297,37 +345,45 @@ _GENTLE = 0.5
 
 
 class FileHolding(HoldingCheck):
-    """What a trajectory says that holds the arm near its first point.
+    """Holding torques of an arm near a trajectory's first point, from the trajectory's own torque.
 
-    That is its torque where it accelerates least there; nothing is compared where that is still for
-    a motion. One whose torque is within every joint's doubt all the time carries no arm.
+    It is the feed-forward torque of the row near there that accelerates least. Where that row still
+    accelerates, nothing is compared. A trajectory whose torque is within every joint's doubt all
+    the time does not carry an arm.
     """
 
-    def __init__(self, played: DamiaoTrajectory) -> None:
-        is_near = np.all(np.abs(played.q - played.q[0]) <= _NEAR, axis=1)
-        acceleration = np.max(
-            np.abs(np.gradient(played.qd, played.time, axis=0)), axis=1
-        )
+    def __init__(self, trajectory: DamiaoTrajectory) -> None:
+        q = trajectory.q
+        is_near = np.all(np.abs(q - q[0]) <= _NEAR, axis=1)
+        accelerations = np.gradient(trajectory.qd, trajectory.time, axis=0)
+        acceleration = np.max(np.abs(accelerations), axis=1)
         row = int(np.argmin(np.where(is_near, acceleration, np.inf)))
-        torque = played.tau[row]
-        self._at_rest = acceleration[row] < _GENTLE
+        torque = trajectory.tau[row]
         super().__init__(
-            played.joints, lambda q: torque, 0.0, "the trajectory feeds forward"
+            trajectory.joints, lambda q: torque, 0.0, "the trajectory feeds forward"
         )
-        self._first = played.q[0]
-        self._carries = bool(np.any(np.abs(played.tau).max(axis=0) > self.doubt))
+        self._is_at_rest = acceleration[row] < _GENTLE
+        self._first = q[0]
+        peaks = np.abs(trajectory.tau).max(axis=0)
+        self._carries_arm = bool(np.any(peaks > self.doubt))
 
     def __call__(self, q: Array, tau: Array) -> None:
-        """Raise HardwareAbort as above, and where nothing is fed forward to carry the arm."""
+        """Compare the torques tau (n + m,) [N m] of an arm that is held still at q (n + m,) [rad].
+
+        HardwareAbort where a joint is loaded the other way, or far less, than the trajectory feeds
+        forward, and where this never carries an arm that has weight. Far from the first point
+        nothing is compared.
+        """
         if np.any(np.abs(q[: self.n_joints] - self._first) > _NEAR):
             return
-        loaded = np.abs(tau[: self.n_joints]) > _LOADED * self.doubt
-        for j in [] if self._carries else np.flatnonzero(loaded).tolist():
-            raise HardwareAbort(
-                f"{self._joints[j].label} holds the arm with {tau[j]:.1f} N m, and the trajectory "
-                "never feeds forward what carries an arm: its torque lacks gravity"
-            )
-        if self._at_rest:
+        if not self._carries_arm:
+            is_loaded = np.abs(tau[: self.n_joints]) > _LOADED * self.doubt
+            for j in np.flatnonzero(is_loaded).tolist():
+                raise HardwareAbort(
+                    f"{self._joints[j].label} holds the arm with {tau[j]:.1f} N m, and the "
+                    "trajectory never feeds forward what carries an arm: its torque lacks gravity"
+                )
+        if self._is_at_rest:
             super().__call__(q, tau)
 
 
@@ -356,11 +412,11 @@ _REST_SPEED = 0.05
 
 @dataclass(frozen=True)
 class StopStart:
-    """What is known when a stop begins, each (n,).
+    """State of n joints when a stop begins; all arrays are (n,).
 
     Attributes:
-        reference: what the joints should have done.
-        q, qd: where they are believed to be, and how fast; NaN where that is unknown [rad, rad/s].
+        reference: commanded last.
+        q, qd: positions and velocities as believed last; NaN where unknown [rad, rad/s].
         fed: torque that carries the arm at rest, by its model or as fed forward before [N m].
         kp, kd: stiffness and damping of the motors [N m/rad, N m s/rad].
         stuck: joints that stand still against their motor: nothing more is pushed there.

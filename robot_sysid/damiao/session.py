@@ -143,7 +143,7 @@ class MotorSession:
         return CommandRange(np.minimum(*ends), np.maximum(*ends), limit[1])
 
     @property
-    def believed(self) -> tuple[Array, Array]:
+    def believed_motion(self) -> tuple[Array, Array]:
         """Positions and velocities (n,) as believed last, NaN where never heard [rad, rad/s]."""
         return self._filter.q, self._filter.qd
 

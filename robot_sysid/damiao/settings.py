@@ -1,4 +1,4 @@
-"""How to play a trajectory, and when to stop."""
+"""The plan of a run on motors: trajectory, gains, speeds, limits, permissions and recording."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _STIFFNESS = 20.0
 _DAMPING = 0.025
 _LEAST_DAMPING = 0.05
 # Of the peak torque: more push than any excitation needs, less than the motor has.
-_PUSH = 2.0 / 3.0
+_TORQUE_ERROR = 2.0 / 3.0
 # Models often lack the rotors' inertia: never less than this share of the usual damping.
 _LEAST_SHARE = 0.4
 LONGEST_SET_WATCHDOG = 1.0
@@ -48,23 +48,25 @@ _ANGLE = "ANGLE [rad] >= 0"
 _SPEED = "V [rad/s] > 0"
 
 
-def _stiffness(value: float) -> str | None:
-    return None if 0.0 <= value <= KP_MAX else f"must be from 0 to {KP_MAX:g} N m/rad"
+def _stiffness_problem(kp: float) -> str | None:
+    """Return why a frame cannot carry a stiffness [N m/rad], or None."""
+    return None if 0.0 <= kp <= KP_MAX else f"must be from 0 to {KP_MAX:g} N m/rad"
 
 
-def _damping(value: float) -> str | None:
+def _damping_problem(kd: float) -> str | None:
+    """Return why a frame cannot carry a damping [N m s/rad], or None."""
     # Below half a step a frame carries no damping at all, and the motor would ring.
-    fits = 0.5 * KD_STEP < value <= KD_MAX
-    return (
-        None
-        if fits
-        else f"must be at least {KD_STEP:.2g} and at most {KD_MAX:g} N m s/rad"
-    )
+    if 0.5 * KD_STEP < kd <= KD_MAX:
+        return None
+    return f"must be at least {KD_STEP:.2g} and at most {KD_MAX:g} N m s/rad"
 
 
 @dataclass(frozen=True)
 class PlaySettings(OptionRecord):
-    """Gains, speeds and limits of a run; ``for_motors`` fills in what was left open.
+    """Gains, speeds and limits of a run; ``for_motors`` completes gains and rate.
+
+    Each option's text says what it is; ``kp``, ``kd`` and ``max_torque_error`` are empty, or have
+    one value for all joints or one per joint.
 
     Attributes:
         max_missed: unanswered commands in a row that stop the run; three cycles are a third of the
@@ -79,10 +81,10 @@ class PlaySettings(OptionRecord):
     """
 
     kp: tuple[float, ...] = option(
-        (), f"stiffness, {_EACH}", "KP [N·m/rad]", check=_stiffness, **_BY_TYPE
+        (), f"stiffness, {_EACH}", "KP [N·m/rad]", check=_stiffness_problem, **_BY_TYPE
     )
     kd: tuple[float, ...] = option(
-        (), f"damping, {_EACH}", "KD [N·m·s/rad]", check=_damping, **_BY_TYPE
+        (), f"damping, {_EACH}", "KD [N·m·s/rad]", check=_damping_problem, **_BY_TYPE
     )
     rate: float | None = option(
         None,
@@ -138,31 +140,41 @@ class PlaySettings(OptionRecord):
         timing: BusTiming,
         inertia: Array | None = None,
     ) -> PlaySettings:
-        """Return the settings with gains per joint and a rate that suit these motors and this bus.
+        """Return the settings with gains per joint and a rate that suit motors and bus.
 
-        Where nothing else was asked for, a twentieth of a radian asks for rated torque: an arm
-        whose model is a third of that off sags by a degree. Damping is what such stiffness takes
-        at the motors that carry arms of this kind. Where the arm's inertia is known, a light joint
-        is damped less, so that its speed does not settle within a cycle: it would have used up the
-        torque step that is to be measured. ``inertia`` (n,) is what each joint moves [kg m^2].
+        By default an error of a twentieth of a radian makes rated torque: an arm whose model is off
+        by a third of that sags by a degree. Damping is what such stiffness takes at the motors that
+        carry arms of this kind. Where the arm's inertia is known, a light joint is damped less, so
+        that its speed does not settle within a cycle: it would have used up the torque step that is
+        to be measured.
+
+        Args:
+            specs: types of the n motors.
+            timing: of the bus, from which the default rate follows.
+            inertia: that each joint moves (n,) [kg m^2]; None without a model.
+
+        Raises:
+            InputError: a setting has neither one value nor one per motor.
         """
         n = len(specs)
-        rate = self.rate or default_rate(len(specs), timing)
-        light = np.inf if inertia is None else inertia * rate
-        rated = np.array([spec.rated_torque for spec in specs])
-        push = _PUSH * np.array([spec.peak_torque for spec in specs])
-        stiffness = np.minimum(_STIFFNESS * rated, KP_MAX)
-        least = np.maximum(_LEAST_SHARE * _DAMPING * stiffness, _LEAST_DAMPING)
-        damping = np.clip(np.minimum(_DAMPING * stiffness, light), least, KD_MAX)
-        chosen: dict[str, Any] = {
-            name: tuple(joint_values(asked, n, flag) if asked else usual)
-            for name, asked, usual, flag in (
-                ("kp", self.kp, stiffness, "--kp"),
-                ("kd", self.kd, damping, "--kd"),
-                ("max_torque_error", self.max_torque_error, push, "--max-torque-error"),
-            )
-        }
-        return replace(self, rate=rate, **chosen)
+        rate = self.rate or default_rate(n, timing)
+        rated_torque = np.array([spec.rated_torque for spec in specs])
+        stiffness = np.minimum(_STIFFNESS * rated_torque, KP_MAX)
+        most_damping = np.inf if inertia is None else inertia * rate
+        least_damping = np.maximum(_LEAST_SHARE * _DAMPING * stiffness, _LEAST_DAMPING)
+        damping = np.minimum(_DAMPING * stiffness, most_damping)
+        damping = np.clip(damping, least_damping, KD_MAX)
+        torque_error = _TORQUE_ERROR * np.array([spec.peak_torque for spec in specs])
+        values: dict[str, Any] = {}
+        for name, default in (
+            ("kp", stiffness),
+            ("kd", damping),
+            ("max_torque_error", torque_error),
+        ):
+            setting = getattr(self, name)
+            flag = "--" + name.replace("_", "-")
+            values[name] = tuple(joint_values(setting, n, flag) if setting else default)
+        return replace(self, rate=rate, **values)
 
     @property
     def period(self) -> float:
@@ -172,18 +184,20 @@ class PlaySettings(OptionRecord):
 
     @property
     def start_temperature(self) -> float:
-        """How warm a motor may be before playing [deg C]."""
+        """Highest temperature of a motor at which a run may begin [deg C]."""
         return min(_START_TEMPERATURE, self.max_temperature)
 
 
-def _watchdog_time(value: float) -> str | None:
-    fits = 0.0 < value <= LONGEST_SET_WATCHDOG
-    return None if fits else f"must be above 0 and at most {LONGEST_SET_WATCHDOG:g} s"
+def _watchdog_problem(timeout: float) -> str | None:
+    """Return why a watchdog may not be set to a timeout [s], or None."""
+    if 0.0 < timeout <= LONGEST_SET_WATCHDOG:
+        return None
+    return f"must be above 0 and at most {LONGEST_SET_WATCHDOG:g} s"
 
 
 @dataclass(frozen=True)
 class Permissions(OptionRecord):
-    """What the user allowed on purpose."""
+    """Deviations from the checks before a run that the user allows on purpose."""
 
     register_limits: bool = option(
         False,
@@ -195,7 +209,7 @@ class Permissions(OptionRecord):
         "set the motors' watchdogs for this run; nothing is stored in them",
         "S [s]",
         flag="--set-watchdog",
-        check=_watchdog_time,
+        check=_watchdog_problem,
         default_text="as they are",
     )
     directions: bool = option(
@@ -207,7 +221,7 @@ class Permissions(OptionRecord):
 
 @dataclass(frozen=True)
 class RecordingOptions(OptionRecord):
-    """What is recorded, and where."""
+    """The files into which a run is recorded."""
 
     record: Path | None = option(None, "write the measurement CSV", "FILE")
     raw_log: Path | None = option(
@@ -220,16 +234,16 @@ class RecordingOptions(OptionRecord):
 
     @property
     def frames(self) -> Path | None:
-        """Where every frame is written, or None."""
+        """File for every frame on the bus: by default the record with suffix .log, or None."""
         default = None if self.record is None else self.record.with_suffix(".log")
         return self.raw_log or default
 
-    def require_free(self, *read: Path) -> None:
-        """Raise InputError where a file is there that must not be replaced.
+    def require_free(self, *inputs: Path) -> None:
+        """Raise InputError where a recording would replace a file that must not be replaced.
 
-        Files that the run reads stay even with --overwrite.
+        These are the run's ``inputs`` and, without --overwrite, all files.
         """
-        used = {os.path.realpath(path) for path in read}
+        used = {os.path.realpath(path) for path in inputs}
         for path in filter(None, (self.record, self.frames)):
             if os.path.realpath(path) in used:
                 raise InputError(
@@ -244,7 +258,7 @@ class RecordingOptions(OptionRecord):
 
 @dataclass(frozen=True)
 class SecondArm(OptionRecord):
-    """Another arm of the same model that moves, or is held, at the same time."""
+    """Options for another arm of the same model that moves, or is held, at the same time."""
 
     also: Path | None = option(
         None, "trajectory of the model's other arm, played at the same time", "FILE"

@@ -21,7 +21,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_sysid.damiao import protocol
-from robot_sysid.damiao.bus import Link, SimulatedClock, SystemClock, undisturbed
+from robot_sysid.damiao.bus import (
+    Link,
+    SimulatedClock,
+    SystemClock,
+    undisturbed_processor,
+)
 from robot_sysid.damiao.joints import DamiaoJoint, JointSpace
 from robot_sysid.damiao.protocol import BusTiming, Frame
 from robot_sysid.records import Array
@@ -414,7 +419,7 @@ def serve(
     A computer too slow for the physics makes the arm skip time rather than fall behind for ever.
     """
     report = ServiceReport()
-    with undisturbed(clock.live):
+    with undisturbed_processor(clock.live):
         _serve(arm, link, clock, running, report)
     return report
 
@@ -431,7 +436,8 @@ def _serve(
     start = looked_at - arm.time
     patience = _TICK
     while running():
-        # From now on, so that it waits also where the physics are too slow: see ``undisturbed``.
+        # From now on, so that it waits also where the physics are too slow: a block that keeps the
+        # processor has to.
         frame = link.receive(clock.now() + patience)
         moment = clock.now()
         report.longest_delay = max(report.longest_delay, moment - looked_at)

@@ -11,8 +11,8 @@ from robot_sysid.damiao.references import (
     ORDERS,
     Lowering,
     Reference,
-    approach,
-    reference_along,
+    trajectory_reference,
+    transfer_reference,
 )
 from tests.support.damiao_rig import swing, trajectory_file
 
@@ -22,7 +22,7 @@ ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7)
 @pytest.mark.parametrize("speed", [1.0, 0.3])
 def test_the_sampler_interpolates_and_scales_velocity_with_speed(tmp_path, speed):
     time, q, qd, tau = swing(3)
-    sampler = reference_along(trajectory_file(tmp_path, (time, q, qd, tau)), speed)
+    sampler = trajectory_reference(trajectory_file(tmp_path, (time, q, qd, tau)), speed)
     for moment in np.append(np.arange(0.0, 2.0 / speed, 0.137), 9.0):
         reference = sampler(moment)
         for got, wanted in zip(reference, (q, speed * qd, tau)):
@@ -47,7 +47,7 @@ def test_an_approach_goes_from_rest_to_rest_within_its_speed(
         Reference(start, 0 * start, 2.0 + np.sin(start)),
         Reference(target, 0 * start, 0 * start),
     )
-    path, duration = approach(*ends, speed, shortest, order, np.sin)
+    path, duration = transfer_reference(*ends, speed, shortest, order, np.sin)
     assert duration >= shortest
     for moment, end in ((-1.0, 0), (0.0, 0), (duration, 1), (duration + 1.0, 1)):
         for said, wanted in zip(path(moment), ends[end]):
@@ -75,4 +75,4 @@ def test_an_arm_is_lowered_to_the_end_of_its_range_and_no_farther():
     positions = np.array([reference.position for reference in references])
     assert np.all(positions >= -0.1) and positions[-1, 0] == -0.1
     assert np.max(np.abs(np.diff(positions, axis=0))) <= 0.2 * 0.004 + 1e-12
-    assert lowering.done and references[-1].velocity[0] == 0.0
+    assert lowering.is_done and references[-1].velocity[0] == 0.0

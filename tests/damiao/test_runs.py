@@ -22,7 +22,7 @@ from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.preflight import stops
 from robot_sysid.damiao.protocol import DISABLED, ENABLED, BusTiming, Frame, is_special
 from robot_sysid.damiao.recorder import MeasurementRecorder
-from robot_sysid.damiao.references import reference_along
+from robot_sysid.damiao.references import trajectory_reference
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import Permissions, RecordingOptions
 from robot_sysid.damiao.simulated import SimulatedArm
@@ -608,9 +608,9 @@ def test_while_it_moves(rig, line, monkeypatch, heard):
 def test_a_value_that_no_frame_carries_stops_the_run(rig, monkeypatch):
     def spoiled(played, speed):
         played.tau[60, 0] = 30.0
-        return reference_along(played, speed)
+        return trajectory_reference(played, speed)
 
-    monkeypatch.setattr("robot_sysid.damiao.execution.reference_along", spoiled)
+    monkeypatch.setattr("robot_sysid.damiao.execution.trajectory_reference", spoiled)
     rig().run().assert_stopped("motor 1 would be asked for")
 
 

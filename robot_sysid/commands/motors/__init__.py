@@ -24,7 +24,7 @@ from robot_sysid.commands.motors.setup import LifetimeOptions
 from robot_sysid.damiao import preflight, simulated
 from robot_sysid.damiao.adapters import BusAddress, BusLink, import_can, slcan_terminal
 from robot_sysid.damiao.bus import GuardedLink, Link, inspect_bus
-from robot_sysid.damiao.execution import lasting
+from robot_sysid.damiao.execution import lengthen_hold
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.protocol import BusTiming, default_rate
 from robot_sysid.damiao.settings import (
@@ -87,7 +87,7 @@ def check(asked: Asked) -> int:
     if plan is None and asked.values.get("model"):
         raise InputError("--model needs a TRAJECTORY to check")
     checks = asked.checks(plan) if plan else []
-    with asked.bus() as link:
+    with asked.open_guarded() as link:
         inspection = inspect_bus(link)
     motors = len(inspection.motors)
     if not motors:
@@ -98,7 +98,7 @@ def check(asked: Asked) -> int:
         motors, asked.timing
     )
     if plan:
-        checks += asked.met_checks(plan, inspection)
+        checks += asked.inspection_checks(plan, inspection)
     else:
         settings = PlaySettings(rate=rate)
         checks += preflight.general_checks(inspection, settings, asked.timing)
@@ -123,7 +123,7 @@ def play(asked: Asked) -> int:
     plan = asked.plan()
     checks = asked.checks(plan)
     if asked.address.channel:
-        with asked.bus() as link:
+        with asked.open_guarded() as link:
             if (
                 record_from(DirectionChoices, asked.values).verify
                 and not choices.dry_run
@@ -144,7 +144,7 @@ def simulate(asked: Asked) -> int:
     plan = asked.plan()
     checks = asked.checks(plan)
     if options.play:
-        with asked.simulated_bus(asked.simulated_arm(plan, options.watchdog)) as link:
+        with asked.open_simulated(asked.simulated_arm(plan, options.watchdog)) as link:
             return _play_on(link, plan, checks, PlayChoices(yes=True), asked)
     preflight.require_no_stop(checks, "not rehearsed")
     arm = asked.simulated_arm(plan, options.watchdog, _REAL_TIME_STEP)
@@ -169,11 +169,11 @@ def hold(asked: Asked) -> int:
     """Hold the arm where it stands, its weight carried by torques of its model."""
     seconds = record_from(LifetimeOptions, asked.values).lifetime or _FOR_EVER
     choices = record_from(PlayChoices, asked.values)
-    with asked.bus() as link:
+    with asked.open_guarded() as link:
         plan = asked.hold_plan(inspect_bus(link))
         checks = asked.checks(plan)
         return _play_on(
-            link, lasting(plan, seconds), checks, choices, asked, holds=True
+            link, lengthen_hold(plan, seconds), checks, choices, asked, holds=True
         )
 
 
@@ -372,7 +372,7 @@ def _play_on(
     """Play on ``real`` motors or others; where it ``holds``, until somebody wants it to end."""
     console = asked.console
     inspection = inspect_bus(link)
-    checks = [*checks, *asked.met_checks(plan, inspection, real)]
+    checks = [*checks, *asked.inspection_checks(plan, inspection, real)]
     console.stage(
         *motor_table(inspection, plan.trajectory.joints), *check_lines(checks)
     )
@@ -386,7 +386,7 @@ def _play_on(
         # The arm may have moved or been touched in the meantime.
         inspection = inspect_bus(link)
         preflight.require_no_stop(
-            asked.met_checks(plan, inspection, real), "not played"
+            asked.inspection_checks(plan, inspection, real), "not played"
         )
 
     stop = StopRequest()
@@ -453,7 +453,7 @@ def _simulated_end(asked: Asked) -> Link:
     interface = asked.address.interface
     channels = asked.address.channel
     if channels:
-        link = asked.open()
+        link = asked.open_link()
     elif "interface" in asked.values:
         raise InputError("--interface needs --channel")
     else:

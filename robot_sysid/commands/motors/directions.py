@@ -118,7 +118,10 @@ def _move_a_little(
         _small_motion(asked, plan, here, numbers, s) for s in (signs, -signs)
     )
     for each in (little, mirrored):
-        checks = [*asked.checks(each), *asked.met_checks(each, inspection, False)]
+        checks = [
+            *asked.checks(each),
+            *asked.inspection_checks(each, inspection, False),
+        ]
         require_no_stop(checks, _NO_ROOM)
     for joint, j in zip(unseen, numbers):
         console.stage(f"{joint.label} is to turn so that {ways[j]}, and back")

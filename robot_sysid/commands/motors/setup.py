@@ -348,7 +348,7 @@ def setup(asked: Asked) -> int:
         raise InputError("--motor says which motor to change, for instance --motor 1")
     if options.scan:
         return _scan(asked)
-    with asked.bus(refuse_motion) as link:
+    with asked.open_guarded(refuse_motion) as link:
         inspection = inspect_bus(link)
         asked.console.stage(*motor_table(inspection))
         if changes:
@@ -382,7 +382,7 @@ def _scan(asked: Asked) -> int:
     rates = [rate for rate in protocol.BIT_RATES if rate <= 1_000_000]
     for rate in sorted(rates, reverse=True):
         try:
-            with asked.bus(
+            with asked.open_guarded(
                 refuse_motion, replace(asked.timing, bitrate=float(rate))
             ) as link:
                 inspection = inspect_bus(link)
@@ -436,7 +436,7 @@ def monitor(asked: Asked) -> int:
     """Show the motors' states again and again; enables nothing."""
     options = record_from(MonitorOptions, asked.values)
     console = asked.console
-    with asked.bus(refuse_motion) as link:
+    with asked.open_guarded(refuse_motion) as link:
         motors = list(inspect_bus(link).motors.values())
         if not motors:
             return _found(asked, 0)
@@ -469,7 +469,7 @@ def map_joints(asked: Asked) -> int:
     robot = asked.robot
     if options.output.exists():
         raise InputError(f"{options.output} exists; choose another --output")
-    with asked.bus(refuse_motion) as link:
+    with asked.open_guarded(refuse_motion) as link:
         rows = map_by_hand(link, robot)
     write_joint_map(options.output, rows)
     play = asked.command("play", trajectory="TRAJECTORY", joint_map=options.output)

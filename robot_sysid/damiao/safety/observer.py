@@ -243,12 +243,12 @@ class Observer:
             self._check_zeros(replies, commanded)
 
     @property
-    def trusted(self) -> Mask:
+    def trusted_joints(self) -> Mask:
         """Joints (n,) that are heard, and whose position may be used to control them."""
         return ~self._stale & (self.silent < self._settings.max_missed)
 
     @property
-    def fed(self) -> Array:
+    def fed_torque(self) -> Array:
         """Feed-forward torque lately (n,), NaN where there was none yet [N m]."""
         return self._fed.value
 
@@ -544,7 +544,7 @@ class Observer:
         if not np.all(np.isfinite(q + commanded)):
             return fault
         cause = explain_change(
-            self._change, self._holding, q, commanded, self.fed, self._joints
+            self._change, self._holding, q, commanded, self.fed_torque, self._joints
         )
         return HardwareAbort(f"{fault}: {cause}" if cause else str(fault))
 

@@ -103,7 +103,7 @@ def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
     for position, velocity, torque, braking, pause in requests:
         clock.sleep_until(clock.now() + pause)
         before = len(link.sent)
-        believed, _ = session.believed
+        believed, _ = session.believed_motion
         asked = MitCommand(
             np.array(position), np.array(velocity), np.array([180.0, 60.0]),
             np.array([4.5, 1.5]), np.array(torque),

@@ -10,7 +10,7 @@ import threading
 
 import pytest
 
-from robot_sysid.damiao.bus import PRIORITY, lacks_priority, undisturbed
+from robot_sysid.damiao.bus import PRIORITY, lacks_priority, undisturbed_processor
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's scheduling")
 
@@ -52,7 +52,7 @@ def test_the_loop_goes_before_the_other_threads_and_these_before_other_programs(
     monkeypatch,
 ):
     scheduler = Scheduler(monkeypatch)
-    with waiting_thread() as other, undisturbed() as is_granted:
+    with waiting_thread() as other, undisturbed_processor() as is_granted:
         assert is_granted
         assert not lacks_priority()
         assert scheduler.schedules[0] == (os.SCHED_FIFO, PRIORITY)
@@ -68,7 +68,7 @@ def test_priority_is_given_back_on_every_way_out(monkeypatch, error):
     expected = pytest.raises(error) if error else contextlib.nullcontext()
     with contextlib.ExitStack() as stack:
         earlier = stack.enter_context(waiting_thread())
-        with expected, undisturbed():
+        with expected, undisturbed_processor():
             # It inherits the loop's priority.
             later = stack.enter_context(waiting_thread())
             if error:
@@ -83,7 +83,7 @@ def test_priority_is_given_back_on_every_way_out(monkeypatch, error):
 )
 def test_a_policy_that_somebody_has_chosen_stays(monkeypatch, policy, is_granted):
     scheduler = Scheduler(monkeypatch, policy=getattr(os, policy))
-    with undisturbed() as has_priority:
+    with undisturbed_processor() as has_priority:
         assert has_priority == is_granted
     assert scheduler.schedules == {}
 
@@ -91,7 +91,7 @@ def test_a_policy_that_somebody_has_chosen_stays(monkeypatch, policy, is_granted
 @LINUX
 def test_a_user_without_the_right_goes_on_without(monkeypatch):
     scheduler = Scheduler(monkeypatch, is_allowed=False)
-    with undisturbed() as is_granted:
+    with undisturbed_processor() as is_granted:
         assert not is_granted
         assert lacks_priority()
         assert not gc.isenabled()
@@ -104,7 +104,7 @@ def test_a_system_that_knows_no_such_priority_goes_on_without(monkeypatch, platf
     monkeypatch.setattr(sys, "platform", platform)
     for name in ("sched_getscheduler", "sched_setscheduler", "SCHED_FIFO", "SCHED_RR"):
         monkeypatch.delattr(os, name, raising=False)
-    with undisturbed() as is_granted:
+    with undisturbed_processor() as is_granted:
         assert not is_granted
         assert not lacks_priority()
 
@@ -113,14 +113,14 @@ def test_a_system_that_knows_no_such_priority_goes_on_without(monkeypatch, platf
 def test_simulated_time_takes_no_priority(monkeypatch):
     """It never waits, and would keep a processor for itself."""
     scheduler = Scheduler(monkeypatch)
-    with undisturbed(live=False) as is_granted:
+    with undisturbed_processor(live=False) as is_granted:
         assert not is_granted
     assert scheduler.schedules == {}
 
 
 def test_garbage_collection_and_the_switch_interval_are_put_back():
     interval = sys.getswitchinterval()
-    with pytest.raises(ValueError), undisturbed():
+    with pytest.raises(ValueError), undisturbed_processor():
         assert not gc.isenabled()
         assert sys.getswitchinterval() < 1e-3
         raise ValueError
@@ -131,6 +131,6 @@ def test_garbage_collection_and_the_switch_interval_are_put_back():
 @LINUX
 def test_the_system_itself_gives_and_takes_it():
     before = os.sched_getscheduler(0)
-    with undisturbed() as is_granted:
+    with undisturbed_processor() as is_granted:
         assert (os.sched_getscheduler(0) == os.SCHED_FIFO) == is_granted
     assert os.sched_getscheduler(0) == before
