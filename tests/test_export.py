@@ -16,7 +16,7 @@ from robot_sysid.export import RESULT_NAMES, save
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import InertialParameters
 from robot_sysid.results.record import Verdict
-from tests.results.test_model import checkpoints, payload_of, result_of
+from tests.results.test_written_model import checkpoints, payload_of, result_of
 from tests.support.command_line import files_in
 from tests.support.model_files import ARM, random_theta, write_files
 

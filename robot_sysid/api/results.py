@@ -17,7 +17,7 @@ from robot_sysid.api.keywords import in_python, python_words
 from robot_sysid.config import Config, SysidConfig
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.export import locked_folder
+from robot_sysid.export import locked_folder, params_json_text
 from robot_sysid.motion.plan import CheckedPlan
 from robot_sysid.pipeline.outcome import Identification, Outcome
 from robot_sysid.pipeline.planning import draft_plan
@@ -25,10 +25,14 @@ from robot_sysid.pipeline.stages import write_results
 from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
 from robot_sysid.records.file_access import MODEL_NAMES, atomic_files, temporary_folder
 from robot_sysid.records.messages import Progress, with_error
-from robot_sysid.results.console import HEADINGS, BeforeAfter, asked_rows, result_lines
-from robot_sysid.results.json import params_json_text
-from robot_sysid.results.model import model_in_memory, write_bundle
 from robot_sysid.results.record import Result
+from robot_sysid.results.result_lines import (
+    HEADINGS,
+    BeforeAfter,
+    asked_rows,
+    result_lines,
+)
+from robot_sysid.results.written_model import model_in_memory, write_bundle
 from robot_sysid.trajectory import sample_count
 
 

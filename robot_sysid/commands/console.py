@@ -57,7 +57,7 @@ class Console(ConsoleOptions, Progress):
     def result(self, content: Mapping[str, Any] | str) -> None:
         """Print what a command found, where it is asked for as JSON; text is JSON already."""
         if self.json:
-            from robot_sysid.results.json import json_text
+            from robot_sysid.export import json_text
 
             text = content if isinstance(content, str) else json_text(content)
             print_text(text, sys.stdout)

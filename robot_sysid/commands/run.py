@@ -262,7 +262,7 @@ def carry_out(config: Config, console: Console, preview: PreviewOptions) -> int:
     if outcome.failure:
         raise SysidError(" ".join(outcome.verdict) or outcome.failure)
     if config.output.bundle:
-        from robot_sysid.results.model import write_bundle
+        from robot_sysid.results.written_model import write_bundle
 
         names = file_access.MODEL_NAMES.values()
         for model in [path for path in outcome.files if path.name in names][:1]:

@@ -48,9 +48,9 @@ from robot_sysid.results.cards import inertia_is_known, principal_moments
 from robot_sysid.results.record import (
     BaseParameters,
     BodyEstimate,
-    Figure,
     JointEstimate,
     ModelFile,
+    Quantity,
 )
 
 _SIGNS = np.array([[1.0, 1.0], [1.0, -1.0]])
@@ -110,11 +110,11 @@ class Answer:
             name=name,
             inertial=InertialParameters(theta),
             covariance=covariance,
-            shown=self.errors.shown(change),
+            is_determined=self.errors.shown(change),
             noise_errors=noise,
             budget=budget,
             data_share=np.clip(share, 0.0, 1.0),
-            before=None if model_theta is None else InertialParameters(model_theta),
+            prior=None if model_theta is None else InertialParameters(model_theta),
         )
 
     def links(self) -> Iterator[BodyEstimate]:
@@ -134,15 +134,15 @@ class Answer:
                 )
                 yield replace(body, joint=joint)
 
-    def figure(self, name: str) -> Figure:
+    def figure(self, name: str) -> Quantity:
         """Return a parameter with its standard error by all causes; NaN where it is at a bound."""
         index = self.fit.columns.index[name]
         unknowns = self.fit.unknowns
         value = float(self.fit.final[index])
         if name in unknowns.names_at_bound:
-            return Figure(value, float("nan"))
+            return Quantity(value, float("nan"))
         row = int(np.searchsorted(unknowns.estimated, index))
-        return Figure(value, float(self.errors.total.standard_errors[row]))
+        return Quantity(value, float(self.errors.total.standard_errors[row]))
 
     def joints(self) -> Iterator[tuple[str, JointEstimate]]:
         """Yield each chain joint, and each coupled motor, with its friction."""
@@ -165,12 +165,12 @@ class Answer:
                 JointEstimate(
                     friction_model=models[joint].name if terms else "none",
                     terms=terms,
-                    before=model_terms,
+                    model_terms=model_terms,
                     candidates=self.candidates.get(joint, {}) if terms else {},
                     noise=noise.get(joint, float("nan")),
-                    two_ways=self._two_ways(joint, terms),
+                    directional_coulomb=self._two_ways(joint, terms),
                     logs=self._friction_by_log(joint),
-                    another_day=self._another_day(joint),
+                    other_day_terms=self._another_day(joint),
                 ),
             )
         for motor in self.fit.choice.couplings:
@@ -185,7 +185,7 @@ class Answer:
                 JointEstimate("-".join(terms) or "none", terms, model_terms),
             )
 
-    def _friction_by_log(self, owner: str) -> dict[str, dict[str, Figure]]:
+    def _friction_by_log(self, owner: str) -> dict[str, dict[str, Quantity]]:
         """Return the friction terms of a joint by log; empty for a single log."""
         friction = self.friction_of_logs
         if friction is None:
@@ -195,13 +195,13 @@ class Answer:
         errors = friction.between.errors
         return {
             log: {
-                term: Figure(float(values[row, index]), float(errors[row, index]))
+                term: Quantity(float(values[row, index]), float(errors[row, index]))
                 for term, index in terms.items()
             }
             for row, log in enumerate(friction.logs)
         }
 
-    def _another_day(self, owner: str) -> dict[str, Figure]:
+    def _another_day(self, owner: str) -> dict[str, Quantity]:
         """Return the friction terms of a joint with their errors for a log that was not fitted."""
         friction = self.friction_of_logs
         if friction is None:
@@ -211,7 +211,7 @@ class Answer:
             np.array([figure.error for figure in figures])
         )
         return {
-            term: Figure(figures[index].value, float(errors[index]))
+            term: Quantity(figures[index].value, float(errors[index]))
             for term, index in friction.terms_of(owner).items()
         }
 
@@ -232,8 +232,8 @@ class Answer:
         return terms
 
     def _two_ways(
-        self, joint: str, terms: Mapping[str, Figure]
-    ) -> tuple[Figure, Figure] | None:
+        self, joint: str, terms: Mapping[str, Quantity]
+    ) -> tuple[Quantity, Quantity] | None:
         """Return Coulomb friction forward and backward, which differ by twice the offset [N m]."""
         level = "coulomb" if "coulomb" in terms else "sigmoid"
         if level not in terms or "offset" not in terms or np.isnan(terms[level].error):
@@ -243,7 +243,7 @@ class Answer:
             np.maximum(np.diag(_SIGNS @ self.errors.of(both)[0] @ _SIGNS.T), 0.0)
         )
         values = _SIGNS @ [terms[level].value, terms["offset"].value]
-        return tuple(Figure(*pair) for pair in zip(values.tolist(), spread.tolist()))  # type: ignore[return-value]
+        return tuple(Quantity(*pair) for pair in zip(values.tolist(), spread.tolist()))  # type: ignore[return-value]
 
     def body_names(self) -> set[str]:
         """Return the names of all estimated parameters of bodies."""
@@ -254,7 +254,7 @@ class Answer:
             for k in indices
         }
 
-    def sensors(self) -> dict[str, Figure]:
+    def sensors(self) -> dict[str, Quantity]:
         """Return scales, zeros, drift, tilt, delay, and friction terms that are nuisances."""
         friction_names = {
             f"{term}[{owner}]"
@@ -288,7 +288,7 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
         written = {
             name: figure for name, figure in joint.terms.items() if name != "offset"
         }
-        rotor = joint.before.get("armature", 0.0)
+        rotor = joint.model_terms.get("armature", 0.0)
         if fit.choice.rotors.get(owner, rotor) != rotor:
             written["armature"] = answer.figure(f"armature[{owner}]")
         if written:
@@ -312,12 +312,12 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
         turned,
         file.before,
         file.after,
-        kept=tuple(sorted(unchanged_parts)),
+        unchanged=tuple(sorted(unchanged_parts)),
         motors=fit.choice.couplings,
     )
     if file.beside is not None:
         urdf, _ = model_file(replace(answer, file=file.beside))
-        return replace(written_file, beside=urdf), (
+        return replace(written_file, urdf_file=urdf), (
             *notes,
             _urdf_note(written_file, urdf),
         )
@@ -330,7 +330,7 @@ def _urdf_note(file: ModelFile, urdf: ModelFile) -> str:
         ""
         if test is None or test.relative_error is None
         else percent(test.relative_error)
-        for test in (urdf.after, file.after)
+        for test in (urdf.validation_after, file.validation_after)
     ]
     motors = ", ".join(motor.name for motor in file.motors)
     return (

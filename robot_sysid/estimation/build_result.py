@@ -53,10 +53,10 @@ from robot_sysid.results.record import (
     LINK,
     PAYLOAD,
     BodyEstimate,
-    Figure,
     ModelFile,
-    OneRecording,
     Payload,
+    Quantity,
+    RecordingPayload,
     Result,
     Verdict,
 )
@@ -258,7 +258,7 @@ def payload_of(
 
 
 def _payload_estimate(
-    answer: Answer, flange: Flange, values: Array, scatter: tuple[OneRecording, ...]
+    answer: Answer, flange: Flange, values: Array, scatter: tuple[RecordingPayload, ...]
 ) -> Payload:
     """Return the payload at values (p,), and the terminal link without and with it."""
     columns = answer.fit.columns
@@ -279,7 +279,7 @@ def _payload_estimate(
         },
         scatter,
         {
-            joint: Figure(1.0 + scale.value, scale.error)
+            joint: Quantity(1.0 + scale.value, scale.error)
             for joint, scale in scales.items()
         },
         known_mass,
@@ -292,10 +292,14 @@ def _without_inertia(payload: Payload) -> Payload:
     body = payload.body
     total = payload.total
     body = replace(
-        body, shown=body.shown & is_first, data_share=body.data_share * is_first
+        body,
+        is_determined=body.is_determined & is_first,
+        data_share=body.data_share * is_first,
     )
     return replace(
-        payload, body=body, total=replace(total, shown=total.shown & is_first)
+        payload,
+        body=body,
+        total=replace(total, is_determined=total.is_determined & is_first),
     )
 
 

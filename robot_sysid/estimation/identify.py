@@ -33,7 +33,7 @@ from robot_sysid.estimation.question import Choice, EstimationOptions, Question
 from robot_sysid.estimation.unknowns import WEIGHT, independent_prior
 from robot_sysid.records import Array, Flange, Measurement, RobotModel
 from robot_sysid.records.messages import Detail, Progress
-from robot_sysid.results.record import OneRecording
+from robot_sysid.results.record import RecordingPayload
 from robot_sysid.signals.process import LogPiece, process
 from robot_sysid.signals.repetition import find_visits
 
@@ -347,7 +347,7 @@ UNSEEN = 100.0
 """Prior standard deviation of a body's parameters, which bounds those without data [SI]."""
 
 
-def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[OneRecording, ...]:
+def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[RecordingPayload, ...]:
     """Return the payload from each recording and all of the other kind, in the flange's frame."""
     unknowns = fit.unknowns
     recordings = fit.columns.datasets
@@ -371,7 +371,7 @@ def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[OneRecording, ...]:
             mass = float(theta[0])
             com = theta[1:4] / mass if mass else np.full(3, np.nan)
             payloads.append(
-                OneRecording(recordings[k].name, is_loaded, mass, com, noise, error)
+                RecordingPayload(recordings[k].name, is_loaded, mass, com, noise, error)
             )
     return tuple(payloads)
 

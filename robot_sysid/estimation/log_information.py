@@ -57,7 +57,7 @@ from robot_sysid.records import (
     Source,
     Validation,
 )
-from robot_sysid.results.model import CHECKPOINTS
+from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.signals.repetition import RowSample, sample_rows
 
 MOST_NOTES = 20

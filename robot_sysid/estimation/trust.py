@@ -277,14 +277,16 @@ def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[WrongLink]:
     identified better.
     """
     for link in links:
-        if link.before is None or not np.any(link.before.theta[1:4]):
+        if link.prior is None or not np.any(link.prior.theta[1:4]):
             continue
-        expected = float(np.linalg.norm(link.before.theta[1:4]))
-        direction = link.before.theta[1:4] / expected
+        expected = float(np.linalg.norm(link.prior.theta[1:4]))
+        direction = link.prior.theta[1:4] / expected
         moment = float(direction @ link.inertial.theta[1:4])
         error = float(np.sqrt(direction @ link.covariance[1:4, 1:4] @ direction))
         off = abs(moment - expected)
-        if np.all(link.shown[1:4]) and off > max(_SURE * error, LEAST_WRONG * expected):
+        if np.all(link.is_determined[1:4]) and off > max(
+            _SURE * error, LEAST_WRONG * expected
+        ):
             yield WrongLink(link.name, expected, moment, error)
 
 

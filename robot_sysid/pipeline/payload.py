@@ -28,7 +28,7 @@ from robot_sysid.pipeline.outcome import Identification
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.torque_scale import SCALE, joint_factors
-from robot_sysid.results.record import Figure, Payload
+from robot_sysid.results.record import Payload, Quantity
 from robot_sysid.signals.repetition import resting_poses
 
 LEAST_WITHIN = 0.15
@@ -125,7 +125,7 @@ def _with_applied_scales(
     for joint, figure in payload.torque_scale.items():
         applied = applied_scales[joint]
         error = applied * birge_ratio * figure.error
-        scales[joint] = Figure(applied * figure.value, error)
+        scales[joint] = Quantity(applied * figure.value, error)
     return replace(payload, torque_scale=scales)
 
 

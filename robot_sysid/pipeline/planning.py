@@ -21,7 +21,7 @@ from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_files
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import joint_values
-from robot_sysid.results.console import clamping_lines
+from robot_sysid.results.result_lines import clamping_lines
 from robot_sysid.results.verdict import plan_verdict, shortfalls_of_plan
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks

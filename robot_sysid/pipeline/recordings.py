@@ -34,15 +34,16 @@ from robot_sysid.records.arm import InertialParameters
 from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import MODEL_NAMES, atomic_files, temporary_folder
 from robot_sysid.records.messages import Progress
-from robot_sysid.results.model import CHECKPOINTS, ModelTarget, write_model
-from robot_sysid.results.record import Result, RolloutTest
-from robot_sysid.results.rollout import (
+from robot_sysid.results.record import ModelTarget, Result, RolloutTest
+from robot_sysid.results.verification import (
+    CHECKPOINTS,
     LAST_FIFTH,
     fitted_rows,
     play,
     split_time,
     torque_error,
 )
+from robot_sysid.results.written_model import write_model
 from robot_sysid.signals.resampling import MOST_ROWS_KEPT, condense_run
 from robot_sysid.simulation.plant import PlantSimulation, load_plant
 from robot_sysid.trajectory import CHUNK, sample_count
@@ -256,7 +257,9 @@ def _with_file_tests(
             )
             error_after = torque_error(path, robot, dataset.signals, dataset.name)
             error_pairs.append((error_before, error_after))
-    return replace(result, file=replace(result.file, others=tuple(error_pairs)))
+    return replace(
+        result, file=replace(result.file, other_validations=tuple(error_pairs))
+    )
 
 
 def play_models(

@@ -20,8 +20,8 @@ from robot_sysid.pipeline.outcome import Identification
 from robot_sysid.records import DataOrigin, Estimate, MotionPlan, RobotModel, Source
 from robot_sysid.records.data import Traces
 from robot_sysid.records.messages import Progress
-from robot_sysid.results.model import CHECKPOINTS
 from robot_sysid.results.record import LINK, JointEstimate, Result, Verdict
+from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count, spread_motion

@@ -30,7 +30,7 @@ from robot_sysid.records.file_access import MODEL_NAMES, atomic_files
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import PerJoint
 from robot_sysid.records.torque_scale import write_torque_scale
-from robot_sysid.results.console import (
+from robot_sysid.results.result_lines import (
     block_lines,
     clamping_lines,
     folder_text,
@@ -161,12 +161,12 @@ def write_results(
         has_model = result.file is not None and result.verdict.writes_model
         if config.log.verify_rollout and has_model:
             from robot_sysid.pipeline.recordings import play_models
-            from robot_sysid.results import rollout
+            from robot_sysid.results import verification
 
             progress.stage("Playing the model on held-out pieces...")
             played = play_models(identification, config.output.keep, mesh_dir)
             result = replace(result, rollout=played)
-            refusal = rollout.refusal(played, config.log.accept)
+            refusal = verification.rollout_refusal(played, config.log.accept)
     saved = save(
         result,
         config.output.output_dir,

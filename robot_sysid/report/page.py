@@ -8,30 +8,35 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from robot_sysid import __version__
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
-from robot_sysid.records.data import Traces
+from robot_sysid.mjcf.inertial import rmse_words
+from robot_sysid.records.data import Source, Traces
 from robot_sysid.records.file_access import (
+    MODEL_NAMES,
     atomic_files,
     require_writable,
     write_atomically,
 )
-from robot_sysid.records.messages import Progress
-from robot_sysid.report.drawing import Section, inline, png, svg
-from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, report_data
-from robot_sysid.report.sections import signals, verdict
-from robot_sysid.report.sections.parameters import (
-    COMPARISON,
+from robot_sysid.records.messages import PARAMETER_UNITS, Progress, percent, with_error
+from robot_sysid.report import joint_sections
+from robot_sysid.report.body_sections import (
     card,
     parameters,
+    picture,
     scatter,
     visibility,
 )
-from robot_sysid.report.sections.picture import picture
+from robot_sysid.report.drawing import Section, inline, png, svg, table
+from robot_sysid.report.joint_sections import error_numbers, error_sets, most_changed
+from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, report_data
 
 _TEMPLATE = Path(__file__).with_name("template.html")
 
@@ -48,17 +53,17 @@ def sections_of(
     InputError where a result file holds something odd.
     """
     alone: tuple[Callable[[Run], Section | None], ...] = (
-        verdict.verdict,
+        verdict,
         card,
         scatter,
         parameters,
         visibility,
-        signals.torques,
-        signals.residuals,
-        signals.friction,
-        signals.excitation,
-        signals.errors,
-        signals.rollout,
+        joint_sections.torques,
+        joint_sections.residuals,
+        joint_sections.friction,
+        joint_sections.excitation,
+        joint_sections.errors,
+        joint_sections.rollout,
         partial(picture, mesh_dir=mesh_dir),
     )
     found: list[Section | None] = []
@@ -147,3 +152,148 @@ def write_report(
                 files.write(path, content)
                 written.append(path)
     return tuple(written)
+
+
+def verdict(run: Run) -> Section:
+    """Return the verdict as the console says it, the torque error, and one figure of a torque."""
+    content = run.content
+    good = run.content["valid"]["trustworthy"]
+    of_itself = str(content["source"]).startswith(Source.ITSELF.value)
+    return Section(
+        "verdict",
+        "Verdict",
+        sentences=content["verdict"],
+        headline=_headline(run),
+        points=tuple(_other_models(run)),
+        figures=() if of_itself or run.data is None else (most_changed(run),),
+        missing=run.missing,
+        verdict="bad" if not good else "good" if run.all_known else "part",
+        details=(
+            ("What was identified", (*_masses(run), *_origin(run))),
+            ("What limits it", (*content["reasons"], *content["limitations"])),
+            ("What the run had to say", content["notes"]),
+        ),
+    )
+
+
+def _headline(run: Run) -> str:
+    """Return "torque error 27 % → 0.3 %", of a payload its mass before it; "" where neither is."""
+    file = run.content["file"]
+    errors = [] if file is None else file["torque_error"].values()
+    told = ["not known" if each is None else percent(each) for each in errors]
+    better = [f"torque error {' → '.join(told)}"] if told else []
+    body = run.bodies[0]
+    mass = with_error(float(body.after[0]), body.stated(body.errors)[0], "kg")
+    return ", ".join([f"payload {mass}", *better] if run.is_payload else better)
+
+
+def _masses(run: Run) -> Iterator[str]:
+    for body in run.bodies if run.is_payload else run.bodies[:1]:
+        mass = float(body.after[0])
+        error = float(body.errors[0])
+        relative = (
+            f" ({percent(error / mass)})" if np.isfinite(error) and mass > 0.0 else ""
+        )
+        stated = body.stated(body.errors)[0]
+        yield f"Mass of {body.title}: {with_error(mass, stated, 'kg')}{relative}."
+
+
+def _origin(run: Run) -> Iterator[str]:
+    content = run.content
+    payload = run.content["payload"]
+    kind = "the terminal link, with the other links around it"
+    if payload is not None:
+        kind = "a payload, from recordings without and with it"
+    yield (
+        f"Identified: {kind}, joint {content['joint_name']}. Model: {content['model']['path']}. "
+        f"Data: {content['source']}, {content['duration']:.3g} s."
+    )
+    if content["rmse"] is not None:
+        yield f"Root mean square of the torque that is left over: {content['rmse']:.3g} N·m."
+
+
+def _other_models(run: Run) -> Iterator[str]:
+    """Yield a warning of each model in the folder that another run has written."""
+    ours = rmse_words(run.content["rmse"])
+    for path in (run.folder / name for name in MODEL_NAMES.values()):
+        # A model that this run read from its own folder stays there where it writes none.
+        if path.is_file() and ours not in path.read_text("utf-8", errors="replace"):
+            yield f"Do not load {path.name}: it is from another run, and this one wrote none."
+
+
+def verdicts(runs: Sequence[Run]) -> Section:
+    """Return each run's verdict."""
+    rows = []
+    told = []
+    for name, run in names(runs).items():
+        content = run.content
+        rows.append(
+            (name, content["question"], content["verdict"][0], content["model"]["path"])
+        )
+        told += [f"{name}: {line}" for line in run.missing]
+    header = ("run", "what", "verdict", "model")
+    models = {run.content["model"]["sha256"] for run in runs}
+    warned = ("The runs are of different model files.",) if len(models) > 1 else ()
+    tables = (table(header, rows),)
+    missing = tuple(told)
+    return Section(
+        "verdicts", "Verdicts", warned, tables, missing=missing, is_open=True
+    )
+
+
+def names(runs: Sequence[Run]) -> dict[str, Run]:
+    """Return the runs by the name of their folder, or its path where two are called the same."""
+    short = [run.name for run in runs]
+    return {
+        run.name if short.count(run.name) < 2 else str(run.folder): run for run in runs
+    }
+
+
+def compared(runs: Sequence[Run]) -> Section:
+    """Return the parameters of the bodies that all runs have, beside each other."""
+    bodies = {
+        name: {b.title: b for b in run.bodies} for name, run in names(runs).items()
+    }
+    first, *others = bodies.values()
+    both = [title for title in first if all(title in each for each in others)]
+    words = "Values ± one standard error. Runs whose ranges do not meet contradict each other."
+    if not both:
+        words = "These runs have no body in common, so there are no numbers to compare."
+    tables = []
+    for title in both:
+        same = [each[title] for each in bodies.values()]
+        columns = [
+            map(with_error, each.after, each.stated(each.errors)) for each in same
+        ]
+        labels = (
+            f"{label} [{unit}]" for label, unit in zip(PARAMETER_NAMES, PARAMETER_UNITS)
+        )
+        tables.append(table((title, *bodies), list(zip(labels, *columns))))
+    return Section("compared", "Parameters", (words,), tables, is_open=True)
+
+
+def predicted(runs: Sequence[Run]) -> Section:
+    """Return the torque errors of each run, of each joint where its file holds them."""
+    sets = [
+        each._replace(words=f"{name}: {each.words}")
+        for name, run in names(runs).items()
+        for each in error_sets(run)
+    ]
+    return Section("predicted", "Prediction errors", (), (table(*error_numbers(sets)),))
+
+
+def friction_beside(runs: Sequence[Run]) -> Section:
+    """Return the friction of each run."""
+    found = {
+        name: {key: with_error(*each) for key, each in run.friction().items()}
+        for name, run in names(runs).items()
+    }
+    keys = dict.fromkeys(key for each in found.values() for key in each)
+    rows = [(*key, *(each.get(key, "–") for each in found.values())) for key in keys]
+    return Section(
+        "friction", "Friction", tables=(table(("joint", "term", *found), rows),)
+    )
+
+
+COMPARISON = verdicts, compared, friction_beside, predicted
+"""What a page about several runs consists of."""

@@ -18,12 +18,12 @@ import numpy as np
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.uncertainty import autocovariance
+from robot_sysid.export import SCHEMA_VERSION
 from robot_sysid.logs.arrays import npz_arrays
 from robot_sysid.records import SIGNAL_NAMES, Array, Signals, Traces, Validation
 from robot_sysid.records.file_access import PARAMS_NAME, read_json
 from robot_sysid.results.cards import ERROR_NAMES
-from robot_sysid.results.json import SCHEMA_VERSION
-from robot_sysid.results.record import PAYLOAD, Figure
+from robot_sysid.results.record import PAYLOAD, Quantity
 
 DATA_NAME = "report_data.npz"
 MOST = 2000
@@ -280,7 +280,7 @@ class Run:
         """Whether all of a payload is known; of a link, the model has what is not."""
         return bool(self.content["valid"]["all_identified"]) or not self.is_payload
 
-    def friction(self, kind: str = "terms") -> dict[tuple[str, str], Figure]:
+    def friction(self, kind: str = "terms") -> dict[tuple[str, str], Quantity]:
         """Return (joint, term) to its figure; ``kind`` "in_the_file" is for the written model's,
         "another_day" for another log than those of the run.
         """
@@ -292,9 +292,9 @@ class Run:
             for name, each in found.items()
         }
 
-    def friction_of_logs(self) -> dict[str, dict[tuple[str, str], Figure]]:
+    def friction_of_logs(self) -> dict[str, dict[tuple[str, str], Quantity]]:
         """Return "joint in LOG" to (joint, term) to its figure, where there are several logs."""
-        tables: dict[str, dict[tuple[str, str], Figure]] = {}
+        tables: dict[str, dict[tuple[str, str], Quantity]] = {}
         for joint, entry in self.content["joints"].items():
             for log, terms in entry.get("logs", {}).items():
                 own = tables.setdefault(f"joint in {log}", {})
@@ -361,9 +361,8 @@ def _restored(value: Any) -> Any:
         return value
     entries = {key: _restored(each) for key, each in value.items()}
     if entries.keys() == {"value", "standard_error", "interval"}:
-        return Figure(number(entries["value"]), number(entries["standard_error"]))
+        return Quantity(number(entries["value"]), number(entries["standard_error"]))
     if "relative_error_per_joint" in entries:
-        entries["is_informative"] = entries.pop("told_enough")
         return Validation(**entries)
     if "error_budget" in entries:
         return _body(entries)

@@ -256,7 +256,7 @@ def load_covariance(body: BodyEstimate) -> Array:
     mass, the first moment or the inertia is not known.
     """
     inertial = body.inertial
-    is_place_known = inertial.mass > 0.0 and bool(np.all(body.shown[:4]))
+    is_place_known = inertial.mass > 0.0 and bool(np.all(body.is_determined[:4]))
     mass = inertial.mass if is_place_known else 1.0
     mass_error = float(np.sqrt(max(body.covariance[0, 0], 0.0)))
     com = inertial.com
@@ -275,9 +275,9 @@ def load_covariance(body: BodyEstimate) -> Array:
     )
     covariance = change @ body.covariance @ change.T
     is_known = [
-        bool(body.shown[0]),
+        bool(body.is_determined[0]),
         is_place_known,
-        is_place_known and bool(np.all(body.shown)),
+        is_place_known and bool(np.all(body.is_determined)),
     ]
     hidden = ~np.repeat(is_known, [1, 3, 6])
     covariance[hidden] = covariance[:, hidden] = 0.0

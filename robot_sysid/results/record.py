@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 
 from robot_sysid import records
 from robot_sysid.dynamics.friction import Coupling
-from robot_sysid.records import Array, InertialParameters, Validation
+from robot_sysid.records import Array, InertialParameters, Motion, Validation
 from robot_sysid.records.arm import check_arrays
+from robot_sysid.records.file_access import AtomicFiles
 
 LINK = "link"
 PAYLOAD = "payload"
@@ -88,7 +90,7 @@ class Verdict(Enum):
         return self.is_trustworthy or self is Verdict.TORQUES_ONLY
 
 
-class Figure(NamedTuple):
+class Quantity(NamedTuple):
     """A number and its whole standard error: infinite where the data does not show it, NaN where
     it was held at a bound."""
 
@@ -115,18 +117,20 @@ class BodyEstimate:
     name: str
     inertial: InertialParameters
     covariance: Array
-    shown: NDArray[np.bool_]
+    is_determined: NDArray[np.bool_]
     noise_errors: Array
     budget: Mapping[str, Array] = field(default_factory=dict)
     data_share: Array = field(default_factory=lambda: np.ones(10))
-    before: InertialParameters | None = None
+    prior: InertialParameters | None = None
     joint: str | None = None
 
     @property
     def errors(self) -> Array:
         """Standard errors (10,), all causes together; infinite where nothing shows a parameter."""
         return np.where(
-            self.shown, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), np.inf
+            self.is_determined,
+            np.sqrt(np.maximum(np.diag(self.covariance), 0.0)),
+            np.inf,
         )
 
     @property
@@ -153,13 +157,13 @@ class JointEstimate:
     """
 
     friction_model: str
-    terms: Mapping[str, Figure]
-    before: Mapping[str, float] = field(default_factory=dict)
+    terms: Mapping[str, Quantity]
+    model_terms: Mapping[str, float] = field(default_factory=dict)
     candidates: Mapping[str, float] = field(default_factory=dict)
     noise: float = float("nan")
-    two_ways: tuple[Figure, Figure] | None = None
-    logs: Mapping[str, Mapping[str, Figure]] = field(default_factory=dict)
-    another_day: Mapping[str, Figure] = field(default_factory=dict)
+    directional_coulomb: tuple[Quantity, Quantity] | None = None
+    logs: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
+    other_day_terms: Mapping[str, Quantity] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -199,18 +203,18 @@ class ModelFile:
 
     thetas: Array
     errors: Array
-    joints: Mapping[str, Mapping[str, Figure]]
+    joints: Mapping[str, Mapping[str, Quantity]]
     gravity: Array | None
-    before: Validation
-    after: Validation | None
-    others: tuple[tuple[Validation, Validation], ...] = ()
-    kept: tuple[str, ...] = ()
+    validation_before: Validation
+    validation_after: Validation | None
+    other_validations: tuple[tuple[Validation, Validation], ...] = ()
+    unchanged: tuple[str, ...] = ()
     motors: tuple[Coupling, ...] = ()
-    beside: ModelFile | None = None
+    urdf_file: ModelFile | None = None
 
 
 @dataclass(frozen=True)
-class OneRecording:
+class RecordingPayload:
     """The payload's mass [kg] and centre of mass (3,) in the flange frame [m] according to one
     recording alone, against all of the other kind, and the mass's standard errors [kg].
     """
@@ -240,8 +244,8 @@ class Payload:
     link: BodyEstimate
     total: BodyEstimate
     recordings: Mapping[str, tuple[str, ...]]
-    scatter: tuple[OneRecording, ...] = ()
-    torque_scale: Mapping[str, Figure] = field(default_factory=dict)
+    scatter: tuple[RecordingPayload, ...] = ()
+    torque_scale: Mapping[str, Quantity] = field(default_factory=dict)
     known_mass: float | None = None
 
 
@@ -260,18 +264,21 @@ class RolloutError:
     loop: str
     horizon: float
     windows: int
-    before: Array
-    after: Array
+    errors_before: Array
+    errors_after: Array
     diverged: tuple[int, int] = (0, 0)
 
     def __post_init__(self) -> None:
-        check_arrays(self, before=(None,), after=(np.size(self.before),))
+        check_arrays(
+            self, errors_before=(None,), errors_after=(np.size(self.errors_before),)
+        )
 
     @property
     def overall(self) -> tuple[float, float]:
         """The error of all joints together (before, after)."""
         before, after = (
-            float(np.sqrt(np.mean(e**2))) for e in (self.before, self.after)
+            float(np.sqrt(np.mean(e**2)))
+            for e in (self.errors_before, self.errors_after)
         )
         return before, after
 
@@ -349,7 +356,7 @@ class Result:
     links: tuple[BodyEstimate, ...] = ()
     joints: Mapping[str, JointEstimate] = field(default_factory=dict)
     couplings: Mapping[str, JointEstimate] = field(default_factory=dict)
-    sensors: Mapping[str, Figure] = field(default_factory=dict)
+    sensors: Mapping[str, Quantity] = field(default_factory=dict)
     base: BaseParameters | None = None
     file: ModelFile | None = None
     payload: Payload | None = None
@@ -384,10 +391,10 @@ class Result:
         exact = np.zeros((10, 10)), np.ones(10, dtype=bool), np.zeros(10)
         robot = self.robot
         found = self.estimate.inertial
-        return BodyEstimate(robot.body_name, found, *exact, before=robot.prior)
+        return BodyEstimate(robot.body_name, found, *exact, prior=robot.prior)
 
     @property
-    def known_to(self) -> float | None:
+    def relative_mass_error(self) -> float | None:
         """Whole standard error of the asked body's mass, as a part of it; None where not known."""
         error = float(self.body.errors[0])
         mass = self.body.inertial.mass
@@ -403,3 +410,16 @@ class Result:
         if self.verdict.writes_model:
             return None
         return "; ".join((*self.reasons, self.verdict.value))
+
+
+@dataclass(frozen=True)
+class ModelTarget:
+    """Where a model is written to, the motion on which it must reproduce the predicted torque, and
+    the residual of the identification [N m], for its comments.
+    """
+
+    files: AtomicFiles
+    path: Path
+    checkpoints: Motion
+    rmse: float
+    mesh_dir: Path | None = None

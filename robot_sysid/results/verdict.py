@@ -197,14 +197,14 @@ def refusal(result: Result) -> str | None:
 
 def _gains(result: Result) -> Iterator[str]:
     if result.file is not None:
-        tests = (result.file.before, result.file.after)
+        tests = (result.file.validation_before, result.file.validation_after)
         shares = [None if test is None else test.relative_error for test in tests]
         known = [percent(share) for share in shares if share is not None]
         yield f"torque error on held-out data {' -> '.join(known) or 'not known'}"
     if result.payload is not None and result.payload.known_mass is not None:
         yield "torque scales follow from the known mass"
         return
-    share = result.known_to
+    share = result.relative_mass_error
     cause = largest_cause(result.body)
     known_to = "the mass alone is not known"
     if share is not None and share < UNKNOWN:
@@ -222,7 +222,7 @@ def largest_cause(body: BodyEstimate) -> str:
 def _next(result: Result) -> str:
     body = result.body
     payload = result.payload
-    share = result.known_to
+    share = result.relative_mass_error
     if payload is not None and payload.known_mass is not None:
         return "give these scales to every later run with --torque-scale"
     cause = largest_cause(body)
@@ -231,7 +231,7 @@ def _next(result: Result) -> str:
     if payload is not None:
         return f"copy {CARD_NAME} into the controller; it is in the frame of {payload.flange.name}"
     written = " or ".join(MODEL_NAMES.values())
-    if result.file is not None and result.file.others:
+    if result.file is not None and result.file.other_validations:
         return f"load {written} in place of {result.robot.path}"
     test = "robot-sysid identify {model} {log} --validation-measurements OTHER_LOG"
     return _command(result, test) + " (another motion tests the written model)"
@@ -258,7 +258,7 @@ def _sentences(result: Result) -> Iterator[str]:
         listed = "; ".join(estimate.identifiability.unidentifiable)
         yield Detail(f"not visible in these torques, kept from the model: {listed}")
     yield from map(Detail, _weak(body))
-    rows = zip(PARAMETER_NAMES, body.data_share, body.shown)
+    rows = zip(PARAMETER_NAMES, body.data_share, body.is_determined)
     names = [name for name, share, seen in rows if seen and share < PRIOR_SHARE]
     if names:
         listed = ", ".join(names)

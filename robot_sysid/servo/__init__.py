@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import ExportError, InputError
-from robot_sysid.export import locked_folder, remove_earlier
+from robot_sysid.export import json_text, locked_folder, remove_earlier, rollout_entry
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
 from robot_sysid.mjcf.documents import read_document
@@ -29,12 +29,11 @@ from robot_sysid.records import (
     file_access,
 )
 from robot_sysid.records.messages import Progress
-from robot_sysid.results.console import folder_text, rollout_lines
-from robot_sysid.results.json import json_text, rollout_entry
-from robot_sysid.results.model import ModelTarget, versions, write_joints
-from robot_sysid.results.record import CLOSED, RolloutError, RolloutTest
-from robot_sysid.results.rollout import HORIZONS, LAST_FIFTH, refusal
+from robot_sysid.results.record import CLOSED, ModelTarget, RolloutError, RolloutTest
+from robot_sysid.results.result_lines import folder_text, rollout_lines
 from robot_sysid.results.verdict import two_lines
+from robot_sysid.results.verification import HORIZONS, LAST_FIFTH, rollout_refusal
+from robot_sysid.results.written_model import versions, write_joints
 from robot_sysid.servo import fit as servo_fit
 from robot_sysid.servo.fit import MAX_DELAY_PERIODS, ErrorDerivatives, ServoFit
 from robot_sysid.signals.resampling import sampling_period
@@ -400,7 +399,7 @@ def run_servo(
         with file_access.atomic_files() as files:
             path = folder / file_access.MODEL_NAMES[robot.kind]
             target = ModelTarget(files, path, poses, 0.0, mesh_dir)
-            reason = refusal(result.rollout, logs.accept)
+            reason = rollout_refusal(result.rollout, logs.accept)
             outcome = _write_results(result, target, reason)
             model_files = [file.path for file in read_document(robot.path).files]
             protected = [*filter(None, input_files), *model_files]

@@ -26,7 +26,7 @@ from robot_sysid.estimation.algebra.uncertainty import (
 )
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.messages import Progress
-from robot_sysid.results.rollout import split_time
+from robot_sysid.results.verification import split_time
 from robot_sysid.signals.resampling import sampling_period, slice_samples
 from robot_sysid.simulation.playback import (
     STEP,

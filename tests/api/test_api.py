@@ -81,7 +81,10 @@ def test_arrays_frames_and_logs_are_what_the_file_is(workshop, result):
         np.testing.assert_allclose(again.theta, result.theta, rtol=1e-9)
     both = rs.identify(workshop / "arm.xml", [log, arrays], validation=arrays)
     assert both.mass == pytest.approx(result.mass, rel=0.01)
-    assert len(both.result.file.others) == 1 and len(both.result.validation) >= 2
+    assert (
+        len(both.result.file.other_validations) == 1
+        and len(both.result.validation) >= 2
+    )
 
 
 def test_named_values_fit_together(result):

@@ -14,7 +14,7 @@ from robot_sysid.api.results import one_thread
 from robot_sysid.cli import main
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
-from robot_sysid.results.rollout import compare
+from robot_sysid.results.verification import compare
 from tests.support import arms, schemas, servo_logs
 from tests.support.measured_logs import JOINT, log_of, plan_of, true_arm
 
@@ -154,7 +154,7 @@ def test_a_model_is_played_on_what_was_not_fitted_before_it_is_written(
         ("open loop", 0.1), ("closed loop", 1.0)
     }  # fmt: skip
     assert (folder / "updated_model.xml").exists()
-    monkeypatch.setattr("robot_sysid.results.rollout.compare", swapped)
+    monkeypatch.setattr("robot_sysid.results.verification.compare", swapped)
     refused = command.run(*words, "--validation-measurements", logs[1], code=1).err
     assert "not better than the old one" in refused and "--accept rollout" in refused
     assert (folder / "params.json").exists() and not (

@@ -72,7 +72,10 @@ def test_every_option_gives_a_possible_result(robot, noisy, options):
     assert result.failure is None and result.estimate.inertial.is_consistent
     if options.get("torques") != "terminal" and not options.get("no_friction"):
         assert result.estimate.inertial.mass == pytest.approx(0.8, abs=0.15)
-    assert result.file.after.relative_error < result.file.before.relative_error
+    assert (
+        result.file.validation_after.relative_error
+        < result.file.validation_before.relative_error
+    )
 
 
 def test_a_tilt_needs_gravity():
@@ -143,7 +146,7 @@ def test_what_a_report_draws_is_the_residual_of_the_file(robot, noisy):
     assert traces.joints == robot.joint_names
     assert_allclose(np.nansum(traces.residual**2, axis=0), squares, rtol=1e-9)
     # The guess is clearly worse, and dry friction is most of what friction makes at low speed.
-    worse = np.nanstd(traces.measured - traces.before, axis=0)
+    worse = np.nanstd(traces.measured - traces.prior_prediction, axis=0)
     assert np.all(worse > 2.0 * np.nanstd(traces.residual, axis=0))
     speed, friction = (np.abs(each[moves, -1]) for each in (traces.qd, traces.friction))
     offset = abs(fit.value("offset[joint2]"))

@@ -17,7 +17,7 @@ from robot_sysid.estimation.identify import answer_link, answer_payload
 from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.records import Flange, Measurement
 from robot_sysid.records.messages import Progress
-from robot_sysid.results.record import LINK, Figure, Verdict
+from robot_sysid.results.record import LINK, Quantity, Verdict
 from tests.support.core_fits import BASIC, ORIGIN, filter_logs
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
 from tests.support.measured_logs import log_of, plan_of
@@ -47,14 +47,14 @@ def test_bodies_joints_and_sensors_are_those_of_the_plant(plant, result):
     assert [link.joint for link in result.links] == list(plant.joint_names)
     last = result.links[-1]
     off = np.abs(last.inertial.theta - plant.prior.theta) / last.errors
-    assert np.max(off) < 4.0 and result.known_to < 0.25
+    assert np.max(off) < 4.0 and result.relative_mass_error < 0.25
     assert result.links[0].data_share[0] < 0.3 and last.data_share[9] > 0.9
     for name, joint in result.joints.items():
         assert joint.friction_model == BASIC and set(joint.terms) == set(
             BASIC.split("-")
         )
         assert joint.terms["coulomb"].value == pytest.approx(0.3, abs=0.05)
-        forward, backward = joint.two_ways
+        forward, backward = joint.directional_coulomb
         both = (
             0.5 * (forward.value + backward.value),
             0.5 * (forward.value - backward.value),
@@ -178,8 +178,10 @@ def test_a_still_joint_keeps_the_models_numbers_and_an_offset_is_told(
     ((_, said),) = [note.split(of) for note in found.notes if of in note]
     assert float(said.split()[0]) == pytest.approx(1.0, abs=0.1)
     lost = float(said.split()[-2]) / 100.0
-    size = found.file.after.rmse / found.file.after.relative_error
-    whole = np.hypot(found.file.after.rmse, 1.0 / np.sqrt(2.0))  # joint2 is still
+    size = found.file.validation_after.rmse / found.file.validation_after.relative_error
+    whole = np.hypot(
+        found.file.validation_after.rmse, 1.0 / np.sqrt(2.0)
+    )  # joint2 is still
     assert lost == pytest.approx(whole / size, rel=0.1)
     assert not any("torque sensor" in note for note in result.notes)
 
@@ -202,7 +204,10 @@ def of_payload(recordings, kept=None, resting=False, options=None, **question):
 def test_a_payload_is_told_in_the_flange_frame_with_its_errors(recordings):
     result = of_payload(recordings, kept=())
     assert result.verdict is Verdict.OK
-    assert result.file.after.relative_error < result.file.before.relative_error
+    assert (
+        result.file.validation_after.relative_error
+        < result.file.validation_before.relative_error
+    )
     body = result.payload.body
     truth = FLANGE.to_flange(PAYLOAD)
     assert np.max(np.abs(body.inertial.theta - truth) / body.errors) < 4.0
@@ -251,7 +256,7 @@ def test_a_known_mass_is_the_payloads_and_tells_scales(recordings):
     # Axes along gravity show nothing of it.
     for name, scale in result.payload.torque_scale.items():
         assert (
-            isinstance(scale, Figure) and abs(scale.value - 1.0) < 3.0 * scale.error
+            isinstance(scale, Quantity) and abs(scale.value - 1.0) < 3.0 * scale.error
         ), name
     assert min(each.error for each in result.payload.torque_scale.values()) < 0.01
 

@@ -15,7 +15,7 @@ from robot_sysid.estimation.held_out import held_out, held_out_validation
 from robot_sysid.estimation.trust import first
 from robot_sysid.model.inertia import link_reach
 from robot_sysid.records import InertialParameters, Validation
-from robot_sysid.results.record import BodyEstimate, Figure, JointEstimate, Verdict
+from robot_sysid.results.record import BodyEstimate, JointEstimate, Quantity, Verdict
 from tests.support import arms
 from tests.support.core_fits import filter_logs, fit_recordings
 
@@ -220,7 +220,7 @@ def test_friction_and_rotors_that_no_joint_has_are_refused():
 
     def judged(**terms):
         joints = {name: JointEstimate("some", {}) for name in SEVEN.joint_names}
-        figures = {term: Figure(value, 0.1) for term, value in terms.items()}
+        figures = {term: Quantity(value, 0.1) for term, value in terms.items()}
         joints[SEVEN.joint_names[-1]] = JointEstimate("some", figures)
         return first(trust.implausible_joints(SEVEN, joints, torque), OK)
 
@@ -237,7 +237,7 @@ def test_a_link_is_named_whose_first_moment_is_clearly_off(distance, error, is_n
     """Off by 50 %: beyond two errors of 0.01 kg m, within two of 0.03."""
     link = replace(
         body(com=(0.0, 0.0, distance), moved=error),
-        before=body(com=(0.0, 0.0, 0.1)).inertial,
+        prior=body(com=(0.0, 0.0, 0.1)).inertial,
     )
     named = list(trust.wrong_links([link]))
     assert bool(named) == is_named

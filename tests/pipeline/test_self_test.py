@@ -54,11 +54,11 @@ def test_the_models_own_values_come_back_with_where_they_are_from(torques, frict
     )
     is_full = torques == "chain"
     assert result.verdict is (Verdict.OK if is_full else Verdict.PARTLY_FROM_MODEL)
-    assert (result.torques, result.known_to) == (torques, None)
+    assert (result.torques, result.relative_mass_error) == (torques, None)
     assert not result.is_measured
     traces = identification.traces()
     assert_allclose(traces.predicted, traces.measured, atol=1e-9)
-    assert_allclose(traces.before, traces.measured, atol=1e-9)
+    assert_allclose(traces.prior_prediction, traces.measured, atol=1e-9)
     assert progress.notes == [] and progress.n_chunks == int(np.ceil(2001 / CHUNK))
     data = result.data
     origin = data.source, data.duration, data.sample_rate, data.seed

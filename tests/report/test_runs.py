@@ -18,7 +18,9 @@ from hypothesis import strategies as st
 from robot_sysid.errors import InputError
 from robot_sysid.records import JointLimits
 from robot_sysid.records.data import Traces
-from robot_sysid.report.page import sections_of
+from robot_sysid.report.body_sections import card, visibility
+from robot_sysid.report.joint_sections import errors, rollout
+from robot_sysid.report.page import compared, predicted, sections_of, verdict
 from robot_sysid.report.runs import (
     DATA_NAME,
     MOST,
@@ -30,9 +32,6 @@ from robot_sysid.report.runs import (
     load_run,
     report_data,
 )
-from robot_sysid.report.sections.parameters import card, compared, predicted, visibility
-from robot_sysid.report.sections.signals import errors, rollout
-from robot_sysid.report.sections.verdict import verdict
 from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.record import Verdict
 from tests.support import results as made

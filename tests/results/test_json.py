@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import NONLINEAR_TERMS, TERMS
+from robot_sysid.export import FORMULAS, export_params_json, params_json_text
 from robot_sysid.results.cards import load_errors, payload_cards
-from robot_sysid.results.json import FORMULAS, export_params_json, params_json_text
-from robot_sysid.results.record import Figure, JointEstimate, Verdict
+from robot_sysid.results.record import JointEstimate, Quantity, Verdict
 from tests.support import results as made
 from tests.support.model_files import random_theta
 from tests.support.results import (
@@ -113,7 +113,7 @@ def test_what_is_not_finite_is_null_everywhere():
     result = made.without_mass()
     seen = replace(result.identifiability, condition_number=np.inf)
     result = replace(result, identifiability=seen, rmse=np.float64("nan"))
-    content = content_of(found(result, sensors={"zero[j6]": Figure(0.0, np.nan)}))
+    content = content_of(found(result, sensors={"zero[j6]": Quantity(0.0, np.nan)}))
     assert content["condition_number"] is None and content["rmse"] is None
     assert content["standard_errors"]["m"] is None
     held = {"value": 0.0, "standard_error": None, "interval": [None, None]}
@@ -153,7 +153,9 @@ def test_links_joints_and_the_file_stand_beside_the_models():
         0.03,
         False,
     ]
-    massless = made.model_file(thetas=np.array([np.zeros(10), made.THETA]), after=None)
+    massless = made.model_file(
+        thetas=np.array([np.zeros(10), made.THETA]), validation_after=None
+    )
     content = content_of(made.whole(file=massless))
     assert (
         content["links"][0]["in_the_file"]
@@ -177,7 +179,7 @@ BASIC = {"coulomb": 1.3, "viscous": 0.7, "offset": 0.1, "armature": 0.2}
 
 
 def bam_of(values):
-    terms = {term: Figure(value, 0.01) for term, value in values.items()}
+    terms = {term: Quantity(value, 0.01) for term, value in values.items()}
     model = "-".join(term for term in values if not term.endswith("_speed")) or "none"
     result = made.whole(joints={"j5": JointEstimate(model, terms)})
     return json.loads(params_json_text(result))["joints"]["j5"]["bam"]
@@ -229,7 +231,7 @@ def test_every_formula_is_the_column_of_its_term():
 
 
 def test_a_payload_stands_between_the_link_without_and_with_it():
-    result = payload(known_mass=2.0, torque_scale={"j5": Figure(1.02, 0.003)})
+    result = payload(known_mass=2.0, torque_scale={"j5": Quantity(1.02, 0.003)})
     content = content_of(result, payload_cards(result.body, result.payload.flange))
     told = content["payload"]
     assert (content["question"], content["mass"]) == ("payload", 2.0)

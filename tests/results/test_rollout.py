@@ -9,12 +9,12 @@ import pytest
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, Motion
-from robot_sysid.results.rollout import (
+from robot_sysid.results.verification import (
     LAST_FIFTH,
     compare,
     fitted_rows,
     play,
-    refusal,
+    rollout_refusal,
     split_time,
     torque_error,
 )
@@ -37,8 +37,8 @@ def test_the_model_that_is_the_arm_wins_whichever_comes_first():
     good, bad = (
         compare(*pair, pieces, "a piece") for pair in ((wrong, truth), (truth, wrong))
     )
-    assert good.is_better and refusal(good, ()) is None
-    assert not bad.is_better and "not better" in refusal(bad, ())
+    assert good.is_better and rollout_refusal(good, ()) is None
+    assert not bad.is_better and "not better" in rollout_refusal(bad, ())
     assert good.score == pytest.approx(1.0 / bad.score)
     # The piece is too short for the longest horizon.
     assert SECONDS < 3.0 and good.notes == ("no held-out piece is as long as 3 s",)
@@ -88,9 +88,9 @@ def test_nothing_played_is_no_proof(signals, error):
 
     test = play(arm(), [signals], fails, None)
     assert test.score is None and not test.is_better
-    assert "it cannot hold this" in refusal(test, ())
-    assert refusal(test, ("rollout",)) is None
-    assert refusal(None, ()) is None
+    assert "it cannot hold this" in rollout_refusal(test, ())
+    assert rollout_refusal(test, ("rollout",)) is None
+    assert rollout_refusal(None, ()) is None
 
 
 OFFSETS = np.array([3.0, -2.0, 0.5])

@@ -18,7 +18,7 @@ from robot_sysid.dynamics.spatial import (
 from robot_sysid.records import PriorConflict
 from robot_sysid.records.file_access import DAMIAO_NAME
 from robot_sysid.records.messages import Detail, percent
-from robot_sysid.results.record import Figure, Verdict
+from robot_sysid.results.record import Quantity, Verdict
 from robot_sysid.results.verdict import (
     COLOURED,
     SURE,
@@ -53,12 +53,17 @@ BETTER = "Usable: torque error on held-out data 27 % -> 0.25 %; "
             "Next: load updated_model.xml or updated_model.urdf in place of arm.xml",
         ),
         (
-            made.found(made.with_value("m", 2.0, 1.2), file=made.model_file(others=())),
+            made.found(
+                made.with_value("m", 2.0, 1.2),
+                file=made.model_file(other_validations=()),
+            ),
             f"{BETTER}the mass alone is not known, limited by links",
             PLAN,
         ),
         (
-            made.found(verdict=Verdict.AS_GOOD, file=made.model_file(others=())),
+            made.found(
+                verdict=Verdict.AS_GOOD, file=made.model_file(other_validations=())
+            ),
             "Usable, but the model was about as good before: torque error on held-out data 27 % -> "
             "0.25 %; the mass is known to 0.1 %, limited by links",
             TEST,
@@ -181,7 +186,7 @@ def test_what_contradicts_the_model_is_no_detail():
         assert said.startswith("the model's numbers of other links do not fit this arm")
         assert isinstance(said, Detail) is hidden
     for plain in (
-        made.found(delay=-0.003, sensors={"delay": Figure(-0.003, 0.001)}),
+        made.found(delay=-0.003, sensors={"delay": Quantity(-0.003, 0.001)}),
         made.found(made.with_value("coulomb[j5]", -0.5, 0.01)),
         made.found(validation=(made.validation_of(0.03), made.validation_of(0.09))),
     ):
@@ -213,7 +218,7 @@ def test_a_prior_that_outweighs_the_data_is_told():
 
 
 def test_a_torque_before_its_motion_is_told_where_it_is_sure():
-    sensors = {"delay": Figure(-0.003, 0.001)}
+    sensors = {"delay": Quantity(-0.003, 0.001)}
     assert "come 3 ms before the motion" in only(
         made.found(delay=-0.003, sensors=sensors)
     )

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from robot_sysid.export import params_json_text
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import DataOrigin, JointLimits, Source
 from robot_sysid.records.data import Traces
 from robot_sysid.report.page import REPORT_NAME, save_data, write_report
 from robot_sysid.report.runs import fingerprint, load_run
 from robot_sysid.results.cards import payload_cards
-from robot_sysid.results.json import params_json_text
-from robot_sysid.results.record import Figure, Verdict
+from robot_sysid.results.record import Quantity, Verdict
 from tests.support import arms
 from tests.support import results as made
 
@@ -42,14 +42,14 @@ def link_result(path):
     found = made.whole()
     first, last = found.links
     last = replace(last, data_share=np.array([1.0] * 8 + [0.4, 0.9]))
-    odd = tuple(replace(each, source=ODD) for each in found.file.others[0])
-    file = replace(found.file, others=(odd,))
+    odd = tuple(replace(each, source=ODD) for each in found.file.other_validations[0])
+    file = replace(found.file, other_validations=(odd,))
     return on_arm(replace(found, links=(first, last), file=file), path)
 
 
 def payload_result(path, verdict=Verdict.OK):
     """A result about a payload on that arm."""
-    scales = {"$x^{1}&": Figure(1.1, 0.01)}
+    scales = {"$x^{1}&": Quantity(1.1, 0.01)}
     recordings = {"empty": ("a.csv",), "loaded": ("<s>b</s>.csv", "c.csv")}
     return on_arm(
         made.payload(torque_scale=scales, recordings=recordings, verdict=verdict), path

@@ -31,11 +31,11 @@ from robot_sysid.results.record import (
     PAYLOAD,
     BaseParameters,
     BodyEstimate,
-    Figure,
     JointEstimate,
     ModelFile,
-    OneRecording,
     Payload,
+    Quantity,
+    RecordingPayload,
     Result,
     RolloutError,
     RolloutTest,
@@ -132,7 +132,7 @@ def joint_of(result: Estimate, joint: str) -> JointEstimate:
         name: name.split("[")[0] for name in result.names if name.endswith(f"[{joint}]")
     }
     terms = {
-        term: Figure(result.value(name), result.error(name) or 0.0)
+        term: Quantity(result.value(name), result.error(name) or 0.0)
         for name, term in names.items()
     }
     return JointEstimate(
@@ -209,7 +209,7 @@ def payload(
         "link": body(0.8, name="link6"),
         "total": body(2.0, name="link6"),
         "recordings": {"empty": ("a.csv",), "loaded": ("b.csv", "c.csv")},
-        "scatter": (OneRecording("b.csv", True, 1.19, np.zeros(3), 0.01, 0.02),),
+        "scatter": (RecordingPayload("b.csv", True, 1.19, np.zeros(3), 0.01, 0.02),),
     }
     extra = (*of_payload, "torque_scale", "known_mass")
     of_payload.update({name: changes.pop(name) for name in extra if name in changes})
@@ -227,15 +227,15 @@ def model_file(**changes) -> ModelFile:
         "thetas": np.array([1.5 * THETA, 0.9 * THETA]),
         "errors": np.full((2, 10), 1e-3),
         "joints": {
-            "j5": {"coulomb": Figure(0.45, 0.01), "viscous": Figure(0.25, 0.02)}
+            "j5": {"coulomb": Quantity(0.45, 0.01), "viscous": Quantity(0.25, 0.02)}
         },
         "gravity": np.array([0.0, 0.1, -9.8]),
-        "before": validation_of(1.5, "fifths of arm.csv", 0.27),
-        "after": validation_of(0.02, "fifths of arm.csv", 0.0025),
-        "others": (
+        "validation_before": validation_of(1.5, "fifths of arm.csv", 0.27),
+        "validation_after": validation_of(0.02, "fifths of arm.csv", 0.0025),
+        "other_validations": (
             (validation_of(1.6, relative=0.3), validation_of(0.05, relative=0.012)),
         ),
-        "kept": ("rotor inertia",),
+        "unchanged": ("rotor inertia",),
     }
     return ModelFile(**{**fields, **changes})
 
@@ -246,12 +246,12 @@ def whole(**changes) -> Result:
     elbow = replace(
         joint_of(estimate(), "j5"),
         candidates={"coulomb-viscous": 0.03, "none": 0.4},
-        two_ways=(Figure(0.6, 0.01), Figure(0.4, 0.02)),
+        directional_coulomb=(Quantity(0.6, 0.01), Quantity(0.4, 0.02)),
         logs={
-            "a.csv": {"coulomb": Figure(0.45, 0.01)},
-            "b.csv": {"coulomb": Figure(0.55, 0.01)},
+            "a.csv": {"coulomb": Quantity(0.45, 0.01)},
+            "b.csv": {"coulomb": Quantity(0.55, 0.01)},
         },
-        another_day={"coulomb": Figure(0.5, 0.08)},
+        other_day_terms={"coulomb": Quantity(0.5, 0.08)},
     )
     bodies = (SubtreeBody(6, "link6", THETA, True),)
     errors = RolloutError(
@@ -262,14 +262,14 @@ def whole(**changes) -> Result:
         "links": (first, terminal(estimate())),
         "joints": {"j5": elbow, "j6": joint_of(estimate(), "j6")},
         "couplings": {
-            "j5+j6": JointEstimate("viscous", {"viscous": Figure(0.05, 0.002)})
+            "j5+j6": JointEstimate("viscous", {"viscous": Quantity(0.05, 0.002)})
         },
         "sensors": {
-            "scale[j5]": Figure(1.01, 0.004),
-            "zero[j6]": Figure(0.0, float("nan")),
-            "delay": Figure(0.0032, 2e-5),
-            "tilt_1": Figure(0.0, np.radians(0.03)),
-            "tilt_2": Figure(0.0, np.radians(0.04)),
+            "scale[j5]": Quantity(1.01, 0.004),
+            "zero[j6]": Quantity(0.0, float("nan")),
+            "delay": Quantity(0.0032, 2e-5),
+            "tilt_1": Quantity(0.0, np.radians(0.03)),
+            "tilt_2": Quantity(0.0, np.radians(0.04)),
         },
         "base": BaseParameters(
             ("Izz(link5) + 0.25*m(link6)", "hx(link6)"),

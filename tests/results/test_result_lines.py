@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from robot_sysid.records import InertialParameters, SubtreeBody
 from robot_sysid.records.messages import Detail
-from robot_sysid.results import console
+from robot_sysid.results import result_lines
 from robot_sysid.results.cards import load_errors
-from robot_sysid.results.console import asked_rows, block_lines, more_lines
+from robot_sysid.results.result_lines import asked_rows, block_lines, more_lines
 from tests.support import results as made
 
 
@@ -98,7 +98,7 @@ def test_a_result_takes_no_more_than_a_screen():
     """25 lines, of which stages take four."""
     usual = made.whole(validation=(), rollout=None, delay=None, tilt=None)
     for result in (usual, made.payload(), made.itself()):
-        assert len(console.result_lines(result)) <= 21
+        assert len(result_lines.result_lines(result)) <= 21
 
 
 def test_what_the_data_does_not_see_has_no_error_but_a_reason():
@@ -163,7 +163,7 @@ def test_a_payloads_block():
 
 
 def row(before, after, error=0.01, share=1.0):
-    return console.BeforeAfter("it", before, after, error, "kg", share)
+    return result_lines.BeforeAfter("it", before, after, error, "kg", share)
 
 
 NUMBERS = st.floats(1e-9, 1e3) | st.floats(-1e3, -1e-9)
@@ -173,7 +173,7 @@ NUMBERS = st.floats(1e-9, 1e3) | st.floats(-1e3, -1e-9)
     st.lists(st.tuples(NUMBERS, NUMBERS, st.floats(1e-9, 1e3)), min_size=1, max_size=5)
 )
 def test_no_number_that_is_not_zero_prints_as_zero(rows):
-    lines = console.table_lines([row(*numbers) for numbers in rows])
+    lines = result_lines.table_lines([row(*numbers) for numbers in rows])
     for line in lines[1:]:
         for number in re.findall(r"(?<![\w.])-?\d[\d.e+-]*", line):
             assert float(number) != 0.0
@@ -222,9 +222,9 @@ def test_rounding_is_no_number():
     """A product of inertia of a symmetric body comes back as 1e-18."""
     noisy = made.THETA + np.array([0, 1e-16, 0, 0, 0, 1e-18, 0, 0, 0, 0])
     known = made.terminal(made.estimate())
-    rows = console.theta_rows(replace(known, inertial=InertialParameters(noisy)))
+    rows = result_lines.theta_rows(replace(known, inertial=InertialParameters(noisy)))
     assert (rows[1].after, rows[5].after) == (0.0, 0.0)
     # A gripper jaw's numbers are small, not rounding.
     jaw = 1e-3 * made.THETA
-    rows = console.theta_rows(replace(known, inertial=InertialParameters(jaw)))
+    rows = result_lines.theta_rows(replace(known, inertial=InertialParameters(jaw)))
     assert all((a.after != 0.0) == (v != 0.0) for a, v in zip(rows, jaw))

@@ -19,7 +19,7 @@ from robot_sysid.records.messages import (
 from robot_sysid.report import drawing
 from robot_sysid.report.drawing import Curves, Figure, Panel, Section, Table
 from robot_sysid.report.runs import LONGEST_LAG, ReportData, Run, number
-from robot_sysid.results.record import Figure as Estimated
+from robot_sysid.results.record import Quantity as Estimated
 
 _NEAR = 0.5
 """Share of what a joint moved through within which a limit is near enough to be drawn."""

@@ -29,8 +29,8 @@ from robot_sysid.results.cards import INERTIA, NOT_KNOWN, load_errors
 from robot_sysid.results.record import (
     BaseParameters,
     BodyEstimate,
-    Figure,
     Payload,
+    Quantity,
     Result,
     RolloutTest,
 )
@@ -63,7 +63,7 @@ def block_lines(result: Result) -> list[str]:
         rows = asked_rows(result)
         payload = result.payload
         ball = [f"  {NOT_KNOWN}"]
-        unseen = len(rows) > 1 and not np.all(payload.body.shown)
+        unseen = len(rows) > 1 and not np.all(payload.body.is_determined)
         heading = f"Identified payload, in the frame of {payload.flange.name}:"
         return [heading, *table_lines(rows), *(ball if unseen else [])]
     estimate = result.estimate
@@ -93,7 +93,7 @@ def block_lines(result: Result) -> list[str]:
 
 def more_lines(result: Result, links: bool = False) -> list[str]:
     """Return what stands under that block; what --verbose adds is ``Detail`` lines."""
-    held = [] if result.file is None else result.file.kept
+    held = [] if result.file is None else result.file.unchanged
     return [
         *_tables(result, links),
         *([] if result.payload is None else _payload_lines(result.payload)),
@@ -199,15 +199,15 @@ def _joint_lines(result: Result) -> Iterator[str]:
             slides = name in result.robot.slides
             terms = ", ".join(
                 friction_text(
-                    term, joint.before.get(term), *found, term_unit(term, slides)
+                    term, joint.model_terms.get(term), *found, term_unit(term, slides)
                 )
-                + _another_day(joint.another_day.get(term))
+                + _another_day(joint.other_day_terms.get(term))
                 for term, found in joint.terms.items()
             )
             yield f"  {name}: {terms or 'not shown by these logs'}"
 
 
-def _another_day(term: Figure | None) -> str:
+def _another_day(term: Quantity | None) -> str:
     if term is None or not math.isfinite(term.error):
         return ""
     return f" (on another day ± {number_text(term.error, term.error)})"
@@ -230,16 +230,18 @@ def _error_lines(result: Result) -> Iterator[str]:
     told = set()
     if file is not None:
         own = {test.source: test for test in reversed(fits[1:])}
-        if file.after is not None and fits:
+        if file.validation_after is not None and fits:
             # The verdict says how well the file predicts them.
-            yield from map(Detail, _beside("held-out data", file.after, fits[0]))
-        for old, new in file.others:
+            yield from map(
+                Detail, _beside("held-out data", file.validation_after, fits[0])
+            )
+        for old, new in file.other_validations:
             shares = [t.relative_error for t in (old, new)]
             known = " -> ".join(percent(each) for each in shares if each is not None)
             yield f"Torque error of the model on {old.source}: {known or 'not known'}"
             if old.source in own:
                 yield from map(Detail, _beside(old.source, new, own[old.source]))
-        told = {before.source for before, _ in file.others}
+        told = {before.source for before, _ in file.other_validations}
     for test in fits if file is None else fits[1:]:
         if test.source not in told:
             share = (
@@ -343,12 +345,14 @@ def rollout_lines(test: RolloutTest) -> Iterator[str]:
             f"  {error.loop}, {error.horizon:g} s ({error.windows} windows): {old:.3g} -> "
             f"{new:.3g}{ratio}"
         )
-        for name, one, other in zip(test.joint_names, error.before, error.after):
+        for name, one, other in zip(
+            test.joint_names, error.errors_before, error.errors_after
+        ):
             yield Detail(f"    {name}: {one:.3g} -> {other:.3g}")
     yield from (f"  {note}" for note in test.notes)
     worse = []
     for last in test.errors[-1:]:
-        pairs = zip(test.joint_names, last.before, last.after)
+        pairs = zip(test.joint_names, last.errors_before, last.errors_after)
         worse = [
             f"{n} ({last.loop}, {new / old:.2g} times)"
             for n, old, new in pairs
@@ -451,7 +455,7 @@ def table_lines(rows: Sequence[BeforeAfter], title: str = "") -> list[str]:
 def theta_rows(body: BodyEstimate) -> list[BeforeAfter]:
     """Return the rows of ten inertial parameters; an error of zero is none that is stated."""
     found = body.inertial
-    before = None if body.before is None else body.before.theta
+    before = None if body.prior is None else body.prior.theta
     pairs = _from_to(before, found.theta, found.scale)
     shares = body.data_share.tolist()
     rows = zip(
@@ -497,7 +501,7 @@ def _com_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
         return
     length = max(spatial.characteristic_length(body.inertial.theta), _LEAST)
     pairs = _from_to(
-        None if body.before is None else body.before.com, body.inertial.com, length
+        None if body.prior is None else body.prior.com, body.inertial.com, length
     )
     for axis, pair, error in zip("xyz", pairs, errors.tolist()):
         yield BeforeAfter(f"centre of mass {axis}", *pair, error or None, "m")
@@ -517,7 +521,7 @@ def _inertia_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
 def _friction_rows(result: Result) -> Iterator[BeforeAfter]:
     joint = result.robot.terminal_joint
     estimate = result.estimate
-    model = result.joints[joint].before if joint in result.joints else {}
+    model = result.joints[joint].model_terms if joint in result.joints else {}
     for term, words in (
         ("coulomb", "Coulomb friction"),
         ("viscous", "viscous friction"),

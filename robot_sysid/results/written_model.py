@@ -12,7 +12,7 @@ import os
 import platform
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,11 +39,11 @@ from robot_sysid.model.compilation import compile_model, file_of
 from robot_sysid.model.flange import place_in_carrier
 from robot_sysid.model.inertia import body_theta, link_bodies
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Array, Motion, RobotModel, SubtreeBody
-from robot_sysid.records.file_access import AtomicFiles, draft_folder, lock_folder
+from robot_sysid.records import Array, RobotModel, SubtreeBody
+from robot_sysid.records.file_access import draft_folder, lock_folder
 from robot_sysid.records.messages import Detail, with_error
 from robot_sysid.results import verification
-from robot_sysid.results.record import Figure, ModelFile, Payload, Result
+from robot_sysid.results.record import ModelFile, ModelTarget, Payload, Quantity, Result
 
 _MOMENTS = [4, 7, 9]
 _IN_MJCF = {"armature": "armature", "viscous": "damping", "coulomb": "frictionloss"}
@@ -52,19 +52,6 @@ _ONLY_MUJOCO = Detail(
     "the written URDF states gravity in its <mujoco> part, which MuJoCo reads and other readers "
     "ignore"
 )
-
-
-@dataclass(frozen=True)
-class ModelTarget:
-    """Where a model is written to, the motion on which it must reproduce the predicted torque, and
-    the residual of the identification [N m], for its comments.
-    """
-
-    files: AtomicFiles
-    path: Path
-    checkpoints: Motion
-    rmse: float
-    mesh_dir: Path | None = None
 
 
 def write_model(
@@ -92,7 +79,7 @@ def write_model(
         carried = payload.flange.from_flange(payload.body.inertial.theta)
         mass = payload.body.inertial.mass
         words = f"a payload of {with_error(mass, payload.body.errors[0], 'kg')}"
-        words += "" if np.all(payload.body.shown) else ", inertia not known,"
+        words += "" if np.all(payload.body.is_determined) else ", inertia not known,"
         if as_body is not None:
             welded = _welded(robot, payload, as_body, words)
             beside = carried
@@ -162,7 +149,7 @@ def _links(result: Result) -> tuple[Array, Array]:
 
 
 def _joint_changes(
-    robot: RobotModel, joints: Mapping[str, Mapping[str, Figure]]
+    robot: RobotModel, joints: Mapping[str, Mapping[str, Quantity]]
 ) -> tuple[JointChange, ...]:
     own = dict(zip(robot.joint_names, robot.friction.viscous.tolist()))
     changes = []
@@ -182,7 +169,7 @@ def _joint_changes(
     return tuple(changes)
 
 
-def _words_of(terms: Mapping[str, Figure]) -> str:
+def _words_of(terms: Mapping[str, Quantity]) -> str:
     """Return what a comment says of some terms of friction."""
     return ", ".join(
         f"{_IN_MJCF.get(term, f'{term} damping')} {figure.value:.4g}"
@@ -315,10 +302,6 @@ def _write(
     return tuple(
         p.note if p.lumped or p.scaled else Detail(p.note) for p in plans if p.note
     )
-
-
-CHECKPOINTS = 400
-"""On how many samples of the motion a written model is compared with the prediction."""
 
 
 def versions() -> dict[str, str]:

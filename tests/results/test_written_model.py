@@ -25,15 +25,11 @@ from robot_sysid.model.flange import find_flange
 from robot_sysid.model.inertia import body_theta, composite_theta, subtree_bodies
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.file_access import atomic_files
-from robot_sysid.results import model as model_module
 from robot_sysid.results import record, verification
-from robot_sysid.results.model import (
-    ModelTarget,
-    most_inflated,
-    write_bundle,
-    write_model,
-)
+from robot_sysid.results import written_model as model_module
+from robot_sysid.results.record import ModelTarget
 from robot_sysid.results.verification import require_same_model
+from robot_sysid.results.written_model import most_inflated, write_bundle, write_model
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms, urdf
 from tests.support import results as made
@@ -207,7 +203,8 @@ def test_a_payload_goes_onto_the_links_of_the_file_or_model(
         thetas[0] += random_theta(rng, 0.3)
         thetas[-1] = link = link + random_theta(rng, 0.1)
         joints = {
-            joint: {"coulomb": record.Figure(0.25, 0.01)} for joint in robot.joint_names
+            joint: {"coulomb": record.Quantity(0.25, 0.01)}
+            for joint in robot.joint_names
         }
         file = file_of(robot, thetas, joints, TURNED)
     result = result_of(robot, file=file, payload=payload)
@@ -264,7 +261,7 @@ def new_links(robot, rng):
 def new_joints(robot, rng, terms=tuple(TERMS)):
     return {
         joint: {
-            term: record.Figure(value, 0.01)
+            term: record.Quantity(value, 0.01)
             for term, value in zip(terms, rng.uniform(0.1, 2.0, 3))
         }
         for joint in robot.joint_names
@@ -307,7 +304,7 @@ def test_links_that_are_the_models_own_are_left_alone_and_their_joints_told_of_w
     thetas = robot.thetas
     thetas[-1] += random_theta(rng, 0.2)
     joints = {
-        name: {"coulomb": record.Figure(0.3, np.nan)} for name in robot.joint_names
+        name: {"coulomb": record.Quantity(0.3, np.nan)} for name in robot.joint_names
     }
     text = text_of(robot, result_of(robot, file=file_of(robot, thetas, joints)))
     assert text.count("System ID") == 1
@@ -402,7 +399,10 @@ def test_with_a_motor_that_turns_two_joints_a_urdf_becomes_an_mjcf(tmp_path):
         write_files(tmp_path, {"arm.urdf": urdf.robot(urdf.serial(links))})
     )
     motor = coupling(robot, np.array([1.0, 1.0]))
-    terms = {"coulomb": record.Figure(0.5, 0.1), "armature": record.Figure(0.02, 0.01)}
+    terms = {
+        "coulomb": record.Quantity(0.5, 0.1),
+        "armature": record.Quantity(0.02, 0.01),
+    }
     own = file_of(robot, new_links(robot, np.random.default_rng(0)), {})
     file = replace(own, joints={motor.name: terms}, motors=(motor,))
     result = result_of(
@@ -427,7 +427,7 @@ def test_with_a_motor_that_turns_two_joints_a_urdf_becomes_an_mjcf(tmp_path):
 def test_a_motor_of_a_joint_without_a_name_is_refused(tmp_path):
     robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.NAMELESS}))
     motor = coupling(robot, np.array([1.0] * 2 + [0.0] * (robot.n_joints - 2)))
-    file = file_of(robot, joints={motor.name: {"viscous": record.Figure(0.5, 0.1)}})
+    file = file_of(robot, joints={motor.name: {"viscous": record.Quantity(0.5, 0.1)}})
     with pytest.raises(ExportError, match="has no name"):
         written(robot, result_of(robot, file=replace(file, motors=(motor,))))
 
