@@ -11,7 +11,7 @@ from lxml import etree
 
 from benchmarks.fuzz.harness import Case, write_case
 from benchmarks.fuzz.mutations import damaged_xml
-from robot_sysid.mjcf.documents import masked_comments
+from robot_sysid.mjcf.documents import mask_comments
 from robot_sysid.mjcf.inertial import plan_write_back
 from robot_sysid.mjcf.updated_model import BodyChange, ModelChange, changed_model_text
 from robot_sysid.model.compilation import captured_warnings
@@ -142,7 +142,7 @@ _MESH = urdf.mesh("visual", "shape.obj")
 @functools.cache
 def _roots() -> tuple[Any, ...]:
     texts = [*arms.MODELS.values(), model_files.ARM, *[urdf_arm()] * 8]
-    small = [masked_comments(text.encode()) for text in texts if len(text) < 3000]
+    small = [mask_comments(text.encode()) for text in texts if len(text) < 3000]
     return tuple(etree.fromstring(text) for text in small)
 
 
@@ -152,7 +152,7 @@ def _public() -> tuple[tuple[Path, Any], ...]:
     paths = sorted(path for form in ("*.xml", "*.urdf") for path in MODELS.rglob(form))
     small = [path for path in paths if path.stat().st_size < 30_000]
     return tuple(
-        (path, etree.fromstring(masked_comments(path.read_bytes()))) for path in small
+        (path, etree.fromstring(mask_comments(path.read_bytes()))) for path in small
     )
 
 

@@ -1,7 +1,11 @@
-"""Model files as XML: safe reading, where each element stands, which kind and what is included.
+"""Model files as XML: read safely, with the byte range of each element, and edited in place.
 
-Includes are resolved the way MuJoCo does: relative to the main file's folder, else relative to the
+Includes are resolved as MuJoCo does: relative to the main file's folder, else relative to the
 including file's; the children of the included root take the place of the ``<include>``.
+
+An XML library that writes a parsed tree back loses the quoting and the line breaks inside tags, and
+knows no byte offsets: lxml changes every eighth line of the model files at hand. Here the tree
+tells which element to change, and ``Edits`` changes the bytes of the original file.
 """
 
 from __future__ import annotations
@@ -20,23 +24,27 @@ from robot_sysid.errors import InputError, ModelError, error_text
 from robot_sysid.records.file_access import refuse_special_file, require_utf8
 
 _ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([A-Za-z0-9._-]+)[\"']")
-_KINDS = {"mujoco": "mjcf", "robot": "urdf"}
 SUFFIXES = (".xml", ".mjcf", ".urdf")
-_DEEPEST = 50
+_MAX_INCLUDE_DEPTH = 50
 """Includes in one another; no model at hand has more than three."""
-_DEEPEST_ELEMENT = 256
+_MAX_ELEMENT_DEPTH = 256
 """Elements in one another, as libxml2 allows them; Python's own stack ends at 1000."""
 LARGEST_FILE = 100_000_000
-MOST_ELEMENTS = 20_000
-"""Bytes of a file, and elements with all includes: the largest arm at hand has 317, and MuJoCo
-takes 12 s for 10 000 bodies."""
+"""Size up to which a file is read [bytes]."""
+MAX_ELEMENTS = 20_000
+"""Elements of a model with all includes: the largest arm at hand has 317, and MuJoCo takes 12 s for
+10 000 bodies."""
 _START_TAG = re.compile(rb"""<[^\s/>]+(?:[^>"']|"[^"]*"|'[^']*')*>""")
 
 
 @dataclass(eq=False)
 class SourceFile:
-    """One XML file: its bytes on disk, the same as UTF-8 without byte order mark, and all its
-    elements in document order, the root first.
+    """One XML file.
+
+    Attributes:
+        raw: its bytes on disk.
+        text: its bytes as UTF-8 without byte order mark.
+        elements: all elements in document order, the root first.
     """
 
     path: Path
@@ -50,9 +58,9 @@ class SourceFile:
         return self.raw.decode("utf-8", "ignore").encode("utf-8") == self.raw
 
     @property
-    def includes(self) -> list[Node]:
-        """Its elements whose place another file takes."""
-        return [node for node in self.elements if node.included is not None]
+    def includes(self) -> list[tuple[Node, SourceFile]]:
+        """Its ``<include>`` elements, each with the file that takes its place."""
+        return [(node, node.included) for node in self.elements if node.included]
 
 
 @dataclass(eq=False)
@@ -60,10 +68,11 @@ class Node:
     """An element of the expanded model.
 
     Attributes:
-        tag: without namespace.
+        tag: its name without namespace.
+        line: number of the line it begins in, from 1.
         start, end: where it begins and ends in the text of its file [bytes].
-        inner_start, inner_end: what lies between its tags; for ``<a/>`` both its end.
-        written: the elements in it as they stand in the file.
+        inner_start, inner_end: range between its tags [bytes]; for ``<a/>`` both are ``end``.
+        own_children: the elements in it as they stand in the file, ``<include>`` not expanded.
         included: the file that takes its place, if it is an ``<include>``.
     """
 
@@ -75,21 +84,21 @@ class Node:
     inner_start: int
     inner_end: int
     end: int
-    written: list[Node] = field(default_factory=list)
+    own_children: list[Node] = field(default_factory=list)
     included: SourceFile | None = None
 
     def get(self, name: str) -> str | None:
-        """Return an attribute's value."""
+        """Return an attribute's value; None where the element has none of that name."""
         return self.attributes.get(name)
 
     @property
-    def is_empty_tag(self) -> bool:
+    def is_self_closing(self) -> bool:
         """Whether it is written as ``<a/>``."""
         return self.inner_start == self.end
 
     def children(self) -> Iterator[Node]:
         """Yield the elements in it, those of included files in place of the ``<include>``."""
-        for child in self.written:
+        for child in self.own_children:
             if child.included is None:
                 yield child
             else:
@@ -103,14 +112,14 @@ class Node:
 
     def child(self, *tags: str) -> Node | None:
         """Return the first child with a tag, of that one the first with the next tag, and so on."""
-        found: Node | None = self
+        node: Node | None = self
         for tag in tags:
-            children = () if found is None else found.children()
-            found = next((child for child in children if child.tag == tag), None)
-        return found
+            children = () if node is None else node.children()
+            node = next((child for child in children if child.tag == tag), None)
+        return node
 
-    def inner(self, *path: str) -> str | None:
-        """Return an attribute, the last one named, of the child with these tags."""
+    def child_attribute(self, *path: str) -> str | None:
+        """Return an attribute, the last name of the path, of the child with the tags before it."""
         *tags, name = path
         node = self.child(*tags)
         return None if node is None else node.get(name)
@@ -118,14 +127,14 @@ class Node:
 
 @dataclass(frozen=True)
 class ModelDocument:
-    """A model file of a kind ("mjcf" or "urdf"), and what it includes in MuJoCo's order."""
+    """A model file, URDF or else MJCF, with the files it includes behind it in MuJoCo's order."""
 
-    kind: str
+    is_urdf: bool
     files: tuple[SourceFile, ...]
 
     @property
     def main(self) -> SourceFile:
-        """The file that was asked for."""
+        """The file that was read, not one of its includes."""
         return self.files[0]
 
     @property
@@ -144,90 +153,101 @@ class ModelDocument:
         return hashlib.sha256(b"".join(file.raw for file in self.files)).hexdigest()
 
     def walk(self, *tags: str) -> Iterator[Node]:
-        """Yield the elements of the expanded model in document order, those with some tags."""
+        """Yield the elements of the expanded model in document order; with tags only these."""
         return (node for node in self.root.walk() if not tags or node.tag in tags)
 
-    def tagged(self, tag: str) -> list[Node]:
+    def root_children(self, tag: str) -> list[Node]:
         """Return the children of the root with a tag."""
         return [node for node in self.root.children() if node.tag == tag]
 
     def settings(self, tag: str) -> list[Node]:
-        """Return the elements of MuJoCo's settings with a tag, the one that counts most last.
+        """Return the elements of MuJoCo's settings with a tag; the last one counts most.
 
-        Those of a URDF stand in its ``<mujoco>`` part.
+        Those of a URDF stand in its ``<mujoco>`` element.
         """
-        tops = self.tagged("mujoco") if self.kind == "urdf" else [self.root]
-        return [node for top in tops for node in top.children() if node.tag == tag]
+        if not self.is_urdf:
+            return self.root_children(tag)
+        children: list[Node] = []
+        for extension in self.root_children("mujoco"):
+            children += extension.children()
+        return [node for node in children if node.tag == tag]
 
 
 def read_document(path: Path) -> ModelDocument:
-    """Read a model file, MJCF (root ``<mujoco>``) or URDF (``<robot>``), and what it includes;
+    """Read a model file, MJCF (root ``<mujoco>``) or URDF (``<robot>``), and what it includes.
+
     ModelError where it is not XML, only a fragment of a model, or an include fails.
     """
-    known: dict[Path, SourceFile] = {}
-    root = _read(Path(path).absolute(), known).elements[0]
-    document = ModelDocument(_KINDS.get(root.tag, ""), tuple(known.values()))
-    needed = {"mjcf": "worldbody", "urdf": "link"}.get(document.kind)
-    advice = "pass the main model file, the one that includes this one"
-    if needed is None:
-        fault = f"its root is <{root.tag}>, expected <mujoco> (MJCF) or <robot> (URDF)"
-    elif not document.tagged(needed):
-        fault = f"no <{needed}>"
-        if any("xacro" in f"{key} {value}" for key, value in root.attributes.items()):
-            advice = "run xacro on it first"
-    else:
+    files: dict[Path, SourceFile] = {}
+    root = _read(Path(path).absolute(), files).elements[0]
+    document = ModelDocument(root.tag == "robot", tuple(files.values()))
+    required = {"mujoco": "worldbody", "robot": "link"}.get(root.tag)
+    if required and document.root_children(required):
         return document
+    fault = f"its root is <{root.tag}>, expected <mujoco> (MJCF) or <robot> (URDF)"
+    advice = "pass the main model file, the one that includes this one"
+    if required:
+        fault = f"no <{required}>"
+        if "xacro" in str(root.attributes):
+            advice = "run xacro on it first"
     raise ModelError(
         f"{document.path} is a fragment, not a whole model: {fault}; {advice}"
     )
 
 
-def _read(path: Path, known: dict[Path, SourceFile], depth: int = 0) -> SourceFile:
-    """Return a file with its includes, and note each with its real path, the main file first."""
+def _read(path: Path, files: dict[Path, SourceFile], depth: int = 0) -> SourceFile:
+    """Return a file with its includes, and add each to ``files`` by its real path, in order."""
     raw = _read_bytes(path)
-    before = sum(len(file.elements) for file in known.values())
-    file = known[path.resolve()] = SourceFile(path, raw, _as_utf8(raw, path))
-    _parse(file, MOST_ELEMENTS - before)
+    n_elements = sum(len(file.elements) for file in files.values())
+    file = SourceFile(path, raw, _as_utf8(raw, path))
+    files[path.resolve()] = file
+    _parse(file, MAX_ELEMENTS - n_elements)
     # MuJoCo knows no includes in a URDF.
     if file.elements[0].tag != "robot":
-        for node in (each for each in file.elements if each.tag == "include"):
-            node.included = _read_include(node, known, depth + 1)
+        for node in file.elements:
+            if node.tag == "include":
+                node.included = _read_include(node, files, depth + 1)
     return file
 
 
-def _read_include(node: Node, known: dict[Path, SourceFile], depth: int) -> SourceFile:
-    above = node.file.path
+def _read_include(node: Node, files: dict[Path, SourceFile], depth: int) -> SourceFile:
+    """Return the file that an ``<include>`` names, read as ``_read`` does."""
+    including = node.file.path
     name = node.get("file")
-    where = f"{above}, line {node.line}"
+    location = f"{including}, line {node.line}"
     if not name:
-        raise ModelError(f"{where}: <include> without a file attribute")
-    folders = (next(iter(known.values())).path.parent, above.parent)
+        raise ModelError(f"{location}: <include> without a file attribute")
+    main = next(iter(files.values())).path
+    folders = (main.parent, including.parent)
     candidates = (folder / name.replace("\\", "/") for folder in folders)
-    path = next((path for path in candidates if os.path.isfile(path)), None)
+    path = next(filter(os.path.isfile, candidates), None)
     if path is None:
         raise ModelError(
-            f"{where}: included file {name} not found (looked in {above.parent})"
+            f"{location}: included file {name} not found (looked in {including.parent})"
         )
-    if path.resolve() in known:
+    if path.resolve() in files:
         raise ModelError(
-            f"{where}: {name} is included twice or includes itself; include it once"
+            f"{location}: {name} is included twice or includes itself; include it once"
         )
-    if depth > _DEEPEST:
-        raise ModelError(f"{where}: includes are nested more than {_DEEPEST} deep")
-    included = _read(path, known, depth)
-    if not included.elements[0].written:
-        raise ModelError(f"{where}: included file {name} is empty")
+    if depth > _MAX_INCLUDE_DEPTH:
+        raise ModelError(
+            f"{location}: includes are nested more than {_MAX_INCLUDE_DEPTH} deep"
+        )
+    included = _read(path, files, depth)
+    if not included.elements[0].own_children:
+        raise ModelError(f"{location}: included file {name} is empty")
     return included
 
 
 def _read_bytes(path: Path) -> bytes:
+    """Return the content of a model file, or raise ModelError or InputError."""
     require_utf8(path)
     refuse_special_file(path, "pass a model file")
     try:
         if path.stat().st_size > LARGEST_FILE:
-            most = f"more than the {LARGEST_FILE / 1e6:g} MB of a model file"
+            fault = f"more than the {LARGEST_FILE / 1e6:g} MB of a model file"
             raise ModelError(
-                f"{path} has {most}; pass one, and keep meshes in files of their own"
+                f"{path} has {fault}; pass one, and keep meshes in files of their own"
             )
         return path.read_bytes()
     except IsADirectoryError:
@@ -235,16 +255,16 @@ def _read_bytes(path: Path) -> bytes:
             f"{path} is a folder; pass a model file (MJCF .xml or .urdf)"
         ) from None
     except FileNotFoundError:
-        known = path.suffix.lower() in SUFFIXES
-        hint = "" if known else " (Expected an XML model file: .xml, .mjcf or .urdf)"
+        hint = " (Expected an XML model file: .xml, .mjcf or .urdf)"
+        hint = "" if path.suffix.lower() in SUFFIXES else hint
         raise InputError(f"model file {path} not found; check the path{hint}") from None
     except (OSError, ValueError) as error:
-        raise InputError(
-            f"cannot read model file {path}: {error_text(error)}"
-        ) from None
+        fault = error_text(error)
+        raise InputError(f"cannot read model file {path}: {fault}") from None
 
 
 def _as_utf8(raw: bytes, path: Path) -> bytes:
+    """Return a file's bytes as UTF-8, or raise ModelError where they are not text."""
     if not raw.strip():
         raise ModelError(f"Expected an XML model file, but {path} is empty")
     declared = _ENCODING.match(raw)
@@ -257,28 +277,26 @@ def _as_utf8(raw: bytes, path: Path) -> bytes:
     raise ModelError(f"Expected an XML model file, but {path} is not text")
 
 
-def _parse(file: SourceFile, most: int) -> None:
-    """Find the elements of a file, which may have so many."""
+def _parse(file: SourceFile, max_elements: int) -> None:
+    """Fill ``file.elements``, or raise ModelError for more than ``max_elements`` or bad XML."""
     text = file.text
     path = file.path
-    if (
-        text.find(b"<!ENTITY", max(0, text.find(b"<!DOCTYPE"))) >= 0
-        and b"<!DOCTYPE" in text
-    ):
+    doctype = text.find(b"<!DOCTYPE")
+    if doctype >= 0 and b"<!ENTITY" in text[doctype:]:
         remedy = "which can hide an attack; remove its <!DOCTYPE ...>"
         raise ModelError(f"{path} declares XML entities, {remedy}")
     parser = expat.ParserCreate("utf-8")
-    above = list[Node]()
+    parents = list[Node]()
 
-    def opened(name: str, attributes: dict[str, str]) -> None:
+    def start_element(name: str, attributes: dict[str, str]) -> None:
         start = parser.CurrentByteIndex
         tag = _START_TAG.match(text, start)
-        if tag is None or len(above) == _DEEPEST_ELEMENT:
+        if tag is None or len(parents) == _MAX_ELEMENT_DEPTH:
             raise expat.ExpatError(
-                f"elements are nested more than {_DEEPEST_ELEMENT} deep"
+                f"elements are nested more than {_MAX_ELEMENT_DEPTH} deep"
             )
-        if len(file.elements) >= most:
-            fault = f"more than the {MOST_ELEMENTS} elements that are read"
+        if len(file.elements) >= max_elements:
+            fault = f"more than the {MAX_ELEMENTS} elements that are read"
             raise ModelError(
                 f"{path}: {fault}, includes counted; take out what is no arm"
             )
@@ -287,28 +305,28 @@ def _parse(file: SourceFile, most: int) -> None:
         end = tag.end()
         node = Node(file, name, attributes, line, start, end, end, end)
         file.elements.append(node)
-        for parent in above[-1:]:
-            parent.written.append(node)
-        above.append(node)
+        if parents:
+            parents[-1].own_children.append(node)
+        parents.append(node)
 
-    def closed(name: str) -> None:
-        node = above.pop()
+    def end_element(name: str) -> None:
+        node = parents.pop()
         closing = parser.CurrentByteIndex
         if not text.endswith(b"/>", node.start, node.inner_start):
             node.inner_end = closing
             node.end = text.index(b">", closing) + 1
 
-    parser.StartElementHandler = opened
-    parser.EndElementHandler = closed
+    parser.StartElementHandler = start_element
+    parser.EndElementHandler = end_element
     try:
-        parser.Parse(masked_comments(text), True)
+        parser.Parse(mask_comments(text), True)
     except expat.ExpatError as error:
         raise ModelError(
             f"Expected an XML model file, but {path} is not XML: {error}"
         ) from None
 
 
-def masked_comments(text: bytes) -> bytes:
+def mask_comments(text: bytes) -> bytes:
     """Return the text with the dashes inside comments replaced, every offset unchanged.
 
     MuJoCo's reader accepts ``--`` inside a comment, which strict XML parsers refuse.
@@ -317,14 +335,11 @@ def masked_comments(text: bytes) -> bytes:
     position = 0
     while (start := text.find(b"<!--", position)) >= 0:
         end = text.find(b"-->", start + 4)
-        if (
-            end < 0
-        ):  # a search for each further comment would take the square of the length
+        # A search for each further comment would take the square of the length.
+        if end < 0:
             break
-        pieces += [
-            text[position : start + 4],
-            text[start + 4 : end].replace(b"-", b"~"),
-        ]
+        comment = text[start + 4 : end].replace(b"-", b"~")
+        pieces += [text[position : start + 4], comment]
         position = end
     return b"".join([*pieces, text[position:]])
 
@@ -334,13 +349,12 @@ _DECLARED_ENCODING = re.compile(rb"""\A(<\?xml[^>]*encoding\s*=\s*["'])[^"']*(["
 _ATTRIBUTE = re.compile(rb"""([^\s=/<>"']+)(\s*=\s*)("[^"]*"|'[^']*')""")
 _TAG_NAME = re.compile(rb"<[^\s/>]+")
 _ESCAPES = {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;"}
-_ESCAPED = str.maketrans(
-    {**_ESCAPES, **{c: f"&#{ord(c)};" for c in "\t\n\r\x85\u2028\u2029"}}
-)
+_ESCAPES.update({c: f"&#{ord(c)};" for c in "\t\n\r\x85\u2028\u2029"})
+_ESCAPE_TABLE = str.maketrans(_ESCAPES)
 
 
 class Edit(NamedTuple):
-    """Replace text[start:end] by ``new``."""
+    """Replacement of text[start:end] by ``new``."""
 
     start: int
     end: int
@@ -348,13 +362,13 @@ class Edit(NamedTuple):
 
 
 class Edits:
-    """Collects edits file by file and writes the main file out.
+    """Edits of a document's files, collected, and the main file's text with all of them made.
 
     An included file takes the place of its ``<include>`` where it is edited.
 
     Attributes:
         settings: elements to add to MuJoCo's settings, which in a URDF stand in ``<mujoco>``.
-        lead: what comes before them.
+        settings_lead: white space before each of them.
         folder: where the text will live; None makes the paths of includes absolute.
         inlined: further included files whose text must take the place of their ``<include>``.
     """
@@ -363,21 +377,20 @@ class Edits:
         self.document = document
         self.folder: Path | None = None
         self.settings: list[str] = []
-        self.lead = line_break(document.main.text) + b"  "
+        self.settings_lead = _line_break(document.main.text) + b"  "
         self.inlined: set[SourceFile] = set()
         self._edits: dict[SourceFile, list[Edit]] = defaultdict(list)
 
     def set(self, node: Node, name: str, value: str | None) -> None:
-        """Give an element an attribute, or take it away where the value is None."""
-        for edit in _attribute_edit(node, name, value):
-            self._edits[node.file].append(edit)
+        """Give an element an attribute, or remove it where the value is None."""
+        self._edits[node.file] += _attribute_edits(node, name, value)
 
     def set_path(self, node: Node, name: str, value: str | None) -> None:
-        """Do the same with an attribute that is a path, where it is not the same one already."""
+        """Give an element an attribute that is a path, unless it names that path already."""
         old = node.get(name)
         if (
-            value is None
-            or old is None
+            old is None
+            or value is None
             or os.path.normpath(old) != os.path.normpath(value)
         ):
             self.set(node, name, value)
@@ -385,99 +398,109 @@ class Edits:
     def set_compiler(self, values: Mapping[str, str]) -> None:
         """Set attributes of the compiler: in a URDF of every one, which lose their meshdir."""
         compilers = self.document.settings("compiler")
-        is_urdf = self.document.kind == "urdf"
+        is_urdf = self.document.is_urdf
         for node in compilers if is_urdf else compilers[:1]:
             for name, value in values.items():
                 self.set(node, name, value)
             if is_urdf:
                 self.set(node, "meshdir", None)
         if not compilers:
-            self.settings.insert(0, f"<compiler{attributes(values)}/>")
+            self.settings.insert(0, f"<compiler{attribute_text(values)}/>")
 
     def put_inertial(self, body: Node, inertial: str, own_line: bool = True) -> None:
-        """Give a body or link this inertial, in place of its old one, or else first."""
+        """Put an ``<inertial>`` in place of a body's or link's old one, or else first in it.
+
+        Args:
+            own_line: whether a new one gets a line of its own.
+        """
         old = body.child("inertial")
         if old is not None:
             self.replace(old, inertial)
-        else:
-            lead = (
-                _own_line(body) + b"  " if own_line and not body.is_empty_tag else b""
-            )
-            self._edits[body.file].append(_first_in(body, lead + inertial.encode()))
+            return
+        lead = b""
+        if own_line and not body.is_self_closing:
+            lead = _indentation(body) + b"  "
+        self._edits[body.file].append(_insert_first(body, lead + inertial.encode()))
 
     def append(self, node: Node, *lines: str) -> None:
         """Put lines of text last into an element, indented one step deeper."""
         text = node.file.text
-        indent = _own_line(node)
-        added = b"".join(indent + b"  " + line.encode() for line in lines)
-        end = len(text[node.inner_start : node.inner_end].rstrip()) + node.inner_start
-        edit = Edit(end, end, added + (indent if end == node.inner_end else b""))
-        if node.is_empty_tag:
-            edit = _first_in(node, added + indent)
+        indentation = _indentation(node)
+        added = b"".join(indentation + b"  " + line.encode() for line in lines)
+        content = text[node.inner_start : node.inner_end].rstrip()
+        end = node.inner_start + len(content)
+        edit = Edit(end, end, added + (indentation if end == node.inner_end else b""))
+        if node.is_self_closing:
+            edit = _insert_first(node, added + indentation)
         self._edits[node.file].append(edit)
 
     def replace(self, node: Node, new: str, keep_lines: bool = False) -> None:
-        """Put text in the place of an element, with as many line breaks where that is wanted."""
+        """Put text in the place of an element; ``keep_lines`` adds the line breaks it had."""
         lines = node.file.text.count(b"\n", node.start, node.end) if keep_lines else 0
-        self._edits[node.file].append(
-            Edit(node.start, node.end, new.encode() + b"\n" * lines)
-        )
+        edit = Edit(node.start, node.end, new.encode() + b"\n" * lines)
+        self._edits[node.file].append(edit)
 
     def comment(self, node: Node, comment: str) -> None:
         """Put a comment before an element, in place of an older one of this program."""
         old = _OLD_COMMENT.search(node.file.text[: node.start])
+        start = old.start() if old else node.start
         # What follows the comment repeats the element's own indentation.
-        new = comment.encode() + _own_line(node)
-        self._edits[node.file].append(
-            Edit(old.start() if old else node.start, node.start, new)
-        )
+        new = comment.encode() + _indentation(node)
+        self._edits[node.file].append(Edit(start, node.start, new))
 
     def text(self) -> bytes:
         """Return the text, whose XML declaration, if it has one, says that it is UTF-8."""
         main = self.document.main
-        text = _edited(main.text, [*self._settings_edits(), *self._all_edits(main)])
+        edits = [*self._settings_edits(), *self._file_edits(main)]
+        text = _apply(edits, main.text, 0, len(main.text))
         return _DECLARED_ENCODING.sub(rb"\1utf-8\2", text, count=1)
 
-    def _settings_edits(self) -> Iterator[Edit]:
-        """Yield the edit that adds the settings; MuJoCo reads one ``<mujoco>`` of a URDF only."""
+    def _settings_edits(self) -> list[Edit]:
+        """Return the edit that adds the settings, none for no settings."""
         root = self.document.root
-        new = [each.encode() for each in self.settings]
-        if not new:
-            return
-        if self.document.kind != "urdf":
-            yield _first_in(root, b"".join(self.lead + each for each in new))
-        elif (part := root.child("mujoco")) is not None:
-            yield _first_in(part, b"".join(new))
-        else:
-            yield _first_in(
-                root, self.lead + b"<mujoco>" + b"".join(new) + b"</mujoco>"
-            )
+        if not self.settings:
+            return []
+        new = [setting.encode() for setting in self.settings]
+        if not self.document.is_urdf:
+            text = b"".join(self.settings_lead + setting for setting in new)
+            return [_insert_first(root, text)]
+        # MuJoCo reads one <mujoco> of a URDF only.
+        extension = root.child("mujoco")
+        if extension is not None:
+            return [_insert_first(extension, b"".join(new))]
+        text = self.settings_lead + b"<mujoco>" + b"".join(new) + b"</mujoco>"
+        return [_insert_first(root, text)]
 
-    def _all_edits(self, file: SourceFile) -> list[Edit]:
+    def _file_edits(self, file: SourceFile) -> list[Edit]:
         """Return the edits of a file, those of its includes among them."""
         edits = list(self._edits.get(file, ()))
-        for node in file.includes:
-            included = node.included
-            assert included is not None
+        for node, included in file.includes:
             if self._must_inline(included):
                 root = included.elements[0]
-                inner = _edited(included.text, self._all_edits(included), root)
-                edits.append(Edit(node.start, node.end, inner.strip()))
-            else:
-                edits += _attribute_edit(
-                    node, "file", reference(included.path, self.folder)
+                content = _apply(
+                    self._file_edits(included),
+                    included.text,
+                    root.inner_start,
+                    root.inner_end,
                 )
+                edits.append(Edit(node.start, node.end, content.strip()))
+            else:
+                path = reference(included.path, self.folder)
+                edits += _attribute_edits(node, "file", path)
         return edits
 
     def _must_inline(self, file: SourceFile) -> bool:
-        below = (node.included for node in file.includes)
-        return file in {*self.inlined, *self._edits} or any(
-            self._must_inline(included) for included in below if included is not None
-        )
+        """Return whether an included file, or one that it includes, is edited or inlined."""
+        if file in self.inlined or file in self._edits:
+            return True
+        return any(self._must_inline(included) for _, included in file.includes)
 
 
 def reference(target: Path, folder: Path | None) -> str:
-    """Return how a file in ``folder`` refers to ``target``: relative where that is safe."""
+    """Return how a file in ``folder`` refers to ``target``: relative where that is safe.
+
+    Absolute where the folder is None.
+    """
     if folder is None:
         return target.as_posix()
     try:
@@ -491,58 +514,58 @@ def reference(target: Path, folder: Path | None) -> str:
     return Path(relative).as_posix()
 
 
-def attributes(values: Mapping[str, str]) -> str:
-    """Return attributes as an element has them; the standard library's way loads HTTP and SSL."""
-    return "".join(
-        f' {name}="{value.translate(_ESCAPED)}"' for name, value in values.items()
-    )
+def attribute_text(values: Mapping[str, str]) -> str:
+    """Return attributes as text of a start tag, a blank before each, values escaped."""
+    # The standard library's way loads HTTP and SSL.
+    pairs = values.items()
+    return "".join(f' {name}="{v.translate(_ESCAPE_TABLE)}"' for name, v in pairs)
 
 
-def _attribute_edit(node: Node, name: str, value: str | None) -> Iterator[Edit]:
-    """Yield the edit, if one is needed, that gives an element an attribute; None takes it away."""
+def _attribute_edits(node: Node, name: str, value: str | None) -> list[Edit]:
+    """Return the edit that gives an element an attribute, or removes it for None; [] for none."""
     text = node.file.text
-    end = node.inner_start - (2 if node.is_empty_tag else 1)
     matches = _ATTRIBUTE.finditer(text, node.start, node.inner_start)
-    found = next((m for m in matches if m.group(1) == name.encode()), None)
-    new = b"" if value is None else attributes({name: value}).encode()
-    if found is not None and value is not None:
-        yield Edit(found.start(3), found.end(3), new[len(name) + 2 :])
-    elif found is not None:
-        yield Edit(len(text[: found.start()].rstrip()), found.end(), new)
-    elif value is not None:
+    old = next((match for match in matches if match.group(1) == name.encode()), None)
+    if old is None and value is None:
+        return []
+    if old is None:
+        end = node.inner_start - (2 if node.is_self_closing else 1)
         end = len(text[:end].rstrip())
-        yield Edit(end, end, new)
+        return [Edit(end, end, attribute_text({name: value or ""}).encode())]
+    if value is None:
+        return [Edit(len(text[: old.start()].rstrip()), old.end(), b"")]
+    quoted = attribute_text({name: value}).encode()[len(name) + 2 :]
+    return [Edit(old.start(3), old.end(3), quoted)]
 
 
-def _first_in(node: Node, child: bytes) -> Edit:
+def _insert_first(node: Node, content: bytes) -> Edit:
     """Return the edit that puts text first into an element."""
-    if not node.is_empty_tag:
-        return Edit(node.inner_start, node.inner_start, child)
-    opened = node.file.text[node.start : node.end - 2].rstrip() + b">"
-    name = _TAG_NAME.match(opened)
+    if not node.is_self_closing:
+        return Edit(node.inner_start, node.inner_start, content)
+    start_tag = node.file.text[node.start : node.end - 2].rstrip() + b">"
+    name = _TAG_NAME.match(start_tag)
     assert name is not None
-    return Edit(node.start, node.end, opened + child + b"</" + name.group()[1:] + b">")
+    end_tag = b"</" + name.group()[1:] + b">"
+    return Edit(node.start, node.end, start_tag + content + end_tag)
 
 
-def _edited(text: bytes, edits: Iterable[Edit], inside: Node | None = None) -> bytes:
-    """Return a text, or what lies in one of its elements, with edits made that do not overlap."""
-    position, end = (inside.inner_start, inside.inner_end) if inside else (0, len(text))
+def _apply(edits: Iterable[Edit], text: bytes, start: int, end: int) -> bytes:
+    """Return text[start:end] with edits made; ValueError where two of them overlap."""
     pieces = []
     for edit in sorted(edits, key=lambda edit: edit[:2]):
-        if edit.start < position:
+        if edit.start < start:
             raise ValueError(f"overlapping edits at byte {edit.start}")
-        pieces += [text[position : edit.start], edit.new]
-        position = edit.end
-    return b"".join([*pieces, text[position:end]])
+        pieces += [text[start : edit.start], edit.new]
+        start = edit.end
+    return b"".join([*pieces, text[start:end]])
 
 
-def _own_line(node: Node) -> bytes:
+def _indentation(node: Node) -> bytes:
     """Return a line break with the white space that stands before an element, if only that does."""
     text = node.file.text
     lead = text[text.rfind(b"\n", 0, node.start) + 1 : node.start]
-    return line_break(text) + (b"" if lead.strip() else lead)
+    return _line_break(text) + (b"" if lead.strip() else lead)
 
 
-def line_break(text: bytes) -> bytes:
-    """Return the line ending the text uses."""
+def _line_break(text: bytes) -> bytes:
     return b"\r\n" if b"\r\n" in text else b"\n"

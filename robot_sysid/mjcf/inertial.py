@@ -1,4 +1,11 @@
-"""Numbers and inertias as model files state them, and what compiler settings change of them."""
+"""Inertias in model files: which body gets which part of a link, and their text, exact to the last
+digit; what compiler settings change of them.
+
+The terminal body gets what was identified of the link minus the bodies below it that the file
+describes. Where that difference is no possible body, the terminal body gets the inertia of all that
+is rigidly attached to it, and where bodies on joints of their own leave too little even for that,
+those are made lighter.
+"""
 
 from __future__ import annotations
 
@@ -10,68 +17,223 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.documents import Edits, ModelDocument, Node, attributes
+from robot_sysid.mjcf.documents import Edits, ModelDocument, Node, attribute_text
 from robot_sysid.records import Array, SubtreeBody
 
+NEGLIGIBLE = 1e-6
+"""Mass, relative to the link's, below which a difference is only rounding."""
+SLACK = 1e-10
+"""How far a body may be from possible, relative to its size, before it is refused."""
+MARGIN = 1e-11
+"""How far inside the possible a body is written, relative to its size: some 4e4 roundings, because
+MuJoCo refuses what these put outside."""
+_UNIT_SPHERE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
+"""theta of equal moments of inertia without mass."""
 _SMALLEST_NORMAL = float(np.finfo(float).tiny)
+_ROUNDING = 1e-9
+"""Relative difference that the check of the written model lets pass (``results.verification``)."""
+
+
+@dataclass(frozen=True)
+class WriteBack:
+    """The inertia to write into the bodies of one link.
+
+    Attributes:
+        theta: (10,) inertial parameters of the terminal body alone, in its own frame.
+        emptied: the bodies whose inertia went into the terminal body and which weigh nothing now.
+        note: a sentence for the user on what was changed, or None.
+        inflation: by how much all moments of inertia are larger than identified [kg m^2].
+        lightened: the bodies on joints of their own that keep only a share of their inertia.
+        scale: that share.
+    """
+
+    theta: Array
+    emptied: tuple[SubtreeBody, ...] = ()
+    note: str | None = None
+    inflation: float = 0.0
+    lightened: tuple[SubtreeBody, ...] = ()
+    scale: float = 1.0
+
+    def written_composite(self, composite: Array) -> Array:
+        """Return theta (10,) of the link as written, for the identified theta (10,) of it."""
+        return composite + self.inflation * _UNIT_SPHERE
+
+
+def plan_write_back(
+    composite: Array,
+    bodies: Sequence[SubtreeBody],
+    least_moment: float = 0.0,
+    max_inflation: float = 0.0,
+) -> WriteBack:
+    """Share an identified composite among the bodies of the terminal link.
+
+    Args:
+        composite: (10,) of the terminal body and all below it, in the terminal body's frame.
+        bodies: those bodies as the model describes them, the terminal body first.
+        least_moment: smallest principal moment the file's compiler leaves alone [kg m^2].
+        max_inflation: by how much all three moments may be inflated, because they are not known any
+            better [kg m^2].
+
+    Raises:
+        ExportError: the composite is no possible body itself, or leaves no room for the bodies on
+            joints of their own.
+    """
+    mass = float(composite[0])
+
+    def admissible(theta: Array) -> Array | None:
+        return possible_body(theta, mass, least_moment, max_inflation)
+
+    emptied: tuple[SubtreeBody, ...] = ()
+    lightened: tuple[SubtreeBody, ...] = ()
+    scale = 1.0
+    described = _sum_theta(bodies[1:])
+    if admissible(composite - described) is None:
+        below = [body for body in bodies[1:] if np.any(body.theta)]
+        emptied = tuple(body for body in below if body.welded)
+        hanging = tuple(body for body in below if not body.welded)
+        described = _sum_theta(hanging)
+        if admissible(composite - described) is None:
+            scale = _largest_scale(composite, described)
+            lightened = hanging
+    remainder = composite - scale * described
+    theta = admissible(remainder)
+    if theta is None or scale < NEGLIGIBLE:
+        name = bodies[0].name
+        fault = (
+            f"the identified parameters of body '{name}' are not a possible rigid body"
+        )
+        raise ExportError(f"{fault}, so no model was written; use a longer motion")
+    inflation = float(theta[4] - remainder[4])
+    plan = WriteBack(theta, emptied, None, inflation, lightened, scale)
+    return replace(plan, note="; ".join(_notes(bodies[0], plan)) or None)
+
+
+def _sum_theta(bodies: Sequence[SubtreeBody]) -> Array:
+    return np.sum([np.zeros(10), *(body.theta for body in bodies)], axis=0)
+
+
+def _largest_scale(composite: Array, hanging: Array) -> float:
+    """Return the largest share, below 1, of bodies that leaves a possible body; 0 for none.
+
+    ``composite`` (10,) and ``hanging`` (10,), the sum of these bodies, are in one frame.
+    """
+    # Possible bodies are a convex set: the shares that leave one are an interval from zero.
+    low = 0.0
+    high = 1.0
+    for _ in range(60):  # down to the last digit
+        middle = (low + high) / 2.0
+        remainder = composite - middle * hanging
+        if possible_body(remainder, float(composite[0])) is None:
+            high = middle
+        else:
+            low = middle
+    return low
+
+
+def _notes(top: SubtreeBody, plan: WriteBack) -> Iterator[str]:
+    """Yield sentences on a plan for the terminal body ``top``."""
+    if plan.emptied:
+        names = ", ".join(f"'{body.name}'" for body in plan.emptied)
+        yield (
+            f"body '{top.name}' now holds the inertia of all that is rigidly attached to it; "
+            f"{names} weigh nothing in the written model"
+        )
+    if plan.lightened:
+        names = ", ".join(f"'{body.name}'" for body in plan.lightened)
+        yield (
+            f"{names} on joints of their own below body '{top.name}' left no possible body "
+            "of what was identified of all of them, so their mass and inertia are "
+            f"{plan.scale:.4g} of the model's in the written model"
+        )
+    moments = np.linalg.eigvalsh(spatial.com_from_theta(plan.theta)[2])
+    if plan.inflation > SLACK * float(np.sum(moments)):  # by more than rounding
+        yield (
+            "the model file cannot hold moments of inertia as small as identified (its compiler "
+            "settings, or what other bodies hold already), so all three are written "
+            f"{plan.inflation:.2g} kg m^2 larger; that is less than their standard errors"
+        )
+
+
+def possible_body(
+    theta: Array, scale: float, least_moment: float = 0.0, max_inflation: float = 0.0
+) -> Array | None:
+    """Return the possible body (10,) nearest to theta (10,) in equal moments, or None.
+
+    A body is possible where its second moments about the centre of mass, tr(I)/2 1 - I, the upper
+    left block of its pseudo-inertia there, are not negative. Rounding leaves a difference of two
+    bodies on the edge; it is moved inside by adding one number to all three moments of inertia.
+    Mass and centre of mass stay, unlike where eigenvalues of the pseudo-inertia are raised.
+
+    Args:
+        scale: mass of the larger of the two bodies [kg], beside which a tiny mass is nothing.
+        least_moment, max_inflation: as in ``plan_write_back``.
+    """
+    mass, com, inertia = spatial.com_from_theta(theta)
+    size = float(np.trace(inertia)) / 2.0
+    if not np.all(np.isfinite(theta)) or mass <= NEGLIGIBLE * scale or size <= 0.0:
+        return None
+    moments = np.linalg.eigvalsh(inertia)
+    smallest = 1.0 - float(moments[-1]) / size
+    # Adding s to each second moment adds 2 s to each moment of inertia.
+    inflation = 2.0 * max(0.0, MARGIN - smallest) * size
+    if max_inflation >= least_moment - float(moments[0]):
+        inflation = max(inflation, least_moment - float(moments[0]))
+    if inflation > max(2.0 * (SLACK + MARGIN) * size, max_inflation):
+        return None
+    return spatial.theta_from_com(mass, com, inertia + inflation * np.eye(3))
 
 
 def mjcf_inertial(theta: Array, principal: bool = False) -> str:
     """Return MJCF for theta (10,), in the body frame about its origin, exact to the last digit.
 
-    With principal moments and axes, where asked for, instead of the full matrix, whose axes MuJoCo
-    before 3.14 finds to six digits only.
+    Args:
+        principal: whether to write principal moments and axes instead of the full matrix, whose
+            axes MuJoCo before 3.14 finds to six digits only.
     """
     mass, com, inertia = spatial.com_from_theta(theta)
-    head = f'<inertial pos="{numbers(com)}" mass="{float(mass)!r}"'
+    head = f'<inertial pos="{format_numbers(com)}" mass="{float(mass)!r}"'
     if not np.any(theta):
         return f'{head} diaginertia="0 0 0"/>'
     if not principal:
         six = spatial.fullinertia_from_symmetric(inertia)
-        return f'{head} fullinertia="{numbers(six)}"/>'
+        return f'{head} fullinertia="{format_numbers(six)}"/>'
     moments, axes = np.linalg.eigh(inertia)
-    first_two = numbers(axes[:, :2].T.ravel())
-    return f'{head} xyaxes="{first_two}" diaginertia="{numbers(moments)}"/>'
+    first_two = format_numbers(axes[:, :2].T.ravel())
+    return f'{head} xyaxes="{first_two}" diaginertia="{format_numbers(moments)}"/>'
 
 
 def urdf_inertial_about_com(mass: float, com: Array, inertia: Array) -> str:
     """Return URDF for a mass, centre of mass (3,) and inertia about it (3, 3) in link axes."""
     names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    moments = dict(zip(names, map(number, spatial.six_from_symmetric(inertia))))
+    moments = map(format_number, spatial.six_from_symmetric(inertia))
     return (
-        f'<inertial><origin xyz="{numbers(com)}" rpy="0 0 0"/><mass value="{float(mass)!r}"/>'
-        f"<inertia{attributes(moments)}/></inertial>"
+        f'<inertial><origin xyz="{format_numbers(com)}" rpy="0 0 0"/>'
+        f'<mass value="{float(mass)!r}"/>'
+        f"<inertia{attribute_text(dict(zip(names, moments)))}/></inertial>"
     )
 
 
-def numbers(values: Array) -> str:
+def format_numbers(values: Array) -> str:
     """Return numbers with all their digits, separated by spaces."""
-    return " ".join(map(number, values))
+    return " ".join(map(format_number, values))
 
 
-def number(value: float) -> str:
+def format_number(value: float) -> str:
     """Return a number with all its digits."""
     # Also turns -0.0 into 0.0; MuJoCo 3.3 refuses to read denormal numbers.
     return repr(float(value)) if abs(value) >= _SMALLEST_NORMAL else "0.0"
 
 
-def rmse_words(rmse: float) -> str:
-    """Return how a comment states the residual [N m] of the identification that it is of."""
-    return (
-        f"RMSE {rmse:.6f} Nm" if rmse == 0.0 or rmse >= 1e-6 else f"RMSE {rmse:.3g} Nm"
-    )
-
-
-_ROUNDING = 1e-9
-"""Relative difference that the check of the written model lets pass (``results.verification``)."""
+def format_rmse(rmse: float) -> str:
+    """Return the residual of an identification [N m] as comments state it."""
+    is_small = 0.0 < rmse < 1e-6
+    return f"RMSE {rmse:.3g} Nm" if is_small else f"RMSE {rmse:.6f} Nm"
 
 
 def setting(document: ModelDocument, name: str) -> str | None:
-    """Return a compiler attribute; the last one in the file counts."""
-    values = [
-        node.get(name) for node in document.settings("compiler") if node.get(name)
-    ]
-    return values[-1] if values else None
+    """Return a compiler attribute, the last one in the file; None where there is none."""
+    values = [node.get(name) for node in document.settings("compiler")]
+    return next(filter(None, reversed(values)), None)
 
 
 def setting_number(document: ModelDocument, name: str) -> float:
@@ -86,20 +248,17 @@ def setting_number(document: ModelDocument, name: str) -> float:
 def check_settings(
     document: ModelDocument, body: Node, theta: Array, gets_child: bool = False
 ) -> None:
-    """Raise ExportError where the compiler would change theta (10,) as it is written, of a body or
-    of a child that it gets.
+    """Raise ExportError where the compiler would change theta (10,) as it is written.
+
+    Args:
+        body: the element that gets theta, or a child with theta where ``gets_child``.
     """
     if setting_number(document, "settotalmass") > 0.0:
         _refuse(document, "settotalmass", "rescales the mass of every body; remove it")
-    is_fused = setting(document, "fusestatic") == "true" and document.kind == "mjcf"
-    below = (node for node in body.walk() if node.tag == "body" and node is not body)
-    welded = (not (node.child("joint") or node.child("freejoint")) for node in below)
-    if is_fused and (gets_child or any(welded)):
-        _refuse(
-            document,
-            "fusestatic",
-            "merges bodies with the identified one; set it to false",
-        )
+    is_fused = setting(document, "fusestatic") == "true" and not document.is_urdf
+    if is_fused and (gets_child or any(map(_is_welded, list(body.walk())[1:]))):
+        reason = "merges bodies with the identified one; set it to false"
+        _refuse(document, "fusestatic", reason)
     mass, _, inertia = spatial.com_from_theta(theta)
     smallest = float(np.linalg.eigvalsh(inertia)[0])
     for name, value in (("boundmass", mass), ("boundinertia", smallest)):
@@ -110,8 +269,14 @@ def check_settings(
             _refuse(document, name, f"{change}; lower it")
 
 
+def _is_welded(node: Node) -> bool:
+    """Return whether an element is a body without joints."""
+    has_joint = node.child("joint") or node.child("freejoint")
+    return node.tag == "body" and not has_joint
+
+
 def let_inertials_count(edits: Edits, written: Collection[Node]) -> None:
-    """Keep ``inertiafromgeom="true"`` from overriding what is written.
+    """Keep ``inertiafromgeom="true"`` from overriding the inertials of written bodies.
 
     The setting becomes "auto", which lets an ``<inertial>`` count; the other bodies lose the
     ``<inertial>`` that was ignored so far, so that their geoms still decide.
@@ -124,157 +289,20 @@ def let_inertials_count(edits: Edits, written: Collection[Node]) -> None:
             edits.set(node, "inertiafromgeom", "auto")
     for body in document.walk("body"):
         old = body.child("inertial")
-        if (
-            old is not None
-            and body not in written
-            and any(map(_is_geom, body.children()))
-        ):
+        has_geom = any(map(_is_geom, body.children()))
+        if old is not None and body not in written and has_geom:
             edits.replace(old, "")
 
 
 def _is_geom(node: Node) -> bool:
-    return node.tag == "geom" or (
-        node.tag == "frame" and any(map(_is_geom, node.children()))
-    )
+    """Return whether an element is a geom, or a frame with one in it."""
+    if node.tag == "frame":
+        return any(map(_is_geom, node.children()))
+    return node.tag == "geom"
 
 
 def _refuse(document: ModelDocument, name: str, reason: str) -> NoReturn:
+    """Raise ExportError for a compiler setting."""
     raise ExportError(
         f"{document.path}: the compiler setting {name} {reason} to write the model"
     )
-
-
-NOTHING = 1e-6
-SLACK = 1e-10
-MARGIN = 1e-11
-"""Mass, relative to the link's, below which a difference is only rounding; how far, relative to its
-size, a body may be from possible before it is refused; how far inside the possible it is written,
-some 4e4 roundings, because MuJoCo refuses what these put outside."""
-_MOMENTS = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
-
-
-@dataclass(frozen=True)
-class WriteBack:
-    """What to write into the model.
-
-    Attributes:
-        theta: (10,) inertial parameters of the terminal body alone, in its own frame.
-        lumped: the bodies whose inertia went into the terminal body and which weigh nothing now.
-        inflated: by how much all moments of inertia are larger than identified [kg m^2].
-        scaled, scale: the bodies on joints of their own of which only that part is left.
-    """
-
-    theta: Array
-    lumped: tuple[SubtreeBody, ...] = ()
-    note: str | None = None
-    inflated: float = 0.0
-    scaled: tuple[SubtreeBody, ...] = ()
-    scale: float = 1.0
-
-    def written(self, composite: Array) -> Array:
-        """Return what an identified composite (10,) is in the written model."""
-        return composite + self.inflated * _MOMENTS
-
-
-def plan_write_back(
-    composite: Array,
-    bodies: Sequence[SubtreeBody],
-    least_moment: float = 0.0,
-    most_inflated: float = 0.0,
-) -> WriteBack:
-    """Share an identified composite among the bodies of the terminal link, or raise ExportError
-    where it is no possible body itself, or nothing of the bodies on joints has room in it.
-
-    Args:
-        composite: (10,) of the terminal body and all below it, in the terminal body's frame.
-        bodies: those bodies as the model describes them, the terminal body first.
-        least_moment: smallest principal moment the file's compiler leaves alone [kg m^2].
-        most_inflated: by how much all three moments may be inflated, because they are not known any
-            better [kg m^2].
-    """
-    top = bodies[0]
-    mass = float(composite[0])
-    tolerance = (least_moment, most_inflated)
-    lumped: tuple[SubtreeBody, ...] = ()
-    scaled = lumped
-    scale = 1.0
-    beside = _sum(bodies[1:])
-    if possible_body(composite - beside, mass, *tolerance) is None:
-        below = [body for body in bodies[1:] if np.any(body.theta)]
-        lumped = tuple(body for body in below if body.welded)
-        hanging = tuple(body for body in below if not body.welded)
-        beside = _sum(hanging)
-        if possible_body(composite - beside, mass, *tolerance) is None:
-            scale = _largest_scale(composite, beside)
-            scaled = hanging
-    rest = composite - scale * beside
-    own = possible_body(rest, mass, *tolerance)
-    if own is None or scale < NOTHING:
-        fault = f"the identified parameters of body '{top.name}' are not a possible rigid body"
-        raise ExportError(f"{fault}, so no model was written; use a longer motion")
-    plan = WriteBack(own, lumped, None, float(own[4] - rest[4]), scaled, scale)
-    return replace(plan, note="; ".join(_notes(top, plan)) or None)
-
-
-def _sum(bodies: Sequence[SubtreeBody]) -> Array:
-    return np.sum([np.zeros(10), *(body.theta for body in bodies)], axis=0)
-
-
-def _largest_scale(composite: Array, hanging: Array) -> float:
-    """Return the largest part, below 1, of bodies that leaves a possible rest; 0 for none."""
-    # Possible bodies are a convex set: what leaves one is an interval that begins at nothing.
-    low = 0.0
-    high = 1.0
-    for _ in range(60):  # down to the last digit
-        middle = (low + high) / 2.0
-        leaves_a_body = (
-            possible_body(composite - middle * hanging, float(composite[0])) is not None
-        )
-        low, high = (middle, high) if leaves_a_body else (low, middle)
-    return low
-
-
-def _notes(above: SubtreeBody, plan: WriteBack) -> Iterator[str]:
-    both = plan.lumped, plan.scaled
-    emptied, lighter = (", ".join(f"'{b.name}'" for b in bodies) for bodies in both)
-    if plan.lumped:
-        yield (
-            f"body '{above.name}' now holds the inertia of all that is rigidly attached to it; "
-            f"{emptied} weigh nothing in the written model"
-        )
-    if plan.scaled:
-        yield (
-            f"{lighter} on joints of their own below body '{above.name}' left no possible body "
-            "of what was identified of all of them, so their mass and inertia are "
-            f"{plan.scale:.4g} of the model's in the written model"
-        )
-    moments = np.linalg.eigvalsh(spatial.com_from_theta(plan.theta)[2])
-    if plan.inflated > SLACK * float(np.sum(moments)):  # by more than rounding
-        yield (
-            "the model file cannot hold moments of inertia as small as identified (its compiler "
-            "settings, or what other bodies hold already), so all three are written "
-            f"{plan.inflated:.2g} kg m^2 larger; that is less than their standard errors"
-        )
-
-
-def possible_body(
-    theta: Array, scale: float, least_moment: float = 0.0, most_inflated: float = 0.0
-) -> Array | None:
-    """Return theta (10,), a difference of two bodies, moved inside the possible where rounding left
-    it on the edge, or None. Beside ``scale``, the mass of the larger one [kg], what is tiny is
-    nothing; the others as in ``plan_write_back``.
-    """
-    mass, com, inertia = spatial.com_from_theta(theta)
-    size = float(np.trace(inertia)) / 2.0
-    if not np.all(np.isfinite(theta)) or mass <= NOTHING * scale or size <= 0.0:
-        return None
-    # Second moments about the centre of mass: a body is possible when they are not negative.
-    moments = np.linalg.eigvalsh(inertia)
-    smallest = 1.0 - float(moments[-1]) / size
-    # Adding s to each second moment adds 2 s to each moment of inertia.
-    inflated = 2.0 * max(0.0, MARGIN - smallest) * size
-    if most_inflated >= least_moment - float(moments[0]):
-        inflated = max(inflated, least_moment - float(moments[0]))
-    if inflated > max(2.0 * (SLACK + MARGIN) * size, most_inflated):
-        return None
-    return spatial.theta_from_com(mass, com, inertia + inflated * np.eye(3))

@@ -16,20 +16,22 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf import inertial
 from robot_sysid.mjcf.assets import relocated_text
 from robot_sysid.mjcf.documents import (
     Edits,
     ModelDocument,
     Node,
-    attributes,
+    attribute_text,
     read_document,
 )
 from robot_sysid.mjcf.inertial import (
     WriteBack,
+    check_settings,
+    format_number,
+    format_numbers,
+    format_rmse,
+    let_inertials_count,
     mjcf_inertial,
-    number,
-    numbers,
     urdf_inertial_about_com,
 )
 from robot_sysid.mjcf.urdf import give_minimum
@@ -38,7 +40,13 @@ from robot_sysid.records import Array
 
 @dataclass(frozen=True)
 class BodyChange:
-    """New inertia for a body, called "#7" where it has no name, and more words for its comment."""
+    """New inertia for a body.
+
+    Attributes:
+        label: the body's name, or "#7" for the nameless body with MuJoCo id 7, ``body_id``.
+        plan: its inertia, and which bodies below it are emptied.
+        addition: further text for its comment.
+    """
 
     label: str
     body_id: int
@@ -48,13 +56,14 @@ class BodyChange:
 
 @dataclass(frozen=True)
 class JointChange:
-    """New numbers for a joint; None leaves what the file says.
+    """New numbers for a joint; None leaves the file's number.
 
     Attributes:
         label: the joint's name, or "#3" for the nameless joint with id 3.
         armature: rotor inertia seen at the joint [kg m^2 or kg]; a URDF cannot hold it.
         damping, frictionloss: viscous and Coulomb friction [N m s/rad, N m or N s/m, N].
         polynomial: damping beyond the linear one, of qd abs(qd) and of qd^3; MuJoCo 3.7 and later.
+        words: text for the comment of the joint's body.
     """
 
     label: str
@@ -66,14 +75,13 @@ class JointChange:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """What is to be written, by its name in MJCF."""
-        values = {
-            name: getattr(self, name)
-            for name in ("armature", "damping", "frictionloss")
-        }
-        return {
-            name: float(value) for name, value in values.items() if value is not None
-        }
+        """The numbers to be written, by their name in MJCF."""
+        numbers = {}
+        for name in ("armature", "damping", "frictionloss"):
+            value = getattr(self, name)
+            if value is not None:
+                numbers[name] = float(value)
+        return numbers
 
 
 @dataclass(frozen=True)
@@ -81,9 +89,11 @@ class TendonChange:
     """A motor that turns several joints, as a fixed tendon over them.
 
     Attributes:
-        tendon: its MuJoCo id, or that which a new one gets; ``is_new`` tells which.
-        coefficients: joint to speed of the tendon per speed of that joint.
+        tendon: its MuJoCo id, or the id that a new one gets.
+        is_new: whether the file has no such tendon yet.
+        coefficients: joint name to speed of the tendon per speed of that joint.
         numbers: new ones, by their name in MJCF: "armature", "damping", "frictionloss".
+        words: text for its comment.
     """
 
     tendon: int
@@ -104,9 +114,12 @@ class ActuatorChange:
 
 @dataclass(frozen=True)
 class WeldedBody:
-    """A body of its own, fixed to one of the file's.
+    """A new body, fixed to a body of the file, its carrier.
 
-    Its frame in the carrier's, (3, 3) and (3,) [m], and theta (10,) in its own frame.
+    Attributes:
+        rotation, translation: pose of its frame in the carrier's, (3, 3) and (3,) [m].
+        theta: (10,) in its own frame.
+        words: text for its comment.
     """
 
     name: str
@@ -119,8 +132,12 @@ class WeldedBody:
 
 @dataclass(frozen=True)
 class ModelChange:
-    """All that is written into a model; the residual [N m] is for the comments, gravity [m/s^2] in
-    the world frame, and ``principal`` as in ``inertial.mjcf_inertial``.
+    """All changes of a model.
+
+    Attributes:
+        rmse: residual of the identification, for the comments [N m].
+        gravity: new gravity in the world frame [m/s^2].
+        principal: as in ``inertial.mjcf_inertial``.
     """
 
     bodies: tuple[BodyChange, ...]
@@ -138,9 +155,9 @@ def changed_model_text(
 ) -> bytes:
     """Return the text of a model file with a change made, for the folder where it will live.
 
-    Of an MJCF with includes, the included files that lead to something changed, and those that
+    Of an MJCF with includes, the included files that lead to a changed element, and those that
     contain paths, take the place of their ``<include>``; the others stay included. ExportError
-    where something is not written out in the file, or a setting of it changes inertias.
+    where an element is not written out in the file, or a setting of it changes inertias.
     """
     edits = Edits(read_document(source))
     written = _write_bodies(edits, change)
@@ -151,110 +168,110 @@ def changed_model_text(
     for tendon in change.tendons:
         _write_tendon(edits, tendon, change.rmse)
     if change.welded is not None:
-        _weld(edits, change.welded, change)
+        _write_welded_body(edits, change.welded, change)
     if change.gravity is not None:
         _write_gravity(edits, change.gravity, change.rmse)
-    if edits.document.kind == "urdf":
-        # Also what was added to get it compiled: MuJoCo has to load the text by itself.
-        give_minimum(edits, but=written)
+    if edits.document.is_urdf:
+        # MuJoCo has to load the text by itself, so massless links get what compilation gave them.
+        give_minimum(edits, excluded=written)
     else:
-        inertial.let_inertials_count(edits, written)
+        let_inertials_count(edits, written)
     return relocated_text(edits, folder, mesh_dir)
 
 
 def _write_bodies(edits: Edits, change: ModelChange) -> list[Node]:
+    """Write the new inertias of bodies; return the elements that got one."""
     document = edits.document
     written = list[Node]()
     for body in change.bodies:
-        found = find_element(document, "body", body.label)
+        node = find_element(document, "body", body.label)
         theta = body.plan.theta
-        inertial.check_settings(document, found, theta)
-        addition = "; ".join(filter(None, (body.addition, body.plan.note)))
-        edits.comment(found, _comment(f"body '{body.label}'", change.rmse, addition))
-        edits.put_inertial(found, _inertial(document, theta, change.principal))
-        lumped = [
-            find_element(document, "body", other.name) for other in body.plan.lumped
-        ]
-        for other in lumped:
-            edits.put_inertial(
-                other, _inertial(document, np.zeros(10), change.principal)
-            )
-        written += [found, *lumped]
+        check_settings(document, node, theta)
+        additions = filter(None, (body.addition, body.plan.note))
+        comment = _comment(f"body '{body.label}'", change.rmse, "; ".join(additions))
+        edits.comment(node, comment)
+        edits.put_inertial(node, _inertial(document, theta, change.principal))
+        written.append(node)
+        for emptied in body.plan.emptied:
+            node = find_element(document, "body", emptied.name)
+            nothing = _inertial(document, np.zeros(10), change.principal)
+            edits.put_inertial(node, nothing)
+            written.append(node)
     return written
 
 
 def _inertial(document: ModelDocument, theta: Array, principal: bool) -> str:
-    if document.kind == "urdf":
+    """Return the ``<inertial>`` of theta (10,) in the language of a document."""
+    if document.is_urdf:
         return urdf_inertial_about_com(*spatial.com_from_theta(theta))
     return mjcf_inertial(theta, principal)
 
 
-def _comment(what: str, rmse: float, addition: str) -> str:
-    """Return the comment that says what was identified, of which body, say."""
-    words = f"System ID: {what} identified with {inertial.rmse_words(rmse)}"
-    words += f"; {addition}" if addition else ""
+def _comment(subject: str, rmse: float, addition: str) -> str:
+    """Return the comment that a subject, such as "body 'hand'", was identified."""
+    text = f"System ID: {subject} identified with {format_rmse(rmse)}"
+    text += f"; {addition}" if addition else ""
     # A name may hold ends of lines, and dashes that would end the comment.
-    return f"<!-- {re.sub('-(?=-)', '- ', ' '.join(words.split()))} -->"
+    return f"<!-- {re.sub('-(?=-)', '- ', ' '.join(text.split()))} -->"
 
 
-def _weld(edits: Edits, body: WeldedBody, change: ModelChange) -> None:
-    """Add the new body of a change."""
+def _write_welded_body(edits: Edits, body: WeldedBody, change: ModelChange) -> None:
+    """Add the new body of a change, or raise ExportError where its name is taken."""
     document = edits.document
-    joint = f"{body.name}_joint"
+    joint_name = f"{body.name}_joint"
     carrier = find_element(document, "body", body.carrier)
-    inertial.check_settings(document, carrier, body.theta, gets_child=True)
-    is_urdf = document.kind == "urdf"
-    taken = {
-        "world",
-        *(node.get("name") or "" for node in document.walk("body", "link")),
-    }
+    check_settings(document, carrier, body.theta, gets_child=True)
+    names = {node.get("name") for node in document.walk("body", "link")}
+    bodies = {"world", *filter(None, names)}
     joints = {node.get("name") for node in document.walk("joint")}
-    if not body.name.strip() or body.name in taken or (is_urdf and joint in joints):
-        listed = ", ".join(sorted(filter(None, taken)))
+    is_taken = body.name in bodies or (document.is_urdf and joint_name in joints)
+    if is_taken or not body.name.strip():
         raise ExportError(
             f"{document.path}: the new body cannot be called '{body.name}', because that name is "
-            f"empty or taken; bodies of the model: {listed}"
+            f"empty or taken; bodies of the model: {', '.join(sorted(bodies))}"
         )
     comment = _comment(f"body '{body.name}'", change.rmse, body.words)
-    own = _inertial(document, body.theta, change.principal)
-    name = attributes({"name": body.name})
-    place = numbers(body.translation)
-    if is_urdf:
+    inertial = _inertial(document, body.theta, change.principal)
+    name = attribute_text({"name": body.name})
+    position = format_numbers(body.translation)
+    if document.is_urdf:
         # All links of a URDF stand side by side.
-        parent = attributes({"link": body.carrier})
-        child = attributes({"link": body.name})
-        turn = numbers(spatial.roll_pitch_yaw(body.rotation))
-        fixed = (
-            f'<joint{attributes({"name": joint})} type="fixed"><parent{parent}/>'
-            f'<child{child}/><origin xyz="{place}" rpy="{turn}"/></joint>'
+        angles = format_numbers(spatial.roll_pitch_yaw(body.rotation))
+        joint = (
+            f'<joint{attribute_text({"name": joint_name})} type="fixed">'
+            f"<parent{attribute_text({'link': body.carrier})}/>"
+            f"<child{attribute_text({'link': body.name})}/>"
+            f'<origin xyz="{position}" rpy="{angles}"/></joint>'
         )
-        edits.append(document.root, comment, f"<link{name}>{own}</link>", fixed)
+        link = f"<link{name}>{inertial}</link>"
+        edits.append(document.root, comment, link, joint)
     else:
-        pose = f'pos="{place}" quat="{numbers(spatial.quaternion(body.rotation))}"'
-        edits.append(carrier, comment, f"<body{name} {pose}>", f"  {own}", "</body>")
+        quaternion = format_numbers(spatial.quaternion(body.rotation))
+        start_tag = f'<body{name} pos="{position}" quat="{quaternion}">'
+        edits.append(carrier, comment, start_tag, f"  {inertial}", "</body>")
 
 
-_MUJOCOS_OWN = "0 0 -9.81"
+_DEFAULT_GRAVITY = "0 0 -9.81"
+"""MuJoCo's own, where a model states none [m/s^2]."""
 
 
 def _write_gravity(
     edits: Edits, gravity: tuple[float, float, float], rmse: float
 ) -> None:
-    """Give a model another gravity; MuJoCo reads the ``<option>`` in a URDF's ``<mujoco>`` part."""
+    """Give a model another gravity; MuJoCo reads the ``<option>`` in a URDF's ``<mujoco>``."""
     options = edits.document.settings("option")
-    flags = (
-        node for option in options for node in option.children() if node.tag == "flag"
-    )
-    if any(flag.get("gravity") == "disable" for flag in flags):
-        fault = '<flag gravity="disable"/> switches gravity off; remove it'
-        raise ExportError(f"{edits.document.path}: {fault}")
+    for option in options:
+        for node in option.children():
+            if node.tag == "flag" and node.get("gravity") == "disable":
+                fault = '<flag gravity="disable"/> switches gravity off; remove it'
+                raise ExportError(f"{edits.document.path}: {fault}")
     if not np.all(np.isfinite(gravity)):
         raise ExportError(f"gravity cannot be written as {gravity}: it is no vector")
     stating = [option for option in options if option.get("gravity")]
-    before = (stating[-1].get("gravity") if stating else None) or _MUJOCOS_OWN
-    words = f"in place of {before}, because the arm does not stand as the file said"
-    comment = _comment("gravity", rmse, words)
-    text = numbers(np.asarray(gravity))
+    old = (stating[-1].get("gravity") if stating else None) or _DEFAULT_GRAVITY
+    addition = f"in place of {old}, because the arm does not stand as the file said"
+    comment = _comment("gravity", rmse, addition)
+    text = format_numbers(np.asarray(gravity))
     if not options:
         edits.settings += [comment, f'<option gravity="{text}"/>']
         return
@@ -277,30 +294,29 @@ def _require_resistance(owner: str, numbers: Mapping[str, float]) -> None:
 def write_joint(edits: Edits, change: JointChange) -> None:
     """Give a joint its new numbers, or raise ExportError where the file cannot hold them."""
     document = edits.document
-    is_urdf = edits.document.kind == "urdf"
-    further = {"nonlinear damping": min(change.polynomial)} if change.polynomial else {}
-    _require_resistance(f"joint '{change.label}'", {**change.numbers, **further})
+    numbers = change.numbers
+    nonlinear = change.polynomial
+    if nonlinear:
+        numbers["nonlinear damping"] = min(nonlinear)
+    _require_resistance(f"joint '{change.label}'", numbers)
     node = find_element(document, "joint", change.label)
-    written = {name: number(value) for name, value in change.numbers.items()}
-    if is_urdf:
-        if "frictionloss" in written:
-            written["friction"] = written.pop("frictionloss")
-        old = node.child("dynamics")
-        if old is None:
-            if written:
-                edits.append(node, f"<dynamics{attributes(written)}/>")
+    texts = {name: format_number(value) for name, value in change.numbers.items()}
+    if document.is_urdf:
+        if "frictionloss" in texts:
+            texts["friction"] = texts.pop("frictionloss")
+        dynamics = node.child("dynamics")
+        if dynamics is None:
+            if texts:
+                edits.append(node, f"<dynamics{attribute_text(texts)}/>")
             return
-        node = old
-    elif "damping" in written:
+        node = dynamics
+    elif "damping" in texts:
         # Nonlinear damping stands behind the linear one; where none was found the model's stays.
-        beyond = (node.get("damping") or "").split()[1:]
-        beyond = (
-            beyond
-            if change.polynomial is None
-            else [number(n) for n in change.polynomial]
-        )
-        written["damping"] = " ".join([written["damping"], *beyond])
-    for name, text in written.items():
+        coefficients = (node.get("damping") or "").split()[1:]
+        if nonlinear is not None:
+            coefficients = list(map(format_number, nonlinear))
+        texts["damping"] = " ".join([texts["damping"], *coefficients])
+    for name, text in texts.items():
         edits.set(node, name, text)
 
 
@@ -308,58 +324,60 @@ def _write_tendon(edits: Edits, change: TendonChange, rmse: float) -> None:
     """Give a fixed tendon its new numbers, or add it; ExportError where the file cannot hold it."""
     document = edits.document
     joints = list(change.coefficients)
-    what = f"motor that turns {' and '.join(joints)}"
-    _require_resistance(f"the {what}", change.numbers)
-    written = {name: number(value) for name, value in change.numbers.items()}
-    comment = _comment(what, rmse, change.words)
-    sections = document.tagged("tendon")
+    subject = f"motor that turns {' and '.join(joints)}"
+    _require_resistance(f"the {subject}", change.numbers)
+    texts = {name: format_number(value) for name, value in change.numbers.items()}
+    comment = _comment(subject, rmse, change.words)
     if not change.is_new:
-        nodes = (node for section in sections for node in section.children())
-        node = next(islice(nodes, change.tendon, None), None)
+        node = _section_child(document, "tendon", change.tendon)
         if node is None or node.tag != "fixed":
             fault = f"tendon number {change.tendon} is not written out in the file"
             raise ExportError(f"{document.path}: {fault} as a <fixed>; write it out")
         edits.comment(node, comment)
-        for name, text in written.items():
+        for name, text in texts.items():
             edits.set(node, name, text)
         return
     nameless = [joint for joint in joints if joint.startswith("#")]
     if nameless:
         fault = f"a tendon cannot refer to joint {nameless[0]}, which has no name; give it one"
         raise ExportError(f"{document.path}: {fault}")
-    lines = [comment, f"<fixed{attributes(written)}>"]
+    lines = [comment, f"<fixed{attribute_text(texts)}>"]
     for joint, coefficient in change.coefficients.items():
-        lines.append(
-            f"  <joint{attributes({'joint': joint, 'coef': number(coefficient)})}/>"
-        )
+        pair = {"joint": joint, "coef": format_number(coefficient)}
+        lines.append(f"  <joint{attribute_text(pair)}/>")
     lines.append("</fixed>")
+    sections = document.root_children("tendon")
     if sections:
         edits.append(sections[-1], *lines)
     else:
-        edits.append(
-            document.root, "<tendon>", *(f"  {line}" for line in lines), "</tendon>"
-        )
+        indented = [f"  {line}" for line in lines]
+        edits.append(document.root, "<tendon>", *indented, "</tendon>")
+
+
+def _section_child(document: ModelDocument, section: str, index: int) -> Node | None:
+    """Return the child of this index in all sections of a name, such as "tendon", together."""
+    children: list[Node] = []
+    for node in document.root_children(section):
+        children += node.children()
+    return next(islice(children, index, None), None)
 
 
 def write_actuator(edits: Edits, change: ActuatorChange) -> None:
     """Give a position actuator its new gains; ExportError where the file does not write it out."""
     document = edits.document
-    written = (
-        node for section in document.tagged("actuator") for node in section.children()
-    )
-    node = next(islice(written, change.actuator, None), None)
-    kp = number(change.stiffness)
-    kv = number(change.damping)
+    node = _section_child(document, "actuator", change.actuator)
+    kp = format_number(change.stiffness)
+    kv = format_number(change.damping)
     gains = {
         "position": {"kp": kp, "kv": kv},
         "general": {"gainprm": kp, "biasprm": f"0 -{kp} -{kv}"},
-    }.get("" if node is None else node.tag)
-    if node is None or gains is None:
+    }
+    if node is None or node.tag not in gains:
         fault = f"actuator number {change.actuator} is not written out in the file"
         raise ExportError(
             f"{document.path}: {fault} as a <position> or <general>; write it out"
         )
-    for name, value in gains.items():
+    for name, value in gains[node.tag].items():
         edits.set(node, name, value)
 
 
@@ -367,46 +385,53 @@ _MULTIPLIERS = ("replicate", "attach", "composite", "flexcomp")
 """Elements that make bodies which are not written out."""
 
 
-def find_element(document: ModelDocument, kind: str, label: str) -> Node:
-    """Return the element of a compiled "body" (a ``<link>`` in a URDF) or "joint" by its name, or
-    "#7" for the nameless one with MuJoCo id 7; ExportError unless it is written out just once.
+def find_element(document: ModelDocument, element: str, label: str) -> Node:
+    """Return the element of a compiled body or joint; ExportError unless it is written out once.
+
+    Args:
+        element: "body", which is a ``<link>`` in a URDF, or "joint".
+        label: its name, or "#7" for the nameless one with MuJoCo id 7.
     """
-    nodes = list(_in_order(document, kind))
-    found = [n for n in nodes if n.get("name") == label and n.tag not in _MULTIPLIERS]
-    if len(found) > 1:
-        fault = f"{kind} '{label}' stands in the file {len(found)} times"
+    nodes = list(_compiled_order(document, element))
+    named = [node for node in nodes if node.get("name") == label]
+    matches = [node for node in named if node.tag not in _MULTIPLIERS]
+    if len(matches) > 1:
+        fault = f"{element} '{label}' stands in the file {len(matches)} times"
         raise ExportError(f"{document.path}: {fault}")
-    by_number = re.fullmatch(r"#(\d+)", label)
-    if by_number and not found and document.kind == "mjcf":
+    number = re.fullmatch(r"#(\d+)", label)
+    if number and not matches and not document.is_urdf:
         # The world is body 0; behind a multiplier nobody knows the number.
-        index = int(by_number[1]) - (kind == "body")
-        counted = takewhile(lambda node: node.tag not in _MULTIPLIERS, nodes)
-        found = list(islice(counted, index, index + 1)) if index >= 0 else []
+        index = int(number[1]) - (element == "body")
+        countable = list(takewhile(lambda node: node.tag not in _MULTIPLIERS, nodes))
+        matches = countable[index : index + 1] if index >= 0 else []
     repeated = (node for top in document.walk(*_MULTIPLIERS) for node in top.walk())
-    if not found or found[0] in repeated:
+    if not matches or matches[0] in repeated:
         raise ExportError(
-            f"{document.path}: {kind} '{label}' is not written out in the file (it comes from an "
-            "attached, repeated or generated part); write it out, with a name"
+            f"{document.path}: {element} '{label}' is not written out in the file (it comes from "
+            "an attached, repeated or generated part); write it out, with a name"
         )
-    return found[0]
+    return matches[0]
 
 
-def _in_order(document: ModelDocument, kind: str) -> Iterator[Node]:
+def _compiled_order(document: ModelDocument, element: str) -> Iterator[Node]:
     """Yield bodies or joints as MuJoCo numbers them, and the elements that multiply bodies."""
     # Depth first, the joints of a body before those of the bodies in it; <frame> adds none.
-    if document.kind == "urdf":
-        yield from document.tagged("link" if kind == "body" else "joint")
-    for node in (
-        each for world in document.tagged("worldbody") for each in world.walk()
-    ):
-        if node.tag in _MULTIPLIERS or node.tag == kind == "body":
-            yield node
-        if kind == "joint" and node.tag in ("worldbody", "body", *_MULTIPLIERS):
-            yield from (
-                n for n in _without_frames(node) if n.tag in ("joint", "freejoint")
-            )
+    if document.is_urdf:
+        yield from document.root_children("link" if element == "body" else "joint")
+    for world in document.root_children("worldbody"):
+        for node in world.walk():
+            is_multiplier = node.tag in _MULTIPLIERS
+            if is_multiplier or node.tag == element == "body":
+                yield node
+            if element == "joint" and (is_multiplier or node.tag in _WITH_JOINTS):
+                children = _without_frames(node)
+                yield from (n for n in children if n.tag in ("joint", "freejoint"))
+
+
+_WITH_JOINTS = ("worldbody", "body")
 
 
 def _without_frames(body: Node) -> Iterator[Node]:
+    """Yield the children of a body, those in a ``<frame>`` in place of it."""
     for child in body.children():
         yield from _without_frames(child) if child.tag == "frame" else (child,)

@@ -110,7 +110,7 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
         )
     refuse_hazards(document, mesh_dir)
     with captured_warnings() as warnings:
-        if document.kind == "urdf":
+        if document.is_urdf:
             mj_model, notes = _compile_urdf(document, mesh_dir)
         else:
             mj_model = _compile_mjcf(document, mesh_dir)
@@ -120,8 +120,9 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
         mujoco.MjModel.from_xml_string("<mujoco/>")
     _check_values(mj_model, document)
     said = tuple(dict.fromkeys(f"MuJoCo warns: {text}" for text in warnings))
-    speeds = velocity_limits(document) if document.kind == "urdf" else {}
-    return CompiledModel(mj_model, notes + said, document.sha256, document.kind, speeds)
+    kind = "urdf" if document.is_urdf else "mjcf"
+    speeds = velocity_limits(document) if document.is_urdf else {}
+    return CompiledModel(mj_model, notes + said, document.sha256, kind, speeds)
 
 
 _CACHE = mujoco.mj_getCache() if hasattr(mujoco, "mj_getCache") else None

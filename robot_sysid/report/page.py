@@ -17,7 +17,7 @@ import numpy as np
 from robot_sysid import __version__
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
-from robot_sysid.mjcf.inertial import rmse_words
+from robot_sysid.mjcf.inertial import format_rmse
 from robot_sysid.records.data import Source, Traces
 from robot_sysid.records.file_access import (
     MODEL_NAMES,
@@ -214,7 +214,7 @@ def _origin(run: Run) -> Iterator[str]:
 
 def _other_models(run: Run) -> Iterator[str]:
     """Yield a warning of each model in the folder that another run has written."""
-    ours = rmse_words(run.content["rmse"])
+    ours = format_rmse(run.content["rmse"])
     for path in (run.folder / name for name in MODEL_NAMES.values()):
         # A model that this run read from its own folder stays there where it writes none.
         if path.is_file() and ours not in path.read_text("utf-8", errors="replace"):

@@ -16,7 +16,11 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.inertial import mjcf_inertial, numbers, urdf_inertial_about_com
+from robot_sysid.mjcf.inertial import (
+    format_numbers,
+    mjcf_inertial,
+    urdf_inertial_about_com,
+)
 from robot_sysid.records import Array, Flange, InertialParameters
 from robot_sysid.results.record import BodyEstimate
 
@@ -76,7 +80,7 @@ class Form:
 def _mjcf(body: InertialParameters, inertia: Array) -> str:
     if np.any(inertia):
         return mjcf_inertial(body.theta)
-    return f'<inertial pos="{numbers(body.com)}" mass="{body.mass!r}" diaginertia="0 0 0"/>'
+    return f'<inertial pos="{format_numbers(body.com)}" mass="{body.mass!r}" diaginertia="0 0 0"/>'
 
 
 _ALL_OF_IT = (

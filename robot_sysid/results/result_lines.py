@@ -161,7 +161,7 @@ def _mass_line(result: Result) -> Iterator[str]:
     except ExportError:
         yield line
         return
-    lumped = [body.name for body in plan.lumped]
+    lumped = [body.name for body in plan.emptied]
     alone = " + ".join([names[0], *lumped]) + (" together" if lumped else " alone")
     yield f"{line}; {alone}, as written in the file: {plan.theta[0]:.4g} kg"
 

@@ -190,7 +190,7 @@ def require_change(original: Any, found: Any, change: ModelChange) -> None:
         for own, plan in ((change.body_id, change.plan) for change in change.bodies)
         for body, theta in (
             (own, plan.theta),
-            *((b.body_id, np.zeros(10)) for b in plan.lumped),
+            *((b.body_id, np.zeros(10)) for b in plan.emptied),
         )
     }
     asked = list(_asked(original, change))

@@ -237,12 +237,12 @@ def _body_changes(
                 f"moves body '{link.body_name}' too; its parameters belong to that joint's link"
             )
         plan = plan_write_back(thetas[k], parts, bound, most_inflated(errors[k]))
-        held[k] = plan.written(thetas[k])
+        held[k] = plan.written_composite(thetas[k])
         changes.append(
             BodyChange(link.body_name, link.body_id, plan, "; ".join(words[k]) or None)
         )
         scaled = f"mass and inertia {plan.scale:.4g} of the model's, for want of room in its link"
-        for part in plan.scaled:
+        for part in plan.lightened:
             rest = WriteBack(plan.scale * body_theta(robot.mj_model, part.body_id))
             changes.append(BodyChange(part.name, part.body_id, rest, scaled))
     return tuple(changes), held
@@ -300,7 +300,7 @@ def _write(
         raise
     plans = [body.plan for body in change.bodies]
     return tuple(
-        p.note if p.lumped or p.scaled else Detail(p.note) for p in plans if p.note
+        p.note if p.emptied or p.lightened else Detail(p.note) for p in plans if p.note
     )
 
 

@@ -142,7 +142,7 @@ def test_a_pipe_is_not_waited_for(tmp_path):
 def test_a_doctype_in_another_file_is_not_opened(tmp_path):
     os.mkfifo(tmp_path / "other.dtd")  # it would be waited for without end
     text = '<!DOCTYPE mujoco SYSTEM "other.dtd"><mujoco><worldbody/></mujoco>'
-    assert read_document(write_files(tmp_path, {"m.xml": text})).kind == "mjcf"
+    assert read_document(write_files(tmp_path, {"m.xml": text})).is_urdf is False
 
 
 def test_nothing_of_a_file_that_is_no_model_is_shown(tmp_path):

@@ -155,7 +155,9 @@ FACES = "f 1 2 3\nf 1 2 4\nf 2 3 4\nf 1 3 4\n"
 def test_triangles_of_a_mesh_are_counted(tmp_path, name, content, triangles):
     path = tmp_path / name
     path.write_bytes(content.encode())
-    assert hazards._triangles(path, path.suffix) == pytest.approx(triangles, abs=2)
+    assert hazards._count_triangles(path, path.suffix) == pytest.approx(
+        triangles, abs=2
+    )
 
 
 def test_a_mesh_of_too_many_triangles_is_refused(tmp_path):
@@ -182,7 +184,7 @@ def test_what_is_attached_counts_each_time(tmp_path, times):
 
 def test_an_image_that_unpacks_to_more_than_it_says_is_refused(tmp_path, monkeypatch):
     """MuJoCo would unpack 2 GB of 2 MB, and then see that they should have been 200 bytes."""
-    monkeypatch.setattr(hazards, "MOST_MEMORY", 1e6)
+    monkeypatch.setattr(hazards, "MAX_MEMORY", 1e6)
     path = model(tmp_path, "a.xml", TEXTURE)
     (tmp_path / "a.png").write_bytes(png(8, 8, bytes(3_000_000)))
     with pytest.raises(ModelError, match="largest: a.png"):

@@ -12,7 +12,12 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.export import export_updated_xml
 from robot_sysid.mjcf.documents import Edits, read_document
-from robot_sysid.mjcf.inertial import WriteBack, check_settings, mjcf_inertial, numbers
+from robot_sysid.mjcf.inertial import (
+    WriteBack,
+    check_settings,
+    format_numbers,
+    mjcf_inertial,
+)
 from robot_sysid.mjcf.inertial import urdf_inertial_about_com as urdf_inertial
 from robot_sysid.mjcf.updated_model import BodyChange, ModelChange, find_element
 from robot_sysid.model.inertia import body_label, body_theta
@@ -52,7 +57,7 @@ def test_inertias_are_about_the_centre_of_mass_in_the_order_of_their_format():
 
 def test_numbers_that_mujoco_cannot_read_are_zero():
     assert (
-        numbers(np.array([-0.0, 5e-324, -2e-310, 1e-300, 0.1]))
+        format_numbers(np.array([-0.0, 5e-324, -2e-310, 1e-300, 0.1]))
         == "0.0 0.0 0.0 1e-300 0.1"
     )
 

@@ -29,7 +29,7 @@ def test_the_terminal_body_takes_the_difference(seed):
     bodies = [body(3, random_theta(rng)), body(4, tool), body(5, finger, welded=False)]
     plan = plan_write_back(link + tool + finger, bodies)
     np.testing.assert_allclose(plan.theta, link, rtol=0, atol=1e-14)
-    assert plan.lumped == () and plan.note is None
+    assert plan.emptied == () and plan.note is None
 
 
 @given(seed=seeds)
@@ -40,14 +40,14 @@ def test_a_massless_terminal_body_takes_the_whole_rigid_group(seed):
     bodies = [body(3, NOTHING), body(4, tool), body(5, finger, False), body(6, NOTHING)]
     plan = plan_write_back(tool + finger + noise, bodies)
     np.testing.assert_allclose(plan.theta, tool + noise, rtol=0, atol=1e-14)
-    assert [b.name for b in plan.lumped] == ["b4"]
+    assert [b.name for b in plan.emptied] == ["b4"]
     assert (
         plan.note is not None
         and "'b3'" in plan.note
         and "'b4' weigh nothing" in plan.note
     )
     heavier = plan_write_back(tool + finger + load, bodies)
-    assert heavier.lumped == () and spatial.is_consistent(heavier.theta)
+    assert heavier.emptied == () and spatial.is_consistent(heavier.theta)
 
 
 @given(seed=seeds)
@@ -62,8 +62,8 @@ def test_what_hangs_on_joints_gets_as_light_as_it_has_to(seed):
     ]
     composite = link + tool + 0.1 * (finger + thumb)
     plan = plan_write_back(composite, bodies)
-    assert 0.1 <= plan.scale < 1.0 and [b.name for b in plan.scaled] == ["b5", "b6"]
-    assert [b.name for b in plan.lumped] == ["b4"] and plan.inflated < 1e-9
+    assert 0.1 <= plan.scale < 1.0 and [b.name for b in plan.lightened] == ["b5", "b6"]
+    assert [b.name for b in plan.emptied] == ["b4"] and plan.inflation < 1e-9
     rest = composite - plan.scale * (finger + thumb)
     np.testing.assert_allclose(plan.theta, rest, rtol=0, atol=1e-9)
     assert possible_body(plan.theta, 1.0) is not None
@@ -131,7 +131,9 @@ def test_moments_below_the_files_bound_are_raised_where_they_are_not_known_bette
     smallest = np.linalg.eigvalsh(spatial.com_from_theta(plan.theta)[2])[0]
     # Rounding of an inertia about an origin metres away, which is of the order of ten.
     np.testing.assert_allclose(smallest, bound, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(plan.written(identified), plan.theta, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        plan.written_composite(identified), plan.theta, rtol=0, atol=1e-13
+    )
     assert plan.note is not None and "less than their standard errors" in plan.note
 
 
@@ -142,8 +144,8 @@ def test_a_small_body_below_a_rod_is_kept_where_the_moments_allow(seed):
     identified = rod(rng)
     frame = spatial.theta_from_com(1e-6, np.zeros(3), 1e-6 * np.eye(3))
     plan = plan_write_back(identified, [body(1, NOTHING), body(2, frame)], 0.0, 1e-3)
-    assert plan.lumped == () and spatial.is_consistent(plan.theta)
+    assert plan.emptied == () and spatial.is_consistent(plan.theta)
     np.testing.assert_allclose(
-        plan.theta + frame, plan.written(identified), rtol=0, atol=1e-13
+        plan.theta + frame, plan.written_composite(identified), rtol=0, atol=1e-13
     )
-    assert 1e-7 < plan.inflated < 1e-3
+    assert 1e-7 < plan.inflation < 1e-3

@@ -240,7 +240,7 @@ def test_any_possible_link_moves_as_predicted_once_written_and_loaded(arm, theta
     written.write_bytes(text)
     compiled = verify_written_model(arm.mj_model, written, change).mj_model
     thetas = arm.thetas
-    thetas[-1] = plan.written(theta)
+    thetas[-1] = plan.written_composite(theta)
     require_reproduction(arm, thetas, change, compiled, some_motion(seed, 3), written)
 
 
