@@ -1,18 +1,18 @@
-"""What logs and models with one known fault are blamed for, and what passes unblamed costs.
+"""Which faults the checks name for logs and models with one known fault, and what others cost.
 
     python -m benchmarks.confusion MODELS_FOLDER [--arms ur5e iiwa14 ...] [--causes ripple ...]
-        [--kinds real] [--seeds 3] [--first-seed 0] [--duration 20] [--no-answers]
+        [--deviations real] [--seeds 3] [--first-seed 0] [--duration 20] [--no-answers]
 
-Arms are drawn as in ``benchmarks.real_arms``, one per model, kind and seed, the same for all causes
-and durations, so that rows can be compared. The cause "right" leaves a log as it is, and has logs
-of 6, 8, 15 and 60 s. Per cause, logs are counted by what the checks before an identification name,
-at any level, and by motors over two joints that the estimate finds:
+Arms are drawn as in ``benchmarks.real_arms``, one per model, deviation and seed, the same for all
+causes and durations, so that rows can be compared. The cause "right" leaves a log as it is, and has
+logs of 6, 8, 15 and 60 s. Per cause, logs are counted by the findings of the checks before an
+identification, of any level, and by motors over two joints that the estimate finds:
 
 rightly     a finding has the right name
-tie         none has, but one says that several causes are not told apart
-withheld    only that a part of the torque is explained by nothing
-wrongly     only other names
-silent      nothing
+tie         none has, but one lists several causes that fit equally well
+withheld    the only finding is that a part of the torque is not explained
+wrongly     all findings have other names
+silent      no finding
 
 A log that no finding refuses or warns of is identified with default options, and its last link's
 mass is compared with the true one:
@@ -68,7 +68,7 @@ OTHER_ARM = "the model of another arm"
 
 @dataclass(frozen=True)
 class Answer:
-    """What ``identify`` says of the last link's mass [kg], and motors over two joints it finds."""
+    """Result of ``identify``: the last link's mass [kg], and the motors over two joints."""
 
     mass: float
     error: float
@@ -96,7 +96,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the checks of one log find, the time they take [s], and the answer where one is sought.
+    """Findings of the checks of one log, their time [s], and the answer.
 
     Attributes:
         answer: None where the log is stopped or no answer is asked for.
@@ -182,7 +182,7 @@ def identify_scene(scene: Scene) -> Answer:
 
 @dataclass(frozen=True)
 class Case:
-    """One log: which cause, which arm of which kind, how long [s]."""
+    """One log: its cause, arm, deviation, duration [s] and seed."""
 
     cause: str
     arm_name: str
@@ -223,7 +223,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Tally:
-    """Counts of logs, of how their causes are named and of what they cost, and times [s]."""
+    """Counts of logs by naming, cost and names of findings, and times of the checks [s]."""
 
     namings: Counter[str]
     costs: Counter[str]
@@ -232,9 +232,11 @@ class Tally:
 
     @staticmethod
     def empty() -> Tally:
+        """Return the counts of no logs."""
         return Tally(Counter(), Counter(), Counter(), [])
 
     def add(self, case: Case, outcome: Outcome) -> None:
+        """Count one log: how it is named, what its answer costs, names and time."""
         self.namings[outcome.classify_naming(CAUSES[case.cause][1])] += 1
         self.costs.update(outcome.classify_costs())
         self.names[outcome.names] += 1
@@ -282,6 +284,7 @@ def print_cause(
 
 
 def print_share(title: str, numerator: int, denominator: int) -> None:
+    """Print a fraction as counts and in percent; nothing where there is no case."""
     if denominator:
         print(
             f"{title}: {numerator} of {denominator}, {100.0 * numerator / denominator:.1f} %"

@@ -155,10 +155,12 @@ def middle_instant(scene: Scene) -> float:
 
 
 def payload_drops(scene: Scene) -> Scene:
+    """Return a log in which the arm loses its payload in the middle."""
     return change_payload(scene, 1.0, 0.0, middle_instant(scene))
 
 
 def payload_grows(scene: Scene) -> Scene:
+    """Return a log whose payload gets half as heavy again in the middle."""
     return change_payload(scene, 1.0, 1.5, middle_instant(scene))
 
 
@@ -301,6 +303,7 @@ def model_in_grams(scene: Scene) -> Scene:
 
 
 def leave_right(scene: Scene) -> Scene:
+    """Return the scene as it is."""
     return scene
 
 

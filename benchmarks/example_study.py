@@ -1,4 +1,4 @@
-"""The example's noise study, for benchmarks that ask more of it than the example does."""
+"""The noise study of the Kinova example, with functions that only benchmarks need."""
 
 from __future__ import annotations
 

@@ -1,20 +1,23 @@
-"""Does the error that a plan promises come true? Noisy recordings of one plan, identified each.
+"""Are the standard errors that ``plan`` predicts right? Identifies simulated recordings of a plan.
 
     python -m benchmarks.excitation_prediction [--arms PART] [--runs N] [--exact]
 
-Lines per arm: root mean square error of the mass, of the centre of mass and of all ten parameters
-(median) over the runs, each over what ``plan`` promises: of the result; of the result over what
-``plan`` tells of both, recordings in which scales are doubted, as often as it says, and others; of
-the result in runs in which they are not doubted, with their number; of the plain estimate, before
-bodies were made possible; of runs in which scales are doubted, over what each of them states; and
-what the runs themselves state over the promise (median). Every run has an arm of its own, drawn
-from what the estimate believes beforehand: other links, torque scales, zeros, gravity, delay and
-friction are off as their priors say; options are the defaults. With ``--exact`` the arm is the
-model itself in every run, and the promise is the part of torque noise.
+Every run simulates a recording of an arm whose other links, torque scales, zeros, gravity, delay
+and friction are drawn from the priors of the estimate, and identifies it with default options. With
+``--exact`` the arm is the model itself, and the prediction is that of torque noise alone.
 
-N runs know the spread of a normal error to 1 / sqrt(2 N), 5 % for 240. Bodies that have to be
-possible have errors with long tails: batches of 60 runs tell 0.3 to 1.3 of that of a UR5e's centre
-of mass.
+Lines per arm: root mean square errors of the mass, the centre of mass and the ten parameters
+(median), over the predicted standard errors:
+
+- of all results, also over the prediction that counts both kinds of recordings, with and without a
+  common torque scale;
+- of results without a common torque scale, with their number;
+- of the plain estimates, before bodies were made possible;
+- of results with a common torque scale, over the standard errors that they state;
+- the standard errors that the runs state over the predicted ones (median).
+
+With N runs the spread of a normal error is known to 1 / sqrt(2 N), 5 % for 240. Errors of possible
+bodies have long tails and need more runs.
 """
 
 from __future__ import annotations
@@ -109,6 +112,7 @@ def simulate_log(robot, columns, values, motion):
     at = {name: float(value) for name, value in zip(columns.names, values)}
 
     def of(term):
+        """Return the value of a term for each joint (n,)."""
         return np.array([at[f"{term}[{joint}]"] for joint in robot.joint_names])
 
     down = turn_gravity(

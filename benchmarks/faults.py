@@ -1,4 +1,4 @@
-"""What stands in the output folder after a run was killed, interrupted, or lost its disk or folder.
+"""Which files a run leaves that was killed, interrupted, or lost its disk or folder.
 
 Run from the checkout:
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.faults --kills 100
@@ -70,14 +70,18 @@ class Study:
         """Start a command over the earlier results."""
         self.shop.fill(self.old[name])
         self.shop.out.mkdir(exist_ok=True)
+        return self.rerun(name)
+
+    def rerun(self, name: str) -> Run:
+        """Start a command over the files that are in the output folder."""
         return self.shop.start(self.shop.command_arguments(name, 2))
 
     def output_files(self) -> dict[str, bytes]:
-        """Return all that is in the output folder."""
+        """Return the files of the output folder, with their contents."""
         return files_in(self.shop.out) if self.shop.out.is_dir() else {}
 
     def faults(self, name: str, removed: bool = False) -> list[str]:
-        """Return what is wrong with the files in the output folder."""
+        """Return the faults of the files in the output folder, a sentence each."""
         if not self.shop.out.is_dir():
             return []
         files = {k: v for k, v in self.output_files().items() if not is_hidden(k)}
@@ -95,28 +99,33 @@ class Study:
         return faults
 
     def next_run(self, name: str) -> list[str]:
-        """Run the command again and return what is wrong."""
+        """Run the command again; return the faults, a sentence each."""
         if name == EXAMPLE:
             shutil.rmtree(self.shop.out / "kinova", ignore_errors=True)
-        run = self.shop.start(self.shop.command_arguments(name, 2))
+        run = self.rerun(name)
         if run.code != 0:
             return [f"the next run ends with {run.code}: {run.errors}"]
         files = self.output_files()
-        left = [
-            f"the next run leaves {k}" for k in files if self.new[name] and is_hidden(k)
-        ]
+        hidden = [path for path in files if is_hidden(path)] if self.new[name] else []
+        left = [f"the next run leaves {path}" for path in hidden]
         visible_files = {k: v for k, v in files.items() if not is_hidden(k)}
         differs = name != SEARCH and visible_files != self.new[name]
         return left + ["the next run writes something else"] * differs
 
 
 def is_hidden(path: str) -> bool:
-    """Tell drafts and locks from results."""
+    """Return whether a file is a draft or a lock, not a result."""
     return any(component.startswith(".") for component in Path(path).parts)
 
 
 def is_whole(path: str, content: bytes, other: dict[str, bytes]) -> bool:
-    """Tell whether a plan's file is all there, given that of another search of the same motion."""
+    """Return whether a plan's file is complete.
+
+    Args:
+        path: its name.
+        content: its bytes.
+        other: name to bytes of the files of another search with the same options.
+    """
     if path.endswith(".json"):
         with contextlib.suppress(ValueError):
             return json.loads(content).keys() == json.loads(other[path]).keys()
@@ -155,7 +164,7 @@ def left_over(run: Run, patience: float = 15.0) -> int:
 
 
 def kills(study: Study, count: int) -> None:
-    """Kill runs at random times and tell what was there."""
+    """Kill runs at random times, and print what they left."""
     tally: collections.Counter[str] = collections.Counter()
     for number in range(count):
         turn, index = divmod(number, len(study.names))
@@ -198,13 +207,13 @@ def kills(study: Study, count: int) -> None:
 def stages(study: Study, name: str) -> list[str]:
     """Return the lines that a command prints before its result."""
     study.shop.fill(study.old[name])
-    run = study.shop.start(study.shop.command_arguments(name, 2))
+    run = study.rerun(name)
     lines = run.out.read_text(encoding="utf-8").splitlines() if run.code == 0 else []
     return [line for line in lines if line.endswith(("...", "100%"))]
 
 
 def has_said(run: Run, line: str) -> Callable[[], bool]:
-    """Return what tells whether a run has printed a line."""
+    """Return a function that tells whether a run has printed a line."""
     return lambda: f"{line}\n" in run.out.read_text(encoding="utf-8")
 
 
@@ -231,6 +240,7 @@ def interrupts(study: Study, count: int) -> None:
 
 
 def _has_workers(run: Run) -> Callable[[], bool]:
+    """Return a function that tells whether a run has started worker processes."""
     return lambda: len(session_of(run.process.pid)) > 1
 
 
@@ -294,15 +304,10 @@ def disks(study: Study, sizes: list[str]) -> None:
                     return print("  no disk can be mounted here")
                 if name == "report" and not _has_room(study):
                     continue
-                _tell(
-                    study,
-                    name,
-                    size,
-                    study.shop.start(study.shop.command_arguments(name, 2)),
-                )
+                _tell(study, name, size, study.rerun(name))
         with small_disk(study, "16m"):
             study.shop.put(study.old[name])
-            run = study.shop.start(study.shop.command_arguments(name, 2))
+            run = study.rerun(name)
             time.sleep(0.5 * study.time[name])
             call = ["mount", "-o", "remount,ro", str(study.shop.out)]
             was_open = (
@@ -315,7 +320,7 @@ def disks(study: Study, sizes: list[str]) -> None:
                 run,
             )
             subprocess.run(call, capture_output=True, check=False)
-            run = study.shop.start(study.shop.command_arguments(name, 2))
+            run = study.rerun(name)
             _tell(study, name, "read-only before", run)
 
 
@@ -344,12 +349,13 @@ def _tell(study: Study, name: str, event: str, run: Run) -> None:
 
 
 def _file_instead(out: Path) -> None:
+    """Replace the output folder by a file."""
     shutil.rmtree(out)
     out.write_text("mine")
 
 
 def folders(study: Study) -> None:
-    """Take the output folder away during the run, or let it be something else from the start."""
+    """Remove the output folder during runs, or replace it beforehand; print each fault."""
     print("\noutput folder: command, what it is, exit code, lines on standard error")
     during = {
         "removed during the run": shutil.rmtree,
@@ -374,7 +380,7 @@ def folders(study: Study) -> None:
         for title, act in preparations.items():
             study.shop.fill({})
             act(study.shop.out)
-            run = study.shop.start(study.shop.command_arguments(name, 2))
+            run = study.rerun(name)
             start = time.monotonic()
             run.process.join()
             _tell(study, name, f"{title} ({time.monotonic() - start:.1f} s)", run)
@@ -387,12 +393,7 @@ def folders(study: Study) -> None:
                 continue
             study.shop.fill({k: v for k, v in study.old[name].items() if k != result})
             (study.shop.out / result / "inside").mkdir(parents=True)
-            _tell(
-                study,
-                name,
-                f"{result} is a folder",
-                study.shop.start(study.shop.command_arguments(name, 2)),
-            )
+            _tell(study, name, f"{result} is a folder", study.rerun(name))
         _two_at_once(study, name)
     study.shop.fill({})
 

@@ -9,7 +9,7 @@ base to 0.01 at the wrist, Coulomb friction that is larger one way than the othe
 a Stribeck drop, and a loss of 5 % of what the gear carries; 0.1 N m of noise and encoder steps of
 1e-4 rad at 500 Hz. The user's model is the public one, with its own armature and friction. Logs:
 one of the slow sweeps (`plan --for friction`), three of sines of 30 s (`plan --for arm`), both with
-`--max-velocity 2`, which no arm's own limits need to be raised for.
+`--max-velocity 2`, which is within the limits of all arms.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ GOALS = {"armature": 0.03, "coulomb": 0.05, "viscous": 0.05}
 
 
 class Truth:
-    """An arm near a model, with friction that no MJCF can hold.
+    """An arm that differs from its model, with friction that no MJCF can hold.
 
     Attributes:
         robot: the user's model.

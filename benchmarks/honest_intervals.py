@@ -1,4 +1,4 @@
-"""How often stated 95 % intervals hold the truth on arms that are not as modelled.
+"""How often stated 95 % intervals contain the truth, on arms that differ from their models.
 
     python -m benchmarks.honest_intervals MODELS_FOLDER [--runs 40] [--arms kinova panda]
         [--cells exact told usual payload loaded]
@@ -9,16 +9,16 @@ encoder zeros and the base's tilt off as the cell says. Torque noise is white, 1
 largest torque, and once more half as large with a memory of 100 ms; encoder steps are 1e-4 rad.
 
 exact     nothing is off but the noise; identified with default priors
-told      two sizes of what is off, identified with priors as wide as what was drawn
+told      two sizes of deviations, identified with priors as wide as the drawn deviations
 usual     links 2 %, scales 1 %, zeros 1 mrad, tilt 0.1 degrees, under default priors
 payload   the same with 2 kg at the flange in the order ABBA, Stribeck and load friction in all
           joints, under default priors
 loaded    2 kg at the flange in that order, and nothing off but the noise
 
-Printed per arm and cell: coverage, root mean square error (of what the body's size makes of 1), and
-that error over the stated one, for the mass, centre of mass and inertia of the terminal link (or of
+Printed per arm and cell: coverage, root mean square error relative to the body's size, and that
+error over the stated one, for the mass, centre of mass and inertia of the terminal link (or of
 the payload), the mass of a link in the middle, and Coulomb friction of all joints; then the share
-of runs with a sentence that names a cause: false ones, where nothing is off.
+of runs with a sentence that names a cause, which is false where nothing is off.
 """
 
 from __future__ import annotations
@@ -76,7 +76,10 @@ LOSS = 0.03
 
 @dataclass(frozen=True)
 class Cell:
-    """How far an arm is off: links, scale [%], zeros [mrad], tilt [deg]; is its friction bent."""
+    """Deviations of an arm: links, scale [%], zeros [mrad], tilt [deg].
+
+    ``bent`` adds Stribeck and load friction.
+    """
 
     links: float = 0.0
     scale: float = 0.0
@@ -85,7 +88,7 @@ class Cell:
     bent: bool = False
 
     def options(self) -> EstimationOptions:
-        """Return the options that say so."""
+        """Return options with priors as wide as these deviations."""
         return EstimationOptions(
             link_uncertainty=self.links,
             scale_uncertainty=self.scale,
@@ -99,7 +102,7 @@ TOLD = (USUAL, Cell(2.0, 3.0, 10.0, 0.3))
 
 
 class Arm:
-    """An arm as it was drawn."""
+    """An arm that is drawn at random, and simulates logs of itself."""
 
     def __init__(self, robot: RobotModel, cell: Cell, rng: np.random.Generator) -> None:
         self.robot = robot

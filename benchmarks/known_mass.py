@@ -1,10 +1,10 @@
-"""Torque scales from known masses: how well payloads are weighed afterwards on other logs.
+"""Torque scales from known masses: errors of payloads that are weighed with them.
 
     python -m benchmarks.known_mass MODELS [--runs 5] [--sets 2] [--arms kinova panda]
 
 Each run draws an imperfect arm whose torque scales are 3 % off per joint, calibrates it with 2 kg
-on some sets of recordings, each from where the one before left it, and weighs three other payloads
-on new recordings along new trajectories, with the torques as they are and divided by the scales.
+on several sets of recordings, each starting from the scales of the set before, and weighs three
+other payloads on new recordings along new trajectories, without and with these scales.
 """
 
 from __future__ import annotations

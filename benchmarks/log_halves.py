@@ -1,19 +1,19 @@
-"""How far the halves of real logs differ, in units of the errors that are stated of them.
+"""Differences between the halves of real logs, over the standard errors of these differences.
 
     python -m benchmarks.log_halves
 
 The logs lie in ../shared/data beside the checkout. Each half is fitted with the friction terms,
-couplings and priors of its whole log. Printed per log and kind of number: the root mean square of
-difference over error, 1 where stated errors are as large as errors are.
+couplings and priors of its whole log. Printed per log and kind of quantity: the root mean square of
+difference over standard error; 1 means that stated errors are right.
 
-The halves have their priors in common, and the arm. With C of each half, P the precision of the
-priors and p - x by how much these are off, an estimate is x + C (Y' W e + P (p - x)), so that the
-error of the difference of two halves is
+Both halves have the same arm and the same priors. With C the covariance of each half, P the
+precision of the priors and p - x the error of their means, an estimate is
+x + C (Y' W e + P (p - x)), so that the difference of two halves has the error
 
-    noise of the one + noise of the other + (C_1 - C_2) P (p - x).
+    noise of the first + noise of the second + (C_1 - C_2) P (p - x).
 
-What a prior holds in both halves alike cancels: beside it, differences would look small. Errors by
-bounds, filtering and bodies that have to be possible count in full, of each half.
+An error of a prior that affects both halves alike cancels and is left out. Errors by bounds,
+filtering and possible bodies count in full, for each half.
 """
 
 from __future__ import annotations

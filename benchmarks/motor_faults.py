@@ -1,4 +1,4 @@
-"""How far a simulated arm leaves its path when a motor fails, and what the player says.
+"""How far a simulated arm leaves its path when a motor fails, and the message of the player.
 
 Run from the checkout:
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.motor_faults faults
@@ -9,9 +9,9 @@ Run from the checkout:
     ... page          # the table of docs/damiao.md
 
 Arms of public models are played on simulated Damiao motors, in simulated time. ``damage`` spoils
-one feedback frame, as text on a serial line; ``faults`` lets something happen to a motor or to the
-arm while it plays; ``stop`` looks at what falls after the stop of an arm that is held still; and
-``clean`` plays undisturbed. A fault's run branches off the undisturbed one in a process of its own.
+one feedback frame, as text on a serial line; ``faults`` disturbs a motor or the arm while it plays;
+``stop`` measures how far joints fall after the stop of an arm that is held still; ``clean`` plays
+undisturbed. A fault's run branches off the undisturbed one in a process of its own.
 
 The exit code is 1 where a damaged frame moved a joint farther than it may, or an undisturbed run
 was stopped.
@@ -178,6 +178,7 @@ def shorten_message(message: str, length: int = 78) -> str:
 
 
 def _rough(message: str) -> str:
+    """Return an error's beginning with # for its numbers."""
     return re.sub(r"-?\d+(\.\d+)?", "#", shorten_message(message, 48)) or "-"
 
 
@@ -194,6 +195,7 @@ def print_outcomes(cases: list[Case], jobs: int) -> list:
 
 
 def _by_name(outcomes: list) -> Iterator[tuple[str, list]]:
+    """Yield (name, its outcomes) in the order of first appearance."""
     for name in dict.fromkeys(outcome.name for outcome in outcomes):
         yield name, [outcome for outcome in outcomes if outcome.name == name]
 

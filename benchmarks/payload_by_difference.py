@@ -1,13 +1,13 @@
-"""Payloads of imperfect simulated arms: how far off the joint estimate is, and what it says.
+"""Payloads of imperfect simulated arms: errors of the joint estimate beside the stated ones.
 
     python -m benchmarks.payload_by_difference MODELS [--runs 20] [--scale 0 1] [--arms ...]
 
-MODELS is a folder of public models as in MuJoCo Menagerie. Each run draws an arm with everything
-wrong at once (tests/support/imperfect_arm.py), four recordings (empty, loaded, loaded, empty) along
-one random trajectory, or along four with --different, and prints the rms error of the payload's
-mass, beside it that of the difference of two fits of the terminal link alone (--single). The random
-trajectory moves all joints widely, as a designed one does; with --narrow it is the one that a run
-without any options makes, which moves all joints but the last by a tenth of their range.
+MODELS is a folder of public models as in MuJoCo Menagerie. Each run draws an arm with all errors at
+once (tests/support/imperfect_arm.py) and four recordings (empty, loaded, loaded, empty) along one
+random trajectory, or along four with --different. Printed: rms errors of the payload's mass and
+centre of mass, stated errors and coverage; with --single also the error of the difference of two
+separate fits. The trajectory moves all joints widely; with --narrow all joints but the last move by
+a tenth of their range.
 """
 
 from __future__ import annotations
@@ -137,6 +137,7 @@ def run(robot, seed, off, different, single, wide, second):
 
 
 def rms(values):
+    """Return the root mean square of values."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 

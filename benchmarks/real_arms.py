@@ -1,9 +1,9 @@
-"""How often stated 95 % intervals hold the truth on arms as people have them.
+"""How often stated 95 % intervals contain the truth, on arms that are off as real ones are.
 
     python -m benchmarks.real_arms MODELS_FOLDER [--logs 20] [--arms ur5e iiwa14 ...]
         [--deviations real priors exact] [--first-seed 0]
 
-Each log is of an arm of its own. Its duration is 8, 20 or 60 s. Every other log has white torque
+Each log is of another arm. Its duration is 8, 20 or 60 s. Every other log has white torque
 noise, the rest noise with a memory of 20 samples.
 
 real    links as real model files have them: masses off by 10 to 20 %, one link 40 % heavier,
@@ -14,9 +14,9 @@ priors  everything drawn from the default priors
 exact   nothing off but noise; Coulomb and viscous friction
 
 Two of the arms have torque sensors behind the gears: a tenth of the friction, no rotor inertia.
-Printed per arm and kind: coverage, root mean square of error over stated error, that error in
-parts of the true value, and the median stated error in the same parts; then how many answers may
-be trusted, and how many of these are both 20 % and two stated errors off.
+Printed per arm and deviation: coverage, root mean square of error over stated error, root mean
+square relative error, and median relative stated error; then how many answers may be trusted, and
+how many of these are both 20 % and two stated errors off.
 """
 
 from __future__ import annotations
@@ -68,16 +68,16 @@ NOISE = 0.08
 
 @dataclass(frozen=True)
 class RealArm:
-    """An arm that is not as its model, and what its sensors say.
+    """An arm that differs from its model, and a log of it.
 
     Attributes:
         robot: the model as the user has it.
         thetas: (n, 10) the true links.
         coulomb, viscous, rotor: (n,) true friction and rotor inertia.
         scales: (n,) torque column over true torque.
-        motion: what it did, exactly; its torque is that of the model.
+        motion: exact positions, velocities and accelerations; its torque is that of the model.
         rigid: (N, n) torque of the links and rotors [N m].
-        log: what was recorded.
+        log: the recording.
     """
 
     robot: RobotModel

@@ -1,14 +1,14 @@
-"""The tables of docs/evidence.md: torque errors on logs of real arms that made no model.
+"""The tables of docs/evidence.md: torque errors of models on logs of real arms.
 
 Run from the checkout, a quarter of an hour on one core; ``--write`` puts them into the page:
 
     pip install -e ".[bench]"
     OMP_NUM_THREADS=1 python -m benchmarks.real_logs [--write]
 
-The logs lie in ../shared/data beside the checkout. robot-sysid runs with its defaults; the others
-get the same stretches of the same logs with its cut-off. Each file, whoever made it, is judged by
-MuJoCo's inverse dynamics alone, on a stretch that did not make it. A joint's mean error, which is
-its sensor's offset, is taken out everywhere.
+The logs lie in ../shared/data beside the checkout. robot-sysid runs with its defaults; the other
+tools get the same stretches of the same logs with its cut-off. Every model file is evaluated by
+MuJoCo's inverse dynamics, on a stretch that did not make it. A joint's mean error, which is the
+offset of its sensor, is taken out everywhere.
 """
 
 from __future__ import annotations
@@ -366,6 +366,7 @@ def _inertia(spec, body: str):
 
     def put(spec, param) -> None:
         # Its own way to write them does not compile since MuJoCo 3.14.
+        """Write the body's parameters into the model."""
         pseudo_inertia = sysid.model_modifier.pi_from_theta(param.value)
         inertia = pseudo_inertia[4:].reshape(3, 3)[np.triu_indices(3)]
         put_body(spec.body(body), np.concatenate((pseudo_inertia[:4], inertia)))

@@ -7,15 +7,14 @@ Run from the checkout, nothing else running; it exits with 1 when a run was stop
     ... --setups 5           # motors setup, on a busy computer
 
 ``robot-sysid motors simulate`` is the arm, behind a pseudo-terminal; ``robot-sysid motors play`` is
-another process. On a busy computer a program of ordinary priority keeps each processor busy. Have
-the right to real-time priority, see docs/damiao.md.
+another process. On a busy computer a program of ordinary priority keeps each processor busy. The
+user needs the right to real-time priority, see docs/damiao.md.
 
-A motor never pauses, but the simulated arm does when the computer does. How long it kept commands
-waiting is said, and how long each processor stood still: a virtual machine's are taken away from it
-now and then, for longer than a run may be late. And so is how long a byte took through another
-pseudo-terminal: the kernel hands it on by a thread of ordinary priority. Witnesses of the highest
-priority notice both. Where one of them had to wait right before a run was stopped, nothing is known
-about the program: the run is called spoilt and is tried again.
+A motor never pauses, but the simulated arm does when the computer does. Three delays are printed:
+how long the arm kept commands waiting; how long each processor stood still (a virtual machine loses
+its processors now and then); and how long a byte took through another pseudo-terminal, which the
+kernel serves with ordinary priority. Threads of the highest priority measure the last two. Where
+one of them had to wait right before a run was stopped, the run is called spoilt and repeated.
 """
 
 from __future__ import annotations
@@ -65,11 +64,11 @@ PROGRAM = (sys.executable, "-m", "robot_sysid", "motors")
 
 @dataclass(frozen=True)
 class Result:
-    """What came of a run.
+    """The result of a run.
 
     Attributes:
         ending: "completed", "STOPPED", or "spoilt" where a witness had to wait before the stop.
-        words: the last line of the player, or its error.
+        message: the last line of the player, or its error.
         arm_delay: longest time that commands waited for the simulated arm, if it says so [ms].
         pauses: longest pause of each processor, and of the line, meanwhile [ms].
     """
@@ -132,6 +131,7 @@ def watch_line(pauses, leave) -> None:
     tty.setraw(writer)
 
     def pass_byte() -> None:
+        """Pass one byte through the line, then wait for a millisecond."""
         os.write(writer, b"x")
         os.read(reader, 1)
         time.sleep(1e-3)

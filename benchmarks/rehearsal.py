@@ -1,11 +1,11 @@
-"""What identification makes of rehearsals: each number beside what was simulated, and its ±.
+"""Identification of rehearsals: each number with its standard error beside the simulated one.
 
 Run from the checkout, for all arms or some of them, at some rates or at 100, 250 and 500 Hz:
 
     OMP_NUM_THREADS=1 python -m benchmarks.rehearsal [openarm kinova wxai] [--rate 250]
 
 Each arm's trajectory for the whole arm is planned once, played by simulated motors that round as
-real ones do, and identified with the model that was simulated. 500 Hz take CAN-FD.
+real ones do, and identified with the model that was simulated. 500 Hz need CAN-FD.
 """
 
 from __future__ import annotations

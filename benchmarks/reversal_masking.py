@@ -1,12 +1,12 @@
-"""What it brings to mask rows whose filter window leans on a reversal of the joint.
+"""Errors of friction with and without the rows near reversals of a joint.
 
 Run from the checkout:  python -m benchmarks.reversal_masking
 
 Closed loop in MuJoCo with its own dry friction (Kinova example, other links known, encoder step
-1e-4 rad), and the same trajectories by inverse dynamics with Coulomb's law, where nothing is gained
-and the price shows. "centre" masks rows whose own instant is slow, as a share of the window's
-weight cannot; the others mask rows with more than that share of the filter's weight on slow
-samples. Errors are the worst joint's; median and worst over the trajectories.
+1e-4 rad), and the same trajectories by inverse dynamics with Coulomb's law, where leaving rows out
+only costs information. "centre" leaves out rows whose own instant is slow; the others leave out
+rows with more than that share of the filter weight on slow samples. Errors are the worst joint's;
+median and worst over the trajectories.
 """
 
 from __future__ import annotations

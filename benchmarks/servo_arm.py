@@ -1,4 +1,7 @@
-"""An arm behind position servos that is not made by what is tested: its own steps and friction."""
+"""A simulated arm behind position servos, with its own stepping and friction.
+
+It shares no code with the rollouts that are tested on its logs.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +19,14 @@ TICK = 1e-3
 
 @dataclass(frozen=True)
 class ServoArm:
-    """What an arm is really like.
+    """The true numbers of an arm behind servos.
 
     Attributes:
-        robot: its links.
+        robot: model of its links.
         stiffness, damping, coulomb, armature: (n,) of its servos and joints together.
         servo_damping: (n,) part of the damping that the servo gives.
-        delay: of the commands [s].
-        limit: (n,) largest torque.
+        delay: delay of the commands [s].
+        limit: (n,) largest torque of the servos [N m].
     """
 
     robot: RobotModel

@@ -46,6 +46,7 @@ def consistent(matrix, rhs, prior):
 
 
 def is_on_boundary(matrix, rhs):
+    """Return whether the plain estimate is no possible body."""
     plain = np.linalg.lstsq(matrix, rhs, rcond=None)[0]
     return not spatial.is_consistent(plain)
 

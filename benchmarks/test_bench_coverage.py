@@ -18,6 +18,7 @@ DRAWS = 200
 
 
 def draw(seed, memory, rate=100.0):
+    """Return (arm, noise (7,), samples, information) of one simulated log."""
     rng = np.random.default_rng(seed)
     arm = SmoothArm(rng, rate)
     sigma = rng.uniform(0.1, 0.5, 7)

@@ -41,6 +41,7 @@ def recorded_arm(request):
 
 
 def collect(robot, measurements):
+    """Return the information of measurements about the terminal link."""
     equations = Equations(
         robot, "chain", friction_per_joint(robot, "terminal", TERMINAL_FRICTION)
     )

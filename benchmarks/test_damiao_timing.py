@@ -51,9 +51,11 @@ class SameThreadLink:
         self._replies = []
 
     def send(self, frame):
+        """Let the arm handle a frame; its replies wait."""
         self._replies += self._arm.handle(frame, self._clock.now() - self._start)
 
     def receive(self, until):
+        """Return the next reply, or None after the time is over."""
         if self._replies:
             return self._replies.pop(0)._replace(time=self._clock.now())
         self._clock.sleep_until(until)
@@ -86,6 +88,7 @@ def _ignore(message: object) -> None:
 
 
 def play(link: GuardedLink, plan: Plan):
+    """Inspect the motors and play a plan on them."""
     inspection = inspect_bus(link)
     return run(link, plan, inspection, StopRequest(), _ignore, _ignore)
 
@@ -154,6 +157,7 @@ def test_encoding_and_decoding_one_cycle_of_all_joints(benchmark):
     replies = np.random.default_rng(0).integers(0, 256, (JOINTS, 8), dtype=np.uint8)
 
     def cycle():
+        """Encode one command and decode its replies."""
         encode_mit(command, scaling)
         return decode_feedback(replies, scaling, half_step=True)
 

@@ -26,12 +26,14 @@ pytestmark = pytest.mark.skipif(
 
 
 def command(output, *options):
+    """Return the command line of the Quick Start with an output folder and options."""
     program = "import sys; from robot_sysid.cli import main; sys.exit(main())"
     where = ["--output-dir", str(output), "--seed", "0"]
     return [sys.executable, "-c", program, str(GUESS), *where, *options]
 
 
 def run(arguments):
+    """Run a process to its end."""
     subprocess.run(arguments, check=True, capture_output=True)
 
 

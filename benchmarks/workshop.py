@@ -1,7 +1,7 @@
-"""A small arm with two logs, and each command that works on them, run as forks of this process.
+"""A small arm with two logs, and each command on them, run in forks of this process.
 
-Everything is imported before, so that a run takes no longer than its work. Every command has two
-variants whose results differ, so that old files and new ones can be told apart.
+Everything is imported before, so that a run takes only the time of its work. Every command has two
+variants with different results, so that old and new files can be distinguished.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ COMMANDS = {
 
 @dataclass(frozen=True)
 class Run:
-    """A command at work in a fork.
+    """A running command in a fork.
 
     Attributes:
         process: the fork, leader of a session of its own.
@@ -89,10 +89,10 @@ class Run:
 
 
 class Workshop:
-    """A folder with what the commands read.
+    """A folder with the files that the commands read.
 
     Args:
-        folder: it; filled where it is empty.
+        folder: path of the folder; filled where it is empty.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -26,6 +26,7 @@ _OTHER_ARMS = {
 
 
 def _torque(truth: Truth, tau: np.ndarray) -> Measurement:
+    """Return the log with other torques (N, n)."""
     return replace(truth.log, tau=tau)
 
 

@@ -16,11 +16,13 @@ _CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
 
 def _display(match: re.Match[str]) -> str:
     # The sixty entries of the regressor are wider than a phone.
+    """Return an equation block as MathML."""
     return f'<div style="overflow: auto hidden">{convert(match[1], display="block")}</div>\n'
 
 
 def _inline(match: re.Match[str]) -> str:
     # A span, because a line that begins with an unknown tag would become a paragraph of its own.
+    """Return an equation within a line as MathML."""
     return f"<span>{convert(match[1])}</span>"
 
 

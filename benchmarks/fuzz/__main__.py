@@ -86,6 +86,7 @@ def _once(target: object, options: argparse.Namespace) -> int:
 
 
 def _keep(folder: Path | None, case: dict[str, bytes], number: int) -> None:
+    """Write the files of an input to the folder of its number; nothing without a folder."""
     for name, content in case.items() if folder else ():
         path = folder / str(number) / name
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""What comes over a CAN bus: any frames at any moment, nearly right answers, broken lines."""
+"""Frames of a CAN bus: random ones, nearly right answers, damaged lines of serial adapters."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def frames_in(data: bytes) -> list[Frame]:
 
 
 class TalkativeBus:
-    """A bus with motors that answer, now and then, and on which other frames come between."""
+    """A bus whose motors answer some commands, with other frames in between."""
 
     def __init__(self, frames: list[Frame], clock: SimulatedClock) -> None:
         self._frames = deque(frames)
@@ -104,6 +104,7 @@ class TalkativeBus:
             self._waiting.append(reply)
 
     def receive(self, until: float) -> Any:
+        """Return the next waiting frame, or None after the time is over."""
         if not self._waiting or not self._left:
             self._clock.sleep_until(until)
             return None
@@ -143,6 +144,7 @@ def _answer(frame: Frame, payload: bytes) -> Frame:
 
 @functools.cache
 def _joints() -> Any:
+    """Return the joints of N motors."""
     return damiao_joints(["DM4340"] * N, N)
 
 
@@ -179,6 +181,7 @@ def _codec(frames: list[Frame]) -> None:
 
 
 def _line_read(line: bytes) -> None:
+    """Read bytes of the maker's serial adapter, seven at a time."""
     reader = PacketReader()
     for k in range(0, len(line), 7):
         for packet in reader.take(line[k : k + 7]):

@@ -1,4 +1,4 @@
-"""The same targets under atheris: its bytes decide in place of a random generator."""
+"""The fuzz targets under atheris, whose bytes replace the random generator."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from benchmarks.fuzz.harness import Watch
 
 
 class BytesRandom(Random):
-    """A generator whose numbers are bytes that somebody else has chosen; zeros behind their end."""
+    """A random generator that takes its numbers from given bytes, then zeros."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -43,6 +43,7 @@ def fuzz(name: str, seconds: int, seed: int) -> int:
     reported = set()
 
     def one(data: bytes) -> None:
+        """Use one input; print its finding where that is new."""
         verdict, text = watch.outcome(target, target.case(BytesRandom(data)))
         if verdict not in ("result", "refused") and verdict not in reported:
             reported.add(verdict)

@@ -1,8 +1,8 @@
-"""Runs a target on many inputs in processes that may crash, hang or eat memory without harm.
+"""Runs a target on many inputs in processes that may crash, hang or take too much memory.
 
-A process works through a batch; which input it is at stands in memory that it shares with the one
-that watches. Where it ends before its time, that input is the finding, and the next process goes on
-behind it.
+A process works through a batch of inputs. The number of its current input is in memory that it
+shares with the watching process. Where the process ends early, that input is the finding, and a new
+process continues with the next one.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ Case = Mapping[str, bytes]
 
 
 class Target(Protocol):
-    """What is fuzzed: a module of this package."""
+    """A fuzzed subject: a module of this package."""
 
     def case(self, random: Random) -> Case:
         """Make an input."""
@@ -80,9 +80,9 @@ class Finding:
     """An input that went wrong.
 
     Attributes:
-        number: of the input.
-        kind: what went wrong; equal ones are one fault.
-        text: all that is known.
+        number: number of the input.
+        verdict: the fault in short; equal verdicts are one fault.
+        text: the details.
     """
 
     number: int
@@ -112,6 +112,7 @@ def outcome(target: Target, case: Case, folder: Path) -> tuple[str, str]:
 
 
 def _judge_message(message: str) -> tuple[str, str]:
+    """Return the verdict on an error's message: refused, empty, or out of memory."""
     if not message.strip():
         return "empty message", ""
     is_memory = any(word in message for word in ("allocate", "out of memory"))
@@ -153,6 +154,7 @@ def run(
 
 
 def _memory_folder() -> str | None:
+    """Return a folder that is held in memory, or None where there is none."""
     return "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
 
 
@@ -172,6 +174,7 @@ def _in_child(work: Any) -> int:
 
 
 def _ending(status: int) -> str:
+    """Return how a process ended, by its status."""
     number = os.WTERMSIG(status)
     if number == signal.SIGALRM:
         return f"longer than {LONGEST} s"
@@ -198,12 +201,13 @@ def _batch(
 
 
 def _read_findings(log: Path) -> Iterator[Finding]:
+    """Yield the findings of a log file."""
     for line in log.read_text().splitlines():
         yield Finding(*json.loads(line))
 
 
 class Watch:
-    """Limits of this process and an eye on what it writes; there is no way back from it."""
+    """Limits memory and time of this process and watches its writing, until the process ends."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -261,6 +265,7 @@ class Watch:
             self._acts.append(f"{event} {values[:2]}")
 
     def _may_write(self, path: Any) -> bool:
+        """Return whether a path lies in the output folder, or is a file that is open already."""
         if isinstance(path, int):
             return True
         target = Path(os.fsdecode(path)).absolute()
@@ -268,6 +273,7 @@ class Watch:
 
 
 def _is_writing(values: tuple[Any, ...]) -> bool:
+    """Return whether the arguments of an "open" event ask to write."""
     flags = values[2] if len(values) > 2 else 0
     return isinstance(flags, int) and bool(
         flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT)

@@ -62,6 +62,7 @@ def seeds() -> Mapping[str, tuple[str, Case]]:
 
 
 def _files(folder: Path) -> list[Path]:
+    """Return all files below a folder."""
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 

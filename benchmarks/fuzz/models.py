@@ -141,6 +141,7 @@ _MESH = urdf.mesh("visual", "shape.obj")
 
 @functools.cache
 def _roots() -> tuple[Any, ...]:
+    """Return small models as XML trees."""
     texts = [*arms.MODELS.values(), model_files.ARM, *[urdf_arm()] * 8]
     small = [mask_comments(text.encode()) for text in texts if len(text) < 3000]
     return tuple(etree.fromstring(text) for text in small)

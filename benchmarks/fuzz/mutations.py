@@ -1,4 +1,4 @@
-"""Damage to files: bytes, cells of tables, values of JSON, attributes and elements of XML."""
+"""Damage to files: in bytes, cells of tables, JSON values, XML attributes and elements."""
 
 from __future__ import annotations
 
@@ -189,6 +189,7 @@ def damaged_json(random: Random, content: Any) -> bytes:
 
 
 def _odd_value(random: Random) -> Any:
+    """Return a JSON value that breaks a careless reader."""
     return (
         copy.deepcopy(random.choice(_ODD_JSON))
         if random.random() < 0.7
@@ -262,4 +263,5 @@ def _damage_element(
 
 
 def _set(element: Any, name: str, value: str) -> None:
+    """Set an attribute, without characters that XML cannot hold."""
     element.set(name, "".join(c for c in value if c >= " " or c in "\t\n"))

@@ -42,6 +42,7 @@ LONGEST = 60.0
 
 @functools.cache
 def _robot() -> Any:
+    """Return an arm of two joints."""
     return arms.robot_of(arms.serial_arm((arms.Z, arms.Y)))
 
 

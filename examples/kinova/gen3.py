@@ -162,10 +162,12 @@ class Joint:
 
 
 def _large(limit: float | None) -> Joint:
+    """Return a large joint; ``limit`` is the position limit to both sides [rad], None for none."""
     return Joint((0, 0, 1), limit, velocity=1.3963, torque=39.0)
 
 
 def _small(limit: float | None, axis: tuple[int, int, int] = (0, 0, 1)) -> Joint:
+    """Return a small joint; ``limit`` is the position limit to both sides [rad], None for none."""
     return Joint(axis, limit, velocity=1.2218, torque=9.0)
 
 

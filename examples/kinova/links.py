@@ -92,6 +92,7 @@ def _limb(
 
 
 def _rounded_foot(radius: float, y: float) -> list[Array]:
+    """Return the rings of a foot with a rounded edge at the height y [m]."""
     rings = []
     for angle in np.linspace(0.0, 0.5 * np.pi, 4):
         size = radius - EDGE * (1.0 - np.sin(angle))
@@ -109,12 +110,14 @@ def _blend(start: Array, end: Array, steps: int) -> list[Array]:
 
 
 def _base() -> Array:
+    """Return the mesh of the base."""
     foot = [(0.075, 0.0), (0.078, 0.002), (0.078, 0.010), (0.075, 0.013)]
     column = [(0.058, 0.015), (0.052, 0.03), (0.048, 0.06), (LARGE, 0.10)]
     return lathe([*foot, *column, (LARGE, 0.149), (0.044, 0.153), (0.040, 0.1552)])
 
 
 def _bracelet() -> Array:
+    """Return the mesh of the last link without camera and tool."""
     body = [(0.031, GAP), (0.034, 0.003), (0.0365, 0.010), (0.0375, 0.022)]
     return lathe(
         [*body, (0.0375, 0.054), (0.036, 0.058), (0.033, 0.0605), (0.0315, 0.0615)]
@@ -122,12 +125,14 @@ def _bracelet() -> Array:
 
 
 def _camera() -> Array:
+    """Return the mesh of the camera."""
     slices = ((0.014, 0.030, 0.012), (0.017, 0.038, 0.016), (0.026, 0.044, 0.020))
     slices += ((0.052, 0.045, 0.021), (0.058, 0.043, 0.019), (0.0605, 0.040, 0.016))
     return loft([ring((0.0, 0.052, z), a, b, 5.0) for z, a, b in slices])
 
 
 def _probe() -> Array:
+    """Return the mesh of the probe."""
     adapter = [(0.0315, 0.0619), (0.0315, 0.072), (0.024, 0.076)]
     handle = [
         (0.021, 0.085),
@@ -149,6 +154,7 @@ def _probe() -> Array:
 
 
 def _gripper() -> Array:
+    """Return the mesh of the gripper's body."""
     slices = ((0.0619, 0.0375, 0.0375, 2.0), (0.078, 0.0375, 0.0375, 2.0))
     slices += ((0.083, 0.038, 0.034, 2.6), (0.105, 0.052, 0.030, 3.5))
     slices += ((0.140, 0.062, 0.028, 4.5), (0.150, 0.060, 0.026, 4.5))

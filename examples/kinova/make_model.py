@@ -136,10 +136,12 @@ def _numbers(values: Iterable[float]) -> str:
 
 
 def _comment(text: str) -> ET.Element:
+    """Return an XML comment."""
     return ET.Comment(f" {text} ")
 
 
 def _add_look(root: ET.Element) -> None:
+    """Add light, picture quality, and the default classes of shapes."""
     visual = ET.SubElement(root, "visual")
     ET.SubElement(
         visual,
@@ -159,6 +161,7 @@ def _add_look(root: ET.Element) -> None:
 
 
 def _add_assets(root: ET.Element, variant: Variant) -> None:
+    """Add materials and meshes."""
     asset = ET.SubElement(root, "asset")
     for name, colour in COLOURS.items():
         ET.SubElement(
@@ -174,6 +177,7 @@ def _add_assets(root: ET.Element, variant: Variant) -> None:
 
 
 def _add_bodies(world: ET.Element, variant: Variant) -> None:
+    """Add light, floor and the arm."""
     ET.SubElement(
         world,
         "light",
@@ -201,6 +205,7 @@ def _add_bodies(world: ET.Element, variant: Variant) -> None:
 
 
 def _add_body(parent: ET.Element, name: str, variant: Variant) -> ET.Element:
+    """Add a link with its joint and shapes; return its element."""
     if name == "link6":
         parent.append(
             _comment(
@@ -233,6 +238,7 @@ def _inertial(name: str, variant: Variant) -> tuple[float, Array, Array]:
 
 
 def _add_joint(body: ET.Element, number: int, friction: tuple[float, float]) -> None:
+    """Add the joint of a number with (Coulomb, viscous) friction."""
     joint = gen3.JOINTS[number]
     coulomb, viscous = friction
     attributes = {"name": f"joint{number}", "axis": _numbers(joint.axis)}
@@ -246,6 +252,7 @@ def _add_joint(body: ET.Element, number: int, friction: tuple[float, float]) -> 
 
 
 def _add_geoms(body: ET.Element, name: str, variant: Variant) -> None:
+    """Add the shapes of a link, for the picture and for contacts."""
     for ends, size in _trims(name):
         disc = {"type": "cylinder", "fromto": _numbers(ends), "size": _numbers([size])}
         ET.SubElement(body, "geom", {"class": "visual", **disc, "material": "dark"})
@@ -296,6 +303,7 @@ def _capsules(name: str) -> tuple[Cylinder, ...]:
 
 
 def _add_contact(root: ET.Element) -> None:
+    """Add the pairs of bodies whose contacts do not count."""
     contact = ET.SubElement(root, "contact")
     contact.append(
         _comment("MuJoCo leaves out contacts of neighbours, but not with a fixed base.")
@@ -304,6 +312,7 @@ def _add_contact(root: ET.Element) -> None:
 
 
 def _add_actuators(root: ET.Element) -> None:
+    """Add a torque motor per joint."""
     actuator = ET.SubElement(root, "actuator")
     actuator.append(
         _comment("Nominal torques; the actuators' hard limits are 105 and 52 N m.")

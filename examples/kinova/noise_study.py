@@ -142,9 +142,11 @@ class NoiseStudy:
         return self.signals.cutoff
 
     def _equations(self) -> Equations:
+        """Return the equations of the whole chain with each joint's friction terms."""
         return Equations(self.robot, "chain", self.friction)
 
     def _true_values(self) -> Array:
+        """Return the plant's values (p,) in the order of ``names``."""
         values = dict(zip(PARAMETER_NAMES, self.plant.prior.theta))
         friction = self.plant.friction
         rotors = self.plant.mj_model.dof_armature

@@ -171,6 +171,7 @@ class Studio:
         rotation: Array,
         rgba: tuple[float, ...],
     ) -> Any:
+        """Add a shape to the scene; return it."""
         scene = self.renderer.scene
         geom = scene.geoms[scene.ngeom]
         self.mujoco.mjv_initGeom(

@@ -123,6 +123,7 @@ def read_stl(path: Path) -> Array:
 
 
 def _wall(lower: Array, upper: Array) -> Array:
+    """Return the triangles between two rings (n, 3) of corners."""
     next_lower = np.roll(lower, -1, axis=0)
     next_upper = np.roll(upper, -1, axis=0)
     first = np.stack((lower, next_lower, next_upper), axis=1)
@@ -131,5 +132,6 @@ def _wall(lower: Array, upper: Array) -> Array:
 
 
 def _cap(outline: Array) -> Array:
+    """Return the triangles that close a ring (n, 3) of corners."""
     middle = np.broadcast_to(outline.mean(axis=0), outline.shape)
     return np.stack((middle, outline, np.roll(outline, -1, axis=0)), axis=1)
