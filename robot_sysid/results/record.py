@@ -1,4 +1,4 @@
-"""The one result of all questions: what files, console, report and Python programs read."""
+"""The result of an identification, of a link or a payload: read by files, console and report."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from robot_sysid.records.arm import check_arrays
 from robot_sysid.records.file_access import AtomicFiles
 
 LINK = "link"
+"""Question for the inertia of the terminal link, and of every other link with it."""
 PAYLOAD = "payload"
-"""Questions: the terminal link with every other link around it, or what came on to it."""
+"""Question for the inertia of a payload, from recordings without and with it."""
 
 
 class Verdict(Enum):
-    """How an identification ended: cause and remedy."""
+    """How an identification ended; the value says the cause and what to do."""
 
     OK = "all requested parameters are identified from the data"
     PARTLY_FROM_MODEL = (
@@ -81,18 +82,26 @@ class Verdict(Enum):
     @property
     def is_trustworthy(self) -> bool:
         """Whether the result may go into a model or a controller."""
-        whole = Verdict.OK, Verdict.BETTER, Verdict.AS_GOOD
-        return self in (*whole, Verdict.PARTLY_FROM_MODEL, Verdict.INERTIA_NOT_KNOWN)
+        return self in (
+            Verdict.OK,
+            Verdict.BETTER,
+            Verdict.AS_GOOD,
+            Verdict.PARTLY_FROM_MODEL,
+            Verdict.INERTIA_NOT_KNOWN,
+        )
 
     @property
     def writes_model(self) -> bool:
-        """Whether a model file is written, if only for the torques that it predicts."""
+        """Whether a model file is written; ``TORQUES_ONLY`` gets one for predicting torques."""
         return self.is_trustworthy or self is Verdict.TORQUES_ONLY
 
 
 class Quantity(NamedTuple):
-    """A number and its whole standard error: infinite where the data does not show it, NaN where
-    it was held at a bound."""
+    """An estimated number and its standard error, all causes together.
+
+    The error is infinite where the data does not determine the number, and NaN where the number was
+    held at a bound.
+    """
 
     value: float
     error: float
@@ -100,18 +109,18 @@ class Quantity(NamedTuple):
 
 @dataclass(frozen=True)
 class BodyEstimate:
-    """Ten inertial parameters of one body and how far they may be off.
+    """The ten inertial parameters of one body, estimated, and their errors.
 
     Attributes:
-        name: the body's.
+        name: of the body.
         inertial: the parameters, in the body's frame; of a payload in the flange frame.
-        covariance: (10, 10) of their whole error, as far as anything shows it.
-        shown: (10,) whether data and priors show a parameter at all.
-        noise_errors: (10,) the part of the standard errors that torque noise explains.
-        budget: cause to the part of the standard errors (10,) that it explains.
-        data_share: (10,) how much of each value comes from the data: 1 all, 0 all from the model.
-        before: what the model says; None of a payload.
-        joint: the chain joint that moves it; None of a payload.
+        covariance: (10, 10) of their error, all causes together; zero where it is not known.
+        is_determined: (10,) whether data and priors determine a parameter at all.
+        noise_errors: (10,) standard errors due to torque noise alone.
+        budget: cause other than noise to the standard errors (10,) due to it alone.
+        data_share: (10,) share of each value that the data determines, 1 to 0; the model the rest.
+        prior: the parameters in the model; None of a payload.
+        joint: the chain joint that moves the body; None of a payload.
     """
 
     name: str
@@ -126,18 +135,15 @@ class BodyEstimate:
 
     @property
     def errors(self) -> Array:
-        """Standard errors (10,), all causes together; infinite where nothing shows a parameter."""
-        return np.where(
-            self.is_determined,
-            np.sqrt(np.maximum(np.diag(self.covariance), 0.0)),
-            np.inf,
-        )
+        """Standard errors (10,), all causes together; infinite where not determined."""
+        errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return np.where(self.is_determined, errors, np.inf)
 
     @property
     def mass_causes(self) -> dict[str, float]:
-        """Cause, noise among them, to the part of the mass's standard error that it explains."""
-        parts = {"noise": self.noise_errors, **self.budget}
-        return {cause: float(part[0]) for cause, part in parts.items()}
+        """Cause, noise first, to the standard error of the mass due to it alone [kg]."""
+        causes = {"noise": self.noise_errors, **self.budget}
+        return {cause: float(errors[0]) for cause, errors in causes.items()}
 
 
 @dataclass(frozen=True)
@@ -145,15 +151,20 @@ class JointEstimate:
     """Friction and rotor inertia of one joint, or of a motor that turns with several.
 
     Attributes:
-        friction_model: its terms joined by "-", "none" where nothing was sought.
-        terms: friction term ("coulomb", ...) or the speed of a bent one ("stribeck_speed").
-        before: "coulomb", "viscous" and "armature" as the model has them.
-        candidates: friction model to its held-out root mean square error [N m]; empty if given.
+        friction_model: the names of its terms joined by "-"; "none" where friction is not
+            estimated.
+        terms: friction term ("coulomb", ...), or speed parameter of one ("stribeck_speed"), to its
+            value.
+        model_terms: "coulomb", "viscous" and "armature" to their values in the model.
+        candidates: friction model to its held-out root mean square error [N m]; empty where the
+            user chose the model.
         noise: standard deviation of the joint's torque noise after filtering [N m]; NaN if unknown.
-        two_ways: Coulomb friction forward and backward, which differ by twice the offset.
-        logs: of several logs, each one's name to its friction terms, with what they have in common
-            left out of the errors.
-        another_day: of several logs, friction term as it is in another log than these.
+        directional_coulomb: Coulomb friction forward and backward, which differ by twice the
+            offset; None where no offset is estimated.
+        logs: name of each of several logs to its friction terms; their errors leave out what all
+            logs have in common.
+        other_day_terms: friction term to its value, with the error that it has for a recording of
+            another day; empty of a single log.
     """
 
     friction_model: str
@@ -168,12 +179,14 @@ class JointEstimate:
 
 @dataclass(frozen=True)
 class BaseParameters:
-    """The r combinations of the links' parameters that torques can show.
+    """Base parameters: the r combinations of the links' parameters that the torques determine.
 
     Attributes:
-        combinations: in words, such as ``Izz(link_1) + 0.25*m(link_2)``.
-        structural_rank: how many combinations any motion of this arm can show.
-        essential: (r,) whether backward elimination keeps it.
+        combinations: (r,) as text, such as ``Izz(link_1) + 0.25*m(link_2)``.
+        values: (r,) estimated combinations, in their SI units.
+        standard_errors: (r,) of the values.
+        structural_rank: number of combinations that the best motion of this arm determines.
+        essential: (r,) whether backward elimination keeps a combination.
     """
 
     combinations: tuple[str, ...]
@@ -185,20 +198,21 @@ class BaseParameters:
 
 @dataclass(frozen=True)
 class ModelFile:
-    """What the written model holds, fitted as such, and how well a file with it predicts.
+    """The numbers of the written model, fitted under its restrictions, and its prediction errors.
 
     Attributes:
-        thetas, errors: (n, 10) links as in ``RobotModel.links``, zero without mass, and their
-            standard errors.
-        joints: joint, or motor that turns several, to what it gets of "coulomb", "viscous",
+        thetas: (n, 10) parameters of the links, as in ``RobotModel.links``; zero without mass.
+        errors: (n, 10) standard errors of ``thetas``.
+        joints: joint, or motor that turns several, to its terms in the file: "coulomb", "viscous",
             "armature", "quadratic", "cubic".
-        gravity: (3,) in the model's world frame [m/s^2]; None where the file's own stays.
-        before, after: held-out error of the model as it was, each joint's sensor offset taken out,
-            and of the written file; None until it is known.
-        others: the same pairs on whole other logs.
-        kept: parts that were left alone, in words ("friction", "gravity", "other links").
-        motors: those that turn several joints: with one the file is an MJCF.
-        beside: what a URDF gets beside this MJCF, where the model is one; it has no such motors.
+        gravity: (3,) in the model's world frame [m/s^2]; None where the file keeps its own.
+        validation_before: held-out error of the original model, each joint's sensor offset removed.
+        validation_after: held-out error of the written model; None until it is known.
+        other_validations: (before, after) on each of the other logs, held out as a whole.
+        unchanged: names of what the file keeps ("friction", "gravity", "other links").
+        motors: those that turn several joints; only an MJCF can hold them.
+        urdf_file: of a URDF's arm with such motors, the numbers of the URDF that is written beside
+            this MJCF, without them.
     """
 
     thetas: Array
@@ -215,8 +229,15 @@ class ModelFile:
 
 @dataclass(frozen=True)
 class RecordingPayload:
-    """The payload's mass [kg] and centre of mass (3,) in the flange frame [m] according to one
-    recording alone, against all of the other kind, and the mass's standard errors [kg].
+    """The payload as one recording alone determines it, against all recordings of the other kind.
+
+    Attributes:
+        name: of the recording.
+        is_loaded: whether it was made with the payload.
+        mass: of the payload [kg].
+        com: (3,) its centre of mass in the flange frame [m].
+        noise_error: standard error of the mass due to noise alone [kg].
+        error: standard error of the mass, all causes together [kg].
     """
 
     name: str
@@ -229,14 +250,17 @@ class RecordingPayload:
 
 @dataclass(frozen=True)
 class Payload:
-    """What came on between recordings.
+    """A payload that the arm carries in some recordings and not in others.
 
     Attributes:
-        flange: the frame in which it is stated.
-        body: in the FLANGE frame, inertia about its origin.
-        link, total: the terminal link without and with it, in the terminal body's frame.
-        recordings: "empty" and "loaded" to their names.
-        known_mass, torque_scale: a weight that was given [kg], and joint to its scale by it.
+        flange: the frame in which the payload is stated.
+        body: the payload in the FLANGE frame, inertia about that frame's origin.
+        link: the terminal link without the payload, in the terminal body's frame.
+        total: the terminal link with the payload, in the terminal body's frame.
+        recordings: "empty" and "loaded" to the names of the recordings.
+        scatter: the payload according to each recording alone.
+        torque_scale: joint to the torque scale that follows from ``known_mass``.
+        known_mass: the payload's weight as the user states it [kg]; None where it is unknown.
     """
 
     flange: records.Flange
@@ -250,15 +274,23 @@ class Payload:
 
 
 OPEN = "open loop"
+"""The model is driven by the measured torques alone."""
 CLOSED = "closed loop"
-"""Measured torques alone; a servo that holds the model near the measured motion, or commands."""
+"""A servo holds the model near the measured motion, or follows the recorded commands."""
 
 
 @dataclass(frozen=True)
 class RolloutError:
-    """Root mean square position errors of the two models (n,) [rad or m] over windows of a length
-    (horizon [s]), loop ``OPEN`` or ``CLOSED``; how many windows of each ran away, which count with
-    the largest error.
+    """Position errors of the old and the new model, simulated over windows of the same length.
+
+    Attributes:
+        loop: ``OPEN`` or ``CLOSED``.
+        horizon: length of a window [s].
+        windows: number of windows.
+        errors_before: (n,) root mean square errors with the old model [rad or m].
+        errors_after: (n,) with the new model.
+        diverged: number of windows in which the simulation diverged, with the old and the new
+            model; they count with the largest error that is possible.
     """
 
     loop: str
@@ -275,28 +307,28 @@ class RolloutError:
 
     @property
     def overall(self) -> tuple[float, float]:
-        """The error of all joints together (before, after)."""
-        before, after = (
-            float(np.sqrt(np.mean(e**2)))
-            for e in (self.errors_before, self.errors_after)
-        )
-        return before, after
+        """Root mean square error of all joints together, with the old and the new model."""
+        error_before = float(np.sqrt(np.mean(self.errors_before**2)))
+        error_after = float(np.sqrt(np.mean(self.errors_after**2)))
+        return error_before, error_after
 
     @property
     def ratio(self) -> float | None:
-        """Error of all joints, after by before; None where there was none before."""
-        before, after = self.overall
-        return after / before if before > 0.0 else None
+        """Error of all joints with the new model over that with the old; None where that is 0."""
+        error_before, error_after = self.overall
+        return error_after / error_before if error_before > 0.0 else None
 
 
 @dataclass(frozen=True)
 class RolloutTest:
-    """The old and the new model, played on pieces of the logs that were not fitted.
+    """The old and the new model, simulated along pieces of the logs that were not fitted.
 
     Attributes:
-        held_out, servo: which pieces, and what held the model in closed loop, in words.
-        errors: one per loop and horizon that could be played.
-        notes: what could not be, one sentence each.
+        joint_names: the n chain joints, base to terminal.
+        held_out: description of the pieces.
+        servo: description of what holds the model in closed loop.
+        errors: one per loop and horizon that could be simulated, the longest horizon last.
+        notes: on horizons that could not be simulated, one sentence each.
     """
 
     joint_names: tuple[str, ...]
@@ -307,43 +339,52 @@ class RolloutTest:
 
     @property
     def score(self) -> float | None:
-        """Geometric mean of the ratios of all loops and horizons; None where nothing was played."""
+        """Geometric mean of the error ratios of all loops and horizons; None without any."""
         ratios = [error.ratio for error in self.errors]
-        known = [max(ratio, 1e-12) for ratio in ratios if ratio is not None]
-        return float(np.exp(np.mean(np.log(known)))) if known else None
+        logarithms = [
+            np.log(max(ratio, 1e-12)) for ratio in ratios if ratio is not None
+        ]
+        return float(np.exp(np.mean(logarithms))) if logarithms else None
 
     @property
     def is_better(self) -> bool:
-        """Whether the new model moves more like the arm."""
+        """Whether the new model moves more like the arm than the old one."""
         return self.score is not None and self.score < 1.0
 
 
 @dataclass(frozen=True)
 class Result:
-    """Everything that files, console, report and Python programs read.
+    """Everything that files, console, report and Python programs read of an identification.
 
     Attributes:
         question: ``LINK`` or ``PAYLOAD``.
+        robot: the arm, as its model describes it.
         estimate: all parameters, the terminal link's first (of a payload: without it).
-        verdict, reasons: how it ended; one phrase each on what is wrong.
-        torques: "chain" or "terminal".
+        verdict: how the identification ended.
+        torques: "chain" or "terminal": the joints whose torques were fitted.
+        data: where the data comes from.
+        reasons: what is wrong with the result, one phrase each.
         links: every link with mass, base to terminal; empty of the model's own simulation.
         joints: chain joint to its friction and rotor inertia.
-        couplings: combined speed, such as ``joint_5+joint_6``, to its motor.
-        sensors: torque scale ("scale[joint]"), zeros, drift, tilt and delay, and so on.
-        base: what the torques show of all links; None of the model's own simulation.
-        file: what the written model holds; None where nothing was learnt of it.
-        validation: of the fit itself, on its own held-out stretches first, then on other logs.
+        couplings: sum of joint speeds, such as ``joint_5+joint_6``, to the motor that turns with
+            it.
+        sensors: nuisance parameter to its value: torque scales ("scale[joint]"), zeros, drifts,
+            tilt, delay.
+        base: base parameters of all links; None of the model's own simulation.
+        file: the numbers of the written model; None where only the terminal link or the payload is
+            written into the original.
+        payload: None of the question ``LINK``.
+        validation: of the fit itself, on held-out stretches of its logs first, then on other logs.
         friction_model: name of the friction model, or "per joint".
-        delay, tilt: by which torque lags position [s], and angle between the model's gravity and
-            the estimated one [rad], where they were sought.
+        delay: by which torque lags position [s]; None where it was not estimated.
+        tilt: angle between the model's gravity and the estimated one [rad]; None likewise.
         cutoff: of the low-pass [Hz]; None of a simulation and of resting poses.
-        link_scales: "mass", "centre_of_mass" and "inertia" to by how many times the stated share
-            the other links were taken to be off.
+        link_scales: "mass", "centre_of_mass" and "inertia" to the factor by which the prior
+            standard deviation of the other links was widened.
         wrong_links: links of the model that the recordings contradict.
-        conflicts: what the data asks for that the model does not have.
-        notes: one sentence each: what the user should know.
-        rollout: how the model before and after move beside the arm, where that was asked for.
+        conflicts: priors that the data contradicts.
+        notes: for the user, one sentence each.
+        rollout: simulation of the old and the new model; None where the user did not ask for it.
     """
 
     question: str
@@ -373,40 +414,41 @@ class Result:
 
     @property
     def model_kind(self) -> str:
-        """Kind of the written model, "mjcf" or "urdf"."""
+        """Format of the written model, "mjcf" or "urdf"."""
         return "mjcf" if self.file is not None and self.file.motors else self.robot.kind
 
     @property
     def is_measured(self) -> bool:
-        """Whether the data says something that the model does not know already."""
+        """Whether the data comes from anything but a simulation of the model itself."""
         return self.data.source is not records.Source.ITSELF
 
     @property
     def body(self) -> BodyEstimate:
-        """What was asked for: the payload, else the terminal link with all that hangs on it."""
+        """The payload, or of the question ``LINK`` the terminal link with all bodies below it."""
         if self.payload is not None:
             return self.payload.body
         if self.links:
             return self.links[-1]
-        exact = np.zeros((10, 10)), np.ones(10, dtype=bool), np.zeros(10)
-        robot = self.robot
-        found = self.estimate.inertial
-        return BodyEstimate(robot.body_name, found, *exact, prior=robot.prior)
-
-    @property
-    def relative_mass_error(self) -> float | None:
-        """Whole standard error of the asked body's mass, as a part of it; None where not known."""
-        error = float(self.body.errors[0])
-        mass = self.body.inertial.mass
-        return (
-            error / mass
-            if self.is_measured and np.isfinite(error) and mass > 0.0
-            else None
+        return BodyEstimate(
+            name=self.robot.body_name,
+            inertial=self.estimate.inertial,
+            covariance=np.zeros((10, 10)),
+            is_determined=np.ones(10, dtype=bool),
+            noise_errors=np.zeros(10),
+            prior=self.robot.prior,
         )
 
     @property
+    def relative_mass_error(self) -> float | None:
+        """Standard error of the mass of ``body`` over that mass; None where it is not known."""
+        error = float(self.body.errors[0])
+        mass = self.body.inertial.mass
+        is_known = self.is_measured and np.isfinite(error) and mass > 0.0
+        return error / mass if is_known else None
+
+    @property
     def failure(self) -> str | None:
-        """Why the result must not be used, or None."""
+        """Why the result must not be used; None where it may."""
         if self.verdict.writes_model:
             return None
         return "; ".join((*self.reasons, self.verdict.value))
@@ -414,8 +456,14 @@ class Result:
 
 @dataclass(frozen=True)
 class ModelTarget:
-    """Where a model is written to, the motion on which it must reproduce the predicted torque, and
-    the residual of the identification [N m], for its comments.
+    """Where a model is written to, and what is needed for it.
+
+    Attributes:
+        files: receives the draft.
+        path: final path of the file, or folder of several.
+        checkpoints: motion on which the written model must reproduce the predicted torque.
+        rmse: residual of the identification [N m], for comments in the file.
+        mesh_dir: the user's mesh folder; None where the model's own paths hold.
     """
 
     files: AtomicFiles

@@ -1,7 +1,7 @@
-"""The verdict on a result in two lines, which console, report and params.json share; its limits.
+"""The verdict on a result in two lines, and its limitations: for console, report and params.json.
 
-The first line says whether to use it, how much better it is than what was there, and what limits
-it; the second what to type next.
+The first line says whether to use the result, how much better it is than the model before, and what
+limits it; the second says what to type next.
 """
 
 from __future__ import annotations
@@ -26,25 +26,26 @@ from robot_sysid.records.messages import Detail, percent
 from robot_sysid.results.record import BodyEstimate, Result, Verdict
 
 UNKNOWN = 0.5
-"""Relative error of a mass from which on it is not known: two of them reach zero."""
+"""Relative standard error from which on a mass is not known: two such errors reach zero."""
 LARGE = 0.02
-"""Error of the mass, as a part of it, above which something is to be done about it: what
-friction and sensors leave of it at best."""
+"""Relative standard error of a mass above which the next step is to reduce it: friction and
+sensors allow about that at best."""
 WEAK = 0.1
-"""Standard error, relative to a body of this mass and size, above which a parameter is weak: a
-tenth, as docs/measurements.md says."""
+"""Standard error above which a parameter is weakly identified, relative to the scale of a body of
+this mass and size; docs/measurements.md states it, too."""
 COLOURED = 0.3
-"""Share of independent samples below which residuals are called correlated in time: errors are
-1 / sqrt(0.3) = 1.8 times those of white noise then."""
+"""Independent samples per sample below which residuals are called correlated in time: standard
+errors are then 1 / sqrt(0.3) = 1.8 times those of white noise."""
 WORSE = 1.5
-"""Held-out error over fitted error above which the model, not noise, is the limit: noise alone
-differs by percents between stretches of hundreds of samples."""
+"""Held-out error over fitted error above which the model limits the prediction, not noise, which
+differs by percents only between stretches of hundreds of samples."""
 PRIOR_SHARE = 0.5
-"""Share of the data in a value below which the model has more say."""
+"""Share of a value that comes from the data below which the model's prior dominates."""
 SURE = 3.0
-"""Standard errors from zero beyond which a sign is sure: noise passes it once in 700 times."""
-_EARLY = 2.0
-"""Standard errors before zero beyond which a delay is called early: once in 44 times by noise."""
+"""Standard errors from zero beyond which a sign is certain: noise exceeds it once in 700 times."""
+_NEGATIVE_DELAY = 2.0
+"""Standard errors below zero beyond which a delay is called negative: noise exceeds it once in 44
+times."""
 _REMEDIES = {
     **dict.fromkeys(
         ("noise", "delay", "filtering"),
@@ -62,19 +63,19 @@ _REMEDIES = {
     "gravity": "level the base, and say how well with --gravity-uncertainty",
     "friction model": "warm the arm up before recording",
 }
-"""Cause of error to what makes it smaller."""
-_USES = {
+"""Cause of error to the command or the measure that reduces it."""
+_USE_TEXTS = {
     Verdict.TORQUES_ONLY: "Only for torques of motions like the log's, not for its numbers",
     Verdict.AS_GOOD: "Usable, but the model was about as good before",
     Verdict.PARTLY_FROM_MODEL: "Usable (not seen, so kept from the model: {unseen})",
     Verdict.INERTIA_NOT_KNOWN: "Usable for mass and centre of mass (the inertia is not known)",
 }
-_RECORDED = "robot-sysid identify {model} LOG (the log that was recorded)"
+_AFTER_RECORDING = "robot-sysid identify {model} LOG (the log that was recorded)"
 _AFTER_PLAN = {
     "arm": "robot-sysid identify {model} LOG --links (the log that was recorded)",
     "payload": "robot-sysid payload {model} --empty LOG --loaded LOG (without and with it)",
 }
-_CONFLICTS = {
+_CONFLICT_TEXTS = {
     "links": "the model's numbers of other links do not fit this arm",
     "torque scale": "the scale of the torques does not fit the model",
     "joint offsets": "zero positions of joints do not fit the model",
@@ -83,31 +84,36 @@ _CONFLICTS = {
 }
 
 
-def two_lines(use: str, then: str) -> tuple[str, ...]:
-    """Return the two lines: what comes of it, and what to do next."""
-    return use, f"Next: {then}"
+def two_lines(use: str, next_step: str) -> tuple[str, ...]:
+    """Return the two lines of a verdict: whether to use the outcome, and what to do next."""
+    return use, f"Next: {next_step}"
 
 
 def verdict_lines(
-    result: Result, failure: str | None = None, then: str = ""
+    result: Result, failure: str | None = None, next_step: str = ""
 ) -> tuple[str, ...]:
-    """Return one or two lines: whether to use a result, or why not (a failure, of a result that may
-    be used for itself), and what to do next, unless ``then`` says it.
+    """Return one or two lines: whether to use a result, or why not, and what to do next.
+
+    Args:
+        result: what to judge.
+        failure: why a result that is usable in itself must not be used, or None.
+        next_step: replaces the second line's own suggestion; "" keeps that.
     """
     failure = refusal(result) or failure
     if failure is not None:
         return (f"Not usable: {failure}",)
     unseen = ", ".join(result.estimate.identifiability.unidentifiable)
-    use = _USES.get(result.verdict, "Usable").format(unseen=unseen)
     if result.data.source is Source.ITSELF:
-        came = "the model's own numbers came back from its own simulation"
-        passed = f"Self-test passed: {came}, which says nothing of the real arm"
-        passed += f" (not seen: {unseen})" if unseen else ""
-        return two_lines(
-            passed,
-            f"{_command(result, 'robot-sysid plan {model}')} (a motion to record)",
+        use = (
+            "Self-test passed: the model's own numbers came back from its own simulation, which "
+            "says nothing of the real arm"
         )
-    return two_lines(f"{use}: {'; '.join(_gains(result))}", then or _next(result))
+        use += f" (not seen: {unseen})" if unseen else ""
+        command = _fill_command(result, "robot-sysid plan {model}")
+        return two_lines(use, f"{command} (a motion to record)")
+    use = _USE_TEXTS.get(result.verdict, "Usable").format(unseen=unseen)
+    findings = "; ".join(_improvements(result))
+    return two_lines(f"{use}: {findings}", next_step or _next_step(result))
 
 
 def plan_verdict(
@@ -119,26 +125,29 @@ def plan_verdict(
     shortfalls: Sequence[str] = (),
     remedy: str = "",
 ) -> tuple[str, ...]:
-    """Return whether to play a motion planned for a purpose (``--for``), and what to do next.
+    """Return whether to play a planned motion, and what to do next.
 
     Args:
-        arm: words of the command line that say which one it is.
-        files: what was written.
+        arm: arguments of the command line that state the model of the arm.
+        files: the files that were written.
         failure: why the motion must not be run, or None.
-        limits: words of the command line that motors are to keep.
-        shortfalls: what keeps the motion from its purpose, though it keeps all limits.
+        purpose: of the motion, as in ``--for``.
+        limits: arguments of the command line with limits that motors are to keep.
+        shortfalls: why the motion does not serve its purpose, though it keeps all limits.
         remedy: the command that plans a motion for the purpose; "" where none is known.
     """
     if failure is not None:
         return (f"Not usable: {failure}",)
-    then = _AFTER_PLAN.get(purpose, _RECORDED).format(model=shlex.join(arm))
+    next_step = _AFTER_PLAN.get(purpose, _AFTER_RECORDING).format(model=shlex.join(arm))
     for path in files:
         if path.name == DAMIAO_NAME:
-            words = (str(path), "--channel", "CHANNEL", "--model", *arm, *limits)
-            then = f"robot-sysid motors check {shlex.join(words)}"
+            arguments = (str(path), "--channel", "CHANNEL", "--model", *arm, *limits)
+            next_step = f"robot-sysid motors check {shlex.join(arguments)}"
     if shortfalls:
-        return two_lines(f"Not ready: {'; '.join(shortfalls)}", remedy or then)
-    return two_lines("Usable: play it on the arm, slowly at first, and record it", then)
+        return two_lines(f"Not ready: {'; '.join(shortfalls)}", remedy or next_step)
+    return two_lines(
+        "Usable: play it on the arm, slowly at first, and record it", next_step
+    )
 
 
 def command_after_weighing(folder: Path, model: Path, written: Path) -> str:
@@ -164,20 +173,22 @@ def command_after_weighing(folder: Path, model: Path, written: Path) -> str:
 
 
 def shortfalls_of_plan(
-    body_name: str, mass_share: float | None, contact: str | None
+    body_name: str, relative_mass_error: float | None, contact: str | None
 ) -> list[str]:
-    """Return what keeps a motion from its purpose: a mass that stays unknown, a blocked way.
+    """Return why a motion does not serve its purpose: the mass stays unknown, the start is blocked.
 
     Args:
-        body_name: the body whose mass is asked for.
-        mass_share: error that the mass will have, as share of it; None where it is not asked for.
+        body_name: the body whose mass the motion is to determine.
+        relative_mass_error: expected standard error of the mass over the mass; None where the
+            motion serves something else.
         contact: what the way to the start comes too near to, or None.
     """
     shortfalls = []
-    # A mass that no motion of these torques shows is another matter, which the plan's lines say.
-    if mass_share is not None and UNKNOWN < mass_share < np.inf:
+    # Where no motion determines the mass by these torques, the lines on the plan say so.
+    if relative_mass_error is not None and UNKNOWN < relative_mass_error < np.inf:
         shortfalls.append(
-            f"after this motion the mass of {body_name} is known to {percent(mass_share)} only"
+            f"after this motion the mass of {body_name} is known to "
+            f"{percent(relative_mass_error)} only"
         )
     if contact is not None:
         shortfalls.append(
@@ -188,97 +199,101 @@ def shortfalls_of_plan(
 
 
 def refusal(result: Result) -> str | None:
-    """Return why nothing but numbers is written, or None where the result may be used."""
-    what = "no model was" if result.payload is None else "no model and no card were"
-    if result.payload is not None and result.payload.known_mass is not None:
-        what = "no torque scales were"
-    return None if result.failure is None else f"{what} written: {result.failure}"
+    """Return why neither a model nor a card is written, or None where the result may be used."""
+    if result.failure is None:
+        return None
+    missing = "no model was"
+    if result.payload is not None:
+        is_calibration = result.payload.known_mass is not None
+        missing = (
+            "no torque scales were" if is_calibration else "no model and no card were"
+        )
+    return f"{missing} written: {result.failure}"
 
 
-def _gains(result: Result) -> Iterator[str]:
+def _improvements(result: Result) -> Iterator[str]:
+    """Yield phrases on the torque error before and after, and on the error of the mass."""
     if result.file is not None:
-        tests = (result.file.validation_before, result.file.validation_after)
-        shares = [None if test is None else test.relative_error for test in tests]
-        known = [percent(share) for share in shares if share is not None]
-        yield f"torque error on held-out data {' -> '.join(known) or 'not known'}"
+        shares = []
+        for test in (result.file.validation_before, result.file.validation_after):
+            if test is not None and test.relative_error is not None:
+                shares.append(percent(test.relative_error))
+        yield f"torque error on held-out data {' -> '.join(shares) or 'not known'}"
     if result.payload is not None and result.payload.known_mass is not None:
         yield "torque scales follow from the known mass"
         return
     share = result.relative_mass_error
-    cause = largest_cause(result.body)
-    known_to = "the mass alone is not known"
+    mass = "the mass alone is not known"
     if share is not None and share < UNKNOWN:
-        known_to = f"the mass is known to {percent(share)}"
-    yield known_to + (f", limited by {cause}" if cause else "")
+        mass = f"the mass is known to {percent(share)}"
+    cause = largest_cause(result.body)
+    yield f"{mass}, limited by {cause}" if cause else mass
 
 
 def largest_cause(body: BodyEstimate) -> str:
-    """Return the cause of most of a mass's error, or "" where it is not known."""
+    """Return the cause of the largest part of a mass's error, or "" where that is not known."""
     causes = body.mass_causes
-    known = np.isfinite(body.errors[0]) and np.isfinite(list(causes.values())).all()
-    return max(causes, key=lambda cause: causes[cause]) if known else ""
+    errors = [body.errors[0], *causes.values()]
+    return (
+        max(causes, key=lambda cause: causes[cause])
+        if np.isfinite(errors).all()
+        else ""
+    )
 
 
-def _next(result: Result) -> str:
-    body = result.body
+def _next_step(result: Result) -> str:
+    """Return what to do next with a usable result: reduce its error, test it, or load it."""
     payload = result.payload
     share = result.relative_mass_error
     if payload is not None and payload.known_mass is not None:
         return "give these scales to every later run with --torque-scale"
-    cause = largest_cause(body)
+    cause = largest_cause(result.body)
     if cause in _REMEDIES and (share is None or share > LARGE):
-        return _command(result, _REMEDIES[cause])
+        return _fill_command(result, _REMEDIES[cause])
     if payload is not None:
         return f"copy {CARD_NAME} into the controller; it is in the frame of {payload.flange.name}"
-    written = " or ".join(MODEL_NAMES.values())
     if result.file is not None and result.file.other_validations:
+        written = " or ".join(MODEL_NAMES.values())
         return f"load {written} in place of {result.robot.path}"
     test = "robot-sysid identify {model} {log} --validation-measurements OTHER_LOG"
-    return _command(result, test) + " (another motion tests the written model)"
+    return _fill_command(result, test) + " (another motion tests the written model)"
 
 
-def _command(result: Result, text: str) -> str:
+def _fill_command(result: Result, command: str) -> str:
+    """Return a command with {model} and {log} replaced by the paths of a result, quoted."""
     is_file = len(result.data.files) == 1 and result.data.files != ("-",)
     log = result.data.detail if is_file else "LOG"
-    return text.format(model=shlex.quote(str(result.robot.path)), log=shlex.quote(log))
+    model = str(result.robot.path)
+    return command.format(model=shlex.quote(model), log=shlex.quote(log))
 
 
 def limitations(result: Result) -> tuple[str, ...]:
-    """Return one sentence per thing that limits the accuracy of a result.
+    """Return one sentence per limit of a result's accuracy; none of the model's own simulation.
 
-    What a user has to know is a plain one; what the errors allow for already is a ``Detail``.
+    Sentences on what the errors allow for already are ``Detail``.
     """
-    return tuple(_sentences(result)) if result.is_measured else ()
+    return tuple(_limitation_sentences(result)) if result.is_measured else ()
 
 
-def _sentences(result: Result) -> Iterator[str]:
+def _limitation_sentences(result: Result) -> Iterator[str]:
     estimate = result.estimate
     body = result.body
     if estimate.identifiability.unidentifiable:
-        listed = "; ".join(estimate.identifiability.unidentifiable)
-        yield Detail(f"not visible in these torques, kept from the model: {listed}")
-    yield from map(Detail, _weak(body))
-    rows = zip(PARAMETER_NAMES, body.data_share, body.is_determined)
-    names = [name for name, share, seen in rows if seen and share < PRIOR_SHARE]
-    if names:
-        listed = ", ".join(names)
+        combinations = "; ".join(estimate.identifiability.unidentifiable)
         yield Detail(
-            f"more model than data in {listed}: the prior outweighs the torques there"
+            f"not visible in these torques, kept from the model: {combinations}"
         )
-    yield from _conflicts(result)
-    sought = result.sensors.get(DELAY_NAME)
-    if (
-        result.delay is not None
-        and sought is not None
-        and result.delay < -_EARLY * sought.error
-    ):
-        # No sensor reads a torque before the motion it belongs to.
-        yield (
-            f"the torque seems to come {-1e3 * result.delay:.2g} ms before the motion: the "
-            "positions are late, or friction turns earlier than the speed does; trust neither"
+    yield from map(Detail, _weak_parameters(body))
+    is_mostly_prior = body.is_determined & (body.data_share < PRIOR_SHARE)
+    if np.any(is_mostly_prior):
+        names = ", ".join(np.array(PARAMETER_NAMES)[is_mostly_prior])
+        yield Detail(
+            f"more model than data in {names}: the prior outweighs the torques there"
         )
+    yield from _prior_conflicts(result)
+    yield from _negative_delay(result)
     yield from _negative_friction(result)
-    yield from _beyond_noise(result)
+    yield from _unexplained_residuals(result)
     if estimate.constrained:
         yield Detail(
             "the plain estimate was no possible rigid body, so the best possible one was taken; "
@@ -286,79 +301,90 @@ def _sentences(result: Result) -> Iterator[str]:
         )
 
 
-def _weak(body: BodyEstimate) -> Iterator[str]:
-    relative = body.errors / body.inertial.scale
-    weak = [
-        k
-        for k in np.argsort(-relative)
-        if np.isfinite(relative[k]) and relative[k] > WEAK
-    ]
-    if weak:
-        listed = ", ".join(
-            f"{PARAMETER_NAMES[k]} (± {percent(relative[k])})" for k in weak
-        )
+def _negative_delay(result: Result) -> Iterator[str]:
+    """Yield a sentence where the torque precedes its motion, which no sensor can do."""
+    estimated = result.sensors.get(DELAY_NAME)
+    if result.delay is None or estimated is None:
+        return
+    if result.delay < -_NEGATIVE_DELAY * estimated.error:
         yield (
-            f"weakly seen, in percent of what a body of this mass and size has: {listed}; move "
+            f"the torque seems to come {-1e3 * result.delay:.2g} ms before the motion: the "
+            "positions are late, or friction turns earlier than the speed does; trust neither"
+        )
+
+
+def _weak_parameters(body: BodyEstimate) -> Iterator[str]:
+    """Yield a sentence on the parameters with large errors, the largest first."""
+    relative_errors = body.errors / body.inertial.scale
+    texts = []
+    for k in np.argsort(-relative_errors):
+        if WEAK < relative_errors[k] < np.inf:
+            texts.append(f"{PARAMETER_NAMES[k]} (± {percent(relative_errors[k])})")
+    if texts:
+        yield (
+            "weakly seen, in percent of what a body of this mass and size has: "
+            f"{', '.join(texts)}; move "
             "faster, wider or longer (robot-sysid plan designs such a motion)"
         )
 
 
-def _conflicts(result: Result) -> Iterator[str]:
+def _prior_conflicts(result: Result) -> Iterator[str]:
+    """Yield a sentence per prior that the data contradicts."""
     for conflict in result.conflicts:
-        cause = _CONFLICTS.get(conflict.cause, f"{conflict.cause}: not as was thought")
-        said = f"{cause} (most: {', '.join(conflict.members[:3])})"
-        off = (
-            f"{conflict.deviation:.2g} times as far off as was allowed, and the errors were "
-            "widened"
+        text = _CONFLICT_TEXTS.get(
+            conflict.cause, f"{conflict.cause}: not as was thought"
         )
+        text += f" (most: {', '.join(conflict.members[:3])})"
         if conflict.scale > 1.0:
-            yield f"{said}: they are {off} for it"
+            yield (
+                f"{text}: they are {conflict.deviation:.2g} times as far off as was allowed, and "
+                "the errors were widened for it"
+            )
         else:
-            yield Detail(f"{said}; the errors allow for that")
+            yield Detail(f"{text}; the errors allow for that")
 
 
 def _negative_friction(result: Result) -> Iterator[str]:
-    clear = []
-    given = False
+    """Yield a sentence where friction terms that must not be negative certainly are."""
+    findings = []
+    was_model_given = False
     for name, joint in result.joints.items():
         model = friction_model(joint.friction_model)
-        bounded = {
-            term for term, bound in zip(model.terms, model.non_negative) if bound
-        }
+        is_bounded = dict(zip(model.terms, model.non_negative))
         for term, (value, error) in joint.terms.items():
-            if term in bounded and value < -SURE * error:
-                clear.append(f"{term} {value:.2g} of {name}")
-                given = given or not joint.candidates
-    if clear:
-        other = ", or let --friction-model auto choose other terms" if given else ""
+            if is_bounded.get(term) and value < -SURE * error:
+                findings.append(f"{term} {value:.2g} of {name}")
+                was_model_given = was_model_given or not joint.candidates
+    if findings:
+        remedy = ", or let --friction-model auto choose other terms"
         yield (
-            f"friction that drives instead of brakes ({', '.join(clear)}): check the sign and the "
-            f"scale of these torques{other}"
+            f"friction that drives instead of brakes ({', '.join(findings)}): check the sign and "
+            f"the scale of these torques{remedy if was_model_given else ''}"
         )
 
 
-def _beyond_noise(result: Result) -> Iterator[str]:
-    """Tell where residuals are more than noise: correlated in time, or larger on other data."""
+def _unexplained_residuals(result: Result) -> Iterator[str]:
+    """Yield sentences where residuals are correlated in time, or larger on data not fitted."""
     estimate = result.estimate
-    slow = [
-        name for name, share in estimate.independent_share.items() if share < COLOURED
-    ]
-    if slow:
+    shares = estimate.independent_share.items()
+    correlated = [joint for joint, share in shares if share < COLOURED]
+    if correlated:
         yield Detail(
-            f"residuals of {', '.join(slow)} are correlated in time: slow noise, or something that "
-            "the model lacks; the errors allow for it"
+            f"residuals of {', '.join(correlated)} are correlated in time: slow noise, or "
+            "something that the model lacks; the errors allow for it"
         )
     # Of exact data a fit may leave far less than what counts as its noise.
-    noise = np.sqrt(
-        np.mean(np.square(list(estimate.noise_per_joint.values()) or [0.0]))
-    )
+    joint_noise = list(estimate.noise_per_joint.values()) or [0.0]
+    noise = np.sqrt(np.mean(np.square(joint_noise)))
     for test in result.validation:
         if test.rmse > max(WORSE * estimate.rmse, noise):
-            why = "the model misses something that motion shows"
+            reason = "the model misses something that motion shows"
             if not test.is_informative:
-                why = "no worse than expected of motion that the fitted logs tell too little of, "
-                why += "as of joints that hardly move in them; fit a log that moves like that"
+                reason = (
+                    "no worse than expected of motion that the fitted logs tell too little of, "
+                    "as of joints that hardly move in them; fit a log that moves like that"
+                )
             yield (
                 f"torques of {test.source} are predicted {test.rmse / estimate.rmse:.1f} "
-                f"times worse than the fitted ones: {why}"
+                f"times worse than the fitted ones: {reason}"
             )
