@@ -44,7 +44,7 @@ from robot_sysid.records import (
 )
 from robot_sysid.records.file_access import MODEL_NAMES
 from robot_sysid.records.messages import percent, with_error
-from robot_sysid.results.cards import inertia_is_known, principal_moments
+from robot_sysid.results.cards import is_inertia_known, principal_moments
 from robot_sysid.results.record import (
     BaseParameters,
     BodyEstimate,
@@ -369,7 +369,7 @@ def written_payload(answer: Answer) -> tuple[Array, str]:
     theta = answer.fit.values[answer.fit.columns.indices(PAYLOAD_NAMES)]
     mass, com, _ = spatial.com_from_theta(theta)
     body = answer.body("payload", answer.pick(PAYLOAD_NAMES), theta, None)
-    if mass <= 0.0 or inertia_is_known(body):
+    if mass <= 0.0 or is_inertia_known(body):
         return theta, ""
     moments, errors, _ = principal_moments(body)
     listed = ", ".join(map(with_error, moments.tolist(), errors.tolist()))

@@ -1,7 +1,6 @@
-"""Cards for controllers: one payload in every form that controllers and libraries take it in.
+"""Cards: a payload in the form of each controller or library, as text to copy.
 
-Each form was read in its maker's own documentation or source; one that could not be confirmed is
-not here.
+Each form is confirmed by its maker's own documentation or source.
 """
 
 from __future__ import annotations
@@ -29,14 +28,15 @@ DIGITS = 9
 UR_LIMIT = 133.0
 """Largest element of an inertia matrix that a UR controller takes [kg m^2], by the notes on
 ``set_target_payload`` in Universal Robots' script manual."""
-_NOTHING = 1e-12
-"""Share of the largest number of a group below which another one is only rounding: about 1e4
-times the rounding of a double."""
-_EDGE = 1e-6
-"""How far, relative to its size, a body may be from possible for a card to be written: below the
-digits that a controller keeps."""
-_WIDTH = 98
+_ROUNDING = 1e-12
+"""Share of the largest number of a group below which a number is rounding error: about 1e4 times
+the relative rounding error of a double."""
+_CONSISTENCY_TOLERANCE = 1e-6
+"""Relative violation of physical consistency that a card tolerates: below the digits that a
+controller keeps."""
+_LINE_WIDTH = 98
 INERTIA = PARAMETER_NAMES[4:]
+"""Names of the six elements of an inertia matrix: Ixx Ixy Ixz Iyy Iyz Izz."""
 ERROR_NAMES = (
     "mass",
     "com_x",
@@ -44,29 +44,34 @@ ERROR_NAMES = (
     "com_z",
     *(f"{name}_about_com" for name in INERTIA),
 )
-"""Keys of standard errors: of the mass [kg], of the centre of mass [m] and of the inertia about it
+"""Keys of the standard errors of mass [kg], centre of mass [m] and inertia about the centre of mass
 [kg m^2], in the axes of the body's frame."""
 NOT_KNOWN = "Inertia not known: a ball of aluminium of that mass stands in its place."
-TOLD = 2.5
-"""Standard errors from zero from which on a principal moment is told. A body that was made possible
-has too large ones: of 48 payloads in simulation, all 11 that are kept at 2.5 are nearer the truth
-than the ball (arms of benchmarks/payload_by_difference.py); at 2, some are 183 times too large."""
-_MOST_TURN = 45.0
+MOMENT_SIGNIFICANCE = 2.5
+"""Standard errors from zero from which on a principal moment counts as known.
+
+Estimates that had to be made physically consistent have too large moments: of 48 payloads in
+simulation, all 11 that count as known at 2.5 are nearer the truth than the ball of aluminium (arms
+of benchmarks/payload_by_difference.py); at 2, some are 183 times too large."""
+_MAX_AXIS_ERROR = 45.0
 """Error of an axis' direction [degrees] beyond which it is not known: two axes change places."""
-# Share of each of [xx, xy, xz, yy, yz, zz] in a sum over all elements of a symmetric matrix.
-_TWICE = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
+_MULTIPLICITY = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
+"""How often each of xx, xy, xz, yy, yz, zz stands in a symmetric matrix."""
 
 
 @dataclass(frozen=True)
 class Form:
-    """One way to state a payload, named as in ``Card``.
+    """The form in which one controller or library takes a payload; names are as in ``Card``.
 
     Attributes:
-        values: name of a number to its group in ``_groups``; a name of several words takes the
-            numbers of the group one by one.
-        text: with a %s for each number or group, in the order of ``values``; or what makes it of
-            the body and its inertia (3, 3) about the centre of mass.
-        most: largest element of an inertia matrix that the target takes [kg m^2].
+        name: key in params.json.
+        title: heading of the card.
+        values: name of a value to its group of numbers in ``_number_groups``; a name of several
+            words takes the numbers of the group one by one; a dict is a nested value.
+        text: with a %s for each value, in the order of ``values``; or a function that returns the
+            text, of the body and its inertia (3, 3) about the centre of mass.
+        explanation: unit, frame and order of the numbers.
+        max_inertia: largest element of an inertia matrix that the target accepts [kg m^2].
     """
 
     name: str
@@ -74,16 +79,17 @@ class Form:
     values: Mapping[str, Any]
     text: str | Callable[[InertialParameters, Array], str]
     explanation: str
-    most: float = np.inf
+    max_inertia: float = np.inf
 
 
-def _mjcf(body: InertialParameters, inertia: Array) -> str:
+def _mjcf_text(body: InertialParameters, inertia: Array) -> str:
+    """Return the <inertial> element of a body with an inertia (3, 3) about its centre of mass."""
     if np.any(inertia):
         return mjcf_inertial(body.theta)
     return f'<inertial pos="{format_numbers(body.com)}" mass="{body.mass!r}" diaginertia="0 0 0"/>'
 
 
-_ALL_OF_IT = (
+_WHOLE_LOAD = (
     "The controller wants everything that is bolted to the flange: where the empty runs carried a "
     "tool already, that tool is not in these numbers and must be added."
 )
@@ -120,8 +126,8 @@ FORMS = (
         {"m": "kg", "cog": "com_m", "inertia": "six"},
         "set_target_payload(%s, [%s], [%s])",
         "m kg; cog from the tool flange, m; inertia [Ixx, Iyy, Izz, Ixy, Ixz, Iyz] about the "
-        f"centre of gravity, axes of the tool flange, kg m^2. {_ALL_OF_IT}",
-        most=UR_LIMIT,
+        f"centre of gravity, axes of the tool flange, kg m^2. {_WHOLE_LOAD}",
+        max_inertia=UR_LIMIT,
     ),
     Form(
         "ur_msgs_set_payload",
@@ -135,8 +141,8 @@ FORMS = (
         "ixz: %s, iyz: %s}",
         "mass kg; center_of_gravity from the tool flange, m; ixx iyy izz ixy ixz iyz about the "
         "centre of gravity, axes of the tool flange, kg m^2. Older releases of the message have "
-        f"mass and center_of_gravity only. {_ALL_OF_IT}",
-        most=UR_LIMIT,
+        f"mass and center_of_gravity only. {_WHOLE_LOAD}",
+        max_inertia=UR_LIMIT,
     ),
     Form(
         "kuka_load",
@@ -149,7 +155,7 @@ FORMS = (
         "{M %s, CM {X %s, Y %s, Z %s, A %s, B %s, C %s}, J {X %s, Y %s, Z %s}}",
         "M kg; CM X, Y, Z centre of mass in the FLANGE coordinate system, mm; CM A, B, C turn of "
         "the principal axes, degrees: A about Z, then B about the new Y, then C about the new X; J "
-        f"X, Y, Z principal moments about those axes, kg m^2. {_ALL_OF_IT}",
+        f"X, Y, Z principal moments about those axes, kg m^2. {_WHOLE_LOAD}",
     ),
     Form(
         "abb_loaddata",
@@ -168,7 +174,7 @@ FORMS = (
         {"weight": "kg", "center_of_gravity": "com_mm"},
         "arm.set_tcp_load(%s, [%s])",
         "weight kg; center_of_gravity x, y, z in the default tool coordinate system at the centre "
-        f"of the flange, mm. It takes no inertia. {_ALL_OF_IT}",
+        f"of the flange, mm. It takes no inertia. {_WHOLE_LOAD}",
     ),
     Form(
         "mecademic_set_payload",
@@ -176,7 +182,7 @@ FORMS = (
         {"m": "kg", "cx cy cz": "com_mm"},
         "SetPayload(%s, %s, %s, %s)",
         "m kg; cx, cy, cz centre of mass in the flange reference frame (FRF), mm. It takes no "
-        f"inertia. {_ALL_OF_IT}",
+        f"inertia. {_WHOLE_LOAD}",
     ),
     Form(
         "urdf_inertial",
@@ -190,7 +196,7 @@ FORMS = (
         "mjcf_inertial",
         "MuJoCo: <inertial> of a body whose frame is the flange",
         {"mass": "mass", "pos": "com", "fullinertia": "full"},
-        _mjcf,
+        _mjcf_text,
         "mass kg; pos centre of mass, m; fullinertia xx yy zz xy xz yz about the centre of mass, "
         "axes of the body, kg m^2.",
     ),
@@ -203,9 +209,11 @@ class Card:
 
     Attributes:
         name: key in params.json.
+        title: heading of the card.
         explanation: unit, frame and order of the numbers.
-        values: what the numbers are called there, JSON-able.
-        notes: standard errors, and what the target would refuse.
+        values: name in the target to number or numbers, as JSON can hold them.
+        text: to copy into a program or a configuration of the target.
+        notes: standard errors, and whether the target would refuse these numbers.
     """
 
     name: str
@@ -220,31 +228,29 @@ def payload_cards(body: BodyEstimate, flange: Flange) -> tuple[Card, ...]:
     """Return a payload in every form, the plain numbers with their frame first.
 
     Args:
-        body: in the FLANGE frame, inertia about that frame's origin; where its inertia is not
-            shown, that of a ball of aluminium.
+        body: in the FLANGE frame, inertia about that frame's origin; where the inertia is not
+            determined, that of a ball of aluminium.
+        flange: the frame of the payload.
 
     Raises:
         ExportError: no rigid body has these parameters, so no controller may get them.
     """
-    payload = body.inertial
-    inertia, groups = _groups(payload)
+    inertia, groups = _number_groups(body.inertial)
     errors = load_errors(body)
-    said = _error_texts(body)
-    cards = [_plain_card(groups, flange, errors, said)]
+    error_texts = _error_texts(body)
+    cards = [_plain_card(groups, flange, errors, error_texts)]
     for form in FORMS:
-        values = _filled(form.values, groups)
-        notes = [*_error_notes(said, form.values)]
-        if max(map(abs, groups["six"])) > form.most:
-            refused = (
-                "The controller refuses this: no element of the inertia may exceed"
+        values = _fill_values(form.values, groups)
+        notes = _error_notes(error_texts, form.values)
+        if max(map(abs, groups["six"])) > form.max_inertia:
+            notes.append(
+                "The controller refuses this: no element of the inertia may exceed "
+                f"{form.max_inertia:g}."
             )
-            notes.append(f"{refused} {form.most:g}.")
-        make = form.text
-        text = (
-            make % tuple(_texts(values))
-            if isinstance(make, str)
-            else make(payload, inertia)
-        )
+        if isinstance(form.text, str):
+            text = form.text % tuple(_value_texts(values))
+        else:
+            text = form.text(body.inertial, inertia)
         cards.append(
             Card(form.name, form.title, form.explanation, values, text, tuple(notes))
         )
@@ -252,136 +258,143 @@ def payload_cards(body: BodyEstimate, flange: Flange) -> tuple[Card, ...]:
 
 
 def load_covariance(body: BodyEstimate) -> Array:
-    """Return the covariance (10, 10) of what ``ERROR_NAMES`` names.
+    """Return the covariance (10, 10) of mass, centre of mass c and inertia about c of a body.
 
-    I_com = I - m (|c|^2 1 - c c^T) to first order. c = h / m changes more where the mass is smaller
-    than where it is larger: slopes of c are those to the body that is lighter by one standard
-    error of the mass, and at most twice those of the body itself. Variances are infinite where the
-    mass, the first moment or the inertia is not known.
+    The order is that of ``ERROR_NAMES``. To first order, I_com = I - m (|c|^2 1 - c c^T) and
+    c = h / m. The change of c is not symmetric in the mass, larger where the mass is smaller:
+    its slope is therefore that to the body that is lighter by one standard error of the mass, at
+    most twice that of the body itself. Variances of what is not determined are infinite.
     """
     inertial = body.inertial
-    is_place_known = inertial.mass > 0.0 and bool(np.all(body.is_determined[:4]))
-    mass = inertial.mass if is_place_known else 1.0
+    is_com_known = inertial.mass > 0.0 and bool(np.all(body.is_determined[:4]))
+    is_inertia_known = is_com_known and bool(np.all(body.is_determined))
+    mass = inertial.mass if is_com_known else 1.0
     mass_error = float(np.sqrt(max(body.covariance[0, 0], 0.0)))
     com = inertial.com
     identity = np.eye(3)
-    slopes = [com @ com * identity - np.outer(com, com)]
-    slopes += [
-        np.outer(axis, com) + np.outer(com, axis) - 2.0 * (axis @ com) * identity
-        for axis in identity
-    ]
-    change = np.eye(10)
-    change[1:4, :4] = np.column_stack((-com, identity)) / max(
-        mass - mass_error, 0.5 * mass
-    )
-    change[4:, :4] = np.column_stack(
-        [spatial.six_from_symmetric(slope) for slope in slopes]
-    )
-    covariance = change @ body.covariance @ change.T
-    is_known = [
-        bool(body.is_determined[0]),
-        is_place_known,
-        is_place_known and bool(np.all(body.is_determined)),
-    ]
-    hidden = ~np.repeat(is_known, [1, 3, 6])
-    covariance[hidden] = covariance[:, hidden] = 0.0
-    covariance[hidden, hidden] = np.inf
+    jacobian = np.eye(10)
+    com_slopes = np.column_stack((-com, identity))
+    jacobian[1:4, :4] = com_slopes / max(mass - mass_error, 0.5 * mass)
+    inertia_slopes = [com @ com * identity - np.outer(com, com)]
+    for axis in identity:
+        products = np.outer(axis, com) + np.outer(com, axis)
+        inertia_slopes.append(products - 2.0 * (axis @ com) * identity)
+    for column, slope in enumerate(inertia_slopes):
+        jacobian[4:, column] = spatial.six_from_symmetric(slope)
+    covariance = jacobian @ body.covariance @ jacobian.T
+    is_known = [bool(body.is_determined[0]), is_com_known, is_inertia_known]
+    is_hidden = ~np.repeat(is_known, [1, 3, 6])
+    covariance[is_hidden] = 0.0
+    covariance[:, is_hidden] = 0.0
+    covariance[is_hidden, is_hidden] = np.inf
     return covariance
 
 
 def load_errors(body: BodyEstimate) -> Array:
-    """Return the standard errors (10,) of ``ERROR_NAMES``; infinite where one is not known."""
+    """Return the standard errors (10,) that ``ERROR_NAMES`` names; infinite where not known."""
     return np.sqrt(np.maximum(np.diag(load_covariance(body)), 0.0))
 
 
 def principal_moments(body: BodyEstimate) -> tuple[Array, Array, Array]:
-    """Return (principal moments (3,), their standard errors, those of the axes' turn [degrees]).
+    """Return the principal moments of a body, their errors, and those of the principal axes.
 
-    To first order, a_i^T dI a_i, and a_i^T dI a_j over the difference of the moments i and j.
+    To first order, the moment i changes by a_i^T dI a_i, and the axes i and j turn by a_i^T dI a_j
+    over the difference of the moments i and j.
+
+    Returns:
+        Moments (3,) about the centre of mass, ascending [kg m^2]; their standard errors (3,);
+        standard errors (3,) of the turn about each axis [degrees], infinite where not known.
     """
     moments, axes = spatial.principal_axes(body.inertial.inertia_com)
     covariance = load_covariance(body)[4:, 4:]
     if not np.all(np.isfinite(covariance)):
         return moments, np.full(3, np.inf), np.full(3, np.inf)
-    pairs = [np.outer(axes[:, i], axes[:, j]) for i, j in zip(*np.triu_indices(3))]
-    rows = np.array(
-        [_TWICE * spatial.six_from_symmetric(0.5 * (p + p.T)) for p in pairs]
-    )
-    xx, xy, xz, yy, yz, zz = np.sqrt(
-        np.maximum(np.diag(rows @ covariance @ rows.T), 0.0)
-    )
-    apart = np.abs(moments[[1, 0, 0]] - moments[[2, 2, 1]])
-    turns = np.degrees(np.array([yz, xz, xy]) / np.maximum(apart, 1e-300))
-    return moments, np.array([xx, yy, zz]), np.where(turns <= _MOST_TURN, turns, np.inf)
+    rows = []
+    for i, j in zip(*np.triu_indices(3)):
+        product = np.outer(axes[:, i], axes[:, j])
+        symmetric = 0.5 * (product + product.T)
+        rows.append(_MULTIPLICITY * spatial.six_from_symmetric(symmetric))
+    variances = np.diag(np.array(rows) @ covariance @ np.array(rows).T)
+    xx, xy, xz, yy, yz, zz = np.sqrt(np.maximum(variances, 0.0))
+    gaps = np.abs(moments[[1, 0, 0]] - moments[[2, 2, 1]])
+    turns = np.degrees(np.array([yz, xz, xy]) / np.maximum(gaps, 1e-300))
+    turns = np.where(turns <= _MAX_AXIS_ERROR, turns, np.inf)
+    return moments, np.array([xx, yy, zz]), turns
 
 
-def inertia_is_known(body: BodyEstimate) -> bool:
-    """Tell whether any principal moment is told from zero.
+def is_inertia_known(body: BodyEstimate) -> bool:
+    """Return whether any principal moment of a body differs from zero by more than its error.
 
-    One is enough: the least one of a rod never is, and a wrist that spins shows one alone.
+    One is enough: the smallest moment of a rod never does, and a wrist that only spins determines
+    one moment alone.
     """
     moments, errors, _ = principal_moments(body)
-    return bool(np.any(moments > TOLD * errors))
+    return bool(np.any(moments > MOMENT_SIGNIFICANCE * errors))
 
 
 def card_text(cards: Sequence[Card], heading: str) -> str:
-    """Return the text of payload_card.txt."""
+    """Return the text of payload_card.txt: the heading, then each card with its explanation."""
     blocks = [heading]
     for card in cards:
-        said = (card.explanation, *card.notes)
-        about = [f"# {line}" for part in said for line in wrap(part, _WIDTH - 2)]
-        blocks.append("\n".join([f"== {card.title} ==", *about, card.text]))
+        lines = [f"== {card.title} =="]
+        for paragraph in (card.explanation, *card.notes):
+            lines += [f"# {line}" for line in wrap(paragraph, _LINE_WIDTH - 2)]
+        blocks.append("\n".join([*lines, card.text]))
     return "\n\n".join(blocks) + "\n"
 
 
-def _groups(payload: InertialParameters) -> tuple[Array, dict[str, Any]]:
-    """Return the inertia (3, 3) about the centre of mass, and the numbers of all cards by group."""
+def _number_groups(payload: InertialParameters) -> tuple[Array, dict[str, Any]]:
+    """Return the inertia (3, 3) about the centre of mass, and group name to numbers for all forms.
+
+    Raises ExportError where no rigid body has these parameters.
+    """
     mass, com, inertia = spatial.com_from_theta(payload.theta)
     moments, axes = spatial.principal_axes(inertia)
     # Rounding of an inertia about a distant origin hides a small one about the centre of mass.
-    rounding = _NOTHING * abs(mass) * float(com @ com)
+    rounding = _ROUNDING * abs(mass) * float(com @ com)
     if np.max(np.abs(moments)) <= rounding:
         inertia = np.zeros((3, 3))
         moments = np.zeros(3)
         axes = np.eye(3)
-    if np.ptp(moments) <= rounding + _NOTHING * np.max(np.abs(moments)):
-        # Any axes will do: those of the frame, not those that rounding has.
+    if np.ptp(moments) <= rounding + _ROUNDING * np.max(np.abs(moments)):
+        # Any axes are principal ones: those of the frame, not those that rounding happens to give.
         moments = np.diag(inertia)
         axes = np.eye(3)
-    slack = _EDGE * float(np.sum(np.abs(moments))) + rounding
-    beyond = max(
-        -float(np.min(moments)), float(2.0 * np.max(moments) - np.sum(moments))
-    )
-    if mass <= 0.0 or beyond > slack:
+    tolerance = _CONSISTENCY_TOLERANCE * float(np.sum(np.abs(moments))) + rounding
+    negativity = -float(np.min(moments))
+    triangle_excess = float(2.0 * np.max(moments) - np.sum(moments))
+    if mass <= 0.0 or max(negativity, triangle_excess) > tolerance:
+        listed = ", ".join(f"{moment:.4g}" for moment in moments)
         raise ExportError(
-            f"a payload of {mass:.4g} kg with principal moments of inertia "
-            f"{', '.join(f'{moment:.4g}' for moment in moments)} kg m^2 is not a possible rigid "
-            "body, so there is no card for a controller; record longer or faster motion"
+            f"a payload of {mass:.4g} kg with principal moments of inertia {listed} kg m^2 is not "
+            "a possible rigid body, so there is no card for a controller; record longer or faster "
+            "motion"
         )
     full = spatial.fullinertia_from_symmetric(inertia)
     return inertia, {
-        # As they are: Ixx Iyy Izz Ixy Ixz Iyz and Ixx Ixy Ixz Iyy Iyz Izz about the centre of mass.
+        # In full precision: Ixx Iyy Izz Ixy Ixz Iyz, and Ixx Ixy Ixz Iyy Iyz Izz, about c.
         "mass": payload.mass,
         "com": payload.com.tolist(),
         "full": full.tolist(),
         "upper": spatial.six_from_symmetric(inertia).tolist(),
         # With the digits of a card; nine: column by column, no_turn: a 4x4 identity.
-        "kg": rounded([mass])[0],
-        "com_m": rounded(com),
-        "com_mm": rounded(1e3 * com),
-        "six": rounded(full),
-        "nine": rounded(inertia.T.ravel()),
-        "moments": rounded(moments),
-        "yaw_pitch_roll": rounded(np.degrees(spatial.roll_pitch_yaw(axes)[::-1])),
-        "turn": rounded(spatial.quaternion(axes)),
+        "kg": round_group([mass])[0],
+        "com_m": round_group(com),
+        "com_mm": round_group(1e3 * com),
+        "six": round_group(full),
+        "nine": round_group(inertia.T.ravel()),
+        "moments": round_group(moments),
+        "yaw_pitch_roll": round_group(np.degrees(spatial.roll_pitch_yaw(axes)[::-1])),
+        "turn": round_group(spatial.quaternion(axes)),
         "no_turn": np.eye(4).ravel().tolist(),
     }
 
 
-def rounded(values: Sequence[float] | Array) -> list[float]:
-    """Return a group of numbers with the digits of a card; what is only rounding is zero."""
-    least = _NOTHING * float(np.max(np.abs(values)))
-    return [float(plain(value)) if abs(value) >= least else 0.0 for value in values]
+def round_group(values: Sequence[float] | Array) -> list[float]:
+    """Return numbers with the digits of a card; zero where they are rounding beside the largest."""
+    smallest = _ROUNDING * float(np.max(np.abs(values)))
+    is_rounding = np.abs(values) < smallest
+    return [0.0 if zero else float(plain(v)) for zero, v in zip(is_rounding, values)]
 
 
 def plain(value: float) -> str:
@@ -395,49 +408,65 @@ def listed(values: Sequence[float]) -> str:
     return ", ".join(plain(value) for value in values)
 
 
-def _filled(values: Mapping[str, Any], groups: Mapping[str, Any]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, group in values.items():
+def _fill_values(form: Mapping[str, Any], groups: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a form with the numbers of their groups in place of the group names."""
+    values: dict[str, Any] = {}
+    for name, group in form.items():
         if isinstance(group, dict):
-            found[name] = _filled(group, groups)
+            values[name] = _fill_values(group, groups)
         elif " " in name:
-            found.update(zip(name.split(), groups[group]))
+            values.update(zip(name.split(), groups[group]))
         else:
-            found[name] = groups[group]
-    return found
+            values[name] = groups[group]
+    return values
 
 
-def _texts(value: Any) -> list[str]:
-    """Return the texts of named numbers, one for the numbers of a list together."""
-    if isinstance(value, dict):
-        return [text for part in value.values() for text in _texts(part)]
-    return [listed(value if isinstance(value, list) else [value])]
+def _value_texts(values: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the text of each value of a form; the numbers of a list are one text."""
+    for value in values.values():
+        if isinstance(value, dict):
+            yield from _value_texts(value)
+        else:
+            yield listed(value if isinstance(value, list) else [value])
 
 
 def _plain_card(
-    groups: Mapping[str, Any], flange: Flange, errors: Array, said: Mapping[str, str]
+    groups: Mapping[str, Any],
+    flange: Flange,
+    errors: Array,
+    error_texts: Mapping[str, str],
 ) -> Card:
-    place = flange.translation
-    turn = spatial.quaternion(flange.rotation)
-    known = [each if np.isfinite(each) else None for each in errors.tolist()]
+    """Return the first card, which states frame, numbers and errors for no particular target.
+
+    Args:
+        groups: group name to numbers, of ``_number_groups``.
+        flange: the frame of the payload.
+        errors: (10,) standard errors, of ``load_errors``.
+        error_texts: group name to the text on its errors.
+    """
+    origin = flange.translation
+    quaternion = spatial.quaternion(flange.rotation)
+    finite_errors = [error if np.isfinite(error) else None for error in errors.tolist()]
     values = {
         "flange": flange.name,
         "terminal_body": flange.terminal,
-        "flange_position": place.tolist(),
-        "flange_quaternion": turn.tolist(),
+        "flange_position": origin.tolist(),
+        "flange_quaternion": quaternion.tolist(),
         "mass": groups["mass"],
         "center_of_mass": groups["com"],
         "inertia_about_com": groups["upper"],
-        "standard_errors": dict(zip(ERROR_NAMES, known)),
+        "standard_errors": dict(zip(ERROR_NAMES, finite_errors)),
     }
-    text = [
-        f"frame           {flange.name}: origin at {listed(rounded(place))} m, turned by the "
-        f"quaternion w x y z {listed(rounded(turn))}, both in the frame of body "
-        f"'{flange.terminal}'",
-        f"mass            {plain(groups['kg'])} kg",
-        f"centre of mass  {listed(groups['com_m'])} m",
-        f"inertia         {listed(groups['six'])} kg m^2 (xx yy zz xy xz yz)",
-    ]
+    text = "\n".join(
+        (
+            f"frame           {flange.name}: origin at {listed(round_group(origin))} m, turned by "
+            f"the quaternion w x y z {listed(round_group(quaternion))}, both in the frame of body "
+            f"'{flange.terminal}'",
+            f"mass            {plain(groups['kg'])} kg",
+            f"centre of mass  {listed(groups['com_m'])} m",
+            f"inertia         {listed(groups['six'])} kg m^2 (xx yy zz xy xz yz)",
+        )
+    )
     explanation = (
         "All cards below state this one body. It is what the loaded runs carried and the empty "
         "ones did not. All numbers hold in the frame named here, the inertia about the centre of "
@@ -445,62 +474,62 @@ def _plain_card(
         "minus the integral of x y). A controller takes them for numbers in the frame of ITS "
         "flange: where that is another one, make the cards again for it."
     )
-    point = (
-        ()
-        if any(groups["six"])
-        else ("The inertia is zero: every card states a point mass.",)
+    notes = [flange.note] if flange.note else []
+    notes += _error_notes(
+        error_texts, {"mass": "kg", "center_of_mass": "com_m", "inertia": "six"}
     )
-    own = _error_notes(
-        said, {"mass": "kg", "center_of_mass": "com_m", "inertia": "six"}
-    )
-    notes = (*([flange.note] if flange.note else []), *own, *point)
-    return Card("payload", "Payload", explanation, values, "\n".join(text), notes)
+    if not any(groups["six"]):
+        notes.append("The inertia is zero: every card states a point mass.")
+    return Card("payload", "Payload", explanation, values, text, tuple(notes))
 
 
 def _error_texts(body: BodyEstimate) -> dict[str, str]:
-    """Return what is said of the errors of each group of numbers in ``_groups``."""
+    """Return group name, of ``_number_groups``, to the text on the group's standard errors."""
     errors = load_errors(body)
-    (_, moments, turns) = principal_moments(body)
-    com = errors[1:4]
-    inertia = errors[4:]
-    mass = f"mass {_listed(errors[:1], 'kg')}"
-    place = f"centre of mass {_listed(com, 'm')}"
-    elements = NOT_KNOWN
-    principal = NOT_KNOWN
+    _, moment_errors, turn_errors = principal_moments(body)
+    mass = f"mass {_errors_with_unit(errors[:1], 'kg')}"
+    com = f"centre of mass {_errors_with_unit(errors[1:4], 'm')}"
+    inertia = NOT_KNOWN
+    moments = NOT_KNOWN
     axes = NOT_KNOWN
-    if np.all(np.isfinite(inertia)):
-        named = ", ".join(
-            f"{name[1:]} {each:.2g}" for name, each in zip(INERTIA, inertia)
-        )
-        elements = f"inertia {named} kg m^2"
-        principal = f"moments {_listed(moments, 'kg m^2')}"
-        axes = f"turn about the axes X, Y, Z {_listed(turns, 'degrees')}"
+    if np.all(np.isfinite(errors[4:])):
+        elements = [f"{n[1:]} {error:.2g}" for n, error in zip(INERTIA, errors[4:])]
+        inertia = f"inertia {', '.join(elements)} kg m^2"
+        moments = f"moments {_errors_with_unit(moment_errors, 'kg m^2')}"
+        turns = _errors_with_unit(turn_errors, "degrees")
+        axes = f"turn about the axes X, Y, Z {turns}"
     return {
         "kg": mass,
         "mass": mass,
-        "com_m": place,
-        "com": place,
-        "com_mm": f"centre of mass {_listed(1e3 * com, 'mm')}",
-        **dict.fromkeys(("six", "nine", "upper", "full"), elements),
-        "moments": principal,
+        "com_m": com,
+        "com": com,
+        "com_mm": f"centre of mass {_errors_with_unit(1e3 * errors[1:4], 'mm')}",
+        **dict.fromkeys(("six", "nine", "upper", "full"), inertia),
+        "moments": moments,
         "yaw_pitch_roll": axes,
         "turn": axes,
     }
 
 
-def _listed(errors: Sequence[float] | Array, unit: str) -> str:
-    texts = [f"{each:.2g}" if np.isfinite(each) else "not known" for each in errors]
-    return f"{', '.join(texts)} {unit}" if np.any(np.isfinite(errors)) else "not known"
+def _errors_with_unit(errors: Array, unit: str) -> str:
+    """Return standard errors as text with their unit; "not known" in place of infinite ones."""
+    is_known = np.isfinite(errors)
+    if not np.any(is_known):
+        return "not known"
+    texts = [f"{e:.2g}" if known else "not known" for e, known in zip(errors, is_known)]
+    return f"{', '.join(texts)} {unit}"
 
 
-def _error_notes(said: Mapping[str, str], values: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what is said of the errors of a form's numbers."""
-    parts = (
-        each.values() if isinstance(each, dict) else (each,) for each in values.values()
+def _error_notes(error_texts: Mapping[str, str], form: Mapping[str, Any]) -> list[str]:
+    """Return the notes of a card on the errors of the groups in a form's values."""
+    groups: list[str] = []
+    for group in form.values():
+        groups += group.values() if isinstance(group, dict) else [group]
+    # One text per quantity, in the order of the values.
+    texts = dict.fromkeys(
+        error_texts[group] for group in groups if group in error_texts
     )
-    told = dict.fromkeys(
-        said[group] for part in parts for group in part if group in said
-    )
-    yield f"Standard errors: {'; '.join(each for each in told if each != NOT_KNOWN)}."
-    if NOT_KNOWN in told:
-        yield NOT_KNOWN
+    is_unknown = NOT_KNOWN in texts
+    texts.pop(NOT_KNOWN, None)
+    notes = [f"Standard errors: {'; '.join(texts)}."]
+    return [*notes, NOT_KNOWN] if is_unknown else notes

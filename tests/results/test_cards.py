@@ -20,7 +20,7 @@ from robot_sysid.results.cards import (
     FORMS,
     NOT_KNOWN,
     card_text,
-    inertia_is_known,
+    is_inertia_known,
     load_errors,
     payload_cards,
     principal_moments,
@@ -355,4 +355,4 @@ def test_inertia_is_known_where_one_moment_is_told_from_zero(
 ):
     covariance = np.diag([0.0] * 4 + [error**2] * 6)
     body = body_of(1.0, np.zeros(3), np.diag(moments), covariance, seen)
-    assert inertia_is_known(body) == is_known
+    assert is_inertia_known(body) == is_known
