@@ -1,9 +1,10 @@
-"""The contest of explanations: what a log's model lacks, named by the log evidence.
+"""The contest of explanations: faults of a log or its model, named by the marginal likelihood.
 
-The base model is what the estimate allows for. Each explanation is scored beside it with noise of
-its own. The winner is named where the log is likelier by ``MARGIN`` nats; what is as likely within
-``TIE`` nats is named with it, for the log cannot tell them apart. Then it joins the base model, and
-the others are scored again.
+The base model has the parameters and priors of the estimate. Each explanation adds columns to it
+and is scored by the gain in log marginal likelihood, with noise estimated anew. The best one is
+named where it gains ``MARGIN`` nats; explanations within ``TIE`` nats of it are named together with
+it, because the log cannot distinguish them. Then the best one joins the base model, and the others
+are scored again.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ import numpy as np
 
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.evidence import Hypotheses, Posterior
-from robot_sysid.diagnosis.explanations import Explanation, Fitted, explanations
+from robot_sysid.diagnosis.explanations import BaseFit, Explanation, explanations
 from robot_sysid.diagnosis.relabelling import (
-    Relabelled,
+    Correction,
+    find_wrong_columns,
+    find_wrong_scales,
+    find_wrong_torques,
     odd_unit_finding,
-    undone_columns,
-    undone_scales,
-    undone_torques,
-    usual_scale,
+    typical_scale,
 )
 from robot_sysid.diagnosis.rows import LogRows, Prior, base_prior, log_rows, rms
 from robot_sysid.dynamics.equations import link_names, other_links
@@ -32,55 +33,64 @@ from robot_sysid.records.messages import percent, with_error
 from robot_sysid.signals.process import ProcessedSignals
 
 MARGIN = 15.0
+"""Least gain of an explanation in log marginal likelihood [nats]."""
 RELABELLED_MARGIN = 8.0
+"""Least gain of a relabelling of columns [nats]: there are fewer of them than of explanations."""
 TIE = 6.0
-"""Nats by which an explanation has to make a log likelier, and columns that are taken for others,
-of which there are few; nats within which two explanations are as likely."""
+"""Difference in gain within which two explanations count as equally likely [nats]."""
 LEAST_SHARE = 0.015
+"""Least share of the torque that an explanation of one joint has to explain."""
 SURE = 3.0
-"""Part of the torque that an explanation has to explain, and standard errors by which a coefficient
-of it has to be off."""
+"""Standard errors by which the coefficients of an explanation have to differ from zero."""
 MATTERS = 1.0
+"""Change of a parameter of the last link above which an explanation is harmful, in its standard
+errors."""
 HARMFUL_SHARE = 0.05
-"""Standard errors of the last link that an explanation moves it by, or part of the torque that it
-makes, from which on a result that takes no notice of it is not right."""
+"""Share of the torque above which an explanation is harmful."""
 MOST_NAMES = 3
-"""How many explanations may come together: more are no explanation."""
+"""Largest number of explanations that are named together."""
 UNEXPLAINED = 0.05
+"""Share of unexplained torque above which no explanation is named: right logs have 0.03."""
 OTHER_ARM = 0.3
-"""Parts of the torque that neither noise nor an explanation accounts for, from which on nothing is
-named, and from which on the model is of another arm: right logs have 0.03 at most."""
+"""Share of unexplained torque above which the model is taken for that of another arm."""
 GROSS = 0.05
+"""Share of unexplained torque above which relabellings of columns are tried."""
 GROSS_JOINT = 0.5
+"""Share of unexplained torque of one joint above which they are tried."""
 SMALL = 0.02
-"""Parts left of the torque and of one joint's from which on relabelled columns are tried, and the
-part of the torque that they may leave even where the log as it is leaves less."""
-USUAL_STRAIN = 7.0
+"""Share of unexplained torque that a relabelling may leave where the log leaves less."""
+TYPICAL_STRAIN = 7.0
+"""``Contest.strain`` of the links of typical arms."""
 FAR = 40.0
+"""Strain that no arm reaches with its own model."""
 ODD_SCALE = 1.3
-"""Strain of links of usual arms, and one that none has whose model is its own; factor between usual
-torque and the model's from which on scales are tried."""
+"""Ratio of measured torque to the model's above which torque scales are tried."""
 STRETCHES = 8
+"""Number of stretches of a log whose unexplained torque is compared."""
 CONCENTRATED = 0.4
-"""Stretches of a log, and the part of all that is left from which on it is of one of them."""
+"""Share of all unexplained torque in one stretch above which the stretch is named."""
 HEAVIEST = 0.6
-"""Mass of a plausible last link, as a part of the arm's."""
-# Explanations that get noise of their own in the first round and later, and from which gain on.
+"""Largest mass of a plausible last link, as a share of the arm's mass."""
+# Number of explanations whose noise is estimated anew in the first round.
 _REFITTED = 8
+# Number of them in later rounds.
 _REFITTED_AGAIN = 4
+# Least gain of these with the noise of the model [nats].
 _WORTH = 3.0
 _MOST_ROUNDS = 5
 
 
 @dataclass(frozen=True)
 class Score:
-    """An explanation beside the others.
+    """An explanation fitted to a log together with a model.
 
     Attributes:
-        gain: by how much likelier the log is [nats].
-        values, errors: (e,) its coefficients and their standard errors.
-        sureness: how many standard errors the coefficients together are from nothing.
-        hypotheses, posterior: the model with it.
+        gain: increase of the log marginal likelihood [nats], minus the penalty for choices.
+        values: (e,) coefficients of the explanation.
+        errors: (e,) their standard errors.
+        sureness: distance of all coefficients together from zero, in standard errors.
+        hypotheses: equations of the model with the explanation.
+        posterior: of these equations.
     """
 
     explanation: Explanation
@@ -93,31 +103,33 @@ class Score:
 
     @property
     def text(self) -> str:
-        """What it is, and what to do."""
-        return self.explanation.words(self.values, self.errors)
+        """The explanation in words, with what to do."""
+        return self.explanation.describe(self.values, self.errors)
 
     @property
     def is_possible(self) -> bool:
-        """Whether it is what its words say."""
+        """Whether the coefficients have the sign and size that the explanation's words imply."""
         return self.explanation.is_possible(self.values, self.errors)
 
     @property
     def torque(self) -> Array:
-        """Torque (K, n) that it makes, or (K, 1) at its joint [N m]."""
-        made = self.explanation.columns @ self.values
-        return made if made.ndim == 2 else made[:, None]
+        """Torque (K, n) of the explanation, (K, 1) where it acts at one joint [N m]."""
+        torque = self.explanation.columns @ self.values
+        return torque if torque.ndim == 2 else torque[:, None]
 
 
 class Contest:
     """One log and its explanations.
 
     Args:
-        signals: of the log, see ``rows.low_pass``.
-        options: what the estimate allows for.
+        signals: low-passed signals of the log, see ``rows.low_pass``.
+        options: prior uncertainties of the estimate.
 
     Attributes:
-        log, prior, base, posterior: equations, priors, the base model and its
-            posterior.
+        log: equations of the log.
+        prior: of the base model.
+        base: transformed equations of the base model.
+        posterior: of the base model.
     """
 
     def __init__(
@@ -142,110 +154,121 @@ class Contest:
         return float(mass), float(prior.spread[0] * np.sqrt(posterior.covariance[0, 0]))
 
     def is_plausible(self, posterior: Posterior, prior: Prior | None = None) -> bool:
-        """Return whether such links could be those of the arm."""
+        """Tell whether links of a posterior are plausible for this arm, in mass and strain."""
         arm = self.log.robot.mass
-        most = max(HEAVIEST * arm, self.log.robot.prior.mass + 0.3 * arm)
+        largest_mass = max(HEAVIEST * arm, self.log.robot.prior.mass + 0.3 * arm)
         mass, error = self.last_mass(posterior, prior)
-        possible = mass + 2.0 * error > 0.0 and mass - 2.0 * error < most
+        possible = mass + 2.0 * error > 0.0 and mass - 2.0 * error < largest_mass
         return possible and self.strain(posterior, prior) < FAR
 
     def dry_friction(self, posterior: Posterior, prior: Prior) -> tuple[Array, Array]:
         """Return the Coulomb friction (n,) of each joint and its standard error (n,) [N m]."""
         names = [f"coulomb[{name}]" for name in self.log.robot.joint_names]
-        places = self.log.columns.indices(names)
-        at = np.searchsorted(prior.kept, places)
-        error = prior.spread[at] * np.sqrt(np.diag(posterior.covariance)[at])
-        return prior.parameters(posterior.values)[places], error
+        indices = self.log.columns.indices(names)
+        positions = np.searchsorted(prior.estimated, indices)
+        error = prior.spread[positions] * np.sqrt(
+            np.diag(posterior.covariance)[positions]
+        )
+        return prior.parameters(posterior.values)[indices], error
 
     def friction_share(self, posterior: Posterior) -> Array:
-        """Return (n,) the least likely Coulomb friction, in parts of each joint's torque."""
+        """Return a lower bound (n,) of Coulomb friction, as a share of each joint's torque."""
         dry, error = self.dry_friction(posterior, self.prior)
-        return np.asarray(np.maximum(np.abs(dry) - SURE * error, 0.0) / self.log.usual)
+        return np.asarray(
+            np.maximum(np.abs(dry) - SURE * error, 0.0) / self.log.typical_torque
+        )
 
-    def reverses_friction(self, mistake: Relabelled) -> bool:
-        """Return whether friction that brakes a joint would drive it with a mistake undone.
+    def reverses_friction(self, mistake: Correction) -> bool:
+        """Tell whether a correction turns friction that brakes a joint into one that drives it.
 
-        Of a joint that links hardly load, all else fits with either sign.
+        Where links hardly load a joint, everything but its friction fits with either sign.
         """
         dry, error = self.dry_friction(self.posterior, self.prior)
         undone, undone_error = self.dry_friction(mistake.posterior, mistake.prior)
         return bool(np.any((dry > SURE * error) & (undone < -SURE * undone_error)))
 
     def strain(self, posterior: Posterior, prior: Prior | None = None) -> float:
-        """Return the sum of squares of prior standard deviations that the other links are off by,
-        with the widest of their priors.
+        """Return the squared deviation of the other links from the model, in standard deviations.
+
+        It is that of the widest of their priors.
         """
         prior = prior or self.prior
         robot = self.log.robot
         names = [
             name for link in other_links(robot) for name in link_names(robot, link)
         ]
-        at = np.searchsorted(prior.kept, self.log.columns.indices(names))
+        at = np.searchsorted(prior.estimated, self.log.columns.indices(names))
         off = posterior.values[at]
         quadratic_forms = [off @ p[np.ix_(at, at)] @ off for p in prior.precisions]
         return float(min(quadratic_forms))
 
-    def relabelled(self, divided: Array, winner: Score | None) -> list[Relabelled]:
-        """Return mistakes of columns, the most likely first.
+    def corrections(self, divided: Array, winner: Score | None) -> list[Correction]:
+        """Return plausible corrections of mistaken columns, the most likely first.
 
-        Those that need new rows are tried where the base model does not fit, or is far from the
-        model's links, and so does the best explanation.
+        Corrections that need new rows are tried only where neither the base model nor the best
+        explanation fits with plausible links.
 
         Args:
-            divided: (n,) scale that torques were divided by already.
-            winner: of the first round of explanations.
+            divided: (n,) torque scales by which the torques were divided already.
+            winner: the best explanation of the first round; None where there is none.
         """
-        undone = undone_torques(self.log, self.signals, self.base, self.posterior)
+        corrections = find_wrong_torques(
+            self.log, self.signals, self.base, self.posterior
+        )
         best = self.posterior if winner is None else winner.posterior
         by_joint = misfit_by_joint(self.log, best)
         is_gross = (
             misfit(self.log, best) > GROSS or float(np.max(by_joint)) > GROSS_JOINT
         )
         is_far = is_gross or not self.is_plausible(best)
-        if is_far or abs(np.log(usual_scale(self.log))) > np.log(ODD_SCALE):
-            undone += undone_scales(self.log, self.posterior, self.options, divided)
+        if is_far or abs(np.log(typical_scale(self.log))) > np.log(ODD_SCALE):
+            corrections += find_wrong_scales(
+                self.log, self.posterior, self.options, divided
+            )
         if is_far:
-            undone += undone_columns(
+            corrections += find_wrong_columns(
                 self.log, self.signals, self.posterior, self.options
             )
-        most = max(misfit(self.log, self.posterior), SMALL)
-        fitting = [m for m in undone if misfit(m.log, m.posterior) <= most]
-        plausible = [
-            mistake
-            for mistake in fitting
-            if self.is_plausible(mistake.posterior, mistake.prior)
-            and not self.reverses_friction(mistake)
-        ]
-        return sorted(plausible, key=lambda mistake: -mistake.gain)
+        largest_misfit = max(misfit(self.log, self.posterior), SMALL)
+        plausible = []
+        for correction in corrections:
+            is_fitting = misfit(correction.log, correction.posterior) <= largest_misfit
+            if (
+                is_fitting
+                and self.is_plausible(correction.posterior, correction.prior)
+                and not self.reverses_friction(correction)
+            ):
+                plausible.append(correction)
+        return sorted(plausible, key=lambda correction: -correction.gain)
 
     def rounds(self) -> list[list[Score]]:
-        """Return, per round, the winning explanation and those that are as likely."""
+        """Return the winning explanation of each round and those that tie with it."""
         trusted = self.is_plausible(self.posterior)
-        fit = Fitted(self.log, self.signals, self.prior, self.posterior, trusted)
-        offered = [e for e in explanations(fit) if not self.is_sought(e)]
+        fit = BaseFit(self.log, self.signals, self.prior, self.posterior, trusted)
+        offered = [e for e in explanations(fit) if not self.is_estimated(e)]
         columns = transform_columns(self.base, offered)
         winners: list[list[Score]] = []
         model = self.base
         posterior = self.posterior
         while len(winners) < _MOST_ROUNDS:
             count = _REFITTED if not winners else _REFITTED_AGAIN
-            ranked = self._ranked(model, posterior, offered, columns, count)
+            ranked = self._rank(model, posterior, offered, columns, count)
             if not ranked or ranked[0].gain < MARGIN:
                 break
-            alike = [score for score in ranked if score.gain > ranked[0].gain - TIE]
-            # Of what is as likely, that which is what its words say.
-            alike.sort(key=lambda score: not score.is_possible)
-            winners.append(alike)
-            model = alike[0].hypotheses
-            posterior = alike[0].posterior
+            ties = [score for score in ranked if score.gain > ranked[0].gain - TIE]
+            # Of equally likely explanations, one that its coefficients do not contradict.
+            ties.sort(key=lambda score: not score.is_possible)
+            winners.append(ties)
+            model = ties[0].hypotheses
+            posterior = ties[0].posterior
         return winners
 
-    def is_sought(self, explanation: Explanation) -> bool:
-        """Return whether the estimate finds it itself."""
-        sought = {"delay": self.options.delay, "tilt": self.options.tilt}
-        return explanation.joint is None and sought.get(explanation.name) == "auto"
+    def is_estimated(self, explanation: Explanation) -> bool:
+        """Tell whether the cause of an explanation is a free parameter of the estimate."""
+        settings = {"delay": self.options.delay, "tilt": self.options.tilt}
+        return explanation.joint is None and settings.get(explanation.name) == "auto"
 
-    def _ranked(
+    def _rank(
         self,
         model: Hypotheses,
         posterior: Posterior,
@@ -253,6 +276,13 @@ class Contest:
         columns: Sequence[Sequence[Array | None]],
         count: int,
     ) -> list[Score]:
+        """Return the scores of the best families of explanations, the best first.
+
+        Args:
+            offered: explanations to score.
+            columns: of ``transform_columns``.
+            count: number of families whose noise is estimated anew.
+        """
         penalties = np.log([explanation.choices for explanation in offered])
         gains = screen_gains(model, posterior, columns) - penalties
         best_of_family: dict[object, int] = {}
@@ -260,13 +290,12 @@ class Contest:
             if gains[k] > _WORTH:
                 best_of_family.setdefault(offered[k].family, int(k))
         finalists = list(best_of_family.values())[:count]
-        scores = [
-            self._score(model, posterior, offered[k], columns[k]) for k in finalists
-        ]
-        scores = [
-            self._refined(model, posterior, score) if score.gain > MARGIN else score
-            for score in scores
-        ]
+        scores = []
+        for k in finalists:
+            score = self._score(model, posterior, offered[k], columns[k])
+            if score.gain > MARGIN:
+                score = self._refine(model, posterior, score)
+            scores.append(score)
         return sorted(scores, key=lambda score: -score.gain)
 
     def _score(
@@ -276,20 +305,19 @@ class Contest:
         explanation: Explanation,
         columns: Sequence[Array | None],
     ) -> Score:
-        """Return an explanation's score beside a model, with noise of its own."""
+        """Return the score of an explanation added to a model, with noise estimated anew."""
         width = len(explanation.spread)
-        nothing = np.zeros((len(model.right), width))
-        wider = model.with_columns(
-            [nothing if column is None else column for column in columns]
-        )
-        after = wider.posterior(posterior.noise)
+        no_torque = np.zeros((len(model.right_sides), width))
+        added = [no_torque if column is None else column for column in columns]
+        wider = model.with_columns(added)
+        result = wider.posterior(posterior.noise)
         gain = (
-            after.log_evidence
+            result.log_evidence
             - posterior.log_evidence
             - float(np.log(explanation.choices))
         )
-        scaled = after.values[-width:]
-        covariance = after.covariance[-width:, -width:]
+        scaled = result.values[-width:]
+        covariance = result.covariance[-width:, -width:]
         sureness = float(np.sqrt(scaled @ np.linalg.solve(covariance, scaled)))
         errors = explanation.spread * np.sqrt(np.diag(covariance))
         return Score(
@@ -299,15 +327,15 @@ class Contest:
             errors,
             sureness,
             wider,
-            after,
+            result,
         )
 
-    def _refined(self, model: Hypotheses, posterior: Posterior, score: Score) -> Score:
-        """Return the best of the explanations near one, or that one."""
+    def _refine(self, model: Hypotheses, posterior: Posterior, score: Score) -> Score:
+        """Return the best score of an explanation and of those similar to it."""
         best = score
         while nearby := best.explanation.nearby():
             columns = transform_columns(model, nearby)
-            # With its own noise: beside the model's, all of them look alike.
+            # With its own noise: with that of the model, all gains are nearly equal.
             quieter = model.at_noise(best.posterior.noise)
             k = int(np.argmax(screen_gains(model, quieter, columns)))
             candidate = self._score(model, posterior, nearby[k], columns[k])
@@ -316,9 +344,10 @@ class Contest:
             best = candidate
         return best
 
-    def is_told(self, score: Score) -> bool:
-        """Return whether an explanation is sure of itself, and a fault of the whole log or a fair
-        part of the torque: small effects of one joint are neither.
+    def is_reportable(self, score: Score) -> bool:
+        """Tell whether an explanation is significant and worth a finding.
+
+        It is worth one as a fault of the whole log, or where it explains much of the torque.
         """
         explanation = score.explanation
         if score.sureness < SURE or not score.is_possible:
@@ -326,33 +355,33 @@ class Contest:
         is_of_log = explanation.joint is None and explanation.level is not Level.NOTE
         return is_of_log or self.torque_share(score) > LEAST_SHARE
 
-    def is_harmful(self, score: Score, before: Posterior) -> bool:
-        """Return whether a result that takes no notice of an explanation is not right."""
+    def is_harmful(self, score: Score, previous: Posterior) -> bool:
+        """Tell whether a result without this explanation would be wrong."""
         explanation = score.explanation
         is_large = bool(abs(score.values[0]) >= explanation.harmful_from)
         if is_large or explanation.level is Level.REFUSE:
             return True
         return self.torque_share(score) > HARMFUL_SHARE or self.moves_link(
-            score, before
+            score, previous
         )
 
     def torque_share(self, score: Score) -> float:
-        """Return the varying torque that an explanation makes, as a part of all torque."""
-        made = np.linalg.norm(np.std(score.torque, axis=0))
-        return float(made / np.linalg.norm(rms(self.log.torque)))
+        """Return the standard deviation of an explanation's torque, as a share of all torque."""
+        torque = np.linalg.norm(np.std(score.torque, axis=0))
+        return float(torque / np.linalg.norm(rms(self.log.torque)))
 
-    def moves_link(self, score: Score, before: Posterior) -> bool:
-        """Return whether the last link is another one with an explanation than without."""
-        moved = score.posterior.values[:10] - before.values[:10]
-        errors = np.sqrt(np.diag(before.covariance)[:10])
+    def moves_link(self, score: Score, previous: Posterior) -> bool:
+        """Tell whether an explanation changes the last link by more than its standard errors."""
+        moved = score.posterior.values[:10] - previous.values[:10]
+        errors = np.sqrt(np.diag(previous.covariance)[:10])
         return bool(np.any(np.abs(moved) > MATTERS * errors))
 
 
 def misfit_by_joint(log: LogRows, posterior: Posterior) -> Array:
-    """Return (n,) torque that neither the model nor white noise makes, in parts of each joint's
-    usual torque.
+    """Return the unexplained torque (n,) of each joint, as a share of its typical torque.
 
-    White noise is what is left in the upper half of the frequencies, in which links say little.
+    That is the residual without white noise. White noise is the residual in the upper half of the
+    frequencies, in which links make little torque.
     """
     squares = posterior.residual**2
     slow = np.zeros(squares.shape[1])
@@ -361,19 +390,22 @@ def misfit_by_joint(log: LogRows, posterior: Posterior) -> Array:
         white = len(spectrum) * np.mean(spectrum[len(spectrum) // 2 :], axis=0)
         slow += np.maximum(np.sum(spectrum, axis=0) - white, 0.0)
     counts = np.maximum(np.sum(log.used, axis=0), 1)
-    return np.asarray(np.sqrt(slow / counts) / log.usual)
+    return np.asarray(np.sqrt(slow / counts) / log.typical_torque)
 
 
 def misfit(log: LogRows, posterior: Posterior) -> float:
-    """Return the same of all joints, as a part of all torque."""
-    slow = misfit_by_joint(log, posterior) * log.usual
+    """Return the unexplained torque of all joints together, as a share of all torque."""
+    slow = misfit_by_joint(log, posterior) * log.typical_torque
     return float(np.linalg.norm(slow) / np.linalg.norm(rms(log.torque)))
 
 
 def transform_columns(
     model: Hypotheses, offered: Sequence[Explanation]
 ) -> list[list[Array | None]]:
-    """Return per explanation and joint its columns (K, e), transformed, in units of its prior."""
+    """Return the transformed columns (K, e) of each explanation at each joint, in prior units.
+
+    None stands for a joint that an explanation does not act on.
+    """
     transformed: list[list[Array | None]] = [[None] * len(model.rows) for _ in offered]
     for joint in range(len(model.rows)):
         of_joint = {
@@ -392,7 +424,7 @@ def transform_columns(
 def screen_gains(
     model: Hypotheses, posterior: Posterior, columns: Sequence[Sequence[Array | None]]
 ) -> Array:
-    """Return by how much likelier each explanation makes the log, with the noise as it is [nats].
+    """Return the gain of each explanation in log marginal likelihood at fixed noise [nats].
 
     With E its columns, r the residual and C the posterior covariance, in units of noise and prior,
     that is 1/2 v' (1 + M)^-1 v - 1/2 log |1 + M|, M = E'E - E'A C A'E and v = E'r.
@@ -405,7 +437,7 @@ def screen_gains(
     pull = np.zeros(ends[-1])
     squares = [np.eye(width) for width in widths]
     for joint in range(len(model.rows)):
-        places, rows = model.equations(joint)
+        indices, rows = model.equations(joint)
         all_columns = {k: of_joints[joint] for k, of_joints in enumerate(columns)}
         of_joint = {k: block for k, block in all_columns.items() if block is not None}
         if not of_joint:
@@ -413,7 +445,7 @@ def screen_gains(
         at = np.concatenate([np.arange(ends[k], ends[k + 1]) for k in of_joint])
         weight = 1.0 / posterior.noise[:, joint, None]
         stacked = np.hstack([*of_joint.values()])
-        crossed[np.ix_(places, at)] += (rows * weight).T @ stacked
+        crossed[np.ix_(indices, at)] += (rows * weight).T @ stacked
         pull[at] += posterior.residual[:, joint] @ (stacked * weight)
         for k, block in of_joint.items():
             squares[k] += block.T @ (block * weight)
@@ -430,16 +462,16 @@ def screen_gains(
 
 
 def findings(contest: Contest, divided: Array) -> list[Finding]:
-    """Return what is wrong with a log, by its contest; nothing of a right log.
+    """Return the findings of a contest; none where the log fits its model.
 
-    Columns that are taken for others come first, then explanations, and last what no explanation
-    is made for: torque that is left, and links or causes that no arm has.
+    Mistaken columns are considered first, then unexplained torque, implausible links and too many
+    causes, and last explanations.
 
     Args:
-        divided: (n,) scale that torques were divided by already.
+        divided: (n,) torque scales by which the torques were divided already.
     """
     rounds = contest.rounds()
-    undone = contest.relabelled(divided, rounds[0][0] if rounds else None)
+    undone = contest.corrections(divided, rounds[0][0] if rounds else None)
     odd_unit = odd_unit_finding(contest.log)
     if odd_unit is not None and not (undone and undone[0].name == "order"):
         return [odd_unit]
@@ -461,17 +493,17 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
         return [implausible_links(contest, last)]
     if len(named) > MOST_NAMES:
         return [too_many_causes(contest, named)]
-    # What comes after so many that are too small to tell is what they leave, no cause.
+    # Later explanations only fit what the first ones leave.
     return name_causes(contest, rounds[:MOST_NAMES])
 
 
 def name_causes(contest: Contest, rounds: Sequence[Sequence[Score]]) -> list[Finding]:
-    """Return a finding per round whose winner is to be told, each explanation once."""
+    """Return a finding per round whose winner is reportable, each explanation once."""
     named: list[Finding] = []
-    before = contest.posterior
+    previous = contest.posterior
     already: set[tuple[str, int | None]] = set()
     for ranked in rounds:
-        clear = [score for score in ranked if contest.is_told(score)]
+        clear = [score for score in ranked if contest.is_reportable(score)]
         clear = [score for score in clear if score.explanation.subject not in already]
         if any(score is ranked[0] for score in clear):
             already |= {score.explanation.subject for score in clear}
@@ -479,15 +511,19 @@ def name_causes(contest: Contest, rounds: Sequence[Sequence[Score]]) -> list[Fin
             for score in clear:
                 best.setdefault(score.explanation.name, score)
             harmful = [
-                score for score in best.values() if contest.is_harmful(score, before)
+                score for score in best.values() if contest.is_harmful(score, previous)
             ]
             named.append(_finding([*best.values()], harmful))
-        before = ranked[0].posterior
+        previous = ranked[0].posterior
     return named
 
 
 def _finding(scores: Sequence[Score], harmful: Sequence[Score]) -> Finding:
-    """Return the finding of explanations that are as likely, the first of which won."""
+    """Return one finding for explanations that tie, the winner first.
+
+    Args:
+        harmful: those of them without which a result would be wrong; they set the level.
+    """
     texts = dict.fromkeys(score.text for score in scores)
     levels = {score.explanation.level for score in harmful}
     order = (Level.REFUSE, Level.WARN, Level.NOTE)
@@ -496,11 +532,11 @@ def _finding(scores: Sequence[Score], harmful: Sequence[Score]) -> Finding:
 
 
 def unexplained_torque(contest: Contest, posterior: Posterior) -> Finding:
-    """Return how much of the torque nothing explains, at which joints and when."""
+    """Return the finding that torque is unexplained: how much, at which joints and when."""
     log = contest.log
     by_joint = misfit_by_joint(log, posterior)
     share = misfit(log, posterior)
-    worst = np.argsort(-by_joint * log.usual)[:3]
+    worst = np.argsort(-by_joint * log.typical_torque)[:3]
     listed = ", ".join(
         f"{log.robot.joint_names[j]} {percent(float(by_joint[j]))}" for j in worst
     )
@@ -513,8 +549,10 @@ def unexplained_torque(contest: Contest, posterior: Posterior) -> Finding:
 
 
 def stretch_of_misfit(contest: Contest, posterior: Posterior) -> str:
-    """Return in which stretch of the log much more than elsewhere is left; "" where in none."""
-    residual = contest.base.transform.undone(posterior.residual) / contest.log.usual
+    """Return in words the stretch with most of the unexplained torque; "" where there is none."""
+    residual = (
+        contest.base.transform.inverse(posterior.residual) / contest.log.typical_torque
+    )
     squares = np.sum(residual**2, axis=1)
     stretches = np.array_split(np.arange(len(squares)), STRETCHES)
     sums = [float(np.sum(squares[rows])) for rows in stretches]
@@ -526,7 +564,7 @@ def stretch_of_misfit(contest: Contest, posterior: Posterior) -> str:
 
 
 def too_many_causes(contest: Contest, named: Sequence[Finding]) -> Finding:
-    """Return that it takes more causes at once to explain a log than are likely."""
+    """Return the finding that a log needs more explanations at once than are likely."""
     share = percent(misfit(contest.log, contest.posterior))
     count = len(named)
     names = ", ".join(cause.name for cause in named)
@@ -538,10 +576,10 @@ def too_many_causes(contest: Contest, named: Sequence[Finding]) -> Finding:
 
 
 def implausible_links(contest: Contest, posterior: Posterior) -> Finding:
-    """Return that links are none that this arm can have."""
+    """Return the finding that the estimated links are implausible for this arm."""
     mass, error = contest.last_mass(posterior)
     arm = contest.log.robot.mass
-    differences = np.sqrt(contest.strain(posterior) / USUAL_STRAIN)
+    differences = np.sqrt(contest.strain(posterior) / TYPICAL_STRAIN)
     text = (
         f"to fit this log, the terminal link would have {with_error(mass, error, 'kg')} on an arm "
         f"of {arm:.3g} kg, and the other links {differences:.1f} times the usual "

@@ -1,13 +1,16 @@
-"""How likely a log is under a model with normal priors: one figure for every explanation.
+"""Log marginal likelihood of a log under a linear model with normal priors and noise.
 
 With rows A_j of joint j in units of prior standard deviations, x ~ N(0, P), and noise of variance
 S_j(f) at each frequency f of a cosine transform,
 
     log p(tau) = -1/2 [sum_jf (r^2 / S + log 2 pi S) + x' P^-1 x + log |I + P sum_j A_j' S^-1 A_j|]
 
-at the most likely x, with residuals r = tau - A x. Noise is white plus an exponential memory; its
-size and mix per joint are the most likely ones, found by expectation maximisation with the expected
-squares r^2 + diag(A L^-1 A'), L the inverse posterior covariance.
+at the most likely x, with residuals r = tau - A x. Noise is white plus exponentially correlated
+noise; its size and mix per joint are the most likely ones, found by expectation maximisation with
+the expected squares r^2 + diag(A L^-1 A'), L the inverse posterior covariance.
+
+This mixture is the noise of explanations that compete, in the frequency domain. Standard errors of
+an estimate have their own model of correlated noise (``estimation.algebra.uncertainty``).
 """
 
 from __future__ import annotations
@@ -24,27 +27,30 @@ from robot_sysid.diagnosis.rows import LogRows, Prior
 from robot_sysid.records import Array
 
 SHARES = (0.4, 0.75, 0.95)
+"""Shares of correlated noise in the noise's power to choose from, beside none."""
 MEMORIES = (0.15, 0.5, 1.5)
-"""Parts of the noise's power that have a memory, and how long that is [s]; or none has."""
+"""Time constants of correlated noise to choose from [s]."""
 LEAST_NOISE = 0.003
-"""Noise that a joint has at least, as a part of its usual torque: no model is more exact."""
-# Rounds of the noise from nowhere, and from that of a nearby hypothesis.
+"""Least noise of a joint, as a share of its typical torque: no model is more exact."""
+# Rounds of expectation maximisation without a noise to begin with.
 _ROUNDS = 5
+# Rounds from the noise of a similar hypothesis.
 _MORE_ROUNDS = 2
+# Noise to begin with, as a share of the typical torque.
 _FIRST_NOISE = 0.05
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """What a hypothesis makes of a log.
+    """Posterior of a hypothesis about a log.
 
     Attributes:
         log_evidence: log marginal likelihood [nats].
-        values: (m,) most likely coefficients in units of their prior standard deviations, those of
-            an explanation last.
-        covariance: (m, m) in these units.
+        values: (m,) posterior means in units of the prior standard deviations, coefficients of
+            explanations last.
+        covariance: (m, m) posterior covariance in these units.
         noise: (K, n) variance of each transformed row [N^2 m^2].
-        residual: (K, n) transformed torque that is left [N m].
+        residual: (K, n) transformed residual torque [N m].
     """
 
     log_evidence: float
@@ -55,7 +61,12 @@ class Posterior:
 
 
 class Transform:
-    """Orthonormal cosine transform of each window of a log's rows; unused rows count nothing."""
+    """Orthonormal cosine transform of each window of a log's rows; unused rows become zero.
+
+    Attributes:
+        frequency: (K,) of each transformed row [rad per row].
+        period: time between rows [s].
+    """
 
     def __init__(self, log: LogRows) -> None:
         self._windows = log.windows
@@ -75,8 +86,8 @@ class Transform:
             [dct(used[w], axis=0, norm="ortho") for w in self._windows]
         )
 
-    def undone(self, transformed: Array) -> Array:
-        """Return the rows (K, n) of all joints of which some are the transform."""
+    def inverse(self, transformed: Array) -> Array:
+        """Return the rows (K, n) of all joints from their transform (K, n)."""
         from scipy.fft import idct
 
         return np.concatenate(
@@ -85,15 +96,15 @@ class Transform:
 
 
 class Hypotheses:
-    """The base model of a log, to which explanations are added.
+    """The transformed equations of a log: of its base model and of explanations added to it.
 
     Attributes:
         prior: of the base model.
         transform: of rows.
         count: (n,) rows of each joint that are used.
         rows: per joint (K, k) transformed rows in units of the prior's standard deviations.
-        places: per joint (k,) which parameters of the prior these are.
-        right: (K, n) transformed right-hand sides beyond the prior's mean [N m].
+        indices: per joint (k,) which parameters of the prior these are.
+        right_sides: (K, n) transformed right-hand sides minus the torque at the prior's mean [N m].
         explained: per joint (K, e) the columns of explanations that were added.
     """
 
@@ -101,51 +112,51 @@ class Hypotheses:
         self.prior = prior
         self.transform = Transform(log)
         self.count = np.maximum(np.sum(log.used, axis=0), 1)
-        self._usual = log.usual
+        self._typical_torque = log.typical_torque
         position = np.full(len(prior.mean), -1)
-        position[prior.kept] = np.arange(len(prior.kept))
-        self.places: list[NDArray[np.int64]] = []
+        position[prior.estimated] = np.arange(len(prior.estimated))
+        self.indices: list[NDArray[np.int64]] = []
         self.rows: list[Array] = []
-        for joint, (places, rows) in enumerate(zip(log.places, log.rows)):
-            at = position[places]
-            scaled = rows[:, at >= 0] * prior.spread[at[at >= 0]]
-            self.places.append(at[at >= 0])
+        for joint, (indices, rows) in enumerate(zip(log.indices, log.rows)):
+            positions = position[indices]
+            scaled = rows[:, positions >= 0] * prior.spread[positions[positions >= 0]]
+            self.indices.append(positions[positions >= 0])
             self.rows.append(self.transform.of_joint(joint, scaled))
-        self.right = self._transformed_right(log)
-        self.explained = tuple(np.zeros((len(self.right), 0)) for _ in self.rows)
+        self.right_sides = self._transform_right_sides(log)
+        self.explained = tuple(np.zeros((len(self.right_sides), 0)) for _ in self.rows)
         self.determinants = [
             np.linalg.slogdet(precision)[1] for precision in prior.precisions
         ]
 
-    def _transformed_right(self, log: LogRows) -> Array:
+    def _transform_right_sides(self, log: LogRows) -> Array:
         columns = []
-        for joint, (places, rows) in enumerate(zip(log.places, log.rows)):
-            right = log.right[:, joint] - rows @ self.prior.mean[places]
-            columns.append(self.transform.of_joint(joint, right[:, None]))
+        for joint, (indices, rows) in enumerate(zip(log.indices, log.rows)):
+            right_side = log.right_sides[:, joint] - rows @ self.prior.mean[indices]
+            columns.append(self.transform.of_joint(joint, right_side[:, None]))
         return np.hstack(columns)
 
     def with_columns(self, columns: Sequence[Array]) -> Hypotheses:
-        """Return the same with further transformed columns (K, e) per joint in prior units."""
+        """Return a copy with further transformed columns (K, e) per joint in prior units."""
         wider = copy(self)
         wider.explained = tuple(map(np.hstack, zip(self.explained, columns)))
         return wider
 
-    def with_right(self, log: LogRows) -> Hypotheses:
-        """Return the same with the torques of another log that has the same rows."""
+    def with_torque_of(self, log: LogRows) -> Hypotheses:
+        """Return a copy with the torques of another log that has the same rows."""
         other = copy(self)
-        other.right = self._transformed_right(log)
+        other.right_sides = self._transform_right_sides(log)
         return other
 
     def equations(self, joint: int) -> tuple[NDArray[np.int64], Array]:
-        """Return a joint's places (k + e,) and rows (K, k + e), explanations last."""
-        size = len(self.prior.kept)
+        """Return a joint's indices (k + e,) and rows (K, k + e), explanations last."""
+        size = len(self.prior.estimated)
         added = self.explained[joint]
-        places = np.append(self.places[joint], size + np.arange(added.shape[1]))
-        return places, np.hstack((self.rows[joint], added))
+        indices = np.append(self.indices[joint], size + np.arange(added.shape[1]))
+        return indices, np.hstack((self.rows[joint], added))
 
     @cached_property
     def spectra(self) -> Array:
-        """Spectra (m, K) of unit mean that noise may have."""
+        """Candidate spectra (m, K) of noise, of unit mean: white, then each mix of both tables."""
         cosine = np.cos(self.transform.frequency)
         spectra = [np.ones_like(cosine)]
         for memory in MEMORIES:
@@ -157,9 +168,16 @@ class Hypotheses:
     def posterior(
         self, noise: Array | None = None, rounds: int = _MORE_ROUNDS
     ) -> Posterior:
-        """Return the posterior under the most likely noise, sought from some (K, n) on."""
+        """Return the posterior under the most likely noise.
+
+        Args:
+            noise: (K, n) variances at which the search begins; None for white noise.
+            rounds: of expectation maximisation; more without ``noise``.
+        """
         if noise is None:
-            noise = np.tile((_FIRST_NOISE * self._usual) ** 2, (len(self.right), 1))
+            noise = np.tile(
+                (_FIRST_NOISE * self._typical_torque) ** 2, (len(self.right_sides), 1)
+            )
             rounds = _ROUNDS
         posterior = self.at_noise(noise)
         for _ in range(rounds):
@@ -167,19 +185,19 @@ class Hypotheses:
         return posterior
 
     def at_noise(self, noise: Array) -> Posterior:
-        """Return the posterior under some noise (K, n)."""
-        size = len(self.prior.kept)
+        """Return the posterior under noise of given variances (K, n) [N^2 m^2]."""
+        size = len(self.prior.estimated)
         total = size + self.explained[0].shape[1]
         normal = np.zeros((total, total))
         pull = np.zeros(total)
         equations = [self.equations(joint) for joint in range(len(self.rows))]
-        for joint, (places, rows) in enumerate(equations):
+        for joint, (indices, rows) in enumerate(equations):
             weighted = rows / noise[:, joint, None]
-            normal[np.ix_(places, places)] += rows.T @ weighted
-            pull[places] += self.right[:, joint] @ weighted
+            normal[np.ix_(indices, indices)] += rows.T @ weighted
+            pull[indices] += self.right_sides[:, joint] @ weighted
         best: Posterior | None = None
         evidences: list[float] = []
-        used_share = self.count / len(self.right)
+        used_share = self.count / len(self.right_sides)
         noise_size = float(used_share @ np.sum(np.log(2.0 * np.pi * noise), axis=0))
         for precision, determinant in zip(self.prior.precisions, self.determinants):
             prior_precision = np.eye(total)
@@ -188,10 +206,10 @@ class Hypotheses:
             root = np.linalg.cholesky(inverse)
             covariance: Array = np.asarray(np.linalg.inv(inverse), dtype=float)
             values: Array = np.asarray(covariance @ pull)
-            residual = self.right.copy()
-            for joint, (places, rows) in enumerate(equations):
-                residual[:, joint] -= rows @ values[places]
-            # Of what is left, not of differences of what is large.
+            residual = self.right_sides.copy()
+            for joint, (indices, rows) in enumerate(equations):
+                residual[:, joint] -= rows @ values[indices]
+            # From residuals: a difference of large sums would lose digits.
             squares = float(
                 np.sum(residual**2 / noise) + values @ prior_precision @ values
             )
@@ -204,27 +222,29 @@ class Hypotheses:
         mean = float(np.logaddexp.reduce(evidences)) - float(np.log(len(evidences)))
         return replace(best, log_evidence=mean)
 
-    def gain_of_right(self, log: LogRows, posterior: Posterior) -> float:
-        """Return by how much likelier other torques are than these, with the noise of these."""
+    def gain_of_torque(self, log: LogRows, posterior: Posterior) -> float:
+        """Return by how many nats another log's torques are likelier, under the noise of these."""
         change = []
-        for right in (self._transformed_right(log), self.right):
+        for right_sides in (self._transform_right_sides(log), self.right_sides):
             pull = np.zeros(len(posterior.values))
             for joint in range(len(self.rows)):
-                places, rows = self.equations(joint)
-                pull[places] += (right[:, joint] / posterior.noise[:, joint]) @ rows
-            squares = float(np.sum(right**2 / posterior.noise))
+                indices, rows = self.equations(joint)
+                pull[indices] += (
+                    right_sides[:, joint] / posterior.noise[:, joint]
+                ) @ rows
+            squares = float(np.sum(right_sides**2 / posterior.noise))
             change.append(0.5 * (float(pull @ posterior.covariance @ pull) - squares))
         return change[0] - change[1]
 
     def _likely_noise(self, posterior: Posterior) -> Array:
-        """Return the most likely noise (K, n) beside a posterior."""
-        noise = np.empty_like(self.right)
+        """Return the most likely noise (K, n) given a posterior of the coefficients [N^2 m^2]."""
+        noise = np.empty_like(self.right_sides)
         for joint, count in enumerate(self.count):
-            places, rows = self.equations(joint)
-            spread = rows @ posterior.covariance[np.ix_(places, places)]
+            indices, rows = self.equations(joint)
+            spread = rows @ posterior.covariance[np.ix_(indices, indices)]
             expected = posterior.residual[:, joint] ** 2 + np.sum(spread * rows, axis=1)
             power = np.sum(expected / self.spectra, axis=1) / count
-            power = np.maximum(power, (LEAST_NOISE * self._usual[joint]) ** 2)
+            power = np.maximum(power, (LEAST_NOISE * self._typical_torque[joint]) ** 2)
             used_share = count / len(expected)
             sizes = used_share * np.sum(np.log(self.spectra), axis=1)
             best = int(np.argmin(count * np.log(power) + sizes))

@@ -27,22 +27,16 @@ from robot_sysid.signals.resampling import sampling_period
 
 SHORTEST = 1.0
 """Length of a log below which no arm does anything worth fitting [s]."""
-
-
 ROWS = 40
 """Independent samples per joint that ten parameters and its friction need at least."""
-
-
 SLOWEST_RATE = 10.0
 """Samples per second below which a motion cannot be differentiated [Hz]."""
-
-
 SLOWEST = 0.05
 """Speed that one joint at least has to reach [rad/s]."""
 
 
 def length_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
-    """Yield a finding where a log, or what its gaps leave of it, is too short for anything."""
+    """Yield a finding where the pieces of a log together are too short."""
     span = _length(pieces)
     if span < SHORTEST:
         text = f"the log is {span:.2g} s long, too short; record ten seconds or more"
@@ -54,7 +48,7 @@ def _length(pieces: Sequence[Measurement]) -> float:
 
 
 def slow_findings(qd: Array) -> Iterator[Finding]:
-    """Yield a finding where no joint's speed (K, n) is enough to be told from its friction."""
+    """Yield a finding where all speeds (K, n) [rad/s] are too slow to separate friction."""
     fastest = float(np.max(np.abs(qd)))
     if fastest < SLOWEST:
         text = f"no joint moves faster than {fastest:.2g} rad/s; record a faster motion"
@@ -62,7 +56,7 @@ def slow_findings(qd: Array) -> Iterator[Finding]:
 
 
 def enough_findings(pieces: Sequence[Measurement], cutoff: float) -> Iterator[Finding]:
-    """Yield what there is too little of behind a low-pass [Hz]."""
+    """Yield findings where a sample rate, or the rows behind a low-pass [Hz], are too few."""
     span = _length(pieces)
     rows = int(2.0 * cutoff * span)
     rate = 1.0 / sampling_period(pieces[0].time)
@@ -75,41 +69,30 @@ def enough_findings(pieces: Sequence[Measurement], cutoff: float) -> Iterator[Fi
         yield Finding("too-little", Level.REFUSE, text)
 
 
-LOST = (1.6, 4.0)
-
-
 REPEATED = 0.3
-"""Speed over that of the steps around it, of a step with lost samples (one lost is 2) and of a
-repeated one (0)."""
-
-
+"""Largest speed of a step that repeats a sample, over that of the steps around it."""
+LOST = (1.6, 4.0)
+"""Speed of a step with lost samples, over that of the steps around it: 2 for one lost sample."""
 FEW = 0.003
-
-
+"""Share of lost or repeated samples above which a finding is made."""
 MANY = 0.02
-"""Share of such steps that is warned of, and that is refused."""
-
-
-# Length of a step, in usual ones, and its way, in those of the steps around it, of a clock's jump.
+"""Share of them above which the finding is more severe."""
+# Least length of a step of time that is a jump of the clock, in typical steps.
 _JUMP = 1.75
-
-
+# Largest distance in such a step, in those of the steps around it.
 _NO_WAY = 1.4
-
-
-# Ratio to noise of a step that counts, and how many of them say something.
+# Least distance of a step that counts, over noise.
 _CLEAR = 8.0
-
-
+# Least number of steps.
 _ENOUGH = 100
 
 
 def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
-    """Yield what the steps of a log's pieces say."""
-    parts = [_steps(piece) for piece in pieces if len(piece) > _ENOUGH]
-    if not parts:
+    """Yield findings on the clock: lost samples, repeated samples, and jumps of the time stamps."""
+    steps = [_steps(piece) for piece in pieces if len(piece) > _ENOUGH]
+    if not steps:
         return
-    speed, longer = (np.concatenate(same) for same in zip(*parts))
+    speed, longer = (np.concatenate(same) for same in zip(*steps))
     if len(speed) < _ENOUGH:
         return
     jumps = int(
@@ -118,20 +101,18 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
     plain = longer < _JUMP
     lost = float(np.mean(plain & (speed > LOST[0]) & (speed < LOST[1])))
     between = float(np.mean(plain & (speed > 1.25) & (speed < 1.5)))
-    still = float(np.mean(plain & (np.abs(speed) < REPEATED)))
-    odd = {"repeat the position of the sample before while the arm moves": still}
+    repeated = float(np.mean(plain & (np.abs(speed) < REPEATED)))
+    odd = {"repeat the position of the sample before while the arm moves": repeated}
     if lost > 3.0 * between:
         odd = {"have lost samples that the time stamps do not show": lost, **odd}
-    for what, share in odd.items():
+    for description, share in odd.items():
         if share > FEW:
-            text = f"{100.0 * share:.2g} % of the steps {what}; record the time of each sample"
+            problem = f"{100.0 * share:.2g} % of the steps {description}"
+            text = f"{problem}; record the time of each sample"
             # A low-pass takes out a repeated sample, not a time that was lost.
-            levels = (
-                (Level.WARN, Level.REFUSE)
-                if "lost" in what
-                else (Level.NOTE, Level.WARN)
-            )
-            yield Finding("clock", levels[share > MANY], text)
+            levels = (Level.NOTE, Level.WARN, Level.REFUSE)
+            severity = int("lost" in description) + int(share > MANY)
+            yield Finding("clock", levels[severity], text)
     if jumps:
         text = f"the clock jumps ahead {jumps} times without a sample missing; use the stamps of "
         yield Finding("clock", Level.WARN, f"{text}the controller's own clock")
@@ -139,62 +120,62 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
 
 WINDOW = 1.0
 """Time over which recorded velocities are summed [s]: a drive's filter does little to such sums."""
-
-
 WRONG_TIME = 0.03
-
-
+"""Relative error of the time above which a log is refused: a right log has 0.001, one whose
+velocities pass a low-pass of 3 Hz 0.028."""
 OTHER = 0.5
-
-
+"""Relative difference above which recorded velocities are not those of the positions."""
 ALIKE = 0.02
-"""Share by which time is off that is refused; by which velocities are something else; by how
-much joints may differ in it. A right log has 0.001, one whose velocities pass 3 Hz 0.028."""
+"""Largest difference between joints in the relative error of the time."""
 
 
 def velocity_findings(
     pieces: Sequence[Measurement], joint_names: Sequence[str]
 ) -> Iterator[Finding]:
     """Yield where positions and recorded velocities disagree about the time, or altogether."""
-    known = [piece for piece in pieces if piece.qd is not None]
-    if not known:
+    recordings = [piece for piece in pieces if piece.qd is not None]
+    if not recordings:
         return
-    products = np.array([_products(known, k) for k in range(len(joint_names))])
+    products = np.array([_products(recordings, k) for k in range(len(joint_names))])
     size = products[:, 0, 0]
     clear = np.flatnonzero(size > 0.01 * np.max(size, initial=0.0))
     (size, crossed), (_, other) = products[clear].T
-    each = crossed / size
-    share = float(np.median(each)) - 1.0 if len(each) else 0.0
-    if WRONG_TIME < abs(share) < OTHER and np.ptp(each) < ALIKE:
+    ratios = crossed / size
+    share = float(np.median(ratios)) - 1.0 if len(ratios) else 0.0
+    if WRONG_TIME < abs(share) < OTHER and np.ptp(ratios) < ALIKE:
         text = f"by the recorded velocities, time in the log is {100.0 * abs(share):.2g} % too "
         text += f"{'long' if share > 0.0 else 'short'}; record the controller's own time stamps, "
         text += f"or scale them with --columns FILE: time = {1.0 / (1.0 + share):.3g} * TITLE"
         yield Finding("clock", Level.REFUSE, text)
-    off = np.flatnonzero(other - 2.0 * crossed + size > OTHER**2 * size)
-    rest = other - each * crossed > OTHER**2 * other
-    said = [
-        f"{joint_names[clear[k]]} {'another motion' if rest[k] else f'{each[k]:.3g} times that'}"
-        for k in off
-    ]
-    if said:
-        name = (
-            "order"
-            if np.any(rest[off])
-            else "sign"
-            if np.any(each[off] < 0.0)
-            else "angle-unit"
+    is_off = other - 2.0 * crossed + size > OTHER**2 * size
+    is_other_motion = other - ratios * crossed > OTHER**2 * other
+    descriptions = []
+    for k in np.flatnonzero(is_off):
+        ratio = (
+            "another motion" if is_other_motion[k] else f"{ratios[k]:.3g} times that"
         )
-        text = f"recorded velocities are not how positions change ({', '.join(said)}); nothing is "
-        text += "made from them, but look which column is wrong, and name it with --columns FILE"
-        yield Finding(name, Level.NOTE, text)
+        descriptions.append(f"{joint_names[clear[k]]} {ratio}")
+    if not descriptions:
+        return
+    name = "angle-unit"
+    if np.any(is_other_motion[is_off]):
+        name = "order"
+    elif np.any(ratios[is_off] < 0.0):
+        name = "sign"
+    text = (
+        f"recorded velocities are not how positions change ({', '.join(descriptions)}); nothing is "
+        "made from them, but look which column is wrong, and name it with --columns FILE"
+    )
+    yield Finding(name, Level.NOTE, text)
 
 
 def _products(pieces: Sequence[Measurement], joint: int) -> Array:
-    """Return products (2, 2) of a joint's ways in all windows, by positions and by velocities.
+    """Return Y^T Y (2, 2) of a joint's displacements Y in all windows of ``WINDOW`` seconds.
 
-    Joint by joint: of all at once, a long log would be in memory twice more.
+    The first column is from positions, the second from recorded velocities. It is made joint by
+    joint: arrays of all joints at once would need twice the memory of a long log.
     """
-    parts = []
+    displacements = []
     for piece in pieces:
         assert piece.qd is not None
         q = piece.q[:, joint]
@@ -202,61 +183,60 @@ def _products(pieces: Sequence[Measurement], joint: int) -> Array:
         length = max(1, round(WINDOW / sampling_period(piece.time)))
         moved = 0.5 * (qd[1:] + qd[:-1]) * np.diff(piece.time)
         summed = np.concatenate(([0.0], np.cumsum(moved)))
-        parts.append((q[length:] - q[:-length], summed[length:] - summed[:-length]))
-    ways = np.concatenate(parts, axis=1)
+        displacements.append(
+            (q[length:] - q[:-length], summed[length:] - summed[:-length])
+        )
+    displacement = np.concatenate(displacements, axis=1)
     # A drive's constant error of the speed is neither a time nor another motion.
-    ways -= np.sum(ways, axis=1, keepdims=True) / max(ways.shape[1], 1)
-    return np.asarray(ways @ ways.T)
+    displacement -= np.sum(displacement, axis=1, keepdims=True) / max(
+        displacement.shape[1], 1
+    )
+    return np.asarray(displacement @ displacement.T)
 
 
 def _steps(piece: Measurement) -> tuple[Array, Array]:
-    """Return per clear step its speed over that around it, and its length over the usual one."""
+    """Return (speed over that of the steps around it, duration over the typical one) of each step.
+
+    Only steps whose motion is clearly above noise are returned.
+    """
     step = np.diff(piece.time)
-    usual = float(np.median(step))
+    typical_step = float(np.median(step))
     size = np.zeros(len(step) - 4)
     along = np.zeros(len(step) - 4)
     noise = 0.0
     for q in piece.q.T:
-        way = np.diff(q)
-        pace = way * (usual / step)
+        displacement = np.diff(q)
+        pace = displacement * (typical_step / step)
         a, b, c, d = (pace[k : len(pace) - 4 + k] for k in (0, 1, 3, 4))
         # The mean of the middle two is the median of four.
         lower = np.maximum(np.minimum(a, b), np.minimum(c, d))
         around = 0.5 * (lower + np.minimum(np.maximum(a, b), np.maximum(c, d)))
         size += around**2
-        along += way[2:-2] * around
-        noise += float(np.median(np.abs(np.diff(way)))) ** 2
-    length = step[2:-2] / usual
+        along += displacement[2:-2] * around
+        noise += float(np.median(np.abs(np.diff(displacement)))) ** 2
+    length = step[2:-2] / typical_step
     clear = size > max(_CLEAR**2 * noise, 0.02 * float(np.max(size, initial=0.0)))
     return along[clear] / size[clear] / length[clear], length[clear]
 
 
 LONG = 0.3
-"""Time for which a torque that changes otherwise is not exactly the same [s]."""
-
-
+"""Time for which a torque is constant above which its channel holds its last value [s]."""
 OFTEN = 0.005
-"""Share of samples at the largest value beyond which a sensor is at its end."""
-
-
+"""Share of samples at the largest value above which a sensor saturates."""
 # A channel of fewer values has coarse steps, which repeat by themselves.
 _MANY_VALUES = 100
-
-
-# Speed of an arm that moves [rad/s]; samples in a row, or in all, that are no chance.
+# Least mean speed of an arm that moves [rad/s].
 _MOVING = 0.05
-
-
+# Number of equal samples in a row that is no chance.
 _RUN = 4
-
-
+# Number of equal samples in a log that is no chance.
 _SEEN = 20
 
 
 def sensor_findings(
     pieces: Sequence[Measurement], joint_names: Sequence[str]
 ) -> Iterator[Finding]:
-    """Yield what the torque channels of a log's pieces say."""
+    """Yield findings on torque channels that saturate or hold their last value."""
     for joint, name in enumerate(joint_names):
         tau = np.concatenate([piece.tau[:, joint] for piece in pieces])
         if len(np.unique(tau)) < _MANY_VALUES:
@@ -283,16 +263,16 @@ def sensor_findings(
 def _at_end(tau: Array, sign: float) -> tuple[float, float]:
     """Return (share of samples exactly at the end of the range, that value)."""
     end = float(np.max(sign * tau))
-    there = sign * tau == end
-    near = (sign * tau > end - 0.02 * float(np.ptp(tau))) & ~there
+    is_at_end = sign * tau == end
+    is_near_end = (sign * tau > end - 0.02 * float(np.ptp(tau))) & ~is_at_end
     runs = np.diff(
-        np.flatnonzero(np.diff(np.concatenate(([0], there.view(np.int8), [0]))))
+        np.flatnonzero(np.diff(np.concatenate(([0], is_at_end.view(np.int8), [0]))))
     )
-    count = int(np.sum(there))
-    beside = int(np.sum(near))
-    steady = np.max(runs[::2], initial=0) >= _RUN and count > 3 * beside
-    clipped = steady or (count >= _SEEN and count > 5 * beside)
-    return (float(np.mean(there)) if clipped else 0.0, sign * end)
+    count = int(np.sum(is_at_end))
+    near_count = int(np.sum(is_near_end))
+    steady = np.max(runs[::2], initial=0) >= _RUN and count > 3 * near_count
+    clipped = steady or (count >= _SEEN and count > 5 * near_count)
+    return (float(np.mean(is_at_end)) if clipped else 0.0, sign * end)
 
 
 def _longest_hold(piece: Measurement, joint: int) -> float:
@@ -321,16 +301,12 @@ OF_LINKS = (
     "gravity",
     "force",
 )
-"""Findings that other links than the model's would bring as well."""
-
-
-# What is left of a torque that follows from rigid bodies alone, its noise and friction, as parts.
+"""Checks that links other than the model's fail as well."""
+# Largest residual of a computed torque, as a share of the typical torque.
 _EXACT = 0.004
-
-
+# Its largest noise.
 _QUIET = 5e-4
-
-
+# Its largest friction.
 _FRICTIONLESS = 0.002
 
 
@@ -341,13 +317,13 @@ def check_against_model(
     links_known: bool = True,
     divided: Sequence[float] | Array | None = None,
 ) -> tuple[Finding, ...]:
-    """Return what looks wrong with a log.
+    """Return the findings of all checks of a log.
 
     Args:
-        options: what the estimate allows for; None for what is usual.
-        links_known: whether the model's links are right; where they are to be found, what wrong
-            ones would bring as well is only told.
-        divided: (n,) scale that torques were divided by already.
+        options: prior uncertainties of the estimate; None for the defaults.
+        links_known: whether the model's links are taken as right; if not, findings of ``OF_LINKS``
+            are only notes.
+        divided: (n,) torque scales by which the torques were divided already.
 
     Raises:
         InputError: the log is too short to be looked at.
@@ -356,27 +332,28 @@ def check_against_model(
     raw = [*length_findings(pieces), *clock_findings(pieces)]
     raw += velocity_findings(pieces, robot.joint_names)
     raw += sensor_findings(pieces, robot.joint_names)
-    if any(each.level is Level.REFUSE for each in raw):
+    if any(finding.level is Level.REFUSE for finding in raw):
         return tuple(raw)
     signals = low_pass(pieces, options.cutoff)
-    found = [*enough_findings(pieces, signals[0].cutoff)]
-    if not found:
+    model_findings = [*enough_findings(pieces, signals[0].cutoff)]
+    if not model_findings:
         contest = Contest(robot, signals, options)
         scales = (
             np.ones(robot.n_joints)
             if divided is None
             else np.asarray(divided, dtype=float)
         )
-        found = _computed_findings(contest) or findings(contest, scales)
-        found = found or [*slow_findings(contest.log.motion.qd)]
+        model_findings = _computed_findings(contest) or findings(contest, scales)
+        model_findings = model_findings or [*slow_findings(contest.log.motion.qd)]
     if not links_known:
-        found = [
-            replace(f, level=Level.NOTE) if f.name in OF_LINKS else f for f in found
+        model_findings = [
+            replace(f, level=Level.NOTE) if f.name in OF_LINKS else f
+            for f in model_findings
         ]
-    return (*raw, *found)
+    return (*raw, *model_findings)
 
 
-def look_at(
+def check_log(
     robot: RobotModel,
     log: MeasurementLog,
     accepted: Collection[str],
@@ -384,19 +361,29 @@ def look_at(
     options: EstimationOptions | None = None,
     links_known: bool = True,
 ) -> None:
-    """Tell what ``check_against_model`` finds wrong with a log, and ``require_acceptable``."""
+    """Report the findings of ``check_against_model``, then call ``require_acceptable``.
+
+    Args:
+        accepted: names of checks whose warnings are accepted.
+        options: see ``check_against_model``.
+        links_known: see ``check_against_model``.
+
+    Raises:
+        InputError: a finding refuses the log.
+        SysidError: there is a warning that is not accepted.
+    """
     with prefix_input_errors(str(log.path)):
-        found = check_against_model(
+        findings = check_against_model(
             robot, log.pieces, options, links_known, log.torque_scale
         )
-    for each in found:
-        # What stops a log is told when it does.
-        if each.level is Level.NOTE or (
-            each.level is Level.WARN and each.name in accepted
+    for finding in findings:
+        # What stops a log becomes the error below.
+        if finding.level is Level.NOTE or (
+            finding.level is Level.WARN and finding.name in accepted
         ):
-            progress.note(each.line().removeprefix("note: "))
+            progress.note(finding.line().removeprefix("note: "))
     try:
-        require_acceptable(str(log.path), found, accepted)
+        require_acceptable(str(log.path), findings, accepted)
     except SysidError:
         for note in log.notes:
             progress.note(note)
@@ -406,22 +393,26 @@ def look_at(
 def require_acceptable(
     log: str, findings: Iterable[Finding], accepted: Collection[str] = ()
 ) -> None:
-    """Stop at what must not become a number; ``accepted`` names warnings that may.
+    """Raise an error where a finding forbids an estimate; ``accepted`` names accepted warnings.
 
     Raises:
         InputError: a finding refuses the log.
         SysidError: there is a warning that is not accepted.
     """
-    found = list(findings)
-    refused = [each.text for each in found if each.level is Level.REFUSE]
+    all_findings = list(findings)
+    refused = [
+        finding.text for finding in all_findings if finding.level is Level.REFUSE
+    ]
     if refused:
         raise InputError(f"{log}: {'; '.join(refused)}")
-    warned = [f for f in found if f.level is Level.WARN and f.name not in accepted]
+    warned = [
+        f for f in all_findings if f.level is Level.WARN and f.name not in accepted
+    ]
     if warned:
         names = " ".join(
             f"--accept {name}" for name in dict.fromkeys(f.name for f in warned)
         )
-        texts = "; ".join(each.text for each in warned)
+        texts = "; ".join(finding.text for finding in warned)
         raise SysidError(
             f"{log}: {texts}; nothing was written (to go on all the same: {names})"
         )
@@ -433,8 +424,8 @@ def _computed_findings(contest: Contest) -> list[Finding]:
     posterior = contest.posterior
     model = model_torque(log)
     loaded = model > 0.1 * float(np.max(model))
-    exact = rms(posterior.residual) < _EXACT * log.usual
-    quiet = _fast_torque(contest.signals) < _QUIET * log.usual
+    exact = rms(posterior.residual) < _EXACT * log.typical_torque
+    quiet = _fast_torque(contest.signals) < _QUIET * log.typical_torque
     friction = contest.friction_share(posterior) < _FRICTIONLESS
     if not np.all((exact & quiet & friction)[loaded]):
         return []
@@ -447,8 +438,11 @@ def _computed_findings(contest: Contest) -> list[Finding]:
 
 def _fast_torque(signals: Sequence[ProcessedSignals]) -> Array:
     """Return (n,) the usual torque above the low-pass, noise where it was measured [N m]."""
-    parts = []
-    for each in signals:
-        half = each.low_pass.half_width
-        parts.append(each.tau[half : len(each) - half] - each.low_pass.filter(each.tau))
-    return rms(np.concatenate(parts))
+    residuals = []
+    for log_signals in signals:
+        half = log_signals.low_pass.half_width
+        residuals.append(
+            log_signals.tau[half : len(log_signals) - half]
+            - log_signals.low_pass.filter(log_signals.tau)
+        )
+    return rms(np.concatenate(residuals))

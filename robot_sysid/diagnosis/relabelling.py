@@ -1,8 +1,8 @@
-"""Columns that are not what they are taken for: signs, exchanged joints, degrees, units of torque.
+"""Mistaken columns of a log: signs, exchanged joints, degrees, units of torque.
 
-These mistakes are finite in number, or a factor per joint. Each is undone and the rows made again;
-how likely the log is then is the same figure as for an explanation that adds columns. What changes
-torques alone needs no new rows, and is tried of every log; the others where the model does not fit.
+These mistakes are finite in number, or a factor per joint. Each is corrected and the rows made
+again; the gain in log marginal likelihood is comparable with that of an explanation. Corrections of
+torques alone need no new rows and are tried for every log, others where the model does not fit.
 """
 
 from __future__ import annotations
@@ -32,52 +32,59 @@ from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.signals.process import ProcessedSignals
 
 REFUSED = 1.6
+"""Error of the torque scale above which a log is refused, as a factor."""
 WARNED = 1.3
-"""Factors by which torque may be too large or too small before a log is refused, or warned of."""
+"""Error of the torque scale above which a log gets a warning, as a factor."""
 UNITS = {1e3: "mN·m", 100.0: "N·cm", 10.197: "kgf·cm", 8.851: "lbf·in"}
 UNITS.update({0.7376: "lbf·ft", 141.6: "ozf·in", 1e-3: "kN·m"})
 """Newton metre in other units."""
 SMALL = 0.6
+"""Ratio of measured torque to the model's below which gravity may be missing from it."""
 ODD_UNIT = 20.0
-"""Size of a torque without gravity over the model's, at most; factor by which one joint's torque
-over the model's is larger than the other joints', where it has a unit of its own."""
+"""Ratio of one joint's torque to the model's, over that of the other joints, above which the joint
+has a unit of its own."""
 SHORT = 6.0
 """Length of the stretch on which relabelled motions are tried first [s]."""
-# Scales that differ by less have one cause; a unit's scale is met within this factor.
+# Largest ratio of scales that have one cause.
 _SAME = 1.35
+# Largest ratio between a scale and a unit's factor.
 _CLOSE = 1.25
 # Torque at the joint per ampere of its motor, at least and at most [N m/A]: a UR10e's is 10 to 12.
 _PER_AMPERE = (2.0, 25.0)
-# Standard deviations of the logarithm of a scale that all joints have and of each joint's own;
-# rounds in which scales are found, and how far they may be from where a round begins, as a share.
+# Prior standard deviation of the logarithm of a scale that all joints share.
 _COMMON_RANGE = 4.0
+# Prior standard deviation of the logarithm of each joint's own scale.
 _OWN_RANGE = 0.4
+# Rounds of Gauss-Newton for the scales.
 _ROUNDS = 5
+# Prior standard deviation of a scale's relative change in a round.
 _FAR = 0.7
-# Scales of any unit and gear lie between; relative error of a scale beyond which the other joints'
-# is taken; part of the strongest joint's load from which on usual torques say a scale.
+# Bounds of the scales of any unit and gear.
 _LEAST = 1e-4
 _MOST = 1e5
+# Standard error of a scale above which the median of the other joints is taken.
 _KNOWN = 0.3
+# Least load of a joint whose torque ratio is a scale, as a share of the strongest joint's.
 _LOADED = 0.1
-# The same part below which a joint's torque is mostly friction.
+# Load below which a joint's torque is mostly friction.
 _LEAST_LOAD = 0.03
-# Factors by which a scale may differ from the ratio of usual torques, where links make most of the
-# torque and where friction does.
+# Largest factor between a scale and the torque ratio of a loaded joint.
 _FARTHEST = 3.0
+# The largest factor for a joint whose torque is mostly friction.
 _FRICTION = 10.0
-# Best relabellings of a stretch that are scored on the whole log.
+# Number of relabellings, the best ones of a stretch, that are scored on the whole log.
 _FINALISTS = 3
 
 
 @dataclass(frozen=True)
 class Relabelling:
-    """A mistake in the columns, and how it is undone.
+    """A mistake in the columns of a log, and its correction.
 
     Attributes:
         name: of the check.
         text: what is wrong and what to do.
-        motion, torque: what of (N, n) arrays of motion and of torque is the arm's own.
+        motion: returns the corrected (N, n) position, velocity or acceleration; None where right.
+        torque: returns the corrected (N, n) torque; None where right.
     """
 
     name: str
@@ -85,8 +92,8 @@ class Relabelling:
     motion: Callable[[Array], Array] | None = None
     torque: Callable[[Array], Array] | None = None
 
-    def undone(self, signals: Sequence[ProcessedSignals]) -> list[ProcessedSignals]:
-        """Return the signals without the mistake."""
+    def correct(self, signals: Sequence[ProcessedSignals]) -> list[ProcessedSignals]:
+        """Return the signals with the mistake corrected."""
         return [self._of(log) for log in signals]
 
     def _of(self, signals: ProcessedSignals) -> ProcessedSignals:
@@ -101,25 +108,26 @@ class Relabelling:
 
 
 def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
-    """Yield every mistake of this kind, those of torques alone first."""
+    """Yield every mistake in signs, order and units of angles, those of torques alone first."""
     names = robot.joint_names
-    kinds = (("torque",), ("position",), ("position", "torque"))
+    all_quantities = (("torque",), ("position",), ("position", "torque"))
     orders = list(_orders(names))
-    for which in kinds:
-        moved = "position" in which
-        turned = "torque" in which
+    for quantities in all_quantities:
+        moved = "position" in quantities
+        turned = "torque" in quantities
         for joint, name in enumerate(names):
             sign = np.where(np.arange(len(names)) == joint, -1.0, 1.0)
             flip = sign.__mul__
-            columns = " and ".join(f"{kind}.{name} = -TITLE" for kind in which)
-            text = (
-                f"the {' and '.join(which)} of joint {name} has the opposite sign of the model's; "
-                f"flip it in the file of --columns: {columns}"
+            columns = " and ".join(
+                f"{quantity}.{name} = -TITLE" for quantity in quantities
             )
+            subject = f"the {' and '.join(quantities)} of joint {name}"
+            text = f"{subject} has the opposite sign of the model's; "
+            text += f"flip it in the file of --columns: {columns}"
             yield Relabelling(
                 "sign", text, flip if moved else None, flip if turned else None
             )
-        where = "" if moved and turned else f" in the {which[0]}s"
+        where = "" if moved and turned else f" in the {quantities[0]}s"
         for text, order in orders:
 
             def arrange(values: Array, order: list[int] = order) -> Array:
@@ -157,8 +165,18 @@ def _orders(names: Sequence[str]) -> Iterator[tuple[str, list[int]]]:
 
 
 @dataclass(frozen=True)
-class Relabelled:
-    """A mistake that was undone, by how much that makes the log likelier, and what it is then."""
+class Correction:
+    """A corrected mistake and the log after its correction.
+
+    Attributes:
+        name: of the check.
+        level: of the finding.
+        text: what is wrong and what to do.
+        gain: in log marginal likelihood by the correction [nats].
+        posterior: of the base model after it.
+        prior: of the base model after it.
+        log: the corrected equations.
+    """
 
     name: str
     level: Level
@@ -169,48 +187,60 @@ class Relabelled:
     log: LogRows
 
 
-def undone_torques(
+def find_wrong_torques(
     log: LogRows,
     signals: Sequence[ProcessedSignals],
     base: Hypotheses,
     base_posterior: Posterior,
-) -> list[Relabelled]:
-    """Return mistakes of torques alone, of which the rows are those of the log itself."""
+) -> list[Correction]:
+    """Return the best corrections of torques alone, which keep the rows of the log."""
     mistakes = [m for m in relabellings(log.robot) if m.motion is None]
-    if usual_scale(log) < SMALL:
+    if typical_scale(log) < SMALL:
         mistakes += _without_links(log, signals)
     candidates = []
     for mistake in mistakes:
         assert mistake.torque is not None
-        right = log.with_torque(mistake.torque(log.torque))
-        candidates.append((base.gain_of_right(right, base_posterior), mistake, right))
+        log_with_torque = log.with_torque(mistake.torque(log.torque))
+        candidates.append(
+            (
+                base.gain_of_torque(log_with_torque, base_posterior),
+                mistake,
+                log_with_torque,
+            )
+        )
     candidates.sort(key=lambda candidate: -candidate[0])
     undone = []
-    for screened_gain, mistake, right in candidates[:_FINALISTS]:
+    for screened_gain, mistake, log_with_torque in candidates[:_FINALISTS]:
         if screened_gain > 0.0:
-            posterior = base.with_right(right).posterior(base_posterior.noise)
+            posterior = base.with_torque_of(log_with_torque).posterior(
+                base_posterior.noise
+            )
             gain = posterior.log_evidence - base_posterior.log_evidence
-            undone.append(_relabelled(mistake, gain, posterior, base.prior, right))
+            undone.append(
+                _correction(mistake, gain, posterior, base.prior, log_with_torque)
+            )
     return undone
 
 
 def _without_links(
     log: LogRows, signals: Sequence[ProcessedSignals]
 ) -> Iterator[Relabelling]:
-    """Yield that the links' weight, or all that they make, was taken off the torque."""
+    """Yield the mistakes that the links' weight, or all of their torque, was subtracted already."""
     robot = log.robot
 
     def torques(motion: Motion) -> tuple[Array, Array]:
-        still = np.zeros_like(motion.q)
+        zero_speed = np.zeros_like(motion.q)
         dynamics = LinkDynamics(robot)
-        weight = dynamics.motion(motion.q, still, still).torque(robot.thetas)
-        whole = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(robot.thetas)
-        return weight, whole
+        weight = dynamics.motion(motion.q, zero_speed, zero_speed).torque(robot.thetas)
+        inverse_dynamics = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(
+            robot.thetas
+        )
+        return weight, inverse_dynamics
 
-    # Through the low-pass: what that takes off may be more than the noise.
+    # Low-passed like the torque: what the filter removes may be more than the noise.
     filtered = [log.filter_columns(torques, smooth=True) for log in signals]
     weight = np.concatenate([of_log[0] for of_log in filtered])
-    whole = np.concatenate([of_log[1] for of_log in filtered])
+    inverse_dynamics = np.concatenate([of_log[1] for of_log in filtered])
     yield Relabelling(
         "gravity",
         "the torque fits the model without gravity: gravity is compensated in it already; record "
@@ -221,45 +251,45 @@ def _without_links(
         "gravity",
         "the torque has nothing of its motion but friction: this is an external torque, what is "
         "left after the controller's model; record the measured joint torque",
-        torque=whole.__add__,
+        torque=inverse_dynamics.__add__,
     )
 
 
-def undone_columns(
+def find_wrong_columns(
     log: LogRows,
     signals: Sequence[ProcessedSignals],
     base_posterior: Posterior,
     options: EstimationOptions,
-) -> list[Relabelled]:
-    """Return mistakes of columns, those that a short stretch finds most likely."""
+) -> list[Correction]:
+    """Return corrections that need new rows, those that are most likely on a short stretch."""
     stretch = [_busiest(signals)]
     short = log_rows(log.robot, stretch)
     candidates = []
     for mistake in relabellings(log.robot):
-        rows = log_rows(log.robot, mistake.undone(stretch), short.used)
+        rows = log_rows(log.robot, mistake.correct(stretch), short.used)
         posterior = Hypotheses(rows, base_prior(rows, options)).posterior()
         candidates.append((posterior.log_evidence, mistake))
     candidates.sort(key=lambda candidate: -candidate[0])
     undone = []
     for _, mistake in candidates[:_FINALISTS]:
-        rows = log_rows(log.robot, mistake.undone(signals), log.used)
+        rows = log_rows(log.robot, mistake.correct(signals), log.used)
         prior = base_prior(rows, options)
         posterior = Hypotheses(rows, prior).posterior()
         gain = posterior.log_evidence - base_posterior.log_evidence
-        undone.append(_relabelled(mistake, gain, posterior, prior, rows))
+        undone.append(_correction(mistake, gain, posterior, prior, rows))
     return undone
 
 
-def _relabelled(
+def _correction(
     mistake: Relabelling, gain: float, posterior: Posterior, prior: Prior, log: LogRows
-) -> Relabelled:
-    return Relabelled(
+) -> Correction:
+    return Correction(
         mistake.name, Level.REFUSE, mistake.text, float(gain), posterior, prior, log
     )
 
 
 def _busiest(signals: Sequence[ProcessedSignals]) -> ProcessedSignals:
-    """Return the stretch of a log in which joints move most."""
+    """Return the stretch of a log, ``SHORT`` seconds, in which the joints move most."""
     best = max(signals, key=len)
     count = round(SHORT * best.rate)
     if len(best) <= count:
@@ -277,33 +307,33 @@ class TorqueScales:
     """Torque columns over true torques.
 
     Attributes:
-        scale: (n,) of each joint; the median of the others where the torques do not show it.
-        shown: (k,) joints whose scale the torques show.
-        covariance: (k, k) of the logarithms of theirs.
+        scale: (n,) of each joint; the median of the others where it is not identified.
+        identified: (k,) joints whose scale is identified.
+        covariance: (k, k) of the logarithms of their scales.
     """
 
     scale: Array
-    shown: NDArray[np.int64]
+    identified: NDArray[np.int64]
     covariance: Array
 
     @cached_property
     def common(self) -> tuple[float, float]:
-        """The scale that all have together and the standard error of its logarithm."""
+        """The common scale of all joints and the standard error of its logarithm."""
         precision = np.linalg.inv(self.covariance)
         weight = np.sum(precision, axis=0) / np.sum(precision)
-        mean = float(weight @ np.log(self.scale[self.shown]))
+        mean = float(weight @ np.log(self.scale[self.identified]))
         return float(np.exp(mean)), float(np.sum(precision) ** -0.5)
 
     @property
     def spread(self) -> float:
-        """The largest over the smallest."""
-        scale = self.scale[self.shown]
+        """Ratio of the largest to the smallest identified scale."""
+        scale = self.scale[self.identified]
         return float(np.max(scale) / np.min(scale))
 
     @property
     def penalty(self) -> float:
-        """Nats that scales cost, which may be anything together and less each of its own."""
-        logarithm = np.log(self.scale[self.shown])
+        """Log prior odds against the scales [nats]: the common one is wide, the others narrow."""
+        logarithm = np.log(self.scale[self.identified])
         covariance = self.covariance
         if self.spread < _SAME:
             typical, error = self.common
@@ -314,16 +344,16 @@ class TorqueScales:
         return float(0.5 * (narrowed + logarithm @ np.linalg.solve(prior, logarithm)))
 
 
-def undone_scales(
+def find_wrong_scales(
     log: LogRows, base_posterior: Posterior, options: EstimationOptions, divided: Array
-) -> list[Relabelled]:
-    """Return a unit, a common scale or a scale per joint, whichever the torques say.
+) -> list[Correction]:
+    """Return the correction of torque scales: a unit, a common scale or a scale per joint.
 
     Args:
-        divided: (n,) scale that torques were divided by already.
+        divided: (n,) torque scales by which the torques were divided already.
     """
     scales = torque_scales(log, options)
-    if not len(scales.shown):
+    if not len(scales.identified):
         return []
     typical, common_error = scales.common
     scale = scales.scale
@@ -337,34 +367,34 @@ def undone_scales(
         posterior.log_evidence - density - base_posterior.log_evidence - scales.penalty
     )
     listed = ", ".join(
-        f"{log.robot.joint_names[j]} {scale[j]:.3g}" for j in scales.shown
+        f"{log.robot.joint_names[j]} {scale[j]:.3g}" for j in scales.identified
     )
     text = (
         f"torque reads {typical:.3g} times what the model takes ({listed}): "
         f"{_meaning(typical, scales.spread, common_error, divided)}"
     )
-    off = float(np.max(np.abs(np.log(scale[scales.shown]))))
+    off = float(np.max(np.abs(np.log(scale[scales.identified]))))
     level = Level.REFUSE if off > np.log(REFUSED) else Level.WARN
     level = level if off > np.log(WARNED) else Level.NOTE
-    return [Relabelled("torque-scale", level, text, gain, posterior, prior, undone)]
+    return [Correction("torque-scale", level, text, gain, posterior, prior, undone)]
 
 
-def usual_scale(log: LogRows) -> float:
-    """Return the torque of the joints that the model loads over the model's."""
+def typical_scale(log: LogRows) -> float:
+    """Return the median ratio of measured torque to the model's, of joints that links load."""
     model = model_torque(log)
     loaded = model > _LOADED * float(np.max(model))
     return float(np.median((rms(log.torque) / np.maximum(model, 1e-12))[loaded]))
 
 
 def model_torque(log: LogRows) -> Array:
-    """Return the usual torque (n,) that the model's links make [N m]."""
+    """Return the root mean square torque (n,) of the model's links along the log [N m]."""
     motion = log.motion
     moves = LinkDynamics(log.robot).motion(motion.q, motion.qd, motion.qdd)
     return rms(moves.torque(log.robot.thetas))
 
 
 def odd_unit_finding(log: LogRows) -> Finding | None:
-    """Return that one joint's torque is in another unit than the others'; None where none is."""
+    """Return the finding that one joint's torque has a unit of its own; None where none has."""
     model = model_torque(log)
     ratio = rms(log.torque) / np.maximum(model, _LEAST_LOAD * float(np.max(model)))
     joint = int(np.argmax(ratio))
@@ -372,7 +402,7 @@ def odd_unit_finding(log: LogRows) -> Finding | None:
         return None
     factor = float(ratio[joint] / np.median(np.delete(ratio, joint)))
     # A torque without gravity has a share of the model's at joints that carry weight.
-    if factor < ODD_UNIT or usual_scale(log) < SMALL:
+    if factor < ODD_UNIT or typical_scale(log) < SMALL:
         return None
     name = log.robot.joint_names[joint]
     text = (
@@ -383,24 +413,23 @@ def odd_unit_finding(log: LogRows) -> Finding | None:
 
 
 def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
-    """Return by what each joint's torque was multiplied, from the ratio of usual torques on.
+    """Return the torque scale of each joint, by Gauss-Newton from the ratio of typical torques.
 
-    In each round the torque of the links as they are found is one more column in each joint's
-    equation: a step of Gauss and Newton.
+    In each round the torque of the estimated links is one more column of each joint's equation.
     """
     model = model_torque(log)
     loaded = model > _LOADED * float(np.max(model))
     ratio = np.clip(
         rms(log.torque) / np.maximum(model, 1e-6 * np.max(model)), _LEAST, _MOST
     )
-    usual = float(np.median(ratio[loaded]))
+    typical_ratio = float(np.median(ratio[loaded]))
     # Friction makes the torque of a joint that links hardly load.
-    is_odd = np.abs(np.log(ratio / usual)) > np.log(_FRICTION)
+    is_odd = np.abs(np.log(ratio / typical_ratio)) > np.log(_FRICTION)
     is_of_links = loaded | (is_odd & (model > LEAST_TORQUE * float(np.max(model))))
-    scale = np.where(is_of_links, ratio, usual)
+    scale = np.where(is_of_links, ratio, typical_ratio)
     farthest = np.where(loaded, _FARTHEST, _FRICTION)
-    least = scale / farthest
-    most = scale * farthest
+    lower = scale / farthest
+    upper = scale * farthest
     covariance = np.eye(len(scale))
     values: Array | None = None
     for _ in range(_ROUNDS):
@@ -413,15 +442,17 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
             of_joint = _FAR * rigid[:, joint, None] * own_column
             columns.append(base.transform.of_joint(joint, of_joint))
         posterior = base.with_columns(columns).posterior()
-        sought = slice(len(prior.kept), None)
-        change = np.clip(1.0 + _FAR * posterior.values[sought], 0.2, 5.0)
+        scale_slice = slice(len(prior.estimated), None)
+        change = np.clip(1.0 + _FAR * posterior.values[scale_slice], 0.2, 5.0)
         covariance = (
-            _FAR**2 * posterior.covariance[sought, sought] / np.outer(change, change)
+            _FAR**2
+            * posterior.covariance[scale_slice, scale_slice]
+            / np.outer(change, change)
         )
-        scale = np.clip(scale * change, least, most)
+        scale = np.clip(scale * change, lower, upper)
         values = prior.parameters(posterior.values)
     is_sure = np.sqrt(np.diag(covariance)) < _KNOWN
-    # Torque that has nothing of a heavy link is not that of other units.
+    # Where a loaded joint's torque does not follow its links, units do not explain it.
     sure = np.flatnonzero(is_sure & np.all(is_sure[loaded]))
     if len(sure):
         scale = np.where(is_sure, scale, np.median(scale[sure]))
@@ -429,7 +460,7 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
 
 
 def _unit_near(typical: float, error: float) -> float | None:
-    """Return the unit's factor that a scale with some relative error is, if any."""
+    """Return the factor of the unit that a scale with a relative error fits; None for none."""
     nearest = min(UNITS, key=lambda factor: abs(np.log(typical / factor)))
     off = abs(np.log(typical / nearest))
     return (
@@ -440,8 +471,13 @@ def _unit_near(typical: float, error: float) -> float | None:
 
 
 def _meaning(typical: float, spread: float, error: float, divided: Array) -> str:
-    """Return what a scale with this relative standard error probably is, and what to do; torques
-    were divided (n,) already.
+    """Return in words the probable cause of a torque scale, and what to do.
+
+    Args:
+        typical: the common scale.
+        spread: ratio of the largest to the smallest scale.
+        error: relative standard error of the common scale.
+        divided: (n,) torque scales by which the torques were divided already.
     """
     remedy = "if the model is this arm's, pass --torque-scale"
     scales = divided[:1] if np.ptp(divided) == 0.0 else divided

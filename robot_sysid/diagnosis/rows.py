@@ -1,10 +1,10 @@
 """A log as linear equations, with the estimate's own columns and priors.
 
-Rows are those of ``estimation.columns`` around the model, of every friction term. Two more kinds of
-friction stand beside them, over which an estimate averages but which would pass for other faults
-here: friction that builds up over some way after a reversal, and dry friction that varies over a
-turn. Rows are uniform in time, so that a cosine transform makes noise with a memory independent:
-its variance is then a function of the frequency alone (``evidence``).
+Rows are those of ``estimation.columns`` around the model, with every friction term. Two more kinds
+of friction have columns here, because torque that they leave would pass for other faults: friction
+that builds up over some distance after a reversal, and dry friction that varies over a turn. Rows
+are uniform in time, so that a cosine transform makes autocorrelated noise independent: its variance
+is then a function of the frequency alone (``evidence``).
 """
 
 from __future__ import annotations
@@ -34,38 +34,42 @@ from robot_sysid.records import DELAY_NAME, Array, Measurement, Motion, RobotMod
 from robot_sysid.signals.process import LogPiece, ProcessedSignals, process
 
 CUTOFF_HZ = 8.0
+"""Highest cut-off of the low-pass [Hz]: faster motion says little of links."""
 CUTOFF_SHARE = 0.6
-"""Highest cut-off of the low-pass, for faster motion says little of links; and cut-off over that
-which suits accelerations: explanations are derivatives of torques that hold these, and noise of
-positions that two columns hold alike would speak for them."""
+"""Cut-off over the one that suits accelerations: columns of explanations are derivatives of torques
+with accelerations, and position noise that two columns share would count as evidence for them."""
 WINDOW = 16.0
+"""Longest window of rows that are transformed together [s]."""
 MOST_WINDOWS = 4
-"""Longest window [s], and how many of a long log are looked at, spread evenly."""
+"""Number of windows of a long log that are used, spread evenly."""
 LINK_SCALES = tuple(replace(EXPECTED, mass=scale) for scale in (2.0, 6.0))
-"""How far the other links may be off, which is averaged over."""
+"""Scales of the other links' prior over which the evidence is averaged."""
 PAYLOAD = 0.3
+"""Prior standard deviation of the last link's mass, as a share of the arm's mass."""
 REACH = 0.15
-"""Standard deviation of the last link's mass as a part of the arm's, and its size as a part of the
-arm's reach."""
+"""Size of the last link in its prior, as a share of the arm's reach."""
 FRICTION = {
     **{"coulomb": 1.0, "viscous": 1.0, "offset": 0.3, "armature": 0.5},
     **{"sqrt": 0.05, "stribeck": 0.05, "load": 0.04},
 }
-"""Standard deviation of each friction term, in parts of a joint's usual torque at its usual speed
-and acceleration; of a gear's loss as a share of its load."""
+"""Prior standard deviation of each friction term, as a share of a joint's typical torque at its
+typical speed and acceleration; of a gear's loss, as a share of its load."""
 BUILD_UP = (0.004, 0.02)
+"""Distances after a reversal over which friction builds up [rad]."""
 BUILT_UP = 0.15
+"""Prior standard deviation of friction that builds up, as a share of the typical torque."""
 UNEVEN = 0.03
-"""Ways after a reversal over which friction builds up [rad], how much of it does, and dry friction
-that varies over a turn, in parts of the usual torque."""
+"""Prior standard deviation of dry friction that varies over a turn, as a share of the typical
+torque."""
 WIDE_TILT = 0.15
+"""Prior standard deviation of the base's tilt where the estimate is asked to find it [rad]."""
 WIDE_DELAY = 0.04
-"""Standard deviations of what the estimate finds itself where it is asked to [rad, s]."""
+"""Prior standard deviation of the delay where the estimate is asked to find it [s]."""
 WORTH_A_WORD = 2.0
-"""Standard deviation of a delay of which nothing is said [ms]."""
+"""Largest prior standard deviation of the delay where it is not estimated [ms]."""
 LEAST_TORQUE = 0.02
-"""Usual torque that a joint is taken to have at least, as a part of the strongest joint's."""
-# Share of its top speed below which a joint's friction has no sure direction.
+"""Least typical torque of a joint, as a share of the strongest joint's."""
+# Share of its top speed below which the direction of a joint's friction is not certain.
 _SLOW = 0.01
 
 
@@ -77,7 +81,7 @@ def rms(values: Array) -> Array:
 def low_pass(
     pieces: Sequence[Measurement], cutoff: float | None
 ) -> list[ProcessedSignals]:
-    """Return the signals of a log, of evenly spread windows where it is long.
+    """Return the low-passed signals of a log, of evenly spread windows where it is long.
 
     Args:
         cutoff: of the low-pass [Hz]; None chooses it from the data.
@@ -87,16 +91,16 @@ def low_pass(
         log_piece = LogPiece.of(piece)
         cutoff_hz = min(cutoff or CUTOFF_SHARE * log_piece.choice[0], CUTOFF_HZ)
         # Every row is used: those of a joint that is too slow are masked later.
-        found = process(log_piece, (), cutoff_hz)
-        sure = np.zeros_like(found.turning)
+        processed = process(log_piece, (), cutoff_hz)
+        sure = np.zeros_like(processed.turning)
         signals.append(
-            replace(found, deadband=np.zeros_like(found.deadband), turning=sure)
+            replace(processed, deadband=np.zeros_like(processed.deadband), turning=sure)
         )
     return signals
 
 
 def _spread_windows(pieces: Sequence[Measurement]) -> list[Measurement]:
-    """Return the pieces of a log, or as many windows of them as are looked at."""
+    """Return the pieces of a log, or ``MOST_WINDOWS`` windows of them where they are longer."""
     total = sum(float(piece.time[-1] - piece.time[0]) for piece in pieces)
     if total <= MOST_WINDOWS * WINDOW:
         return list(pieces)
@@ -124,13 +128,13 @@ class LogRows:
     """Equations of all joints at K instants of a log.
 
     Attributes:
-        columns: names and places of the estimate's parameters.
+        columns: names and indices of the estimate's parameters.
         motion: (K, n) at the instants.
         torque: (K, n) measured, low-passed [N m].
-        places: per joint (k,) which parameters its rows contain; those beyond the estimate's are
-            of friction that only stands here.
+        indices: per joint (k,) which parameters its rows contain; indices above the estimate's are
+            those of friction that only this prior has.
         rows: per joint (K, k).
-        right: (K, n) right-hand sides [N m].
+        right_sides: (K, n) right-hand sides [N m].
         used: (K, n) whether a joint moves fast enough for its friction to have a direction.
         windows: stretches of the rows without holes.
         point_values: (p,) parameters around which the rows are made.
@@ -139,9 +143,9 @@ class LogRows:
     columns: Columns
     motion: Motion
     torque: Array
-    places: tuple[NDArray[np.int64], ...]
+    indices: tuple[NDArray[np.int64], ...]
     rows: tuple[Array, ...]
-    right: Array
+    right_sides: Array
     used: NDArray[np.bool_]
     windows: tuple[slice, ...]
     point_values: Array
@@ -152,27 +156,27 @@ class LogRows:
         return self.columns.robot
 
     @cached_property
-    def usual(self) -> Array:
-        """Usual torque (n,) of each joint, of a light one a part of the strongest's [N m]."""
-        usual = rms(self.torque)
-        return np.maximum(usual, LEAST_TORQUE * float(np.max(usual)))
+    def typical_torque(self) -> Array:
+        """Root mean square torque (n,), at least ``LEAST_TORQUE`` of the largest [N m]."""
+        torque = rms(self.torque)
+        return np.maximum(torque, LEAST_TORQUE * float(np.max(torque)))
 
     def with_torque(self, torque: Array) -> LogRows:
-        """Return the equations with other measured torques (K, n)."""
-        right = self.right + torque - self.torque
-        return replace(self, torque=torque, right=right)
+        """Return the equations with the measured torques replaced by others (K, n)."""
+        right_sides = self.right_sides + torque - self.torque
+        return replace(self, torque=torque, right_sides=right_sides)
 
     def links_torque(self, values: Array) -> Array:
-        """Return the torque (K, n) of links alone, of whose parameters (p,) others are ignored."""
+        """Return the torque (K, n) of the links' parameters among all values (p,) [N m]."""
         bodies = np.zeros_like(values)
         links = np.concatenate([*self.columns.bodies().values()])
         bodies[links] = values[links]
-        torques = [rows @ bodies[at] for rows, at in zip(self.rows, self.places)]
+        torques = [rows @ bodies[at] for rows, at in zip(self.rows, self.indices)]
         return np.column_stack(torques)
 
     def column(self, joint: int, name: str) -> Array:
         """Return a parameter's column (K,) in a joint's rows; zero where it has none."""
-        at = np.flatnonzero(self.places[joint] == self.columns.index.get(name, -1))
+        at = np.flatnonzero(self.indices[joint] == self.columns.index.get(name, -1))
         return self.rows[joint][:, at[0]] if len(at) else np.zeros(len(self.torque))
 
 
@@ -199,28 +203,28 @@ def log_rows(
     if used is None:
         used = speed > _SLOW * np.max(speed, axis=0)
     torque = np.concatenate([np.stack(rows.measured, axis=1) for rows in samples])
-    right = np.concatenate([np.stack(rows.tau, axis=1) for rows in samples])
-    used = used & np.isfinite(right)
-    right = np.nan_to_num(right)
+    right_sides = np.concatenate([np.stack(rows.tau, axis=1) for rows in samples])
+    used = used & np.isfinite(right_sides)
+    right_sides = np.nan_to_num(right_sides)
 
     more = np.concatenate([_friction_beside(piece) for piece in signals])
     first = len(columns.names)
-    places = []
+    indices = []
     rows = []
     for joint in range(robot.n_joints):
         estimated = np.concatenate([piece.rows[joint] for piece in samples])
         used[:, joint] &= np.all(np.isfinite(estimated), axis=1)
         rows.append(np.nan_to_num(np.hstack((estimated, more[:, joint]))))
         more_places = first + more.shape[2] * joint + np.arange(more.shape[2])
-        places.append(np.append(samples[0].columns[joint], more_places))
+        indices.append(np.append(samples[0].columns[joint], more_places))
     windows = _windows([len(piece) for piece in samples], signals[0])
     return LogRows(
         columns,
         motion,
         torque,
-        tuple(places),
+        tuple(indices),
         tuple(rows),
-        right,
+        right_sides,
         used,
         windows,
         point.values,
@@ -228,12 +232,12 @@ def log_rows(
 
 
 def _windows(counts: Sequence[int], signals: ProcessedSignals) -> tuple[slice, ...]:
-    """Return the rows of each piece, in stretches that are not too long for one transform."""
-    most = int(WINDOW * signals.rate / signals.low_pass.step)
+    """Return the slices of rows that are transformed together: pieces, or parts of long ones."""
+    longest = int(WINDOW * signals.rate / signals.low_pass.step)
     windows = []
     start = 0
     for count in counts:
-        windows_of_piece = -(-count // most)
+        windows_of_piece = -(-count // longest)
         edges = start + np.linspace(0, count, windows_of_piece + 1).astype(int)
         windows += [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:])]
         start += count
@@ -241,8 +245,10 @@ def _windows(counts: Sequence[int], signals: ProcessedSignals) -> tuple[slice, .
 
 
 def _friction_beside(signals: ProcessedSignals) -> Array:
-    """Return (K, n, k) columns of friction that builds up after reversals, less dry friction, and
-    of dry friction that varies over a turn.
+    """Return columns (K, n, k) of friction that builds up after reversals and of uneven friction.
+
+    The first ones are the difference to dry friction, which is there at once; the last two are dry
+    friction times sine and cosine of the position.
     """
     stride = signals.low_pass.stride
     q = signals.q[::stride]
@@ -260,29 +266,30 @@ def _friction_beside(signals: ProcessedSignals) -> Array:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of the base model's parameters before the log.
+    """The normal prior of the base model's parameters.
 
     Attributes:
-        kept: (k,) which parameters are sought.
-        mean: (p,) what they and the others are taken to be.
-        spread: (k,) standard deviations.
-        precisions: inverse covariances (k, k) in units of these, one per width of the links' prior.
+        estimated: (k,) indices of the estimated parameters.
+        mean: (p,) prior means, and values of the parameters that are not estimated.
+        spread: (k,) prior standard deviations.
+        precisions: inverse covariances (k, k) in units of ``spread``, one per scale of the links'
+            prior.
     """
 
-    kept: NDArray[np.int64]
+    estimated: NDArray[np.int64]
     mean: Array
     spread: Array
     precisions: tuple[Array, ...]
 
     def parameters(self, coefficients: Array) -> Array:
-        """Return the parameters (p,) of coefficients in these units, sought ones (k,) first."""
+        """Return the parameters (p,); the first k coefficients are in units of ``spread``."""
         values = self.mean.copy()
-        values[self.kept] += self.spread * coefficients[: len(self.kept)]
+        values[self.estimated] += self.spread * coefficients[: len(self.estimated)]
         return values
 
 
 def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
-    """Return the prior of a right log: the estimate's own, and wide friction."""
+    """Return the prior of a log without faults: the estimate's own, with wide friction."""
     columns = log.columns
     robot = log.robot
     more = 2 + len(BUILD_UP)
@@ -296,30 +303,32 @@ def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
         "viscous": speed,
         "armature": turning,
         "sqrt": np.sqrt(speed),
-        "load": log.usual,
+        "load": log.typical_torque,
     }
     for term, share in FRICTION.items():
-        sizes = share * log.usual / units.get(term, np.ones_like(speed))
+        sizes = share * log.typical_torque / units.get(term, np.ones_like(speed))
         spread[columns.indices([f"{term}[{joint}]" for joint in robot.joint_names])] = (
             sizes
         )
     shares = np.array([BUILT_UP] * len(BUILD_UP) + [UNEVEN] * 2)
-    spread[count:] = np.outer(log.usual, shares).ravel()
+    spread[count:] = np.outer(log.typical_torque, shares).ravel()
 
-    # Whether a log is right does not depend on how sure somebody says to be of the links; a lag
-    # that the estimate allows for is worth a word all the same.
+    # Faults of a log do not depend on the stated uncertainty of the links; a delay that the
+    # estimate would allow for is reported all the same.
     links = max(options.link_uncertainty, EstimationOptions().link_uncertainty)
     late = min(options.delay_uncertainty, WORTH_A_WORD)
     question = Question(
         replace(options, link_uncertainty=links, delay_uncertainty=late)
     )
     model = friction_model(WITH_ALL)
-    shown = np.ones(count, dtype=bool)
+    nonzero = np.ones(count, dtype=bool)
     factors = []
     for link_scales in LINK_SCALES:
         choice = Choice((model,) * robot.n_joints, link_scales=link_scales)
-        sought = build_unknowns(columns, question, choice, log.usual, shown)
-        groups = sought.groups
+        unknowns = build_unknowns(
+            columns, question, choice, log.typical_torque, nonzero
+        )
+        groups = unknowns.groups
         for group in groups:
             at = columns.indices(group.names)
             mean[at] = group.mean
@@ -328,24 +337,24 @@ def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
             )
         factors.append(groups)
     wide = {**dict.fromkeys(TILT_NAMES, WIDE_TILT), DELAY_NAME: WIDE_DELAY}
-    for name in set(wide) & set(sought.increments):
+    for name in set(wide) & set(unknowns.increments):
         spread[columns.index[name]] = wide[name]
-    kept = np.flatnonzero(spread)
-    place = np.zeros(len(spread), dtype=np.int64)
-    place[kept] = np.arange(len(kept))
+    estimated = np.flatnonzero(spread)
+    position = np.zeros(len(spread), dtype=np.int64)
+    position[estimated] = np.arange(len(estimated))
     precisions = []
     for groups in factors:
-        precision = np.eye(len(kept))
+        precision = np.eye(len(estimated))
         for group in groups:
-            at = place[columns.indices(group.names)]
-            scaled = group.factor / spread[kept[at], None]
+            at = position[columns.indices(group.names)]
+            scaled = group.factor / spread[estimated[at], None]
             precision[np.ix_(at, at)] = np.linalg.inv(scaled @ scaled.T)
         precisions.append(precision)
-    return Prior(kept, mean, spread[kept], tuple(precisions))
+    return Prior(estimated, mean, spread[estimated], tuple(precisions))
 
 
 def _last_link_spread(robot: RobotModel) -> Array:
-    """Return (10,) how far the last link's parameters may be off: anything may hang on it."""
+    """Return prior standard deviations (10,) of the last link: it may carry any tool."""
     own_size = (
         characteristic_length(robot.prior.theta) if robot.prior.mass > 0.0 else 0.0
     )

@@ -63,12 +63,8 @@ from robot_sysid.results.record import (
 
 WIDER = 2.0
 """Factor of a widened prior above which a note is added."""
-
-
 # Standard errors from zero at which an encoder zero is significant.
 _CLEAR = 3.0
-
-
 # Encoder zero that is too small for a note [rad].
 _SMALL_ZERO = 1e-3
 

@@ -74,7 +74,6 @@ WITH_POLYNOMIAL = CANDIDATES[5]
 """Friction model that an MJCF can hold."""
 WITH_ALL = "coulomb-viscous-offset-armature-sqrt-stribeck-load"
 """Friction model that fits any friction by speed and load closely enough to judge its rows."""
-
 Errors = Mapping[str, Mapping[str, float]]
 """Joint to friction model to its held-out root mean square error [N m]."""
 
@@ -269,20 +268,12 @@ CLEAR_EVIDENCE = 15.0
 """By how much a coupling has to raise the logarithm of the marginal likelihood. That of a Staubli
 TX40's wrist does by 114 to 148; where there is none, one does by 3 at most on three logs of a KUKA
 LWR4+, and by 13 on 12 s of a UR10e."""
-
-
 # Factor on the prior of a motor that counts as absent.
 _ABSENT = 1e-4
-
-
 # Least standard deviation of a motor's parameters.
 _LEAST = 1e-9
-
-
 # Standard errors that one of a motor's parameters has to be away from zero.
 _CLEAR = 3.0
-
-
 # Cosine from which on ratios of speeds are the same.
 _SAME_DIRECTION = 1.0 - 1e-9
 

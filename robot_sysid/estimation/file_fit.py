@@ -235,16 +235,10 @@ def _polynomials(
 
 SCALES = (1.0, 2.0, 4.0, 8.0, 16.0)
 """Factors of the other links' uncertainty to try; 16 times 5 % is nearly all of a link."""
-
-
 AS_GOOD = 1.02
 """Ratio of squared errors up to which they count as equal: one per cent of the error."""
-
-
 CLEAR_OFFSET = 3.0
 """Standard errors that a sensor's offset has to be away from zero, and a rotor from the model's."""
-
-
 OFFSET = 0.01
 """Prior standard deviation of other sensors' offsets beside clear ones, as a share of the joint's
 torque: of a KUKA LWR4+, offsets and links are not known better."""

@@ -35,20 +35,12 @@ from robot_sysid.records import Array, SquareRootInformation, Validation
 from robot_sysid.records.data import validation_of
 
 OWN_SOURCE = "the logs, each fifth predicted from the others"
-
-
 CLEAR_SHARE = 0.1
 """Share by which a friction term has to lower the held-out squared error."""
-
-
 CLEARLY = 2.0
 """Standard errors of the mean over the blocks by which a term has to lower that error."""
-
-
 # Less than every squared error [N^2 m^2].
 _TINY = 1e-30
-
-
 # Keeps normal equations regular where parameters have no data.
 _RIDGE = 1e-12
 

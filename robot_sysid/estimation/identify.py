@@ -39,8 +39,6 @@ from robot_sysid.signals.repetition import find_visits
 
 AT_REST = FrictionModel(("offset",))
 """Friction terms at rest, where poses were approached from both sides."""
-
-
 _PASSES = 18
 """Passes over the recordings in an identification: 15 to 18 with three real arms and an example."""
 
@@ -329,20 +327,12 @@ def _are_worse(residual: Array, doubtful: NDArray[np.bool_]) -> bool:
 SURE_MISFIT = 4.0
 """Root mean square difference of recordings of one kind, in standard errors, beyond which they are
 refused: no set of 60 simulated ones exceeds 1.9, a real arm with elastic joints reaches 3.3."""
-
-
 LEAST_MASS = 0.03
 """Difference in mass below which recordings agree, as a share of the payload's mass."""
-
-
 LEAST_PLACE = 0.01
 """Difference in the payload's centre of mass below which recordings agree [m]."""
-
-
 LEAST_GYRATION = 0.05
 """Difference in the payload's radius of gyration below which recordings agree [m]."""
-
-
 UNSEEN = 100.0
 """Prior standard deviation of a body's parameters, which bounds those without data [SI]."""
 

@@ -53,20 +53,12 @@ from robot_sysid.records.messages import percent
 
 DISAGREE = 2.0
 """Scatter over stated errors beyond which logs do not agree."""
-
-
 MOST_NAMED = 2
 """Joints whose friction differs between logs that are named; ``params.json`` has all."""
-
-
 LEAST_DIFFERENCE = 0.02
 """Share of a joint's friction torque below which a difference between logs is not worth a word."""
-
-
 NOISE_FLOOR = 0.01
 """Least noise of a log whose friction is fitted to it alone, as a share of the fit's noise."""
-
-
 SIZE_FLOOR = 1e-6
 """Least size of a friction term, as a share of the largest."""
 
@@ -358,17 +350,11 @@ def _agreement(
 
 SHARES = (0.0, *(0.01 * 2.0**k for k in range(8)))
 """Grid of differences from log to log, as shares of a number's size, equally likely."""
-
-
 COMMON_FREEDOM = 4.0
 """Weight of the share of a whole kind, in differences of one number."""
-
-
 SURE_DIFFERENCE = 0.999
 """Significance of a contradiction between logs: the errors of differences are themselves off by up
 to a fifth (measured), which 0.99 would not cover."""
-
-
 # Prior standard deviation, in sizes, of a number that a log does not identify.
 _UNSEEN = 100.0
 

@@ -24,12 +24,8 @@ if TYPE_CHECKING:
 
 TORQUE_CHOICES = ("chain", "terminal")
 """Torques in use: those of all joints that carry the link, or of the last joint only."""
-
-
 DEFAULT_TERMINAL = "coulomb-viscous-offset"
 """Friction terms with one joint's torque alone, where rotor and link inertia are confounded."""
-
-
 CHOSEN = "auto"
 """Friction model that is chosen from the data."""
 
@@ -141,14 +137,8 @@ class EstimationOptions(OptionRecord):
 
 # Parts of a model file that may be kept as they are.
 FILE_FRICTION = "friction"
-
-
 FILE_ROTORS = "rotors"
-
-
 FILE_GRAVITY = "gravity"
-
-
 FILE_LINKS = "links"
 
 

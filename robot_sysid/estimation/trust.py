@@ -29,98 +29,52 @@ from robot_sysid.results.record import BodyEstimate, JointEstimate, Verdict
 
 HARMLESS = 0.02
 """Held-out error, as a share of the torque, that is accepted whatever the noise is."""
-
-
 UNUSUAL = 0.035
 """Share of all torque that neither model nor noise explains, above which a note is added."""
-
-
 UNEXPLAINED = 0.05
 """The share above which a result is not trustworthy: logs of right models have 0.4 to 3 %."""
-
-
 ODD_JOINT = 10.0
 """Noise over torque of a joint, in medians of the other joints', above which it is a misfit."""
-
-
 ODD_NOISE = 0.3
 """Noise over torque of a joint that is accepted whatever the other joints have."""
-
-
 MEMORY = 0.5
 """Share of independent samples above which residuals are noise and no misfit: white noise has 0.6
 to 1, torque with another cause 0.1."""
-
-
 DRY_FRICTION = 3.0
 """Dry friction over the usual torque of the strongest other joint above which it is refused."""
-
-
 COM_BEYOND = 0.3
 """Distance of the centre of mass beyond the model's link that is accepted, as a share of the arm's
 reach: a tool that the model does not have may be bolted to it."""
-
-
 GYRATION_BEYOND = 0.1
 """The same for the radius of gyration."""
-
-
 MOVED_UNSEEN = 2.0
 """Largest factor between the model's mass and a mass that the data does not identify."""
-
-
 COARSE = 0.2
 """Expected relative error of the acceleration above which a log is refused."""
-
-
 LEAST_WRONG = 0.1
 """Relative error of a link's first moment above which the link is named as wrong."""
-
-
 LARGEST_RATIO = 20.0
 """Largest factor between another link's mass and the model's."""
-
-
 FARTHEST_LINK = 1.5
 """Largest move of a link's centre of mass, and largest radius of gyration, in sizes of the link."""
-
-
 WORST = 0.5
 """Held-out error of a file, as a share of the torque, above which no file is written."""
-
-
 CLEARLY_LOWER = 0.9
 """Error of the new file over that of the model below which it is better."""
-
-
 WORSE = 1.1
 """Error of the new file over that of the model above which it is worse."""
-
-
 NEGLIGIBLE = 1e-3
 """Held-out error, as a share of the torque, that counts as none."""
-
-
 FARTHEST_PAYLOAD = 0.5
 """Largest distance of a payload's centre of mass from the flange, as a share of the arm's reach."""
-
-
 LEAST_REACH = 0.6
 """Least reach of an arm for that bound [m]."""
-
-
 MOST_FACTOR = 2.0
 """Largest factor between a known mass and its estimate: gears lose a third at most."""
-
-
 # Standard errors of a mass from zero, and of a size beyond its bound, that are significant (95 %).
 _SURE = 2.0
-
-
 # A link's smallest size [m].
 _LEAST_SIZE = 0.02
-
-
 Judgement = tuple[Verdict, str]
 """A verdict and its reason in words."""
 

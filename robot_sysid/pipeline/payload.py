@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from robot_sysid.config import LOADED, PayloadConfig, PayloadOptions
-from robot_sysid.diagnosis.log_checks import look_at
+from robot_sysid.diagnosis.log_checks import check_log
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.build_result import payload_of, traces_of
 from robot_sysid.estimation.dataset import Dataset, RestingPoses
@@ -196,7 +196,7 @@ def _read_recordings(
         progress.stage(f"Reading {'loaded' if is_loaded else 'empty'} log {path}...")
         log = open_log(robot, path, log_options, progress)
         if not options.static:  # the diagnosis needs motion
-            look_at(robot, log, log_options.accept, progress, links_known=False)
+            check_log(robot, log, log_options.accept, progress, links_known=False)
         recordings.append(
             RawRecording(
                 str(path), log.samples, is_loaded, pieces=log.pieces, notes=log.notes

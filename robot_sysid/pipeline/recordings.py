@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.config import SysidConfig
-from robot_sysid.diagnosis.log_checks import look_at
+from robot_sysid.diagnosis.log_checks import check_log
 from robot_sysid.estimation.build_result import result_of, traces_of
 from robot_sysid.estimation.dataset import Dataset, release_memory
 from robot_sysid.estimation.identify import (
@@ -172,7 +172,7 @@ def diagnose_logs(
     for n_done, log in enumerate(logs):
         progress.advance(label, n_done, len(logs), "")
         release_memory()
-        look_at(robot, log, accepted, progress, options)
+        check_log(robot, log, accepted, progress, options)
 
 
 def _filter_recordings(

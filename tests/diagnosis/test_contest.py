@@ -35,18 +35,18 @@ def test_the_evidence_is_that_of_a_normal_distribution(right):
     """Against the dense covariance of all rows of one joint after another."""
     base = right.base
     noise = right.posterior.noise
-    size = len(base.prior.kept)
-    whole = np.zeros((base.right.size, size))
+    size = len(base.prior.estimated)
+    whole = np.zeros((base.right_sides.size, size))
     for joint in range(5):
         places, rows = base.equations(joint)
         whole[joint * len(rows) : (joint + 1) * len(rows), places] = rows
     expected = []
-    used = np.repeat(base.count / len(base.right), len(base.right))
+    used = np.repeat(base.count / len(base.right_sides), len(base.right_sides))
     for precision in base.prior.precisions:
         covariance = whole @ np.linalg.solve(precision, whole.T) + np.diag(
             noise.T.ravel()
         )
-        right_side = base.right.T.ravel()
+        right_side = base.right_sides.T.ravel()
         exponent = right_side @ np.linalg.solve(covariance, right_side)
         size_of = np.linalg.slogdet(covariance)[1] - np.sum(np.log(noise))
         size_of += np.sum(used * np.log(2.0 * np.pi * noise.T.ravel()))
@@ -65,7 +65,7 @@ def test_the_transform_keeps_the_size_of_what_is_used(right):
 
 
 def test_columns_that_are_zero_make_no_log_likelier(right):
-    nothing = [np.zeros((len(right.base.right), 2))] * 5
+    nothing = [np.zeros((len(right.base.right_sides), 2))] * 5
     wider = right.base.with_columns(nothing).at_noise(right.posterior.noise)
     assert wider.log_evidence == pytest.approx(right.posterior.log_evidence, abs=1e-6)
 
@@ -75,8 +75,8 @@ def test_every_relabelling_of_torque_is_undone_by_making_it_again(truth, right):
     for mistake in [m for m in relabellings(truth.robot) if m.motion is None][::3]:
         spoilt = right.log.with_torque(mistake.torque(right.log.torque))
         again = spoilt.with_torque(mistake.torque(spoilt.torque))
-        assert_allclose(again.right, right.log.right, atol=1e-9)
-        found = Hypotheses(right.log, right.prior).with_right(spoilt)
+        assert_allclose(again.right_sides, right.log.right_sides, atol=1e-9)
+        found = Hypotheses(right.log, right.prior).with_torque_of(spoilt)
         assert found.posterior().log_evidence < right.posterior.log_evidence - MARGIN
 
 
@@ -90,7 +90,7 @@ def test_scales_of_single_joints_are_found_within_their_errors(truth, right):
     true = np.array([1.3, 1.9, 1.5, 1.7, 1.2])
     spoilt = right.log.with_torque(true * right.log.torque)
     scales = torque_scales(spoilt, OPTIONS)
-    off = np.log(scales.scale / true)[scales.shown]
+    off = np.log(scales.scale / true)[scales.identified]
     assert len(off) > 2
     assert off @ np.linalg.solve(scales.covariance, off) < 3.0 * len(off)
 

@@ -16,7 +16,7 @@ from benchmarks.real_arms import ARMS, DEVIATIONS, draw_arm
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.log_checks import (
     check_against_model,
-    look_at,
+    check_log,
     require_acceptable,
 )
 from robot_sysid.dynamics.newton_euler import (
@@ -254,7 +254,7 @@ def test_what_is_only_noted_is_no_note_of_a_note(four, monkeypatch):
     monkeypatch.setattr(
         "robot_sysid.diagnosis.log_checks.check_against_model", lambda *_: (found,)
     )
-    look_at(ROBOT, log, (), told)
+    check_log(ROBOT, log, (), told)
     assert notes == ["it lags [delay]"] and found.line() == "note: it lags [delay]"
 
 
@@ -266,7 +266,7 @@ def test_a_log_that_cannot_be_looked_at_is_named(four):
         InputError,
         match=r"^log\.csv: the log's 12 s are too short for a cut-off of 0.001 Hz",
     ):
-        look_at(ROBOT, log, (), Progress(), EstimationOptions(cutoff=1e-3))
+        check_log(ROBOT, log, (), Progress(), EstimationOptions(cutoff=1e-3))
 
 
 # ---- right logs

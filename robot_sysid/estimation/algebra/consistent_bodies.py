@@ -19,56 +19,30 @@ from robot_sysid.records import Array
 
 GAMMAS = (0.1, 0.01, 1e-3, 1e-4)
 """Weights of the usual bodies to be compared."""
-
-
 HARDLY = 3.0
 """Increase of the squared residuals, of unit variance, that is negligible: their expected decrease
 by fitting is the number of parameters."""
-
-
 # Eigenvalues of an inconsistent body of the model are raised to this share of the largest.
 _FLOOR = 1e-6
-
-
 # Holds parameters without data at zero, in lengths of a column.
 _RIDGE = 1e-5
-
-
 # Gamma at which the path begins.
 _EASY = 100.0
-
-
 # Squared length of a step at convergence, in units of gamma.
 _CONVERGED = 1e-6
-
-
 # Most steps: problems take 15 to 30.
 _MOST_STEPS = 1000
-
-
 _TO_THE_WALL = 0.95
-
-
 # How far the products of primal and dual eigenvalues may lag behind their mean.
 _CENTRALITY = 0.02
-
-
 # Below this length a step without second-order correction is tried as well.
 _SHORT = 0.5
-
-
 # Relative decrease of gamma after a step of full length, whatever the predictor allows.
 _EAGER = 0.8
-
-
 # Weight of rows that hold the null space, beside that of the data.
 _PIN = 1e3
-
-
 # Rounding of squared residuals.
 _RESOLUTION = 1e-15
-
-
 # Rounding of the squared length of a step, as a share of squared residuals.
 _SHORTEST = 1e-18
 
@@ -425,18 +399,10 @@ def _orthonormal_basis() -> Array:
 
 
 _BASIS = _orthonormal_basis()
-
-
 _THETAS = np.array([spatial.theta_from_pseudo_inertia(matrix) for matrix in _BASIS])
-
-
 _TRACES = np.trace(_BASIS, axis1=1, axis2=2)
-
-
 BODIES = "possible bodies"
 """Name of the residual's cause in results."""
-
-
 _DRAWS = 60
 """Number of drawn errors, half of them the negatives of the others; for a UR5e's last link, whose
 plain estimate is hardly ever consistent, 60 and 1000 give the same error of the mass to 7 %."""

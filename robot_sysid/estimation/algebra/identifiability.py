@@ -265,19 +265,11 @@ def _single(name: str) -> str:
 
 BASE_CUT = 1e-8
 """Diagonal entries of R below this share of the largest count as zero."""
-
-
 ESSENTIAL_RATIO = 30.0
 """How many times the smallest relative standard deviation an essential parameter may have."""
-
-
 WELL_KNOWN = 0.1
 """Relative standard deviation below which a parameter is essential in any case."""
-
-
 _ROUNDING = 1e-5
-
-
 # Relative difference up to which two columns count as equal.
 _ALIKE = 1e-6
 

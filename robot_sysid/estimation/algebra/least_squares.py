@@ -31,8 +31,6 @@ _AT_FLOOR = 1.01
 # Floor of ``lower_floor``, as a share of the usual one, and its rounds.
 _LOWER_FLOOR = 0.01
 _LOWER_ROUNDS = 2
-
-
 Solve = Callable[[Array], tuple[Array, Array]]
 Block = tuple[NDArray[np.int64], Array]
 """Indices of the columns of rows [A b] among all, right-hand sides last, and the rows."""
@@ -262,8 +260,6 @@ def _solve_by_decomposition(
 
 # Joints whose equations are squared together: on a long arm they share most columns.
 _TOGETHER = 8
-
-
 # Keeps equations of parameters without data invertible.
 _RIDGE = 1e-12
 

@@ -22,36 +22,20 @@ from robot_sysid.records import Array, PriorConflict, RobotModel, SquareRootInfo
 
 ROD = float(np.sqrt(3.0))
 """Length of a uniform rod over the root mean square distance of its mass from its end."""
-
-
 LEAST_SIZE = 0.02
 """Size that a link has at least, where its prior is made [m]."""
-
-
 SURE = 0.99
 """Significance at which a contradiction between data and prior is reported."""
-
-
 WIDEST = 20.0
 """Largest factor of a widened prior: 20 times 5 % is 100 %."""
-
-
 # Share of the largest squared deviation above which a member is named too; chosen.
 _SHARE_OF_WORST = 0.3
-
-
 # Most rounds of widening.
 _ROUNDS = 30
-
-
 # Relative change of a width at which it has converged.
 _SETTLED = 1e-3
-
-
 # Least factor where a prior may become narrower.
 _NARROWEST = 0.01
-
-
 # Factor that holds a group at its mean.
 _FIXED = 1e-4
 
@@ -403,25 +387,13 @@ def _worst_members(group: NuisanceGroup, off: Array) -> tuple[str, ...]:
 
 MASS_SCALES = (2.0, 4.0, 8.0)
 """Multiples of the stated share that masses may be off by, each as likely: 10, 20, 40 % of 5 %."""
-
-
 COM_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-
-
 INERTIA_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-
-
 USUAL_COM_SCALE = 1.5
-
-
 USUAL_INERTIA_SCALE = 2.0
 """Medians of the log-normal priors of these scales, whose standard deviation is one octave."""
-
-
 EXPECTED = LinkScales(4.0, USUAL_COM_SCALE, USUAL_INERTIA_SCALE)
 """Expected scales before any recording."""
-
-
 LINK_KINDS = ("mass", "centre_of_mass", "inertia")
 
 
@@ -502,8 +474,6 @@ def average_scales(evidence: LinkEvidence) -> LinkScales:
 LEAST_SCALE = 0.08
 """Common torque scale above which a note is added: one and a half times the default error of links.
 """
-
-
 SIGNIFICANT = 1.0
 """Standard errors from zero above which the common scale is significant: torques that read 15 % too
 high or too low reach 1.15 and more, links that are 2 % off at most 0.4

@@ -182,32 +182,18 @@ def _kernels(
 
 CHANCE = 2.0
 """Standard errors up to which an autocorrelation counts as zero."""
-
-
 # Stretches that a residual's energy is compared in.
 _STRETCHES = 25
-
-
 # How many channels are transformed at a time: memory against calls.
 _CHANNELS = 4
-
-
 # Largest lag [samples]: chosen for cost.
 _MAX_LAG = 2000
-
-
 # Bins over the lags: chosen for cost.
 _LAG_BINS = 60
-
-
 # Slope at a minimum, as a share of that at zero: rounding of squared equations.
 _FLAT = 1e-9
-
-
 # Rows that are filtered at a time, by one product of matrices: chosen for cost.
 _CHUNK = 32
-
-
 # Largest share of a kernel's noise that a fit takes out: noise is divided by one minus that.
 _MOST_ABSORBED = 0.8
 
