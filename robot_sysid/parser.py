@@ -1,4 +1,4 @@
-"""Model file in, RobotModel out: chain, terminal link, limits and the model's own parameters."""
+"""RobotModel of a model file: chain, terminal link, limits and the model's own parameters."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def load_robot_model(
     Args:
         model: the file; or, where there is none of that name, a name of robot_descriptions, such as
             "ur5e_mj_description".
-        mesh_dir: folder of its meshes; default what the file says.
+        mesh_dir: folder of its meshes; default as the file says.
         joint: name of the terminal joint; default found automatically.
         max_velocity: speed limit of hinge joints, one number or one per joint [rad/s].
         keyframe: name of the one that is the arm at rest; default see ``rest_keyframe``.
@@ -74,13 +74,12 @@ def robot_from_compiled(
         if joint is None
         else resolve_joint(mj_model, joint)
     )
-    whole = chain_to(mj_model, terminal)
-    chain = arm_without_base(mj_model, whole)
+    carriers = chain_to(mj_model, terminal)
+    chain = arm_without_base(mj_model, carriers)
     body = int(mj_model.jnt_bodyid[terminal])
     rest = rest_keyframe(mj_model, keyframe)
-    qpos = np.array(
-        mj_model.qpos0 if rest is None else mj_model.key_qpos[rest], dtype=float
-    )
+    rest_qpos = mj_model.qpos0 if rest is None else mj_model.key_qpos[rest]
+    qpos = np.array(rest_qpos, dtype=float)
     dofs = mj_model.jnt_dofadr[list(chain)].astype(np.int64)
     names = tuple(joint_label(mj_model, j) for j in chain)
     bodies = subtree_bodies(mj_model, qpos, body)
@@ -102,24 +101,24 @@ def robot_from_compiled(
         bodies=bodies,
         friction=joint_friction(mj_model, dofs),
         links=arm_links(mj_model, qpos, chain),
-        notes=(*compiled.notes, *_notes(mj_model, rest, whole, chain)),
+        notes=(*compiled.notes, *_notes(mj_model, rest, carriers, chain)),
     )
 
 
 def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:
-    """Return which keyframe is the arm at rest; None where the model does not say.
+    """Return the index of the keyframe that is the arm at rest; None where the model has none.
 
-    The one that is asked for ("#1" for a nameless one), or InputError; else "home"; else the only
-    one there is.
+    The one called ``name`` ("#1" for a nameless one), or InputError; without a name the one called
+    "home", else the only one.
     """
     names = _keyframe_names(mj_model)
     if name is None:
-        return (
-            names.index("home") if "home" in names else 0 if len(names) == 1 else None
-        )
+        if "home" in names:
+            return names.index("home")
+        return 0 if len(names) == 1 else None
     if name not in names:
-        there = ", ".join(names) or "none"
-        raise InputError(f"--keyframe {name}: no such keyframe; the model has {there}")
+        listed = ", ".join(names) or "none"
+        raise InputError(f"--keyframe {name}: no such keyframe; the model has {listed}")
     return names.index(name)
 
 
@@ -128,6 +127,7 @@ def _keyframe_names(mj_model: Any) -> list[str]:
 
 
 def _prior(bodies: Sequence[SubtreeBody]) -> InertialParameters:
+    """Return the sum of the bodies of a link, or raise ModelError where they weigh nothing."""
     theta = np.sum([body.theta for body in bodies], axis=0)
     if theta[0] <= 0.0:
         fault = f"the terminal body {bodies[0].name} and all below it weigh nothing"
@@ -138,18 +138,24 @@ def _prior(bodies: Sequence[SubtreeBody]) -> InertialParameters:
 
 
 def _notes(
-    mj_model: Any, rest: int | None, whole: tuple[int, ...], chain: tuple[int, ...]
+    mj_model: Any, rest: int | None, carriers: tuple[int, ...], chain: tuple[int, ...]
 ) -> Iterator[str]:
-    """Yield sentences on what is assumed, and on what the analysis leaves out for this chain."""
+    """Yield sentences on assumptions, and on parts of the model that the analysis leaves out.
+
+    Args:
+        rest: index of the keyframe at rest, or None.
+        carriers: ids of all joints from the world to the terminal one.
+        chain: those of them that belong to the arm.
+    """
     if rest is None and mj_model.nkey:
         names = ", ".join(_keyframe_names(mj_model))
         none = "of several keyframes none is called home, so all joints start at their zero"
         yield f"{none}; --keyframe chooses one of {names}"
-    held = ", ".join(joint_label(mj_model, j) for j in whole if j not in chain)
-    if held:
-        yield f"{held} drive a mobile base, which is taken to stand still"
-    of_joints = mj_model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
-    partners = np.stack((mj_model.eq_obj1id, mj_model.eq_obj2id))[:, of_joints]
+    base = ", ".join(joint_label(mj_model, j) for j in carriers if j not in chain)
+    if base:
+        yield f"{base} drive a mobile base, which is taken to stand still"
+    is_joint_equality = mj_model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    partners = np.stack((mj_model.eq_obj1id, mj_model.eq_obj2id))[:, is_joint_equality]
     coupled = [joint_label(mj_model, joint) for joint in chain if joint in partners]
     if coupled:
         ignored = f"equality constraints on {', '.join(coupled)} are ignored"
@@ -161,15 +167,15 @@ def _notes(
 
 
 def _closes_a_loop(mj_model: Any, chain: tuple[int, ...], eq: int) -> bool:
-    """Tell whether constraint ``eq`` ties a link of the arm to something it does not carry."""
-    kinds = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
-    if int(mj_model.eq_type[eq]) not in kinds:
+    """Return whether equality constraint ``eq`` ties a link of the arm to a body off that link."""
+    types = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
+    if int(mj_model.eq_type[eq]) not in types:
         return False
     bodies = [int(mj_model.eq_obj1id[eq]), int(mj_model.eq_obj2id[eq])]
     # Releases before 3.2 know no other objects than bodies here.
     site = int(mujoco.mjtObj.mjOBJ_SITE)
     if hasattr(mj_model, "eq_objtype") and int(mj_model.eq_objtype[eq]) == site:
-        bodies = [int(mj_model.site_bodyid[each]) for each in bodies]
+        bodies = [int(mj_model.site_bodyid[site_id]) for site_id in bodies]
     links = {int(mj_model.jnt_bodyid[joint]) for joint in chain}
     for index in range(2):
         # The link of the arm that the body belongs to or hangs on; the world for none.
@@ -184,8 +190,9 @@ _NAME = re.compile(r"\w+_description", re.ASCII)
 
 
 def _model_file(path: Path) -> Path:
-    """Return a path as it is, or, where nothing is there, the file of the model of that name;
-    InputError if robot_descriptions is missing, knows no such model, or cannot fetch it.
+    """Return a path as it is, or, where no file is there, the file of the model of that name.
+
+    InputError if robot_descriptions is missing, has no such model, or cannot fetch it.
     """
     name = str(path)
     if not _NAME.fullmatch(name) or os.path.lexists(path):
@@ -195,27 +202,26 @@ def _model_file(path: Path) -> Path:
     except ImportError:
         remedy = "models by name need pip install 'robot-sysid[descriptions]'"
         raise InputError(f"there is no file {name}; {remedy}") from None
-    names = [each.name for each in pkgutil.iter_modules(package.__path__)]
+    names = [module.name for module in pkgutil.iter_modules(package.__path__)]
     if name not in names:
-        near = get_close_matches(name, names, 3)
-        meant = (
-            f"did you mean {' or '.join(near)}?"
-            if near
-            else "its page lists those it has"
-        )
+        matches = get_close_matches(name, names, 3)
+        hint = "its page lists those it has"
+        if matches:
+            hint = f"did you mean {' or '.join(matches)}?"
         raise InputError(
-            f"there is no file {name}, and no such model in {_PACKAGE}; {meant}"
+            f"there is no file {name}, and no such model in {_PACKAGE}; {hint}"
         )
     try:
-        with contextlib.redirect_stdout(sys.stderr):  # it tells what it fetches
-            found = importlib.import_module(f"{_PACKAGE}.{name}")
+        with contextlib.redirect_stdout(sys.stderr):  # it reports its downloads
+            description = importlib.import_module(f"{_PACKAGE}.{name}")
     except Exception as error:
-        # Whatever git says where there is no network, or no git.
+        # Any message of git's where there is no network, or no git.
         fault = f"{_PACKAGE} cannot fetch {name}: {error_text(error)}"
         raise InputError(f"{fault}; check the network, or give a model file") from None
-    place = getattr(found, "MJCF_PATH", None) or getattr(found, "URDF_PATH", None)
-    if place is None:
-        raise InputError(
-            f"{_PACKAGE} has {name} as Xacro only; make a URDF of it and give that"
-        )
-    return Path(place)
+    for attribute in ("MJCF_PATH", "URDF_PATH"):
+        model_path = getattr(description, attribute, None)
+        if model_path:
+            return Path(model_path)
+    raise InputError(
+        f"{_PACKAGE} has {name} as Xacro only; make a URDF of it and give that"
+    )

@@ -1,8 +1,9 @@
-"""Model file -> compiled MuJoCo model, quietly: MuJoCo's warnings become notes, its errors ours.
+"""Compiled MuJoCo models: of a model file, or held by a program as ``MjSpec`` or ``MjModel``.
 
-MuJoCo before 3.14 finds the principal axes of a full inertia matrix to about six digits. A URDF
-cannot state them any other way, so its compiled inertias are replaced by accurate ones. What would
-make MuJoCo wait for ever, end the process or eat the memory is refused by ``mjcf.hazards``.
+MuJoCo's warnings become notes and its errors ModelErrors. Before release 3.14 it finds the
+principal axes of a full inertia matrix to about six digits. A URDF cannot state them any other way,
+so its compiled inertias are replaced by accurate ones. Models at which MuJoCo would wait for ever,
+end the process or eat the memory are refused by ``mjcf.hazards``.
 """
 
 from __future__ import annotations
@@ -59,8 +60,14 @@ _MUST_BE_FINITE = (
 
 @dataclass(frozen=True)
 class CompiledModel:
-    """A compiled model file ("mjcf" or "urdf"), what had to be assumed or was warned of, the hash
-    of all its bytes, includes too, and the speed limits that a URDF states [rad/s or m/s].
+    """A compiled model.
+
+    Attributes:
+        mj_model: MuJoCo's ``MjModel``.
+        notes: sentences for the user on what was assumed or warned of.
+        sha256: hash of all bytes of its files, includes too; "" without files.
+        kind: language of the file, "mjcf" or "urdf".
+        velocity_limits: joint name to the speed limit that a URDF states [rad/s or m/s].
     """
 
     mj_model: Any
@@ -75,9 +82,11 @@ def captured_warnings() -> Iterator[list[str]]:
     """Collect MuJoCo's warnings in the list yielded, instead of on stderr and in a log file."""
     messages: list[str] = []
     previous = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(
-        lambda message: messages.append(" ".join(str(message).split()))
-    )
+
+    def collect(message: object) -> None:
+        messages.append(" ".join(str(message).split()))
+
+    mujoco.set_mju_user_warning(collect)
     try:
         yield messages
     finally:
@@ -86,7 +95,7 @@ def captured_warnings() -> Iterator[list[str]]:
 
 @contextmanager
 def warnings_as_notes(progress: Progress) -> Iterator[None]:
-    """Tell at the end what MuJoCo warned of meanwhile, each warning once."""
+    """Report MuJoCo's warnings of a block at its end, each of them once."""
     with captured_warnings() as warnings:
         yield
     for warning in dict.fromkeys(warnings):
@@ -94,7 +103,7 @@ def warnings_as_notes(progress: Progress) -> Iterator[None]:
 
 
 def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
-    """Compile an MJCF or URDF file; what cannot be read or compiled is one line of an error.
+    """Compile an MJCF or URDF file, or raise ModelError with one line on why not.
 
     A mesh folder replaces the file's own (and, in a URDF, its packages).
     """
@@ -109,42 +118,47 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
             f"a locale that has {point!r} for a decimal point spoils OBJ meshes; {remedy}"
         )
     refuse_hazards(document, mesh_dir)
+    kind = "mjcf"
+    notes: tuple[str, ...] = ()
+    speeds: Mapping[str, float] = {}
     with captured_warnings() as warnings:
         if document.is_urdf:
+            kind = "urdf"
             mj_model, notes = _compile_urdf(document, mesh_dir)
+            speeds = velocity_limits(document)
         else:
             mj_model = _compile_mjcf(document, mesh_dir)
-            notes = ()
     if _CACHE is not None and mujoco.mj_getCacheCapacity(_CACHE) == 0:
-        # The last model that was read is kept too, all that was read of it: let it be a small one.
+        # MuJoCo keeps the files of the last model that was read: let it be a small one.
         mujoco.MjModel.from_xml_string("<mujoco/>")
     _check_values(mj_model, document)
-    said = tuple(dict.fromkeys(f"MuJoCo warns: {text}" for text in warnings))
-    kind = "urdf" if document.is_urdf else "mjcf"
-    speeds = velocity_limits(document) if document.is_urdf else {}
-    return CompiledModel(mj_model, notes + said, document.sha256, kind, speeds)
+    notes += tuple(f"MuJoCo warns: {text}" for text in dict.fromkeys(warnings))
+    return CompiledModel(mj_model, notes, document.sha256, kind, speeds)
 
 
 _CACHE = mujoco.mj_getCache() if hasattr(mujoco, "mj_getCache") else None
+"""MuJoCo's cache of meshes, of releases that have one."""
 
 
 @contextmanager
 def meshes_not_kept() -> Iterator[None]:
-    """Keep nothing of the meshes of models that are compiled meanwhile, against reading them again.
+    """Keep MuJoCo from caching the meshes of models that are compiled in a block.
 
-    It is four times the compiled model: 250 MB of an arm of 62 MB.
+    The cache is four times the compiled model: 250 MB of an arm of 62 MB.
     """
-    before = None if _CACHE is None else mujoco.mj_getCacheCapacity(_CACHE)
+    if _CACHE is None:
+        yield
+        return
+    capacity = mujoco.mj_getCacheCapacity(_CACHE)
     try:
-        if before is not None:
-            mujoco.mj_setCacheCapacity(_CACHE, 0)
+        mujoco.mj_setCacheCapacity(_CACHE, 0)
         yield
     finally:
-        if before is not None:
-            mujoco.mj_setCacheCapacity(_CACHE, before)
+        mujoco.mj_setCacheCapacity(_CACHE, capacity)
 
 
 def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
+    """Return the MjModel of an MJCF document, or raise ModelError."""
     try:
         if mesh_dir is None and all(file.is_utf8 for file in document.files):
             return mujoco.MjModel.from_xml_path(str(document.path))
@@ -153,12 +167,13 @@ def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
     except FAILURES as error:
         # Asked only now, so that MuJoCo's own rules decide what is missing.
         check_assets(document, mesh_dir)
-        raise ModelError(_one_line(document, error)) from None
+        raise ModelError(_compiler_message(document, error)) from None
 
 
 def _compile_urdf(
     document: ModelDocument, mesh_dir: Path | None
 ) -> tuple[Any, tuple[str, ...]]:
+    """Return (MjModel, notes) of a URDF document, or raise ModelError."""
     for with_minimum in (False, True):
         try:
             text, notes = compilable_urdf(document, mesh_dir, with_minimum)
@@ -170,8 +185,9 @@ def _compile_urdf(
             mj_model = mujoco.MjModel.from_xml_string(text.decode())
             break
         except FAILURES as error:
+            # A link without mass is told by MuJoCo's constant for the smallest one.
             if with_minimum or "mjMINVAL" not in str(error):
-                raise ModelError(_one_line(document, error)) from None
+                raise ModelError(_compiler_message(document, error)) from None
     restore_exact_inertias(mj_model, link_inertias(document))
     return mj_model, notes
 
@@ -182,23 +198,27 @@ _BALANCE = (
 )
 
 
-def _one_line(document: ModelDocument, error: BaseException) -> str:
-    text = str(error).strip()
-    first = re.sub(
-        r"^(XML )?Error: ", "", text.splitlines()[0] if text else "unknown error"
-    )
+def _compiler_message(document: ModelDocument, error: BaseException) -> str:
+    """Return the first line of an error of MuJoCo's, with element, line number and remedy."""
+    text = str(error).strip() or "unknown error"
+    first = re.sub(r"^(XML )?Error: ", "", text.splitlines()[0])
     name = _NAME.search(text)
     line = _LINE.search(text)
-    where = [f"'{name.group(1).strip()}'"] if name and name.group(1).strip() else []
-    where += [f"line {line.group(1)}"] if line and line.group(1) != "0" else []
-    place = f" ({', '.join(where)})" if where else ""
+    location = []
+    if name and name.group(1).strip():
+        location.append(f"'{name.group(1).strip()}'")
+    if line and line.group(1) != "0":
+        location.append(f"line {line.group(1)}")
+    where = f" ({', '.join(location)})" if location else ""
     remedy = _BALANCE if "balanceinertia" in first else ""
-    return f"MuJoCo cannot compile {document.path}: {first}{place}{remedy}"
+    return f"MuJoCo cannot compile {document.path}: {first}{where}{remedy}"
 
 
 def _check_values(mj_model: Any, document: ModelDocument) -> None:
-    held = {name: getattr(mj_model, name) for name in _MUST_BE_FINITE}
-    for name, values in {**held, "gravity": mj_model.opt.gravity}.items():
+    """Raise ModelError for numbers that are not finite, or larger than an arm's."""
+    arrays = {name: getattr(mj_model, name) for name in _MUST_BE_FINITE}
+    arrays["gravity"] = mj_model.opt.gravity
+    for name, values in arrays.items():
         largest = float(np.max(np.abs(values), initial=0.0))
         if not np.isfinite(largest):
             raise ModelError(
@@ -219,8 +239,10 @@ _ALREADY_EXACT = 1e-13
 def restore_exact_inertias(
     mj_model: Any, inertias: Mapping[str, tuple[float, Array, Array]]
 ) -> None:
-    """Give compiled bodies, in place, the inertia that their links state (``link_inertias``), where
-    MuJoCo's differs by inaccuracy; what a compiler setting changed on purpose is left alone.
+    """Give compiled bodies, in place, the inertia that their links state.
+
+    Only where MuJoCo's differs by inaccuracy; a change that a compiler setting made on purpose
+    stays. ``inertias``: as ``urdf.link_inertias`` returns them.
     """
     changed = False
     for name, (_, _, inertia) in inertias.items():
@@ -231,8 +253,11 @@ def restore_exact_inertias(
             continue
         size = float(np.trace(inertia))
         compiled = inertia_about_com(mj_model, body)
-        turned = abs(float(np.trace(compiled)) - size) <= _SAME_TRACE * size
-        if turned and np.max(np.abs(compiled - inertia)) > _ALREADY_EXACT * size:
+        has_same_trace = abs(float(np.trace(compiled)) - size) <= _SAME_TRACE * size
+        if (
+            has_same_trace
+            and np.max(np.abs(compiled - inertia)) > _ALREADY_EXACT * size
+        ):
             mj_model.body_inertia[body] = moments
             axes = axes if np.linalg.det(axes) > 0.0 else -axes
             mujoco.mju_mat2Quat(mj_model.body_iquat[body], axes.ravel())
@@ -243,9 +268,9 @@ def restore_exact_inertias(
 
 InMemory = Union["mujoco.MjSpec", "mujoco.MjModel"]
 _FOLDERS: list[tempfile.TemporaryDirectory[str]] = []
-"""Those of the files that were written; they go with the process."""
+"""Folders of the files that ``file_of`` wrote; they are removed when the process ends."""
 _WRITTEN: WeakKeyDictionary[Any, tuple[Path, Any]] = WeakKeyDictionary()
-"""Model to its file, and to what MuJoCo makes of that."""
+"""MjModel to its file, and to the MjModel that MuJoCo compiles from that."""
 _COMPARED = (
     "body_mass",
     "body_ipos",
@@ -259,12 +284,12 @@ _COMPARED = (
     "dof_frictionloss",
     "body_jntadr",
 )
-# MuJoCo writes six digits.
-_SAME = 1e-4
+_WRITING_ACCURACY = 1e-4
+"""Relative difference of numbers that MuJoCo writes: they have six digits."""
 
 
 def is_in_memory(model: Any) -> bool:
-    """Tell whether something is a model of MuJoCo's."""
+    """Return whether an object is an ``MjSpec`` or ``MjModel``."""
     return isinstance(model, mujoco.MjModel) or _is_spec(model)
 
 
@@ -274,12 +299,13 @@ def _is_spec(model: Any) -> bool:
 
 
 def compiled_in_memory(model: Any) -> CompiledModel:
-    """Return a model of MuJoCo's with all its digits; ModelError where it does not compile."""
-    return CompiledModel(_compiled(model) if _is_spec(model) else model, (), "", "mjcf")
+    """Return an MjSpec or MjModel with all its digits; ModelError where it does not compile."""
+    mj_model = _compile_spec(model) if _is_spec(model) else model
+    return CompiledModel(mj_model, (), "", "mjcf")
 
 
 def file_of(model: Any) -> Path:
-    """Return a file of a model of MuJoCo's, which is there as long as this process.
+    """Return an MJCF file of an MjSpec or MjModel, which exists as long as this process.
 
     MuJoCo writes it, with six digits of each number. Raises ModelError where it cannot.
     """
@@ -291,19 +317,15 @@ def file_of(model: Any) -> Path:
         path = folder / "model.xml"
         mujoco.mj_saveLastXML(str(path), model)
         # MuJoCo's first releases write the last model that was loaded, whichever is asked for.
-        again = None
+        copy = None
         with contextlib.suppress(*FAILURES):  # of one whose meshes are elsewhere
-            again = mujoco.MjModel.from_xml_path(str(path))
-        bodies = {model.body(k).name for k in range(1, model.nbody)}
-        names = bodies | {model.joint(k).name for k in range(model.njnt)}
-        there = re.findall('\\bname="([^"]*)"', path.read_text(encoding="utf-8"))
-        if (again is None or _alike(model, again)) and names - {""} <= {
-            *map(unescape, there)
-        }:
-            _WRITTEN[model] = path, again
+            copy = mujoco.MjModel.from_xml_path(str(path))
+        is_copy = copy is None or _is_same_arm(model, copy)
+        if is_copy and _has_all_names(path, model):
+            _WRITTEN[model] = path, copy
             return path
-    path, again = _WRITTEN.get(model, (folder, None))
-    if again is None or not _alike(model, again):
+    path, copy = _WRITTEN.get(model, (folder, None))
+    if copy is None or not _is_same_arm(model, copy):
         raise ModelError(
             "a MjModel can be written only while it is the last that was loaded from XML; give its "
             "file, or the MjSpec that it was compiled from"
@@ -311,41 +333,53 @@ def file_of(model: Any) -> Path:
     return path
 
 
+def _has_all_names(path: Path, model: Any) -> bool:
+    """Return whether an MJCF file has the names of all bodies and joints of an MjModel."""
+    names = {model.body(k).name for k in range(1, model.nbody)}
+    names |= {model.joint(k).name for k in range(model.njnt)}
+    written = re.findall('\\bname="([^"]*)"', path.read_text(encoding="utf-8"))
+    return names - {""} <= set(map(unescape, written))
+
+
 def _file_of_spec(spec: Any, folder: Path) -> Path:
-    _compiled(spec)
+    """Return an MJCF file of an MjSpec, written into a folder; the MjSpec stays as it is."""
+    _compile_spec(spec)
     assets = dict(spec.assets or {})
     for name, content in assets.items():
-        place = folder / Path(name).name
-        place.write_bytes(content if isinstance(content, bytes) else content.encode())
-    own = {name: getattr(spec, name) for name in ("meshdir", "texturedir")}
-    for name, value in own.items():
-        setattr(
-            spec,
-            name,
-            str(folder if assets else Path(spec.modelfiledir, value).absolute()),
-        )
+        data = content if isinstance(content, bytes) else content.encode()
+        (folder / Path(name).name).write_bytes(data)
+    originals = {name: getattr(spec, name) for name in ("meshdir", "texturedir")}
+    for name, value in originals.items():
+        asset_folder = Path(spec.modelfiledir, value).absolute()
+        setattr(spec, name, str(folder if assets else asset_folder))
     try:
         text = spec.to_xml()
     finally:
-        for name, value in own.items():
+        for name, value in originals.items():
             setattr(spec, name, value)
-    name = re.sub(r"[^\w-]+", "_", spec.modelname) or "model"
-    path = folder / f"{name}.xml"
+    file_name = re.sub(r"[^\w-]+", "_", spec.modelname) or "model"
+    path = folder / f"{file_name}.xml"
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def _compiled(spec: Any) -> Any:
+def _compile_spec(spec: Any) -> Any:
+    """Return the MjModel of an MjSpec, or raise ModelError."""
     with captured_warnings():
         try:
             return spec.compile()
         except FAILURES as error:
-            raise ModelError(
-                f"MuJoCo cannot compile the MjSpec: {error_text(error)}"
-            ) from None
+            fault = error_text(error)
+            raise ModelError(f"MuJoCo cannot compile the MjSpec: {fault}") from None
 
 
-def _alike(model: Any, other: Any) -> bool:
-    """Tell whether two compiled models are the same arm to the digits that MuJoCo writes."""
-    pairs = [(getattr(model, name), getattr(other, name)) for name in _COMPARED]
-    return all(a.shape == b.shape and np.allclose(a, b, _SAME, 1e-9) for a, b in pairs)
+def _is_same_arm(model: Any, other: Any) -> bool:
+    """Return whether two MjModels are the same arm to the digits that MuJoCo writes."""
+    for name in _COMPARED:
+        values = getattr(model, name)
+        others = getattr(other, name)
+        if values.shape != others.shape:
+            return False
+        if not np.allclose(values, others, _WRITING_ACCURACY, 1e-9):
+            return False
+    return True

@@ -1,13 +1,12 @@
-"""Which bodies of an arm touch, at rest and along a trajectory, found by MuJoCo.
+"""Which bodies of an arm touch, at rest and along a trajectory, as MuJoCo computes it.
 
-Links next to each other often overlap in a model: one carries the other, and what a model leaves
-out of their joint's housing does not matter. Any other two bodies that touch are a collision.
+Links next to each other often overlap in a model: one carries the other, and it does not matter
+that a model leaves out their joint's housing. Any other two bodies that touch are a collision.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from functools import partial
 from itertools import product
 from typing import Any
 
@@ -22,10 +21,10 @@ from robot_sysid.records import Array, Motion, RobotModel
 
 CHECK_RATE_HZ = 40.0
 """How often a trajectory is checked; at 2 rad/s and 0.5 m that is every 25 mm."""
-
 _POSITIONS = 7
-_JOINTS_BETWEEN = 3
-"""Positions of each joint that tell whether two bodies can part; at most so many joints apart."""
+"""Positions of each joint at which two bodies are tried for whether they can part."""
+_MAX_JOINTS_BETWEEN = 3
+"""Joints between two bodies beyond which they are taken to part."""
 
 
 def joint_ranges(robot: RobotModel) -> tuple[Array, Array]:
@@ -38,73 +37,75 @@ def joint_ranges(robot: RobotModel) -> tuple[Array, Array]:
     )
 
 
-def parts_of(robot: RobotModel) -> NDArray[np.int64]:
-    """Return the part (nbody,) each body belongs to; bodies of one part keep their distances.
+def count_moving_joints(robot: RobotModel) -> NDArray[np.int64]:
+    """Return how many chain joints move each body (nbody,): the first so many of the chain.
 
-    Part 0 is what no chain joint moves, part l what is moved by the first l of them. InputError for
-    joints of two arms, whose parts cannot be numbered like that.
+    Bodies with equal counts keep their distances. InputError for joints of two arms, which do not
+    move the bodies one after the other.
     """
     model = robot.mj_model
-    part = np.zeros(model.nbody, dtype=np.int64)
-    for number, joint in enumerate(model.dof_jntid[robot.dof_index]):
+    counts = np.zeros(model.nbody, dtype=np.int64)
+    for index, joint in enumerate(model.dof_jntid[robot.dof_index]):
         moved = subtree(model, int(model.jnt_bodyid[joint]))
-        if np.any(part[moved] != number):
-            raise InputError(
-                f"{', '.join(robot.joint_names)} are no serial chain: take one arm"
-            )
-        part[moved] += 1
-    return part
+        if np.any(counts[moved] != index):
+            names = ", ".join(robot.joint_names)
+            raise InputError(f"{names} are no serial chain: take one arm")
+        counts[moved] += 1
+    return counts
 
 
-def neighbours(mj_model: Any) -> NDArray[np.bool_]:
-    """Return (nbody, nbody) booleans: which bodies are next to each other in the tree.
+def adjacent_bodies(mj_model: Any) -> NDArray[np.bool_]:
+    """Return whether two bodies are next to each other in the tree, (nbody, nbody).
 
-    Bodies welded together count as one. What stands still is next to a link only if it carries it
-    or is fixed to the body that does: the arm's base and its housing are, a table in the same world
-    is not.
+    Bodies welded together count as one. A body that stands still is next to a link only if it
+    carries it or is fixed to the body that does: the arm's base and its housing are, a table in the
+    same world is not.
     """
     weld = mj_model.body_weldid
     bodies = np.arange(mj_model.nbody)
     parent = mj_model.body_parentid[weld]
     carries = (weld[:, None] == weld[parent]) & (weld[:, None] != weld)
     below = np.array([np.isin(bodies, subtree(mj_model, int(body))) for body in bodies])
-    still = (weld == 0)[:, None]
-    carries &= ~still | (
-        (below | below[parent].T & (parent != 0)) & (bodies != 0)[:, None]
-    )
+    stands_still = (weld == 0)[:, None]
+    is_fixed = below | below[parent].T & (parent != 0)
+    carries &= ~stands_still | (is_fixed & (bodies != 0)[:, None])
     return np.asarray(carries | carries.T)
 
 
 class ContactFinder:
-    """Tells which bodies touch in a configuration; those in the reference one, pairs of body ids
-    ``at_rest``, are taken for granted.
+    """Finds which bodies touch in a configuration.
+
+    Attributes:
+        resting_pairs: pairs of body ids that touch in the robot's reference configuration.
     """
 
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot
         self._model: Any = robot.mj_model
         self._data = data_at_pose(self._model, robot.reference_qpos)
-        self._part = parts_of(robot)
-        self.at_rest = self._touching()
+        self._joint_counts = count_moving_joints(robot)
+        self.resting_pairs = self._touching()
 
     def by_design(self, pairs: Collection[tuple[int, int]]) -> set[tuple[int, int]]:
-        """Return those of some touching pairs of body ids that a model is drawn with.
+        """Return those of some touching pairs of body ids that touch by the model's design.
 
         One carries the other, or they touch whatever the joints between them do (MuJoCo takes the
-        convex hull of a mesh): no position would be free of it. What stands beside the arm is no
-        part of that drawing.
+        convex hull of a mesh): no position would be free of it. A pair of the arm and something
+        beside it is not by design.
         """
-        next_to = neighbours(self._model)
-        return {pair for pair in pairs if next_to[pair] or self._never_part(pair)}
+        is_adjacent = adjacent_bodies(self._model)
+        return {pair for pair in pairs if is_adjacent[pair] or self._never_part(pair)}
 
     def _never_part(self, pair: tuple[int, int]) -> bool:
-        first, last = sorted(int(self._part[body]) for body in pair)
+        """Return whether two bodies touch at all tried positions of the joints between them."""
+        first, last = sorted(self._joint_counts[list(pair)].tolist())
         first_root, second_root = self._model.body_rootid[list(pair)]
-        if last - first > _JOINTS_BETWEEN or first_root != second_root:
+        if last - first > _MAX_JOINTS_BETWEEN or first_root != second_root:
             return False
         low, high = (ends[first:last] for ends in joint_ranges(self._robot))
         q = self._robot.reference.copy()
-        for q[first:last] in product(*np.linspace(low, high, _POSITIONS).T):
+        for positions in product(*np.linspace(low, high, _POSITIONS).T):
+            q[first:last] = positions
             self._data.qpos[self._robot.qpos_index] = q
             if pair not in self._touching():
                 return False
@@ -113,9 +114,10 @@ class ContactFinder:
     def new_pairs(self, q: Array) -> set[tuple[int, int]]:
         """Return pairs of body ids that touch at chain positions q (n,) but not at rest."""
         self._data.qpos[self._robot.qpos_index] = q
-        return self._touching() - self.at_rest
+        return self._touching() - self.resting_pairs
 
     def _touching(self) -> set[tuple[int, int]]:
+        """Return pairs of body ids, the lower first, that touch in the current configuration."""
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         try:
@@ -128,24 +130,27 @@ class ContactFinder:
         if not self._data.ncon:
             return set()
         geoms = self._data.contact.geom[self._data.contact.dist <= 0.0]
-        bodies = np.sort(
-            self._model.geom_bodyid[geoms[np.all(geoms >= 0, axis=1)]], axis=1
-        )
+        geoms = geoms[np.all(geoms >= 0, axis=1)]
+        bodies = np.sort(self._model.geom_bodyid[geoms], axis=1)
         pairs = {(int(a), int(b)) for a, b in bodies}
-        return {(a, b) for a, b in pairs if self._part[a] != self._part[b]}
+        counts = self._joint_counts
+        return {(a, b) for a, b in pairs if counts[a] != counts[b]}
 
 
 def find_new_contacts(robot: RobotModel, motions: Iterable[Motion]) -> tuple[str, ...]:
     """Return in words which bodies collide at rest, and when others first do along a motion."""
     finder = ContactFinder(robot)
-    resting = finder.at_rest - finder.by_design(finder.at_rest)
     first_time: dict[tuple[int, int], float] = {}
     for motion in motions:
         for time, q in zip(motion.time, motion.q):
             for pair in finder.new_pairs(q):
                 first_time.setdefault(pair, float(time))
-    words = [(pair, "at rest") for pair in resting]
-    words += [(pair, f"at {time:.2f} s") for pair, time in first_time.items()]
-    name = partial(body_label, robot.mj_model)
-    said = [f"{name(a)} and {name(b)} touch {when}" for (a, b), when in words]
-    return (*sorted(said[: len(resting)]), *said[len(resting) :])
+
+    def contact(pair: tuple[int, int]) -> str:
+        first, second = (body_label(robot.mj_model, body) for body in pair)
+        return f"{first} and {second} touch"
+
+    resting = finder.resting_pairs - finder.by_design(finder.resting_pairs)
+    at_rest = sorted(f"{contact(pair)} at rest" for pair in resting)
+    later = [f"{contact(pair)} at {t:.2f} s" for pair, t in first_time.items()]
+    return (*at_rest, *later)

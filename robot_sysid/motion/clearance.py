@@ -28,7 +28,7 @@ import numpy as np
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.dynamics.spatial import cross
 from robot_sysid.model.chain import body_label
-from robot_sysid.model.contacts import ContactFinder, joint_ranges, parts_of
+from robot_sysid.model.contacts import ContactFinder, count_moving_joints, joint_ranges
 from robot_sysid.motion.plan_options import HalfSpace
 from robot_sysid.motion.solids import HalfSpaces
 from robot_sysid.records import Array, RobotModel
@@ -119,7 +119,7 @@ class Clearance:
         self._body_of_geom = np.array(model.geom_bodyid)
         self._required = np.full((model.nbody, model.nbody), clearance)
         self._place(rest)
-        self._part = part = parts_of(robot)
+        self._part = part = count_moving_joints(robot)
         self.is_solid = bool(
             np.any(model.geom_contype | model.geom_conaffinity) or model.npair
         )

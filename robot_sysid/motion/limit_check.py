@@ -26,7 +26,7 @@ import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.model.chain import joint_friction
-from robot_sysid.model.contacts import parts_of
+from robot_sysid.model.contacts import count_moving_joints
 from robot_sysid.motion.clearance import Clearance, Closest, approach_rates
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
 from robot_sysid.records import Array, JointLimits, Motion, MotionPlan, RobotModel
@@ -377,7 +377,10 @@ class BetweenArms:
             base = model.jnt_bodyid[model.dof_jntid[arm.dof_index[0]]]
             self._arm[subtree(model, int(base))] = number
         # The last row bounds the speed of every part.
-        rates = (approach_rates(arm, self._data, parts_of(arm))[-1] for arm in arms)
+        rates = (
+            approach_rates(arm, self._data, count_moving_joints(arm))[-1]
+            for arm in arms
+        )
         self._rates = np.concatenate([*rates])
         # Arms that rest close to each other keep half of that.
         self._least = min(_TOUCH, 0.5 * self.distance(both.reference))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.model.chain import body_label
-from robot_sysid.model.contacts import parts_of
+from robot_sysid.model.contacts import count_moving_joints
 from robot_sysid.motion.plan_options import HalfSpace
 from robot_sysid.records import Array, RobotModel
 
@@ -183,7 +183,7 @@ def swept_space(robot: RobotModel, q: Array) -> tuple[Array, Array, str]:
     """
     model = robot.mj_model
     data = data_at_pose(robot.mj_model, robot.reference_qpos)
-    solids = solids_of(model, np.flatnonzero(parts_of(robot)).tolist())
+    solids = solids_of(model, np.flatnonzero(count_moving_joints(robot)).tolist())
     bodies = [solid.body for solid in solids]
     reach = np.full((len(solids), 6), -np.inf)
     for part in np.array_split(q, 1 + len(q) // _AT_ONCE):
@@ -218,7 +218,7 @@ def mounting_height(
     (n,): such an arm hangs, or stands at an edge.
     """
     model = robot.mj_model
-    parts = parts_of(robot)
+    parts = count_moving_joints(robot)
     down = np.array(model.opt.gravity, dtype=float)
     if not np.any(down):
         return None

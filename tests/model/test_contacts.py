@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import ModelError
-from robot_sysid.model.contacts import ContactFinder, find_new_contacts, neighbours
+from robot_sysid.model.contacts import ContactFinder, adjacent_bodies, find_new_contacts
 from robot_sysid.records import Motion
 from tests.support import arms
 from tests.support.arms import Y, Z, hinge, link, robot_of, world
@@ -48,7 +48,9 @@ def test_what_touches_at_rest_is_told_once_and_is_no_news_later():
 def names_of_neighbours(xml):
     model = robot_of(xml).mj_model
     label = [model.body(k).name for k in range(model.nbody)]
-    return {(label[a], label[b]) for a, b in np.argwhere(np.triu(neighbours(model)))}
+    return {
+        (label[a], label[b]) for a, b in np.argwhere(np.triu(adjacent_bodies(model)))
+    }
 
 
 def test_neighbours_are_what_carries_and_what_is_carried():

@@ -10,7 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.model.contacts import parts_of
+from robot_sysid.model.contacts import count_moving_joints
 from robot_sysid.motion import limit_check
 from robot_sysid.motion.limit_check import (
     CLEARANCE_RESOLUTION,
@@ -324,7 +324,7 @@ def test_the_first_touch_is_that_of_a_dense_look(pair, end):
 
 def test_what_is_for_a_serial_chain_refuses_both(pair):
     with pytest.raises(InputError, match="no serial chain: take one arm"):
-        parts_of(as_one(*pair))
+        count_moving_joints(as_one(*pair))
 
 
 def test_one_of_them_reaches_the_other_and_one_does_not(pair):
