@@ -259,12 +259,12 @@ def rollout_error(values, log) -> float:
 
 @dataclass(frozen=True)
 class Side:
-    """What one of the two found.
+    """Result of one tool.
 
     Attributes:
-        seconds: processor time.
+        seconds: processor time [s].
         error: held-out rollout error [mrad].
-        farthest: number's name to its largest relative error.
+        farthest: name of a quantity to its largest relative error.
     """
 
     seconds: float
@@ -302,7 +302,7 @@ def compare_sides() -> dict[str, Side]:
 
 
 def main() -> None:
-    """Print both sides."""
+    """Print the results of both tools."""
     sides = compare_sides()
     for name, side in sides.items():
         worst = {k: f"{100 * v:.1f} %" for k, v in side.farthest.items()}

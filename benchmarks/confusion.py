@@ -52,7 +52,7 @@ from robot_sysid.signals.resampling import split_at_gaps
 from tests.support.core_fits import result_of_logs
 
 RIGHT_DURATIONS = (6.0, 8.0, 15.0, 60.0)
-"""Of logs with nothing wrong [s]."""
+"""Durations of right logs [s]."""
 NAMINGS = ("rightly", "tie", "withheld", "wrongly", "silent")
 COSTS = ("stopped", "no use", "harmful", "off", "sound")
 FAR = 0.1
@@ -61,9 +61,9 @@ SURE = 2.0
 SHOWN_TEXT = 110
 """Characters of a finding that are printed."""
 ALTERNATIVES = "; or "
-"""What is between causes that a finding does not tell apart."""
+"""Text between causes that fit equally well."""
 OTHER_ARM = "the model of another arm"
-"""What is said before the name of a mistake that would only make another arm less unlike."""
+"""Text before a fault that only makes the log of another arm fit a little better."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class Outcome:
 
 
 def check_scene(scene: Scene, is_answered: bool) -> Outcome:
-    """Return what the tool makes of a scene: the checks of ``identify``, then its answer."""
+    """Return the findings on a scene's log, and the answer where no finding stops it."""
     start = time.process_time()
     try:
         findings = check_against_model(scene.robot, split_at_gaps(scene.log))
@@ -199,7 +199,7 @@ class Case:
         )
 
     def run(self, robot: RobotModel, is_answered: bool) -> Outcome:
-        """Return what the tool makes of it."""
+        """Return the outcome of the case's log."""
         scene = draw_scene(
             robot, self.arm_name, self.deviation, self.duration, self.seed
         )

@@ -1,4 +1,4 @@
-"""How well an unknown torque delay and an unknown tilt of the base are found.
+"""Errors of an unknown torque delay and an unknown tilt of the base.
 
 Run from the checkout:  python -m benchmarks.delay_and_tilt
 

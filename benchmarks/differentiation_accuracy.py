@@ -1,4 +1,4 @@
-"""What is left of the acceleration after an encoder, for several ways to differentiate.
+"""Error of the acceleration from an encoder's positions, for several ways to differentiate.
 
     python benchmarks/differentiation_accuracy.py
 

@@ -64,7 +64,7 @@ ARMS = (
 )
 RATE = 200.0
 SIGMA = 0.3 / np.sqrt(5.0)
-"""As much information as 0.3 N m at 1 kHz, in a fifth of the time."""
+"""Torque noise with the information of 0.3 N m at 1 kHz, at a fifth of the rate [N m]."""
 OPTIONS = EstimationOptions()
 
 

@@ -166,7 +166,7 @@ def noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
 
 
 Off = tuple[str, float, float, float]
-"""What a number is of, its error, its stated error, the size that counts as one."""
+"""Quantity, its error, its stated error, and the size that errors are divided by."""
 
 
 def body_off(estimate: BodyEstimate, true: Array) -> Iterator[Off]:

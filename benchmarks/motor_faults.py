@@ -71,7 +71,7 @@ MOMENTS = {
 """Phases: the earliest and the latest onset after their beginning [s], and their share of runs."""
 DAMAGE_PATIENCE = 1.0
 DAMAGE_BOUND = 0.05
-"""How far a joint may get after a damaged frame [rad]."""
+"""Largest departure of a joint after a damaged frame [rad]."""
 PAGE = ROOT / "docs" / "damiao.md"
 PAGE_BEGIN = "<!-- faults: python -m benchmarks.motor_faults page -->"
 PAGE_END = "<!-- end of faults -->"

@@ -45,7 +45,7 @@ USUAL = EstimationOptions()
 
 WIDER = 5.0
 SPEED_SHARE = 0.9
-"""How much wider a wide trajectory is at most, and which share of its speed limit a joint uses."""
+"""Largest factor by which a trajectory is widened, and the used share of speed limits."""
 
 
 def trajectory(robot, rng, wide):

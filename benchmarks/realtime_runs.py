@@ -1,4 +1,4 @@
-"""Whether undisturbed runs in real time are played to their ends, also on a busy computer.
+"""Undisturbed runs in real time, also on a busy computer: are they played to their ends?
 
 Run from the checkout, nothing else running; it exits with 1 when a run was stopped:
 
@@ -56,7 +56,7 @@ SPOILING_CYCLES = 1.5
 LONGEST_PAUSE = 0.015
 """Pauses in cycles, and at most [s], from which on answers are missed or cycles are too late."""
 BEFORE_STOP = 0.3
-"""How long before a stop its cause is looked for [s]; the player takes a part of it to say so."""
+"""Time before a stop in which a pause counts as its cause [s]."""
 TRIES = 3
 WITNESS_PRIORITY = 60
 PROGRAM = (sys.executable, "-m", "robot_sysid", "motors")
@@ -183,7 +183,7 @@ def simulated_arm(arguments: list[str]) -> Iterator[tuple[str, list[str]]]:
 
 
 def bus_arguments(name: str, rate: float, trajectory: Path) -> list[str]:
-    """Return what play and simulate are both told."""
+    """Return the arguments that play and simulate have in common."""
     fd = ["--fd"] if rate > FAST else []
     arm = [str(word) for word in model(ARMS[name])]
     return [str(trajectory), "--model", *arm, *fd, "--rate", f"{rate:g}"]

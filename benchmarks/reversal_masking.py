@@ -40,7 +40,7 @@ def main() -> None:
         )
         for name, rule in rules().items():
             print(
-                f"  {name:<12}{table_line([study.masked(rule) for study in studies])}",
+                f"  {name:<12}{table_line([study.errors_of_rule(rule) for study in studies])}",
                 flush=True,
             )
 

@@ -18,7 +18,7 @@ TARGETS = ("models", "logs", "trajectories", "columns", "results", "can_frames")
 
 
 def main() -> int:
-    """Run a target; the exit code says whether anything was found."""
+    """Run a target; return 1 if there are findings."""
     parser = argparse.ArgumentParser(
         "python -m benchmarks.fuzz", description=benchmarks.fuzz.__doc__
     )

@@ -70,7 +70,7 @@ def case(random: Random) -> Case:
 
 
 def use(case: Case, folder: Path) -> None:
-    """Read the file and do what it says."""
+    """Read the file and apply it to a log."""
     (name,) = case
     path = write_case(case, folder) / name
     if name == "factors.json":

@@ -33,7 +33,7 @@ _SWAPS = {
     f"{_BINARY}{swap}"
     for swap in ("Add_Sub", "Sub_Add", "Mul_Div", "Div_Mul", "Pow_Mul")
 }
-"""Of the eleven things that cosmic-ray puts in place of a binary operator, the one most like it."""
+"""The most similar of the eleven replacements that cosmic-ray has for a binary operator."""
 _HEAVY = ("mujoco", "scipy.linalg", "scipy.spatial.transform", "sympy")
 """Imported once, before the forks."""
 
@@ -65,7 +65,7 @@ def _for_mutmut(tree: ast.Module) -> list[ast.FunctionDef]:
 
 
 def mutants(source: str) -> Iterator[str]:
-    """Yield every different source that cosmic-ray makes of this one and that matters at import."""
+    """Yield the mutants of a source that differ in code that runs at import."""
     known_trees = {import_time(source)}
     inside = [
         range(f.body[0].lineno, f.end_lineno + 1)

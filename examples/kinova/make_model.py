@@ -48,7 +48,7 @@ EMPTY_NOTE = (
 
 @dataclass(frozen=True)
 class Variant:
-    """What differs between the models.
+    """Differences between the models.
 
     Attributes:
         file: file name inside the folder model/.

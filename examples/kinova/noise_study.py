@@ -1,4 +1,4 @@
-"""What torque noise does to an identification: one motion of the true arm, many draws of noise.
+"""Errors of an identification by torque noise: one motion of the true arm, many draws of noise.
 
 Everything that noise does not change (the simulation, the filtering of positions, the equations) is
 computed once. The noise of a draw passes the same low-pass as the torques and is added to them,
@@ -83,7 +83,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What many draws gave.
+    """Results of many draws of noise.
 
     Attributes:
         names: (p,) of the parameters.

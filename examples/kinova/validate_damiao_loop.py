@@ -112,7 +112,7 @@ def identify_log(model: Path, log: Path, folder: Path) -> dict[str, object]:
 
 
 def compare(params: dict[str, object]) -> bool:
-    """Print found and true values and tell whether they are close enough."""
+    """Print identified and true values; return whether they are close enough."""
     truth = load_robot_model(TRUTH).prior
     guess = load_robot_model(GUESS).prior
     mass = float(str(params["mass"]))

@@ -82,7 +82,7 @@ def own_simulation(guess: RobotModel, plan: MotionPlan) -> bool:
 def terminal_torque_only(
     guess: RobotModel, truth: RobotModel, plan: MotionPlan
 ) -> bool:
-    """The last joint's torque shows seven combinations; mass and h_z must stay the guess's."""
+    """Test that mass and h_z, which the last joint's torque does not show, stay the guess's."""
     print(
         "\n2. The truth, seen by its last joint only: what it cannot see stays as guessed"
     )
@@ -107,7 +107,7 @@ def links_known(guess: RobotModel, truth: RobotModel, plan: MotionPlan) -> bool:
 def payload_by_difference(
     guess: RobotModel, truth: RobotModel, plan: MotionPlan
 ) -> bool:
-    """The tool alone, from two runs on one trajectory: whatever is wrong in both cancels.
+    """Test that the tool alone is identified from two runs, in which errors of the links cancel.
 
     tau_with - tau_without = Y (theta_with - theta_without) = Y theta_tool.
     """
@@ -140,7 +140,7 @@ def payload_by_difference(
 def links_from_the_catalogue(
     guess: RobotModel, truth: RobotModel, plan: MotionPlan
 ) -> None:
-    """What a real arm does: the other links are not quite what the model says."""
+    """Print the result where the other links differ from the model, as on a real arm."""
     print(
         "\n5. The truth, when all other links are only guessed (not expected to be exact)"
     )
@@ -158,7 +158,7 @@ def model_parameters(robot: RobotModel) -> Array:
 
 
 def compare(expected: Array, estimate: Estimate, guess: RobotModel) -> bool:
-    """Print an estimate beside what is expected (12,); tell whether they are equal."""
+    """Print an estimate beside the expected values (12,); return whether they are equal."""
     joint = guess.terminal_joint
     friction = [estimate.value(f"{term}[{joint}]") for term in ("coulomb", "viscous")]
     return print_table(expected, np.append(estimate.values[:10], friction), guess)

@@ -47,7 +47,7 @@ def main(draws: int = DRAWS, study: NoiseStudy | None = None) -> int:
 
 
 def report(name: str, noise: Noise, study: NoiseStudy, draws: int) -> bool:
-    """Run one case, print its line, and tell whether its limits hold."""
+    """Run one case and print its line; return whether its limits hold."""
     outcome = study.run(noise, draws)
     median = ""
     worst = ""
