@@ -32,7 +32,7 @@ from robot_sysid.errors import HardwareAbort
 
 
 class SystemClock:
-    """The computer's monotonic clock: live, it moves whatever this program does."""
+    """The computer's monotonic clock; ``live`` because it moves whatever this program does."""
 
     live = True
 
@@ -42,9 +42,9 @@ class SystemClock:
 
     def sleep_until(self, moment: float) -> None:
         """Return at ``moment`` [s], or at once if it has passed."""
-        left = moment - time.monotonic()
-        if left > 0.0:
-            time.sleep(left)
+        delay = moment - time.monotonic()
+        if delay > 0.0:
+            time.sleep(delay)
 
 
 class SimulatedClock(SystemClock):
@@ -137,9 +137,10 @@ _SWITCH_INTERVAL = 2e-4
 def undisturbed_processor(live: bool = True) -> Iterator[bool]:
     """Keep garbage collection, other threads and other programs from pausing the block.
 
-    A ``live`` block keeps to the computer's clock. It has to wait now and then: nothing else runs
-    on its processor meanwhile. It is told whether it has real-time priority; where the system
-    refuses that, or knows none, the rest still holds.
+    The block gets whether it has real-time priority; where the system refuses that, or has none,
+    garbage collection and threads are kept off all the same. A block that is not ``live`` asks for
+    no priority: it runs in simulated time. One that has priority has to wait now and then, because
+    nothing else runs on its processor meanwhile.
     """
     collects_garbage = gc.isenabled()
     switch_interval = sys.getswitchinterval()
@@ -218,7 +219,10 @@ class RegisterReply(NamedTuple):
 
 
 class RegisterClient:
-    """Talks about registers over a link; an answer may take ``timeout`` [s]."""
+    """Reads and writes registers of motors over a link; an answer may take ``timeout`` [s].
+
+    ``error_frames`` counts the error frames that it received.
+    """
 
     def __init__(self, link: GuardedLink, timeout: float = 0.02) -> None:
         self._link = link
@@ -227,21 +231,22 @@ class RegisterClient:
         self.error_frames = 0
 
     def read(self, motor: protocol.Address, register: int) -> RegisterReply | None:
-        """Return a register's value, or None where the motor does not answer."""
-        return next(iter(self.answers(protocol.read_frame(motor, register), 1)), None)
+        """Return a register's first reply, or None where the motor does not answer."""
+        replies = self.answers(protocol.read_frame(motor, register), 1)
+        return replies[0] if replies else None
 
     def write(
-        self, motor: protocol.Address, register: int, value: float, heard: bool = True
+        self, motor: protocol.Address, register: int, value: float, verify: bool = True
     ) -> None:
         """Write a register (lost at power-off), or raise HardwareAbort.
 
-        A motor refuses a value by answering with the old one, so the answer is compared; unless it
-        cannot be ``heard`` any more.
+        A motor refuses a value by answering with the old one, so the answer is compared, unless
+        ``verify`` is false: a motor whose bit rate changes can be heard no more.
         """
         raw = protocol.bytes_from_value(register, value)
         name = protocol.NAMES[register]
         request = protocol.write_frame(motor, register, raw)
-        if not heard:
+        if not verify:
             return self._link.send(request)
         replies = self.answers(request, 1)
         if not replies:
@@ -263,14 +268,17 @@ class RegisterClient:
         return None
 
     def state_of(self, motor: InspectedMotor) -> Feedback | None:
-        """Ask a motor for its state, without any effect on it; None where it does not tell."""
+        """Ask a motor for its state, without any effect on it; None where it does not answer."""
         frame = self.refresh(motor.address, motor.reply_ids[0])
-        return None if frame is None else motor.meaning(frame.data)
+        return None if frame is None else motor.decode_feedback(frame.data)
 
     def seconds_to_refresh(
         self, motors: Sequence[tuple[protocol.Address, int]]
     ) -> float | None:
-        """Return the time until all motors, asked at once, have answered [s], or None."""
+        """Return the time until all motors (address, reply id), asked at once, answered [s].
+
+        None where one does not answer within a tenth of a second.
+        """
         self._link.drain()
         start = self._clock.now()
         for motor, _ in motors:
@@ -287,11 +295,15 @@ class RegisterClient:
     def answers(
         self, request: protocol.Frame, limit: int | None = None
     ) -> list[RegisterReply]:
-        """Return up to ``limit`` answers; more than one tells that motors share an id."""
-        tries = (list(islice(self._replies(request), limit)) for _ in range(_TRIES))
-        return next(filter(None, tries), [])
+        """Return up to ``limit`` replies to a request; motors that share an id send several."""
+        for _ in range(_TRIES):
+            replies = list(islice(self._replies(request), limit))
+            if replies:
+                return replies
+        return []
 
     def _replies(self, request: protocol.Frame) -> Iterator[RegisterReply]:
+        """Send a request about a register and yield its replies until the timeout."""
         # Most firmware answers a write with 0x55, some with 0x33.
         codes = (
             (protocol.READ, protocol.WRITE)
@@ -305,14 +317,14 @@ class RegisterClient:
                 yield RegisterReply(value, frame.id)
 
     def _frames_after(self, request: protocol.Frame) -> Iterator[protocol.Frame]:
-        """Send a request and yield what motors say until the timeout."""
+        """Send a request and yield the sound frames on its bus until the timeout."""
         self._link.drain()
         self._send(request)
         until = self._clock.now() + self._timeout
         while (frame := self._link.receive(until)) is not None:
             self.error_frames += frame.error
-            sound = not frame.error and not frame.echo and len(frame.data) == 8
-            if sound and frame.bus == request.bus:
+            is_sound = not frame.error and not frame.echo and len(frame.data) == 8
+            if is_sound and frame.bus == request.bus:
                 yield frame
 
     def _send(self, request: protocol.Frame) -> None:
@@ -361,10 +373,14 @@ _ROUNDS = 20
 
 @dataclass(frozen=True, eq=False)
 class InspectedMotor:
-    """What one motor said; several ids on which answers came mean several motors.
+    """Answers of one motor to an inspection.
 
-    Only registers that were answered are there; feedback is None where it does not answer a
-    refresh, and the channel is named where there are several.
+    Attributes:
+        address: under which it was asked.
+        reply_ids: ids on which answers came; several mean that several motors share its id.
+        registers: values by number, of the registers that it answered for.
+        feedback: its state; None where it did not answer or its scaling is unknown.
+        channel: name of its bus where there are several, else "".
     """
 
     address: protocol.Address
@@ -375,29 +391,29 @@ class InspectedMotor:
 
     @property
     def can_id(self) -> int:
-        """Id it was asked under."""
+        """CAN id under which it was asked."""
         return self.address.can_id
 
     @property
     def name(self) -> str:
-        """How messages call it."""
+        """What messages call it: its id, and its bus where there are several."""
         return f"motor {self.can_id}" + (f" on {self.channel}" if self.channel else "")
 
     @property
     def master_id(self) -> int:
-        """The reply id its register names."""
+        """Reply id in its register MST_ID; where that is unknown, the id of its first answer."""
         return int(self.registers.get(protocol.MST_ID, self.reply_ids[0]))
 
     @property
     def limits(self) -> tuple[float, float, float]:
-        """(PMAX, VMAX, TMAX) from its registers; 0 where it does not tell."""
+        """(PMAX, VMAX, TMAX) in its registers [rad, rad/s, N m]; 0 for one that is unknown."""
         position, velocity, torque = (
-            self.registers.get(k, 0.0) for k in protocol.SCALING
+            self.registers.get(number, 0.0) for number in protocol.SCALING
         )
         return position, velocity, torque
 
-    def meaning(self, feedback: bytes) -> Feedback | None:
-        """What a frame of its feedback says; None where its scaling is not known."""
+    def decode_feedback(self, feedback: bytes) -> Feedback | None:
+        """Return the state in a feedback frame; None where its scaling is not known."""
         if min(self.limits) <= 0.0:
             return None
         raw = np.frombuffer(feedback, dtype=np.uint8)[None]
@@ -405,15 +421,20 @@ class InspectedMotor:
 
     @property
     def position(self) -> float:
-        """Where it is [rad]; NaN where it does not tell."""
+        """Its position [rad]; NaN where that is unknown."""
         return float(self.feedback.position[0]) if self.feedback else np.nan
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """What the motors on a bus said; ``unsolicited`` frames came before anything was asked.
+    """Answers of all motors on the buses.
 
-    Asked at once, all have answered within ``round_trip`` [s], nearly always; None if some did not.
+    Attributes:
+        motors: by address, in the order of buses and ids.
+        unsolicited: number of frames that came before anything was asked.
+        error_frames: number of error frames.
+        round_trip: time within which all motors, asked at once, answer nine times of ten [s]; None
+            if some did not.
     """
 
     motors: Mapping[protocol.Address, InspectedMotor]
@@ -423,36 +444,43 @@ class Inspection:
 
 
 def inspect_bus(link: GuardedLink) -> Inspection:
-    """Ask every id on every bus for its registers and state; enables nothing."""
+    """Ask every id on every bus for registers and state; no motor is enabled or changed."""
     until = link.clock.now() + _LISTEN
     unsolicited = 0
     while (frame := link.receive(until)) is not None:
         unsolicited += not frame.echo
     client = RegisterClient(link, timeout=_ASK_TIMEOUT)
     motors = {}
-    for address in (
-        protocol.Address(bus, i) for bus in range(len(link.channels)) for i in _ALL_IDS
-    ):
-        answers = client.answers(protocol.read_frame(address, protocol.ESC_ID))
-        if not answers:
-            continue
-        replies = {number: client.read(address, number) for number in protocol.LOGGED}
-        registers = {
-            number: reply.value
-            for number, reply in replies.items()
-            if reply is not None
-        }
-        reply_ids = tuple(answer.reply_id for answer in answers)
-        channel = link.channels[address.bus] if len(link.channels) > 1 else ""
-        motor = InspectedMotor(address, reply_ids, registers, None, channel)
-        motors[address] = replace(motor, feedback=client.state_of(motor))
+    for bus, bus_name in enumerate(link.channels):
+        channel = bus_name if len(link.channels) > 1 else ""
+        for can_id in _ALL_IDS:
+            motor = _inspect_motor(client, protocol.Address(bus, can_id), channel)
+            if motor is not None:
+                motors[motor.address] = motor
     round_trip = None
     if all(motor.feedback for motor in motors.values()):
         addresses = [(motor.address, motor.reply_ids[0]) for motor in motors.values()]
         # As in the run that it is for.
         with undisturbed_processor(link.clock.live):
             times = [client.seconds_to_refresh(addresses) for _ in range(_ROUNDS)]
-        answered = [time for time in times if time is not None]
-        if len(answered) > _ROUNDS // 2:
-            round_trip = float(np.percentile(answered, 90.0))
+        complete = [seconds for seconds in times if seconds is not None]
+        if len(complete) > _ROUNDS // 2:
+            round_trip = float(np.percentile(complete, 90.0))
     return Inspection(motors, unsolicited, client.error_frames, round_trip)
+
+
+def _inspect_motor(
+    client: RegisterClient, address: protocol.Address, channel: str
+) -> InspectedMotor | None:
+    """Return a motor's registers and state; None where nothing answers at an address."""
+    answers = client.answers(protocol.read_frame(address, protocol.ESC_ID))
+    if not answers:
+        return None
+    registers = {}
+    for number in protocol.LOGGED:
+        reply = client.read(address, number)
+        if reply is not None:
+            registers[number] = reply.value
+    reply_ids = tuple(answer.reply_id for answer in answers)
+    motor = InspectedMotor(address, reply_ids, registers, None, channel)
+    return replace(motor, feedback=client.state_of(motor))

@@ -38,7 +38,15 @@ from robot_sysid.records import Array
 
 
 class CycleTimer:
-    """Hands out absolute deadlines [s]: a late cycle is skipped, lateness does not add up."""
+    """Waits for the cycles of a control loop; their deadlines are multiples of the period.
+
+    A cycle that is late is followed by one at its own deadline, so lateness does not add up.
+
+    Attributes:
+        period: length of a cycle [s].
+        max_lateness: how late a cycle may begin [s].
+        skipped: number of cycles that passed while the computer was late.
+    """
 
     def __init__(self, clock: SystemClock, period: float, max_lateness: float) -> None:
         self._clock = clock
@@ -51,7 +59,7 @@ class CycleTimer:
 
     @property
     def next_deadline(self) -> float:
-        """When the next cycle is due [s]."""
+        """Time in the clock at which the next cycle is due [s]."""
         return self._start + self._index * self.period
 
     def wait(self, lenient: bool = False) -> float:
@@ -62,29 +70,26 @@ class CycleTimer:
         """
         deadline = self.next_deadline
         self._clock.sleep_until(deadline)
-        late = self._clock.now() - deadline
-        self._lateness.append(late)
-        skip = max(int(late / self.period), 0)
-        self.skipped += skip
-        self._index += skip + 1
-        if late > self.max_lateness and not lenient:
-            can_be_allowed = self._clock.live and lacks_priority()
-            allow = (
-                "allow real-time priority (see docs/damiao.md), "
-                if can_be_allowed
-                else ""
-            )
+        lateness = self._clock.now() - deadline
+        self._lateness.append(lateness)
+        n_passed = max(int(lateness / self.period), 0)
+        self.skipped += n_passed
+        self._index += n_passed + 1
+        if lateness > self.max_lateness and not lenient:
+            remedy = "close other programs or lower --rate"
+            if self._clock.live and lacks_priority():
+                remedy = f"allow real-time priority (see docs/damiao.md), {remedy}"
             raise HardwareAbort(
-                f"the computer was {1e3 * late:.1f} ms late for a control cycle, limit "
-                f"{1e3 * self.max_lateness:g} ms; {allow}close other programs or lower --rate"
+                f"the computer was {1e3 * lateness:.1f} ms late for a control cycle, limit "
+                f"{1e3 * self.max_lateness:g} ms; {remedy}"
             )
-        return deadline + skip * self.period
+        return deadline + n_passed * self.period
 
     def lateness(self, percentile: float) -> float:
-        """Return a percentile of how late cycles started [s]."""
-        return (
-            float(np.percentile(self._lateness, percentile)) if self._lateness else 0.0
-        )
+        """Return a percentile of how late cycles started [s]; 0 before the first one."""
+        if not self._lateness:
+            return 0.0
+        return float(np.percentile(self._lateness, percentile))
 
 
 # Stiffness and the torque that carries the arm come in together, in this share of the ramp: before
@@ -108,9 +113,14 @@ _LONGEST_CARRIED = 2.0
 
 @dataclass(frozen=True)
 class PlayReport:
-    """How a run went: cycles while playing, and those skipped because the computer was late.
+    """How a run of n joints went.
 
-    Lateness is in [s]; commands that were missed and the tracking error [rad] are (n,).
+    Attributes:
+        cycles: control cycles while the trajectory was played.
+        skipped: cycles that were skipped because the computer was late.
+        lateness_p50, lateness_p99: percentiles of how late cycles began [s].
+        missed: commands (n,) without an answer.
+        worst_tracking: largest distance (n,) from the path [rad].
     """
 
     cycles: int
@@ -122,15 +132,15 @@ class PlayReport:
 
 
 class Player:
-    """Plays references through a session.
+    """Plays a trajectory through a session of n motors, once.
 
     Args:
         stop: polled in every cycle.
-        recorder: gets every cycle of the trajectory itself; None keeps nothing.
-        on_phase, on_progress: told of new phases and of the time played so far [s]; neither may
-            raise or wait.
+        recorder: gets every cycle of the trajectory itself; None records nothing.
+        on_phase: called with the name of each new phase; may not raise or wait.
+        on_progress: called with the time played so far [s]; may not raise or wait.
         park: where to leave the arm: "rest", "start", or (n,) positions [rad]; None where it ends.
-        holding: says what holds the arm where it stands, and is called with positions and torques
+        holding: knows what holds the arm where it stands, and is called with positions and torques
             (n,) of the arm held still there and at the first point; may raise HardwareAbort.
         orders: in which of ``references.ORDERS`` joints go to the first point and are parked.
     """
@@ -170,17 +180,18 @@ class Player:
         self._command: MitCommand | None = None
         self._follower: paths.Lowering | CarriedStop | None = None
         self._heard_at = 0.0
-        self._played = 0
-        self._shown_at = -np.inf
-        self._still: list[Array] = []
-        # What the last answers were sampled under (n,) [N m].
+        self._n_recorded = 0
+        self._progress_at = -np.inf
+        # Positions and commanded torques (2, n) of the last cycles.
+        self._recent_states: list[Array] = []
+        # Commanded at the moment of the last samples (n,) [N m].
         self._motor_torque: Array
 
     def play(self, trajectory: ReferenceFunction, duration: float) -> PlayReport:
-        """Enable the motors, play ``trajectory`` and come to rest; disabling is the session's job.
+        """Enable the motors, play a trajectory of some duration [s], and come to rest.
 
-        The trajectory is asked at times that never go back, up to its duration [s]. HardwareAbort
-        tells the cause when motors that still answer have been brought to rest.
+        Disabling is left to the session. Whatever goes wrong, motors that still answer are brought
+        to rest; then HardwareAbort states the cause.
         """
         with undisturbed_processor(self._clock.live):
             try:
@@ -195,17 +206,23 @@ class Player:
                     f"{type(error).__name__}: {error_text(error)}"
                 ) from error
         timer = self._timer
-        counts = self._played, timer.skipped, timer.lateness(50.0), timer.lateness(99.0)
-        watched = self._observer.total_missed, self._observer.worst_tracking
-        return PlayReport(*counts, *watched)
+        return PlayReport(
+            self._n_recorded,
+            timer.skipped,
+            timer.lateness(50.0),
+            timer.lateness(99.0),
+            self._observer.total_missed,
+            self._observer.worst_tracking,
+        )
 
     def _explain(self, fault: Fault) -> HardwareAbort:
-        """Return a fault with its cause, by what has held the arm since it was stopped."""
-        if not self._still:
+        """Return a fault with its cause, from the torques that held the arm in the stop."""
+        if not self._recent_states:
             return fault
-        return self._observer.explain(fault, *np.mean(self._still, axis=0))
+        return self._observer.explain(fault, *np.mean(self._recent_states, axis=0))
 
     def _run_phases(self, trajectory: ReferenceFunction, duration: float) -> None:
+        """Go through the phases of a run: enable, raise gains, approach, play, rest, park."""
         settings = self._settings
         first = trajectory(0.0)
         self._stop_if_asked()
@@ -228,7 +245,7 @@ class Player:
         self._rising = False
         self._hold_and_compare(standing)
         # What held the arm lately, or else what was fed forward.
-        torques = [torque for _, torque in self._still] or [standing.torque]
+        torques = [torque for _, torque in self._recent_states] or [standing.torque]
         holding_torque = np.asarray(np.mean(torques, axis=0))
         self._announce(f"moving to the first point, {order} ({approach_time:.1f} s)")
         self._phase(approach, approach_time)
@@ -241,12 +258,15 @@ class Player:
         self._leave(last, Reference(start, np.zeros_like(start), holding_torque))
 
     def _hold_and_compare(self, reference: Reference) -> None:
-        self._still.clear()
+        """Hold the arm still, and compare the torques of the second half with the expected ones."""
+        self._recent_states.clear()
         self._phase(hold_reference(reference), self._settings.rest_time, standing=True)
-        if self._still:
-            self._holding(*np.mean(self._still[len(self._still) // 2 :], axis=0))
+        if self._recent_states:
+            second_half = self._recent_states[len(self._recent_states) // 2 :]
+            self._holding(*np.mean(second_half, axis=0))
 
     def _leave(self, last: Reference, at_start: Reference) -> None:
+        """Park an arm that is at the ``last`` reference, or leave it where it is."""
         if self._park is None:
             return
         if isinstance(self._park, str) and self._park == "rest":
@@ -268,6 +288,7 @@ class Player:
         self._phase(hold_reference(target), self._settings.rest_time)
 
     def _lower_from(self, begin: Reference) -> paths.Lowering:
+        """Return the reference that lowers the arm, and let it follow the arm from now on."""
         if not self._holding.is_model:
             self._session.open_range()
         speed = self._settings.approach_speed
@@ -288,6 +309,14 @@ class Player:
         standing: bool = False,
         record: bool = False,
     ) -> None:
+        """Follow a reference for a time [s]; HardwareAbort where the observer finds a fault.
+
+        Args:
+            reference: followed from the next cycle on.
+            length: how long [s]; lowering may end earlier.
+            standing: whether the joints are to stand still.
+            record: whether cycles are recorded.
+        """
         origin = self._timer.next_deadline
         self._standing = standing
         # Half a period of slack keeps the last sample in spite of rounding.
@@ -303,10 +332,10 @@ class Player:
                 # What the exchange had collected when it was cut short is recorded.
                 partial = self._session.last_replies
                 if record and partial is not None and self._command is not None:
-                    self._keep(time, origin, partial, self._command)
+                    self._record(time, origin, partial, self._command)
                 raise
             if record:
-                self._keep(time, origin, replies, acted)
+                self._record(time, origin, replies, acted)
             if self._recorder:
                 # Also what is not recorded: its frames would all be written at once later.
                 self._recorder.end_cycle()
@@ -316,6 +345,7 @@ class Player:
             )
 
     def _stop_if_asked(self) -> None:
+        """Raise HardwareAbort where somebody asked for a stop, or recording failed."""
         if self._stop.count:
             raise HardwareAbort(self._stop.reason)
         failure = self._recorder.failure if self._recorder else None
@@ -338,42 +368,45 @@ class Player:
         self._observer.update(replies)
         self._reference = reference
         self._command = replies.command
-        self._note(replies, acted)
+        self._update_state(replies, acted)
         return replies, acted
 
-    def _note(self, replies: Replies, acted: MitCommand) -> None:
-        """Keep what was heard: for a reference that follows the arm, and what holds it still."""
+    def _update_state(self, replies: Replies, acted: MitCommand) -> None:
+        """Give the arm's state to a reference that follows it, and remember what holds the arm."""
         q, qd = self._session.believed_motion
         self._motor_torque = acted.motor_torque(q, qd)
         if isinstance(self._follower, paths.Lowering):
             self._follower.torque = self._motor_torque
         elif self._follower is not None:
-            trusted = self._observer.trusted_joints
-            self._follower.q = np.where(trusted, q, np.nan)
-            self._follower.qd = np.where(trusted, qd, np.nan)
+            is_trusted = self._observer.trusted_joints
+            self._follower.q = np.where(is_trusted, q, np.nan)
+            self._follower.qd = np.where(is_trusted, qd, np.nan)
         if np.any(replies.answered):
             self._heard_at = self._clock.now()
         if np.all(np.isfinite(q)):
-            self._still.append(np.stack([q, self._motor_torque]))
-            del self._still[:-_STILL_SAMPLES]
+            self._recent_states.append(np.stack([q, self._motor_torque]))
+            del self._recent_states[:-_STILL_SAMPLES]
 
-    def _keep(
+    def _record(
         self, time: float, origin: float, replies: Replies, acted: MitCommand
     ) -> None:
-        self._played += 1
+        """Record a cycle at ``time`` after ``origin`` [s], and show the progress now and then."""
+        self._n_recorded += 1
         if self._recorder:
             self._recorder.write(time, origin, replies, acted)
-        if time - self._shown_at >= _PROGRESS_INTERVAL:
-            self._shown_at = time
+        if time - self._progress_at >= _PROGRESS_INTERVAL:
+            self._progress_at = time
             self._on_progress(time)
 
     def _command_for(self, reference: Reference) -> MitCommand:
+        """Return the command for a reference, with gains and torque at their present share."""
         position, velocity, torque = reference
         return MitCommand(
             position, velocity, self._gain * self._kp, self._kd, self._gain * torque
         )
 
     def _reply_deadline(self) -> float:
+        """Return until when the replies to a command sent now are waited for [s]."""
         return self._clock.now() + _REPLY_SHARE * self._settings.period
 
     def _stop_gently(self) -> None:
@@ -384,7 +417,7 @@ class Player:
         # What holds an arm that was stopped while the gains rose is its full stiffness.
         self._gain = 1.0
         self._heard_at = self._clock.now()
-        self._still.clear()
+        self._recent_states.clear()
         # Drivers raise SystemExit and KeyboardInterrupt too; people's wishes come by ``stop``.
         with contextlib.suppress(BaseException):
             self._session.switch_off(self._observer.to_switch_off)
@@ -395,17 +428,15 @@ class Player:
                 self._stop_phase(self._lower_from(carried.last), paths.LONGEST_LOWERING)
 
     def _carry_from(self, reference: Reference) -> CarriedStop:
-        """Return how the arm is stopped, from what it was led to and what is believed of it.
+        """Return the reference that stops the arm, from the last reference and its believed state.
 
         Where a joint has left its place on the side to which its feed-forward torque pushes, this
         torque has just proved wrong; where it sank against it, it would sink farther without.
         """
         observer = self._observer
         settings = self._settings
-        q, qd = (
-            np.where(observer.trusted_joints, x, np.nan)
-            for x in self._session.believed_motion
-        )
+        is_trusted = observer.trusted_joints
+        q, qd = np.where(is_trusted, self._session.believed_motion, np.nan)
         if self._standing:
             has_left = observer.has_left(q, reference.position, reference.torque)
         else:
@@ -439,6 +470,7 @@ class Player:
         return isinstance(self._follower, CarriedStop) and self._follower.is_at_rest
 
     def _stop_phase(self, reference: ReferenceFunction, duration: float) -> None:
+        """Follow a reference in a stop, at most for a duration [s], whatever goes wrong."""
         origin = self._timer.next_deadline
         while self._timer.next_deadline <= origin + duration:
             deadline = self._timer.wait(lenient=True)
@@ -453,6 +485,7 @@ class Player:
                 self._stop_cycle(reference(deadline - origin))
 
     def _stop_cycle(self, target: Reference) -> None:
+        """Exchange one command in a stop, in which it is confined to the bounds."""
         # A motor that does not answer may still obey, so only failed ones are left out.
         driving = ~self._observer.failed
         command = self._command_for(target)
@@ -461,7 +494,7 @@ class Player:
         replies = self._session.exchange(command, until, driving, braking=True)
         self._command = replies.command
         self._observer.update(replies)
-        self._note(replies, acted)
+        self._update_state(replies, acted)
         if self._recorder:
             self._recorder.end_cycle()
 
@@ -474,9 +507,14 @@ _SAME_WISH = 0.2
 class StopRequest:
     """Remembers whether somebody wants the run to end, and whether he insists.
 
+    Attributes:
+        count: number of wishes so far.
+        reason: the first wish in words, or "".
+        insisted: whether a person asked again.
+
     The first wish brings the arm to rest before it is disabled. Only a person who asks again is
     taken to mean "at once, even if the arm drops": hang-ups and terminations come in bursts when a
-    terminal is closed or a computer shuts down. ``reason`` is the first wish in words.
+    terminal is closed or a computer shuts down.
     """
 
     def __init__(self) -> None:
@@ -486,7 +524,7 @@ class StopRequest:
         self._interrupted_at = float("inf")
 
     def __call__(self, reason: str, insist: bool = False) -> None:
-        """Ask for a stop."""
+        """Ask for a stop, with its reason in words; ``insist`` to stop at once."""
         self.count += 1
         self.reason = self.reason or reason
         self.insisted |= insist
@@ -496,9 +534,10 @@ class StopRequest:
         return handle_stop_signals(self._handle)
 
     def _handle(self, number: int, frame: Any) -> None:
-        again = False
+        """Take a signal for a wish; a later interrupt than the first one insists."""
+        insists = False
         if number == signal.SIGINT:
             now = time.monotonic()
             self._interrupted_at = min(self._interrupted_at, now)
-            again = now - self._interrupted_at > _SAME_WISH
-        self(f"stopped by {signal.Signals(number).name}", again)
+            insists = now - self._interrupted_at > _SAME_WISH
+        self(f"stopped by {signal.Signals(number).name}", insists)

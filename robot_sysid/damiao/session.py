@@ -45,13 +45,16 @@ a slow adapter was seen to deliver (docs/damiao.md)."""
 
 
 class Outstanding:
-    """Which answer belongs to which command of n motors, although answers carry no number.
+    """Assigns answers to the commands of n motors, although answers carry no number.
 
     Each command is answered once, in order. Where an answer is missing at the end of its cycle, the
     next thing heard from that motor may be it, late, or the answer to the next command. So it gets
     no new command until the missing answer has come or is long overdue: what a slow adapter holds
     back is out of the way then, and each answer that is believed belongs to the command before it.
-    ``surplus`` (n,) counts the answers of this cycle that no command had asked for.
+
+    Attributes:
+        surplus: number (n,) of answers in this cycle that no command had asked for; the caller sets
+            it to zero.
     """
 
     def __init__(self, n: int) -> None:
@@ -68,33 +71,38 @@ class Outstanding:
         self._owed += self._commanded
         return self._commanded
 
-    def heard(self, j: int) -> bool:
-        """Note an answer; return whether it is that to the command of this cycle."""
-        timely = bool(self._commanded[j] and self._owed[j] == 1)
+    def take_answer(self, j: int) -> bool:
+        """Count an answer of motor j; return whether it answers the command of this cycle."""
+        is_timely = bool(self._commanded[j] and self._owed[j] == 1)
         self.surplus[j] += self._owed[j] == 0
         self._owed[j] = max(self._owed[j] - 1, 0)
         self._silent[j] = 0
-        return timely
+        return is_timely
 
 
 class MotorSession:
-    """The motors of an arm, for as long as they may be enabled.
+    """The n motors of an arm, for as long as they may be enabled.
 
-    A context manager: however the block is left, every motor that could be enabled is told five
-    times to disable, and has to confirm it. Before ``enable`` nothing is sent on the way out.
+    A context manager: however the block is left, every motor that could be enabled is commanded
+    five times to disable, and has to confirm it. Before ``enable`` nothing is sent on the way out.
 
     Commands and measurements are in joint space, see ``JointSpace``. The scaling is that of the
     motors' registers; half a quantisation step is added to what they measure, because motors drop
     the fraction. Every command passes ``CommandBounds``, and every answer ``SampleFilter``.
 
     Args:
-        command_range: where commands may go, as far and as fast as frames can say it.
+        link: of the motors' buses.
+        joints: one per motor.
+        scaling: of the motors' registers.
+        command_range: where commands may go; None as far and as fast as frames can carry.
 
     Attributes:
+        clock, joints, scaling: as given; ``n_joints`` is n.
+        space: mounting of the motors.
         steps: one quantisation step (n,) of position, velocity and torque [rad, rad/s, N m].
         peak_torque: (n,) of each joint [N m].
-        last_replies: what the last exchange collected, also where an error cut it short.
-        unconfirmed: joints whose motors could be enabled and have not said that they are off.
+        last_replies: of the last exchange, also where an error cut it short.
+        unconfirmed: joints whose motors could be enabled and have not confirmed that they are off.
     """
 
     def __init__(
@@ -130,14 +138,15 @@ class MotorSession:
         self._filter = SampleFilter(self.peak_torque, velocity_step)
         self._outstanding = Outstanding(self.n_joints)
         self._foreign = np.zeros(self.n_joints, int)
-        self._regardless = True
+        # Whether answers count that belong to no command of this cycle.
+        self._takes_any_answer = True
         self._by_reply = {
             (joint.bus, joint.master_id): j for j, joint in enumerate(joints)
         }
         self._by_command = {joint.address: j for j, joint in enumerate(joints)}
 
     def _scale(self) -> CommandRange:
-        """Return how far and how fast frames can tell the joints to go."""
+        """Return the positions and speeds that frames can carry."""
         limit = self.scaling.limits.T
         ends = [self.space.joint_position(sign * limit[0]) for sign in (-1.0, 1.0)]
         return CommandRange(np.minimum(*ends), np.maximum(*ends), limit[1])
@@ -149,7 +158,7 @@ class MotorSession:
 
     @property
     def command_range(self) -> CommandRange:
-        """How far and how fast commands may go."""
+        """Positions and speeds within which commands stay."""
         return self._bounds.command_range
 
     @property
@@ -158,7 +167,7 @@ class MotorSession:
         return self._sent_position
 
     def open_range(self) -> None:
-        """Let positions go as far as frames can say, no faster than before.
+        """Let positions go as far as frames can carry, no faster than before.
 
         For lowering an arm of which no model tells how far its load may take it.
         """
@@ -206,6 +215,10 @@ class MotorSession:
     def _enable_one(
         self, j: int, joint: DamiaoJoint, status: int, position: float
     ) -> float:
+        """Enable motor j, whose last answer is given; return where it stands [rad].
+
+        HardwareAbort where it has a fault, does not answer, or its answers disagree.
+        """
         for _ in range(_ENABLE_TRIES):
             last_status = status
             last_position = position
@@ -237,15 +250,22 @@ class MotorSession:
         joints: Mask | None = None,
         braking: bool = False,
     ) -> Replies:
-        """Command joints (n,), or all, and collect their replies ``until`` then [s].
+        """Command joints and return their replies, each the state before its command acted.
 
-        The reply to a command is the state before that command acted. While ``braking``, joints are
-        commanded also where answers are missing, see ``Outstanding``, and what is asked too much is
-        confined to the bounds. Else a command beyond them raises BeyondBounds, and InputError one
-        that does not fit into its frame, both before anything is sent. LinkError from the bus.
+        Args:
+            command: for all n joints.
+            until: when replies have to be there, in the clock's time [s].
+            joints: which joints (n,) are commanded; None for all.
+            braking: whether joints are commanded also where answers are missing, see
+                ``Outstanding``, and a command beyond the bounds is confined to them.
+
+        Raises:
+            BeyondBounds: the command exceeds the bounds; nothing was sent.
+            InputError: it does not fit into a frame; nothing was sent.
+            LinkError: the bus does not work.
         """
         self.last_replies = None
-        self._regardless = braking
+        self._takes_any_answer = braking
         self._outstanding.surplus[:] = 0
         self._foreign[:] = 0
         motors = np.ones(self.n_joints, bool) if joints is None else joints
@@ -253,7 +273,7 @@ class MotorSession:
         while (frame := self._link.receive(self.clock.now())) is not None:
             self._note_foreign(frame)
             if (sender := self._sender(frame)) is not None:
-                self._outstanding.heard(sender)
+                self._outstanding.take_answer(sender)
         now = self.clock.now()
         command = self._bound(command, now, braking)
         packed = protocol.encode_mit(
@@ -283,7 +303,7 @@ class MotorSession:
         return self._collect(commanded, until, self._command, acted, believe=True)
 
     def _time_to_move(self, now: float) -> Array:
-        """Return for how long each joint's command (n,) may have moved on since its last one [s].
+        """Return the time (n,) in which each commanded position may move from its last one [s].
 
         A cycle that began late is followed by one that begins sooner after it than their references
         are apart; what the late one did not use counts for that, up to how late a cycle may be.
@@ -304,36 +324,38 @@ class MotorSession:
         return command
 
     def switch_off(self, joints: Mask) -> None:
-        """Tell the motors of joints (n,) to disable; ``disable`` has it confirmed at the end."""
+        """Command the motors of joints (n,) to disable; ``disable`` has it confirmed at the end."""
         for j in np.flatnonzero(joints).tolist():
-            self._tell_off(self.joints[j])
+            self._send_disable(self.joints[j])
 
     def disable(self) -> None:
-        """Disable every motor; ``unconfirmed`` tells which ones did not confirm it.
+        """Disable every motor; ``unconfirmed`` names those that did not confirm it.
 
-        Nothing that goes wrong with one motor, or with the bus, keeps the others from being told.
+        An error of one motor, or of the bus, does not keep the others from being commanded.
         """
-        self._regardless = True
+        self._takes_any_answer = True
         for repeat in range(_DISABLE_REPEATS):
             if repeat:
                 self.clock.sleep_until(self.clock.now() + _DISABLE_SPACING)
             for joint in self.joints:
-                self._tell_off(joint)
+                self._send_disable(joint)
         self._confirm()
 
-    def _tell_off(self, joint: DamiaoJoint) -> None:
+    def _send_disable(self, joint: DamiaoJoint) -> None:
+        """Send one disable frame, whatever the bus raises."""
         # The next of the five attempts, and the confirmation, tell whether it worked.
         with contextlib.suppress(BaseException):
             self._link.send(protocol.disable_frame(joint.address))
 
     def _confirm(self) -> None:
+        """Ask motors to disable until each has confirmed it, or time is up; set ``unconfirmed``."""
         running = np.ones(self.n_joints, bool)
         patience = self.clock.now() + _CONFIRM_PATIENCE
         while np.any(running) and self.clock.now() < patience:
             try:
                 self._link.drain()
                 for j in np.flatnonzero(running):
-                    self._tell_off(self.joints[j])
+                    self._send_disable(self.joints[j])
                 replies = self._collect(running, self.clock.now() + _CONFIRM_TIMEOUT)
                 running &= ~replies.answered | (replies.feedback.status == ENABLED)
             except BaseException:
@@ -350,6 +372,13 @@ class MotorSession:
         acted: protocol.MitCommand | None = None,
         believe: bool = False,
     ) -> Replies:
+        """Return the replies of motors (n,) that come ``until`` then [s], also ``last_replies``.
+
+        Args:
+            command: that the replies answer.
+            acted: the command in force when the samples were taken.
+            believe: whether the sample filter judges the replies.
+        """
         raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
         received = np.full(self.n_joints, np.nan)
         sent = np.full(self.n_joints, np.nan)
@@ -387,7 +416,11 @@ class MotorSession:
         received: Array,
         sent: Array,
     ) -> bool:
-        """File a frame where it belongs; return whether it is a missing answer of a motor (n,)."""
+        """Sort a frame into the arrays; return whether it is a missing answer of a motor (n,).
+
+        ``raw`` (n, 8) takes an answer's data, ``received`` (n,) the time at which it came and
+        ``sent`` (n,) the time at which a command was on the bus [s].
+        """
         commanded = self._by_command.get(Address(frame.bus, frame.id))
         if frame.echo and commanded is not None:
             sent[commanded] = frame.time
@@ -395,12 +428,9 @@ class MotorSession:
         j = self._sender(frame)
         if j is None:
             return False
-        timely = self._outstanding.heard(j)
-        if (
-            not motors[j]
-            or np.isfinite(received[j])
-            or not (timely or self._regardless)
-        ):
+        is_timely = self._outstanding.take_answer(j)
+        counts = is_timely or self._takes_any_answer
+        if not motors[j] or np.isfinite(received[j]) or not counts:
             return False
         raw[j] = np.frombuffer(frame.data, dtype=np.uint8)
         received[j] = frame.time
@@ -417,5 +447,6 @@ class MotorSession:
         if frame.error or frame.echo or len(frame.data) != 8:
             return None
         j = self._by_reply.get((frame.bus, frame.id))
-        its_own = j is not None and frame.data[0] & 0xF == self.joints[j].can_id & 0xF
-        return j if its_own else None
+        if j is None or frame.data[0] & 0xF != self.joints[j].can_id & 0xF:
+            return None
+        return j

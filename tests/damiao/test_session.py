@@ -251,25 +251,25 @@ def test_no_answer_is_taken_for_that_to_another_command(delays):
     for cycle in range(4 * len(delays) + 8):
         # What came too late for the cycle before is found at the beginning of this one.
         for _ in [each for each in underway if each[1] < cycle]:
-            books.heard(0)
+            books.take_answer(0)
         underway = [each for each in underway if each[1] >= cycle]
         if books.may_be_commanded(ONE)[0]:
             delay = delays.pop(0) if delays else 0
             underway += [] if delay is None else [(cycle, cycle + delay)]
         for asked, _ in [each for each in underway if each[1] == cycle]:
-            assert books.heard(0) == (asked == cycle)
+            assert books.take_answer(0) == (asked == cycle)
         underway = [each for each in underway if each[1] > cycle]
 
 
 def test_one_lost_answer_costs_the_pause_and_no_more():
     books = Outstanding(1)
     for _ in range(10):
-        assert books.may_be_commanded(ONE)[0] and books.heard(0)
+        assert books.may_be_commanded(ONE)[0] and books.take_answer(0)
     assert books.may_be_commanded(ONE)[0]
     assert [bool(books.may_be_commanded(ONE)[0]) for _ in range(PAUSE + 1)] == [
         False
     ] * PAUSE + [True]
-    assert books.heard(0)
+    assert books.take_answer(0)
 
 
 def test_a_late_cycle_and_a_timely_one_after_it_are_within_the_bounds():

@@ -133,15 +133,15 @@ class MotorSetup:
             yield f"{self._motor.name} keeps its values when the power goes off"
         if asked.motor_bitrate is not None:
             yield self._written(
-                protocol.CAN_BR, protocol.BIT_RATES[asked.motor_bitrate], heard=False
+                protocol.CAN_BR, protocol.BIT_RATES[asked.motor_bitrate], verify=False
             )
             if asked.store:
                 yield "not stored: open the bus at the new bit rate and give --store again"
 
-    def _written(self, register: int, value: float, heard: bool = True) -> str:
+    def _written(self, register: int, value: float, verify: bool = True) -> str:
         self._require_off()
         before = self._client.read(self._address, register)
-        self._client.write(self._address, register, value, heard)
+        self._client.write(self._address, register, value, verify)
         old = (
             "unknown"
             if before is None
@@ -185,7 +185,7 @@ class MotorSetup:
             )
 
     def _position(self) -> float:
-        told = self._motor.meaning(self._feedback())
+        told = self._motor.decode_feedback(self._feedback())
         if told is None:
             raise HardwareAbort(
                 f"{self._motor.name} does not tell its PMAX, so nobody knows what angle it means; "

@@ -30,9 +30,8 @@ NO_STATUS = -1
 Mask = NDArray[np.bool_]
 Counts = NDArray[np.int64]
 
-# What joints do at most from one sample to the next, beside going on as they were: judgements
-# [rad, rad/s^2, share]. 200 rad/s^2 is 7 N m (a DM4310) on a light 0.035 kg m^2; a slip of 0.15 rad
-# has to be seen.
+# The most by which a joint's motion changes between two samples: judgements [rad, rad/s^2, share].
+# 200 rad/s^2 is 7 N m (a DM4310) on a light 0.035 kg m^2; a slip of 0.15 rad has to be seen.
 _LEAST_JUMP = 0.05
 _TOP_ACCELERATION = 200.0
 _SPEED_DOUBT = 0.5
@@ -46,15 +45,15 @@ _HEAT_CHANGE = 5.0
 
 @dataclass(frozen=True)
 class Replies:
-    """What came back in one cycle; status -1 and NaN values where a joint has no believed answer.
+    """Answers of n joints in one cycle; status -1, values NaN where none came that is believed.
 
     Attributes:
         answered: (n,) joints whose answer came in time and is believed.
         time: (n,) when each joint took its sample, in the link's clock [s]: when its command was on
             the bus where the adapter reports that, else when the reply arrived.
-        feedback: what the joints answered, each (n,), in joint space.
-        asked: (n,) joints that were sent something.
-        command: what each joint is under now, as the motors read it.
+        feedback: state that the joints reported, each field (n,), in joint space.
+        requested: (n,) joints that were sent a command or a request.
+        command: in force now, as the motors read it.
         doubted: (n,) joints whose answer came but was set aside.
         jump: (n,) how far a joint's position jumped, as two samples in a row say; else 0 [rad].
         surplus: (n,) answers beyond the one that was due.
@@ -64,7 +63,7 @@ class Replies:
     answered: Mask
     time: Array
     feedback: protocol.Feedback
-    asked: Mask
+    requested: Mask
     command: protocol.MitCommand | None = None
     doubted: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
     jump: Array = field(default_factory=lambda: np.zeros(0))
@@ -85,7 +84,15 @@ class Replies:
 
 @dataclass(frozen=True)
 class _Samples:
-    """One sample per joint, each (n,), with the torque it should report by the command in force."""
+    """One sample per joint; every field is (n,).
+
+    Attributes:
+        time: when the sample was taken [s].
+        q, qd: position and velocity [rad, rad/s].
+        torque_error: reported torque minus the commanded one [N m].
+        enabled: whether the motor reports that it is enabled.
+        heat: the higher of its two temperatures [deg C].
+    """
 
     time: Array
     q: Array
@@ -95,17 +102,21 @@ class _Samples:
     heat: Array
 
     def where(self, selected: Mask, other: _Samples) -> _Samples:
-        """Return these samples for the joints ``selected`` (n,), and others for the rest."""
+        """Return the samples of these for joints ``selected`` (n,), and of ``other`` elsewhere."""
         names = vars(self)
-        pairs = {name: (getattr(self, name), getattr(other, name)) for name in names}
-        return _Samples(
-            **{name: np.where(selected, *pair) for name, pair in pairs.items()}
-        )
+        merged = {}
+        for name in names:
+            merged[name] = np.where(selected, getattr(self, name), getattr(other, name))
+        return _Samples(**merged)
 
 
 class _Change(NamedTuple):
-    """What joints (n,) did between two samples: whether a position or a torque error changed more
-    than it can, and whether all is plausible.
+    """How plausible the changes of n joints between two samples are.
+
+    Attributes:
+        jumps: whether a position (n,) changed by more than a joint can move.
+        bends: whether a torque error (n,) changed by more than it can.
+        is_plausible: whether positions, velocities, torques and temperatures (n,) all can be true.
     """
 
     jumps: Mask
@@ -114,7 +125,7 @@ class _Change(NamedTuple):
 
 
 class SampleFilter:
-    """Decides which answers of n motors are believed, and keeps the last believed ones.
+    """Decides which answers of n motors are believed; holds the last believed samples.
 
     Args:
         peak_torque: (n,) of each joint [N m].
@@ -142,7 +153,7 @@ class SampleFilter:
         return self._last.qd
 
     def start(self, time: float, q: Array) -> None:
-        """Begin with an arm that stands at q (n,) [rad]."""
+        """Believe that the arm stands at q (n,) [rad] at a time [s]."""
         zero_speed = np.zeros_like(q)
         self._last = replace(
             self._last, time=zero_speed + time, q=q.copy(), qd=zero_speed
@@ -180,9 +191,9 @@ class SampleFilter:
         return _hide_doubted(replies, came & ~believed, np.nan_to_num(jump))
 
     def _compare(self, previous: _Samples, now: _Samples) -> _Change:
-        """Return what is not plausible about samples after those previous.
+        """Return how plausible the samples ``now`` are after ``previous`` ones.
 
-        What is not known of the sample before is not compared.
+        A quantity that the previous sample lacks (NaN) is not compared.
         """
         passed = np.maximum(np.nan_to_num(now.time - previous.time), 0.0)
         expected_change = 0.5 * (now.qd + previous.qd) * passed
@@ -205,6 +216,7 @@ class SampleFilter:
 
 
 def _hide_doubted(replies: Replies, doubted: Mask, jump: Array) -> Replies:
+    """Return replies without the answers of doubted joints (n,), with jumps (n,) [rad]."""
     feedback = replies.feedback
     hidden = replace(
         feedback,
@@ -233,13 +245,13 @@ _COARSE = 1.3
 
 @dataclass(frozen=True)
 class Slip:
-    """A joint that came another way than its velocity says, within one window.
+    """A joint whose position changed otherwise than its velocity says, within one window.
 
     Attributes:
-        joint: which one.
-        integral: what its velocities added up to [rad].
-        change: how far it came [rad].
-        speed: how fast it left its velocity [rad/s].
+        joint: its number.
+        integral: of its velocity over the window [rad].
+        change: of its position over the window [rad].
+        speed: difference of the two over the window's length [rad/s].
     """
 
     joint: int
@@ -247,9 +259,19 @@ class Slip:
     change: float
     speed: float
 
+    @property
+    def description(self) -> str:
+        """What the joint does, as the end of a sentence that begins with its name."""
+        if abs(self.integral + self.change) < 0.3 * abs(self.change):
+            return "moves against the velocity that it reports: the sign of one is reversed"
+        return (
+            f"moves {abs(self.speed):.2f} rad/s beside the velocity that it reports: its gear or "
+            "its encoder slips"
+        )
+
 
 class VelocityScalingCheck:
-    """Tells whether the velocity channel integrates to the position channel.
+    """Checks whether the velocities that n joints report integrate to their positions.
 
     The slope of position change against integrated velocity, over short windows, has to be 1. How
     well it can be known depends on the scatter and on the steps (n,) of the velocity channel
@@ -352,6 +374,10 @@ class VelocityScalingCheck:
 def _farthest_from_one(
     ratio: Array, doubt: Array, tolerance: float
 ) -> tuple[int, float] | None:
+    """Return number and ratio of the joint whose ratio (n,) is surely farthest from 1.
+
+    None where no ratio differs from 1 by its doubt (n,) and ``tolerance`` more.
+    """
     excess = np.abs(ratio - 1.0) - doubt
     j = int(np.argmax(excess))
     return (j, float(ratio[j])) if excess[j] > tolerance else None
@@ -367,13 +393,15 @@ _SLOW = 0.1
 
 
 class TorqueScalingCheck:
-    """Tells whether motors report the torque they were commanded to make.
+    """Checks whether n motors report the torque that they were commanded to make.
 
     A motor makes kp (p - q) + kd (v - qd) + t and reports what it makes. Both numbers are known in
     each cycle, so their ratio is; a motor whose TMAX is another than its register says, or that
     counts before its gear, shows by it, and so would every mass identified from it.
 
-    Both arguments are (n,) [N m]; beyond its peak torque a motor does not do as commanded.
+    Args:
+        torque_step: one quantisation step (n,) [N m].
+        peak: peak torque (n,) [N m]; beyond it a motor does not do as commanded.
     """
 
     def __init__(self, torque_step: Array, peak: Array) -> None:
@@ -415,20 +443,20 @@ _ROUNDING = 1e-6
 
 
 class BeyondBounds(HardwareAbort):
-    """A command that asks too much of a joint was not sent."""
+    """A command was not sent because it is beyond the bounds of a joint."""
 
 
 class Overload(BeyondBounds):
-    """It asks for more torque than the joint's motor makes."""
+    """A command was not sent because it needs more torque than a joint's motor makes."""
 
 
 @dataclass(frozen=True)
 class CommandRange:
-    """Where commands of n joints may go, each (n,).
+    """Positions and speeds that commands of n joints may have, each (n,).
 
     Attributes:
         lower, upper: positions: the model's range, or else that of the file [rad].
-        speed: how fast a commanded position may move, and may be told to [rad/s].
+        speed: of a commanded position's change, and of a commanded velocity [rad/s].
     """
 
     lower: Array
@@ -436,7 +464,7 @@ class CommandRange:
     speed: Array
 
     def within(self, other: CommandRange) -> CommandRange:
-        """Return the part of this range that is also in another one."""
+        """Return the intersection of this range and another one."""
         lower = np.maximum(self.lower, other.lower)
         upper = np.minimum(self.upper, other.upper)
         return CommandRange(lower, upper, np.minimum(self.speed, other.speed))
@@ -444,11 +472,11 @@ class CommandRange:
 
 @dataclass(frozen=True)
 class CommandBounds:
-    """What commands of n joints stay within, each (n,).
+    """Bounds of every command of n joints, each (n,).
 
     Attributes:
-        command_range: how far and how fast positions may go.
-        torque: what kp times error and feed-forward may add up to [N m].
+        command_range: of positions and speeds.
+        torque: largest sum of kp times position error and feed-forward torque [N m].
         position_step: one quantisation step of a commanded position [rad].
         velocity_step: one quantisation step of a commanded velocity [rad/s].
         torque_step: one quantisation step of a commanded torque [N m].
@@ -461,7 +489,7 @@ class CommandBounds:
     torque_step: Array
 
     def including(self, q: Array) -> CommandBounds:
-        """Return bounds whose range also holds the positions q (n,): where an arm stands."""
+        """Return the bounds, widened to include the positions q (n,) of an arm [rad]."""
         current = self.command_range
         lower = np.fmin(current.lower, q)
         upper = np.fmax(current.upper, q)
@@ -484,7 +512,7 @@ class CommandBounds:
         elapsed: Array,
         q: Array,
     ) -> None:
-        """Raise BeyondBounds for the first joint that a command asks too much of.
+        """Raise BeyondBounds for the first joint whose command is beyond its bounds.
 
         Args:
             labels: names of the n joints, for messages.
@@ -494,7 +522,7 @@ class CommandBounds:
             q: (n,) where the joints are believed to be [rad].
 
         Raises:
-            Overload: it asks for more torque than the motor makes.
+            Overload: the command needs more torque than the motor makes.
         """
         lowest, highest = self._reach(last, elapsed)
         slack = self.position_step + _ROUNDING
@@ -511,8 +539,9 @@ class CommandBounds:
         )
         for j in np.flatnonzero(too_fast).tolist():
             limit = self.command_range.speed[j]
-            told = f"would be told {command.velocity[j]:.2f} rad/s, limit {limit:.2f}"
-            raise BeyondBounds(f"{labels[j]} {told}")
+            raise BeyondBounds(
+                f"{labels[j]} would be told {command.velocity[j]:.2f} rad/s, limit {limit:.2f}"
+            )
         # Where a joint has never been heard, nothing is known of its error.
         error = np.nan_to_num(command.position - q)
         requested = np.abs(command.kp * error + command.torque)
@@ -527,7 +556,7 @@ class CommandBounds:
     def confine(
         self, command: MitCommand, last: Array, elapsed: Array, q: Array
     ) -> MitCommand:
-        """Return the nearest command within the bounds; for the arguments see ``require``."""
+        """Return the nearest command within the bounds; for the other arguments see ``require``."""
         lowest, highest = self._reach(last, elapsed)
         position = np.where(np.isfinite(command.position), command.position, last)
         position = np.clip(position, lowest, highest)

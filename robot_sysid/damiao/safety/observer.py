@@ -1,7 +1,7 @@
-"""One observer of the whole arm: it stops a run when signals disagree, and says why.
+"""One observer of the whole arm: it stops a run when signals disagree, and names the cause.
 
-Every cycle it compares what each motor was commanded, what it says that it did, and what the arm
-needs. Which of these disagree, and for which joints, names the cause:
+Every cycle it compares what each motor was commanded, what it reports, and what the arm needs.
+Which of these disagree, and for which joints, names the cause:
 
 =====================================  =========================================================
 the bus                                answers missing, damaged, doubled; commands of others
@@ -11,8 +11,8 @@ position, command                      blocked joint, frozen encoder, answers th
 torque commanded, torque needed        weak motor, new load, push, moved zero, slipping gear
 =====================================  =========================================================
 
-Torque needed is what is fed forward, by the model or by the file, and what the joint's own control
-had to add a moment ago: a wrong model is no fault, a sudden change is.
+The needed torque is what is fed forward, by the model or by the file, and what the joint's own
+control had to add a moment ago: a wrong model is no fault, a sudden change is.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ _CAME_SHARE = 0.3
 
 
 class Fault(HardwareAbort):
-    """Something about one joint is out of order; ``joint`` is its number."""
+    """A fault of one joint, which stops the run; ``joint`` is its number."""
 
     def __init__(self, joint: int, label: str, description: str) -> None:
         super().__init__(f"{label} {description}")
@@ -104,12 +104,14 @@ class Fault(HardwareAbort):
 
 
 class Observer:
-    """Checks every cycle's replies; HardwareAbort names the first thing that is out of order.
+    """Checks the replies of n joints in every cycle; HardwareAbort names the first fault.
 
     Args:
+        joints: base to terminal; motors that are only held come behind.
+        settings: with gains and torque limits per joint.
         steps: one quantisation step (n,) of position, velocity and torque [rad, rad/s, N m].
         peak_torque: (n,) of each joint [N m].
-        holding: what carries the arm.
+        holding: knows what torque carries the arm.
 
     Attributes:
         missed, silent: commands without an answer, and cycles without one, in a row (n,).
@@ -152,36 +154,33 @@ class Observer:
         self._torque_check = TorqueScalingCheck(torque_step, peak_torque)
         self._zero_check = holding.watch() if holding.watch is not None else None
         self._added = _RunningMean(n_joints, settings.period / _MOMENT)
-        self._usual_added = _RunningMean(n_joints, settings.period / _LONG)
+        self._long_added = _RunningMean(n_joints, settings.period / _LONG)
         self._needed = _RunningMean(n_joints, settings.period / _MOMENT)
         self._fed = _RunningMean(n_joints, settings.period / _FED_TIME)
         self._cycles = 0
-        self.missed = np.zeros(n_joints, int)
-        self.silent = np.zeros(n_joints, int)
-        self.total_missed = np.zeros(n_joints, int)
-        self._damaged = np.zeros(n_joints, int)
+        self.missed, self.silent, self.total_missed = np.zeros((3, n_joints), int)
+        self._damaged, self._sudden = np.zeros((2, n_joints), int)
+        self._still, self._repeated = np.zeros((2, n_joints), int)
+        self._surplus, self._foreign = np.zeros((2, n_joints))
         self.worst_tracking = np.zeros(n_joints)
-        self.failed: Mask = np.zeros(n_joints, dtype=bool)
-        self._stale: Mask = np.zeros(n_joints, dtype=bool)
-        self.to_switch_off: Mask = np.zeros(n_joints, dtype=bool)
-        self.stuck: Mask = np.zeros(n_joints, dtype=bool)
-        self._surplus = np.zeros(n_joints)
-        self._foreign = np.zeros(n_joints)
-        self._sudden = np.zeros(n_joints, int)
-        self._has_agreed: Mask = np.zeros(n_joints, dtype=bool)
+        self.failed, self.stuck, self.to_switch_off = np.zeros((3, n_joints), bool)
+        self._stale, self._has_agreed = np.zeros((2, n_joints), bool)
+        # Commanded and reported torque of the last cycles.
         self._pairs = np.full((2, _RECENT, n_joints), np.nan)
+        # Position, velocity and torque of the last answer.
         self._last = np.full((3, n_joints), np.nan)
+        # Commanded position and torque when an answer last differed from the one before.
         self._still_since = np.full((2, n_joints), np.nan)
         self._slip: Slip | None = None
+        # Commanded and reported positions of the last cycles, the newest first.
         self._moments = np.full((_MOMENTS, 2, n_joints), np.nan)
         self._added_now = np.full(n_joints, np.nan)
-        self._still, self._repeated = np.zeros((2, n_joints), int)
         self._was_beyond: dict[str, Mask] = {}
         self._change: EffortChange | None = None
 
     def update(self, replies: Replies) -> None:
-        """Count missed replies and note which motors no longer drive."""
-        unanswered = replies.asked & ~replies.answered
+        """Take in a cycle's replies: count missing answers, and note which motors do not drive."""
+        unanswered = replies.requested & ~replies.answered
         self.missed = np.where(replies.answered, 0, self.missed + unanswered)
         self.silent = np.where(replies.answered, 0, self.silent + 1)
         self._damaged = np.where(replies.answered, 0, self._damaged + replies.doubted)
@@ -207,24 +206,26 @@ class Observer:
         rising: bool = False,
         lowered: bool = False,
     ) -> None:
-        """Raise HardwareAbort naming the first thing that is out of order; after ``update``.
+        """Raise HardwareAbort for the first fault in a cycle's replies; call ``update`` before.
 
-        ``acted`` is the command in force when the replies were sampled; while ``standing`` nothing
-        is to move. While gains are ``rising`` an arm that takes up a new load swings about where it
-        will settle, with twice the torque: how far it sinks tells enough. One that is ``lowered``
-        comes to lie on something.
+        Args:
+            replies: of all joints.
+            acted: the command in force when the replies were sampled.
+            standing: whether the joints are to stand still.
+            rising: whether gains rise: an arm that takes up a new load then swings about where it
+                will settle, with twice the torque, so that only how far it sinks is judged.
+            lowered: whether the arm is lowered, and may come to lie on something.
         """
         feedback = replies.feedback
         q = feedback.position
-        qd = feedback.velocity
         tau = feedback.torque
-        commanded = acted.motor_torque(q, qd)
+        commanded = acted.motor_torque(q, feedback.velocity)
         self._check_bus()
         self._check_states(replies)
         self._check_jump(replies)
         self._check_frozen(replies, acted, commanded)
         self._check_reported(commanded, tau)
-        self._torque_check.add(commanded, tau, qd)
+        self._torque_check.add(commanded, tau, feedback.velocity)
         if standing:
             self._check_standing(replies, acted)
         self._check_scales()
@@ -235,7 +236,7 @@ class Observer:
             self._check_sudden_effort(acted)
             self._check_opposite_load()
         self._added.add(self._added_now, restart=rising)
-        self._usual_added.add(self._added_now, restart=rising)
+        self._long_added.add(self._added_now, restart=rising)
         self._needed.add(acted.torque, restart=rising)
         self._fed.add(acted.torque, restart=rising)
         self._check_limits(replies, acted, rising)
@@ -244,12 +245,12 @@ class Observer:
 
     @property
     def trusted_joints(self) -> Mask:
-        """Joints (n,) that are heard, and whose position may be used to control them."""
+        """Joints (n,) that answer, and whose position may be used to control them."""
         return ~self._stale & (self.silent < self._settings.max_missed)
 
     @property
     def fed_torque(self) -> Array:
-        """Feed-forward torque lately (n,), NaN where there was none yet [N m]."""
+        """Mean feed-forward torque of the last moments (n,), NaN before the first [N m]."""
         return self._fed.value
 
     # --- the bus ----------------------------------------------------------------------------------
@@ -257,36 +258,36 @@ class Observer:
     def _check_states(self, replies: Replies) -> None:
         feedback = replies.feedback
         settings = self._settings
-        self._stop_where(
+        self._raise_first(
             replies.answered & (feedback.status != ENABLED),
             lambda j: f"reports {status_text(int(feedback.status[j]))}",
         )
         silent = self.missed >= settings.max_missed
         silent |= self.silent >= _SILENT_CYCLES * settings.max_missed
-        self._stop_where(
+        self._raise_first(
             silent & (self._damaged >= settings.max_missed),
             lambda j: (
                 f"answered {self._damaged[j]} times in a row what cannot be true: its line is "
                 "disturbed, its encoder is not sound, or another motor has its id"
             ),
         )
-        self._stop_where(
+        self._raise_first(
             silent, lambda j: f"did not answer in time for {self.silent[j]} cycles"
         )
         hot = np.maximum(feedback.temperature_mos, feedback.temperature_rotor)
-        self._stop_where(
+        self._raise_first(
             replies.answered & (hot > settings.max_temperature),
             lambda j: f"is at {hot[j]} deg C, limit {settings.max_temperature:g}",
         )
 
     def _check_bus(self) -> None:
-        self._stop_where(
+        self._raise_first(
             self._foreign > _FEW,
             lambda j: (
                 "gets commands of another program: end it; one master moves an arm"
             ),
         )
-        self._stop_where(
+        self._raise_first(
             self._surplus > _FEW,
             lambda j: (
                 "answers more often than it is asked: a second motor has its id, or another "
@@ -294,11 +295,11 @@ class Observer:
             ),
         )
 
-    # --- what motors say --------------------------------------------------------------------------
+    # --- reports of the motors --------------------------------------------------------------------
 
     def _check_jump(self, replies: Replies) -> None:
         self.stuck |= replies.jump != 0.0
-        self._stop_where(
+        self._raise_first(
             replies.jump != 0.0,
             lambda j: (
                 f"jumped by {abs(replies.jump[j]):.3f} rad between two samples: its encoder or its "
@@ -315,9 +316,13 @@ class Observer:
         self._has_agreed |= is_large & (error[0] < 0.5 * self._other_torque)
         differs = error > self._other_torque
         often = np.count_nonzero(differs, axis=0) >= _ENOUGH
-        self._stop_where(often, lambda j: self._words_for_torque(j, differs))
+        self._raise_first(often, lambda j: self._torque_finding(j, differs))
 
-    def _words_for_torque(self, joint: int, differs: Mask) -> str:
+    def _torque_finding(self, joint: int, differs: Mask) -> str:
+        """Return what is wrong with a joint whose reported torque is not the commanded one.
+
+        ``differs`` (recent cycles, n) tells in which cycles the two differed.
+        """
         agreed_before = bool(self._has_agreed[joint])
         commanded_torque, reported = self._pairs[:, :, joint][:, differs[:, joint]]
         shares = reported / np.where(
@@ -350,7 +355,7 @@ class Observer:
 
     def _check_scales(self) -> None:
         if self._slip is not None:
-            self._raise(self._slip.joint, _words_for_slip(self._slip))
+            self._raise(self._slip.joint, self._slip.description)
         self._cycles += 1
         if self._cycles % _SCALING_CYCLES:
             return
@@ -364,7 +369,7 @@ class Observer:
     def _check_frozen(
         self, replies: Replies, acted: MitCommand, commanded: Array
     ) -> None:
-        """Notice joints whose answers, or whose positions, do not change while they are led on.
+        """Stop for a joint whose answers, or positions, do not change while its command moves on.
 
         A motor with a frozen encoder cannot hold its joint: it is to be switched off at once, and
         its shorted windings brake.
@@ -388,7 +393,7 @@ class Observer:
         does_not_follow = np.abs(commanded - feedback.torque) > 0.5 * self._other_torque
         repeats = is_led & (self._repeated == self._still) & does_not_follow
         self._stale |= repeats
-        self._stop_where(
+        self._raise_first(
             repeats,
             lambda j: (
                 f"repeats the same answer for {self._still[j]} cycles while its command goes on: "
@@ -398,7 +403,7 @@ class Observer:
         frozen = is_led & ~does_not_follow & (turned_by > _FROZEN_DOUBTS * self._doubt)
         self.stuck |= frozen
         self.to_switch_off |= frozen
-        self._stop_where(
+        self._raise_first(
             frozen,
             lambda j: (
                 f"reports one and the same position while its path goes on by {led_by[j]:.3f} rad "
@@ -407,11 +412,11 @@ class Observer:
             ),
         )
 
-    # --- what the arm needs -----------------------------------------------------------------------
+    # --- torque that the arm needs ----------------------------------------------------------------
 
     def _check_sudden_effort(self, acted: MitCommand) -> None:
-        """Notice a joint whose control suddenly has to add another torque than a moment ago."""
-        unusual = np.abs(self._added_now - self._added.value)
+        """Stop for a joint whose control suddenly has to add another torque than a moment ago."""
+        change = np.abs(self._added_now - self._added.value)
         model_doubt = _MODEL_SHARE * np.abs(acted.torque - self._needed.value)
         effort_limit = self._effort_limit + model_doubt
         # Without motion there is no friction that turns round.
@@ -419,19 +424,19 @@ class Observer:
         effort_limit = np.where(
             stands, np.minimum(effort_limit, self._still_limit), effort_limit
         )
-        self._sudden = np.where(unusual > effort_limit, self._sudden + 1, 0)
+        self._sudden = np.where(change > effort_limit, self._sudden + 1, 0)
         for j in np.flatnonzero(self._sudden >= _ENOUGH)[:1].tolist():
             self._raise_effort(
-                j, f"suddenly needs {unusual[j]:.1f} N m beside what carried it"
+                j, f"suddenly needs {change[j]:.1f} N m beside what carried it"
             )
 
     def _check_opposite_load(self) -> None:
-        """Notice a joint that is loaded the other way than the torque says that carries it."""
+        """Stop for a joint that is loaded the other way than its feed-forward torque."""
         needed = self._needed.value
         carried = needed + self._added.value
         is_judged = np.abs(needed) > _LOADED_DOUBTS * self._doubt
         is_opposite = np.sign(needed) * carried < -_OPPOSITE_DOUBTS * self._doubt
-        self._stop_where(
+        self._raise_first(
             is_judged & is_opposite,
             lambda j: (
                 f"carries the arm with {carried[j]:.1f} N m where {needed[j]:.1f} are fed "
@@ -441,7 +446,7 @@ class Observer:
         )
 
     def _check_zeros(self, replies: Replies, commanded: Array) -> None:
-        """Notice a joint that is elsewhere than it says, where a model tells; the arm is free."""
+        """Stop for a joint that is elsewhere than it reports, by a model, while the arm is free."""
         if self._zero_check is None:
             return
         n = self._holding.n_joints
@@ -454,34 +459,42 @@ class Observer:
             self._raise(*finding)
 
     def has_left(self, q: Array, reference_q: Array, fed: Array) -> Mask:
-        """Tell which joints (n,) have left a place where they are to stand still."""
+        """Tell which joints (n,) at q have left the position at which they are to stand still.
+
+        Args:
+            q: believed positions (n,) [rad].
+            reference_q: positions (n,) at which they are to stand [rad].
+            fed: feed-forward torque (n,) [N m].
+        """
         limit = np.where(self.is_pushed(q, reference_q, fed), _PUSHED, 1.0) * self._sag
         return np.asarray(np.abs(q - reference_q) > limit)
 
     def is_pushed(self, q: Array, reference_q: Array, fed: Array) -> Mask:
-        """Tell which joints (n,) are on the side of their place to which torque fed pushes them."""
+        """Tell which joints (n,) have moved the way that their feed-forward torque pushes."""
         return np.asarray(((q - reference_q) * fed > 0.0) & (np.abs(fed) > self._doubt))
 
     def _check_standing(self, replies: Replies, acted: MitCommand) -> None:
+        """Stop for a joint that moves while it is to stand still."""
         q = replies.feedback.position
         qd = replies.feedback.velocity
         fed = acted.torque
-        away = q - acted.position
-        left = self.has_left(q, acted.position, fed)
-        pushed = self.is_pushed(q, acted.position, fed)
+        error = q - acted.position
+        has_left = self.has_left(q, acted.position, fed)
+        is_pushed = self.is_pushed(q, acted.position, fed)
         is_fast = np.abs(qd) > self._speed_limit
         was_fast = self._was_beyond.get("standing", np.zeros_like(is_fast))
         self._was_beyond["standing"] = is_fast
-        self._stop_where(
-            replies.answered & (left | is_fast & was_fast),
+        self._raise_first(
+            replies.answered & (has_left | is_fast & was_fast),
             lambda j: (
-                f"is {away[j]:.3f} rad off, at {qd[j]:.2f} rad/s, while it should stand still: its "
-                f"feed-forward torque of {round(fed[j], 1) + 0.0:g} N m "
-                f"{_DRIVEN if pushed[j] else _SINKS}"
+                f"is {error[j]:.3f} rad off, at {qd[j]:.2f} rad/s, while it should stand still: "
+                f"its feed-forward torque of {round(fed[j], 1) + 0.0:g} N m "
+                f"{_DRIVEN if is_pushed[j] else _SINKS}"
             ),
         )
 
     def _check_limits(self, replies: Replies, acted: MitCommand, rising: bool) -> None:
+        """Stop for a joint too far off its commanded position, velocity or torque."""
         feedback = replies.feedback
         path_limit = np.full(len(self._joints), self._settings.max_tracking_error)
         torque_limit = np.inf * self._torque_limit if rising else self._torque_limit
@@ -511,6 +524,7 @@ class Observer:
                 )
 
     def _raise_effort(self, joint: int, description: str) -> None:
+        """Raise a fault that may have a cause elsewhere: a blocked joint, or see ``explain``."""
         blocked = self._blocked_joint()
         if blocked is not None:
             self.stuck[blocked] = True
@@ -518,11 +532,11 @@ class Observer:
                 blocked,
                 f"stands still while its path goes on: it is blocked ({description})",
             )
-        self._change = EffortChange(joint, self._usual_added.value, self._added_now)
+        self._change = EffortChange(joint, self._long_added.value, self._added_now)
         self._raise(joint, description)
 
     def _blocked_joint(self) -> int | None:
-        """Return the joint that came least of the way that it was led lately, if that is little."""
+        """Return the joint that moved by the least share of its command's change; None if far."""
         led_by, came_by = np.abs(self._moments[0] - self._moments).transpose(1, 0, 2)
         share = np.where(
             led_by > _LED_BY, came_by / np.maximum(led_by, _LED_BY), np.inf
@@ -540,7 +554,7 @@ class Observer:
         if self._change is None:
             return fault
         if self._slip is not None and self._slip.joint == fault.joint:
-            return HardwareAbort(f"{fault}: it {_words_for_slip(self._slip)}")
+            return HardwareAbort(f"{fault}: it {self._slip.description}")
         if not np.all(np.isfinite(q + commanded)):
             return fault
         cause = explain_change(
@@ -548,9 +562,8 @@ class Observer:
         )
         return HardwareAbort(f"{fault}: {cause}" if cause else str(fault))
 
-    # ----------------------------------------------------------------------------------------------
-
-    def _stop_where(self, mask: Mask, describe: Callable[[int], str]) -> None:
+    def _raise_first(self, mask: Mask, describe: Callable[[int], str]) -> None:
+        """Raise a fault of the first joint of a mask (n,), with the text for its number."""
         for j in np.flatnonzero(mask)[:1].tolist():
             self._raise(j, describe(j))
 
@@ -569,19 +582,10 @@ _VELOCITY_SCALE = (
 )
 
 
-def _words_for_slip(slip: Slip) -> str:
-    if abs(slip.integral + slip.change) < 0.3 * abs(slip.change):
-        return "moves against the velocity that it reports: the sign of one is reversed"
-    return (
-        f"moves {abs(slip.speed):.2f} rad/s beside the velocity that it reports: its gear or its "
-        "encoder slips"
-    )
-
-
 class _RunningMean:
-    """A mean (n,) of values, of which later ones count for more; NaN before the first.
+    """Exponentially weighted mean (n,) of values; NaN before the first.
 
-    ``share`` is how much of the mean each value becomes; 1 or more keeps the last value.
+    ``share`` is the weight of each new value; 1 or more keeps the last value.
     """
 
     def __init__(self, n_joints: int, share: float) -> None:
