@@ -75,8 +75,8 @@ def test_the_sum_gives_the_estimate_and_the_file_of_all_logs(found, together):
     scales = vars(choice.link_scales)
     scales_together = vars(choice_together.link_scales)
     assert scales == pytest.approx(scales_together, rel=0.02)
-    assert found.file.validation_after.relative_error == pytest.approx(
-        together.file.validation_after.relative_error, rel=0.02
+    assert found.file.after.relative_error == pytest.approx(
+        together.file.after.relative_error, rel=0.02
     )
     thetas = [
         each.file.fit.columns.thetas(each.file.fit.values) for each in (found, together)
