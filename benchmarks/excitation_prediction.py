@@ -205,7 +205,7 @@ def lines(path, runs, exact):
     yield f"{path.parent.name}/{path.stem}: {runs} runs ({time.process_time() - began:.0f} s)"
     selections = {
         "result": off,
-        "result, scales not doubted": off[~common],
+        "result, no common torque scale": off[~common],
         "plain estimate": free,
     }
     for title, is_selected in selections.items():
@@ -215,11 +215,11 @@ def lines(path, runs, exact):
         )
         if is_selected is off and not exact:
             yield error_line(
-                robot.prior.theta, squares, both, "result, over what is told of both"
+                robot.prior.theta, squares, both, "result, over both predictions"
             )
     if np.any(common):
         ratio = np.sqrt(np.mean((off / stated)[common] ** 2, axis=0))
-        yield f"  scales doubted, over what is stated: {np.array2string(ratio, precision=2)}"
+        yield f"  common torque scale, over stated: {np.array2string(ratio, precision=2)}"
     share = np.median(stated, axis=0) / np.sqrt(np.diag(covariance))
     yield f"  stated: {np.array2string(share, precision=2)}"
 

@@ -1,7 +1,7 @@
 """How often stated 95 % intervals contain the truth, on arms that differ from their models.
 
     python -m benchmarks.honest_intervals MODELS_FOLDER [--runs 40] [--arms kinova panda]
-        [--cells exact told usual payload loaded]
+        [--cells exact given usual payload loaded]
 
 Each run draws an arm: the other links off by some per cent (mass, centre of mass as part of the
 link's size, twice that for the inertia; each link for itself, and all alike), torque scales,
@@ -9,7 +9,7 @@ encoder zeros and the base's tilt off as the cell says. Torque noise is white, 1
 largest torque, and once more half as large with a memory of 100 ms; encoder steps are 1e-4 rad.
 
 exact     nothing is off but the noise; identified with default priors
-told      two sizes of deviations, identified with priors as wide as the drawn deviations
+given     two sizes of deviations, identified with priors as wide as the drawn deviations
 usual     links 2 %, scales 1 %, zeros 1 mrad, tilt 0.1 degrees, under default priors
 payload   the same with 2 kg at the flange in the order ABBA, Stribeck and load friction in all
           joints, under default priors
@@ -78,14 +78,14 @@ LOSS = 0.03
 class Cell:
     """Deviations of an arm: links, scale [%], zeros [mrad], tilt [deg].
 
-    ``bent`` adds Stribeck and load friction.
+    ``has_gear_friction`` adds Stribeck and load friction.
     """
 
     links: float = 0.0
     scale: float = 0.0
     zero: float = 0.0
     tilt: float = 0.0
-    bent: bool = False
+    has_gear_friction: bool = False
 
     def options(self) -> EstimationOptions:
         """Return options with priors as wide as these deviations."""
@@ -98,16 +98,26 @@ class Cell:
 
 
 USUAL = Cell(2.0, 1.0, 1.0, 0.1)
-TOLD = (USUAL, Cell(2.0, 3.0, 10.0, 0.3))
+GIVEN = (USUAL, Cell(2.0, 3.0, 10.0, 0.3))
 
 
 class Arm:
-    """An arm that is drawn at random, and simulates logs of itself."""
+    """An arm that is drawn at random, and simulates logs of itself.
+
+    Attributes:
+        robot: the model as the user has it.
+        arm: the model with the true direction of gravity.
+        thetas: (n, 10) true parameters of the links.
+        scales: (n,) torque column over true torque.
+        zeros: (n,) errors of the encoders' zeros [rad].
+        plan: the trajectory of all logs.
+        dry: (n,) true Coulomb friction of the last log [N m].
+    """
 
     def __init__(self, robot: RobotModel, cell: Cell, rng: np.random.Generator) -> None:
         self.robot = robot
         self.rng = rng
-        self.bent = cell.bent
+        self.has_gear_friction = cell.has_gear_friction
         angles = np.radians(cell.tilt) * rng.standard_normal(2)
         self.arm = with_gravity(robot, turn_gravity(gravity_vector(robot), angles))
         links = other_links(robot)
@@ -141,9 +151,12 @@ class Arm:
         self.dry = 0.03 * np.max(np.abs(bare), axis=0)
         fastest = np.max(np.abs(exact.qd), axis=0)
         dry = self.dry * (
-            1.0 + STRIBECK * self.bent * np.exp(-np.abs(exact.qd) / (0.1 * fastest))
+            1.0
+            + STRIBECK
+            * self.has_gear_friction
+            * np.exp(-np.abs(exact.qd) / (0.1 * fastest))
         )
-        dry = dry + LOSS * self.bent * np.abs(rigid)
+        dry = dry + LOSS * self.has_gear_friction * np.abs(rigid)
         tau = (
             self.scales * rigid
             + dry * np.sign(exact.qd)
@@ -241,7 +254,7 @@ def study(robot: RobotModel, name: str, cell: Cell, runs: int) -> Iterator[str]:
     causes_of_runs: list[list[str]] = []
     for seed in range(runs):
         arm = Arm(robot, cell, np.random.default_rng(seed))
-        options = cell.options() if name == "told" else EstimationOptions()
+        options = cell.options() if name == "given" else EstimationOptions()
         off, causes = (
             payload_errors if name in ("payload", "loaded") else link_errors
         )(arm, options)
@@ -261,9 +274,9 @@ def study(robot: RobotModel, name: str, cell: Cell, runs: int) -> Iterator[str]:
 
 CELLS = {
     "exact": (Cell(),),
-    "told": TOLD,
+    "given": GIVEN,
     "usual": (USUAL,),
-    "payload": (replace(USUAL, bent=True),),
+    "payload": (replace(USUAL, has_gear_friction=True),),
 }
 CELLS["loaded"] = CELLS["exact"]
 

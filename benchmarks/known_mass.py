@@ -66,7 +66,7 @@ def run(robot, seed, sets):
     off = [abs(scale / arm.scale - 1.0) < 1.96e-2 * np.array(sure)]
     plain = []
     scaled = []
-    promised = []
+    stated = []
     for mass in PAYLOADS:
         raw = recordings(robot, arm, rng, payload=body(mass))
         plain.append(weigh(robot, raw).payload.body.inertial.mass / mass - 1.0)
@@ -74,8 +74,8 @@ def run(robot, seed, sets):
         options = EstimationOptions(scale_uncertainty=sure)
         result = weigh(robot, better, options).payload.body
         scaled.append(result.inertial.mass / mass - 1.0)
-        promised.append(result.errors[0] / mass)
-    return plain, scaled, promised, off
+        stated.append(result.errors[0] / mass)
+    return plain, scaled, stated, off
 
 
 def main():
@@ -97,12 +97,12 @@ def main():
                 f"  {name} run {seed}: {np.round(100 * np.array(rows[-1][:2]), 2)} %",
                 file=sys.stderr,
             )
-        plain, scaled, promised, off = zip(*rows)
+        plain, scaled, stated, off = zip(*rows)
         print(
             f"{name}, scales 3 % off, {len(rows)} arms, {len(rows) * len(PAYLOADS)} payloads: "
             f"rms {100.0 * rms(plain):.2f} % as measured, {100.0 * rms(scaled):.2f} % with the "
             f"scales of {WEIGHT:g} kg in {options.sets} sets "
-            f"(stated {100.0 * rms(promised):.2f} %); "
+            f"(stated {100.0 * rms(stated):.2f} %); "
             f"95 % intervals of the scales cover {100.0 * np.mean(off):.0f} %",
             flush=True,
         )
