@@ -22,7 +22,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -91,12 +90,12 @@ class Point:
     """The estimate around which the equations are linearised.
 
     Attributes:
-        values: (p,) of all parameters; increments of delay, tilt and speeds beyond what follows.
+        values: (p,) of all parameters; delay, tilt and speeds are increments of the fields below.
         gravity: (3,) in the world frame of the model [m/s^2].
         delay: lag of the torque behind the position [s].
         speed: nonlinear friction term to (n,) its speed at each joint [rad/s].
-        exact_load: whether columns of a gear's load have to pass the low-pass: where they are
-            estimated, and not only nuisances.
+        exact_load: whether columns of a gear's load are low-passed like the torque. Where they
+            are only nuisances, the unfiltered load is accurate enough.
         in_file: whether only the parameters of a model file, and gravity, have columns.
     """
 
@@ -109,11 +108,20 @@ class Point:
 
 
 class Columns:
-    """Names of all parameters, and the rows of recordings in them.
+    """Names of all parameters, and the linearised rows of recordings in them.
+
+    Rows that do not depend on the point are cached, and so are those that depend on links alone.
 
     Args:
         torques: "chain" for every joint that carries the link, "terminal" for the last one only.
         couplings: motors that turn with several joints, or candidates for it.
+
+    Attributes:
+        names: (p,) of all parameters.
+        index: name to index of a parameter.
+        prior: (p,) the model's values, zero for nuisances.
+        joints: names of the joints that have equations, base to terminal.
+        joint_indices: their indices among the joints of the chain.
     """
 
     def __init__(
@@ -138,46 +146,46 @@ class Columns:
         self._arm_names = arm.names
         self.joint_indices = arm.joint_indices
         self.joints = arm.joints
-        later = (
-            "load",
-            *(name for term in NONLINEAR_TERMS for name in (term, f"{term}_speed")),
-        )
+        point_terms = ["load"]
+        for term in NONLINEAR_TERMS:
+            point_terms += [term, f"{term}_speed"]
         self._scales = tuple(f"scale[{joint}]" for joint in self.joints)
         self._drifts = tuple(f"drift[{joint}]" for joint in self.joints)
         self._zeros = tuple(f"zero[{joint}]" for joint in robot.joint_names)
         self._tilts = TILT_NAMES if np.any(gravity_vector(robot)) else ()
-        of_joints = tuple(f"{term}[{joint}]" for joint in self.joints for term in later)
-        of_joints += (*self._scales, *self._drifts)
-        common = (*self._zeros, *self._tilts, DELAY_NAME, *PAYLOAD_NAMES)
-        self.names = (*arm.names, *of_joints, *common)
-        self.prior = np.append(arm.prior, np.zeros(len(of_joints) + len(common)))
+        point_names = list[str]()
+        for joint in self.joints:
+            point_names += [f"{term}[{joint}]" for term in point_terms]
+        point_names += (*self._scales, *self._drifts, *self._zeros, *self._tilts)
+        point_names += (DELAY_NAME, *PAYLOAD_NAMES)
+        self.names = (*arm.names, *point_names)
+        self.prior = np.append(arm.prior, np.zeros(len(point_names)))
         self.index = {name: index for index, name in enumerate(self.names)}
         # Parameters that act in no recording have no columns, which would enlarge every triangle.
         no_drift = () if any(dataset.order for dataset in datasets) else self._drifts
         self._loaded = any(dataset.is_loaded for dataset in datasets)
         empty = () if self._loaded else PAYLOAD_NAMES
         self._nowhere = {*no_drift, *empty}
-        terms = [name.partition("[") for name in arm.names]
-        joints = {f"{joint}]" for joint in self.joints}
-        self._of_bodies = np.array([not bracket for _, bracket, _ in terms])
-        self._drifting = np.array(
-            [t in _DRIFTING and joint in joints for t, _, joint in terms]
-        )
-        self._believed = np.zeros(len(arm.names), dtype=bool)
-        for link in (
-            other_links(robot) if torques == "chain" and not self._loaded else ()
-        ):
-            if (
-                self.usual_bodies[robot.links[link].body_name]
-                is robot.links[link].theta
-            ):
-                self._believed[self.indices(link_names(robot, link))] = True
-        self._smooth = self._of_bodies | np.array(
-            [term in _SMOOTH for term, _, _ in terms]
-        )
+        self._classify_columns(arm.names)
+
+    def _classify_columns(self, names: Sequence[str]) -> None:
+        """Set masks (q,) over the parameters whose columns do not depend on the point."""
+        split_names = [name.partition("[") for name in names]
+        terms = np.array([term for term, _, _ in split_names])
+        owners = np.array([suffix[:-1] for _, _, suffix in split_names])
+        self._of_bodies = owners == ""
+        self._drifting = np.isin(terms, _DRIFTING) & np.isin(owners, self.joints)
+        self._smooth = self._of_bodies | np.isin(terms, _SMOOTH)
+        # Links that the model states, in whose values a torque scale is linearised.
+        self._believed = np.zeros(len(names), dtype=bool)
+        if self.torques == "chain" and not self._loaded:
+            for link in other_links(self.robot):
+                model = self.robot.links[link]
+                if self.usual_bodies[model.body_name] is model.theta:
+                    self._believed[self.indices(link_names(self.robot, link))] = True
 
     def with_couplings(self, couplings: tuple[Coupling, ...]) -> Columns:
-        """Return the columns with some of the couplings; they take over the stored rows."""
+        """Return the columns with some of the couplings, which take over the stored rows."""
         columns = Columns(self.robot, self.datasets, self.torques, couplings)
         columns._link_columns = self._link_columns
         base = self._base
@@ -285,29 +293,28 @@ class Columns:
         They are linear in gravity. The change by a small tilt is as slow as the positions, so that
         it needs no low-pass: the error is within 1e-4 of the change.
         """
-        base = self._base
-        down = point.gravity
-        turn = np.inf if base is None else np.linalg.norm(down - base[0])
-        if (
-            base is None
-            or base[1] != point.delay
-            or turn > _SMALL_TURN * np.linalg.norm(down)
-        ):
-            equations = self._equations(self._arm_at(down))
-            base = (
-                down,
-                point.delay,
-                store_rows(dataset.samples(equations) for dataset in delayed),
-            )
-            self._base = base
-        if np.array_equal(base[0], down):
-            yield from base[2]
+        gravity = point.gravity
+        is_cached = False
+        if self._base is not None:
+            cached_gravity, cached_delay, _ = self._base
+            turn = np.linalg.norm(gravity - cached_gravity)
+            is_small = turn <= _SMALL_TURN * np.linalg.norm(gravity)
+            is_cached = cached_delay == point.delay and bool(is_small)
+        if self._base is None or not is_cached:
+            equations = self._equations(self._arm_at(gravity))
+            rows = store_rows(dataset.samples(equations) for dataset in delayed)
+            self._base = gravity, point.delay, rows
+        cached_gravity, _, recordings = self._base
+        if np.array_equal(cached_gravity, gravity):
+            yield from recordings
             return
-        # Not stored: MuJoCo's data cannot be pickled.
-        arm = self._equations(self.robot)
-        for rows, log in zip(base[2], delayed):
-            more = arm.rows_of_gravity(log.motion.q, down - base[0])
-            yield replace(rows, rows=tuple(map(np.add, rows.rows, more)))
+        # Made anew, not stored: MuJoCo's data cannot be pickled.
+        equations = self._equations(self.robot)
+        for samples, dataset in zip(recordings, delayed):
+            change = equations.rows_of_gravity(
+                dataset.motion.q, gravity - cached_gravity
+            )
+            yield replace(samples, rows=tuple(map(np.add, samples.rows, change)))
 
     def _arm_at(self, down: Array) -> RobotModel:
         """Return the arm under gravity (3,) [m/s^2]."""
@@ -322,7 +329,11 @@ class Columns:
         return Equations(arm, self.torques, friction, self.couplings, links)
 
     def arm_torque(self, point: Point, is_loaded: bool) -> tuple[Equations, Array]:
-        """Return the equations that depend on motion alone and their parameters' values (q,)."""
+        """Return the equations that do not depend on the point, and its values (q,) for them.
+
+        Their columns of bodies (``Equations.bodies``) contain no sign of a speed, so that
+        callers may compute them at fewer instants.
+        """
         return self._equations(self._arm_at(point.gravity)), self._arm_values(
             point, is_loaded
         )
@@ -341,7 +352,13 @@ class Columns:
         load: Array,
         common: Array,
     ) -> DecimatedSamples:
-        """Return one recording's rows with the columns that depend on the point."""
+        """Return one recording's rows with the columns that depend on the point.
+
+        Args:
+            base: the rows whose columns do not depend on it, under its gravity.
+            load: (K, rows) columns of a gear's loss that grows with its load.
+            common: (K, n, n + 2) columns of encoder zeros and of gravity's direction.
+        """
         friction_columns = {"load": load, **self._nonlinear(dataset, point)}
         values = self._arm_values(point, dataset.is_loaded)
         blocks = []
@@ -365,20 +382,18 @@ class Columns:
             exact = self._loaded * scale
             gear = linear + base.measured[row] - base.tau[row]
 
-            friction_names = tuple(f"{t}[{self.joints[row]}]" for t in friction_columns)
+            joint_friction = {}
+            for term, column in friction_columns.items():
+                joint_friction[f"{term}[{self.joints[row]}]"] = column[:, row]
             friction = block[:, drifting] @ coefficients[drifting]
-            for name, column in zip(
-                friction_names[: 1 + len(NONLINEAR_TERMS)], friction_columns.values()
-            ):
-                friction += column[:, row] * point.values[self.index[name]]
+            for name in [*joint_friction][: 1 + len(NONLINEAR_TERMS)]:
+                friction += joint_friction[name] * point.values[self.index[name]]
             drifted = 1.0 + drift * dataset.order
 
             late = _late(dataset, base.time, block[:, smooth] @ coefficients[smooth])
-            nonlinear = np.stack(
-                [column[:, row] for column in friction_columns.values()], axis=1
-            )
+            nonlinear = np.stack([*joint_friction.values()], axis=1)
             point_columns = {
-                friction_names: (nonlinear, drifted),
+                tuple(joint_friction): (nonlinear, drifted),
                 (self._scales[row],): (gear[:, None], 1.0),
                 (self._drifts[row],): (friction[:, None], dataset.order),
                 (*self._zeros, *self._tilts): (common[:, joint], 1.0 + exact),
@@ -437,36 +452,34 @@ class Columns:
         delayed: Sequence[Dataset],
         make: Callable[[Array, Motion], Array],
     ) -> list[Array]:
-        """Return ``make`` (links (n, 10), motion (K, n)) of each recording.
+        """Return columns of each recording that depend on its links.
 
         Recordings that carry the same load share a call, as most have few rows.
+
+        Args:
+            make: returns columns (K, ...) from links (n, 10) and a motion (K, n).
         """
         columns = dict[int, Array]()
         motions = [dataset.motion for dataset in delayed]
         ends = np.cumsum([len(motion.time) for motion in motions])
-
-        def batch(k: int) -> tuple[bool, int]:
-            return delayed[k].is_loaded, ends[k] // _TOGETHER
-
-        for (loaded, _), group in groupby(
-            sorted(range(len(delayed)), key=batch), batch
-        ):
-            which = list(group)
-            motion = Motion(
-                *map(np.concatenate, zip(*(vars(motions[k]).values() for k in which)))
-            )
-            counts = np.cumsum([len(motions[k].time) for k in which])[:-1]
-            blocks = np.split(make(self.thetas(point.values, loaded), motion), counts)
-            columns.update(zip(which, blocks))
-        return [columns[k] for k in range(len(delayed))]
+        batches = dict[tuple[bool, int], list[int]]()
+        for index, dataset in enumerate(delayed):
+            key = dataset.is_loaded, int(ends[index] // _TOGETHER)
+            batches.setdefault(key, []).append(index)
+        for (is_loaded, _), batch in batches.items():
+            fields = zip(*[vars(motions[index]).values() for index in batch])
+            motion = Motion(*map(np.concatenate, fields))
+            batch_ends = np.cumsum([len(motions[index].time) for index in batch])
+            made = make(self.thetas(point.values, is_loaded), motion)
+            columns.update(zip(batch, np.split(made, batch_ends[:-1])))
+        return [columns[index] for index in range(len(delayed))]
 
     def _by_links(
         self, arm: RobotModel, point: Point, delayed: Sequence[Dataset]
     ) -> tuple[list[Array], list[Array]]:
-        """Return the columns of load (K, rows), and of zeros and tilt (K, n, n + 2), of each
-        recording.
+        """Return each recording's columns of load (K, rows), and of zeros and tilt (K, n, n + 2).
 
-        They depend on the links alone, so that trials of friction share them.
+        They depend on the links alone and are cached, so that trials of friction share them.
         """
         thetas = [self.thetas(point.values, loaded) for loaded in (False, True)]
         key = (
@@ -498,32 +511,30 @@ class Columns:
         return loads[point.exact_load], smooth
 
     def _nonlinear(self, dataset: Dataset, point: Point) -> dict[str, Array]:
-        """Return the columns (K, rows) of nonlinear friction in its own joint's equation, and their
-        slopes by speed for the terms that are not zero.
+        """Return name to columns (K, rows) of nonlinear friction, each row in its joint's equation.
+
+        Terms that are not zero at the point also have a column of their derivative by the speed.
         """
         rows = list(self.joint_indices)
         speed = point.speed or {}
-        sizes = {
-            t: point.values[self.indices([f"{t}[{joint}]" for joint in self.joints])]
-            for t in NONLINEAR_TERMS
-        }
+        sizes = {}
+        for term in NONLINEAR_TERMS:
+            names = [f"{term}[{joint}]" for joint in self.joints]
+            sizes[term] = point.values[self.indices(names)]
         sloped = [term for term, size in sizes.items() if np.any(size)]
 
         def make(motion: Motion) -> Array:
-            columns = [
-                bent.column(motion.qd, speed[t])[:, rows]
-                for t, bent in NONLINEAR_TERMS.items()
-            ]
-            slopes = [
-                sizes[t] * NONLINEAR_TERMS[t].slope(motion.qd, speed[t])[:, rows]
-                for t in sloped
-            ]
-            return np.stack((*columns, *slopes), axis=-1)
+            columns = []
+            for term, nonlinear in NONLINEAR_TERMS.items():
+                columns.append(nonlinear.column(motion.qd, speed[term])[:, rows])
+            for term in sloped:
+                slope = NONLINEAR_TERMS[term].slope(motion.qd, speed[term])
+                columns.append(sizes[term] * slope[:, rows])
+            return np.stack(columns, axis=-1)
 
         columns = np.moveaxis(_low_pass(dataset, point, make), -1, 0)
-        return dict(
-            zip((*NONLINEAR_TERMS, *(f"{term}_speed" for term in sloped)), columns)
-        )
+        names = [*NONLINEAR_TERMS, *(f"{term}_speed" for term in sloped)]
+        return dict(zip(names, columns))
 
 
 def _late(dataset: Dataset, time: Array, torque: Array) -> Array:

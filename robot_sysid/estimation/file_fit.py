@@ -141,7 +141,7 @@ def _fit_kind(
     del judge, fit  # its Gram matrices take as much memory as the rows
     fit = replace(fitter.fit(final_question, choice, start, rounds), question=question)
     judge = held_out(fit, fit.unknowns)
-    validation = judge.validation(judge.of(fit))
+    validation = judge.validation(judge.consistent_squared_errors(fit.unknowns))
     del judge
     return FileFit(fit, before, validation, fit_errors(fit, (), pull))
 

@@ -36,9 +36,9 @@ from robot_sysid.records.data import validation_of
 
 OWN_SOURCE = "the logs, each fifth predicted from the others"
 CLEAR_SHARE = 0.1
-"""Share by which a friction term has to lower the held-out squared error."""
+"""Least relative decrease of the held-out squared error that counts as clear."""
 CLEARLY = 2.0
-"""Standard errors of the mean over the blocks by which a term has to lower that error."""
+"""Least decrease of its logarithm that counts as clear, in standard errors over the blocks."""
 # Less than every squared error [N^2 m^2].
 _TINY = 1e-30
 # Keeps normal equations regular where parameters have no data.
@@ -47,13 +47,15 @@ _RIDGE = 1e-12
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Recordings in blocks, each to be predicted from the others.
+    """Cross-validation of recordings in blocks, each of which is predicted from the others.
+
+    Sums over the blocks are cached, so that one instance compares many choices of unknowns.
 
     Attributes:
         data: evidence of each block.
         noise: (joints,) effective standard deviation of each joint's torque [N m].
-        superset: unknowns that contain those of every question, which saves memory with many
-            joints; None for all parameters.
+        superset: unknowns that contain those of every choice to compare, which saves memory with
+            many joints; None for all parameters.
     """
 
     data: Evidence
@@ -64,7 +66,7 @@ class HeldOut:
 
     @cached_property
     def counts(self) -> Array:
-        """How many rows each block has of each joint (blocks, joints)."""
+        """Number of rows (blocks, joints) of each joint in each block."""
         return np.array([sample_counts(block) for block in self.data.blocks])
 
     @cached_property
@@ -85,10 +87,10 @@ class HeldOut:
         indices = np.append(np.flatnonzero(self._available), -1)
         grams = np.zeros((len(self.data.blocks), len(indices) + 1, len(indices) + 1))
         for gram, block in zip(grams, self.data.blocks):
-            gram[:-1, :-1] = normal_matrix(block, 1.0 / self.noise)[
-                np.ix_(indices, indices)
-            ]
-        for row_of_blocks in grams.swapaxes(0, 1):  # which takes no memory
+            normal = normal_matrix(block, 1.0 / self.noise)
+            gram[:-1, :-1] = normal[np.ix_(indices, indices)]
+        # Row by row of all blocks: a second array of all matrices would double the memory.
+        for row_of_blocks in grams.swapaxes(0, 1):
             row_of_blocks[:] = np.array(_sums_of_others(row_of_blocks, np.add))
         return grams
 
@@ -132,51 +134,44 @@ class HeldOut:
 
     def _values(self, unknowns: Unknowns) -> Array:
         """Return the estimate (blocks, p) from all blocks but one in turn."""
-        values = [
-            unknowns.full(scale * np.linalg.solve(matrix, right_side))
-            for matrix, right_side, scale in self._normal_equations(unknowns)
-        ]
+        values = []
+        for matrix, right_side, scale in self._normal_equations(unknowns):
+            values.append(unknowns.full(scale * np.linalg.solve(matrix, right_side)))
         return np.array(values)
 
-    def chance(self, fit: Fit) -> Array:
-        """Return the expected squared prediction error (blocks, joints) of a right model [N^2 m^2].
+    def expected_squared_errors(self, fit: Fit) -> Array:
+        """Return expected squared errors (blocks, joints) if the model is right [N^2 m^2].
 
         It is the noise of the block's own torque plus the variance of the prediction made from the
-        other blocks, which is nearly infinite where none of them identifies a joint's friction.
+        other blocks. Where none of them identifies a joint's friction, it is nearly infinite.
         """
-        unknowns = fit.unknowns
+        estimated = fit.unknowns.estimated
         expected = self.counts * fit.noise**2
-        equations = self._normal_equations(unknowns)
-        for block, block_expected, (matrix, _, scale) in zip(
-            self.data.blocks, expected, equations
-        ):
+        equations = self._normal_equations(fit.unknowns)
+        for index, (matrix, _, scale) in enumerate(equations):
             root = np.linalg.inv(np.linalg.cholesky(matrix)) * scale
-            for row, joint in enumerate(block.joints):
-                is_unknown = np.isin(joint.columns, unknowns.estimated)
-                indices = np.searchsorted(unknowns.estimated, joint.columns[is_unknown])
-                block_expected[row] += np.sum(
-                    (joint.triangle[:, :-1][:, is_unknown] @ root[:, indices].T) ** 2
-                )
+            for row, joint in enumerate(self.data.blocks[index].joints):
+                is_estimated = np.isin(joint.columns, estimated)
+                columns = np.searchsorted(estimated, joint.columns[is_estimated])
+                rows = joint.triangle[:, :-1][:, is_estimated]
+                expected[index, row] += np.sum((rows @ root[:, columns].T) ** 2)
         return expected
 
-    def of(self, fit: Fit) -> Array:
-        """Return the ``squared_errors`` of a fit's unknowns, bodies physically consistent."""
-        unknowns = fit.unknowns
+    def consistent_squared_errors(self, unknowns: Unknowns) -> Array:
+        """Return ``squared_errors`` (blocks, joints), bodies physically consistent [N^2 m^2]."""
         values = self._values(unknowns)
         problem = links_problem(unknowns)
         prior_rows = _prior_rows(unknowns)
-        bodies = [indices for indices, _ in unknowns.bodies.values()]
         path_end = None
-        for block, estimate in enumerate(values):
-            if bodies and not all(
-                spatial.is_consistent(estimate[indices]) for indices in bodies
-            ):
-                rows = np.vstack((self._other_triangles(unknowns)[block], prior_rows))
-                path_end = self._path_ends.get(block, path_end)
+        for index, estimate in enumerate(values):
+            bodies = [estimate[indices] for indices, _ in unknowns.bodies.values()]
+            if not all(map(spatial.is_consistent, bodies)):
+                rows = np.vstack((self._other_triangles(unknowns)[index], prior_rows))
+                path_end = self._path_ends.get(index, path_end)
                 solver = ConsistentLinks(rows[:, :-1], rows[:, -1], problem, path_end)
-                values[block] = unknowns.full(solver.best())
+                values[index] = unknowns.full(solver.best())
                 path_end = solver.first
-                self._path_ends[block] = path_end
+                self._path_ends[index] = path_end
         return self.data.squared_residuals(values[..., None])[..., 0]
 
     def _other_triangles(self, unknowns: Unknowns) -> Sequence[Array]:
@@ -184,12 +179,11 @@ class HeldOut:
         key = unknowns.estimated.tobytes(), unknowns.held.tobytes()
         if key not in self._triangles:
             restriction = unknowns.estimated_names, unknowns.held
-            blocks = (restrict(block, *restriction) for block in self.data.blocks)
-            stacked = (
-                np.column_stack(block.equations(1.0 / self.noise)) for block in blocks
-            )
             empty = np.zeros((0, len(unknowns.estimated) + 1))
-            triangles = [update_triangle(empty, block) for block in stacked]
+            triangles = []
+            for block in self.data.blocks:
+                equations = restrict(block, *restriction).equations(1.0 / self.noise)
+                triangles.append(update_triangle(empty, np.column_stack(equations)))
             self._triangles[key] = _sums_of_others(triangles, update_triangle)
         return self._triangles[key]
 
@@ -199,7 +193,7 @@ class HeldOut:
         return np.asarray(np.sum(squared / self.noise**2, axis=-1) / counts)
 
     def validation(self, squared: Array, source: str = OWN_SOURCE) -> Validation:
-        """Return squared errors (blocks, joints) as one record."""
+        """Return squared errors (blocks, joints) [N^2 m^2] of all blocks together as one record."""
         joints = [joint.joint for joint in self.data.blocks[0].joints]
         torque = np.sum(self.data.squared_torque, axis=0)
         counts = np.sum(self.counts, axis=0)
@@ -207,7 +201,7 @@ class HeldOut:
 
 
 def held_out(fit: Fit, superset: Unknowns | None = None) -> HeldOut:
-    """Return the blocks of a fit, which judge choices whose unknowns are in the superset."""
+    """Return the cross-validation of choices around a fit, see ``HeldOut``."""
     return HeldOut(fit.evidence, 1.0 / fit.weights, superset)
 
 
@@ -230,7 +224,11 @@ def _prior_rows(unknowns: Unknowns) -> Array:
 
 
 def is_clearly_lower(errors: Array, reference: Array) -> bool:
-    """Tell whether squared errors (blocks,) are clearly lower than those of a reference."""
+    """Tell whether squared errors (blocks,) are clearly lower than those of a reference (blocks,).
+
+    Blocks are compared by the logarithm of the ratio of their errors. Errors that are not finite
+    are higher than all others.
+    """
     if not np.all(np.isfinite(errors)) or not np.all(np.isfinite(reference)):
         return bool(np.all(np.isfinite(errors)))
     ratio = np.log((errors + _TINY) / (reference + _TINY))
@@ -260,18 +258,20 @@ def squared_errors(
 def score_of(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> Array:
     """Return ``HeldOut.score`` (blocks,) of a choice, bodies physically consistent."""
     return judge.score(
-        judge.of(replace(fit, unknowns=_unknowns_of(fit, question, choice)))
+        judge.consistent_squared_errors(_unknowns_of(fit, question, choice))
     )
 
 
 def held_out_validation(fit: Fit) -> Validation:
-    """Return the held-out errors of a fit's own recordings."""
+    """Return the held-out errors of a fit's own recordings in blocks, and whether they test it."""
     judge = held_out(fit, fit.unknowns)
-    errors = judge.of(fit)
+    errors = judge.consistent_squared_errors(fit.unknowns)
     noise = judge.counts * fit.noise**2
     return replace(
         judge.validation(errors),
-        is_informative=is_informative_test(errors, noise, lambda: judge.chance(fit)),
+        is_informative=is_informative_test(
+            errors, noise, lambda: judge.expected_squared_errors(fit)
+        ),
     )
 
 
@@ -290,9 +290,10 @@ def _error_ratio(squared: Array, expected: Array) -> float:
 def is_informative_test(
     squared: Array, noise: Array, variance: Callable[[], Array]
 ) -> bool:
-    """Tell whether held-out errors are a test of a fit.
+    """Tell whether held-out errors say something about a fit.
 
-    They are one if they are as small as noise, or larger than the variance of the prediction.
+    They do if they are as small as noise, or if they exceed the variance of the prediction. Large
+    errors that this variance explains only mean that the fitted rows do not identify the torque.
 
     Args:
         squared: (blocks, joints) squared errors [N^2 m^2].

@@ -168,9 +168,9 @@ def compare_recordings(fit: Fit, names: Sequence[str]) -> LogComparison:
         return LogComparison()
     data = evidence_of(logs.values(), fit.evidence.torque)
     judge = HeldOut(data, 1.0 / fit.weights, fit.unknowns)
-    errors = judge.of(fit)
+    errors = judge.consistent_squared_errors(fit.unknowns)
     noise = judge.counts * fit.noise**2
-    chance = cache(partial(judge.chance, fit))
+    chance = cache(partial(judge.expected_squared_errors, fit))
 
     def is_test(k: int) -> bool:
         return is_informative_test(errors[[k]], noise[[k]], lambda: chance()[[k]])

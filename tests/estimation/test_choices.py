@@ -291,7 +291,7 @@ def test_each_block_is_predicted_from_the_others(noisy_fit):
 
 def test_the_held_out_error_is_that_of_the_noise(payload_fit):
     cross_validation = held_out(payload_fit)
-    squared_errors = cross_validation.of(payload_fit)
+    squared_errors = cross_validation.consistent_squared_errors(payload_fit.unknowns)
     validation = cross_validation.validation(squared_errors, "parts")
     noise = np.sqrt(np.mean(payload_fit.weights**-2.0))
     assert validation.rmse == pytest.approx(noise, rel=0.15)
@@ -307,4 +307,6 @@ def test_blocks_are_predicted_with_possible_bodies(robot, noisy):
     assert spatial.is_consistent(fit.values[:10]) and fit.is_constrained
     cross_validation = held_out(fit)
     plain_errors = cross_validation.squared_errors(fit.unknowns)
-    assert np.sum(cross_validation.of(fit)) < np.sum(plain_errors)
+    assert np.sum(cross_validation.consistent_squared_errors(fit.unknowns)) < np.sum(
+        plain_errors
+    )

@@ -173,7 +173,7 @@ def test_friction_that_one_stretch_alone_shows_is_no_misfit(robot, noisy):
     fit = fit_recordings(robot, [replace(log, used=used)], options)
     judge = held_out(fit)
     squared = judge.squared_errors(fit.unknowns)
-    chance = judge.chance(fit)
+    chance = judge.expected_squared_errors(fit)
     assert np.sum(squared[:, :2]) == pytest.approx(np.sum(chance[:, :2]), rel=0.3)
     assert (
         held_out_validation(fit).rmse_per_joint["joint2"]
