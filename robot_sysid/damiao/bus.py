@@ -364,7 +364,7 @@ def watchdogs_set_to(
 
 _ALL_IDS = range(1, 16)
 # A program that streams at 40 Hz or more is heard in this time; a slow adapter answers in half of
-# the other (16 ms, see docs/damiao.md) [s].
+# the other (16 ms) [s].
 _LISTEN = 0.05
 _ASK_TIMEOUT = 0.03
 # How often all motors are asked at once, to know how long nine of ten times take.

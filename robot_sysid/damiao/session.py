@@ -26,7 +26,7 @@ from robot_sysid.records import Array
 # A frame may be lost; five in a row are not, and 2 ms lets a full queue of 14 frames empty [s].
 _DISABLE_REPEATS = 5
 _DISABLE_SPACING = 2e-3
-# Far more than the slowest adapter takes (16 ms, see docs/damiao.md) [s].
+# Far more than the slowest adapter takes (16 ms) [s].
 _CONFIRM_TIMEOUT = 0.02
 # A bus that comes back within this time still gets its motors disabled.
 _CONFIRM_PATIENCE = 0.5
@@ -41,7 +41,7 @@ _MOST_CREDIT = 0.02
 
 PAUSE = 4
 """Cycles of silence after which a missing answer counts as lost: 16 ms at 250 Hz, the latest that
-a slow adapter was seen to deliver (docs/damiao.md)."""
+a slow adapter was seen to deliver."""
 
 
 class Outstanding:

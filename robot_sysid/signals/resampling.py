@@ -174,7 +174,7 @@ MOST_PIECE_ROWS = 100_000
 """Rows beyond which a piece is cut, so that filtering it takes little memory."""
 MOST_TIME = 600.0
 """Length of a log beyond which pieces of it, spread evenly, stand for the entire log [s]: half a
-minute tells nearly as much about the link as an hour (docs/measurements.md)."""
+minute tells nearly as much about the link as an hour (docs/logs.md)."""
 PIECE_TIME = 60.0
 """Length of these pieces [s]."""
 _MOVING_SHARE = 0.1
