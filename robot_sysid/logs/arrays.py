@@ -2,10 +2,9 @@
 Parquet, Feather, and LeRobot data sets, which are folders with meta/info.json and Parquet files.
 
 Each form has a guard of its own against a file that unpacks to more than ``table.unpacked_limit``,
-because each states in its own place how much that is. One reader process with a memory limit
-(``resource.setrlimit``) in place of the guards would take as much code, start a second interpreter
-for every log, work on Linux alone, and report only that memory ran out where a guard reports the
-size. A process is used where the library may end it, for .mat files.
+because each states in its own place how much that is. One process with a memory limit in place of
+the guards would work on Linux alone and report no size; .mat files, at which the library may end
+its process, are read in one.
 """
 
 from __future__ import annotations
@@ -54,17 +53,14 @@ def recordings_table(
     layout: str,
     titles: Sequence[str],
     recordings: Sequence[Sequence[Array]],
-    choices: ColumnChoices | None = None,
 ) -> LogTable:
     """Return recordings in memory as a table, one after the other.
 
     Args:
         titles: (C,) of the columns of all arrays of a recording together.
         recordings: each the arrays (N,) or (N, k) that stand side by side, each with N of its own.
-        choices: what the form declares of its columns.
     """
-    blocks = partial(_blocks, recordings)
-    return LogTable(path, layout, tuple(titles), blocks, choices or ColumnChoices())
+    return LogTable(path, layout, tuple(titles), partial(_blocks, recordings))
 
 
 def _blocks(
@@ -247,12 +243,9 @@ def matlab_table(source: LogSource) -> LogTable:
         seconds = math.ceil(_LEAST_TIME + size / _LEAST_SPEED)
         program = [sys.executable, "-Wignore", "-c", _UNPACK]
         limits = [str(unpacked_limit(size)), str(seconds)]
-        process = subprocess.run(
-            [*program, str(path), str(unpacked), *limits],
-            capture_output=True,
-            text=True,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-        )
+        call = [*program, str(path), str(unpacked), *limits]
+        one_thread = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+        process = subprocess.run(call, capture_output=True, text=True, env=one_thread)
         if process.returncode:
             damaged = "it takes longer than a recording does, or is damaged"
             raise ValueError((process.stderr.splitlines() or [damaged])[-1])
@@ -265,12 +258,6 @@ def matlab_table(source: LogSource) -> LogTable:
 _MAX_LINKS = 3
 """Links to other files that a message names at most."""
 _COPY = "copy what is in it into this one (h5copy -f ext, or h5repack)"
-_ALOHA_DATASETS = {
-    "qpos": "observations/qpos",
-    "qvel": "observations/qvel",
-    "effort": "observations/effort",
-}
-"""Names of ALOHA's arrays to the data sets that hold them."""
 
 
 def hdf5_table(source: LogSource) -> LogTable:
@@ -283,14 +270,13 @@ def hdf5_table(source: LogSource) -> LogTable:
     h5py = import_optional("h5py", "hdf5", form)
     with as_input_errors(path, form), h5py.File(path, "r") as file:
         links: list[str] = []
-        is_aloha = _find_member(h5py, file, _ALOHA_DATASETS["qpos"]) is not None
+        is_aloha = _find_member(h5py, file, "observations/qpos") is not None
         if is_aloha:
-            datasets = {}
-            command = {"command": "action"} if source.options.commanded else {}
-            for name, member_path in {**_ALOHA_DATASETS, **command}.items():
-                member = _find_member(h5py, file, member_path)
-                if member is not None:
-                    datasets[name] = member
+            paths = {n: f"observations/{n}" for n in ("qpos", "qvel", "effort")}
+            if source.options.commanded:
+                paths["command"] = "action"
+            members = {n: _find_member(h5py, file, paths[n]) for n in paths}
+            datasets = {n: data for n, data in members.items() if data is not None}
         else:
             datasets, links = _list_datasets(h5py, path, file)
         columns = {name: data for name, data in datasets.items() if can_be_column(data)}
@@ -374,11 +360,10 @@ def _refuse_other_files(path: Path, name: str, data: Any) -> None:
     files = [str(segment[0]) for segment in data.external or ()]
     if data.is_virtual:
         files += [source.file_name for source in data.virtual_sources()]
-    others = [file for file in files if file != "."]
-    if others:
-        raise InputError(
-            f"{path}: {name} has its numbers in another file, {others[0]}; {_COPY}"
-        )
+    for file in files:
+        if file != ".":
+            fault = f"{name} has its numbers in another file, {file}"
+            raise InputError(f"{path}: {fault}; {_COPY}")
 
 
 ALOHA_RATE = 50.0
@@ -406,19 +391,17 @@ def _aloha_table(path: Path, arrays: Mapping[str, Any]) -> LogTable:
         raise InputError(
             f"{path} does not hold the same joints in {listed}; record them together"
         )
+    sides = [f"left/{joint}" for joint in _ALOHA_JOINTS]
+    sides += [f"right/{joint}" for joint in _ALOHA_JOINTS]
     width = arrays["qpos"].shape[1]
-    joints = [f"joint{k}" for k in range(width)]
-    if width == len(_ALOHA_JOINTS):
-        joints = _ALOHA_JOINTS
-    elif width == 2 * len(_ALOHA_JOINTS):
-        left = [f"left/{joint}" for joint in _ALOHA_JOINTS]
-        joints = left + [f"right/{joint}" for joint in _ALOHA_JOINTS]
+    names = {len(_ALOHA_JOINTS): _ALOHA_JOINTS, len(sides): sides}
+    joints = names.get(width) or [f"joint{k}" for k in range(width)]
     titles: list[str] = []
     for quantity in arrays:
         titles += [f"{joint} {quantity}" for joint in joints]
     layout = f"ALOHA HDF5, without time stamps: rows taken to be {ALOHA_RATE:g} Hz"
-    choices = ColumnChoices(rate=ALOHA_RATE)
-    return recordings_table(path, layout, titles, [list(arrays.values())], choices)
+    table = recordings_table(path, layout, titles, [list(arrays.values())])
+    return replace(table, choices=ColumnChoices(rate=ALOHA_RATE))
 
 
 _NUMERIC_TYPE = re.compile(

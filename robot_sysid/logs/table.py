@@ -299,24 +299,25 @@ def read_rows(
     """Read and clean all rows of a log; a joint that is a slide (n,) has no full turn."""
     cleaner = _RowCleaner(table, columns, is_slide)
     indices = [column.index for column in columns.columns()]
-    buffer = _RowBuffer([1, 1, *map(len, columns.groups())])
     thinning = None
-    pending: list[Array] = []
+    chunks: list[Array] = []
     for block in read_blocks(table, indices, progress or Progress()):
         rows = cleaner.clean(block)
-        expected = cleaner.n_read / max(block.share_read, 1e-9)
         if thinning is None:
             # The first rows tell how many there will be, and in which steps of time.
-            rows = np.concatenate((*pending, rows))
-            pending = [rows]
+            rows = np.concatenate((*chunks, rows))
+            chunks = [rows]
             if len(rows) < 2 or (len(rows) < BLOCK and block.share_read < 1.0):
                 continue
-            pending = []
+            chunks = []
+            expected = cleaner.n_read / max(block.share_read, 1e-9)
             thinning = Thinning.of(rows[:, 1], expected)
-        buffer.add(thinning.push(rows), int(expected / thinning.every))
-    for rows in pending:
-        buffer.add(rows, len(rows))
-    lines, time, q, tau, qd, stamps = buffer.groups()
+        chunks.append(thinning.push(rows))
+    widths = [1, 1, *map(len, columns.groups())]
+    rows = np.concatenate((np.empty((0, sum(widths))), *chunks))
+    del chunks
+    groups = np.split(rows, np.cumsum(widths)[:-1], axis=1)
+    lines, time, q, tau, qd, stamps = map(np.ascontiguousarray, groups)
     command = None
     if columns.commanded:
         command = tau
@@ -340,37 +341,6 @@ def read_rows(
         thinning=thinning.every if thinning else 1,
         row_noun=table.row_noun,
     )
-
-
-class _RowBuffer:
-    """Rows of groups of columns, each group an array of its own, with room for rows to come.
-
-    ``widths``: columns of each group.
-    """
-
-    def __init__(self, widths: Sequence[int]) -> None:
-        self._arrays = [np.empty((0, width)) for width in widths]
-        self._ends = np.cumsum(widths)[:-1]
-        self._count = 0
-
-    def add(self, rows: Array, expected: int) -> None:
-        """Append rows (R, C) of a log that will have about ``expected`` rows in all."""
-        start = self._count
-        end = start + len(rows)
-        if end > len(self._arrays[0]):
-            # The lines of a file are not all of one length; room that is not used takes no memory.
-            capacity = max(end, expected + expected // 10)
-            filled = self.groups()
-            self._arrays = [np.empty((capacity, array.shape[1])) for array in filled]
-            for array, values in zip(self._arrays, filled):
-                array[:start] = values
-        for array, values in zip(self._arrays, np.split(rows, self._ends, axis=1)):
-            array[start:end] = values
-        self._count = end
-
-    def groups(self) -> list[Array]:
-        """Return the rows of each group, (N, width)."""
-        return [array[: self._count] for array in self._arrays]
 
 
 def read_blocks(
