@@ -2,32 +2,40 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.friction import friction_model
+from robot_sysid.dynamics.equations import NO_FRICTION, Equations
+from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.errors import InputError
 from robot_sysid.estimation.choices import (
     CANDIDATES,
     choose,
     clearly_best,
+    coupling,
+    couplings_of,
+    couplings_of_model,
     neighbours,
+    read_couplings,
     select_couplings,
 )
-from robot_sysid.estimation.dataset import block_masks
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.held_out import CLEAR_SHARE, held_out, is_clearly_lower
-from robot_sysid.estimation.question import Question
+from robot_sysid.estimation.held_out import CLEAR_SHARE
+from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.estimation.unknowns import SCALES
+from robot_sysid.records import Measurement, Motion
+from robot_sysid.simulator import simulate_inverse
 from tests.support import arms
-from tests.support.core_fits import BASIC, NOISE_ONLY, filter_logs, fit_logs, fitter_of
+from tests.support.core_fits import BASIC, filter_logs, fitter_of
 from tests.support.measured_logs import RATE, XML, log_of, plan_of
 from tests.support.payload_logs import autocorrelated, perturb_body
+from tests.support.releases import since
 
 STRIBECK = f"{BASIC}-stribeck"
 RICHEST = CANDIDATES[-1]
@@ -59,12 +67,6 @@ def block_errors(factors):
 )
 def test_the_simplest_candidate_wins_that_no_other_clearly_beats(factors, best):
     assert clearly_best(block_errors(factors)) == best
-
-
-def test_a_block_with_far_larger_errors_does_not_hide_an_improvement():
-    """Every block improves fivefold; their errors differ by a factor of a hundred."""
-    errors = np.array([4.2, 3.9, 2.8, 3.9, 400.0])
-    assert is_clearly_lower(errors / 5.0, errors)
 
 
 def no_torque(motion):
@@ -252,61 +254,100 @@ def test_autocorrelated_noise_does_not_widen_the_prior_of_links(plant, robot):
     assert slow.centre_of_mass < 2.0 * fast.centre_of_mass
 
 
-# ---- cross-validation
+# ---- motors that turn several joints
 
 
-def free_equations(samples, unknowns, weights):
-    """Yield each joint's (rows (M, k), right-hand sides (M,)) in the free parameters."""
-    for weight, rows, tau, columns in zip(
-        weights, samples.rows, samples.tau, samples.columns
-    ):
-        full = np.zeros((len(rows), len(unknowns.names)))
-        full[:, columns] = rows
-        finite = np.isfinite(tau)
-        fixed = np.delete(unknowns.held, unknowns.estimated)
-        right = tau - np.delete(full, unknowns.estimated, 1) @ fixed
-        yield weight * full[finite][:, unknowns.estimated], weight * right[finite]
+@pytest.fixture(scope="module")
+def wrist():
+    """Return an arm whose model has a motor that turns two joints."""
+    return arms.robot_of(arms.SHARED_MOTOR)
 
 
-def test_each_block_is_predicted_from_the_others(noisy_fit):
-    """Against least squares of the rows themselves."""
-    cross_validation = held_out(noisy_fit)
-    (samples,) = noisy_fit.samples
-    unknowns = noisy_fit.unknowns
-    prior = np.vstack(
-        [group.rows(unknowns.estimated_names) for group in unknowns.groups]
+@since(3, 3)
+@pytest.mark.parametrize("friction", [NO_FRICTION, friction_model(DEFAULT_MEASURED)])
+def test_a_motor_of_the_model_is_in_the_torque_whether_estimated_or_not(
+    wrist, friction
+):
+    (motor,) = couplings_of_model(wrist)
+    assert motor.name == "joint1-2*joint2" and motor.tendon == 0
+    assert_array_equal(motor.model[:3], [1.5, 0.4, 0.03])
+    motion = Motion(
+        np.arange(20.0), *arms.random_motion(np.random.default_rng(0), 3, 20)
     )
-    squared_errors = cross_validation.squared_errors(unknowns)
-    for mask, squared in zip(block_masks(samples), squared_errors):
-        weights = 1.0 / cross_validation.noise
-        rows, right = zip(*free_equations(samples.where(~mask), unknowns, weights))
-        matrix = np.vstack([*rows, prior[:, :-1]])
-        values = np.linalg.lstsq(
-            matrix, np.concatenate([*right, prior[:, -1]]), rcond=None
-        )[0]
-        block = free_equations(samples.where(mask), unknowns, np.ones(3))
-        expected = [np.sum((rows @ values - tau) ** 2) for rows, tau in block]
-        assert_allclose(squared, expected, rtol=1e-4)
+    (measured,) = simulate_inverse(wrist, [motion])
+    for motors in ((), (motor,)):
+        equations = Equations(wrist, "chain", (friction,) * 3, motors)
+        for (rows, tau), columns in zip(equations.rows(measured), equations.columns):
+            assert_allclose(rows @ equations.prior[columns], tau, atol=1e-10)
 
 
-def test_the_held_out_error_is_that_of_the_noise(payload_fit):
-    cross_validation = held_out(payload_fit)
-    squared_errors = cross_validation.consistent_squared_errors(payload_fit.unknowns)
-    validation = cross_validation.validation(squared_errors, "parts")
-    noise = np.sqrt(np.mean(payload_fit.weights**-2.0))
-    assert validation.rmse == pytest.approx(noise, rel=0.15)
-    assert 0.0 < validation.relative_error < 0.05
-    assert tuple(validation.rmse_per_joint) == payload_fit.columns.joints
-    assert cross_validation.score(squared_errors) == pytest.approx(1.0, abs=0.3)
+@since(3, 3)
+def test_motors_of_the_model_are_neither_candidates_nor_counted_twice(wrist, tmp_path):
+    motors, candidates = couplings_of(wrist, EstimationOptions())
+    assert [motor.tendon for motor in motors] == [0, None, None, None, None]
+    assert motors[1:] == candidates
+    content = {"m": {"joint1": -1.5, "joint2": 3.0}, "n": {"joint0": 1, "joint1": 1}}
+    options = EstimationOptions(coupling=write_couplings(tmp_path, content))
+    motors, candidates = couplings_of(wrist, options)
+    names = [motor.name for motor in motors]
+    assert names == ["joint1-2*joint2", "joint0+joint1"] and not candidates
 
 
-def test_blocks_are_predicted_with_possible_bodies(robot, noisy):
-    """With noise ten times as large, the plain estimate of a block is impossible."""
-    noise = 3.0 * np.random.default_rng(1).normal(size=noisy.tau.shape)
-    fit = fit_logs(robot, replace(noisy, tau=noisy.tau + noise), **NOISE_ONLY)
-    assert spatial.is_consistent(fit.values[:10]) and fit.is_constrained
-    cross_validation = held_out(fit)
-    plain_errors = cross_validation.squared_errors(fit.unknowns)
-    assert np.sum(cross_validation.consistent_squared_errors(fit.unknowns)) < np.sum(
-        plain_errors
-    )
+def test_a_spring_or_a_tendon_to_a_held_joint_is_no_motor():
+    spring = arms.TENDON_SPRING.replace('damping="3"', "")
+    assert couplings_of_model(arms.robot_of(spring)) == ()
+    (damper,) = couplings_of_model(arms.robot_of(arms.TENDON_SPRING))
+    assert damper.model[1] == 3.0 and not np.any(damper.model[[0, 2]])
+    shorter_arm = arms.robot_of(arms.TENDON_SPRING, joint="joint1")
+    assert couplings_of_model(shorter_arm) == ()
+
+
+def write_couplings(folder, content):
+    """Write JSON, or text as it is, and return the path."""
+    path = folder / "coupling.json"
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+def test_joints_and_motor_have_the_same_power(three_joint_arm):
+    """tau^T qd = tau_motor s, whatever the ratios."""
+    qd, qdd, q, tau = np.random.default_rng(0).normal(size=(4, 5, 3))
+    motor = coupling(three_joint_arm, np.array([0.5, 0.0, -2.0]))
+    equations = Equations(three_joint_arm, "chain", (NO_FRICTION,) * 3, (motor,))
+    rows_of_joints = equations.rows(Measurement(np.arange(5.0), q, qd, tau, qdd))
+    power = np.zeros((len(equations.names), 5))
+    for joint, (rows, _) in enumerate(rows_of_joints):
+        power[equations.columns[joint]] += rows.T * qd[:, joint]
+    speed = qd @ motor.ratios
+    for term, expected in (("viscous", speed**2), ("coulomb", np.abs(speed))):
+        index = equations.names.index(f"{term}[{motor.name}]")
+        assert power[index] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"motor_3": {"joint1": 1, "joint2": 1.0}, "motor_1": {"joint0": 3.0}},
+        [[1, 0, 0], [0, 1, 0], [0, 1, 1]],
+    ],
+)
+def test_a_file_names_motors_or_holds_a_matrix(three_joint_arm, tmp_path, content):
+    (motor,) = read_couplings(write_couplings(tmp_path, content), three_joint_arm)
+    assert motor.name == "joint1+joint2"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{", "not JSON"),
+        ({"m": {"wrist": 1.0}}, "no joint of the arm: joint0, joint1, joint2"),
+        ({"m": {"joint1": "fast"}}, "must be like"),
+        ({"m": {"joint1": True}}, "must be like"),
+        ('{"m": {"joint1": NaN}}', "must be like"),
+        ([[1, 0]], "3 finite numbers in each row"),
+        ("3", "must be like"),
+    ],
+)
+def test_a_wrong_file_is_refused(three_joint_arm, tmp_path, content, message):
+    with pytest.raises(InputError, match=message):
+        read_couplings(write_couplings(tmp_path, content), three_joint_arm)

@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from benchmarks.real_arms import ARMS, SENSOR_ARMS, draw_arm
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimation import errors as errors_module
+from robot_sysid.estimation.algebra.consistent_bodies import project_errors
 from robot_sysid.estimation.algebra.priors import misfits
+from robot_sysid.estimation.choices import choose
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.errors import FILTERING, filtering_bias, fit_errors
-from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.estimation.identify import Piece, low_pass_recordings
+from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.estimation.unknowns import COMMON, SCALES
+from robot_sysid.logs import LogOptions
+from robot_sysid.logs.reader import open_log
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records import Measurement
+from robot_sysid.records.messages import Progress
 from robot_sysid.signals.process import ProcessedSignals
 from tests.support import arms
-from tests.support.core_fits import NOISE_ONLY, fit_logs, fit_recordings
+from tests.support.core_fits import NOISE_ONLY, fit_logs, fit_recordings, fitter_of
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
 from tests.support.measured_logs import (
     guess_model,
@@ -33,6 +43,7 @@ from tests.support.payload_logs import (
     autocorrelated,
     wide_motion,
 )
+from tests.support.places import DATA, MODELS
 
 SMALL = arms.robot_of(arms.THREE)
 WITHIN = 3.5
@@ -225,3 +236,141 @@ def test_parameters_that_no_torque_shows_have_infinite_errors():
     assert_array_equal(errors.shown(rows), visible)
     assert np.isinf(errors.of(rows[3:4])[1][0])
     assert not errors.shown(rows[:1] + rows[3:4])[0]
+
+
+# ---- more data
+# A longer log also shows better how wrong the model's links are, and which prior it contradicts.
+# That may widen the priors, and errors with them. With the priors and choices of the full log in
+# all of its pieces, nothing may grow.
+
+GROWTH = 1.05
+"""Largest ratio of a stated error to that of a part of the data; noise is estimated anew."""
+SHARES = (0.25, 0.5, 1.0)
+QUESTION = Question(EstimationOptions())
+
+
+def cut_log(log, share):
+    """Return the beginning of a log."""
+    end = int(share * len(log.time))
+    return Measurement(log.time[:end], log.q[:end], None, log.tau[:end])
+
+
+def pieces_of_a_real_log(run):
+    """Return (robot, a list of logs for each share) of a KUKA LWR4+."""
+    if not DATA.exists():
+        pytest.skip("the logs of real arms are not here")
+    folder = DATA / "kuka_lwr4"
+    robot = load_robot_model(folder / "kuka_lwr4.urdf")
+    path = folder / f"lwr4_hw{run}_200Hz.csv"
+    log = open_log(robot, path, LogOptions(measurements=(path,)), Progress()).samples
+    return robot, [[cut_log(log, share)] for share in SHARES]
+
+
+def pieces_of_a_wrong_model(arm_name, seed):
+    """Return (robot, a list of logs for each share) of an arm with links as wrong as real ones."""
+    if not MODELS.exists():
+        pytest.skip("public models are not here")
+    robot = load_robot_model(MODELS / ARMS[arm_name])
+    has_sensors = arm_name in SENSOR_ARMS
+    log = draw_arm(robot, "real", has_sensors, 24.0, seed % 2 == 0, seed).log
+    return robot, [[cut_log(log, share)] for share in SHARES]
+
+
+def repetitions(arm_name, seed):
+    """Return (robot, one, two and four copies with new noise) of half of such a log."""
+    robot, (_, (log,), _) = pieces_of_a_wrong_model(arm_name, seed)
+    rng = np.random.default_rng(seed)
+    size = 0.003 * np.max(np.abs(log.tau), axis=0)
+    logs = [
+        replace(log, tau=log.tau + size * rng.standard_normal(log.tau.shape))
+        for _ in range(4)
+    ]
+    return robot, [logs[:count] for count in (1, 2, 4)]
+
+
+CASES = [
+    pytest.param(pieces_of_a_real_log, (2,), id="run 2"),
+    pytest.param(pieces_of_a_real_log, (3,), id="run 3"),
+    pytest.param(pieces_of_a_wrong_model, ("ur5e", 2), id="ur5e 2"),
+    pytest.param(pieces_of_a_wrong_model, ("ur5e", 3), id="ur5e 3"),
+    pytest.param(pieces_of_a_wrong_model, ("iiwa14", 0), id="iiwa14"),
+    pytest.param(repetitions, ("ur5e", 2), id="repeated ur5e"),
+    pytest.param(repetitions, ("iiwa14", 0), id="repeated iiwa14"),
+]
+
+
+def fitter_of_logs(robot, logs):
+    pieces = [Piece(f"log{number}", log) for number, log in enumerate(logs)]
+    return fitter_of(robot, low_pass_recordings(robot, pieces, QUESTION.options)[0])
+
+
+def choice_and_start(fitter):
+    """Return (choice of a fitter's logs, point at which the fit begins)."""
+    choice, _, start = choose(fitter, QUESTION, QUESTION.options.friction)
+    return choice, start
+
+
+def mass_errors(fit, errors):
+    """Return the stated errors (links,) of all masses [kg]."""
+    estimated = fit.unknowns.estimated
+    masses = [indices[0] for indices, _ in fit.unknowns.bodies.values()]
+    rows = np.eye(len(estimated))[np.searchsorted(estimated, masses)]
+    covariance, _, _ = errors.of(rows, fit.values[masses])
+    return np.sqrt(np.diag(covariance))
+
+
+def growth_of(errors):
+    """Return ratios (shares - 1, n) of errors (shares, n) to the least of smaller shares."""
+    return errors[1:] / np.minimum.accumulate(errors, axis=0)[:-1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("pieces", "arguments"), CASES)
+def test_with_unchanged_priors_more_data_makes_no_mass_less_certain(
+    pieces, arguments, monkeypatch
+):
+    """Errors of possible bodies are below the unrestricted ones, which may not grow.
+
+    A body at the edge of what is possible has less room to be wrong than one inside, so they are
+    not always smaller in proportion.
+    """
+    robot, logs_of_share = pieces(*arguments)
+    fitters = [fitter_of_logs(robot, logs) for logs in logs_of_share]
+    choice, _ = choice_and_start(fitters[-1])
+    totals = []
+
+    def note_total(total, *arguments):
+        totals.append(total)
+        return project_errors(total, *arguments)
+
+    monkeypatch.setattr(errors_module, "misfits", lambda *_: ())
+    monkeypatch.setattr(errors_module, "project_errors", note_total)
+    stated = []
+    unrestricted = []
+    for fitter in fitters:
+        fit = fitter.fit(QUESTION, choice)
+        errors = fit_errors(fit)
+        stated.append(mass_errors(fit, errors))
+        unrestricted.append(mass_errors(fit, replace(errors, total=totals.pop())))
+    print(np.round(stated, 3), np.round(unrestricted, 3), sep="\n")
+    assert np.max(growth_of(np.array(unrestricted))) < GROWTH
+    assert np.max(np.array(stated) / np.array(unrestricted)) < 1.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("pieces", "arguments"), [CASES[k] for k in (0, 2, 4)])
+def test_errors_grow_no_more_than_the_prior_of_links(pieces, arguments):
+    """By default, with everything chosen anew from each share."""
+    robot, logs_of_share = pieces(*arguments)
+    errors = []
+    scales = []
+    for logs in logs_of_share:
+        fitter = fitter_of_logs(robot, logs)
+        choice, start = choice_and_start(fitter)
+        fit = fitter.fit(QUESTION, choice, start)
+        errors.append(mass_errors(fit, fit_errors(fit)))
+        scales.append(astuple(choice.link_scales))
+    print(np.round(errors, 3), np.round(scales, 2), sep="\n")
+    wider = np.max(growth_of(np.array(scales)), axis=1)
+    growth = growth_of(np.array(errors))
+    assert np.all(growth < GROWTH * np.maximum(wider, 1.0)[:, None])
