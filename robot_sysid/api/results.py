@@ -29,7 +29,7 @@ from robot_sysid.results.record import Result
 from robot_sysid.results.result_lines import (
     HEADINGS,
     BeforeAfter,
-    asked_rows,
+    parameter_rows,
     result_lines,
 )
 from robot_sysid.results.written_model import model_in_memory, write_bundle
@@ -137,7 +137,7 @@ class Identified:
     @property
     def rows(self) -> Sequence[BeforeAfter]:
         """The table before -> after."""
-        return asked_rows(self.result)
+        return parameter_rows(self.result)
 
     def lines(self) -> list[str]:
         """Return the lines that the command would have printed."""

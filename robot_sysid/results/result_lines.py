@@ -1,6 +1,4 @@
-"""What the command line prints of a result, read off its own figures; its tables before -> after:
-what the model says, what was found, and how far that may be off.
-"""
+"""The lines that the command line prints of a result, and its table of numbers before -> after."""
 
 from __future__ import annotations
 
@@ -29,6 +27,7 @@ from robot_sysid.results.cards import INERTIA, NOT_KNOWN, load_errors
 from robot_sysid.results.record import (
     BaseParameters,
     BodyEstimate,
+    JointEstimate,
     Payload,
     Quantity,
     Result,
@@ -39,20 +38,20 @@ from robot_sysid.results.verdict import limitations, verdict_lines
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
 
-_NAMED = 3
-"""Bodies of a link that are named; more make a line too long."""
-_ROUNDING = 1e-9
-"""Friction below this is nothing [N m]."""
-_SMALL = 0.05
-"""Causes below this share of the whole error are not listed: they change it by 0.1 %."""
-_IN_THE_BLOCK = ("CoM moment", "inertia")
-"""Rows of a table whose values stand in the block already."""
-_CLOSE = 0.1
-"""Difference, relative to the file's error, up to which the fit's is no news."""
+_MAX_BODY_NAMES = 3
+"""Number of bodies of a link that are named; more make a line too long."""
+_FRICTION_ROUNDING = 1e-9
+"""Friction below which a number is rounding error [N m]."""
+_MIN_CAUSE_SHARE = 0.05
+"""Share of the standard error below which a cause is not listed: it changes the error by 0.1 %."""
+_BLOCK_ROWS = ("CoM moment", "inertia")
+"""Starts of the rows of the table whose values stand in the block already."""
+_FIT_GAIN = 0.1
+"""Relative difference of the fit's torque error from the file's up to which it is not reported."""
 
 
 def result_lines(result: Result, links: bool = False) -> list[str]:
-    """Return what the command line prints of a result, without its details."""
+    """Return the lines that the command line prints of a result without --verbose."""
     lines = (*block_lines(result), *more_lines(result, links), *verdict_lines(result))
     return [line for line in lines if not isinstance(line, Detail)]
 
@@ -60,31 +59,31 @@ def result_lines(result: Result, links: bool = False) -> list[str]:
 def block_lines(result: Result) -> list[str]:
     """Return the block "Identified parameters: ..." or "Identified payload ..." line by line."""
     if result.payload is not None:
-        rows = asked_rows(result)
-        payload = result.payload
-        ball = [f"  {NOT_KNOWN}"]
-        unseen = len(rows) > 1 and not np.all(payload.body.is_determined)
-        heading = f"Identified payload, in the frame of {payload.flange.name}:"
-        return [heading, *table_lines(rows), *(ball if unseen else [])]
+        rows = parameter_rows(result)
+        lines = [f"Identified payload, in the frame of {result.payload.flange.name}:"]
+        lines += table_lines(rows)
+        if len(rows) > 1 and not np.all(result.payload.body.is_determined):
+            lines.append(f"  {NOT_KNOWN}")
+        return lines
     estimate = result.estimate
     joint = result.robot.terminal_joint
-    found = estimate.inertial
-    slides = joint in result.robot.slides
-    theta = without_rounding(found.theta, found.scale)
-    moment, inertia = (_listed(values) for values in (theta[1:4], theta[4:]))
-    friction = [
-        (term, estimate.value(f"{term}[{joint}]")) for term in ("coulomb", "viscous")
-    ]
-    return [
+    is_slide = joint in result.robot.slides
+    theta = without_rounding(estimate.inertial.theta, estimate.inertial.scale)
+    lines = [
         "Identified parameters:",
-        f"  Mass: {_listed(theta[:1])} kg",
-        f"  CoM moment: [{moment}] kg·m",
-        f"  Inertia: [{inertia}] kg·m²",
-        *(
-            f"  {term.capitalize()} friction: {_two_decimals(value)} {term_unit(term, slides)}"
-            for term, value in friction
-            if value is not None and None not in dict(friction).values()
-        ),
+        f"  Mass: {_decimals_text(theta[:1])} kg",
+        f"  CoM moment: [{_decimals_text(theta[1:4])}] kg·m",
+        f"  Inertia: [{_decimals_text(theta[4:])}] kg·m²",
+    ]
+    coulomb = estimate.value(f"coulomb[{joint}]")
+    viscous = estimate.value(f"viscous[{joint}]")
+    if coulomb is not None and viscous is not None:
+        lines += [
+            f"  Coulomb friction: {_friction_text(coulomb)} {term_unit('coulomb', is_slide)}",
+            f"  Viscous friction: {_friction_text(viscous)} {term_unit('viscous', is_slide)}",
+        ]
+    return [
+        *lines,
         f"  RMSE: {estimate.rmse:.4f} N·m",
         f"  Condition number: {estimate.identifiability.condition_number:.1f}",
         f"  Base parameters: {estimate.identifiability.rank}",
@@ -92,237 +91,265 @@ def block_lines(result: Result) -> list[str]:
 
 
 def more_lines(result: Result, links: bool = False) -> list[str]:
-    """Return what stands under that block; what --verbose adds is ``Detail`` lines."""
-    held = [] if result.file is None else result.file.unchanged
-    return [
-        *_tables(result, links),
-        *([] if result.payload is None else _payload_lines(result.payload)),
-        *_sensor_lines(result),
-        *_error_lines(result),
-        *([] if result.rollout is None else rollout_lines(result.rollout)),
-        *(type(sentence)(f"  Limit: {sentence}") for sentence in limitations(result)),
-        *map(
-            Detail, [f"Left in the file as it was: {', '.join(held)}"] if held else []
-        ),
-        *map(Detail, _details(result)),
-    ]
+    """Return the lines below the block; those for --verbose only are ``Detail``.
+
+    Args:
+        result: what to print.
+        links: whether the table shows mass and first moment of every link.
+    """
+    lines = list(_table_of_result(result, links))
+    if result.payload is not None:
+        lines += _payload_lines(result.payload)
+    lines += _sensor_lines(result)
+    lines += _validation_lines(result)
+    if result.rollout is not None:
+        lines += rollout_lines(result.rollout)
+    # A limitation that is a Detail stays one.
+    lines += [type(text)(f"  Limit: {text}") for text in limitations(result)]
+    if result.file is not None and result.file.unchanged:
+        unchanged = ", ".join(result.file.unchanged)
+        lines.append(Detail(f"Left in the file as it was: {unchanged}"))
+    return [*lines, *map(Detail, _detail_lines(result))]
 
 
-def _listed(values: Array) -> str:
+def _decimals_text(values: Array) -> str:
     """Return numbers with three decimals; where all are small, with two digits of the largest."""
     largest = float(np.max(np.abs(values)))
-    small = 0.0 < largest < 0.01
-    places = 1 - math.floor(math.log10(largest)) if small else 3
-    return ", ".join(f"{value:.{places}f}" for value in values)
+    is_small = 0.0 < largest < 0.01
+    decimals = 1 - math.floor(math.log10(largest)) if is_small else 3
+    return ", ".join(f"{value:.{decimals}f}" for value in values)
 
 
-def _two_decimals(value: float) -> str:
-    """Return a number with two decimals; one that would look like zero with its first digit."""
+def _friction_text(value: float) -> str:
+    """Return a number with two decimals; with its first digit where they would show 0.00."""
     # Adding zero turns the -0.00 that rounding leaves into 0.00.
     rounded = round(value, 2) + 0.0
-    return (
-        f"{value:.1g}"
-        if rounded == 0.0 and abs(value) > _ROUNDING
-        else f"{rounded:.2f}"
-    )
+    is_hidden = rounded == 0.0 and abs(value) > _FRICTION_ROUNDING
+    return f"{value:.1g}" if is_hidden else f"{rounded:.2f}"
 
 
-def _tables(result: Result, links: bool) -> Iterator[str]:
+def _table_of_result(result: Result, links: bool) -> Iterator[str]:
+    """Yield the table before -> after of the links; none of a payload or a self-test."""
     if not result.is_measured or result.payload is not None:
         return
-    yield from _mass_line(result)
-    rows = asked_rows(result)
+    yield from _mass_lines(result)
+    rows = parameter_rows(result)
     if links and result.links:
-        named = (
-            (body.name, row) for body in result.links for row in theta_rows(body)[:4]
-        )
-        rows = [replace(row, name=f"{name} {row.name}") for name, row in named]
+        rows = []
+        for body in result.links:
+            for row in theta_rows(body)[:4]:
+                rows.append(replace(row, name=f"{body.name} {row.name}"))
     heading, *lines = table_lines(rows, "Before -> after")
     yield heading
     for row, line in zip(rows, lines):
-        yield Detail(line) if any(word in row.name for word in _IN_THE_BLOCK) else line
+        is_in_block = any(start in row.name for start in _BLOCK_ROWS)
+        yield Detail(line) if is_in_block else line
 
 
-def _mass_line(result: Result) -> Iterator[str]:
+def _mass_lines(result: Result) -> Iterator[str]:
+    """Yield a line on the bodies that share the mass of the terminal link, where there are several.
+
+    It says how much of the mass is written to the terminal body of the file.
+    """
     bodies = result.robot.bodies
     names = [body.name for body in bodies if body.theta[0] > 0.0]
     if len(names) < 2 or bodies[0].name not in names:
         return
-    rest = len(names) - _NAMED
-    told = names if rest < 2 else [*names[:_NAMED], f"{rest} more"]
-    theta = (
-        result.estimate.inertial.theta
-        if result.file is None
-        else result.file.thetas[-1]
-    )
-    line = f"The mass is that of {' + '.join(told)}"
+    listed = names
+    if len(names) > _MAX_BODY_NAMES + 1:
+        listed = names[:_MAX_BODY_NAMES]
+        listed.append(f"{len(names) - _MAX_BODY_NAMES} more")
+    line = f"The mass is that of {' + '.join(listed)}"
+    theta = result.estimate.inertial.theta
+    if result.file is not None:
+        theta = result.file.thetas[-1]
     try:
         plan = plan_write_back(theta, bodies)
     except ExportError:
         yield line
         return
-    lumped = [body.name for body in plan.emptied]
-    alone = " + ".join([names[0], *lumped]) + (" together" if lumped else " alone")
-    yield f"{line}; {alone}, as written in the file: {plan.theta[0]:.4g} kg"
+    merged = [body.name for body in plan.emptied]
+    written = " + ".join([names[0], *merged]) + (" together" if merged else " alone")
+    yield f"{line}; {written}, as written in the file: {plan.theta[0]:.4g} kg"
 
 
 def _payload_lines(payload: Payload) -> Iterator[str]:
-    for words, body in (("without", payload.link), ("with", payload.total)):
-        mass, *errors = load_errors(body)[:4].tolist()
-        com = ", ".join(map(with_error, body.inertial.com.tolist(), errors))
-        total = with_error(body.inertial.mass, mass, "kg")
-        yield Detail(f"Terminal link {words} it: {total}, centre of mass [{com}] m")
+    """Yield lines on the link without and with a payload, single recordings and torque scales."""
+    for preposition, body in (("without", payload.link), ("with", payload.total)):
+        mass_error, *com_errors = load_errors(body)[:4].tolist()
+        com = ", ".join(map(with_error, body.inertial.com.tolist(), com_errors))
+        mass = with_error(body.inertial.mass, mass_error, "kg")
+        yield Detail(
+            f"Terminal link {preposition} it: {mass}, centre of mass [{com}] m"
+        )
     if payload.scatter:
         yield Detail("Mass according to each recording alone (± noise):")
-    for one in payload.scatter:
-        kind = "loaded" if one.is_loaded else "empty"
-        yield Detail(
-            f"  {one.name} ({kind}): {with_error(one.mass, one.noise_error, 'kg')}"
-        )
+    for recording in payload.scatter:
+        side = "loaded" if recording.is_loaded else "empty"
+        mass = with_error(recording.mass, recording.noise_error, "kg")
+        yield Detail(f"  {recording.name} ({side}): {mass}")
     if payload.torque_scale and payload.known_mass is not None:
         yield (
             f"Torque scales by the known mass of {payload.known_mass:g} kg (what the log reads "
             "over what is there, 95 % interval):"
         )
     for joint, (scale, error) in payload.torque_scale.items():
-        yield f"  {joint}: {scale:.4f} [{scale - 1.96 * error:.4f}, {scale + 1.96 * error:.4f}]"
+        low = scale - 1.96 * error
+        high = scale + 1.96 * error
+        yield f"  {joint}: {scale:.4f} [{low:.4f}, {high:.4f}]"
 
 
 def _joint_lines(result: Result) -> Iterator[str]:
-    motors = {
-        f"motor that turns with {name}": each for name, each in result.couplings.items()
-    }
-    owners = {**result.joints, **motors}
+    """Yield the friction terms of each joint and of each motor that turns several joints."""
+    owners = dict(result.joints)
+    for name, motor in result.couplings.items():
+        owners[f"motor that turns with {name}"] = motor
     if any(joint.terms for joint in owners.values()):
         yield f"Friction of the joints ({result.friction_model}), model -> identified ± error:"
         for name, joint in owners.items():
-            slides = name in result.robot.slides
-            terms = ", ".join(
-                friction_text(
-                    term, joint.model_terms.get(term), *found, term_unit(term, slides)
-                )
-                + _another_day(joint.other_day_terms.get(term))
-                for term, found in joint.terms.items()
-            )
-            yield f"  {name}: {terms or 'not shown by these logs'}"
+            is_slide = name in result.robot.slides
+            texts = [_term_text(term, joint, is_slide) for term in joint.terms]
+            yield f"  {name}: {', '.join(texts) or 'not shown by these logs'}"
 
 
-def _another_day(term: Quantity | None) -> str:
-    if term is None or not math.isfinite(term.error):
-        return ""
-    return f" (on another day ± {number_text(term.error, term.error)})"
+def _term_text(term: str, joint: JointEstimate, is_slide: bool) -> str:
+    """Return a friction term of a joint, such as "coulomb 0.4 -> 0.133 ± 0.004 N·m"."""
+    value, error = joint.terms[term]
+    prior = joint.model_terms.get(term)
+    start = term if prior is None else f"{term} {number_text(prior)} ->"
+    if math.isinf(error):
+        text = f"{term} not visible"
+    elif math.isnan(error):
+        text = f"{start} {number_text(value)} (held at its bound)"
+    else:
+        text = f"{start} {with_error(value, error, term_unit(term, is_slide))}"
+    other_day = joint.other_day_terms.get(term)
+    if other_day is None or not math.isfinite(other_day.error):
+        return text
+    return f"{text} (on another day ± {number_text(other_day.error, other_day.error)})"
 
 
 def _sensor_lines(result: Result) -> Iterator[str]:
+    """Yield a line on the delay of the torque and one on the tilt of the base, where estimated."""
     sensors = result.sensors
     if result.delay is not None:
-        error = sensors[DELAY_NAME].error if DELAY_NAME in sensors else 0.0
+        error = sensors.get(DELAY_NAME, Quantity(0.0, 0.0)).error
         yield f"Delay of torque behind position: {1e3 * result.delay:.3f} ± {1e3 * error:.2g} ms"
     if result.tilt is not None:
-        both = [sensors[name].error for name in TILT_NAMES if name in sensors]
-        error = math.degrees(math.hypot(*both))
+        errors = [sensors[name].error for name in TILT_NAMES if name in sensors]
+        error = math.degrees(math.hypot(*errors))
         yield f"Tilt of the base: {math.degrees(result.tilt):.3f} ± {error:.2g} degrees"
 
 
-def _error_lines(result: Result) -> Iterator[str]:
+def _validation_lines(result: Result) -> Iterator[str]:
+    """Yield the errors on other logs, of the written file or, where there is none, of the fit."""
     fits = result.validation
     file = result.file
-    told = set()
-    if file is not None:
-        own = {test.source: test for test in reversed(fits[1:])}
-        if file.validation_after is not None and fits:
-            # The verdict says how well the file predicts them.
-            yield from map(
-                Detail, _beside("held-out data", file.validation_after, fits[0])
-            )
-        for old, new in file.other_validations:
-            shares = [t.relative_error for t in (old, new)]
-            known = " -> ".join(percent(each) for each in shares if each is not None)
-            yield f"Torque error of the model on {old.source}: {known or 'not known'}"
-            if old.source in own:
-                yield from map(Detail, _beside(old.source, new, own[old.source]))
-        told = {before.source for before, _ in file.other_validations}
-    for test in fits if file is None else fits[1:]:
-        if test.source not in told:
-            share = (
-                ""
-                if test.relative_error is None
-                else f" ({percent(test.relative_error)})"
-            )
-            yield f"Validation on {test.source}: {test.rmse:.4f} N·m{share}"
+    if file is None:
+        yield from map(_fit_error_text, fits)
+        return
+    fit_by_source = {test.source: test for test in reversed(fits[1:])}
+    if file.validation_after is not None and fits:
+        # The verdict states this error of the file.
+        yield from _fit_gain_lines("held-out data", file.validation_after, fits[0])
+    for before, after in file.other_validations:
+        source = before.source
+        shares = [t.relative_error for t in (before, after)]
+        texts = [percent(share) for share in shares if share is not None]
+        yield f"Torque error of the model on {source}: {' -> '.join(texts) or 'not known'}"
+        if source in fit_by_source:
+            yield from _fit_gain_lines(source, after, fit_by_source[source])
+    file_sources = [before.source for before, _ in file.other_validations]
+    for test in fits[1:]:
+        if test.source not in file_sources:
+            yield _fit_error_text(test)
 
 
-def _beside(on: str, file: Validation, fit: Validation) -> Iterator[str]:
-    """Yield by how much the fit, which has terms that a file cannot hold, predicts better."""
-    new = file.relative_error
-    fitted = fit.relative_error
-    if new is not None and fitted is not None and abs(fitted - new) > _CLOSE * new:
-        yield f"The fit itself reaches a torque error of {percent(fitted)} on {on}"
+def _fit_error_text(test: Validation) -> str:
+    """Return a line on the error of the fit on some data."""
+    share = test.relative_error
+    relative = "" if share is None else f" ({percent(share)})"
+    return f"Validation on {test.source}: {test.rmse:.4f} N·m{relative}"
 
 
-def _details(result: Result) -> Iterator[str]:
-    parts = result.body.mass_causes.items()
-    least = _SMALL * float(result.body.errors[0])
-    causes = sorted(
-        (item for item in parts if item[1] > least), key=lambda item: -item[1]
-    )
-    if np.isfinite(least) and causes:
-        yield "Error of the mass by cause, kg: " + ", ".join(
-            f"{k} {v:.2g}" for k, v in causes
+def _fit_gain_lines(source: str, file: Validation, fit: Validation) -> Iterator[Detail]:
+    """Yield the error of the fit where it differs from that of the file, which has fewer terms."""
+    file_error = file.relative_error
+    fit_error = fit.relative_error
+    if file_error is None or fit_error is None:
+        return
+    if abs(fit_error - file_error) > _FIT_GAIN * file_error:
+        yield Detail(
+            f"The fit itself reaches a torque error of {percent(fit_error)} on {source}"
         )
-    yield from _joint_lines(result) if result.is_measured else ()
+
+
+def _detail_lines(result: Result) -> Iterator[str]:
+    """Yield the lines that --verbose adds: errors by cause, residuals, sensors, friction models."""
+    mass_error = float(result.body.errors[0])
+    causes = result.body.mass_causes
+    large = [c for c in causes if causes[c] > _MIN_CAUSE_SHARE * mass_error]
+    if np.isfinite(mass_error) and large:
+        large.sort(key=lambda cause: -causes[cause])
+        listed = ", ".join(f"{cause} {causes[cause]:.2g}" for cause in large)
+        yield f"Error of the mass by cause, kg: {listed}"
+    if result.is_measured:
+        yield from _joint_lines(result)
     estimate = result.estimate
     scaled = estimate.identifiability.scaled_condition_number
     yield f"  Condition number, columns scaled: {scaled:.1f}"
     yield "  RMSE per joint:"
-    for joint, value in estimate.rmse_per_joint.items():
-        noise = estimate.noise_per_joint.get(joint)
-        yield f"    {joint}: {value:.2e} N·m" + (
-            "" if noise is None else f", noise {noise:.2g}"
-        )
+    for joint_name, rmse in estimate.rmse_per_joint.items():
+        noise = estimate.noise_per_joint.get(joint_name)
+        noise_text = "" if noise is None else f", noise {noise:.2g}"
+        yield f"    {joint_name}: {rmse:.2e} N·m{noise_text}"
     if result.is_measured:
+        texts = []
         named = zip(estimate.names, result.body.noise_errors, PARAMETER_UNITS)
-        known = (each for each in named if np.isfinite(each[1]))
-        listed = ", ".join(f"{name} {error:.2g} {unit}" for name, error, unit in known)
-        yield f"  Standard errors of noise alone: {listed}"
+        for name, error, unit in named:
+            if np.isfinite(error):
+                texts.append(f"{name} {error:.2g} {unit}")
+        yield f"  Standard errors of noise alone: {', '.join(texts)}"
     if result.sensors:
         yield "  Sensors:"
     for name, (value, error) in result.sensors.items():
-        held = math.isnan(error)
-        yield f"    {name}: {f'{number_text(value)} (held)' if held else with_error(value, error)}"
-    for joint, each in result.joints.items():
-        if each.candidates:
-            tried = sorted(each.candidates.items(), key=lambda item: item[1])
-            listed = ", ".join(f"{model} {error:.4g}" for model, error in tried)
-            yield f"  Held-out error of {joint} by friction model, N·m: {listed}"
-    yield from [] if result.base is None else _base_lines(result.base)
+        is_held = math.isnan(error)
+        text = f"{number_text(value)} (held)" if is_held else with_error(value, error)
+        yield f"    {name}: {text}"
+    for name, joint in result.joints.items():
+        if joint.candidates:
+            candidates = sorted(joint.candidates.items(), key=lambda item: item[1])
+            listed = ", ".join(f"{model} {error:.4g}" for model, error in candidates)
+            yield f"  Held-out error of {name} by friction model, N·m: {listed}"
+    if result.base is not None:
+        yield from _base_lines(result.base)
 
 
 def _base_lines(base: BaseParameters) -> Iterator[str]:
+    """Yield a line on the number of base parameters, then one per base parameter."""
     yield (
         f"  Base parameters of all links: {len(base.values)} of {base.structural_rank} that any "
         f"motion can show; {sum(base.essential)} of them essential to these logs"
     )
     rows = zip(base.combinations, base.values, base.standard_errors, base.essential)
-    for words, value, error, kept in rows:
-        yield f"    {with_error(value, error)} = {words}{'' if kept else ' (not essential)'}"
+    for combination, value, error, is_essential in rows:
+        note = "" if is_essential else " (not essential)"
+        yield f"    {with_error(value, error)} = {combination}{note}"
 
 
 def clamping_lines(
     report: DamiaoExportReport | None, joints: Sequence[str]
 ) -> list[str]:
-    """Return what the Damiao export did, or nothing where there was none."""
+    """Return what the Damiao export clamped of each joint's command, and its warnings.
+
+    Nothing where there was no export. The joints are those of the report, in its order.
+    """
     if report is None:
         return []
-    shares = zip(joints, report.joints, report.clamped_percent)
-    return [
-        "Damiao export, clamped to motor limits:",
-        *(
-            f"  {joint} ({motor.motor_type}): {share:.1f} %"
-            for joint, motor, share in shares
-        ),
-        *(f"  {warning}" for warning in report.warnings),
-    ]
+    lines = ["Damiao export, clamped to motor limits:"]
+    for joint, motor, share in zip(joints, report.joints, report.clamped_percent):
+        lines.append(f"  {joint} ({motor.motor_type}): {share:.1f} %")
+    return lines + [f"  {warning}" for warning in report.warnings]
 
 
 def folder_text(folder: Path) -> str:
@@ -333,50 +360,48 @@ def folder_text(folder: Path) -> str:
 
 
 def rollout_lines(test: RolloutTest) -> Iterator[str]:
-    """Yield the lines of the result block, those of every joint as details."""
+    """Yield the position errors of the old and the new model; those of single joints as details."""
     yield (
         f"Played on {test.held_out}: root mean square position error [rad or m], model before -> "
         "new model"
     )
     for error in test.errors:
         ratio = "" if error.ratio is None else f", {error.ratio:.3g} times"
-        old, new = error.overall
+        before, after = error.overall
         yield (
-            f"  {error.loop}, {error.horizon:g} s ({error.windows} windows): {old:.3g} -> "
-            f"{new:.3g}{ratio}"
+            f"  {error.loop}, {error.horizon:g} s ({error.windows} windows): {before:.3g} -> "
+            f"{after:.3g}{ratio}"
         )
-        for name, one, other in zip(
-            test.joint_names, error.errors_before, error.errors_after
-        ):
-            yield Detail(f"    {name}: {one:.3g} -> {other:.3g}")
+        joint_errors = zip(test.joint_names, error.errors_before, error.errors_after)
+        for name, before, after in joint_errors:
+            yield Detail(f"    {name}: {before:.3g} -> {after:.3g}")
     yield from (f"  {note}" for note in test.notes)
-    worse = []
-    for last in test.errors[-1:]:
-        pairs = zip(test.joint_names, last.errors_before, last.errors_after)
-        worse = [
-            f"{n} ({last.loop}, {new / old:.2g} times)"
-            for n, old, new in pairs
-            if new > old
-        ]
-    if worse:
-        yield f"  worse than before over the longest horizon: {', '.join(worse)}"
+    if test.errors:
+        longest = test.errors[-1]
+        texts = []
+        for k in np.flatnonzero(longest.errors_after > longest.errors_before):
+            ratio_of_joint = longest.errors_after[k] / longest.errors_before[k]
+            name = test.joint_names[k]
+            texts.append(f"{name} ({longest.loop}, {ratio_of_joint:.2g} times)")
+        if texts:
+            yield f"  worse than before over the longest horizon: {', '.join(texts)}"
 
 
 LABELS: Mapping[str, str] = {
     "m": "mass",
     **{f"h{axis}": f"CoM moment {axis}" for axis in "xyz"},
-    **{name: f"inertia {name[1:]}" for name in spatial.PARAMETER_NAMES[4:]},
+    **{name: f"inertia {name[1:]}" for name in INERTIA},
 }
-"""Parameter name to what it is called in a table."""
+"""Parameter name to its label in a table."""
 HEADINGS = ("", "model", "identified", "±", "unit", "change")
-_NUMBERS = ("model", "identified", "±")
-_NOTHING = 1e-9
-"""Share of a body's size below which a number is nothing: what is written is exact to 1e-9 too."""
-_LEAST = 1e-9
-"""Length [m] that stands for that of a body that has none."""
-_TEN_TIMES = 10.0
-"""Change beyond which a number says more than a percentage."""
-_WHOLE = 0.995
+_RIGHT_ALIGNED = ("model", "identified", "±")
+_ROUNDING = 1e-9
+"""Share of a body's scale below which a number is rounding error: models are written to 1e-9."""
+_MIN_LENGTH = 1e-9
+"""Length [m] in place of the characteristic length of a body without extent."""
+_MAX_RELATIVE_CHANGE = 10.0
+"""Relative change beyond which the change itself is stated, not a percentage."""
+_ALL_DATA = 0.995
 """Share of the data that rounds to 100 %."""
 
 
@@ -385,11 +410,13 @@ class BeforeAfter:
     """One number before and after an identification.
 
     Attributes:
+        name: label of the row.
         before: the model's value; None where the model has none.
-        error: its whole standard error; infinite where the data does not show it, None where
-            nothing is stated.
+        after: the identified value.
+        error: standard error of ``after``; infinite where it is not determined, None where none is
+            stated.
         unit: of all three.
-        share: how much of the value comes from the data: 1 all, 0 all from the model.
+        share: share of ``after`` that the data determines, 1 to 0; the model the rest.
     """
 
     name: str
@@ -401,117 +428,126 @@ class BeforeAfter:
 
     @property
     def change(self) -> str:
-        """How the value has changed, in words."""
+        """How the value has changed, and how much of it is the model's."""
         partly = f"partly the model's (data {100.0 * self.share:.0f} %)"
         if self.error is None or np.isfinite(self.error):
-            return self._by + (f"; {partly}" if self.share < _WHOLE else "")
-        unseen = "not seen: the model's" if self.after == self.before else "not seen"
-        return unseen if self.share < 1.0 - _WHOLE else partly
+            return (
+                f"{self._difference}; {partly}"
+                if self.share < _ALL_DATA
+                else self._difference
+            )
+        if self.share >= 1.0 - _ALL_DATA:
+            return partly
+        return "not seen: the model's" if self.after == self.before else "not seen"
 
     @property
-    def _by(self) -> str:
+    def _difference(self) -> str:
+        """The change as a percentage where that is below 1000 %, else as a number."""
         if self.before is None:
             return ""
-        by = self.after - self.before
-        if abs(by) <= _NOTHING * abs(self.before):
+        difference = self.after - self.before
+        if abs(difference) <= _ROUNDING * abs(self.before):
             return "none"
-        if self.error is not None and abs(by) <= self.error:
+        if self.error is not None and abs(difference) <= self.error:
             return "within ±"
-        ratio = by / self.before if self.before else np.inf
-        if self.before * self.after > 0.0 and abs(ratio) <= _TEN_TIMES:
+        ratio = difference / self.before if self.before else np.inf
+        if self.before * self.after > 0.0 and abs(ratio) <= _MAX_RELATIVE_CHANGE:
             return f"{'+' if ratio > 0.0 else ''}{percent(ratio)}"
-        return f"{'+' if by > 0.0 else ''}{number_text(by, self.error)}"
+        sign = "+" if difference > 0.0 else ""
+        return f"{sign}{number_text(difference, self.error)}"
 
     @property
     def cells(self) -> tuple[str, ...]:
         """The row as text, one cell per heading."""
         error = self.error
-        known = self.error is not None and np.isfinite(self.error)
         return (
             self.name,
             "" if self.before is None else number_text(self.before, error),
             number_text(self.after, error),
-            number_text(error, error) if known and error is not None else "",
+            number_text(error, error)
+            if error is not None and np.isfinite(error)
+            else "",
             self.unit,
             self.change,
         )
 
 
 def table_lines(rows: Sequence[BeforeAfter], title: str = "") -> list[str]:
-    """Return rows as aligned lines under their headings; a column without entries is left out."""
-    headings = (title, *HEADINGS[1:])
-    columns = [c for c in zip(headings, *(row.cells for row in rows)) if any(c[1:])]
-    widths = [max(map(len, column)) for column in columns]
-    aligned = [
-        [
-            f"{cell:>{width}}" if column[0] in _NUMBERS else f"{cell:<{width}}"
-            for cell in column
-        ]
-        for column, width in zip(columns, widths)
-    ]
-    return ["  " + "  ".join(row).rstrip() for row in zip(*aligned)]
+    """Return rows as aligned lines under their headings, without columns that have no entries.
+
+    The title stands above the first column.
+    """
+    aligned_columns = []
+    for column in zip((title, *HEADINGS[1:]), *(row.cells for row in rows)):
+        if any(column[1:]):
+            width = max(map(len, column))
+            align = str.rjust if column[0] in _RIGHT_ALIGNED else str.ljust
+            aligned_columns.append([align(cell, width) for cell in column])
+    return ["  " + "  ".join(cells).rstrip() for cells in zip(*aligned_columns)]
 
 
 def theta_rows(body: BodyEstimate) -> list[BeforeAfter]:
-    """Return the rows of ten inertial parameters; an error of zero is none that is stated."""
-    found = body.inertial
-    before = None if body.prior is None else body.prior.theta
-    pairs = _from_to(before, found.theta, found.scale)
-    shares = body.data_share.tolist()
-    rows = zip(
-        spatial.PARAMETER_NAMES, pairs, body.errors.tolist(), PARAMETER_UNITS, shares
-    )
-    return [
-        BeforeAfter(LABELS[n], *pair, error or None, *rest)
-        for n, pair, error, *rest in rows
-    ]
+    """Return the rows of the ten inertial parameters; an error of zero counts as not stated."""
+    scale = body.inertial.scale
+    before = _prior_values(body, "theta", scale)
+    after = without_rounding(body.inertial.theta, scale).tolist()
+    rows = []
+    for k, name in enumerate(spatial.PARAMETER_NAMES):
+        error = float(body.errors[k]) or None
+        share = float(body.data_share[k])
+        unit = PARAMETER_UNITS[k]
+        rows.append(BeforeAfter(LABELS[name], before[k], after[k], error, unit, share))
+    return rows
 
 
-def _from_to(
-    before: Array | None, after: Array, size: Array | float
-) -> list[tuple[float | None, float]]:
-    """Return pairs of numbers (before, after), zero where they are nothing but rounding."""
-    old = (
-        [None] * len(after)
-        if before is None
-        else without_rounding(before, size).tolist()
-    )
-    return list(zip(old, without_rounding(after, size).tolist()))
+def _prior_values(
+    body: BodyEstimate, name: str, scale: Array | float
+) -> Sequence[float | None]:
+    """Return "theta" (10,) or "com" (3,) of the model without rounding; Nones of a payload.
+
+    The scale says which numbers are rounding error.
+    """
+    if body.prior is None:
+        return [None] * 10
+    values: list[float | None] = without_rounding(
+        getattr(body.prior, name), scale
+    ).tolist()
+    return values
 
 
-def without_rounding(values: Array, size: Array | float) -> Array:
-    """Return numbers, zero where they are nothing but rounding beside ``size``."""
-    return np.where(np.abs(values) < _NOTHING * size, 0.0, values)
+def without_rounding(values: Array, scale: Array | float) -> Array:
+    """Return numbers, zero where they are rounding error beside a scale."""
+    return np.where(np.abs(values) < _ROUNDING * scale, 0.0, values)
 
 
-def asked_rows(result: Result) -> list[BeforeAfter]:
+def parameter_rows(result: Result) -> list[BeforeAfter]:
     """Return the rows of a payload, or of the terminal link with its joint's friction."""
     body = result.body
-    first, *rest = theta_rows(body)
-    place = list(_com_rows(body))
+    mass, *others = theta_rows(body)
+    com = list(_com_rows(body))
     if result.payload is None:
-        return [first, *place, *rest, *_friction_rows(result)]
-    return [first, *place, *(_inertia_rows(body) if place else [])]
+        return [mass, *com, *others, *_friction_rows(result)]
+    return [mass, *com, *(_inertia_rows(body) if com else [])]
 
 
 def _com_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
-    """Yield the centre of mass where its error is known, or none is stated."""
+    """Yield the centre of mass; nothing where its error is infinite."""
     errors = load_errors(body)[1:4]
     if not np.all(np.isfinite(errors)):
         return
-    length = max(spatial.characteristic_length(body.inertial.theta), _LEAST)
-    pairs = _from_to(
-        None if body.prior is None else body.prior.com, body.inertial.com, length
-    )
-    for axis, pair, error in zip("xyz", pairs, errors.tolist()):
-        yield BeforeAfter(f"centre of mass {axis}", *pair, error or None, "m")
+    length = max(spatial.characteristic_length(body.inertial.theta), _MIN_LENGTH)
+    before = _prior_values(body, "com", length)
+    after = without_rounding(body.inertial.com, length).tolist()
+    for k, axis in enumerate("xyz"):
+        error = float(errors[k]) or None
+        yield BeforeAfter(f"centre of mass {axis}", before[k], after[k], error, "m")
 
 
 def _inertia_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
-    """Yield the inertia about the centre of mass; none where it is not known."""
-    errors = load_errors(body)[4:]
-    about = spatial.six_from_symmetric(body.inertial.inertia_com)
-    for name, error, value in zip(INERTIA, errors.tolist(), about.tolist()):
+    """Yield the elements of the inertia about the centre of mass whose errors are finite."""
+    errors = load_errors(body)[4:].tolist()
+    inertia = spatial.six_from_symmetric(body.inertial.inertia_com).tolist()
+    for name, value, error in zip(INERTIA, inertia, errors):
         if np.isfinite(error):
             yield BeforeAfter(
                 f"inertia {name[1:]} about it", None, value, error, "kg·m²"
@@ -519,10 +555,12 @@ def _inertia_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
 
 
 def _friction_rows(result: Result) -> Iterator[BeforeAfter]:
+    """Yield Coulomb and viscous friction of the terminal joint, where estimated."""
     joint = result.robot.terminal_joint
     estimate = result.estimate
+    is_slide = joint in result.robot.slides
     model = result.joints[joint].model_terms if joint in result.joints else {}
-    for term, words in (
+    for term, label in (
         ("coulomb", "Coulomb friction"),
         ("viscous", "viscous friction"),
     ):
@@ -530,17 +568,5 @@ def _friction_rows(result: Result) -> Iterator[BeforeAfter]:
         if value is not None:
             error = estimate.error(f"{term}[{joint}]") if result.is_measured else None
             after = float(without_rounding(np.array(value), 1.0))
-            unit = term_unit(term, joint in result.robot.slides)
-            yield BeforeAfter(words, model.get(term), after, error, unit)
-
-
-def friction_text(
-    term: str, before: float | None, after: float, error: float | None, unit: str
-) -> str:
-    """Return one friction term of a joint, such as "coulomb 0.4 -> 0.133 ± 0.004 N·m"."""
-    if error is not None and np.isinf(error):
-        return f"{term} not visible"
-    old = "" if before is None else f"{number_text(before)} -> "
-    if error is not None and np.isnan(error):
-        return f"{term} {old}{number_text(after)} (held at its bound)"
-    return f"{term} {old}{with_error(after, error, unit)}"
+            unit = term_unit(term, is_slide)
+            yield BeforeAfter(label, model.get(term), after, error, unit)

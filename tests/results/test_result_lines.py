@@ -14,7 +14,7 @@ from robot_sysid.records import InertialParameters, SubtreeBody
 from robot_sysid.records.messages import Detail
 from robot_sysid.results import result_lines
 from robot_sysid.results.cards import load_errors
-from robot_sysid.results.result_lines import asked_rows, block_lines, more_lines
+from robot_sysid.results.result_lines import parameter_rows, block_lines, more_lines
 from tests.support import results as made
 
 
@@ -180,7 +180,7 @@ def test_no_number_that_is_not_zero_prints_as_zero(rows):
 
 
 def test_a_terminal_link_has_its_ten_parameters_centre_of_mass_and_friction():
-    rows = {each.name: each for each in asked_rows(made.found())}
+    rows = {each.name: each for each in parameter_rows(made.found())}
     assert len(rows) == 15
     assert (rows["mass"].before, rows["mass"].after, rows["mass"].unit) == (
         1.0,
@@ -197,15 +197,15 @@ def test_a_terminal_link_has_its_ten_parameters_centre_of_mass_and_friction():
     assert rows["Coulomb friction"].error == pytest.approx(4e-4)
     slider = replace(made.ARM, is_slide=np.array([False, True]))
     slide = {
-        each.name: each for each in asked_rows(made.found(robot=slider, joints={}))
+        each.name: each for each in parameter_rows(made.found(robot=slider, joints={}))
     }
     assert slide["viscous friction"].unit == "N·s/m"
-    own = asked_rows(made.itself())  # a simulation of the model itself states no errors
+    own = parameter_rows(made.itself())  # a simulation of the model itself states no errors
     assert len(own) == 15 and all(each.error is None for each in own)
 
 
 def test_a_payload_has_mass_place_and_inertia_about_it():
-    rows = asked_rows(made.payload())
+    rows = parameter_rows(made.payload())
     assert len(rows) == 10 and all(each.before is None for each in rows)
     assert (rows[0].after, rows[0].error) == (1.2, pytest.approx(0.01))
     assert (rows[1].name, rows[1].after) == ("centre of mass x", pytest.approx(0.03))
@@ -214,8 +214,8 @@ def test_a_payload_has_mass_place_and_inertia_about_it():
         pytest.approx(0.006),
     )
     assert [each.error for each in rows[4:]] == load_errors(made.body())[4:].tolist()
-    assert len(asked_rows(made.payload(made.body(shown=False)))) == 4
-    assert len(asked_rows(made.payload(made.body(-1.0)))) == 1
+    assert len(parameter_rows(made.payload(made.body(shown=False)))) == 4
+    assert len(parameter_rows(made.payload(made.body(-1.0)))) == 1
 
 
 def test_rounding_is_no_number():
