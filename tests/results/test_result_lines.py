@@ -14,7 +14,7 @@ from robot_sysid.records import InertialParameters, SubtreeBody
 from robot_sysid.records.messages import Detail
 from robot_sysid.results import result_lines
 from robot_sysid.results.cards import load_errors
-from robot_sysid.results.result_lines import parameter_rows, block_lines, more_lines
+from robot_sysid.results.result_lines import block_lines, more_lines, parameter_rows
 from tests.support import results as made
 
 
@@ -200,7 +200,9 @@ def test_a_terminal_link_has_its_ten_parameters_centre_of_mass_and_friction():
         each.name: each for each in parameter_rows(made.found(robot=slider, joints={}))
     }
     assert slide["viscous friction"].unit == "N·s/m"
-    own = parameter_rows(made.itself())  # a simulation of the model itself states no errors
+    own = parameter_rows(
+        made.itself()
+    )  # a simulation of the model itself states no errors
     assert len(own) == 15 and all(each.error is None for each in own)
 
 
