@@ -1,8 +1,8 @@
-"""Writing what was identified into a model: links, joints and gravity, and a payload on top.
+"""Writing identified links, joints, gravity and a payload into a model, and bundles of models.
 
-Each model is compiled again and compared before it counts: the written numbers are there, nothing
-else has changed, and it takes the torques that the identification predicts. With its meshes and
-textures in one folder, a bundle, it can be sent to somebody.
+Each written model is compiled and verified before it counts: the numbers are in it, nothing else
+has changed, and it takes the torques that the identification predicts. A bundle is a model with its
+meshes and textures in one folder, to be sent to somebody.
 """
 
 from __future__ import annotations
@@ -46,9 +46,16 @@ from robot_sysid.results import verification
 from robot_sysid.results.record import ModelFile, ModelTarget, Payload, Quantity, Result
 
 _MOMENTS = [4, 7, 9]
-_IN_MJCF = {"armature": "armature", "viscous": "damping", "coulomb": "frictionloss"}
+"""Indices of Ixx, Iyy and Izz in theta."""
+_MJCF_ATTRIBUTES = {
+    "armature": "armature",
+    "viscous": "damping",
+    "coulomb": "frictionloss",
+}
+"""Friction term to the attribute of a joint or tendon that holds it."""
 _NOT_IN_URDF = {"rotor inertia": "armature", "nonlinear damping": "polynomial"}
-_ONLY_MUJOCO = Detail(
+"""What no URDF can hold, to the field of ``JointChange``."""
+_GRAVITY_NOTE = Detail(
     "the written URDF states gravity in its <mujoco> part, which MuJoCo reads and other readers "
     "ignore"
 )
@@ -57,54 +64,68 @@ _ONLY_MUJOCO = Detail(
 def write_model(
     result: Result, target: ModelTarget, as_body: str | None = None
 ) -> tuple[str, ...]:
-    """Write a model with what was identified: what ``result.file`` holds, and the payload on top.
+    """Write a model with the identified numbers, those of ``result.file`` with the payload on top.
 
-    Links that are the model's own to the last digit are left alone. Where there is no
-    ``result.file``, a payload is written onto the model's own links, or else the terminal link
-    alone. The payload gets a body of its own where that is named. Returns notes, one sentence each,
-    or raises ExportError where the model cannot hold it; the draft is withdrawn.
+    Links that are the model's own to the last digit stay as they are. Without ``result.file``, a
+    payload is written onto the model's own links, or else the terminal link alone is written.
+
+    Args:
+        result: of the identification.
+        target: where to write; ``target.path`` is the path of the file.
+        as_body: name of a new body for the payload; None merges it into the terminal link.
+
+    Returns:
+        Notes for the user, one sentence each.
+
+    Raises:
+        ExportError: the model cannot hold the numbers; the draft is withdrawn.
     """
-    thetas, errors = _links(result)
+    thetas, errors = _links_without_payload(result)
     robot = result.robot
     if result.model_kind != robot.kind:
         robot = _arm_as_mjcf(robot, target.mesh_dir)
         target = replace(target, mesh_dir=None)
-    found = {} if result.file is None else result.file.joints
-    joints, notes = _that_fit(robot, _joint_changes(robot, found))
+    terms = {} if result.file is None else result.file.joints
+    joints, notes = _changes_of_kind(robot, _joint_changes(robot, terms))
     payload = result.payload
     welded = None
-    words = ""
-    beside = np.zeros(10)
+    comments = []
+    theta_beside = np.zeros(10)
     if payload is not None:
-        carried = payload.flange.from_flange(payload.body.inertial.theta)
-        mass = payload.body.inertial.mass
-        words = f"a payload of {with_error(mass, payload.body.errors[0], 'kg')}"
-        words += "" if np.all(payload.body.is_determined) else ", inertia not known,"
+        theta = payload.flange.from_flange(payload.body.inertial.theta)
+        mass = with_error(payload.body.inertial.mass, payload.body.errors[0], "kg")
+        text = f"a payload of {mass}"
+        text += "" if np.all(payload.body.is_determined) else ", inertia not known,"
         if as_body is not None:
-            welded = _welded(robot, payload, as_body, words)
-            beside = carried
-            words = "without the payload"
+            welded = _payload_body(robot, payload, as_body, text)
+            theta_beside = theta
+            comments.append("without the payload")
         else:
-            thetas[-1] += carried
+            thetas[-1] += theta
             errors[-1] = payload.total.errors
-            words = f"with {words} in it"
+            comments.append(f"with {text} in it")
     if result.model_kind == "urdf" and result.couplings:
-        lacking = f"without the motor that turns with {', '.join(result.couplings)}"
-        words = "; ".join(filter(None, (words, f"{lacking}, which no URDF can hold")))
-    bodies, held = _body_changes(robot, thetas, errors, joints, words)
-    held[-1] += beside
+        motors = ", ".join(result.couplings)
+        comments.append(
+            f"without the motor that turns with {motors}, which no URDF can hold"
+        )
+    bodies, written_thetas = _body_changes(
+        robot, thetas, errors, joints, "; ".join(comments)
+    )
+    written_thetas[-1] += theta_beside
     tendons = () if result.file is None else tuple(_tendon_changes(robot, result.file))
     change = ModelChange(bodies, target.rmse, joints, welded, tendons=tendons)
     if result.file is not None and result.file.gravity is not None:
-        x, y, z = (float(value) for value in result.file.gravity)
+        x, y, z = result.file.gravity.tolist()
         change = replace(change, gravity=(x, y, z))
-        notes += (_ONLY_MUJOCO,) if robot.kind == "urdf" else ()
-    return notes + _write(robot, change, target, held)
+        notes += (_GRAVITY_NOTE,) if robot.kind == "urdf" else ()
+    return notes + _write(robot, change, target, written_thetas)
 
 
 def _arm_as_mjcf(robot: RobotModel, mesh_dir: Path | None) -> RobotModel:
-    """Return the arm of a URDF as that of an MJCF, which MuJoCo writes with six digits of each
-    number; ExportError where it cannot.
+    """Return the arm of a URDF as one of an MJCF, or raise ExportError where MuJoCo refuses.
+
+    MuJoCo writes each number of the MJCF with six digits.
     """
     try:
         path = file_of(compile_model(robot.path, mesh_dir).mj_model)
@@ -121,21 +142,24 @@ def write_joints(
     actuators: Sequence[ActuatorChange],
     target: ModelTarget,
 ) -> tuple[str, ...]:
-    """Write a model with new numbers for its joints and servos; errors as in ``write_model``."""
-    fitting, notes = _that_fit(robot, joints)
-    change = ModelChange((), target.rmse, fitting, None, tuple(actuators))
+    """Write a model with new numbers for its joints and servos; notes as in ``write_model``."""
+    joint_changes, notes = _changes_of_kind(robot, joints)
+    change = ModelChange((), target.rmse, joint_changes, None, tuple(actuators))
     return notes + _write(robot, change, target, robot.thetas)
 
 
-def most_inflated(errors: Array) -> float:
-    """Return how far moments of inertia may be inflated: within their standard errors (10,)."""
-    return min(
-        (float(e) for e in np.asarray(errors)[_MOMENTS] if np.isfinite(e)), default=0.0
-    )
+def max_inflation(errors: Array) -> float:
+    """Return by how much moments of inertia may be inflated to be possible [kg m^2].
+
+    It is the smallest finite one of the standard errors of Ixx, Iyy and Izz in errors (10,).
+    """
+    moment_errors = np.asarray(errors)[_MOMENTS]
+    finite_errors = moment_errors[np.isfinite(moment_errors)]
+    return float(np.min(finite_errors)) if len(finite_errors) else 0.0
 
 
-def _links(result: Result) -> tuple[Array, Array]:
-    """Return what the links get without the payload and its standard errors, both (n, 10)."""
+def _links_without_payload(result: Result) -> tuple[Array, Array]:
+    """Return the links' parameters to write, without a payload, and their errors; both (n, 10)."""
     if result.file is not None:
         return result.file.thetas.copy(), result.file.errors.copy()
     thetas = result.robot.thetas
@@ -149,64 +173,63 @@ def _links(result: Result) -> tuple[Array, Array]:
 
 
 def _joint_changes(
-    robot: RobotModel, joints: Mapping[str, Mapping[str, Quantity]]
+    robot: RobotModel, terms_by_joint: Mapping[str, Mapping[str, Quantity]]
 ) -> tuple[JointChange, ...]:
-    own = dict(zip(robot.joint_names, robot.friction.viscous.tolist()))
+    """Return the changes of the joints, base to terminal, whose friction terms are identified."""
     changes = []
-    for joint in filter(joints.__contains__, robot.joint_names):
-        terms = joints[joint]
-        values = {term: figure.value for term, figure in terms.items()}
+    for joint, model_viscous in zip(robot.joint_names, robot.friction.viscous.tolist()):
+        if joint not in terms_by_joint:
+            continue
+        terms = terms_by_joint[joint]
+        values = {term: quantity.value for term, quantity in terms.items()}
         polynomial = None
         if "quadratic" in values or "cubic" in values:
             polynomial = values.get("quadratic", 0.0), values.get("cubic", 0.0)
             # One attribute holds all three numbers, so that the one that stays is written again.
-            values.setdefault("viscous", own[joint])
-        numbers = {name: values.get(term) for term, name in _IN_MJCF.items()}
-        words = _words_of(terms)
-        changes.append(
-            JointChange(joint, **numbers, polynomial=polynomial, words=words)
-        )
+            values.setdefault("viscous", model_viscous)
+        numbers = {name: values.get(term) for term, name in _MJCF_ATTRIBUTES.items()}
+        text = _terms_text(terms)
+        changes.append(JointChange(joint, **numbers, polynomial=polynomial, words=text))
     return tuple(changes)
 
 
-def _words_of(terms: Mapping[str, Quantity]) -> str:
-    """Return what a comment says of some terms of friction."""
-    return ", ".join(
-        f"{_IN_MJCF.get(term, f'{term} damping')} {figure.value:.4g}"
-        + (f" ± {figure.error:.2g}" if np.isfinite(figure.error) else "")
-        for term, figure in terms.items()
-    )
+def _terms_text(terms: Mapping[str, Quantity]) -> str:
+    """Return friction terms for a comment, such as "damping 0.25 ± 0.02, quadratic damping 0.1"."""
+    texts = []
+    for term, (value, error) in terms.items():
+        text = f"{_MJCF_ATTRIBUTES.get(term, f'{term} damping')} {value:.4g}"
+        texts.append(f"{text} ± {error:.2g}" if np.isfinite(error) else text)
+    return ", ".join(texts)
 
 
 def _tendon_changes(robot: RobotModel, file: ModelFile) -> Iterator[TendonChange]:
-    """Yield the motors that turn several joints, as tendons."""
-    following = itertools.count(robot.mj_model.ntendon)
+    """Yield the motors that turn several joints as fixed tendons, new ones behind the model's."""
+    new_indices = itertools.count(robot.mj_model.ntendon)
     for motor in file.motors:
         terms = file.joints.get(motor.name, {})
         ratios = zip(robot.joint_names, motor.ratios.tolist())
         yield TendonChange(
-            tendon=next(following) if motor.tendon is None else motor.tendon,
+            tendon=next(new_indices) if motor.tendon is None else motor.tendon,
             is_new=motor.tendon is None,
             coefficients={joint: ratio for joint, ratio in ratios if ratio != 0.0},
-            numbers={_IN_MJCF[term]: figure.value for term, figure in terms.items()},
-            words=_words_of(terms),
+            numbers={_MJCF_ATTRIBUTES[term]: terms[term].value for term in terms},
+            words=_terms_text(terms),
         )
 
 
-def _that_fit(
-    robot: RobotModel, joints: Sequence[JointChange]
+def _changes_of_kind(
+    robot: RobotModel, changes: Sequence[JointChange]
 ) -> tuple[tuple[JointChange, ...], tuple[str, ...]]:
-    """Return the changes that the kind of file can hold, and a note on what it cannot."""
+    """Return the changes that the format of the model can hold, and a note on what it cannot."""
     if robot.kind != "urdf":
-        return tuple(joints), ()
-    lost = [
-        what
-        for what, name in _NOT_IN_URDF.items()
-        if any(np.any(getattr(change, name) or 0.0) for change in joints)
-    ]
-    kept = (replace(each, armature=None, polynomial=None, words="") for each in joints)
+        return tuple(changes), ()
+    lost = []
+    for title, field in _NOT_IN_URDF.items():
+        if any(np.any(getattr(change, field) or 0.0) for change in changes):
+            lost.append(title)
+    possible = [replace(c, armature=None, polynomial=None, words="") for c in changes]
     note = f"a URDF cannot hold {' or '.join(lost)}, so the written model lacks it"
-    return tuple(kept), (note,) if lost else ()
+    return tuple(possible), (note,) if lost else ()
 
 
 def _body_changes(
@@ -214,98 +237,122 @@ def _body_changes(
     thetas: Array,
     errors: Array,
     joints: Sequence[JointChange],
-    addition: str,
+    terminal_comment: str,
 ) -> tuple[tuple[BodyChange, ...], Array]:
-    """Return (what the bodies get, the links (n, 10) as they are then)."""
-    bodies = [link.body_id for link in robot.links]
-    changes: list[BodyChange] = []
+    """Return the changes of all bodies of the links, and the links as the changed bodies have them.
+
+    Args:
+        robot: the arm.
+        thetas: (n, 10) parameters that the links are to have.
+        errors: (n, 10) their standard errors, within which moments of inertia may be inflated.
+        joints: changes of the joints, for comments.
+        terminal_comment: comment on the terminal link, or "".
+
+    Returns:
+        The changes, and the parameters (n, 10) of the links that they lead to.
+    """
+    body_ids = [link.body_id for link in robot.links]
     bound = setting_number(read_document(robot.path), "boundinertia")
-    held = np.array(thetas, dtype=float)
-    written = [
-        k for k, link in enumerate(robot.links) if np.any(thetas[k] != link.theta)
-    ]
-    words = _joint_words(robot, written, joints)
-    words[len(bodies) - 1][:0] = [addition] if addition else []
-    for k in written:
+    written_thetas = np.array(thetas, dtype=float)
+    is_changed = [np.any(t != link.theta) for t, link in zip(thetas, robot.links)]
+    indices = np.flatnonzero(is_changed).tolist()
+    comments = _link_comments(robot, indices, joints)
+    if terminal_comment:
+        comments[len(body_ids) - 1].insert(0, terminal_comment)
+    changes: list[BodyChange] = []
+    for k in indices:
         link = robot.links[k]
-        parts = link_bodies(
-            robot.mj_model, robot.reference_qpos, link.body_id, bodies[k + 1 :]
+        bodies = link_bodies(
+            robot.mj_model, robot.reference_qpos, link.body_id, body_ids[k + 1 :]
         )
-        if not parts:
+        if not bodies:
             raise ExportError(
                 f"joint {robot.joint_names[k]} moves no link of its own, because a later joint "
                 f"moves body '{link.body_name}' too; its parameters belong to that joint's link"
             )
-        plan = plan_write_back(thetas[k], parts, bound, most_inflated(errors[k]))
-        held[k] = plan.written_composite(thetas[k])
-        changes.append(
-            BodyChange(link.body_name, link.body_id, plan, "; ".join(words[k]) or None)
-        )
-        scaled = f"mass and inertia {plan.scale:.4g} of the model's, for want of room in its link"
-        for part in plan.lightened:
-            rest = WriteBack(plan.scale * body_theta(robot.mj_model, part.body_id))
-            changes.append(BodyChange(part.name, part.body_id, rest, scaled))
-    return tuple(changes), held
-
-
-def _joint_words(
-    robot: RobotModel, written: Sequence[int], joints: Sequence[JointChange]
-) -> list[list[str]]:
-    """Return what each link's comment says of joints; the last one's of those without any."""
-    place = {robot.links[k].body_id: k for k in written}
-    body = {name: link.body_id for name, link in zip(robot.joint_names, robot.links)}
-    words: list[list[str]] = [[] for _ in robot.links]
-    for change in joints:
-        what = change.words or ", ".join(change.numbers)
-        if what and change.label in body:
-            words[place.get(body[change.label], -1)].append(
-                f"{what} of joint '{change.label}'"
+        plan = plan_write_back(thetas[k], bodies, bound, max_inflation(errors[k]))
+        written_thetas[k] = plan.written_composite(thetas[k])
+        comment = "; ".join(comments[k]) or None
+        changes.append(BodyChange(link.body_name, link.body_id, plan, comment))
+        comment = f"mass and inertia {plan.scale:.4g} of the model's, for want of room in its link"
+        for body in plan.lightened:
+            theta = plan.scale * body_theta(robot.mj_model, body.body_id)
+            changes.append(
+                BodyChange(body.name, body.body_id, WriteBack(theta), comment)
             )
-    return words
+    return tuple(changes), written_thetas
 
 
-def _welded(robot: RobotModel, payload: Payload, name: str, words: str) -> WeldedBody:
+def _link_comments(
+    robot: RobotModel, written_links: Sequence[int], joints: Sequence[JointChange]
+) -> list[list[str]]:
+    """Return for each link the comments on changed joints that move it.
+
+    The comment on a joint whose link is not written stands with the terminal link.
+    """
+    link_by_body = {robot.links[k].body_id: k for k in written_links}
+    comments: list[list[str]] = [[] for _ in robot.links]
+    for change in joints:
+        text = change.words or ", ".join(change.numbers)
+        if text and change.label in robot.joint_names:
+            moved = robot.links[robot.joint_names.index(change.label)]
+            link_index = link_by_body.get(moved.body_id, -1)
+            comments[link_index].append(f"{text} of joint '{change.label}'")
+    return comments
+
+
+def _payload_body(
+    robot: RobotModel, payload: Payload, name: str, text: str
+) -> WeldedBody:
+    """Return a new body for a payload, fixed to the body that carries the flange.
+
+    The text describes the payload for the comment.
+    """
     flange = payload.flange
     rotation, translation = place_in_carrier(robot, flange)
     carrier = body_label(robot.mj_model, flange.carrier)
-    nothing = SubtreeBody(0, name, np.zeros(10), True)
-    theta = plan_write_back(payload.body.inertial.theta, [nothing]).theta
-    return WeldedBody(
-        name, carrier, rotation, translation, theta, f"{words} at {flange.name}"
-    )
+    empty_body = SubtreeBody(0, name, np.zeros(10), True)
+    theta = plan_write_back(payload.body.inertial.theta, [empty_body]).theta
+    comment = f"{text} at {flange.name}"
+    return WeldedBody(name, carrier, rotation, translation, theta, comment)
 
 
 def _write(
     robot: RobotModel, change: ModelChange, target: ModelTarget, thetas: Array
 ) -> tuple[str, ...]:
-    """Write the draft and compare it, compiled, with links (n, 10); withdraw it where it fails."""
-    welded = change.welded
+    """Write the draft of a changed model, verify it, and return notes on its bodies.
+
+    The compiled draft must predict the torques of links with parameters thetas (n, 10). Where it
+    does not, ExportError is raised and the draft is withdrawn.
+    """
     written = [body.plan.theta for body in change.bodies]
-    written += [] if welded is None else [welded.theta]
-    exact = all(map(verification.reads_fullinertia_exactly, written))
-    change = replace(change, principal=not exact)
+    if change.welded is not None:
+        written.append(change.welded.theta)
+    is_exact = all(map(verification.reads_fullinertia_exactly, written))
+    change = replace(change, principal=not is_exact)
+    path = target.path
     text = changed_model_text(
-        robot.path, change, target.path.absolute().parent, target.mesh_dir
+        robot.path, change, path.absolute().parent, target.mesh_dir
     )
     try:
-        draft = target.files.write(target.path, text)
-        compiled = verification.verify_written_model(
-            robot.mj_model, draft, change
-        ).mj_model
-        motion = target.checkpoints
-        path = target.path
-        verification.require_reproduction(robot, thetas, change, compiled, motion, path)
+        draft = target.files.write(path, text)
+        compiled = verification.verify_written_model(robot.mj_model, draft, change)
+        verification.require_reproduction(
+            robot, thetas, change, compiled.mj_model, target.checkpoints, path
+        )
     except BaseException:
-        target.files.withdraw(target.path)
+        target.files.withdraw(path)
         raise
-    plans = [body.plan for body in change.bodies]
-    return tuple(
-        p.note if p.emptied or p.lightened else Detail(p.note) for p in plans if p.note
-    )
+    notes = []
+    for plan in (body.plan for body in change.bodies):
+        if plan.note:
+            is_major = plan.emptied or plan.lightened
+            notes.append(plan.note if is_major else Detail(plan.note))
+    return tuple(notes)
 
 
 def versions() -> dict[str, str]:
-    """Return the versions that a result depends on."""
+    """Return the versions of this package, MuJoCo, numpy and Python, on which results depend."""
     return {
         "robot_sysid": __version__,
         "mujoco": MUJOCO_VERSION,
@@ -315,63 +362,66 @@ def versions() -> dict[str, str]:
 
 
 BUNDLE_NAME = "bundle"
+"""Name of the folder in the output folder that holds the bundle."""
 ASSETS = "assets"
-"""Folder in the output folder, and the folder in it that meshes and textures go to."""
+"""Name of the folder in the bundle that holds meshes and textures."""
 
 
 def write_bundle(model: Path, folder: Path) -> Path:
-    """Copy a written model and all files it refers to into its output folder's bundle, in place of
-    an earlier one, and load it from there; returns the model in the bundle.
+    """Copy a written model and all files it refers to into the bundle, and return the copy's path.
+
+    The bundle lies in the output folder; an earlier one is replaced once the copy has been loaded.
 
     Raises:
         ExportError: it refers to another model, or the copy does not load as the same model.
         InputError: a file cannot be copied, or another run has the folder.
     """
-    place = folder / BUNDLE_NAME
+    bundle = folder / BUNDLE_NAME
     try:
         with (
             lock_folder(folder),
-            draft_folder(place) as draft,
-            draft_folder(place) as earlier,
+            draft_folder(bundle) as draft,
+            draft_folder(bundle) as trash,
         ):
-            text, names = _bundled(model, f"{ASSETS}/")
+            text, asset_names = _bundled_model(model, f"{ASSETS}/")
             (draft / ASSETS).mkdir()
-            for source, name in names.items():
+            for source, name in asset_names.items():
                 shutil.copyfile(source, draft / name)
-            (draft / model.name).write_bytes(text)
-            again = verification.compiled_again(draft / model.name).mj_model
-            verification.require_same_model(compile_model(model).mj_model, again, {})
-            _put_in_place(draft, place, earlier / BUNDLE_NAME)
+            copy = draft / model.name
+            copy.write_bytes(text)
+            copied_model = verification.compiled_again(copy).mj_model
+            original = compile_model(model).mj_model
+            verification.require_same_model(original, copied_model, {})
+            with delay_signals():
+                if os.path.lexists(bundle):
+                    os.replace(bundle, trash / BUNDLE_NAME)
+                os.replace(draft, bundle)
     except OSError as error:
         raise InputError(
-            f"--bundle: cannot write {place}: {error.strerror or error}"
+            f"--bundle: cannot write {bundle}: {error.strerror or error}"
         ) from None
-    return place / model.name
-
-
-def _put_in_place(draft: Path, place: Path, earlier: Path) -> None:
-    """Move a finished folder to its place, and what stands there out of the way."""
-    with delay_signals():
-        if os.path.lexists(place):
-            os.replace(place, earlier)
-        os.replace(draft, place)
+    return bundle / model.name
 
 
 def model_in_memory(model: Path) -> Any:
-    """Return a model and all files it refers to as a ``mujoco.MjSpec`` that needs no files, or
-    raise ExportError where it refers to another model, or this MuJoCo is older than 3.2.
+    """Return a model and all files it refers to as one ``mujoco.MjSpec`` without files.
+
+    Raises ExportError where it refers to another model, or where MuJoCo is older than 3.2.
     """
     if not hasattr(mujoco, "MjSpec"):
         raise ExportError(
             f"a spec needs MuJoCo 3.2 or later, not {mujoco.__version__}; use save()"
         )
-    text, names = _bundled(model, "")
-    assets = {name: path.read_bytes() for path, name in names.items()}
+    text, asset_names = _bundled_model(model, "")
+    assets = {name: path.read_bytes() for path, name in asset_names.items()}
     return mujoco.MjSpec.from_string(text.decode("utf-8"), assets=assets)
 
 
-def _bundled(model: Path, folder: str) -> tuple[bytes, dict[Path, str]]:
-    """Return (the text of a model that stands beside its assets, file to its name there)."""
+def _bundled_model(model: Path, folder: str) -> tuple[bytes, dict[Path, str]]:
+    """Return a model's text with new paths of its assets, and each asset's file to its new path.
+
+    The new paths are relative, in ``folder``. ExportError where the model attaches other models.
+    """
     document = read_document(model)
     assets = find_assets(document)
     if any(asset.node.tag == "model" for asset in assets):
@@ -380,13 +430,16 @@ def _bundled(model: Path, folder: str) -> tuple[bytes, dict[Path, str]]:
             "cannot hold; send the folders as they are"
         )
     names: dict[Path, str] = {}
-    for path in dict.fromkeys(asset.path for asset in assets if asset.path is not None):
-        # Two files never get one name, not even on a disk that knows no capital letters.
-        taken = {other.lower() for other in names.values()}
-        number = 1
-        name = path.name
-        while f"{folder}{name}".lower() in taken:
-            number += 1
-            name = f"{path.stem}_{number}{path.suffix}"
-        names[path] = f"{folder}{name}"
+    for asset in assets:
+        path = asset.path
+        if path is None or path in names:
+            continue
+        # Two files never get one name, not even on a disk that ignores the case of letters.
+        used_names = {name.lower() for name in names.values()}
+        name = f"{folder}{path.name}"
+        for number in itertools.count(2):
+            if name.lower() not in used_names:
+                break
+            name = f"{folder}{path.stem}_{number}{path.suffix}"
+        names[path] = name
     return bundled_text(document, names), names

@@ -29,7 +29,7 @@ from robot_sysid.results import record, verification
 from robot_sysid.results import written_model as model_module
 from robot_sysid.results.record import ModelTarget
 from robot_sysid.results.verification import require_same_model
-from robot_sysid.results.written_model import most_inflated, write_bundle, write_model
+from robot_sysid.results.written_model import max_inflation, write_bundle, write_model
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms, urdf
 from tests.support import results as made
@@ -526,8 +526,8 @@ def test_any_arm_takes_any_links_and_any_payload(tmp_path_factory, xml, seed, wh
 def test_errors_say_how_far_moments_may_be_inflated(error, seed):
     errors = np.random.default_rng(seed).uniform(2.0, 3.0, 10)
     errors[7] = error
-    assert most_inflated(errors) == error
-    assert most_inflated(np.full(10, np.inf)) == 0.0
+    assert max_inflation(errors) == error
+    assert max_inflation(np.full(10, np.inf)) == 0.0
 
 
 def test_the_errors_of_what_is_written_count(tmp_path):
