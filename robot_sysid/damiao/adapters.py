@@ -51,7 +51,7 @@ INTERFACES = (
 
 @dataclass(frozen=True)
 class BusAddress(OptionRecord):
-    """Where the bus is."""
+    """Options that say by which adapter and channels the buses are reached."""
 
     interface: str = option(
         "socketcan",
@@ -75,7 +75,7 @@ class BusAddress(OptionRecord):
 
     @property
     def buses(self) -> Mapping[str, str]:
-        """What messages and joint maps call each bus, and where it is; InputError for one twice."""
+        """Name of each bus, as in joint maps, to its channel; InputError for one twice."""
         matches = [_NAMED.fullmatch(channel) for channel in self.channel]
         pairs = [(match[1] or match[2], match[2]) for match in matches if match]
         # One that fell out would leave its arm to the other's trajectory.
@@ -88,7 +88,7 @@ class BusAddress(OptionRecord):
         return dict(pairs)
 
 
-# A name before the place: not the "=" that ends an address such as spy://COM3?file=log.
+# A name before the channel: not the "=" that ends an address such as spy://COM3?file=log.
 _NAMED = re.compile(r"(?:([\w.-]+)=)?(.*)")
 SERIAL_ADAPTER = "damiao"
 # More than a busy computer keeps a program waiting (a cycle may be 20 ms late), and less than
@@ -126,7 +126,8 @@ def import_can() -> Any:
     return can
 
 
-def _driver_words(error: BaseException) -> str:
+def _driver_text(error: BaseException) -> str:
+    """Return the message of whatever a driver raised."""
     return repr(error) if isinstance(error, SystemExit) else error_text(error)
 
 
@@ -137,7 +138,7 @@ def can_message(can: Any, frame: Frame, **stamp: Any) -> Any:
     return can.Message(arbitration_id=frame.id, data=frame.data, **flags, **stamp)
 
 
-# How often the watch looks [s], and after how many looks at the same call it says so, and ends.
+# How often the watch looks [s], and after how many looks at the same call it reports it, and ends.
 # The longest watchdog that a run allows is 5 s: by then no motor drives any more.
 _LOOK = 0.1
 _LOOKS_TO_SAY = 10
@@ -145,14 +146,15 @@ _LOOKS_TO_END = 50
 # What opening an adapter may take in addition: python-can's slcan sleeps for 2 s [looks].
 _OPENING = 50
 StallReport = Callable[[str, bool], None]
+"""Takes a message about a driver that does not return, and whether it is the last one."""
 
 
 class DriverWatch:
     """Watches the calls of adapters' drivers, because one that does not return stops everything.
 
-    ``tell`` is called from a thread of its own with what is happening, and whether it is the end:
-    no more can be said or sent then, and whoever is told should end the program. Looks are counted
-    and not seconds, so that a computer that was asleep accuses nobody.
+    ``tell`` is called from a thread of its own, twice at most; at the second call nothing can be
+    sent any more, and the program should end. None watches nothing. Looks are counted and not
+    seconds, so that a computer that was asleep accuses no driver.
     """
 
     def __init__(self, tell: StallReport | None = None) -> None:
@@ -167,7 +169,7 @@ class DriverWatch:
 
     @contextlib.contextmanager
     def during(self, more_looks: int = 0) -> Iterator[None]:
-        """Watch the call in the block, which may take so many looks more than a usual one."""
+        """Watch the call in the block, which may take ``more_looks`` beyond the usual limits."""
         self._call = object()
         self._looks = -more_looks
         try:
@@ -176,10 +178,11 @@ class DriverWatch:
             self._call = self._no_call
 
     def close(self) -> None:
-        """Watch no more."""
+        """Stop watching."""
         self._closed.set()
 
     def _look(self) -> None:
+        """Look at the present call again and again, and tell of one that does not return."""
         assert self._tell is not None
         last_call = self._no_call
         while self._looks < _LOOKS_TO_END and not self._closed.wait(_LOOK):
@@ -223,15 +226,11 @@ class BusLink:
                     return self._buses[frame.bus].send(message, timeout=_SEND_TIMEOUT)
             except (Exception, SystemExit) as error:
                 # Whatever a driver raises: the caller has to go on with the other motors.
-                codes = (
-                    getattr(error, "error_code", None),
-                    getattr(error, "errno", None),
-                )
+                names = "error_code", "errno"
+                codes = [getattr(error, name, None) for name in names]
                 if errno.ENOBUFS not in codes:
-                    reason = _driver_words(error)
-                    raise LinkError(
-                        f"the CAN bus does not take frames: {reason}"
-                    ) from error
+                    reason = f"the CAN bus does not take frames: {_driver_text(error)}"
+                    raise LinkError(reason) from error
                 if self._clock.now() >= patience:
                     raise LinkError(_FULL) from error
             self._clock.sleep_until(self._clock.now() + _FULL_PAUSE)
@@ -250,6 +249,7 @@ class BusLink:
             self._clock.sleep_until(min(self._clock.now() + _PAUSE, until))
 
     def _next(self, bus: Any, until: float) -> Any:
+        """Return the next python-can message with a standard id, or None at ``until`` [s]."""
         while True:
             try:
                 with self._watch.during():
@@ -259,7 +259,7 @@ class BusLink:
                 message = None
             except (Exception, SystemExit) as error:
                 raise LinkError(
-                    f"the CAN bus cannot be read: {_driver_words(error)}"
+                    f"the CAN bus cannot be read: {_driver_text(error)}"
                 ) from error
             if message is None and self._clock.now() >= until:
                 return None
@@ -267,6 +267,7 @@ class BusLink:
                 return message
 
     def _note_garbled(self, error: Exception) -> None:
+        """Count a damaged line; LinkError where there were too many within a second."""
         now = self._clock.now()
         self._garbled_at.append(now)
         if (
@@ -286,13 +287,14 @@ class BusLink:
         self._watch.close()
 
     def _frame(self, message: Any, bus: int) -> Frame:
+        """Return python-can's message as a frame of a bus, its time in this link's clock."""
         age = time.time() - message.timestamp
         # Where the adapter has another clock, a frame counts as just come.
-        then = self._clock.now() - (age if 0.0 <= age < _PLAUSIBLE_AGE else 0.0)
+        sent_at = self._clock.now() - (age if 0.0 <= age < _PLAUSIBLE_AGE else 0.0)
         return Frame(
             message.arbitration_id,
             bytes(message.data),
-            then,
+            sent_at,
             message.is_fd,
             message.is_error_frame,
             not message.is_rx,
@@ -306,9 +308,10 @@ def open_bus(
     clock: SystemClock,
     tell: StallReport | None = None,
 ) -> Link:
-    """Open one CAN bus or several, or raise InputError; ``ip link`` sets the rates of socketcan.
+    """Open one CAN bus or several as one link; InputError where that is not possible.
 
-    ``tell`` is told of a driver that does not return, see ``DriverWatch``.
+    ``tell`` takes messages about a driver that does not return, see ``DriverWatch``. The bit rates
+    of socketcan are not set here: ``ip link`` does that.
     """
     if timing.fd and address.interface == SERIAL_ADAPTER:
         raise InputError(
@@ -327,6 +330,7 @@ def open_bus(
 
 
 def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
+    """Return the python-can bus of one channel, or raise InputError."""
     can = import_can()
     interface = address.interface
     options = _bus_options(can, interface, timing)
@@ -334,7 +338,7 @@ def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
         name, equals, value = text.partition("=")
         if not equals or not name.isidentifier():
             raise InputError(f"--bus-option takes NAME=VALUE, got {text!r}")
-        options[name] = _value(value)
+        options[name] = _parse_value(value)
     try:
         if interface == SERIAL_ADAPTER:
             return _bus_class()(channel, **options)
@@ -346,14 +350,14 @@ def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
         return bus
     except (Exception, SystemExit) as error:
         # Each adapter's driver raises what it likes.
-        reason = _driver_words(error)
+        reason = _driver_text(error)
         raise InputError(
             f"cannot open {interface} channel {channel}: {reason}"
         ) from error
 
 
-def _value(text: str) -> Any:
-    """Return a number, True or False where a text is one."""
+def _parse_value(text: str) -> Any:
+    """Return the number, True or False that a text stands for, or the text itself."""
     for number_type in (int, float):
         with contextlib.suppress(ValueError):
             return number_type(text)
@@ -361,6 +365,7 @@ def _value(text: str) -> Any:
 
 
 def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
+    """Return python-can's options for bit rates and echoes on an adapter."""
     if interface == SERIAL_ADAPTER:
         return {}
     if interface == "socketcan":
@@ -400,13 +405,13 @@ def packet(identifier: int, data: bytes) -> bytes:
 
 
 class PacketReader:
-    """Finds packets in what comes over the line, also after garbage or a packet's loss."""
+    """Finds the maker's packets in bytes from the line, also after garbage or a packet's loss."""
 
     def __init__(self) -> None:
         self._incomplete = b""
 
     def take(self, piece: bytes) -> list[Frame]:
-        """Return the frames that are complete now."""
+        """Return the frames that are complete with this piece of the line."""
         line = self._incomplete + piece
         frames = []
         end = max(len(line) - _RECEIVED + 1, 0)
@@ -433,6 +438,7 @@ def __getattr__(name: str) -> Any:
 
 @cache
 def _bus_class() -> Any:
+    """Return the class DamiaoSerialBus, made on first use because python-can is an extra."""
     import can
     import serial
 
@@ -498,19 +504,19 @@ class _LineReader:
 
     def __init__(self, fetch: Callable[[float], bytes]) -> None:
         self._fetch = fetch
-        self._come = b""
+        self._received = b""
 
     def __call__(self, timeout: float | None) -> str | None:
         """Return the next line with its end, or None after ``timeout`` [s]."""
         until = math.inf if timeout is None else time.monotonic() + timeout
-        while (end := _LINE_END.search(self._come)) is None:
-            left = min(max(until - time.monotonic(), 0.0), _LONGEST_LOOK)
-            piece = self._fetch(left)
-            self._come += piece
-            if not piece and left == 0.0:
+        while (end := _LINE_END.search(self._received)) is None:
+            patience = min(max(until - time.monotonic(), 0.0), _LONGEST_LOOK)
+            piece = self._fetch(patience)
+            self._received += piece
+            if not piece and patience == 0.0:
                 return None
-        line = self._come[: end.end()]
-        self._come = self._come[end.end() :]
+        line = self._received[: end.end()]
+        self._received = self._received[end.end() :]
         # python-can gives up at a byte that is no text.
         return line.decode("ascii", "ignore")
 

@@ -74,9 +74,16 @@ from robot_sysid.records.option_fields import given_options, record_from
 
 
 class MotorRun:
-    """What a run on motors was asked for, key of an option to value, as records.
+    """A run on motors, from the values of its options: plan, checks, bus and playing.
 
-    ``tell`` is told of a driver that does not return, see ``adapters.DriverWatch``.
+    Args:
+        values: key of an option to its value, as the command line or the API gives them.
+        tell: takes messages about a driver that does not return, see ``adapters.DriverWatch``.
+
+    Attributes:
+        values: as above.
+        clock: of the bus.
+        address, timing: how the bus is reached, and its bit rates.
     """
 
     def __init__(self, values: Mapping[str, Any], tell: StallReport) -> None:
@@ -88,7 +95,10 @@ class MotorRun:
         self._order_between: dict[tuple[bytes, bytes], tuple[str, str]] = {}
 
     def plan(self) -> Plan:
-        """Return the trajectory and how to play it."""
+        """Return the plan of the trajectory file, or of both arms' files.
+
+        InputError where files do not fit the model or the joint map.
+        """
         paths = filter(None, (self.values["trajectory"], self.values.get("also")))
         files = [motion.read_damiao_trajectory(path) for path in paths]
         for file, robot in zip(files, self.robots):
@@ -103,7 +113,7 @@ class MotorRun:
 
     @cached_property
     def _has_two_arms(self) -> bool:
-        """Whether both arms of the model are meant."""
+        """Whether the options name a second arm; InputError where they are incomplete."""
         values = self.values
         second = record_from(SecondArm, values)
         if (
@@ -120,7 +130,7 @@ class MotorRun:
         return second.also_joint is not None
 
     def hold_plan(self, inspection: Inspection) -> Plan:
-        """Return how the arm is held for a second where it stands, by torques of its model.
+        """Return a plan that holds the arm for a second where it stands, by torques of its model.
 
         The motors' types are those that their registers agree with. HardwareAbort where a motor
         does not answer, does not tell its state or is of no known type.
@@ -158,6 +168,7 @@ class MotorRun:
         return self._plan_of(at_rest)
 
     def _plan_of(self, trajectory: DamiaoTrajectory) -> Plan:
+        """Return the plan of a trajectory with the options' settings, and the model if given."""
         inertia = None
         ripple = None
         model_range = None
@@ -181,7 +192,7 @@ class MotorRun:
         )
 
     def _limits(self) -> LimitOptions:
-        """Return what holds for all that moves; InputError where only a model could tell."""
+        """Return the user's limits of all motions; InputError for one that needs a model."""
         limits = {key: self.values[key] for key in motion.LIMITS if key in self.values}
         for key in motion.MODEL_LIMITS if self.robot is None else ():
             if key in limits:
@@ -196,6 +207,7 @@ class MotorRun:
         return record_from(LimitOptions, {**free, **limits})
 
     def _with_joint_map(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
+        """Return joints as the joint map mounts them, or else with the model's names."""
         names = self.robot.joint_names if self.robot else ()
         if self.rows:
             return map_joints(joints, self.rows, self.channels, names)
@@ -205,7 +217,7 @@ class MotorRun:
 
     @cached_property
     def rows(self) -> tuple[DamiaoJoint, ...]:
-        """The joint map's lines; none without one."""
+        """Joints in the rows of the joint map; empty without one."""
         path = self.values.get("joint_map")
         names = self.robot.joint_names if self.robot else ()
         return () if path is None else read_joint_map(Path(path), names)
@@ -236,11 +248,14 @@ class MotorRun:
         return [*checks, *torque_checks(plan.trajectory, plan.settings, self.robot)]
 
     def orders(self, plan: Plan, q: Array) -> tuple[str, ...]:
-        """Return in which order joints go on each way of an arm that is at q (n,) [rad]."""
+        """Return the order of joints, of ``ORDERS``, in each transfer of an arm at q (n,) [rad]."""
         return tuple(self._order(begin, end)[0] for _, begin, end in plan.transfers(q))
 
     def _order(self, begin: Array, end: Array) -> tuple[str, str]:
-        """Return ``Contacts.order``, which is asked for by the checks and by the run."""
+        """Return ``Contacts.order`` between two poses (n,) [rad]; straight without a model.
+
+        Results are cached, because the checks and the run need them.
+        """
         if self.robot is None:
             return STRAIGHT, ""
         key = begin.tobytes(), end.tobytes()
@@ -258,7 +273,7 @@ class MotorRun:
     def inspection_checks(
         self, plan: Plan, inspection: Inspection, real: bool = True
     ) -> list[Check]:
-        """Return what motors that were met say, and whether ``real`` ones turn as they should."""
+        """Return the checks of a plan against inspected motors, real ones' directions included."""
         checks = preflight.bus_checks(plan, inspection)
         q = plan.joint_positions(inspection)
         if np.all(np.isfinite(q)):
@@ -282,7 +297,7 @@ class MotorRun:
         on_phase: Callable[[str], None],
         on_progress: Callable[[float], None],
     ) -> PlayReport:
-        """Play a plan, as the model says; signals ask for a stop. For the arguments see ``run``."""
+        """Play a plan with the model's checks; signals stop it. For the arguments see ``run``."""
         with stop.on_signals():
             holding = self.holding(plan)
             orders = self.orders(plan, plan.joint_positions(inspection))
@@ -299,12 +314,12 @@ class MotorRun:
                 raise HardwareAbort(f"{error}; {remedy}") from error
 
     def require_free(self, plan: Plan) -> None:
-        """Raise InputError where a recording would replace a file, or be one that the run reads."""
+        """Raise InputError where a recording would replace a file, the run's inputs included."""
         keys = "trajectory", "model", "also", "joint_map", "park"
         plan.recording.require_free(*filter(None, map(self.values.get, keys)))
 
     def holding(self, plan: Plan) -> HoldingCheck | None:
-        """Return what compares the arm, held still, with the model's gravity; None without one."""
+        """Return the check of holding torques by the model's gravity; None without a model."""
         if self.robot is None:
             return None
         from robot_sysid.damiao.model_check import gravity_check
@@ -313,7 +328,7 @@ class MotorRun:
 
     @cached_property
     def robot(self) -> Any:
-        """The arm of the model file, or both as one; None without a model."""
+        """The arm of the model file as a RobotModel, both arms as one; None without a model."""
         if not self._has_two_arms:
             return self.robots[0] if self.robots else None
         from robot_sysid.motion.limit_check import as_one
@@ -322,7 +337,7 @@ class MotorRun:
 
     @cached_property
     def robots(self) -> tuple[Any, ...]:
-        """The arm of the model file, or both; empty without a model."""
+        """The arm of the model file, or both, as RobotModels; empty without a model."""
         if self.values.get("model") is None:
             return ()
         from robot_sysid.parser import load_robot_model
@@ -347,7 +362,11 @@ class MotorRun:
     def simulated_arm(
         self, plan: Plan, watchdog: float, *timestep: float
     ) -> SimulatedArm:
-        """Return the model's arm at the plan's first point, driven by simulated motors."""
+        """Return the model's arm at the plan's first point, driven by simulated motors.
+
+        ``watchdog`` is that of the motors [s], ``timestep`` that of the physics [s]. InputError
+        without a model.
+        """
         if self.robot is None:
             raise InputError("a simulated arm needs a model; add --model")
         from robot_sysid.simulation.forward_dynamics import ArmStepper
@@ -365,7 +384,7 @@ class MotorRun:
         yield GuardedLink(wire, clock, self.timing.fd, self.channels or ("simulated",))
 
     def open_link(self, timing: BusTiming | None = None) -> Link:
-        """Open the bus, with other bit rates than those asked for if given."""
+        """Return the opened bus, with other bit rates than those of the options if given."""
         return open_bus(self.address, timing or self.timing, self.clock, self._tell)
 
     @contextlib.contextmanager
@@ -374,7 +393,7 @@ class MotorRun:
         refuse: Callable[[Frame], None] = refuse_harmful,
         timing: BusTiming | None = None,
     ) -> Iterator[GuardedLink]:
-        """Open the bus for as long as the block runs; what ``refuse`` raises for is not sent."""
+        """Open the bus for a block; frames for which ``refuse`` raises are not sent."""
         if not self.address.channel:
             raise InputError(
                 "this command needs --channel, for instance --channel can0"
@@ -384,7 +403,7 @@ class MotorRun:
 
 
 def lengthen_hold(plan: Plan, seconds: float) -> Plan:
-    """Return a plan to hold an arm that lasts so long [s]."""
+    """Return a plan of ``hold_plan`` that lasts so many seconds."""
     time = np.array([0.0, seconds])
     return replace(plan, trajectory=replace(plan.trajectory, time=time))
 
@@ -399,15 +418,19 @@ def run(
     holding: HoldingCheck | None = None,
     orders: Sequence[str] = (STRAIGHT, STRAIGHT),
 ) -> PlayReport:
-    """Play the plan on inspected motors.
+    """Play the plan on inspected motors, record it, and return how it went.
 
-    For ``stop``, ``holding`` (by default what the trajectory says), ``orders`` and what is told see
-    ``Player``.
+    Args:
+        link: of the motors' buses.
+        plan: checked again before anything is enabled.
+        inspection: of the motors on the link.
+        stop, on_phase, on_progress, orders: see ``Player``.
+        holding: see ``Player``; by default the torques of the trajectory.
 
     Raises:
         HardwareAbort: a check forbids it, or the run was stopped; says why.
         InputError: a recording exists already or cannot be written.
-        SysidError: the run went well, but recording or telling about it did not.
+        SysidError: the run went well, but recording or printing did not.
     """
     checks = [*preflight.plan_checks(plan), *preflight.bus_checks(plan, inspection)]
     preflight.require_no_stop(checks, "not played")
@@ -428,7 +451,7 @@ def run(
     writer = Aside(link.clock.live)
     try:
         with contextlib.ExitStack() as stack:
-            recorder = stack.enter_context(_recorder(link, plan, motors, writer))
+            recorder = stack.enter_context(_open_recorder(link, plan, motors, writer))
             watchdog = plan.permissions.watchdog
             if watchdog is not None:
                 client = RegisterClient(link)
@@ -487,7 +510,7 @@ def _settings_with(plan: Plan, held_joints: Sequence[DamiaoJoint]) -> PlaySettin
 
 
 def _require_complete(console: Aside, writer: Aside) -> None:
-    """Raise SysidError where a run went well, and recording or telling about it did not."""
+    """Raise SysidError where a run went well, but recording or printing did not."""
     for aside, problem in (
         (writer, "the recording is not complete"),
         (console, "cannot print"),
@@ -500,9 +523,10 @@ def _require_complete(console: Aside, writer: Aside) -> None:
 
 
 @contextlib.contextmanager
-def _recorder(
+def _open_recorder(
     link: GuardedLink, plan: Plan, motors: Sequence[InspectedMotor], aside: Aside
 ) -> Iterator[MeasurementRecorder | None]:
+    """Open the recorder of a plan's files for a block; None where nothing is recorded."""
     path = plan.recording.frames
     record = plan.recording.record
     played = plan.trajectory

@@ -501,13 +501,16 @@ def _lerobot_joints(
             yield DamiaoJoint("", *ids, name=prefix + name, channel=port)
     else:
         for name, motor in content.items():
-            for key in ("drive_mode", "homing_offset"):
-                if motor[key] != 0:
-                    raise ValueError(
-                        f"{key} of {name} is {motor[key]}, 0 for Damiao motors"
-                    )
-            can_id = int(motor["id"])
-            yield DamiaoJoint("", can_id, can_id + MASTER_ID_OFFSET, name)
+            yield _calibrated_joint(name, motor)
+
+
+def _calibrated_joint(name: str, motor: Mapping[str, Any]) -> DamiaoJoint:
+    """Return the joint of a motor in a LeRobot calibration; ValueError unless it is mounted 1:1."""
+    for key in ("drive_mode", "homing_offset"):
+        if motor[key] != 0:
+            raise ValueError(f"{key} of {name} is {motor[key]}, 0 for Damiao motors")
+    can_id = int(motor["id"])
+    return DamiaoJoint("", can_id, can_id + MASTER_ID_OFFSET, name)
 
 
 def _matching_name(name: str, names: Sequence[str]) -> str:

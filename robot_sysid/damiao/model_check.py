@@ -1,10 +1,10 @@
-"""Does a motor trajectory stay within what a model of the arm can do?
+"""Checks of a motor trajectory against a model of the arm: limits, contacts, torques, gravity.
 
 Between two rows position, velocity and torque change in a straight line, as the player sends them;
-so each row is compared with the model's own joint ranges, speeds and torques, and the straight ways
-between the rows with its bodies. How fast a joint moves is also told by its positions, whatever the
-velocity column says. The torque that is fed forward is compared with what the motion needs, and
-that with what the motors can do.
+so each row is compared with the model's own joint ranges, speeds and torques, and the straight
+lines between the rows with its bodies. The slope of the positions counts as a velocity too, besides
+the velocity column. The torque that is fed forward is compared with what the motion needs, and that
+with what the motors can do.
 """
 
 from __future__ import annotations
@@ -29,7 +29,12 @@ from robot_sysid.damiao.references import (
 )
 from robot_sysid.damiao.safety.causes import MovedZeroCheck
 from robot_sysid.damiao.settings import Plan, PlaySettings
-from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, NO_LIMITS, DamiaoTrajectory
+from robot_sysid.damiao.trajectory import (
+    CANNOT_FOLLOW,
+    NO_LIMITS,
+    DamiaoTrajectory,
+    peaks_beyond,
+)
 from robot_sysid.errors import InputError
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion.limit_check import BetweenArms, first_contact
@@ -51,7 +56,15 @@ _PRINTED = 1e-4
 
 
 class SampledTrajectory:
-    """A motor trajectory as a motion plan, at a share of its speed, with the slope between rows."""
+    """A motor trajectory as a motion plan, played at a factor of its speed.
+
+    Attributes:
+        time: of the N rows, from zero [s].
+        q, qd, tau: (N, n) [rad, rad/s, N m].
+        slope: velocity (N - 1, n) of the positions between rows [rad/s].
+        duration: [s].
+        n_joints: n.
+    """
 
     def __init__(self, trajectory: DamiaoTrajectory, speed: float) -> None:
         self.time = (trajectory.time - trajectory.time[0]) / speed
@@ -71,7 +84,14 @@ class SampledTrajectory:
 
 
 class Contacts:
-    """Where the arms of a model touch themselves, each other, what is around them, or planes."""
+    """Finds contacts of a model's arms: with themselves, each other, surroundings and planes.
+
+    Attributes:
+        arms: one arm or two.
+        between: check of two arms against each other; None for one.
+        problems: limits of each arm.
+        joints_of_arms: slice of each arm's joints among all n.
+    """
 
     def __init__(
         self, arms: Sequence[RobotModel], limits: LimitOptions = NO_LIMITS
@@ -84,9 +104,11 @@ class Contacts:
         """Which of all joints are those of each arm."""
 
     def order(self, begin: Array, end: Array) -> tuple[str, str]:
-        """Return in which of ``ORDERS`` the arms touch nothing between two poses (n,) [rad].
+        """Return the order of joints in which arms touch nothing between two poses (n,) [rad].
 
-        "" where in none; and what touches on the straight way, "" where nothing does.
+        Returns:
+            One of ``ORDERS``, or "" where there is none; and what touches on the straight line,
+            or "".
         """
         touching = self._contact_between(poses_between(begin, end, STRAIGHT))
         if not touching or np.max(np.abs(end - begin)) <= _THERE:
@@ -111,12 +133,12 @@ class Contacts:
         return ""
 
 
-# So near the arm is there: a contact on so short a way is the model's error [rad].
+# A contact on a transfer shorter than this is the model's error [rad].
 _THERE = 0.02
 
 
 def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
-    """Yield what a model of an arm, or of two, says to a plan and where it leaves the arm.
+    """Yield where a plan exceeds a model's limits or touches something, parking pose included.
 
     Models are loaded without a speed limit, so that only their own hold.
     """
@@ -169,12 +191,12 @@ def _smaller_motion_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> s
 
 
 def transfer_check(name: str, order: str, touching: str) -> Iterator[Check]:
-    """Yield where arms touch something on a straight way, and how they go instead, if they can.
+    """Yield a note or stop for a transfer on whose straight line the arms touch something.
 
     Args:
-        name: of the way, see ``Plan.transfers``.
-        order: in which of ``ORDERS`` it is free; "" where in none.
-        touching: what touches on the straight way; "" where nothing does.
+        name: of the transfer, see ``Plan.transfers``.
+        order: of ``ORDERS`` in which it is free; "" where there is none.
+        touching: bodies that touch on the straight line; "" where nothing does.
     """
     if not touching:
         return
@@ -189,6 +211,7 @@ def transfer_check(name: str, order: str, touching: str) -> Iterator[Check]:
 
 
 def _pose_excesses(robot: RobotModel, pose: Array) -> Iterator[str]:
+    """Yield a sentence for each joint of a parking pose (n,) outside the model's range."""
     limits = zip(robot.joint_names, pose, robot.limits.lower, robot.limits.upper)
     for j, (name, q, lower, upper) in enumerate(limits):
         if not lower - _ROUNDING <= q <= upper + _ROUNDING:
@@ -199,6 +222,7 @@ def _pose_excesses(robot: RobotModel, pose: Array) -> Iterator[str]:
 
 
 def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[str]:
+    """Yield a sentence for each joint whose range, speed or torque in the model is exceeded."""
     # Up to the next row, if the positions show more than the velocities say.
     slope = np.zeros_like(motion.qd)
     slope[:-1] = np.abs(motion.slope) - _PRINTED / np.diff(motion.time)[:, None]
@@ -221,6 +245,7 @@ def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[st
 
 
 def _unit(quantity: str, robot: RobotModel, joint: int) -> str:
+    """Return the unit of a joint's position, velocity or torque: rad or, for slides, m."""
     length, force = ("m", "N") if robot.is_slide[joint] else ("rad", "N m")
     return {"position": length, "velocity": f"{length}/s", "torque": force}[quantity]
 
@@ -233,26 +258,25 @@ _OTHER_TORQUE = 0.8
 def torque_checks(
     trajectory: DamiaoTrajectory, settings: PlaySettings, robot: RobotModel
 ) -> Iterator[Check]:
-    """Yield whether the file's torque is what its motion needs, and what the motors can do."""
+    """Yield a stop where a motion needs more torque than motors make, or another than is fed."""
     played = SampledTrajectory(trajectory, settings.speed)
     qdd = settings.speed**2 * _accelerations(trajectory)
     needed = ArmTorque(robot)(Motion(played.time, played.q, played.qd, qdd))
-    peak = np.abs(needed).max(axis=0)
     joints = trajectory.joints
-    strongest = np.array([j.spec.peak_torque * j.torque_ratio for j in joints])
-    for j in np.flatnonzero(peak > strongest).tolist():
+    available = np.array([j.spec.peak_torque * j.torque_ratio for j in joints])
+    for j, peak in peaks_beyond(needed, available):
         yield Check(
             STOP,
-            f"{joints[j].label}: the motion needs {peak[j]:.1f} N m and its motor makes "
-            f"{strongest[j]:g} at most; {CANNOT_FOLLOW}, {weighing_remedy(trajectory, robot)}",
+            f"{joints[j].label}: the motion needs {peak:.1f} N m and its motor makes "
+            f"{available[j]:g} at most; {CANNOT_FOLLOW}, {weighing_remedy(trajectory, robot)}",
         )
     yield from _foreign_torque_checks(trajectory, robot)
-    lacking = np.abs(needed - trajectory.tau).max(axis=0)
-    for j in np.flatnonzero(lacking > np.array(settings.max_torque_error)).tolist():
+    max_error = np.array(settings.max_torque_error)
+    for j, error in peaks_beyond(needed - trajectory.tau, max_error):
         yield Check(
             STOP,
-            f"{joints[j].label}: the motion needs {lacking[j]:.1f} N m more or less than the file "
-            f"feeds forward, limit {settings.max_torque_error[j]:g}; {CANNOT_FOLLOW}, "
+            f"{joints[j].label}: the motion needs {error:.1f} N m more or less than the file "
+            f"feeds forward, limit {max_error[j]:g}; {CANNOT_FOLLOW}, "
             f"{weighing_remedy(trajectory, robot)}",
         )
 
@@ -260,34 +284,33 @@ def torque_checks(
 def _foreign_torque_checks(
     trajectory: DamiaoTrajectory, robot: RobotModel
 ) -> Iterator[Check]:
-    """Yield of which joints a file's torque is not that of its motion, by a model."""
+    """Yield a note or stop for each joint whose torque in the file is not that of its motion."""
     fed = _FedTorque.of(trajectory, robot)
     is_as_planned = bool(np.any(fed.is_foreign)) and _is_as_planned(trajectory)
     for j in np.flatnonzero(fed.is_foreign).tolist():
-        why = (
-            "has the other sign"
-            if fed.is_against[j]
-            else "is another joint's or another arm's"
-        )
+        fault = "is another joint's or another arm's"
+        if fed.is_missing[j]:
+            fault = "is missing"
+        elif fed.is_against[j]:
+            fault = "has the other sign"
         finding = (
-            f"{trajectory.joints[j].label}: the torque that the file feeds forward "
-            f"{'is missing' if fed.is_missing[j] else why}: it is off by {fed.error[j]:.1f} N m "
-            f"where {robot.path.name} needs {fed.needed[j]:.1f} (rms)"
+            f"{trajectory.joints[j].label}: the torque that the file feeds forward {fault}: "
+            f"it is off by {fed.error[j]:.1f} N m where {robot.path.name} needs "
+            f"{fed.needed[j]:.1f} (rms)"
         )
         if is_as_planned and _is_weighing(trajectory):
             yield Check(
                 NOTE, f"{finding}; the file is as its model has it, and weighs this arm"
             )
             continue
-        remedy = (weighing_remedy if is_as_planned else _export_remedy)(
-            trajectory, robot
-        )
+        find_remedy = weighing_remedy if is_as_planned else _export_remedy
+        remedy = find_remedy(trajectory, robot)
         yield Check(STOP, f"{finding}, and {CANNOT_FOLLOW}; {remedy}")
 
 
 @dataclass(frozen=True)
 class _FedTorque:
-    """How the torque that a file feeds forward agrees with what its motion needs, by a model.
+    """Agreement of a file's feed-forward torque with the torque of its motion by a model.
 
     Attributes:
         needed: rms (n,) of what the motion needs [N m].
@@ -323,6 +346,7 @@ class _FedTorque:
 
 
 def _accelerations(trajectory: DamiaoTrajectory) -> Array:
+    """Return the accelerations (N, n) of a trajectory's velocities, at the file's speed."""
     return np.asarray(np.gradient(trajectory.qd, trajectory.time, axis=0))
 
 
@@ -354,7 +378,7 @@ def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
 
 
 def _export_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
-    """Return what to do about a file that is another arm's, as a command where there is one arm."""
+    """Return the remedy for a file that is another arm's, as a command where there is one arm."""
     command = _plan_command(trajectory, robot, for_model=True)
     if not command:
         return "export the file again for this arm"
@@ -363,7 +387,7 @@ def _export_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
 
 
 def weighing_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
-    """Return what to do about an arm that needs more than its motors make, as a command."""
+    """Return the remedy for an arm that needs more than its motors make, as a command."""
     command = _plan_command(trajectory, robot)
     if not command:
         return "plan a smaller motion for that arm with robot-sysid plan --for weight"
@@ -405,7 +429,10 @@ _STEP = 1e-4
 def gravity_check(
     robot: RobotModel, joints: tuple[DamiaoJoint, ...], is_chain: bool = True
 ) -> HoldingCheck:
-    """Return what compares holding torques, and of a serial chain those of motion, with a model."""
+    """Return the check of holding torques by a model's gravity.
+
+    For a serial chain it also watches the torques of motions, see ``MovedZeroCheck``.
+    """
     arm = ArmTorque(robot)
 
     def holding(q: Array) -> Array:
@@ -420,7 +447,7 @@ def gravity_check(
         return stepper.tip()
 
     def load(q: Array) -> Array:
-        # A mass follows the end of the arm: its torque is minus gravity times that place's slope.
+        # Torque of a mass at the end of the arm: minus gravity times the slope of its position.
         steps = _STEP * np.eye(len(q))
         slopes = np.array([tip(q + step) - tip(q - step) for step in steps]) / (
             2.0 * _STEP

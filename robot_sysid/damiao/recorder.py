@@ -54,10 +54,13 @@ _PATIENCE = 2.0
 
 
 class Aside:
-    """Does things one after the other; what goes wrong is kept as ``failure`` instead of raised.
+    """Runs actions beside a control loop, one after the other, and stores their first error.
 
-    After a failure nothing more is done. Threaded, it has a thread of its own; without, things are
-    done at once (for simulated time, where nobody waits).
+    After an error no more actions are run. Threaded, it has a thread of its own; without, actions
+    are run at once (for simulated time, where nobody waits).
+
+    Attributes:
+        failure: the error that an action raised, or None.
     """
 
     def __init__(self, threaded: bool) -> None:
@@ -69,19 +72,19 @@ class Aside:
             self._thread.start()
 
     def __call__(self, action: Action) -> None:
-        """Have something done."""
+        """Run an action, or put it into the thread's queue."""
         if self._thread is None:
             self._do(action)
         else:
             self._waiting.put(action)
 
     def if_idle(self, action: Action) -> None:
-        """Have something done that is not worth waiting for, such as moving a progress bar."""
+        """Run an action unless others wait: one that may be left out, such as a progress bar."""
         if self._waiting.empty():
             self(action)
 
     def finish(self, patience: float = _PATIENCE) -> None:
-        """Wait until all is done, or until ``patience`` [s] is at an end."""
+        """Wait until all actions are done, at most for ``patience`` [s]; then it has failed."""
         if self._thread is None:
             return
         self._waiting.put(None)
@@ -165,12 +168,18 @@ class RawFrameLog:
 
 
 class MeasurementRecorder:
-    """Writes a run of labelled joints to a CSV file, row by row but aside of the control loop.
+    """Writes a run to a CSV file, row by row, beside the control loop.
 
-    A context manager; the file's last line says how the run ended. Only opening raises: what goes
-    wrong later is kept in ``failure``, and the arm is brought to rest first. ``aside`` does the
-    writing; the frames are written with every row, if given. ``centring`` makes mean torques of
-    those that were sampled.
+    A context manager; the file's last line says how the run ended. Only opening raises; a later
+    error is stored as ``failure``, so that the arm is brought to rest first.
+
+    Args:
+        path: the file; an existing one is only replaced with ``overwrite``.
+        head: comment lines, without their sign.
+        labels: of the joints, which begin the titles of their columns.
+        aside: does the writing.
+        centring: makes mean torques of the sampled ones.
+        frames: log of all frames, written with every row; None without one.
     """
 
     def __init__(
@@ -224,11 +233,11 @@ class MeasurementRecorder:
     def write(
         self, time: float, origin: float, replies: Replies, acted: MitCommand
     ) -> None:
-        """Write a cycle at ``time`` after ``origin`` [s]; its samples were under ``acted``."""
+        """Write a cycle at ``time`` after ``origin`` [s]; ``acted`` was in force at its samples."""
         self._aside(lambda: self._file.write(self._row(time, origin, replies, acted)))
 
     def end_cycle(self) -> None:
-        """Hand everything to the operating system, which keeps it even if this process dies."""
+        """Flush the file and the frames to the operating system, which survives this process."""
         self._aside(self._file.flush)
         if self._frames:
             frame_log = self._frames
@@ -255,6 +264,7 @@ class MeasurementRecorder:
 
 
 def _numbers(values: Iterable[float]) -> list[str]:
+    """Return the cells of values; empty where one is not finite."""
     return [f"{value:.6f}" if np.isfinite(value) else "" for value in values]
 
 
@@ -263,7 +273,7 @@ _SLOWEST_CHANGE = 1e-3
 
 
 class SamplingRipple:
-    """What steps of torque that recur add to the motion of an arm at the moments of sampling.
+    """Ripple that recurring torque steps add to an arm's motion at the moments of sampling.
 
     Args:
         mobility: returns the inverse mass matrix (n, n) at positions (n,).
@@ -284,13 +294,19 @@ class SamplingRipple:
         time: Array,
         period: float,
     ) -> tuple[Array, Array]:
-        """Return the positions and velocities (n,) that are added [rad, rad/s].
+        """Return what the ripple adds to sampled positions and velocities (n,) [rad, rad/s].
 
-        At positions q (n,) and under a command (n,) each joint is sampled at its ``time`` (n,), and
-        has its torque step (n,) then, every period, by ``growth`` (n,) more each time. A period
-        after its step, at a share u of it, joint j has the torque
+        At a share u of the period after its step, joint j has the torque
         -step_j B1(u) + growth_j / 2 B2(u) beside the mean of held commands, with Bernoulli's
-        polynomials B1(u) = u - 1/2 and B2(u) = u^2 - u + 1/6.
+        polynomials B1(u) = u - 1/2 and B2(u) = u^2 - u + 1/6. Without a usable inertia it is zero.
+
+        Args:
+            q: positions (n,) [rad].
+            acted: the command in force; its first n joints are the arm's.
+            step: torque step (n,) of each joint at its moment of sampling [N m].
+            growth: by which the step grows from period to period (n,) [N m].
+            time: moments of sampling (n,) [s].
+            period: of the steps [s].
         """
         n = self.n_joints
         mobility = self._mobility(q)
@@ -328,9 +344,10 @@ class SamplingRipple:
 
 
 class Centring:
-    """Makes mean torques of the samples of a run, cycle by cycle.
+    """Corrects sampled torques of a run to mean torques of held commands, cycle by cycle.
 
-    Without a ``ripple``, where the arm's inertia is not known, the module's third part is left out.
+    Without a ``ripple``, where the arm's inertia is not known, the third difference that the
+    module's text names is not corrected. ``period`` is that of the cycles [s].
     """
 
     def __init__(self, period: float, ripple: SamplingRipple | None = None) -> None:
@@ -339,7 +356,10 @@ class Centring:
         self._last: Array | None = None
 
     def torques(self, replies: Replies, acted: MitCommand) -> tuple[Array, Array]:
-        """Return a cycle's torque steps, and what to add to its sampled torques (n,) [N m]."""
+        """Return a cycle's torque steps and the corrections of its sampled torques (n,) [N m].
+
+        ``acted`` is the command in force at the samples. Call it once per cycle, in order.
+        """
         step = torque_step(replies, acted)
         state = np.array([replies.feedback.position, replies.time, step])
         last = state if self._last is None else self._last
@@ -351,9 +371,10 @@ class Centring:
         return step, 0.5 * step - growth / 12.0 + rippling
 
     def _ripple_torque(self, state: Array, growth: Array, acted: MitCommand) -> Array:
-        """Return what ripple takes from the samples (n,) at positions, times and steps (3, n).
+        """Return the torque (n,) that ripple takes from the samples [N m]; 0 where unknown.
 
-        The steps have grown by ``growth`` (n,) since the last cycle.
+        ``state`` (3, n) has positions, times and torque steps, which have grown by ``growth`` (n,)
+        since the last cycle.
         """
         torque = np.zeros(state.shape[1])
         if self._ripple is None:

@@ -46,12 +46,17 @@ _SAME_TIME = 1e-9
 
 @dataclass
 class SimulatedMotor:
-    """State of one motor; registers are number to value, ``command`` holds p, v, kp, kd and t.
+    """One simulated motor and its state.
 
     Attributes:
-        peak_torque: what it can deliver [N m].
+        joint: that it drives.
+        registers: values by number.
+        peak_torque: that it can deliver [N m].
+        status: code of ``protocol.status_text``.
+        command: p, v, kp, kd and t in force.
         brake: damping of the shorted windings while it is disabled [N m s/rad].
-        position, velocity, torque: what its sensors read, set by the arm.
+        position, velocity, torque: readings of its sensors, set by the arm [rad, rad/s, N m].
+        temperature_mos, temperature_rotor: of power stage and winding [deg C].
         fed_at: when it last got a frame of its own [s].
         shift: what it adds to its position since a zero was set [rad].
         stored: registers that it keeps when the power goes off.
@@ -74,12 +79,12 @@ class SimulatedMotor:
 
     @property
     def can_id(self) -> int:
-        """Id it listens to."""
+        """CAN id that it listens to."""
         return int(self.registers[protocol.ESC_ID])
 
     @property
     def driving(self) -> bool:
-        """Whether it follows commands."""
+        """Whether it is enabled and follows commands."""
         return self.status == protocol.ENABLED
 
     def tick(self, time: float) -> bool:
@@ -112,6 +117,7 @@ class SimulatedMotor:
         )
 
     def _command_answer(self, data: bytes, time: float) -> bytes:
+        """Take a command's data and return the data of its answer."""
         self.fed_at = time
         if protocol.is_special(data):
             self._special(data[7])
@@ -123,6 +129,7 @@ class SimulatedMotor:
         return answer
 
     def _special(self, code: int) -> None:
+        """Obey a special command; a motor with a fault only obeys CLEAR_ERROR."""
         if protocol.is_fault(self.status) and code != protocol.CLEAR_ERROR:
             return
         if code == protocol.ENABLE:
@@ -134,6 +141,7 @@ class SimulatedMotor:
             self.command = _NOTHING
 
     def _register_answer(self, data: bytes) -> bytes | None:
+        """Obey a frame about registers and return its answer's data; None where it is another's."""
         if data[0] | data[1] << 8 != self.can_id:
             return None
         operation = data[2]
@@ -163,13 +171,13 @@ class SimulatedMotor:
         """
         position, velocity, torque = measured
         values = position + self.shift, velocity, torque
-        word = int(self.status) << 4 | (self.can_id & 0xF)
+        packed = int(self.status) << 4 | (self.can_id & 0xF)
         for value, register, bits in zip(values, protocol.SCALING, _MEASURED_BITS):
             limit = self.registers[register]
-            full = (1 << bits) - 1
-            code = math.floor((value + limit) * (full / (2.0 * limit)))
-            word = word << bits | min(max(code, 0), full)
-        return word.to_bytes(6, "big") + bytes(
+            max_code = (1 << bits) - 1
+            code = math.floor((value + limit) * (max_code / (2.0 * limit)))
+            packed = packed << bits | min(max(code, 0), max_code)
+        return packed.to_bytes(6, "big") + bytes(
             [self.temperature_mos, self.temperature_rotor]
         )
 
@@ -235,7 +243,7 @@ class SimulatedArm:
         self._has_moved = True
 
     def advance(self, until: float) -> None:
-        """Let physics run up to ``until`` [s]; the last step is as long as is left."""
+        """Simulate up to the time ``until`` [s]; the last step ends there."""
         self._has_moved |= until > self.time
         if not self._was_enabled:
             self.leave_out(max(self.time, until))
@@ -282,6 +290,7 @@ class SimulatedArm:
         return answers
 
     def _gather(self) -> None:
+        """Collect all motors' commands, gains and peaks as arrays (n,) in joint space."""
         motors = self.motors[: self.mechanism.n_joints]
         table = np.array([(*m.command, m.brake, m.peak_torque) for m in motors])
         driving = np.array([m.driving for m in motors])
@@ -307,6 +316,7 @@ class SimulatedArm:
         return np.where(saturated, limit, torque), np.where(saturated, 0.0, self._kd)
 
     def _read_sensors(self) -> None:
+        """Set each motor's position, velocity and torque from the arm's present state."""
         self._read_at = self.time
         self._has_moved = False
         q = self.mechanism.q
@@ -400,11 +410,11 @@ _MOST_BEHIND = DEFAULT_WATCHDOG
 
 @dataclass
 class ServiceReport:
-    """How an arm in real time kept up with the clock.
+    """How a simulated arm in real time kept up with the clock.
 
     Attributes:
-        left_out: time that the arm skipped because physics were too slow [s].
-        longest_delay: longest time in which no command was looked at [s].
+        left_out: time that the arm skipped because the simulation was too slow [s].
+        longest_delay: longest time between two looks for a command [s].
     """
 
     left_out: float = 0.0
@@ -414,9 +424,9 @@ class ServiceReport:
 def serve(
     arm: SimulatedArm, link: Link, clock: SystemClock, running: Callable[[], bool]
 ) -> ServiceReport:
-    """Let the arm live and answer until ``running`` says no.
+    """Simulate an arm in real time and answer the frames on a link, while ``running`` is true.
 
-    A computer too slow for the physics makes the arm skip time rather than fall behind for ever.
+    A computer that is too slow makes the arm skip time rather than fall behind for ever.
     """
     report = ServiceReport()
     with undisturbed_processor(clock.live):
@@ -431,6 +441,7 @@ def _serve(
     running: Callable[[], bool],
     report: ServiceReport,
 ) -> None:
+    """Do as ``serve`` says, and keep the report up to date."""
     step = arm.mechanism.timestep
     looked_at = clock.now()
     start = looked_at - arm.time

@@ -97,7 +97,7 @@ _END_PARAMETERS = _LOAD_PARAMETERS + 3
 
 
 class MovedZeroCheck:
-    """Tells which joint is elsewhere than it says, from the cycles of a run.
+    """Finds a joint that is elsewhere than it reports, from the torques in the cycles of a run.
 
     What a window shows is computed in small parts, one or a few in each cycle of the next window:
     a control cycle has no room for all of it.
@@ -144,10 +144,15 @@ class MovedZeroCheck:
     def __call__(
         self, time: float, q: Array, qd: Array, tau: Array
     ) -> tuple[int, str] | None:
-        """Take in one cycle's motion and commanded torque (n,); return what is known by now.
+        """Take in one cycle; return the joint that is elsewhere than it reports, if any.
 
-        That is the number of a joint that is elsewhere than it says, and a sentence about it
-        without its name; None where there is none.
+        Args:
+            time: of the cycle [s].
+            q, qd, tau: positions, velocities and commanded torques (n,) [rad, rad/s, N m]; a cycle
+                with a NaN is left out.
+
+        Returns:
+            The joint's number and a sentence about it without its name, or None.
         """
         for _ in range(self._parts_per_cycle):
             next(self._work, None)
@@ -171,7 +176,7 @@ class MovedZeroCheck:
         return self._finding
 
     def _take_in(self, window: _Window) -> Iterator[None]:
-        """Update all estimates with one window, in parts."""
+        """Update all estimates with one window; a generator, so that it can be done in parts."""
         robot = self._robot
         time, q, qd, qdd, tau, scatter = window
         n = robot.n_joints
@@ -222,7 +227,16 @@ class MovedZeroCheck:
     def _update(
         self, errors: Array, residual: Array, scatter: Array
     ) -> tuple[Array, Array, Array]:
-        """Update the model's errors; return innovation (n,), its covariance and the gain."""
+        """Update the mean and covariance of the model's errors x by the Kalman filter.
+
+        Args:
+            errors: torque (n, x) per standard deviation of each error, in units of the doubt.
+            residual: measured minus modelled torque (n,), in the same units.
+            scatter: of the torque within the window (n,) [N m].
+
+        Returns:
+            Innovation (n,), its covariance (n, n) and the gain (x, n).
+        """
         scattered = (_SCATTER * scatter / self._doubt) ** 2
         noise = np.maximum(self._squares / self._weight, _LEAST_NOISE**2)
         innovation = residual - errors @ self._mean
@@ -250,7 +264,7 @@ class MovedZeroCheck:
         covariance: Array,
         gain: Array,
     ) -> None:
-        """Update what is known of each change (n, changes) that may have begun at each onset."""
+        """Update scores and information of each change (n, changes), for each possible onset."""
         newest = 1 + self._windows % _ONSETS
         self._windows += 1
         self._begin[newest] = time - 0.5 * _WINDOW
@@ -275,13 +289,16 @@ class MovedZeroCheck:
         self._state_shift += gain @ passed
 
     def _growth(self, time: float) -> Array:
-        """Return how far the changes of each onset (onsets,) have grown."""
+        """Return the share (onsets,) of their full size to which changes have grown."""
         grown = np.minimum((time - self._begin) / _GROWTH, 1.0)
         grown[0] = 1.0
         return grown
 
     def _judge(self, time: float, slopes: Array) -> tuple[int, str] | None:
-        """Return the joint whose zero has moved, and words, if one of the changes is sure."""
+        """Return the joint whose zero has moved, and a sentence; None unless it is certain.
+
+        ``slopes`` (n, n) are torque per radian of each joint's zero, in units of the doubt.
+        """
         if self._windows < _LEAST_WINDOWS:
             return None
         n = self._robot.n_joints
@@ -338,7 +355,13 @@ _MOVED = (
 
 
 class _Window(NamedTuple):
-    """Averages (n,) over a window of time, and how far torques are off a straight line (rms)."""
+    """Averages over a window of time.
+
+    Attributes:
+        time: mean time [s].
+        q, qd, qdd, tau: mean positions, velocities, accelerations and torques (n,).
+        scatter: rms distance (n,) of the torques from a straight line over time [N m].
+    """
 
     time: float
     q: Array
@@ -349,7 +372,7 @@ class _Window(NamedTuple):
 
 
 def _average(samples: Sequence[tuple[float, Array]]) -> _Window:
-    """Return the averages of cycles' times [s] and motions and torques (3, n)."""
+    """Return the averages of a window's cycles: time [s] and q, qd, tau (3, n) of each."""
     times = np.array([time for time, _ in samples])
     signals = np.array([signal for _, signal in samples])
     time = float(np.mean(times))
@@ -362,7 +385,7 @@ def _average(samples: Sequence[tuple[float, Array]]) -> _Window:
 
 
 def _base_wrenches(motion: LinksMotion, to_links: Array) -> Array:
-    """Return what each link's wrench in the base's frame is per parameter (n, N, 6, 10)."""
+    """Return the wrench of each link, in the base's frame, per inertial parameter (n, N, 6, 10)."""
     moves = (
         np.moveaxis(np.array(move), 1, -1)
         for move in (motion.velocity, motion.acceleration)
@@ -395,12 +418,12 @@ _ZERO_STEP = 0.02
 
 @dataclass(frozen=True)
 class EffortChange:
-    """A joint's control suddenly adds another torque, each (n,) [N m].
+    """A sudden change of the torque that a joint's control adds to the feed-forward torque.
 
     Attributes:
-        joint: which one.
-        baseline: what the joints' control added before.
-        at_once: what it added when that was noticed.
+        joint: its number.
+        baseline: torque (n,) that the joints' control added before [N m].
+        at_once: torque (n,) that it added when the change was noticed [N m].
     """
 
     joint: int
@@ -409,7 +432,7 @@ class EffortChange:
 
 
 class _Cause(NamedTuple):
-    """What may have happened, in words, and the shape of the torques that it makes (n,)."""
+    """A possible cause: its sentence, and the torque (n,) that it makes up to a factor [N m]."""
 
     text: str
     shape: Array
@@ -423,18 +446,19 @@ def explain_change(
     fed: Array,
     joints: Sequence[DamiaoJoint],
 ) -> str:
-    """Return what explains the torque that holds a stopped arm; "" where nothing does.
+    """Return a sentence with the cause of the torque that holds a stopped arm.
 
-    Each possible cause makes torques of one shape over the joints; the one whose shape leaves least
-    of the squares is named. A weak motor shows in its own joint alone, and is named unless another
-    cause explains clearly more.
+    Each possible cause makes torques of one shape over the joints; the one whose shape leaves the
+    least sum of squares is named. A weak motor shows in its own joint alone, and is named unless
+    another cause explains clearly more.
 
     Args:
-        change: what was noticed.
-        holding: what carries the arm by its model, or by the file.
-        q: (n,) where the arm stands [rad].
-        commanded: (n,) torque that holds it there, as commanded [N m].
-        fed: (n,) torque that should hold it, where no model tells [N m].
+        change: that stopped the run.
+        holding: states what carries the arm, by its model or by the file.
+        q: positions (n,) of the stopped arm [rad].
+        commanded: torque (n,) that holds it there, as commanded [N m].
+        fed: feed-forward torque (n,) that should hold it, where there is no model [N m].
+        joints: base to terminal.
     """
     n_joints = holding.n_joints
     needed = (holding.torque(q) if holding.is_model else fed)[:n_joints]
@@ -462,7 +486,7 @@ def _explain_passing_change(
     holding: HoldingCheck,
     joints: Sequence[DamiaoJoint],
 ) -> str:
-    """Return what explains a change of which nothing is left now that the arm stands."""
+    """Return a sentence with the cause of a change that is over now that the arm stands."""
     sudden = (change.at_once - change.baseline)[: holding.n_joints]
     weighted = np.abs(sudden / holding.doubt)
     is_alone = change.joint == int(np.argmax(weighted)) and (
@@ -476,7 +500,10 @@ def _explain_passing_change(
 def _unexplained_squares(
     cause: _Cause, weighted: Array, holding: HoldingCheck
 ) -> tuple[float, str]:
-    """Return the sum of squares that a cause leaves of weighted torques (n,), and its text."""
+    """Return the sum of squares that a cause leaves unexplained, and its text.
+
+    ``weighted`` (n,) are the torques to explain in units of the doubt.
+    """
     shape = cause.shape / holding.doubt
     explained = float(weighted @ shape) ** 2 / max(float(shape @ shape), 1e-12)
     return float(weighted @ weighted) - explained, cause.text
@@ -485,7 +512,10 @@ def _unexplained_squares(
 def _weak_motor_causes(
     residual: Array, needed: Array, joints: Sequence[DamiaoJoint]
 ) -> Iterator[_Cause]:
-    """Yield each joint whose motor may make only a share of its torque."""
+    """Yield, as a cause, each joint whose motor may make only a share of its torque.
+
+    ``residual`` and ``needed`` (n,) are unexplained and expected torques [N m].
+    """
     commanded = needed + residual
     for j, shape in enumerate(np.eye(len(residual))):
         share = needed[j] / commanded[j] if commanded[j] else 1.0
@@ -497,7 +527,7 @@ def _weak_motor_causes(
 def _load_and_zero_causes(
     holding: HoldingCheck, q: Array, residual: Array, joints: Sequence[DamiaoJoint]
 ) -> Iterator[_Cause]:
-    """Yield a new load and each joint whose zero may have moved, where a model knows them."""
+    """Yield, as causes, a new load and each joint whose zero may have moved; none without model."""
     if not holding.is_model:
         return
     load = holding.load(q)
@@ -520,6 +550,6 @@ def _load_and_zero_causes(
 
 
 def _fit_coefficient(shape: Array, residual: Array, doubt: Array) -> float:
-    """Return how much of a shape (n,) explains torques (n,) best, each weighted by its doubt."""
+    """Return the factor of a shape (n,) that fits torques (n,) best, weighted by the doubt (n,)."""
     weighted = shape / doubt
     return float(weighted @ (residual / doubt)) / max(float(weighted @ weighted), 1e-12)
