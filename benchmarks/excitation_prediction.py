@@ -143,7 +143,7 @@ def identification_errors(problem, motion, rng, exact):
         whether a common torque scale was allowed for
     """
     robot, columns, groups = beliefs(problem, motion)
-    values = columns.prior.copy()
+    values = columns.model_values.copy()
     for group in () if exact else groups:
         if group.cause == LINKS:
             drawn = drawn_links(robot, rng)

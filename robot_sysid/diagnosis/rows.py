@@ -294,7 +294,7 @@ def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
     robot = log.robot
     more = 2 + len(BUILD_UP)
     count = len(columns.names)
-    mean = np.append(columns.prior, np.zeros(more * robot.n_joints))
+    mean = np.append(columns.model_values, np.zeros(more * robot.n_joints))
     spread = np.append(np.zeros(count), np.zeros(more * robot.n_joints))
     spread[: len(PARAMETER_NAMES)] = _last_link_spread(robot)
     speed = np.maximum(rms(log.motion.qd), 1e-9)

@@ -1,1 +1,1 @@
-"""The one estimate: what is sought, the rows that data makes of it, the fit, and its judge."""
+"""The one estimate: unknowns, linearised rows of recordings, their fit, its errors and tests."""

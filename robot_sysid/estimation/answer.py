@@ -315,8 +315,8 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
         unchanged=tuple(sorted(unchanged_parts)),
         motors=fit.choice.couplings,
     )
-    if file.beside is not None:
-        urdf, _ = model_file(replace(answer, file=file.beside))
+    if file.urdf is not None:
+        urdf, _ = model_file(replace(answer, file=file.urdf))
         return replace(written_file, urdf_file=urdf), (
             *notes,
             _urdf_note(written_file, urdf),
@@ -429,7 +429,9 @@ def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
     at = np.searchsorted(unknowns.estimated, order[inside])
     spread = change @ errors.total.covariance[np.ix_(at, at)] @ change.T
     # Priors of sensors are needed: free torque scales would explain all torques by themselves.
-    priors = [g.rows(fit.columns.names) for g in unknowns.groups if g.cause != LINKS]
+    priors = [
+        g.prior_rows(fit.columns.names) for g in unknowns.groups if g.cause != LINKS
+    ]
     selected = np.concatenate((others, [-1], order[combinations.leading]))
     rows = triangle_of(
         block[:, selected] for block in itertools.chain(data(fit.weights), priors)

@@ -409,7 +409,7 @@ def traces_of(answer: Answer) -> Traces:
     fit = answer.fit if answer.file is None else answer.file.fit
     names = fit.columns.names
     estimate, prior = (
-        dict(zip(names, v.tolist())) for v in (fit.values, fit.columns.prior)
+        dict(zip(names, v.tolist())) for v in (fit.values, fit.columns.model_values)
     )
     if fit.question.loaded:
         prior = {

@@ -1,10 +1,13 @@
-"""What the recordings decide: rows to leave out, each joint's friction terms, the prior of links.
+"""What the recordings decide: each joint's friction terms, couplings, the prior of links.
 
-Which motors turn several joints is decided in ``couplings``. In-sample errors fall with every
-friction term, so terms are chosen by cross-validation: each block of time is predicted from the
-others. Blocks are compared by ratios of their errors, because friction may matter far more in one
-of them. A joint starts with the simplest candidate and moves on as long as another one is clearly
-better on its own held-out torques.
+In-sample errors fall with every friction term, so that terms are chosen by cross-validation
+(``held_out``). A joint starts with the simplest candidate and moves on as long as another one is
+clearly better on its own held-out torques.
+
+A coupling is a motor that turns several joints. One that turns at s = sum_j r_j qd_j (joint units)
+puts its torque tau_m on each of these joints in the same ratio: tau_j = r_j tau_m, because power is
+the same on both sides. Its own friction and rotor inertia follow s, not the joints' own speeds. A
+wrist whose last motor sits in the forearm is the usual case: r = 1 on the last two joints.
 """
 
 from __future__ import annotations
@@ -186,11 +189,14 @@ def _candidate_errors(
     squared: dict[str, Array] = {}
     speeds: dict[str, Array] = {}
     for number in range(
-        max(len(bent.trial_speeds) for bent in NONLINEAR_TERMS.values())
+        max(
+            len(nonlinear_term.trial_speeds)
+            for nonlinear_term in NONLINEAR_TERMS.values()
+        )
     ):
         trial_speeds = {
-            term: np.full(robot.n_joints, bent.trial_speeds[number])
-            for term, bent in NONLINEAR_TERMS.items()
+            term: np.full(robot.n_joints, nonlinear_term.trial_speeds[number])
+            for term, nonlinear_term in NONLINEAR_TERMS.items()
         }
         data, _ = fitter.around(replace(point, speed=trial_speeds, exact_load=True))
         judge = HeldOut(data, noise)
@@ -403,7 +409,8 @@ def _promising_couplings(
         fit.columns, question, choice, fit.evidence.torque, fit.evidence.nonzero
     )
     problem = WithPriors(
-        fit.evidence.of(unknowns), np.sqrt(fit.inflation * fit.memory) * fit.noise
+        fit.evidence.of(unknowns),
+        np.sqrt(fit.inflation * fit.residual_correlation) * fit.noise,
     )
     priors = [_motor_prior(fit, unknowns, motor) for motor in candidates]
     absent = [replace(prior, widened=_ABSENT) for prior in priors]
@@ -426,7 +433,7 @@ def _evidence_gain(fit: Fit, wider: Fit) -> float:
     """
     prior = _motor_prior(fit, wider.unknowns, wider.choice.couplings[-1])
     priors = [*wider.unknowns.groups, prior]
-    correlation = wider.inflation * wider.memory
+    correlation = wider.inflation * wider.residual_correlation
     problem = WithPriors(
         wider.evidence.of(wider.unknowns), np.sqrt(correlation) * wider.noise
     )

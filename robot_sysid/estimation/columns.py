@@ -12,7 +12,7 @@ everything else: scales, drift, encoder zeros z, two angles of gravity, the dela
 a gear that grows with its load, and speeds that friction is nonlinear in.
 
 Without a payload s_j multiplies the last estimate of the last link, and the model's values of the
-others, however far off they are found to be. The most likely links and scales together would be
+others, however far off their estimate is. The most likely links and scales together would be
 scales that make links less off, in as many directions as the data shows: 5 % too large for an iiwa
 whose links are 5 % off.
 """
@@ -119,7 +119,7 @@ class Columns:
     Attributes:
         names: (p,) of all parameters.
         index: name to index of a parameter.
-        prior: (p,) the model's values, zero for nuisances.
+        model_values: (p,) the model's values, zero for nuisances.
         joints: names of the joints that have equations, base to terminal.
         joint_indices: their indices among the joints of the chain.
     """
@@ -159,7 +159,7 @@ class Columns:
         point_names += (*self._scales, *self._drifts, *self._zeros, *self._tilts)
         point_names += (DELAY_NAME, *PAYLOAD_NAMES)
         self.names = (*arm.names, *point_names)
-        self.prior = np.append(arm.prior, np.zeros(len(point_names)))
+        self.model_values = np.append(arm.prior, np.zeros(len(point_names)))
         self.index = {name: index for index, name in enumerate(self.names)}
         # Parameters that act in no recording have no columns, which would enlarge every triangle.
         no_drift = () if any(dataset.order for dataset in datasets) else self._drifts
@@ -177,12 +177,12 @@ class Columns:
         self._drifting = np.isin(terms, _DRIFTING) & np.isin(owners, self.joints)
         self._smooth = self._of_bodies | np.isin(terms, _SMOOTH)
         # Links that the model states, in whose values a torque scale is linearised.
-        self._believed = np.zeros(len(names), dtype=bool)
+        self._is_stated = np.zeros(len(names), dtype=bool)
         if self.torques == "chain" and not self._loaded:
             for link in other_links(self.robot):
                 model = self.robot.links[link]
                 if self.usual_bodies[model.body_name] is model.theta:
-                    self._believed[self.indices(link_names(self.robot, link))] = True
+                    self._is_stated[self.indices(link_names(self.robot, link))] = True
 
     def with_couplings(self, couplings: tuple[Coupling, ...]) -> Columns:
         """Return the columns with some of the couplings, which take over the stored rows."""
@@ -202,10 +202,10 @@ class Columns:
         """Return the point at the model's own values."""
         n = self.robot.n_joints
         speed = {
-            term: np.full(n, bent.default_speed)
-            for term, bent in NONLINEAR_TERMS.items()
+            term: np.full(n, nonlinear.default_speed)
+            for term, nonlinear in NONLINEAR_TERMS.items()
         }
-        return Point(self.prior, gravity_vector(self.robot), 0.0, speed)
+        return Point(self.model_values, gravity_vector(self.robot), 0.0, speed)
 
     def indices(self, names: Sequence[str]) -> NDArray[np.int64]:
         """Return the indices of parameters."""
@@ -241,18 +241,21 @@ class Columns:
     def move_point(
         self, point: Point, values: Array, increments: Sequence[str]
     ) -> Point:
-        """Return the point after an estimate (p,), with the named increments added to it."""
+        """Return the linearisation point at an estimate (p,), with the named increments added.
+
+        Increments of delay, tilt and speeds move the point's fields and become zero in its values.
+        """
         new = values.copy()
         speed = dict(point.speed or {})
         step = {name: float(values[self.index[name]]) for name in increments}
         new[self.indices(increments)] = 0.0
         angles = np.array([step.get(name, 0.0) for name in TILT_NAMES])
-        for term, bent in NONLINEAR_TERMS.items():
+        for term, nonlinear in NONLINEAR_TERMS.items():
             steps = [
                 step.get(speed_name(term, joint), 0.0)
                 for joint in self.robot.joint_names
             ]
-            speed[term] = np.clip(speed[term] + steps, *bent.bounds)
+            speed[term] = np.clip(speed[term] + steps, *nonlinear.bounds)
         return replace(
             point,
             values=new,
@@ -373,8 +376,8 @@ class Columns:
             smooth = self._smooth[indices]
 
             # The torque of the links that a torque scale multiplies.
-            believed = self._believed[indices]
-            scaled = np.where(believed, self.prior[indices], coefficients)
+            stated = self._is_stated[indices]
+            scaled = np.where(stated, self.model_values[indices], coefficients)
             linear = block[:, bodies] @ scaled[bodies]
             scale, drift = point.values[
                 self.indices((self._scales[row], self._drifts[row]))
@@ -567,13 +570,13 @@ def usual_bodies(robot: RobotModel) -> dict[str, Array]:
     """
     bodies = {link.body_name: link.theta for link in robot.links if link.has_mass}
     heaviest = max(theta[0] for theta in bodies.values())
-    believed = [
+    stated = [
         theta
         for theta in bodies.values()
         if theta[0] >= PLACEHOLDER * heaviest and spatial.is_consistent(theta)
     ] or list(bodies.values())
-    median_mass = float(np.median([theta[0] for theta in believed]))
-    inertias = [spatial.com_from_theta(theta) for theta in believed]
+    median_mass = float(np.median([theta[0] for theta in stated]))
+    inertias = [spatial.com_from_theta(theta) for theta in stated]
     gyration = float(
         np.median([np.trace(inertia) / (3.0 * mass) for mass, _, inertia in inertias])
     )

@@ -83,10 +83,16 @@ class FitErrors:
     def of(
         self, change: Array, theta: Array | None = None
     ) -> tuple[Array, Array, dict[str, Array]]:
-        """Return covariance (m, m), noise errors (m,) and cause to errors (m,).
+        """Return the errors of linear combinations of the unknowns.
 
-        They are of linear combinations (m, k) of the unknowns. Those with values theta (m,) also
-        have the error of a torque scale that all joints share.
+        Args:
+            change: (m, k) the combinations.
+            theta: (m,) values of the combinations, to which an error of all torque scales applies;
+                None where it does not.
+
+        Returns:
+            (covariance (m, m), standard errors (m,) due to noise, cause to standard errors (m,)),
+            standard errors infinite where a combination is not identified.
         """
         is_hidden = ~self.shown(change)
         used = np.flatnonzero(np.any(change != 0.0, axis=0))
@@ -94,35 +100,29 @@ class FitErrors:
         block = np.ix_(used, used)
 
         def standard_errors(products: Array) -> Array:
-            return np.where(
-                is_hidden, np.inf, np.sqrt(np.maximum(np.sum(products, axis=1), 0.0))
-            )
+            variances = np.maximum(np.sum(products, axis=1), 0.0)
+            return np.where(is_hidden, np.inf, np.sqrt(variances))
 
         covariance = change_used @ self.total.covariance[block] @ change_used.T
         noise = change_used @ self.total.noise[block]
-        cause_rows = (
-            (name, rows[:, used])
-            for name, rows in self.causes.items()
-            if name != COMMON
-        )
-        budget = {
-            name: standard_errors((change_used @ rows.T) ** 2)
-            for name, rows in cause_rows
-        }
+        budget = {}
+        for cause, rows in self.causes.items():
+            if cause != COMMON:
+                budget[cause] = standard_errors((change_used @ rows[:, used].T) ** 2)
         if self.common and theta is not None:
             covariance = covariance + self.common**2 * np.outer(theta, theta)
             budget[SCALES] = np.hypot(budget[SCALES], self.common * np.abs(theta))
         return covariance, standard_errors(noise * change_used), budget
 
     def shown(self, change: Array) -> NDArray[np.bool_]:
-        """Return (m,) whether combinations (m, k) consist of identifiable parameters alone."""
+        """Return (m,) whether combinations (m, k) contain identified parameters alone."""
         hidden = np.isinf(self.total.standard_errors)
         return np.asarray(
             np.max(np.abs(change[:, hidden]), axis=1, initial=0.0) < _ROUNDING
         )
 
     def share(self, fit: Fit) -> Array:
-        """Return the share (k,) of each value that data determines, 1 for all of it."""
+        """Return the share (k,) of each estimated value that comes from the data, not priors."""
         shares = self.total.data_share.copy()
         names = fit.unknowns.estimated_names
         for group in fit.unknowns.groups:
@@ -217,7 +217,7 @@ def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
     ]
     if (
         residuals
-    ):  # they take as much memory as the triangles, which are not needed beside them
+    ):  # they take as much memory as the triangles, which are no longer needed
         information = replace(information, joints=())
     release_memory()
     return uncertainty(information, weights, 1.0 / weights, residuals, space)

@@ -51,14 +51,14 @@ class FileFit:
         before, after: held-out error of the model as it was and of the file, each joint's sensor
             offset subtracted.
         errors: of its parameters.
-        beside: the best URDF, where the model is one and this file is an MJCF.
+        urdf: the best URDF, where the model is a URDF and this file is an MJCF.
     """
 
     fit: Fit
     before: Validation
     after: Validation
     errors: FitErrors
-    beside: FileFit | None = None
+    urdf: FileFit | None = None
 
 
 def fit_file(
@@ -97,7 +97,7 @@ def fit_file(
     best = _fit_kind(
         fitter, replace(question, file_kind="mjcf"), motors, estimate, pull
     )
-    return replace(best, beside=_fit_kind(fitter, question, (), estimate, pull))
+    return replace(best, urdf=_fit_kind(fitter, question, (), estimate, pull))
 
 
 def _fit_kind(
@@ -117,7 +117,7 @@ def _fit_kind(
     prefixes = ("scale", "drift", "zero", "load")
     for name, index in fitter.columns.index.items():
         if name.partition("[")[0] in prefixes or "[" not in name:
-            values[index] = fitter.columns.prior[index]
+            values[index] = fitter.columns.model_values[index]
     point = replace(fitter.columns.start(), values=values, in_file=True)
     before = _validate_model(fitter, question, choice, point)
     fit = fitter.fit(question, choice, point, rounds=1)
@@ -181,7 +181,7 @@ def _friction(
 def _validate_model(
     fitter: Fitter, question: Question, choice: Choice, point: Point
 ) -> Validation:
-    """Return the held-out error of the model as it is, beside fitted sensor offsets.
+    """Return the held-out error of the model as it is, with fitted sensor offsets.
 
     The point has the model's gravity; all its other values make no difference here.
     """
@@ -192,7 +192,7 @@ def _validate_model(
     indices = np.array(
         [index for index in offsets if data.nonzero[index]], dtype=np.int64
     )
-    held = columns.prior.copy()
+    held = columns.model_values.copy()
     if question.carried is not None:
         held[columns.indices(PAYLOAD_NAMES)] = question.carried
     offset_unknowns = Unknowns(
@@ -240,7 +240,7 @@ AS_GOOD = 1.02
 CLEAR_OFFSET = 3.0
 """Standard errors that a sensor's offset has to be away from zero, and a rotor from the model's."""
 OFFSET = 0.01
-"""Prior standard deviation of other sensors' offsets beside clear ones, as a share of the joint's
+"""Prior standard deviation of the offsets that are not clear where others are, as a share of the
 torque: of a KUKA LWR4+, offsets and links are not known better."""
 
 
@@ -301,8 +301,8 @@ def select_rotors(fit: Fit) -> dict[str, float]:
     rotors, covariance = posterior_of(fit, unknowns, names)
     indices = columns.indices(names)
     error = np.sqrt(np.diag(covariance))
-    is_clear = np.abs(rotors - columns.prior[indices]) > CLEAR_OFFSET * error
-    values = np.where(is_clear, fit.values[indices], columns.prior[indices])
+    is_clear = np.abs(rotors - columns.model_values[indices]) > CLEAR_OFFSET * error
+    values = np.where(is_clear, fit.values[indices], columns.model_values[indices])
     return dict(zip(owners, values.tolist()))
 
 

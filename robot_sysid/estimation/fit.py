@@ -25,7 +25,10 @@ from robot_sysid.estimation.algebra.least_squares import (
     solver,
 )
 from robot_sysid.estimation.algebra.priors import widened_groups, with_prior
-from robot_sysid.estimation.algebra.uncertainty import concentration, memory
+from robot_sysid.estimation.algebra.uncertainty import (
+    concentration,
+    residual_correlation_time,
+)
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import (
     DecimatedSamples,
@@ -184,7 +187,7 @@ class Fit:
         unknowns: which parameters were estimated, and their priors, widened by the data.
         weights: (joints,) of each joint's equations [1/(N m)].
         inflation: (joints,) variance inflation of each joint's noise, because motion repeats.
-        memory: (joints,) rows per independent row, by the autocorrelation of the residuals.
+        residual_correlation: (joints,) rows per independent row, by the residuals' autocorrelation.
         free: (p,) the estimate before bodies had to be physically consistent.
         values: (p,) the estimate; delay, tilt and speeds are increments of those of the point.
     """
@@ -198,7 +201,7 @@ class Fit:
     unknowns: Unknowns
     weights: Array
     inflation: Array
-    memory: Array
+    residual_correlation: Array
     free: Array
     values: Array
 
@@ -312,7 +315,9 @@ class Fitter:
         residuals = list(_residuals(fit.samples, fit.values))
         burst_factors = [concentration(residual) for residual in residuals]
         if self.visits is None:
-            times = np.array([memory(residual) for residual in residuals])
+            times = np.array(
+                [residual_correlation_time(residual) for residual in residuals]
+            )
         else:
             times = self.visits.inflation(residuals)[1]
         return np.maximum(times, burst_factors)
@@ -384,7 +389,7 @@ def squared_effect(fit: Fit, change: Array) -> float:
         effects.append(weight * (joint.triangle[:, :-1] @ change[joint.columns]))
     names = fit.unknowns.estimated_names
     for group in fit.unknowns.groups:
-        effects.append(group.rows(names)[:, :-1] @ change[fit.unknowns.estimated])
+        effects.append(group.prior_rows(names)[:, :-1] @ change[fit.unknowns.estimated])
     return float(sum(map(np.vdot, effects, effects)))
 
 
@@ -420,7 +425,7 @@ def solve(
     visits: Visits | None = None,
     inflation: Array | None = None,
     noise: Array | None = None,
-    residual_memory: Array | None = None,
+    residual_correlation: Array | None = None,
 ) -> Fit:
     """Solve the equations around a point.
 
@@ -428,13 +433,13 @@ def solve(
         data: evidence of the rows around the point.
         samples: these rows of each recording, for motion that repeats.
         visits: which rows pass the same states.
-        inflation: (joints,) as ``Visits.inflation`` returns it, where there are no visits.
+        inflation: (joints,) as ``Visits.inflation`` returns it, without visits.
         noise: (joints,) to begin with [N m].
-        residual_memory: (joints,) as ``Visits.inflation`` returns it, where there are no visits.
+        residual_correlation: (joints,) as ``Visits.inflation`` returns it, without visits.
     """
     factors = correlation_factors_of(choice, len(columns.joints))
     repetition = np.ones_like(factors) if inflation is None else inflation
-    correlation = factors if residual_memory is None else residual_memory
+    correlation = factors if residual_correlation is None else residual_correlation
     start = build_unknowns(columns, question, choice, data.torque, data.nonzero)
     for _ in range(_MAX_BOUND_ROUNDS):
         variance_factors = repetition * factors
@@ -512,7 +517,7 @@ def _solve_within_bounds(
     Values that would cross a bound are held at it; equations are divided by the effective noise.
     """
     while True:  # each round holds at least one more parameter
-        prior = columns.prior[unknowns.estimated]
+        prior = columns.model_values[unknowns.estimated]
         unknowns, values, effective_noise, noise = _solve_weighted(
             unknowns, data, prior, inflation, correlation, noise
         )

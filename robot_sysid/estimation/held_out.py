@@ -219,7 +219,7 @@ def _sums_of_others(
 
 
 def _prior_rows(unknowns: Unknowns) -> Array:
-    rows = [group.rows(unknowns.estimated_names) for group in unknowns.groups]
+    rows = [group.prior_rows(unknowns.estimated_names) for group in unknowns.groups]
     return np.vstack(rows) if rows else np.zeros((0, len(unknowns.estimated) + 1))
 
 

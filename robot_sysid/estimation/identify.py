@@ -343,7 +343,7 @@ def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[RecordingPayload, .
     recordings = fit.columns.datasets
     payloads = []
     logs = [restrict_samples(samples, unknowns) for samples in fit.samples]
-    prior = fit.columns.prior[unknowns.estimated]
+    prior = fit.columns.model_values[unknowns.estimated]
     indices = np.searchsorted(unknowns.estimated, fit.columns.indices(PAYLOAD_NAMES))
     for is_loaded in (False, True):
         same = [k for k, log in enumerate(recordings) if log.is_loaded is is_loaded]
@@ -478,7 +478,7 @@ def bodies_apart(fit: Fit, samples: Sequence[DecimatedSamples]) -> tuple[Array, 
     # A recording of the wrong kind widens priors that have nothing to do with it.
     priors = [replace(g, widened=1.0) for g in fit.unknowns.groups if g.cause != WEIGHT]
     priors.append(independent_prior("unseen", added, added, UNSEEN))
-    prior = np.append(fit.columns.prior[common], np.zeros(len(added)))
+    prior = np.append(fit.columns.model_values[common], np.zeros(len(added)))
     logs = [add_body_columns(*pair) for pair in enumerate(samples)]
     values, _, errors = estimate_alone(logs, priors, prior)
     last = slice(len(common), None)

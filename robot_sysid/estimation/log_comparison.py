@@ -42,7 +42,7 @@ from robot_sysid.estimation.algebra.priors import (
     is_no_chance,
     with_prior,
 )
-from robot_sysid.estimation.algebra.uncertainty import memory
+from robot_sysid.estimation.algebra.uncertainty import residual_correlation_time
 from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.fit import Fit, evidence_of, restrict_samples
 from robot_sysid.estimation.held_out import HeldOut, is_informative_test
@@ -89,7 +89,7 @@ def estimate_alone(
     memories = []
     for joint, at in enumerate(logs[0].columns):
         residuals = [log.tau[joint] - log.rows[joint] @ values[at] for log in logs]
-        memories.append(memory(np.concatenate(residuals)))
+        memories.append(residual_correlation_time(np.concatenate(residuals)))
     weights = 1.0 / (noise * np.sqrt(memories))
     space = visible_space(information.equations(weights)[0])
     inverse = space.inverse()
@@ -198,7 +198,10 @@ def compare_recordings(fit: Fit, names: Sequence[str]) -> LogComparison:
     masses = {}
     for name, log in own_rows.items():
         values, _, covariance = estimate_alone(
-            log, unknowns.groups, fit.columns.prior[unknowns.estimated], fit.noise
+            log,
+            unknowns.groups,
+            fit.columns.model_values[unknowns.estimated],
+            fit.noise,
         )
         masses[name] = float(values[0]), float(np.sqrt(covariance[0, 0]))
     note = () if friction is None else friction.note
@@ -239,7 +242,7 @@ def friction_of_logs(
     normals = [normal_matrix(*pair) for pair in zip(plain, weights)]
     prior = np.zeros_like(normals[0])
     for group in unknowns.groups:
-        rows = group.rows(unknowns.estimated_names)
+        rows = group.prior_rows(unknowns.estimated_names)
         prior += rows.T @ rows
     kinds = np.unique(terms, return_inverse=True)[1]
     between = compare_logs(normals, prior, indices, values, sizes, kinds)
@@ -297,7 +300,7 @@ def _weights_beside_friction(
         residual = tau - rows @ values[columns]
         friction = rows[:, np.isin(columns, indices)]
         residual -= friction @ np.linalg.lstsq(friction, residual, rcond=None)[0]
-        slow = memory(residual)
+        slow = residual_correlation_time(residual)
         floor = NOISE_FLOOR * fit.noise[joint]
         weights[joint] = 1.0 / (max(float(np.std(residual)), floor) * np.sqrt(slow))
     return weights

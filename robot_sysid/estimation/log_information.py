@@ -236,7 +236,7 @@ class _Fixed(Fitter):
             self._point,
             data,
             inflation=self._information.rows.inflation(),
-            residual_memory=self._residual_memory(),
+            residual_correlation=self._residual_memory(),
         )
 
     def correlation_factors(self, fit: Fit) -> Array:

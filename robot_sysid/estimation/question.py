@@ -183,7 +183,7 @@ class Choice:
             free.
         rotors: joint or motor to its rotor's inertia, where that is known [kg m^2].
         dry_friction: (joints,) approximate dry friction of each row's joint [N m], which sizes the
-            prior of friction curves; None while friction terms are chosen: beside such a prior no
+            prior of friction curves; None while friction terms are chosen: with such a prior no
             term would lower the held-out error.
         correlation_factors: (joints,) how many rows of a joint count as one independent row; None
             for one row each.

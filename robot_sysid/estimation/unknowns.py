@@ -154,7 +154,10 @@ class Unknowns:
 def _restrict_groups(
     groups: Iterable[NuisanceGroup], names: set[str]
 ) -> Iterator[NuisanceGroup]:
-    """Yield the prior of the named parameters, which are independent of all others of a group."""
+    """Yield the priors of the named parameters, each independent of the others of its group.
+
+    A group without any of the names is left out.
+    """
     for group in groups:
         indices = [k for k, name in enumerate(group.names) if name in names]
         if len(indices) == len(group.names):
@@ -177,35 +180,41 @@ def build_unknowns(
     torque: Array,
     nonzero: NDArray[np.bool_],
 ) -> Unknowns:
-    """Return the unknowns of a question.
+    """Return the unknowns of a question, with their priors and bounds.
 
-    Torques (n,) are root mean squares [N m]; ``nonzero`` (p,) says which columns are.
+    Args:
+        torque: (n,) root mean square of each joint's measured torque [N m].
+        nonzero: (p,) which parameters have a column that is not zero.
     """
     groups = list(_prior_groups(columns, question, choice, torque))
     bodies = dict(_bodies(columns, question))
-    names = {name for group in groups for name in group.names}
-    names |= {columns.names[k] for indices, _ in bodies.values() for k in indices}
-    terms = dict(_terms(columns, choice))
-    friction_names = {f"{term}[{owner}]" for owner in terms for term in terms[owner]}
-    # A column of zeros identifies nothing: the value would be whatever the search began with.
-    names |= {name for name in friction_names if nonzero[columns.index[name]]}
-    settling = tuple(_settling_names(columns, question, choice))
-    names |= set(settling)
-    groups = list(_restrict_groups(groups, names))
+    increments = tuple(_increment_names(columns, question, choice))
+    names = set(increments)
+    nuisance_friction = set[str]()
+    for group in groups:
+        names.update(group.names)
+        if group.cause == FRICTION:
+            nuisance_friction.update(group.names)
+    for indices, _ in bodies.values():
+        names.update(columns.names[index] for index in indices)
     lower = np.full(len(columns.names), -np.inf)
     upper = -lower
-    # Friction terms that only a prior allows for may have either sign.
-    in_prior = {
-        name for group in groups if group.cause == FRICTION for name in group.names
-    }
-    for name in friction_names - in_prior:
-        term, _, owner = name.partition("[")
-        curved = term == "viscous" and "sqrt" in terms[owner[:-1]]
-        if not (curved or term in _FREE_SIGN or term.endswith("_speed")):
-            lower[columns.index[name]] = 0.0
-            upper[columns.index[name]] = LARGEST_LOSS if term == "load" else np.inf
+    for owner, terms in _terms(columns, choice):
+        for term in terms:
+            name = f"{term}[{owner}]"
+            index = columns.index[name]
+            # A column of zeros identifies nothing: the value would be that of the first point.
+            if nonzero[index]:
+                names.add(name)
+            may_be_negative = term in _FREE_SIGN or term.endswith("_speed")
+            may_be_negative |= term == "viscous" and "sqrt" in terms
+            # Friction terms that only a prior allows for may have either sign, too.
+            if not may_be_negative and name not in nuisance_friction:
+                lower[index] = 0.0
+                upper[index] = LARGEST_LOSS if term == "load" else np.inf
+    groups = list(_restrict_groups(groups, names))
     held = _held_values(columns, question, choice)
-    kept = np.array(sorted(columns.index[name] for name in names), dtype=np.int64)
+    estimated = np.sort(columns.indices([*names]))
     if question.known_mass is not None:
         error = _EXACT_MASS * question.known_mass
         payload = independent_prior(WEIGHT, PAYLOAD_NAMES[:1], ("payload",), error)
@@ -213,12 +222,12 @@ def build_unknowns(
     elif question.loaded:
         groups += [_no_common_scale(group) for group in groups if group.cause == SCALES]
     return Unknowns(
-        columns.names, kept, held, tuple(groups), lower, upper, bodies, settling
+        columns.names, estimated, held, tuple(groups), lower, upper, bodies, increments
     )
 
 
 def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:
-    """Yield joint or motor to its friction terms; a motor has those of all joints it turns with."""
+    """Yield (joint or motor, its friction terms); a motor has those of all joints that it turns."""
     for row, joint in zip(columns.joint_indices, columns.joints):
         model = choice.friction[row]
         yield (
@@ -226,15 +235,16 @@ def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:
             {*model.terms, *(f"{term}_speed" for term in model.nonlinear_terms)},
         )
     for motor in choice.couplings:
-        turned = [choice.friction[k] for k in np.flatnonzero(motor.ratios)]
-        terms = {term for model in turned for term in model.terms} & {*motor.terms}
-        yield (
-            motor.name,
-            terms - ({"armature"} if motor.name in choice.rotors else set()),
-        )
+        terms = set[str]()
+        for index in np.flatnonzero(motor.ratios):
+            terms.update(choice.friction[index].terms)
+        terms &= {*motor.terms}
+        if motor.name in choice.rotors:
+            terms.discard("armature")
+        yield motor.name, terms
 
 
-def _settling_names(
+def _increment_names(
     columns: Columns, question: Question, choice: Choice
 ) -> Iterator[str]:
     """Yield the names of parameters that are increments of the linearisation point."""
@@ -257,7 +267,7 @@ def _held_values(columns: Columns, question: Question, choice: Choice) -> Array:
     held = np.zeros(len(columns.names))
     for name, indices in columns.bodies().items():
         if name != "payload":
-            held[indices] = columns.prior[indices]
+            held[indices] = columns.model_values[indices]
     if question.carried is not None:
         held[columns.indices(PAYLOAD_NAMES)] = question.carried
     for joint, model in zip(columns.robot.joint_names, choice.friction):
@@ -267,10 +277,10 @@ def _held_values(columns: Columns, question: Question, choice: Choice) -> Array:
         for term in (*own_terms, *(("armature",) if armature else ())):
             index = columns.index.get(f"{term}[{joint}]")
             if index is not None:
-                held[index] = columns.prior[index]
+                held[index] = columns.model_values[index]
     for motor in columns.couplings:
         indices = columns.indices(motor.parameter_names)
-        held[indices] = columns.prior[indices]
+        held[indices] = columns.model_values[indices]
     for owner, rotor in choice.rotors.items():
         held[columns.index[f"armature[{owner}]"]] = rotor
     return held
@@ -411,7 +421,7 @@ def _link_group(
 ) -> NuisanceGroup | None:
     """Return the model's prior of all links but the terminal one; None where none is unknown.
 
-    A placeholder is not believed: it may be anything between nothing and two usual bodies.
+    A placeholder gets a wide prior, from zero to two usual bodies.
     """
     robot = columns.robot
     bodies = dict(_bodies(columns, question))

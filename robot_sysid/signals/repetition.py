@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.uncertainty import memory
+from robot_sysid.estimation.algebra.uncertainty import residual_correlation_time
 from robot_sysid.records import Array, Measurement, Motion
 
 PROBES = 2000
@@ -80,7 +80,7 @@ class Visits:
                 products = residual[self.probes] @ residual[self.others]
                 covariance = float(products) / squared
             inflations.append(max(1.0 + covariance, 1.0))
-            memories.append(memory(joint_residual, inflations[-1]))
+            memories.append(residual_correlation_time(joint_residual, inflations[-1]))
         return np.array(inflations), np.array(memories)
 
 

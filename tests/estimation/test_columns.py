@@ -93,7 +93,7 @@ def with_model_links(columns, values):
     values = values.copy()
     bodies = columns.bodies()
     for name in bodies.keys() - {columns.robot.body_name, "payload"}:
-        values[bodies[name]] = columns.prior[bodies[name]]
+        values[bodies[name]] = columns.model_values[bodies[name]]
     return values
 
 

@@ -162,7 +162,7 @@ def test_a_kept_part_stays(plant, robot, kept):
         "m(link0)": LINKS,
         "Izz(link1)": LINKS,
     }.items():
-        prior = fit.columns.prior[fit.columns.index[name]]
+        prior = fit.columns.model_values[fit.columns.index[name]]
         assert (fit.value(name) == prior) == (part in kept), name
     assert "offset[joint1]" in fit.unknowns.estimated_names
 
@@ -209,7 +209,7 @@ def test_a_motor_that_turns_two_joints_is_in_the_file(plant, robot):
         estimate = file.fit.value(f"{term}[joint1+joint2]")
         assert estimate == pytest.approx(value, rel=0.1)
     assert file.after.relative_error < 0.2 * without.after.relative_error
-    assert file.beside is None
+    assert file.urdf is None
 
     kept = [GRAVITY, FRICTION]
     fit = record_and_fit(plant, robot, (*kept,), shared_motor, motors).fit
@@ -227,8 +227,8 @@ def test_a_urdf_beside_the_mjcf_that_holds_a_shared_motor_is_fitted_as_a_urdf(
     motors = (coupling(robot, WRIST),)
     file = record_and_fit(plant, model, (GRAVITY,), shared_motor, motors)
     assert file.fit.question.file_kind == "mjcf"
-    assert file.beside.fit.question.file_kind == "urdf"
+    assert file.urdf.fit.question.file_kind == "urdf"
     alone = record_and_fit(plant, model, (GRAVITY,), shared_motor)
     error = alone.after.relative_error
-    assert file.beside.after.relative_error == pytest.approx(error, rel=0.05)
+    assert file.urdf.after.relative_error == pytest.approx(error, rel=0.05)
     assert file.after.relative_error < 0.2 * error

@@ -46,7 +46,7 @@ def test_each_block_is_predicted_from_the_others(noisy_fit):
     (samples,) = noisy_fit.samples
     unknowns = noisy_fit.unknowns
     prior = np.vstack(
-        [group.rows(unknowns.estimated_names) for group in unknowns.groups]
+        [group.prior_rows(unknowns.estimated_names) for group in unknowns.groups]
     )
     squared_errors = cross_validation.squared_errors(unknowns)
     for mask, squared in zip(block_masks(samples), squared_errors):

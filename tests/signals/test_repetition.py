@@ -13,7 +13,7 @@ import pytest
 from scipy.signal import lfilter
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.uncertainty import memory
+from robot_sysid.estimation.algebra.uncertainty import residual_correlation_time
 from robot_sysid.motion.trajectories import LineTrajectory
 from robot_sysid.records import Measurement, Motion
 from robot_sysid.signals import repetition
@@ -96,8 +96,10 @@ def test_the_memory_of_a_residual_is_what_its_sums_show(keep):
     drawn = np.random.default_rng(3).normal(size=20000)
     residual = lfilter([1.0], [1.0, -keep], drawn)
     residual[5000:6000] = np.nan
-    assert memory(residual) == pytest.approx((1.0 + keep) / (1.0 - keep), rel=0.15)
-    assert memory(np.zeros(50)) == 1.0
+    assert residual_correlation_time(residual) == pytest.approx(
+        (1.0 + keep) / (1.0 - keep), rel=0.15
+    )
+    assert residual_correlation_time(np.zeros(50)) == 1.0
 
 
 @pytest.mark.parametrize(("seed", "count"), [(0, 3), (1, 12)])

@@ -1,4 +1,28 @@
-"""TODO."""
+"""Physically consistent bodies: least squares for all links together, and the errors it leaves.
+
+Minimises, over the ten parameters of every link and all other estimated parameters,
+
+    1/2 ||A x - b||^2 + sum_i g_i [tr(P0_i^-1 P_i) - log det P_i]
+
+with P_i the pseudo-inertia of link i and P0_i that of a usual body: the log-det divergence of Lee,
+Wensing, Park, "Geometric robot dynamic identification: a convex programming approach", IEEE
+Transactions on Robotics 36(2), 2020, for a whole arm. Priors are rows of A; g_i is far below
+what data can resolve and only keeps bodies consistent, unless a link is to be held near P0_i.
+
+The problem is convex. A primal-dual method follows g down from where P0 alone decides, in the
+scaling of Nesterov and Todd, in which the matrices and their duals become the same diagonal matrix
+(Toh, Todd, Tutuncu, "SDPT3 - a MATLAB software package for semidefinite programming", 1999), with
+Mehrotra's predictor and corrector; a step is one factorisation for all links, of rows and not of
+their squares. Two changes of coordinates keep steps accurate however weak a direction is. Each link
+is measured in the pseudo-inertia of its usual body, P_i = L_i K_i L_i^T with K_i = 1 + Z_i. Then
+everything is turned into the singular directions of A, where the data's part of the second
+derivative is diagonal.
+
+Errors change with it. An inconsistent estimate theta + e, e ~ N(0, C), is replaced by the best
+consistent body. Drawn errors show the remaining error: T e by linear regression, and a residual of
+covariance R. The other parameters follow the body as they do in C: with G, their regression on the
+body, and E, which selects the body, errors e of all become (1 + G (T - 1) E) e.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Identifiability: rank, condition numbers, and the unidentifiable combinations in words.
+"""Identifiability: rank, condition numbers, unidentifiable combinations, base parameters.
 
 Columns are scaled first, so that units do not decide about rank: one scale for the mass, one for
 the three first moments, one for the six inertias, one for each further parameter. Parameters of
@@ -10,6 +10,19 @@ rounding noise is set to zero.
 A null space has many bases. The one put into words is sparse: first directions within the first
 moment or within the inertia alone, then mixed ones, each in reduced row echelon form. A single
 parameter that cannot be identified always appears by itself then.
+
+Base parameters are the combinations that joint torques do identify. Of the ten parameters of a
+link, many change no torque by themselves, but only in combination with those of links closer to the
+base. A QR factorisation with column pivoting finds them (Gautier, "Numerical calculation of the
+base inertial parameters of robots", ICRA 1990): with W P = Q [R1 R2; 0 0], R1 of full rank r, the
+first r columns of W P span all, and
+
+    x_base = x_1 + R1^-1 R2 x_2.
+
+Which of them a log needs follows from backward elimination: the one with the largest relative
+standard deviation is removed and the others are fitted again, until the largest is no more than 30
+times the smallest (Pham, Gautier, "Essential parameters of robots", CDC 1991) or is below 10 %. It
+is a report on the data; the estimate does not use it.
 """
 
 from __future__ import annotations

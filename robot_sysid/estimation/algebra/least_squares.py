@@ -1,4 +1,11 @@
-"""Ordinary and weighted least squares: the noise of each joint, and the solution."""
+"""Square-root information, one QR triangle per joint, and its weighted least-squares solution.
+
+For equations Y x = tau the triangle R of [Y tau] = Q R holds all that least squares needs: normal
+matrix, residual and rank. Stacking a new chunk under R and factorising again gives the triangle of
+all rows (Bierman, "Factorization Methods for Discrete Sequential Estimation", 1977, ch. IV), so
+memory does not grow with the number of samples. The noise of each joint, which weights its rows, is
+iterated with the solution.
+"""
 
 from __future__ import annotations
 
@@ -73,12 +80,16 @@ def estimate_noise(
 def solver(information: SquareRootInformation, prior: Array) -> Solve:
     """Return the fastest function that solves the equations for given weights.
 
-    Its argument are the weights (joints,) of each joint's equations [1/(N m)]; it returns
+    The function takes the weights (joints,) of each joint's equations [1/(N m)]. It returns
 
         x = prior + argmin_d ||A d - (b - A prior)||,
 
-    of minimum norm in scaled columns, and the leverage (joints,) of each joint's equations, see
-    ``joint_noise``. Parameters that the data does not identify keep the prior's value (p,).
+    with d of minimum norm in scaled columns, and the leverage (joints,) of each joint's equations,
+    see ``joint_noise``. Parameters that neither data nor ``information.prior`` identifies keep
+    their values in ``prior``.
+
+    Args:
+        prior: (p,) values, not the prior distribution, which is in ``information.prior``.
     """
     plain = partial(_solve_by_decomposition, information, prior)
     if information.prior is None:
@@ -87,7 +98,7 @@ def solver(information: SquareRootInformation, prior: Array) -> Solve:
     solutions = dict[bytes, tuple[Array, Array]]()
 
     def solve(weights: Array) -> tuple[Array, Array]:
-        # At the floor of the noise the same weights repeat.
+        # At the floor of the noise, weights repeat from round to round.
         key = weights.tobytes()
         if key not in solutions:
             solutions[key] = normal.solve(weights) or plain(weights)
@@ -136,7 +147,7 @@ class _Normal:
         self._squares = [(rows.T @ rows, stretches(at)) for at, rows in ordered]
 
     def solve(self, weights: Array) -> tuple[Array, Array] | None:
-        """Return what ``solver`` describes; None where the equations are ill-conditioned."""
+        """Return (x, leverage) of ``solver``; None where the equations are ill-conditioned."""
         normal = np.zeros((len(self._prior) + 1,) * 2)
         squares = np.append(weights, 1.0) ** 2
         for (gram, runs), square in zip(self._squares, squares):
@@ -248,7 +259,7 @@ def joint_noise(
 def _solve_by_decomposition(
     information: SquareRootInformation, prior: Array, weights: Array
 ) -> tuple[Array, Array]:
-    """Return what ``solver`` describes, by a decomposition."""
+    """Return (x, leverage) of ``solver``, by a decomposition."""
     matrix, right_side = information.equations(weights)
     values, root = solve_rows(np.column_stack((matrix, right_side - matrix @ prior)))
     pairs = zip(information.joints, weights)

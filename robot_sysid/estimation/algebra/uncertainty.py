@@ -1,14 +1,27 @@
-"""How far an estimate may be off: covariance, standard errors, share of data against prior.
+"""Errors of an estimate: covariance and standard errors, with torque noise correlated in time.
 
 The estimate is x = C (Y^T W tau + P d0) with C = (Y^T W Y + P)^-1, P the prior precision of the
-nuisances (``nuisances``), so that its covariance is
+nuisances (``priors``), so that its covariance is
 
     C (sum_j w_j^4 Omega_j + P) C,
 
-Omega_j the covariance of joint j's score Y_j^T e_j: sigma_j^2 Y_j^T Y_j for white noise, more where
-slow noise meets slow motion (``autocorrelation``). The sum splits by cause: C P_c C is the
-contribution of the nuisances of cause c. Directions that neither data nor P identify have zero
-covariance and infinite standard errors.
+Omega_j the covariance of joint j's score Y_j^T e_j: sigma_j^2 Y_j^T Y_j for white noise. The sum
+splits by cause: C P_c C is the contribution of the nuisances of cause c. Directions that neither
+data nor P identify have zero covariance and infinite standard errors.
+
+There are two models of the autocorrelation of noise, for two purposes. ``autocorrelation_time`` is
+one number per joint, by which rows are weighted while choices are compared. Standard errors need
+more, because slow noise harms slow rows and fast rows average it out. For them, residuals of a
+joint are described by a sum of decaying exponentials,
+
+    gamma(l) = c_0 [l = 0] + sum_i c_i exp(-|l| / T_i),   c >= 0,  T_i = 1, 2, 4, ... samples,
+
+fitted to their autocovariance (``JointResiduals.fit``). The variance of the score is then
+sum_i c_i Q_i with
+
+    Q_i = sum_(t, s) y_t exp(-|t - s| / T_i) y_s^T,
+
+which first-order recursive filters collect in one pass; white noise gives sigma^2 Y^T Y.
 """
 
 from __future__ import annotations
@@ -499,8 +512,8 @@ def _sum_bins(values: Array, bins: NDArray[np.int64]) -> Array:
     return sums / np.sqrt(width).reshape((-1,) + (1,) * (values.ndim - 1))
 
 
-def memory(residual: Array, repeats: float = 1.0) -> float:
-    """Return ``autocorrelation_time`` a residual (K,), NaN where a sample is left out.
+def residual_correlation_time(residual: Array, repeats: float = 1.0) -> float:
+    """Return ``autocorrelation_time`` of a residual (K,), NaN where a sample is left out.
 
     Args:
         repeats: how many times the motion repeats, so that its samples count once only.
@@ -526,7 +539,9 @@ def concentration(residual: Array) -> float:
 
 
 def autocorrelation_time(covariance: Array, count: float) -> float:
-    """Return 1 + 2 sum of an autocorrelation, up to the first value that is not significant.
+    """Return the integrated autocorrelation time 1 + 2 sum_l rho_l [samples].
+
+    The sum ends before the first value that is not significant.
 
     That is the factor by which the variance of a mean is larger than that of independent values
     (Bartlett, "On the theoretical specification ... of autocorrelated time-series", 1946).
