@@ -59,7 +59,7 @@ HELD = {
     "names with HTML": "report/test_page.py::"
     "test_every_tag_is_closed_names_are_text_and_nothing_is_loaded_from_elsewhere",
     "numbers such as": STOPS,
-    "counted in a log": "logs/test_checks.py::"
+    "counted in a log": "logs/test_table.py::"
     "test_rows_with_holes_or_rubbish_are_left_out_and_counted",
     "Nothing is written": "test_security.py::"
     "test_files_are_written_where_a_command_says_and_no_network_is_opened",

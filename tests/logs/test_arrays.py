@@ -20,6 +20,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions, arrays, table
 from robot_sysid.logs.reader import content_lines, open_table
 from robot_sysid.records.messages import Progress
+from tests.support import recorded
 from tests.support.log_files import JOINTS, motion, read_measurements
 
 DATA = motion()
@@ -60,9 +61,9 @@ def lerobot(path, time, **states):
 
 
 def arrow(write):
-    """What writes arrays as a file of Arrow, lists of three in a cell."""
+    """Return a function that writes arrays as a file of Arrow, lists of three in a cell."""
 
-    def written(path, **arrays):
+    def write_arrays(path, **arrays):
         pa = pytest.importorskip("pyarrow")
         rows = pa.FixedSizeListArray.from_arrays
         cells = {
@@ -71,7 +72,7 @@ def arrow(write):
         }
         write(pa.table(cells), path)
 
-    return written
+    return write_arrays
 
 
 def parquet(table, path):
@@ -97,10 +98,10 @@ def test_lists_of_unequal_length_are_refused_and_missing_ones_are_missing(
         InputError, match="column q holds lists of 1 to 3 numbers; write as many"
     ):
         open_table(tmp_path / "log", JOINTS, LogOptions())
-    for kind in (pa.list_(pa.float64()), pa.list_(pa.float64(), 2)):
-        held = pa.array([q[0], None, None, q[3]], kind)
+    for list_type in (pa.list_(pa.float64()), pa.list_(pa.float64(), 2)):
+        lists = pa.array([q[0], None, None, q[3]], list_type)
         try:
-            write(pa.table({"time": time, "q": held}), tmp_path / "log")
+            write(pa.table({"time": time, "q": lists}), tmp_path / "log")
         except pa.ArrowNotImplementedError:
             continue  # earlier releases write no Parquet of missing lists of a fixed length
         (block,) = open_table(tmp_path / "log", JOINTS, LogOptions()).blocks(range(3))
@@ -129,9 +130,10 @@ def test_a_pickled_object_is_never_loaded(tmp_path):
 def test_an_array_that_only_says_it_is_huge_is_refused(tmp_path):
     array = io.BytesIO()
     np.save(array, np.zeros((24, 3)))
-    said = array.getvalue().replace(b"(24, 3), }" + b" " * 10, b"(90000000000, 3), } ")
+    header = b"(24, 3), }" + b" " * 10
+    content = array.getvalue().replace(header, b"(90000000000, 3), } ")
     with zipfile.ZipFile(tmp_path / "log.npz", "w") as packed:
-        packed.writestr("q.npy", said)
+        packed.writestr("q.npy", content)
     with pytest.raises(InputError, match=r"unpacks to 2.16e\+03 GB"):
         read_measurements(tmp_path / "log.npz", JOINTS)
 
@@ -197,14 +199,14 @@ def test_an_hdf5_chunk_that_unpacks_to_more_than_its_length_is_refused(
     import resource
 
     h5py = pytest.importorskip("h5py")
-    before = resource.getrlimit(resource.RLIMIT_AS)
+    limits = resource.getrlimit(resource.RLIMIT_AS)
     monkeypatch.setattr(table, "_OVERHEAD", 2e7)
     with h5py.File(tmp_path / "log.hdf5", "w") as file:
         data = file.create_dataset("q", (100,), "f8", chunks=(100,), compression="gzip")
         data.id.write_direct_chunk((0,), zlib.compress(bytes(10**8), 1))
     with pytest.raises(InputError, match="cannot read .*log.hdf5 as an HDF5 file"):
         read_measurements(tmp_path / "log.hdf5", JOINTS)
-    assert resource.getrlimit(resource.RLIMIT_AS) == before
+    assert resource.getrlimit(resource.RLIMIT_AS) == limits
 
 
 @pytest.mark.parametrize(
@@ -347,8 +349,8 @@ def test_two_arrays_of_one_name_are_told_apart_and_what_is_no_array_is_no_column
         lambda t: (
             np.datetime64("2024-05-01", "ns") + (t * 1e9).round().astype("m8[ns]")
         ),
-        lambda t: np.array([f"2024-05-01T23:59:{each:06.3f}+02:00" for each in t]),
-        lambda t: np.array([DAY + timedelta(seconds=each) for each in t]),
+        lambda t: np.array([f"2024-05-01T23:59:{second:06.3f}+02:00" for second in t]),
+        lambda t: np.array([DAY + timedelta(seconds=second) for second in t]),
     ],
 )
 def test_dates_in_arrays_are_seconds_from_the_first(dated):
@@ -357,9 +359,9 @@ def test_dates_in_arrays_are_seconds_from_the_first(dated):
         "t": dated(DATA.time),
         "note": np.array(["x"] * len(DATA.time), object),
     }
-    made = arrays.arrays_table(Path("arrays"), "arrays", named)
-    assert made.titles[0] == "t" and "note" not in made.titles
-    (block,) = made.blocks([0])
+    table = arrays.arrays_table(Path("arrays"), "arrays", named)
+    assert table.titles[0] == "t" and "note" not in table.titles
+    (block,) = table.blocks([0])
     np.testing.assert_allclose(block.cells[:, 0], DATA.time, atol=1e-9)
 
 
@@ -426,3 +428,81 @@ def test_a_matlab_file_that_is_cut_off_is_one_line(tmp_path):
     with pytest.raises(InputError) as caught:
         read_measurements(path, JOINTS)
     assert "\n" not in str(caught.value)
+
+
+def describe_features(path, features):
+    """Write other features into the description of a data set."""
+    info = path / "meta" / "info.json"
+    info.write_text(json.dumps({**json.loads(info.read_text()), "features": features}))
+
+
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_every_episode_is_a_piece(tmp_path, version):
+    long = motion(1000)
+    path = recorded.lerobot(version, 3)(tmp_path, long)
+    log = read_measurements(path, JOINTS)
+    assert [len(piece) for piece in log.pieces] == [1000] * 3
+    np.testing.assert_allclose(log.pieces[2].q, long.q, rtol=0, atol=1e-12)
+    assert len(read_measurements(path, JOINTS, episode=(1,)).pieces) == 1
+    with pytest.raises(InputError, match="no episode 7; it has 0 to 2"):
+        read_measurements(path, JOINTS, episode=(7,))
+
+
+@pytest.mark.parametrize(
+    ("features", "fault"),
+    [
+        ("none", "holds no torque"),
+        (
+            {"observation.state": {"names": 3}},
+            "holds no torque.*use_velocity_and_torque",
+        ),
+        ({"observation.state": {"names": ["wrist.torque"]}}, "names 1 numbers"),
+    ],
+)
+def test_an_odd_description_is_refused(tmp_path, features, fault):
+    path = recorded.FORMS["LeRobot"](tmp_path, DATA)
+    describe_features(path, features)
+    with pytest.raises(InputError, match=fault):
+        read_measurements(path, JOINTS)
+
+
+def test_actions_are_commands(tmp_path):
+    path = recorded.FORMS["LeRobot"](tmp_path, DATA)
+    state = json.loads((path / "meta" / "info.json").read_text())["features"]
+    (shape,) = state.values()
+    parquet = pytest.importorskip("pyarrow.parquet")
+    arrow = pytest.importorskip("pyarrow")
+    (file,) = (path / "data").rglob("*.parquet")
+    frames = parquet.read_table(file).append_column(
+        "action", arrow.array(np.degrees(np.roll(DATA.q, 3, axis=0)).tolist())
+    )
+    parquet.write_table(frames, file)
+    goal = {**shape, "names": [f"{joint}.pos" for joint in JOINTS]}
+    describe_features(path, {**state, "action": goal})
+    log = read_measurements(path, JOINTS, commanded=True)
+    np.testing.assert_allclose(log.samples.q, DATA.q, atol=1e-9)
+    np.testing.assert_allclose(
+        log.samples.command, np.roll(DATA.q, 3, axis=0), atol=1e-9
+    )
+
+
+def test_alohas_two_arms_are_told_apart_by_name_and_time_is_its_rate(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "episode_0.hdf5"
+    with h5py.File(path, "w") as file:
+        for name, values in (("qpos", DATA.q), ("qvel", DATA.qd), ("effort", DATA.tau)):
+            wide = np.zeros((len(DATA), 14))
+            wide[:, [7, 8, 9]] = values
+            file[f"observations/{name}"] = wide
+        file["action"] = np.roll(file["observations/qpos"][()], 2, axis=0)
+    names = ("right/waist", "right/shoulder", "right/elbow")
+    log = read_measurements(path, names)
+    np.testing.assert_array_equal(log.samples.q, DATA.q)
+    np.testing.assert_array_equal(log.samples.tau, DATA.tau)
+    np.testing.assert_allclose(
+        log.samples.time, np.arange(len(DATA)) / 50.0, atol=1e-12
+    )
+    command = read_measurements(path, names, commanded=True).samples.command
+    np.testing.assert_array_equal(command, np.roll(DATA.q, 2, axis=0))
+    with pytest.raises(InputError, match="torque of joint left/waist is zero|at rest"):
+        read_measurements(path, ("left/waist", "left/shoulder", "left/elbow"))

@@ -6,32 +6,20 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.reader import MeasurementLog
 from tests.support.log_files import (
     JOINTS,
     TITLES,
     limits,
     motion,
-    read_measurements,
+    notes_of,
+    read_table,
     table,
-    write,
 )
 
 # Rows in which something is put that is no row of numbers; row k stands in line k + 2.
 RUBBISH = (9, 20, 31, 42, 53)
-
-
-def read(tmp_path, rows, titles=TITLES, **known) -> MeasurementLog:
-    return read_measurements(write(tmp_path / "log.csv", rows, titles), JOINTS, **known)
-
-
-def odd(log: MeasurementLog) -> str:
-    """The notes beyond the layout and the columns."""
-    return " | ".join(note for note in log.notes if not note.startswith("log "))
 
 
 def text_cells(rows):
@@ -186,7 +174,7 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
 def test_a_log_that_cannot_be_used_is_refused(tmp_path, name):
     fault, words = ERRORS[name]
     with pytest.raises(InputError) as caught:
-        read(tmp_path, fault(table(motion())))
+        read_table(tmp_path, fault(table(motion())))
     message = str(caught.value)
     assert all(word in message for word in words), message
     assert "\n" not in message
@@ -200,7 +188,7 @@ def test_the_remedy_for_a_clock_is_one(tmp_path, name):
     remedies = {"minutes": "time = 60 * time", "hours": "time = 3600 * time"}
     columns = tmp_path / "columns.txt"
     columns.write_text(remedies.get(name, "rate = 200"))
-    log = read(tmp_path, ERRORS[name][0](table(motion())), columns=columns)
+    log = read_table(tmp_path, ERRORS[name][0](table(motion())), columns=columns)
     np.testing.assert_allclose(log.samples.time, motion().time, atol=1e-12)
 
 
@@ -245,59 +233,12 @@ NOTES: dict[str, tuple[Callable, list[str]]] = {
 @pytest.mark.parametrize("name", NOTES)
 def test_what_is_odd_about_a_log_is_said(tmp_path, name):
     fault, words = NOTES[name]
-    said = odd(read(tmp_path, fault(table(motion()))))
+    said = notes_of(read_table(tmp_path, fault(table(motion()))))
     assert all(word in said for word in words) if words else not said
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    st.sets(st.integers(1, 397), min_size=1, max_size=4),
-    st.sampled_from(["", "nan", "NULL", "1e30", "-1e8", "x" * 200_000, "oops"]),
-)
-def test_rows_with_holes_or_rubbish_are_left_out_and_counted(tmp_path, places, written):
-    data = motion()
-    rows = table(data).tolist()
-    for k in places:
-        rows[k][4] = written
-    log = read(tmp_path, rows)
-    kept = np.setdiff1d(np.arange(len(data)), list(places))
-    np.testing.assert_array_equal(log.samples.time, data.time[kept])
-    np.testing.assert_array_equal(log.samples.tau, data.tau[kept])
-    assert f"left out {len(places)} rows that " in odd(log)
-    assert f"(first: line {min(places) + 2}" in odd(log)
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.floats(3.5, 12.0), st.floats(-20.0, 20.0))
-def test_wrapped_positions_are_unwrapped(tmp_path, amplitude, offset):
-    data = motion()
-    rows = table(data)
-    true = offset + amplitude * data.q[:, 0]
-    rows[:, 1] = np.angle(np.exp(1j * true))
-    log = read(tmp_path, rows, units="rad")
-    found = log.samples.q[:, 0]
-    turns = np.round((true - found) / (2.0 * np.pi))[0]
-    np.testing.assert_allclose(found + 2.0 * np.pi * turns, true, rtol=0.0, atol=1e-12)
-    wrapped = bool(np.any(np.abs(np.diff(rows[:, 1])) > np.pi))
-    assert ("full turn" in odd(log)) == wrapped
-
-
-def test_a_slide_has_no_full_turn_and_no_degrees(tmp_path):
-    slide = (True, False, False)
-    rows = table(motion())
-    rows[200:, 1] += 2.0 * np.pi
-    with pytest.raises(InputError, match="joint base jumps at line 202"):
-        read(tmp_path, rows, is_slide=slide)
-    rows[:200, 1] += 2.0 * np.pi
-    rows[:, 1] += 10.0
-    with pytest.raises(InputError, match="look like degrees"):
-        read(tmp_path, rows)
-    assert len(read(tmp_path, rows, units="rad").samples) == 400
-    assert len(read(tmp_path, rows, is_slide=slide).samples) == 400
-
-
 def test_positions_outside_the_limits_are_said(tmp_path):
-    said = odd(read(tmp_path, table(motion()), limits=limits(0.85)))
+    said = notes_of(read_table(tmp_path, table(motion()), limits=limits(0.85)))
     assert "joint limits: base by 0.05" in said and "line" in said
 
 
@@ -306,11 +247,11 @@ def test_own_time_stamps_are_kept_unless_of_another_clock_or_backwards(tmp_path)
     stamps = table(motion())[:, :1] + np.array([0.0, 1e-3, 2e-3])
     rows = np.column_stack((table(motion()), stamps))
     np.testing.assert_array_equal(
-        read(tmp_path, rows, titles).samples.joint_time, stamps
+        read_table(tmp_path, rows, titles).samples.joint_time, stamps
     )
     rows[7, 8] -= 0.05
     with pytest.raises(InputError, match="runs backwards at line 9"):
-        read(tmp_path, rows, titles)
+        read_table(tmp_path, rows, titles)
     rows = np.column_stack((table(motion()), stamps + 5.0))
     with pytest.raises(InputError, match=r"5 s off.*joint_time = none"):
-        read(tmp_path, rows, titles)
+        read_table(tmp_path, rows, titles)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,8 +11,6 @@ from hypothesis import strategies as st
 from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs import column_map
-from robot_sysid.logs.titles import interpret_titles, joint_quantity, read_title
-from tests.support.log_files import motion, read_measurements, write
 
 JOINTS = ("joint0", "joint1", "joint2")
 UR = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
@@ -135,53 +132,6 @@ def test_the_columns_of_a_damiao_recording_are_known():
         f"j{j}_{what}" for what in ("pos", "tau", "vel", "time") for j in range(3)
     ]
     assert [source.title for source in taken] == expected
-
-
-COMMANDS = (
-    "q_des[{}]",
-    "action[{}]",
-    "joint{}_command",
-    "j{} goal_position",
-    "jointTarget[{}]",
-)
-
-
-@pytest.mark.parametrize(
-    ("title", "measured", "commanded"),
-    [
-        *((title.format(0), None, "command") for title in COMMANDS),
-        ("state.q_d[0]", None, "command"), ("cmd_q1 [deg]", None, "command"),
-        ("qd_des[0]", None, None), ("tau_ref1", None, None), ("current_ref1", None, None),
-        ("q_ff[0]", None, None), ("joint1_position_std", None, None), ("current_1", None, None),
-        ("tau_ext_1", None, None), ("q[0]", "position", "position"),
-        ("ref_joint_position", None, None), ("qd1", "velocity", "velocity"),
-        ("dq_1", "velocity", "velocity"), ("q_dot_1", "velocity", "velocity"),
-        ("ddq1", "acceleration", "acceleration"), ("measured_torque_1", "torque", "torque"),
-        ("current_position_1", "position", "position"),
-    ],
-)  # fmt: skip
-def test_what_a_title_says_where_commands_are_asked_for_and_where_not(
-    title, measured, commanded
-):
-    assert read_title(title).measured_quantity == measured
-    (found,) = interpret_titles(
-        [read_title(title)], ("ref_joint", "joint1"), False, commanded=True
-    )
-    assert joint_quantity(found) == commanded
-
-
-@pytest.mark.parametrize("title", COMMANDS)
-def test_commands_take_the_place_of_torques(tmp_path, title):
-    data = motion()
-    rows = np.column_stack((data.time, data.q, np.roll(data.q, 2, axis=0)))
-    titles = ["time", "q0", "q1", "q2", *(title.format(k) for k in range(3))]
-    path = write(tmp_path / "log.csv", rows, titles)
-    log = read_measurements(path, JOINTS, commanded=True)
-    np.testing.assert_allclose(log.samples.command, rows[:, 4:])
-    np.testing.assert_allclose(log.samples.tau, rows[:, 4:] - data.q)
-    assert all(piece.command is not None for piece in log.pieces)
-    with pytest.raises(InputError, match="one torque column for each"):
-        read_measurements(path, JOINTS)
 
 
 def test_units_in_titles_become_factors():

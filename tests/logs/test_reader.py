@@ -16,167 +16,17 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs import reader
-from robot_sysid.logs import text as formats_text
-from robot_sysid.logs.text import write_measurement_csv
-from robot_sysid.records import Measurement
+from tests.support import recorded
 from tests.support.log_files import (
     JOINTS,
-    TITLES,
+    assert_samples,
     motion,
     read_measurements,
     table,
     write,
 )
 
-QUANTITIES = ("time", "q", "qd", "tau", "qdd", "joint_time")
-
-
-def assert_same(
-    first: Measurement, second: Measurement, tolerance: float = 0.0
-) -> None:
-    for name in QUANTITIES:
-        expected = getattr(first, name)
-        got = getattr(second, name)
-        if expected is None:
-            assert got is None, name
-        else:
-            np.testing.assert_allclose(
-                got, expected, rtol=0.0, atol=tolerance, err_msg=name
-            )
-
-
-def part(data: Measurement, start: int, stop: int) -> Measurement:
-    values = {name: getattr(data, name) for name in QUANTITIES}
-    return Measurement(
-        **{k: None if v is None else v[start:stop] for k, v in values.items()}
-    )
-
-
-NAMES = st.lists(
-    st.text("abcXYZ019_-. #/", min_size=1, max_size=8).map(str.strip).filter(bool),
-    min_size=3,
-    max_size=3,
-    unique=True,
-)
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    NAMES,
-    st.sets(st.sampled_from(("qd", "qdd", "joint_time"))),
-    st.sets(st.integers(1, 39)),
-)
-def test_what_is_written_reads_back_to_the_last_bit(tmp_path, names, optional, cuts):
-    """Whatever the joints' names, what else is there, and the chunks it comes in; nobody needs
-    accelerations.
-    """
-    rng = np.random.default_rng(len(cuts))
-    time = 0.1 + np.cumsum(rng.uniform(0.8e-3, 1.2e-3, 40))
-    q = np.sin(time[:, None] * rng.uniform(10.0, 25.0, 3))
-    extra = {"qd": rng.normal(size=q.shape), "qdd": rng.normal(size=q.shape)}
-    extra["joint_time"] = time[:, None] + np.array([0.0, 1e-4, 2e-4])
-    kept = {name: extra[name] if name in optional else None for name in extra}
-    written = Measurement(time=time, q=q, tau=rng.normal(size=q.shape) * 1e3, **kept)
-    edges = [0, *sorted(cuts), len(time)]
-    chunks = [part(written, a, b) for a, b in zip(edges, edges[1:])]
-    write_measurement_csv(tmp_path / "log.csv", names, chunks)
-    assert_same(
-        replace(written, qdd=None),
-        read_measurements(tmp_path / "log.csv", names).samples,
-    )
-
-
-@pytest.mark.parametrize("size", [1, 700, 40_000])
-def test_the_size_of_the_batches_changes_nothing(tmp_path, monkeypatch, size):
-    cells = table(motion())
-    cells[:, 1] = np.angle(np.exp(1j * (cells[:, 1] * 4.0)))
-    cells[[17, 203], 4] = np.nan
-    path = write(tmp_path / "log.csv", cells)
-    path.write_text(path.read_text()[:-40])
-    whole = read_measurements(path, JOINTS)
-    said = " ".join(whole.notes)
-    assert "line 401" in said and "full turn" in said and "empty" in said
-    monkeypatch.setattr(formats_text, "CHUNK", size)
-    pieces = read_measurements(path, JOINTS)
-    assert_same(whole.samples, pieces.samples)
-    assert whole.notes == pieces.notes
-
-
-@pytest.mark.parametrize(
-    "style",
-    ["semicolon", "tab", "bar", "blanks", "crlf", "bom", "quoted", "utf16", "decimal comma",
-     "comments", "savetxt", "trailing separator", "blank lines", "no final newline"],
-)  # fmt: skip
-def test_every_layout_reads_the_same(tmp_path, style):
-    data = motion(50)
-    path = write(tmp_path / "log.csv", table(data))
-    path.write_bytes(restyled(path.read_text(), style))
-    assert_same(replace(data, qd=None), read_measurements(path, JOINTS).samples)
-
-
-def restyled(text: str, style: str) -> bytes:
-    lines = text.splitlines()
-    changed = {
-        "semicolon": text.replace(",", ";"),
-        "tab": text.replace(",", "\t"),
-        "bar": text.replace(",", "|"),
-        "blanks": "\n".join("  " + line.replace(",", "   ") for line in lines),
-        "crlf": text.replace("\n", "\r\n"),
-        "bom": "\ufeff" + text,
-        "quoted": "\n".join(
-            ",".join(f'"{cell}"' for cell in line.split(",")) for line in lines
-        ),
-        "utf16": text,
-        "decimal comma": text.replace(",", ";").replace(".", ","),
-        "comments": "# made by us\n#\n" + text.replace("\n", "\n# between\n"),
-        "savetxt": "# " + text,
-        "trailing separator": text.replace("\n", ",\n"),
-        "blank lines": text.replace("\n", "\n\n"),
-        "no final newline": text.rstrip("\n"),
-    }[style]
-    return changed.encode("utf-16" if style == "utf16" else "utf-8")
-
-
-@pytest.mark.parametrize(
-    "form",
-    ["{day}T{clock}", "{day} {clock}Z", "{day}T{clock}+05:30", "{clock}", '"{clock}"'],
-)
-def test_dates_are_times_from_the_first(tmp_path, form):
-    data = motion(50)
-    rows = table(data).tolist()
-    for row in rows:
-        clock = f"23:15:{row[0]:012.9f}"
-        row[0] = form.format(day="2024-05-01", clock=clock)
-    log = read_measurements(write(tmp_path / "log.csv", rows), JOINTS)
-    assert_same(replace(data, qd=None), log.samples, tolerance=1e-12)
-    assert "time in dates" in log.notes[0]
-
-
-def test_a_decimal_comma_need_not_be_in_the_first_row_nor_unquoted(tmp_path):
-    data = motion(50)
-    data = replace(data, q=data.q - data.q[0], tau=data.tau - data.tau[0], qd=None)
-    rows = [
-        [str(cell).replace(".", ",") for cell in row] for row in table(data).tolist()
-    ]
-    rows[0] = ["0"] * 7
-    for cells, separator in (
-        (rows, ";"),
-        ([[f'"{c}"' for c in row] for row in rows], ","),
-    ):
-        log = read_measurements(
-            write(tmp_path / "l.csv", cells, separator=separator), JOINTS
-        )
-        assert_same(data, log.samples)
-
-
-def test_dates_go_on_over_a_change_of_the_clock(tmp_path):
-    rows = table(motion(40)).tolist()
-    for row, second in zip(rows, range(40)):
-        day, hour = ("02", "01") if second < 20 else ("01", "22")
-        ahead = "+02:00" if second < 20 else "-01:00"
-        row[0] = f"2024-05-{day}T{hour}:59:{30 + second * 0.02:06.3f}{ahead}"
-    log = read_measurements(write(tmp_path / "log.csv", rows), JOINTS)
-    np.testing.assert_allclose(log.samples.time, 0.02 * np.arange(40), atol=1e-12)
+DATA = motion(60)
 
 
 def test_a_log_without_titles_needs_a_columns_file_and_one_without_time_a_rate(
@@ -189,20 +39,7 @@ def test_a_log_without_titles_needs_a_columns_file_and_one_without_time_a_rate(
     columns = tmp_path / "columns.txt"
     columns.write_text("rate = 200\nposition = #2-4\ntorque = #5, #6 - #7\n")
     log = read_measurements(path, JOINTS, columns=columns)
-    assert_same(replace(data, qd=None), log.samples, tolerance=1e-15)
-
-
-def test_text_columns_that_are_not_used_do_not_matter(tmp_path):
-    data = motion(30)
-    rows = [
-        [*row, '"ok, fine"' if k % 2 else "nan"]
-        for k, row in enumerate(table(data).tolist())
-    ]
-    log = read_measurements(
-        write(tmp_path / "l.csv", rows, (*TITLES, "status")), JOINTS
-    )
-    assert_same(replace(data, qd=None), log.samples)
-    assert any("not used: status" in note for note in log.notes)
+    assert_samples(replace(data, qd=None), log.samples, atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -245,18 +82,8 @@ def test_a_log_is_read_from_a_pipe(tmp_path, monkeypatch):
             whole = read_measurements(path, JOINTS)
             for _ in range(2):
                 piped = read_measurements("-", JOINTS)
-                assert_same(piped.samples, whole.samples)
+                assert_samples(piped.samples, whole.samples)
             assert reader.origin_of([whole, piped]).files == (str(path), "-")
-
-
-def test_a_failed_write_leaves_nothing_behind(tmp_path):
-    def failing():
-        yield motion(10)
-        raise InputError("stop")
-
-    with pytest.raises(InputError, match="stop"):
-        write_measurement_csv(tmp_path / "log.csv", JOINTS, failing())
-    assert list(tmp_path.iterdir()) == []
 
 
 POSITIVE = st.lists(st.floats(1e-2, 1e2), min_size=3, max_size=3).map(tuple)
@@ -277,3 +104,59 @@ def test_torque_is_divided_by_scale_and_multiplied_with_constants(
     np.testing.assert_array_equal(log.torque_scale, scale)
     notes = " ".join(read_measurements(path, JOINTS, torque_scale=2.0).notes)
     assert "'tau1', 'tau2', 'tau3' (each x 0.5)" in notes
+
+
+@pytest.mark.parametrize("form", recorded.FORMS)
+def test_every_form_reads_the_same_without_options(tmp_path, form):
+    for library in ("rosbags", "pyarrow", "h5py"):
+        pytest.importorskip(library)
+    log = read_measurements(recorded.FORMS[form](tmp_path, DATA), JOINTS)
+    assert_samples(DATA, log.samples, ("time", "q", "qd", "tau"), atol=1e-12)
+
+
+def test_what_is_no_recording_is_refused_in_one_line(tmp_path):
+    with pytest.raises(
+        InputError, match="folder of no known form; a log is a text table"
+    ):
+        read_measurements(tmp_path, JOINTS)
+    with pytest.raises(InputError, match="cannot read the log .*too long"):
+        read_measurements(tmp_path / ("a" * 5000), JOINTS)
+
+
+@pytest.mark.parametrize(
+    ("first_bytes", "form"),
+    [
+        (b"\x89MCAP0\r\n", "a ROS bag"),
+        (b"#ROSBAG V2.0\n", "a ROS bag"),
+        (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
+        (b"PK\x03\x04", "a NumPy .npz file"),
+        (b"PAR1", "a Parquet file"),
+        (b"ARROW1\x00\x00", "a Feather file"),
+    ],
+)
+def test_a_damaged_file_is_refused_in_one_line(tmp_path, first_bytes, form):
+    for library in ("rosbags", "pyarrow", "h5py"):
+        pytest.importorskip(library)
+    path = tmp_path / "log.bag"
+    path.write_bytes(first_bytes + b" rubbish")
+    with pytest.raises(InputError, match=f"as {form}") as caught:
+        read_measurements(path, JOINTS)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_library_that_is_missing_is_named_with_the_command(tmp_path, monkeypatch):
+    pytest.importorskip("rosbags")
+    path = recorded.FORMS["ROS 1 bag"](tmp_path, DATA)
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    with pytest.raises(InputError, match=r"pip install 'robot-sysid\[rosbag\]'"):
+        read_measurements(path, JOINTS)
+
+
+def test_motor_currents_are_taken_with_torque_constants_only(tmp_path):
+    path = recorded.rtde(tmp_path, DATA, torque="actual_current")
+    with pytest.raises(InputError, match="motor currents: give --torque-constants"):
+        read_measurements(path, JOINTS)
+    log = read_measurements(path, JOINTS, torque_constants=(10.0, 20.0, 30.0))
+    np.testing.assert_allclose(
+        log.samples.tau, DATA.tau * [10.0, 20.0, 30.0], rtol=1e-14
+    )

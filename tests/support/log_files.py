@@ -72,3 +72,32 @@ def read_measurements(
 ) -> MeasurementLog:
     """Read a log with options such as columns or units."""
     return open_log(arm_of(joint_names, limits, is_slide), path, LogOptions(**options))
+
+
+def read_table(
+    folder: Path, rows: Any, titles: Sequence[str] = TITLES, **options: Any
+) -> MeasurementLog:
+    """Write rows as a log of JOINTS and read it with options."""
+    return read_measurements(write(folder / "log.csv", rows, titles), JOINTS, **options)
+
+
+def notes_of(log: MeasurementLog) -> str:
+    """The notes beyond the layout and the columns."""
+    return " | ".join(note for note in log.notes if not note.startswith("log "))
+
+
+def assert_samples(
+    expected: Measurement,
+    samples: Measurement,
+    names: Sequence[str] = ("time", "q", "qd", "tau", "qdd", "joint_time"),
+    atol: float = 0.0,
+) -> None:
+    """Compare the arrays of two measurements; one that is None must be None in both."""
+    for name in names:
+        array = getattr(expected, name)
+        if array is None:
+            assert getattr(samples, name) is None, name
+        else:
+            np.testing.assert_allclose(
+                getattr(samples, name), array, rtol=0.0, atol=atol, err_msg=name
+            )

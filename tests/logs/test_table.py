@@ -1,0 +1,58 @@
+"""Rows that cannot be used are left out and counted, and positions that wrap are unwrapped."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from robot_sysid.errors import InputError
+from tests.support.log_files import motion, notes_of, read_table, table
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.sets(st.integers(1, 397), min_size=1, max_size=4),
+    st.sampled_from(["", "nan", "NULL", "1e30", "-1e8", "x" * 200_000, "oops"]),
+)
+def test_rows_with_holes_or_rubbish_are_left_out_and_counted(tmp_path, rows_hit, cell):
+    data = motion()
+    rows = table(data).tolist()
+    for k in rows_hit:
+        rows[k][4] = cell
+    log = read_table(tmp_path, rows)
+    usable = np.setdiff1d(np.arange(len(data)), list(rows_hit))
+    np.testing.assert_array_equal(log.samples.time, data.time[usable])
+    np.testing.assert_array_equal(log.samples.tau, data.tau[usable])
+    assert f"left out {len(rows_hit)} rows that " in notes_of(log)
+    assert f"(first: line {min(rows_hit) + 2}" in notes_of(log)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.floats(3.5, 12.0), st.floats(-20.0, 20.0))
+def test_wrapped_positions_are_unwrapped(tmp_path, amplitude, offset):
+    data = motion()
+    rows = table(data)
+    true = offset + amplitude * data.q[:, 0]
+    rows[:, 1] = np.angle(np.exp(1j * true))
+    log = read_table(tmp_path, rows, units="rad")
+    q = log.samples.q[:, 0]
+    turns = np.round((true - q) / (2.0 * np.pi))[0]
+    np.testing.assert_allclose(q + 2.0 * np.pi * turns, true, rtol=0.0, atol=1e-12)
+    wrapped = bool(np.any(np.abs(np.diff(rows[:, 1])) > np.pi))
+    assert ("full turn" in notes_of(log)) == wrapped
+
+
+def test_a_slide_has_no_full_turn_and_no_degrees(tmp_path):
+    slide = (True, False, False)
+    rows = table(motion())
+    rows[200:, 1] += 2.0 * np.pi
+    with pytest.raises(InputError, match="joint base jumps at line 202"):
+        read_table(tmp_path, rows, is_slide=slide)
+    rows[:200, 1] += 2.0 * np.pi
+    rows[:, 1] += 10.0
+    with pytest.raises(InputError, match="look like degrees"):
+        read_table(tmp_path, rows)
+    assert len(read_table(tmp_path, rows, units="rad").samples) == 400
+    assert len(read_table(tmp_path, rows, is_slide=slide).samples) == 400
