@@ -1,8 +1,8 @@
-"""Is the written model the original one with nothing changed but what was identified?
+"""Verification of a written model: it differs from the original in the identified numbers alone.
 
-Both files are compiled and every field of the compiled models is compared. What may differ is
-listed here, each entry with its reason. Then the written model has to take the torques that the
-identification predicts.
+Both files are compiled and every field of the compiled models is compared, but for those listed
+here, each with its reason. The written model must then take the torques that the identification
+predicts. On demand, both models are simulated along logs that were not fitted.
 """
 
 from __future__ import annotations
@@ -46,64 +46,45 @@ from robot_sysid.signals.process import ProcessedSignals
 from robot_sysid.simulation import playback
 
 CHECKPOINTS = 400
-"""On how many samples of the motion a written model is compared with the prediction."""
-
+"""Number of samples of the motion on which a written model is compared with the prediction."""
 TOLERANCE = 1e-9
-"""Largest relative deviation of the compiled inertia from what was asked for: MuJoCo's own way to
+"""Largest relative deviation of a compiled number from the written one: MuJoCo's transformation to
 principal axes and back leaves up to 1e-10."""
-ACCURATE = 1e-12
+AXES_TOLERANCE = 1e-12
 """Deviation below which MuJoCo's principal axes count as accurate; 4.0.0 stays below 1e-13."""
 
-# What is written of a body, and whether its frame and its inertial frame coincide. Compared row by
-# row: only the changed bodies may differ.
+# Inertial fields of a body, and whether its frame and its inertial frame coincide: compared row by
+# row, because only the changed bodies may differ.
 BODY_FIELDS = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_sameframe")
 # What MuJoCo computes from masses and inertias when it compiles.
 DERIVED = {
-    "body_subtreemass",
-    "body_invweight0",
-    "dof_M0",
-    "dof_invweight0",
-    "dof_length",
-    "tendon_invweight0",
-    "actuator_acc0",
-    # Room for what actuators and sensors remember; how much that is is compared.
-    "nhistory",
-    "actuator_historyadr",
-    "sensor_historyadr",
+    *["body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0", "dof_length"],
+    *["tendon_invweight0", "actuator_acc0"],
+    # Sizes of the memory of actuators and sensors, which follow from compared fields.
+    *["nhistory", "actuator_historyadr", "sensor_historyadr"],
     # Found by simulating the actuator's movement, so masses enter.
     "actuator_lengthrange",
     # Whether a body's inertia is diagonal in its joint's axes, or a geom or site coincides with its
     # body's inertial frame: shortcuts for the engine.
-    "body_simple",
-    "dof_simplenum",
-    "geom_sameframe",
-    "site_sameframe",
+    *["body_simple", "dof_simplenum", "geom_sameframe", "site_sameframe"],
     # Camera and light positions relative to the subtree's centre of mass.
-    "cam_poscom0",
-    "light_poscom0",
+    *["cam_poscom0", "light_poscom0"],
     # Collision bounding boxes are kept in the inertial frame of their body.
-    "bvh_aabb",
-    "bvh_child",
-    "bvh_depth",
-    "bvh_nodeid",
+    *["bvh_aabb", "bvh_child", "bvh_depth", "bvh_nodeid"],
     # Scene size and mean mass, for drawing and for scaling contacts.
-    "stat.center",
-    "stat.extent",
-    "stat.meaninertia",
-    "stat.meanmass",
-    "stat.meansize",
+    *[
+        "stat.center",
+        "stat.extent",
+        "stat.meaninertia",
+        "stat.meanmass",
+        "stat.meansize",
+    ],
 }
-# Where asset files are, and the sizes that follow from the length of these names.
+# Paths of asset files, and the sizes that follow from the length of these names. The signature is a
+# hash of sizes and types, which are compared themselves; MuJoCo loses it when it pickles.
 PATHS = {
-    "paths",
-    "npaths",
-    "nbuffer",
-    "mesh_pathadr",
-    "skin_pathadr",
-    "hfield_pathadr",
-    "tex_pathadr",
-    # A hash of sizes and kinds, which are compared themselves; MuJoCo loses it when it pickles.
-    "signature",
+    *["paths", "npaths", "nbuffer", "mesh_pathadr", "skin_pathadr", "hfield_pathadr"],
+    *["tex_pathadr", "signature"],
 }
 _SPRINGDAMPER = (
     "a joint's springdamper computes it from the inertia: give that joint stiffness and damping "
@@ -113,107 +94,131 @@ _ADVICE = {
     "dof_damping": _SPRINGDAMPER,
     "dof_dampingpoly": "write a joint's nonlinear damping into the joint instead of its class",
 }
-_OWN_GAINS = "give the actuator kp and kv of its own"
-_NUMBERS = (int, float, bytes, np.ndarray)
+_GAIN_ADVICE = "give the actuator kp and kv of its own"
+_NUMERIC_TYPES = (int, float, bytes, np.ndarray)
 
 
-class _Asked(NamedTuple):
-    """A number or a row that a change asks for: the compiled field, the place in it, the value."""
+class _RequiredValue(NamedTuple):
+    """A value that a change requires of a compiled model.
+
+    Attributes:
+        owner: description of the joint, actuator or tendon, for messages.
+        field: dotted name of the field of the compiled model.
+        address: index of the value in that field.
+        value: number, or row of numbers.
+        advice: what to do where the compiled model has another value; ends the message.
+    """
 
     owner: str
     field: str
-    at: tuple[Any, ...]
+    address: tuple[Any, ...]
     value: Any
     advice: str = "no model was written"
 
     def require(self, mj_model: Any) -> None:
-        """Raise ExportError unless it stands in a compiled model."""
-        found = attrgetter(self.field)(mj_model)[self.at].tolist()
-        if not np.allclose(found, self.value, rtol=TOLERANCE, atol=0.0):
-            what = f"{self.owner} has {self.field} {found} instead of {self.value}"
-            raise ExportError(f"in the written model, {what}; {self.advice}")
+        """Raise ExportError unless a compiled model has this value."""
+        actual = attrgetter(self.field)(mj_model)[self.address].tolist()
+        if not np.allclose(actual, self.value, rtol=TOLERANCE, atol=0.0):
+            raise ExportError(
+                f"in the written model, {self.owner} has {self.field} {actual} instead of "
+                f"{self.value}; {self.advice}"
+            )
 
-    def put(self, mj_model: Any) -> None:
-        """Write it into a compiled model."""
-        attrgetter(self.field)(mj_model)[self.at] = self.value
+    def write_into(self, mj_model: Any) -> None:
+        """Set this value in a compiled model."""
+        attrgetter(self.field)(mj_model)[self.address] = self.value
 
 
-def _asked(original: Any, change: ModelChange) -> Iterator[_Asked]:
+def _required_values(original: Any, change: ModelChange) -> Iterator[_RequiredValue]:
+    """Yield the values of joints, actuators, tendons and gravity that a change requires."""
     labels = [joint_label(original, joint) for joint in range(original.njnt)]
     for joint in change.joints:
-        at = (int(original.jnt_dofadr[labels.index(joint.label)]),)
-        numbers: dict[str, Any] = {
-            f"dof_{name}": value for name, value in joint.numbers.items()
-        }
+        dof = int(original.jnt_dofadr[labels.index(joint.label)])
+        numbers: dict[str, Any] = {f"dof_{n}": v for n, v in joint.numbers.items()}
         if joint.polynomial is not None and hasattr(original, "dof_dampingpoly"):
             numbers["dof_dampingpoly"] = joint.polynomial
         for field, value in numbers.items():
             advice = _ADVICE.get(field, "no model was written")
-            yield _Asked(f"joint '{joint.label}'", field, at, value, advice)
+            owner = f"joint '{joint.label}'"
+            yield _RequiredValue(owner, field, (dof,), value, advice)
     for servo in change.actuators:
-        at = (servo.actuator,)
         owner = f"actuator number {servo.actuator}"
-        yield _Asked(owner, "actuator_gainprm", (*at, 0), servo.stiffness, _OWN_GAINS)
+        gain_index = (servo.actuator, 0)
+        bias_index = (servo.actuator, slice(3))
         bias = (0.0, -servo.stiffness, -servo.damping)
-        yield _Asked(owner, "actuator_biasprm", (*at, slice(3)), bias, _OWN_GAINS)
+        yield _RequiredValue(
+            owner, "actuator_gainprm", gain_index, servo.stiffness, _GAIN_ADVICE
+        )
+        yield _RequiredValue(owner, "actuator_biasprm", bias_index, bias, _GAIN_ADVICE)
     for tendon in change.tendons:
         for name, value in tendon.numbers.items():
             owner = f"tendon number {tendon.tendon}"
-            yield _Asked(owner, f"tendon_{name}", (tendon.tendon,), value)
+            yield _RequiredValue(owner, f"tendon_{name}", (tendon.tendon,), value)
     if change.gravity is not None:
-        yield _Asked("the world", "opt.gravity", ([0, 1, 2],), change.gravity)
+        yield _RequiredValue("the world", "opt.gravity", ([0, 1, 2],), change.gravity)
 
 
 def verify_written_model(
     original: Any, written: Path, change: ModelChange
 ) -> CompiledModel:
-    """Compile a written model, compare it with the original, and return it; ExportError names the
-    field if something else changed, or is not what was asked for, or says that it does not load.
+    """Compile a written model, compare it with the original, and return it.
+
+    Args:
+        original: compiled model.
+        written: file of the written model.
+        change: the difference that is wanted.
+
+    Raises:
+        ExportError: the file does not load, or the message names the field that has changed and
+            should not have, or does not have the wanted value.
     """
     compiled = compiled_again(written)
     require_change(original, compiled.mj_model, change)
     return compiled
 
 
-def require_change(original: Any, found: Any, change: ModelChange) -> None:
+def require_change(original: Any, changed: Any, change: ModelChange) -> None:
     """Raise ExportError unless a compiled model is the original one with a change made."""
-    new = None
+    new_body = None
     welded = change.welded
     if welded is not None:
-        new = mujoco.mj_name2id(found, int(mujoco.mjtObj.mjOBJ_BODY), welded.name)
-        if new < 0 or found.nbody != original.nbody + 1:
+        new_body = mujoco.mj_name2id(
+            changed, int(mujoco.mjtObj.mjOBJ_BODY), welded.name
+        )
+        if new_body < 0 or changed.nbody != original.nbody + 1:
             raise ExportError(
                 f"the written model has no body '{welded.name}' of its own"
             )
-    thetas = {
-        body: (theta, plan.theta)
-        for own, plan in ((change.body_id, change.plan) for change in change.bodies)
-        for body, theta in (
-            (own, plan.theta),
-            *((b.body_id, np.zeros(10)) for b in plan.emptied),
-        )
-    }
-    asked = list(_asked(original, change))
+    # Body to its parameters and to those that set the scale.
+    thetas: dict[int, tuple[Array, Array]] = {}
+    for body_change in change.bodies:
+        plan = body_change.plan
+        thetas[body_change.body_id] = plan.theta, plan.theta
+        for body in plan.emptied:
+            thetas[body.body_id] = np.zeros(10), plan.theta
+    required_values = list(_required_values(original, change))
     rows: dict[str, set[int]] = {name: set(thetas) for name in BODY_FIELDS}
-    for each in asked:
-        rows.setdefault(each.field, set()).update(np.ravel(each.at[0]).tolist())
-    added = sum(tendon.is_new for tendon in change.tendons)
-    if found.ntendon != original.ntendon + added:
+    for required in required_values:
+        indices = np.ravel(required.address[0]).tolist()
+        rows.setdefault(required.field, set()).update(indices)
+    new_tendons = sum(tendon.is_new for tendon in change.tendons)
+    if changed.ntendon != original.ntendon + new_tendons:
         raise ExportError(
-            f"the written model has {found.ntendon} tendons; no model was written"
+            f"the written model has {changed.ntendon} tendons; no model was written"
         )
-    require_same_model(original, found, rows, new)
-    for body, (theta, size) in thetas.items():
-        require_theta(found, body + (new is not None and body >= new), theta, size)
-    for each in asked:
-        each.require(found)
-    if welded is not None and new is not None:
-        _require_place(found, new, welded)
-        require_theta(found, new, welded.theta, welded.theta)
+    require_same_model(original, changed, rows, new_body)
+    for body_id, (theta, scale_theta) in thetas.items():
+        is_behind_new = new_body is not None and body_id >= new_body
+        require_theta(changed, body_id + is_behind_new, theta, scale_theta)
+    for required in required_values:
+        required.require(changed)
+    if welded is not None and new_body is not None:
+        _require_pose(changed, new_body, welded)
+        require_theta(changed, new_body, welded.theta, welded.theta)
 
 
 def compiled_again(written: Path) -> CompiledModel:
-    """Return a written model as it loads; ExportError where it does not."""
+    """Return a written model, compiled, or raise ExportError where it cannot be loaded."""
     try:
         return compile_model(written)
     except InputError as error:
@@ -223,34 +228,33 @@ def compiled_again(written: Path) -> CompiledModel:
 def require_same_model(
     original: Any,
     other: Any,
-    changed: Mapping[str, Collection[int]],
-    new: int | None = None,
+    changed_rows: Mapping[str, Collection[int]],
+    new_body: int | None = None,
 ) -> None:
-    """Raise ExportError naming the first compiled field that differs and may not, but for rows of
-    ``changed`` fields, and for the one body, if any, that the other model has more, by its id, and
-    tendons that it has more, behind the others.
+    """Raise ExportError naming the first field of two compiled models that differs and may not.
+
+    Args:
+        original: compiled model.
+        other: compiled model; it may have further tendons, behind those of the original.
+        changed_rows: name of a field to the rows that may differ.
+        new_body: id of the one body that only the other model has, or None.
     """
-    theirs = dict(compiled_fields(other))
-    skipped = DERIVED | PATHS
+    other_fields = dict(compiled_fields(other))
+    ignored = DERIVED | PATHS
     if other.ntendon > original.ntendon:
-        skipped |= {
-            "ntendon",
-            "nwrap",
-            "nJten",
-            *_NAMES,
-            *(n for n in theirs if n[:5] == "name_"),
-        }
+        ignored |= {"ntendon", "nwrap", "nJten", *_NAME_FIELDS}
+        ignored |= {name for name in other_fields if name.startswith("name_")}
         for name, value in compiled_fields(original):
             if name.startswith(("tendon_", "ten_", "wrap_")):
-                theirs[name] = theirs[name][: len(value)]
-    if new is not None:
-        skipped |= _BOOKKEEPING | {
-            name for name in theirs if name.startswith(_OF_NAMES)
-        }
+                other_fields[name] = other_fields[name][: len(value)]
+    if new_body is not None:
+        ignored |= _BODY_COUNT_FIELDS
+        ignored |= {name for name in other_fields if name.startswith(("name_", "B_"))}
     for name, value in compiled_fields(original):
-        if name in skipped:
+        if name in ignored:
             continue
-        if not _same(name, value, theirs.get(name), changed.get(name, ()), new):
+        rows = changed_rows.get(name, ())
+        if not _is_same(name, value, other_fields.get(name), rows, new_body):
             raise ExportError(
                 f"the written model differs from the original in {name}, which should not have "
                 f"changed; {_ADVICE.get(name, 'no model was written')}"
@@ -258,19 +262,26 @@ def require_same_model(
 
 
 def require_theta(
-    mj_model: Any, body_id: int, theta: Array, size: Array, tolerance: float = TOLERANCE
+    mj_model: Any,
+    body_id: int,
+    theta: Array,
+    scale_theta: Array,
+    tolerance: float = TOLERANCE,
 ) -> None:
-    """Raise ExportError unless a compiled body has the parameters theta (10,); deviations are
-    relative to a body (10,) that says what is large.
+    """Raise ExportError unless a compiled body has the parameters theta (10,).
+
+    The tolerance is relative to the scale of a body with parameters scale_theta (10,).
     """
-    mass, _, inertia = spatial.com_from_theta(size)
-    scale = spatial.parameter_scale(mass, spatial.characteristic_length(size))
-    deviation = float(np.max(np.abs(body_theta(mj_model, body_id) - theta) / scale))
+    mass, _, inertia = spatial.com_from_theta(scale_theta)
+    length = spatial.characteristic_length(scale_theta)
+    scale = spatial.parameter_scale(mass, length)
+    actual = body_theta(mj_model, body_id)
+    deviation = float(np.max(np.abs(actual - theta) / scale))
     if np.any(theta):
         # The inertia about the centre of mass is small beside that about a distant origin.
-        compiled = spatial.com_from_theta(body_theta(mj_model, body_id))[2]
-        about_com = float(np.max(np.abs(compiled - inertia)) / np.max(np.abs(inertia)))
-        deviation = max(deviation, about_com)
+        actual_inertia = spatial.com_from_theta(actual)[2]
+        difference = np.max(np.abs(actual_inertia - inertia))
+        deviation = max(deviation, float(difference / np.max(np.abs(inertia))))
     if not deviation <= tolerance:
         raise ExportError(
             f"in the written model, body '{body_label(mj_model, body_id)}' has an inertia that is "
@@ -279,9 +290,10 @@ def require_theta(
 
 
 def reads_fullinertia_exactly(theta: Array) -> bool:
-    """Tell whether the installed MuJoCo finds the axes of theta's full inertia accurately.
+    """Return whether the installed MuJoCo compiles a ``fullinertia`` of theta (10,) accurately.
 
-    Versions before 3.14 stop at six digits; then principal moments have to be written instead.
+    Versions before 3.14 find principal axes to six digits only; for these, principal moments are
+    written instead.
     """
     text = (
         f"<mujoco><worldbody><body>{mjcf_inertial(theta)}</body></worldbody></mujoco>"
@@ -289,50 +301,60 @@ def reads_fullinertia_exactly(theta: Array) -> bool:
     try:
         with captured_warnings():
             probe = mujoco.MjModel.from_xml_string(text)
-        require_theta(probe, 1, theta, theta, ACCURATE)
+        require_theta(probe, 1, theta, theta, AXES_TOLERANCE)
     except (ExportError, ValueError):
         return False
     return True
 
 
 def compiled_fields(mj_model: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield every number and array of a compiled model with its name, options included."""
-    for name in (name for name in dir(mj_model) if not name.startswith("_")):
+    """Yield name and value of every number and array of a compiled model, options included."""
+    for name in dir(mj_model):
+        if name.startswith("_"):
+            continue
         value = getattr(mj_model, name)
-        if isinstance(value, _NUMBERS):
+        if isinstance(value, _NUMERIC_TYPES):
             yield prefix + name, value
         elif name in ("opt", "stat", "vis") or prefix == "vis.":
             yield from compiled_fields(value, f"{prefix}{name}.")
 
 
-def _same(
-    name: str, ours: Any, theirs: Any, changed: Collection[int], new: int | None
+def _is_same(
+    name: str,
+    original: Any,
+    other: Any,
+    changed_rows: Collection[int],
+    new_body: int | None,
 ) -> bool:
-    if not isinstance(ours, np.ndarray) or not isinstance(theirs, np.ndarray):
-        return bool(ours == theirs)
-    if new is not None and name.startswith("body_"):
-        theirs = np.delete(theirs, new, axis=0)
-    if ours.shape != theirs.shape:
+    """Return whether a field of two compiled models is the same, but for rows that may differ.
+
+    Where the other model has a new body, body ids from it on are larger by one.
+    """
+    if not isinstance(original, np.ndarray) or not isinstance(other, np.ndarray):
+        return bool(original == other)
+    if new_body is not None and name.startswith("body_"):
+        other = np.delete(other, new_body, axis=0)
+    if original.shape != other.shape:
         return False
-    if new is not None and ours.dtype.kind != "f":
-        # What comes after the new body has a number that is larger by one.
-        theirs = np.where((theirs == ours + 1) & (ours >= new), ours, theirs)
-    if changed:
-        keep = [i for i in range(len(ours)) if i not in changed]
-        ours = ours[keep]
-        theirs = theirs[keep]
+    is_float = original.dtype.kind == "f"
+    if new_body is not None and not is_float:
+        is_shifted = (other == original + 1) & (original >= new_body)
+        other = np.where(is_shifted, original, other)
+    if changed_rows:
+        rows = [row for row in range(len(original)) if row not in changed_rows]
+        original = original[rows]
+        other = other[rows]
     if name == "actuator_biasprm":
         # Damping from a dampratio is computed from the inertia the actuator moves.
-        ours = np.delete(ours, 2, axis=1)
-        theirs = np.delete(theirs, 2, axis=1)
-    return bool(np.array_equal(ours, theirs, equal_nan=ours.dtype.kind == "f"))
+        original = np.delete(original, 2, axis=1)
+        other = np.delete(other, 2, axis=1)
+    return bool(np.array_equal(original, other, equal_nan=is_float))
 
 
 TORQUE_TOLERANCE = 1e-9
-"""Largest deviation of a written model's torque, relative to the joint's largest torque; beside
-``TOLERANCE`` of the inertia that makes it."""
-_LEAST_SHARE = 1e-3
-"""Share of the largest torque by which a joint that carries next to nothing is judged."""
+"""Largest deviation of a written model's torque, relative to the joint's largest torque."""
+_MIN_TORQUE_SHARE = 1e-3
+"""Share of the arm's largest torque that scales the deviation of a joint that carries less."""
 
 
 def require_reproduction(
@@ -343,32 +365,40 @@ def require_reproduction(
     motion: Motion,
     path: Path,
 ) -> None:
-    """Raise ExportError where a written model takes other torques than those of the links (n, 10)
-    that were identified, in their bodies' frames.
+    """Raise ExportError where a written model takes other torques than the identification predicts.
+
+    Args:
+        robot: the arm with the original model.
+        thetas: (n, 10) identified parameters of the links, in their bodies' frames.
+        change: identified numbers of joints, tendons and gravity.
+        written: the compiled written model.
+        motion: on which the torques are compared.
+        path: of the written model, for the message.
     """
-    asked = replace(robot, mj_model=copy.copy(robot.mj_model))
-    present = [tendon for tendon in change.tendons if not tendon.is_new]
-    for each in _asked(robot.mj_model, replace(change, tendons=tuple(present))):
-        each.put(asked.mj_model)
+    expected = replace(robot, mj_model=copy.copy(robot.mj_model))
+    old_tendons = tuple(tendon for tendon in change.tendons if not tendon.is_new)
+    new_tendons = [tendon for tendon in change.tendons if tendon.is_new]
+    for required in _required_values(
+        robot.mj_model, replace(change, tendons=old_tendons)
+    ):
+        required.write_into(expected.mj_model)
     samples = motion.q, motion.qd, motion.qdd
     # What is no rigid body (springs, armature) does not depend on the links' inertia.
-    predicted = LinkDynamics(asked).motion(*samples).torque(thetas)
-    predicted += BeyondRigidBodies(asked).torque(*samples)
-    for tendon in change.tendons:
-        if tendon.is_new:
-            ratios = np.array(
-                [tendon.coefficients.get(name, 0.0) for name in robot.joint_names]
-            )
-            pull = tendon.numbers.get("armature", 0.0) * (motion.qdd @ ratios)
-            pull += tendon.numbers.get("damping", 0.0) * (motion.qd @ ratios)
-            predicted += np.outer(pull, ratios)
-    del asked  # with its meshes
+    predicted = LinkDynamics(expected).motion(*samples).torque(thetas)
+    predicted += BeyondRigidBodies(expected).torque(*samples)
+    for tendon in new_tendons:
+        coefficients = [tendon.coefficients.get(n, 0.0) for n in robot.joint_names]
+        ratios = np.array(coefficients)
+        force = tendon.numbers.get("armature", 0.0) * (motion.qdd @ ratios)
+        force += tendon.numbers.get("damping", 0.0) * (motion.qd @ ratios)
+        predicted += np.outer(force, ratios)
+    # Its meshes take memory that the written model's dynamics needs.
+    del expected
     actual = ArmDynamics(robot, written).torque(*samples)
     peak = np.max(np.abs(predicted), axis=0)
-    scale = np.maximum(peak, _LEAST_SHARE * np.max(peak, initial=0.0))
-    relative = np.max(np.abs(actual - predicted), axis=0) / np.where(
-        scale > 0.0, scale, 1.0
-    )
+    scale = np.maximum(peak, _MIN_TORQUE_SHARE * np.max(peak, initial=0.0))
+    deviation = np.max(np.abs(actual - predicted), axis=0)
+    relative = deviation / np.where(scale > 0.0, scale, 1.0)
     worst = int(np.argmax(relative))
     if not relative[worst] <= TORQUE_TOLERANCE:
         raise ExportError(
@@ -378,28 +408,26 @@ def require_reproduction(
         )
 
 
-PLACE = 1e-12
-"""Largest deviation of the new body's place [m] and axes: some roundings of a quaternion."""
-_NAMES = ("nnames", "nnames_map", "names", "names_map")
-# Names and their places, and tables that list each body or number the pairs of them.
-_BOOKKEEPING = {
-    "nbody",
-    "nB",
-    *_NAMES,
-    "tree_bodynum",
-    "exclude_signature",
-    "pair_signature",
+POSE_TOLERANCE = 1e-12
+"""Largest deviation of a new body's origin [m] and axes: a few rounding errors of a quaternion."""
+_NAME_FIELDS = ("nnames", "nnames_map", "names", "names_map")
+"""Fields that hold the names of all elements."""
+# Fields that list each body or number the pairs of them.
+_BODY_COUNT_FIELDS = {
+    *_NAME_FIELDS,
+    *["nbody", "nB", "tree_bodynum", "exclude_signature", "pair_signature"],
 }
-_OF_NAMES = ("name_", "B_")
 
 
-def _require_place(written: Any, new: int, body: WeldedBody) -> None:
+def _require_pose(written: Any, new_body: int, body: WeldedBody) -> None:
+    """Raise ExportError unless a compiled body is fixed to its carrier at the wanted pose."""
     axes = np.empty(9)
-    mujoco.mju_quat2Mat(axes, written.body_quat[new])
-    off = np.max(np.abs(axes.reshape(3, 3) - body.rotation))
-    off = max(off, np.max(np.abs(written.body_pos[new] - body.translation)))
-    parent = body_label(written, int(written.body_parentid[new]))
-    if parent != body.carrier or written.body_jntnum[new] or not off <= PLACE:
+    mujoco.mju_quat2Mat(axes, written.body_quat[new_body])
+    axes_deviation = np.max(np.abs(axes.reshape(3, 3) - body.rotation))
+    origin_deviation = np.max(np.abs(written.body_pos[new_body] - body.translation))
+    is_at_pose = max(axes_deviation, origin_deviation) <= POSE_TOLERANCE
+    parent = body_label(written, int(written.body_parentid[new_body]))
+    if parent != body.carrier or written.body_jntnum[new_body] or not is_at_pose:
         raise ExportError(
             f"in the written model, body '{body.name}' is not fixed to '{body.carrier}' where it "
             "should be; no model was written"
@@ -407,11 +435,12 @@ def _require_place(written: Any, new: int, body: WeldedBody) -> None:
 
 
 HORIZONS = (0.1, 0.3, 1.0, 3.0)
-"""Lengths of time over which the models are played [s]."""
+"""Durations over which the models are simulated [s]."""
 HELD_OUT_SHARE = 0.2
+"""Share of each log, its end, that is held out; cross-validation leaves out as much."""
 LAST_FIFTH = "the last fifth of every log, which was not fitted for it"
-"""Part of each log, its end, that is not fitted: the fifth that cross-validation leaves out too."""
-SERVO_WORDS = (
+"""Description of the pieces that ``HELD_OUT_SHARE`` holds out."""
+SERVO_DESCRIPTION = (
     f"measured torques and a critically damped servo of {playback.TRACKING_RATE:g} Hz towards the "
     "measured motion"
 )
@@ -422,82 +451,110 @@ def play(
     signals: Sequence[ProcessedSignals],
     write: Callable[[ModelTarget], object],
     mesh_dir: Path | None,
-    since: Callable[[ProcessedSignals], float] = lambda log: -np.inf,
+    start_time: Callable[[ProcessedSignals], float] = lambda log: -np.inf,
     held_out: str = "the validation log",
 ) -> RolloutTest:
-    """Play logs with the model before and with the one that ``write`` writes, read from its file;
-    return the figures, or why there are none.
+    """Simulate the original model and a written one along logs, and return their position errors.
 
-    A log is played ``since`` some time on [s], ``split_time`` where the rest was fitted; what is
-    ``held_out`` so is told in words.
+    Args:
+        robot: the arm with the original model.
+        signals: the processed logs.
+        write: writes the model; it goes to a temporary folder and is loaded from there.
+        mesh_dir: the user's mesh folder, or None.
+        start_time: returns the time of a log [s] from which on it is held out.
+        held_out: description of the held-out pieces.
+
+    Returns:
+        The errors; without any, and with a note, where the model cannot be written or simulated.
     """
     try:
-        pieces = [
-            p for log in signals for p in playback.low_passed_pieces(log, since(log))
-        ]
+        pieces: list[Measurement] = []
+        for log in signals:
+            pieces += playback.low_passed_pieces(log, start_time(log))
         checkpoints = signals[0].motion(signals[0].spread_indices(CHECKPOINTS))
         with temporary_folder() as folder:
-            path = folder / MODEL_NAMES["mjcf"]  # what is in it tells its kind
+            # Its content and not this name tells the format.
+            path = folder / MODEL_NAMES["mjcf"]
             with atomic_files() as files:
                 write(ModelTarget(files, path, checkpoints, 0.0, mesh_dir))
-            after = load_robot_model(path, joint=robot.terminal_joint)
-        return compare(robot, after, pieces, held_out)
+            new_robot = load_robot_model(path, joint=robot.terminal_joint)
+        return compare(robot, new_robot, pieces, held_out)
     except (ExportError, InputError) as error:
         return RolloutTest(robot.joint_names, "held-out pieces", "", (), (str(error),))
 
 
 def rollout_refusal(test: RolloutTest | None, accepted: Collection[str]) -> str | None:
-    """Return why a model that was played must not be written, or None."""
+    """Return why a simulated model must not be written, or None where it may.
+
+    None, too, where there was no test, or "rollout" is among the findings that the user accepts.
+    """
     if test is None or test.is_better or "rollout" in accepted:
         return None
-    worse = f"nothing could be played on held-out pieces ({'; '.join(test.notes)})"
+    reason = f"nothing could be played on held-out pieces ({'; '.join(test.notes)})"
     if test.score is not None:
-        worse = "played on held-out pieces, the new model is not better than the old one (errors "
-        worse += f"{test.score:.2f} times those before)"
-    return f"no model was written: {worse}; to write it all the same: --accept rollout"
+        reason = (
+            "played on held-out pieces, the new model is not better than the old one (errors "
+            f"{test.score:.2f} times those before)"
+        )
+    return f"no model was written: {reason}; to write it all the same: --accept rollout"
 
 
 def compare(
-    before: RobotModel, after: RobotModel, pieces: Sequence[Measurement], held_out: str
+    old_robot: RobotModel,
+    new_robot: RobotModel,
+    pieces: Sequence[Measurement],
+    held_out: str,
 ) -> RolloutTest:
-    """Play two models of an arm on the same pieces."""
+    """Simulate two models of an arm along recorded pieces, and return their position errors.
+
+    ``held_out`` describes the pieces.
+    """
     errors = []
     notes = []
-    servo = playback.tracking_servo((before, after), pieces) if pieces else None
+    divergence_notes = []
+    robots = (old_robot, new_robot)
+    servo = playback.tracking_servo(robots, pieces) if pieces else None
     for horizon in HORIZONS:
         windows = playback.window_starts(pieces, horizon)
         if not windows:
             notes.append(f"no held-out piece is as long as {horizon:g} s")
             continue
-        for loop, own in ((OPEN, None), (CLOSED, servo)):
-            old, new = (
-                playback.rollout_error(robot, windows, horizon, own)
-                for robot in (before, after)
+        for loop, loop_servo in ((OPEN, None), (CLOSED, servo)):
+            old_errors, old_diverged = playback.rollout_error(
+                old_robot, windows, horizon, loop_servo
             )
-            away = (old[1], new[1])
+            new_errors, new_diverged = playback.rollout_error(
+                new_robot, windows, horizon, loop_servo
+            )
+            diverged = (old_diverged, new_diverged)
             errors.append(
-                RolloutError(loop, horizon, len(windows), old[0], new[0], away)
+                RolloutError(
+                    loop, horizon, len(windows), old_errors, new_errors, diverged
+                )
             )
-    notes += [
-        f"{e.loop}, {e.horizon:g} s: {e.diverged[0]} of {e.windows} windows run away with the "
-        f"model before, {e.diverged[1]} with the new one"
-        for e in errors
-        if any(e.diverged)
-    ]
+            if any(diverged):
+                divergence_notes.append(
+                    f"{loop}, {horizon:g} s: {old_diverged} of {len(windows)} windows run away "
+                    f"with the model before, {new_diverged} with the new one"
+                )
     return RolloutTest(
-        before.joint_names, held_out, SERVO_WORDS, tuple(errors), tuple(notes)
+        old_robot.joint_names,
+        held_out,
+        SERVO_DESCRIPTION,
+        tuple(errors),
+        (*notes, *divergence_notes),
     )
 
 
 def split_time(signals: ProcessedSignals | Measurement) -> float:
-    """Return from when on a log is held out [s]."""
+    """Return the time from which on the last fifth of a log is held out [s]."""
     start = float(signals.time[0])
     end = float(signals.time[-1])
     return end - HELD_OUT_SHARE * (end - start)
 
 
 def fitted_rows(signals: ProcessedSignals) -> NDArray[np.bool_]:
-    """Return which decimated rows (K,) share no sample with what is held out."""
+    """Return which decimated rows (K,) use no sample of the held-out last fifth."""
     reach = signals.low_pass.half_width / signals.rate
     return np.asarray(signals.decimated_time() < split_time(signals) - 2.0 * reach)
 
@@ -505,33 +562,39 @@ def fitted_rows(signals: ProcessedSignals) -> NDArray[np.bool_]:
 def torque_error(
     model: Path | Any, robot: RobotModel, signals: ProcessedSignals, source: str
 ) -> Validation:
-    """Return the torque error of a model file, with each joint's sensor offset beside it alone.
+    """Return the torque error of a model file on a log, up to one sensor offset per joint.
 
     The model's inverse dynamics holds its links, gravity, rotor inertia, springs and all damping;
-    its dry friction is Coulomb's. It passes the same low-pass as the measured torque. Of what is
-    left, each joint's mean is taken out. The chain's joints have the robot's places in the model;
-    InputError where its file cannot be loaded.
+    its dry friction is Coulomb's. The prediction passes the same low-pass as the measured torque,
+    and the mean residual of each joint is subtracted.
+
+    Args:
+        model: its file, or a compiled model whose chain joints have the robot's addresses.
+        robot: the arm.
+        signals: the processed log.
+        source: description of the log.
+
+    Raises:
+        InputError: the file cannot be loaded.
     """
     compiled = compile_model(model).mj_model if isinstance(model, Path) else model
     dynamics = ArmDynamics(robot, compiled)
     friction = joint_friction(compiled, robot.dof_index)
 
-    def smooth(motion: Motion) -> tuple[Array]:
-        return (
-            dynamics.torque(motion.q, motion.qd, motion.qdd)
-            + friction.viscous * motion.qd,
-        )
+    def smooth_torque(motion: Motion) -> tuple[Array]:
+        rigid = dynamics.torque(motion.q, motion.qd, motion.qdd)
+        return (rigid + friction.viscous * motion.qd,)
 
-    (predicted,) = signals.filter_columns(smooth, smooth=True)
+    (predicted,) = signals.filter_columns(smooth_torque, smooth=True)
     predicted += signals.low_pass.decimate(friction.dry(signals.qd))
     tau = signals.low_pass.decimate(signals.tau)
     usable = signals.usable()
-    residual = np.where(usable, tau - predicted, 0.0)
     counts = np.count_nonzero(usable, axis=0)
-    residual = np.where(
-        usable, residual - np.sum(residual, axis=0) / np.maximum(counts, 1), 0.0
-    )
-    sizes = np.sum(np.where(usable, tau, 0.0) ** 2, axis=0)
+    residual = np.where(usable, tau - predicted, 0.0)
+    offset = np.sum(residual, axis=0) / np.maximum(counts, 1)
+    residual = np.where(usable, residual - offset, 0.0)
+    squared_errors = np.sum(residual**2, axis=0)
+    squared_torques = np.sum(np.where(usable, tau, 0.0) ** 2, axis=0)
     return validation_of(
-        robot.joint_names, np.sum(residual**2, axis=0), sizes, counts, source
+        robot.joint_names, squared_errors, squared_torques, counts, source
     )
