@@ -85,7 +85,7 @@ def record_log(model, robot, seed: int, seconds: float):
     """Return (time, q, held torque) of a controlled motion of the true arm, as sensors read it."""
     rng = np.random.default_rng(seed)
     plan = generate_excitation_trajectory(robot, rng, seconds, ArmTorque(robot))[0]
-    plan = plan.scaled(np.array([3.0] * 6 + [1.0]))
+    plan = plan.scale_amplitudes(np.array([3.0] * 6 + [1.0]))
     clock = np.arange(0.0, seconds, STEP)
     motion = plan.evaluate(clock)
     data = mujoco.MjData(model)

@@ -58,7 +58,7 @@ def trajectory(robot, rng, wide):
     )
     factor = np.minimum(WIDER, SPEED_SHARE * robot.limits.velocity / speed)
     factor[-1] = 1.0
-    return plan.scaled(factor)
+    return plan.scale_amplitudes(factor)
 
 
 def turn_body(theta, angle):

@@ -55,9 +55,10 @@ def derive_regressor() -> tuple[Any, tuple[Any, ...]]:
 
 
 def wrench_regressor(velocity: Array, acceleration: Array) -> Array:
-    """Return Y6 with wrench = Y6 theta: what ``derive_regressor`` finds, written out.
+    """Return Y6, with wrench = Y6 theta, for N samples of one body.
 
-    Importing SymPy takes longer than an identification; a test compares the two.
+    The formulas are those that ``derive_regressor`` derives, written out, because importing SymPy
+    takes longer than an identification; a test compares the two.
 
     Args:
         velocity: (N, 6) twist [omega, v] in body coordinates [rad/s, m/s].

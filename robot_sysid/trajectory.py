@@ -18,10 +18,13 @@ from robot_sysid.records import Array, Motion, MotionPlan, RobotModel, check_arr
 from robot_sysid.records.option_fields import TrajectoryOptions
 
 FREQUENCY_BAND_HZ = (0.1, 0.6)
+"""Lowest and highest frequency of a sinusoid [Hz]."""
 TERMS_PER_JOINT = (3, 5)
+"""Fewest and most sinusoids of a joint."""
 TERMINAL_SHARE = 0.7
+"""Share of its range that the terminal joint's motion uses."""
 OTHER_SHARE = 0.1
-"""Share of its range that the terminal joint's motion uses, and that of every other joint."""
+"""Share of its range that every other joint's motion uses."""
 POSITION_MARGIN = 0.02
 """Share of the range kept free at each position limit."""
 TORQUE_MARGIN = 0.95
@@ -29,25 +32,33 @@ TORQUE_MARGIN = 0.95
 UNLIMITED_RANGE = {False: 2.0 * np.pi, True: 0.3}
 """Range assumed for a joint without limits: hinge [rad], slide [m]."""
 LONGEST_FADE = 2.5
+"""Longest time in which the window rises, and in which it falls [s]."""
 _SPEED_CHECK_HZ = 50.0
+"""Rate at which speeds are compared with their limits."""
 _TORQUE_CHECK_HZ = 25.0
+"""Rate at which torques are compared with their limits."""
 _FEWEST_CHECKS = 256
+"""Fewest samples of such a comparison."""
 _SMALLEST_FACTOR = 2.0**-30
+"""Smallest scale of a motion that a search for kept torque limits tries."""
 CHUNK = 2048
+"""Samples of a motion that are evaluated at a time."""
 
 TorqueFunction = Callable[[Motion], Array]
+"""Returns the joint torques (N, n) along a motion of N samples [N m]."""
 
 
 @dataclass(frozen=True)
 class SineTrajectory:
-    """A sum of sinusoids per joint under a common window.
+    """A sum of K sinusoids per joint under a common window.
 
     Attributes:
         center: (n,) position at rest [rad].
-        amplitude, frequency_hz, phase: (n, K) of the sinusoids [rad, Hz, rad]; unused ones have
-            amplitude 0.
+        amplitude: (n, K) of the sinusoids [rad]; 0 for unused ones.
+        frequency_hz: (n, K) of the sinusoids [Hz].
+        phase: (n, K) of the sinusoids at time 0 [rad].
         duration: length [s].
-        fade: time the window takes to rise and to fall [s].
+        fade: time the window takes to rise, and to fall [s].
     """
 
     center: Array
@@ -67,7 +78,7 @@ class SineTrajectory:
                 f"fade {self.fade} s does not fit twice into {self.duration} s"
             )
 
-    def scaled(self, factor: Array | float) -> SineTrajectory:
+    def scale_amplitudes(self, factor: Array | float) -> SineTrajectory:
         """Return the trajectory with each joint's amplitudes times ``factor`` (n,) or a number."""
         return replace(self, amplitude=self.amplitude * np.reshape(factor, (-1, 1)))
 
@@ -84,40 +95,43 @@ class SineTrajectory:
         s = sine @ joints
         ds = (omega * cosine) @ joints
         dds = -(omega**2 * sine) @ joints
-        s, ds, dds = faded(window(time, self.duration, self.fade), (s, ds, dds))
+        edge = window(time, self.duration, self.fade)
+        s, ds, dds = apply_window(edge, (s, ds, dds))
         return Motion(time, self.center + s, ds, dds)
 
 
 Series = tuple[Array, Array, Array]
-"""Functions of time (N, M), or one (N,), with their first and second derivatives."""
+"""M functions of time at N instants (N, M), or one (N,), with first and second derivatives."""
 
 
 def window(time: Array, duration: float, fade: float) -> Series:
-    """Return w, w' and w'' (N,): a smooth step up, ones, and down again."""
-    rising = time < 0.5 * duration
-    w, dw, ddw = smooth_step(
-        np.clip(np.where(rising, time, duration - time) / fade, 0.0, 1.0)
-    )
+    """Return w, w' and w'' (N,) of a window that rises from 0 to 1 and falls back at the end.
+
+    Args:
+        time: (N,) from 0 to the duration [s].
+        duration: of the window [s].
+        fade: time it takes to rise, and to fall [s].
+    """
+    is_rising = time < 0.5 * duration
+    from_end = np.where(is_rising, time, duration - time)
+    w, dw, ddw = smooth_step(np.clip(from_end / fade, 0.0, 1.0))
     dw = dw / fade
-    return w, np.where(rising, dw, -dw), ddw / fade**2
+    return w, np.where(is_rising, dw, -dw), ddw / fade**2
 
 
 def smooth_step(x: Array) -> Series:
-    """Return w, w' and w'' (N,) of 35 x^4 - 84 x^5 + 70 x^6 - 20 x^7, which rises from 0 to 1.
+    """Return w, w' and w'' (N,) of 35 x^4 - 84 x^5 + 70 x^6 - 20 x^7 for x (N,) in 0 ... 1.
 
-    Its first three derivatives vanish at both ends: motion starts and ends without a jerk.
+    It rises from 0 to 1. Its first three derivatives vanish at both ends: motion starts and ends without a jerk.
     """
     w = x**4 * (35.0 + x * (-84.0 + x * (70.0 - 20.0 * x)))
-    return (
-        w,
-        140.0 * (x * (1.0 - x)) ** 3,
-        420.0 * (x * (1.0 - x)) ** 2 * (1.0 - 2.0 * x),
-    )
+    bell = x * (1.0 - x)
+    return w, 140.0 * bell**3, 420.0 * bell**2 * (1.0 - 2.0 * x)
 
 
-def faded(edge: Series, series: Series) -> Series:
-    """Return w s (N, M) and its derivatives; a window (N,) and series (N, M) come with theirs."""
-    w, dw, ddw = (value[:, None] for value in edge)
+def apply_window(edge: Series, series: Series) -> Series:
+    """Return the product w s (N, M) of a window (N,) and functions (N, M), with derivatives."""
+    w, dw, ddw = (factor[:, None] for factor in edge)
     s, ds, dds = series
     return w * s, dw * s + w * ds, ddw * s + 2.0 * dw * ds + w * dds
 
@@ -127,11 +141,10 @@ def sample_times(
 ) -> Iterator[Array]:
     """Yield the sample times k / rate from 0 to the duration, both included, in chunks [s].
 
-    Only those from ``start`` to ``end`` [s], with the next one outside, where these are given.
+    ``start`` and ``end`` [s] leave out the times before and after them, but for the next one.
     """
-    count = int(
-        min(sample_count(duration, sample_rate), np.ceil(end * sample_rate) + 1)
-    )
+    last = np.ceil(end * sample_rate) + 1
+    count = int(min(sample_count(duration, sample_rate), last))
     for first in range(int(start * sample_rate), count, CHUNK):
         time = np.arange(first, min(first + CHUNK, count)) / sample_rate
         yield np.minimum(time, duration)
@@ -143,22 +156,22 @@ def sample_count(duration: float, sample_rate: float) -> int:
 
 
 def motion_chunks(plan: MotionPlan, sample_rate: float) -> Iterator[Motion]:
-    """Yield the whole motion of a plan at a sample rate [Hz], chunk by chunk."""
+    """Yield the motion of a plan from begin to end at a sample rate [Hz], chunk by chunk."""
     for time in sample_times(plan.duration, sample_rate):
         yield plan.evaluate(time)
 
 
-def spread_motion(plan: MotionPlan, most: int, rate: float = 200.0) -> Motion:
-    """Return the motion at instants spread over it: ``rate`` [Hz], or ``most`` where that is fewer.
+def spread_motion(plan: MotionPlan, count: int, rate: float = 200.0) -> Motion:
+    """Return a plan's motion at a rate [Hz], or at ``count`` instants where that is fewer.
 
-    Where they are few they follow the golden ratio, which no period of the motion can fall in step
-    with.
+    These instants follow the golden ratio, which no period of the motion can fall in step with.
     """
-    count = sample_count(plan.duration, rate)
-    if count <= most:
-        return plan.evaluate(np.minimum(np.arange(count) / rate, plan.duration))
+    n_samples = sample_count(plan.duration, rate)
+    if n_samples <= count:
+        return plan.evaluate(np.minimum(np.arange(n_samples) / rate, plan.duration))
     golden = 0.5 * (np.sqrt(5.0) - 1.0)
-    return plan.evaluate(np.sort(plan.duration * np.mod(golden * np.arange(most), 1.0)))
+    share = np.mod(golden * np.arange(count), 1.0)
+    return plan.evaluate(np.sort(plan.duration * share))
 
 
 def generate_excitation_trajectory(
@@ -188,21 +201,21 @@ def generate_excitation_trajectory(
     total = np.sum(np.abs(shape.amplitude), axis=1)
     speed = _peak(shape, _SPEED_CHECK_HZ, lambda motion: motion.qd)
     factor = np.minimum(reach / total, 0.99 * robot.limits.velocity / speed)
-    return _fit_torque(shape.scaled(factor), robot, torque)
+    return _fit_torque(shape.scale_amplitudes(factor), robot, torque)
 
 
 def _center_and_reach(robot: RobotModel) -> tuple[Array, Array]:
-    """Return where each joint rests and how far it may go from there (n,), (n,)."""
+    """Return each joint's position at rest (n,), and how far it may move from there (n,)."""
     lower = robot.limits.lower
     upper = robot.limits.upper
-    limited = np.isfinite(lower) & np.isfinite(upper)
+    is_limited = np.isfinite(lower) & np.isfinite(upper)
     assumed = np.where(robot.is_slide, UNLIMITED_RANGE[True], UNLIMITED_RANGE[False])
-    span = np.where(limited, upper - lower, assumed)
+    span = np.where(is_limited, upper - lower, assumed)
     share = np.full(robot.n_joints, OTHER_SHARE)
     share[-1] = TERMINAL_SHARE
     reach = 0.5 * span * share
     center = robot.reference.copy()
-    if limited[-1]:
+    if is_limited[-1]:
         center[-1] = 0.5 * (lower[-1] + upper[-1])
     margin = POSITION_MARGIN * span
     return np.clip(center, lower + reach + margin, upper - reach - margin), reach
@@ -211,24 +224,24 @@ def _center_and_reach(robot: RobotModel) -> tuple[Array, Array]:
 def _draw_sinusoids(
     rng: np.random.Generator, joints: int
 ) -> tuple[Array, Array, Array]:
-    """Return frequencies, phases and relative amplitudes (joints, K)."""
-    # The band is cut into as many slots as there are sinusoids and each gets a slot of its own, so
-    # that no two frequencies of the whole arm coincide; within its slot a frequency is a random
-    # real number, so ratios are not small fractions and the motion does not repeat.
-    most = TERMS_PER_JOINT[1]
-    terms = rng.integers(TERMS_PER_JOINT[0], most + 1, size=joints)
-    used = np.arange(most) < terms[:, None]
-    slots = rng.permutation(joints * most).reshape(joints, most)
+    """Return random frequencies [Hz], phases [rad] and relative amplitudes, (joints, K) each."""
+    # The band is cut into one slot per sinusoid, so that no two frequencies of the arm coincide;
+    # within its slot a frequency is a random real number, so ratios are not small fractions and the
+    # motion does not repeat.
+    fewest, most_terms = TERMS_PER_JOINT
+    n_terms = rng.integers(fewest, most_terms + 1, size=joints)
+    is_used = np.arange(most_terms) < n_terms[:, None]
+    slots = rng.permutation(joints * most_terms).reshape(joints, most_terms)
     position = (slots + rng.uniform(0.1, 0.9, size=slots.shape)) / slots.size
     low, high = FREQUENCY_BAND_HZ
     frequency = low + (high - low) * position
     phase = rng.uniform(0.0, 2.0 * np.pi, size=slots.shape)
-    weight = np.where(used, rng.uniform(0.4, 1.0, size=slots.shape), 0.0)
+    weight = np.where(is_used, rng.uniform(0.4, 1.0, size=slots.shape), 0.0)
     return frequency, phase, weight
 
 
 def _peak(plan: MotionPlan, rate: float, quantity: TorqueFunction) -> Array:
-    """Return (n,) largest absolute value of a quantity along a plan sampled at ``rate`` Hz."""
+    """Return the largest absolute value (n,) of a quantity along a plan sampled at a rate [Hz]."""
     times = sample_times(plan.duration, max(rate, _FEWEST_CHECKS / plan.duration))
     peaks = [np.max(np.abs(quantity(plan.evaluate(time))), axis=0) for time in times]
     return np.max(peaks, axis=0)
@@ -237,30 +250,38 @@ def _peak(plan: MotionPlan, rate: float, quantity: TorqueFunction) -> Array:
 def _fit_torque(
     trajectory: SineTrajectory, robot: RobotModel, torque: TorqueFunction | None
 ) -> tuple[SineTrajectory, tuple[str, ...]]:
-    """Shrink the whole motion until the torque limits hold."""
-    # A joint whose weight and dry friction alone exceed its limit cannot be helped by a smaller
-    # motion; it is named in a note and left out of the search.
+    """Return the motion scaled down until the torque limits hold, and notes on limits.
+
+    The scale is found by bisection.
+    """
     if torque is None or not np.any(np.isfinite(robot.limits.torque)):
         return trajectory, ()
-    allowed = TORQUE_MARGIN * robot.limits.torque
+    limits = TORQUE_MARGIN * robot.limits.torque
 
-    def excess(factor: float) -> Array:
-        return _peak(trajectory.scaled(factor), _TORQUE_CHECK_HZ, torque) / allowed
+    def load_share(factor: float) -> Array:
+        return (
+            _peak(trajectory.scale_amplitudes(factor), _TORQUE_CHECK_HZ, torque)
+            / limits
+        )
 
-    hopeless = excess(_SMALLEST_FACTOR) > 1.0
+    # A joint whose weight and dry friction alone exceed its limit cannot be helped by a smaller
+    # motion; it is named in a note and left out of the search.
+    is_hopeless = load_share(_SMALLEST_FACTOR) > 1.0
     notes = tuple(
         f"even the smallest motion takes more than the torque limit of {robot.limits.torque[j]:g} "
         f"at joint {robot.joint_names[j]}; this motion does not keep it"
-        for j in np.flatnonzero(hopeless)
+        for j in np.flatnonzero(is_hopeless)
     )
-    if not np.any(excess(1.0)[~hopeless] > 1.0):
+    if not np.any(load_share(1.0)[~is_hopeless] > 1.0):
         return trajectory, notes
     low = np.log2(_SMALLEST_FACTOR)
     high = 0.0
     for _ in range(12):
         middle = 0.5 * (low + high)
-        fits = not np.any(excess(2.0**middle)[~hopeless] > 1.0)
-        low, high = (middle, high) if fits else (low, middle)
+        if np.any(load_share(2.0**middle)[~is_hopeless] > 1.0):
+            high = middle
+        else:
+            low = middle
     factor = float(2.0**low)
     note = f"motion scaled to {100.0 * factor:.2g} % to stay within the torque limits"
-    return trajectory.scaled(factor), (*notes, note)
+    return trajectory.scale_amplitudes(factor), (*notes, note)

@@ -169,20 +169,20 @@ def scaled_to_limits(
         (_peaks(problem, plan, rate).joints / problem.limits.largest)[1:3], axis=0
     )
     factors = np.minimum(1.0, (1.0 - RESERVE) / np.maximum(share, RESERVE))
-    if keeps_limits(problem, plan.scaled(factors), rate):
-        return plan.scaled(factors), factors
+    if keeps_limits(problem, plan.scale_amplitudes(factors), rate):
+        return plan.scale_amplitudes(factors), factors
     high = 1.0
     low = 0.5
     while low > SMALLEST and not keeps_limits(
-        problem, plan.scaled(low * factors), rate
+        problem, plan.scale_amplitudes(low * factors), rate
     ):
         high = low
         low = 0.5 * low
     for _ in range(BISECTIONS):
         middle = np.sqrt(low * high)
-        fits = keeps_limits(problem, plan.scaled(middle * factors), rate)
+        fits = keeps_limits(problem, plan.scale_amplitudes(middle * factors), rate)
         low, high = (middle, high) if fits else (low, middle)
-    return plan.scaled(low * factors), low * factors
+    return plan.scale_amplitudes(low * factors), low * factors
 
 
 def keeps_limits(

@@ -28,7 +28,7 @@ from robot_sysid.records.file_access import atomic_file, read_json
 from robot_sysid.trajectory import (
     Series,
     SineTrajectory,
-    faded,
+    apply_window,
     motion_chunks,
     smooth_step,
     window,
@@ -96,7 +96,7 @@ class FourierBasis:
         )
         if self.fade == 0.0:
             return s, ds, dds
-        return faded(window(time, self.duration, self.fade), (s, ds, dds))
+        return apply_window(window(time, self.duration, self.fade), (s, ds, dds))
 
 
 @dataclass(frozen=True)

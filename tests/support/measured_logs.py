@@ -44,7 +44,7 @@ def plan_of(robot, seed=1, duration=DURATION):
     """Return a random trajectory on which every joint moves widely."""
     rng = np.random.default_rng(seed)
     plan = generate_excitation_trajectory(robot, rng, duration, ArmTorque(robot))[0]
-    return plan.scaled(np.array([3.0, 3.0, 1.0]))
+    return plan.scale_amplitudes(np.array([3.0, 3.0, 1.0]))
 
 
 def log_of(plant, plan=None, seed=1, rate=RATE, **sensors):
