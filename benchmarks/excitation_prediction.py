@@ -46,8 +46,13 @@ from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.estimation.unknowns import LINKS, build_unknowns
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation
-from robot_sysid.motion.expected_errors import NOISE, _choice, _posterior, known_of
-from robot_sysid.motion.information import spread_of
+from robot_sysid.motion.expected_errors import (
+    RecordingPlan,
+    _initial_choice,
+    predict_posterior,
+    prior_knowledge,
+)
+from robot_sysid.motion.information import mass_and_centre_errors
 from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
@@ -75,7 +80,11 @@ def beliefs(problem, motion):
     torque = np.sqrt(np.mean(problem.arm_torque(motion) ** 2, axis=0))
     is_visible = np.ones(len(columns.names), dtype=bool)
     unknowns = build_unknowns(
-        columns, Question(OPTIONS), _choice(problem, OPTIONS), torque, is_visible
+        columns,
+        Question(OPTIONS),
+        _initial_choice(problem, OPTIONS),
+        torque,
+        is_visible,
     )
     return robot, columns, unknowns.groups
 
@@ -169,7 +178,10 @@ def identification_errors(problem, motion, rng, exact):
 def error_line(theta, squares, covariance, title):
     """Return a line with rms errors over predicted ones; ``squares`` are mean products (10, 10)."""
     ratio = np.sqrt(np.diag(squares) / np.diag(covariance))
-    centre = spread_of(theta, squares)[1] / spread_of(theta, covariance)[1]
+    centre = (
+        mass_and_centre_errors(theta, squares)[1]
+        / mass_and_centre_errors(theta, covariance)[1]
+    )
     ten = np.array2string(ratio, precision=2)
     figures = (
         f"mass {ratio[0]:.2f}  centre {centre:.2f}  ten {np.median(ratio):.2f}  {ten}"
@@ -183,18 +195,20 @@ def lines(path, runs, exact):
     problem = build_problem(robot, LimitOptions(), noise_torque=SIGMA)
     motion = TrajectoryOptions(sample_rate=RATE)
     options = ExcitationOptions(workers=1)
-    design = Design(problem, options, motion, known_of(problem, OPTIONS, "link"))
+    design = Design(problem, options, motion, prior_knowledge(problem, OPTIONS, "link"))
     plan = design_excitation(design, np.random.default_rng(1)).trajectory
-    posterior = _posterior(problem, plan, (RATE, OPTIONS, "link"))
+    posterior = predict_posterior(problem, plan, RecordingPlan(RATE, OPTIONS))
     terminal = np.ix_(
-        *[[posterior.sought.estimated_names.index(name) for name in PARAMETER_NAMES]]
+        *[[posterior.unknowns.estimated_names.index(name) for name in PARAMETER_NAMES]]
         * 2
     )
-    covariance = (posterior.causes[NOISE] if exact else posterior.found.covariance)[
+    covariance = (posterior.errors.noise if exact else posterior.errors.covariance)[
         terminal
     ]
-    then = projected_covariance(robot.prior.theta, posterior.then.covariance[terminal])
-    both = (1.0 - posterior.doubted) * covariance + posterior.doubted * then
+    then = projected_covariance(
+        robot.prior.theta, posterior.suspected_errors.covariance[terminal]
+    )
+    both = (1.0 - posterior.suspicion) * covariance + posterior.suspicion * then
     moves = plan.evaluate(np.arange(sample_count(plan.duration, RATE)) / RATE)
     began = time.process_time()
     errors = []

@@ -25,11 +25,11 @@ from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.motion import design as design_module
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation
-from robot_sysid.motion.expected_errors import known_of
-from robot_sysid.motion.information import random_information, spread_of
+from robot_sysid.motion.expected_errors import prior_knowledge
+from robot_sysid.motion.information import mass_and_centre_errors, random_information
 from robot_sysid.motion.limit_check import DISTANCE_RESOLUTION
 from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
-from robot_sysid.motion.prediction import sizes
+from robot_sysid.motion.prediction import parameter_sizes
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import ArmTorque
@@ -71,7 +71,7 @@ NAMES = ("mass", "centre", "Izz", "ten", "mean")
 def left_by(design, plan):
     """Return standard deviations of mass, centre of mass, Izz and the ten, and the mean axis."""
     motion = plan.evaluate(design.grid)
-    information = design.told((motion.q, motion.qd, motion.qdd)).information
+    information = design.information_of((motion.q, motion.qd, motion.qdd)).information
     return figures(design, information)
 
 
@@ -79,8 +79,8 @@ def figures(design, information):
     """Return standard deviations of mass, centre of mass, Izz and the ten, from information."""
     covariance = design.criterion.covariance(information)
     standard_errors = np.sqrt(np.diag(covariance))
-    scale = sizes(design.problem)
-    centre = spread_of(design.problem.robot.prior.theta, covariance)[1]
+    scale = parameter_sizes(design.problem)
+    centre = mass_and_centre_errors(design.problem.robot.prior.theta, covariance)[1]
     mean = np.exp(design.criterion.evaluate(information)[0])
     return np.array(
         [
@@ -142,7 +142,7 @@ def line(path, joint, seeds, budget):
     options = ExcitationOptions(workers=1)
     top = options.basis(motion.duration).top_frequency_hz
     problem = build_problem(robot, LimitOptions(), top_frequency_hz=top)
-    prior = known_of(problem, EstimationOptions(), "link")
+    prior = prior_knowledge(problem, EstimationOptions(), "link")
     design = Design(problem, options, motion, prior)
     torque = ArmTorque(robot)
     sines = np.median(

@@ -6,7 +6,12 @@ from functools import cache
 
 import pytest
 
-from robot_sysid.motion.design import Design, first_candidate, improve, penalised
+from robot_sysid.motion.design import (
+    Design,
+    first_candidate,
+    improve,
+    penalised_objective,
+)
 from robot_sysid.motion.design_search import draw_trajectories
 from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
@@ -32,7 +37,7 @@ def test_twenty_random_trajectories(benchmark):
 @pytest.mark.benchmark(group="excitation")
 def test_objective_with_gradient(benchmark):
     design, x = kinova()
-    benchmark(penalised, design, first_candidate(design, x), x)
+    benchmark(penalised_objective, design, first_candidate(design, x), x)
 
 
 @pytest.mark.benchmark(group="excitation")

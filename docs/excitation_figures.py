@@ -18,7 +18,7 @@ import numpy as np
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation
-from robot_sysid.motion.expected_errors import known_of
+from robot_sysid.motion.expected_errors import prior_knowledge
 from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
@@ -89,7 +89,7 @@ def main(folder: Path) -> None:
     """Design a motion and draw its pictures into a folder."""
     robot = load_robot_model(MODEL)
     problem = build_problem(robot, LimitOptions())
-    prior = known_of(problem, EstimationOptions(), "link")
+    prior = prior_knowledge(problem, EstimationOptions(), "link")
     design = Design(problem, ExcitationOptions(), TrajectoryOptions(), prior)
     torque = ArmTorque(robot)
     sines = generate_excitation_trajectory(

@@ -122,7 +122,8 @@ def window(time: Array, duration: float, fade: float) -> Series:
 def smooth_step(x: Array) -> Series:
     """Return w, w' and w'' (N,) of 35 x^4 - 84 x^5 + 70 x^6 - 20 x^7 for x (N,) in 0 ... 1.
 
-    It rises from 0 to 1. Its first three derivatives vanish at both ends: motion starts and ends without a jerk.
+    It rises from 0 to 1, and its first three derivatives vanish at both ends: motion starts and
+    ends without a jerk.
     """
     w = x**4 * (35.0 + x * (-84.0 + x * (70.0 - 20.0 * x)))
     bell = x * (1.0 - x)

@@ -1,4 +1,4 @@
-"""What the optimiser minimises, and one round of it: minimise, update multipliers, check or repair.
+"""The problem of a designed motion, and one round of it: minimise, update multipliers, repair.
 
 The objective is ln det of the posterior covariance plus an augmented Lagrangian of constraints.
 For constraints g <= 0 with multipliers l and weight m the penalty is
@@ -6,8 +6,8 @@ sum (max(0, l + m g)^2 - l^2) / 2 m; between minimisations l becomes max(0, l + 
 (Nocedal, Wright, "Numerical Optimization", 2006, section 17.4). It leads to a feasible optimum
 without an infinite weight, so the problem stays well conditioned.
 
-Constraints hold at all times, the optimiser knows finitely many. After each round the whole motion
-is checked, and what is over a limit is taken off by shrinking the whole motion towards rest.
+Constraints have to hold at all times, the optimiser sees finitely many. After each round the motion
+is checked from begin to end; one that breaks a limit is shrunk towards rest until it keeps all.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from robot_sysid.errors import InputError
 from robot_sysid.motion.information import (
     Gradient,
     Information,
-    Known,
-    criterion,
+    PriorKnowledge,
+    design_criterion,
+    information_model,
     known_arm,
-    predicted_information,
-    spread_of,
+    mass_and_centre_errors,
 )
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.plan_options import ExcitationOptions
@@ -38,12 +38,11 @@ from robot_sysid.records import Array, Motion
 from robot_sysid.trajectory import Series, TrajectoryOptions
 
 FIRST_WEIGHT = 1.0
+"""Weight of the penalty in the first rounds: the multipliers should do the work."""
 WEIGHT_GROWTH = 1.5
+"""Growth of the weight per later round, where multipliers converge slowly."""
 PLAIN_ROUNDS = 2
-"""Weight of the penalty, its growth per round, and the rounds before it begins to grow.
-
-The multipliers should do the work: the weight only grows where they converge slowly.
-"""
+"""Rounds before the weight begins to grow."""
 MEMORY = 20
 """Gradient pairs L-BFGS keeps: the upper end of what Nocedal, Wright, section 7.2, recommend."""
 _TORQUE_STEP = 1e-6
@@ -69,8 +68,10 @@ GRID_PER_CYCLE = 25
 """Grid points per period of the highest frequency: standard errors on the grid are within 0.04 % of
 those at 1 kHz; with 10 points 0.1 %, with 5 points 0.8 % (Kinova)."""
 FEWEST_GRID_POINTS = 60
-TOLD_BY = slice(1, None, 3)
-"""Points of the grid that tell the information: 8 per period change no criterion by over 0.2 %."""
+"""Grid points of the shortest motions."""
+INFORMATION_POINTS = slice(1, None, 3)
+"""Grid points at which the information is computed: 8 per period change no criterion by over
+0.2 %."""
 LIMIT_SHARE = 0.99
 """Share of the limits the search uses; the rest covers peaks between grid points.
 
@@ -87,17 +88,18 @@ SMOOTHING_SHARE = 0.03
 With it no deviation is off by more than 3 % (``test_the_grid_is_fine_enough_for_the_band``).
 """
 MOST_MEMORY = 2e9
+"""Most memory that a search may take [bytes]."""
 COPIES = 3
-"""Most memory that a search may take [bytes], and how often each process holds its functions."""
+"""How many times each process holds the basis functions."""
 _WORST = 1e6
 """Stands for an infinite criterion: the optimiser needs a number."""
 
 clock = time.monotonic
-"""Gives the time [s], of the machine, so that a deadline can be told to other processes too."""
+"""Returns the machine's time [s], which other processes share, so that they share deadlines."""
 
 
 def is_over(deadline: float) -> bool:
-    """Tell whether a deadline on the ``clock`` [s] has passed."""
+    """Return whether a deadline on the ``clock`` [s] has passed."""
     return clock() > deadline
 
 
@@ -107,11 +109,12 @@ class Candidate:
 
     Attributes:
         x: (n, M) free coefficients, possibly beyond a limit.
-        multipliers: (N, 4 n + 2) on the grid.
+        multipliers: (N, 4 n + 2) of the constraints on the grid.
         weight: of the penalty.
         rounds: how many are done.
-        score: its criterion as it is.
-        feasible_x: (n, M) the best one so far that obeys everything, or None; and its criterion.
+        score: the criterion at x.
+        feasible_x: (n, M) the best coefficients so far that keep all limits, or None.
+        feasible_score: the criterion at them.
     """
 
     x: Array
@@ -125,20 +128,20 @@ class Candidate:
 
 def first_candidate(design: Design, x: Array) -> Candidate:
     """Return a candidate at free coefficients x (n, M), checked against all limits."""
-    none = np.zeros((len(design.grid), 4 * design.problem.n_joints + 2))
-    return _checked(design, Candidate(x, none))
+    multipliers = np.zeros((len(design.grid), 4 * design.problem.n_joints + 2))
+    return _update_feasible(design, Candidate(x, multipliers))
 
 
 def improve(
     design: Design, candidate: Candidate, deadline: float = np.inf
 ) -> Candidate:
-    """Return the candidate after one more round, or after as much of it as there was time for."""
+    """Return the candidate after one more round, cut short by the deadline [s] of ``clock``."""
     from scipy.optimize import minimize
 
     unit = design.unit
     shape = candidate.x.shape
-    objective = partial(penalised, design, candidate)
-    reached = [candidate.x]
+    objective = partial(penalised_objective, design, candidate)
+    iterates = [candidate.x]
 
     def function(flat: Array) -> tuple[float, Array]:
         if is_over(deadline):
@@ -147,30 +150,37 @@ def improve(
         return value, (unit * gradient).ravel()
 
     def keep(flat: Array) -> None:
-        reached.append(unit * flat.reshape(shape))
+        iterates.append(unit * flat.reshape(shape))
 
-    most = {"maxiter": design.options.iterations, "maxfun": design.options.evaluations}
-    options = {**most, "maxcor": MEMORY, "maxls": 30}
+    options = {
+        "maxiter": design.options.iterations,
+        "maxfun": design.options.evaluations,
+        "maxcor": MEMORY,
+        "maxls": 30,
+    }
     start = (candidate.x / unit).ravel()
     with contextlib.suppress(TimeoutError):
         minimize(
             function, start, jac=True, method="L-BFGS-B", callback=keep, options=options
         )
-    moved = replace(candidate, x=reached[-1])
+    moved = replace(candidate, x=iterates[-1])
     if not is_over(deadline):
-        grow = WEIGHT_GROWTH if candidate.rounds >= PLAIN_ROUNDS else 1.0
-        multipliers = objective(moved.x)[2]
-        weight = grow * candidate.weight
+        growth = WEIGHT_GROWTH if candidate.rounds >= PLAIN_ROUNDS else 1.0
         moved = replace(
-            moved, multipliers=multipliers, weight=weight, rounds=candidate.rounds + 1
+            moved,
+            multipliers=objective(moved.x)[2],
+            weight=growth * candidate.weight,
+            rounds=candidate.rounds + 1,
         )
-    return _checked(design, moved, deadline)
+    return _update_feasible(design, moved, deadline)
 
 
-def _checked(
+def _update_feasible(
     design: Design, candidate: Candidate, deadline: float = np.inf
 ) -> Candidate:
-    """Return the candidate with its feasible trajectory updated, if the present one is better."""
+    """Return the candidate with the largest multiple of x that keeps all limits, if that is better
+    than the feasible coefficients it has.
+    """
     candidate = replace(candidate, score=design.criterion_of(candidate.x))
     for factor in REPAIRS:
         if is_over(deadline) and candidate.feasible_x is not None:
@@ -185,15 +195,24 @@ def _checked(
 
 
 class Design:
-    """Everything about one problem that does not change during the search.
+    """Everything about one design that does not change during the search.
+
+    Args:
+        problem: the arm and its limits.
+        options: of the search.
+        motion: duration and sample rate.
+        knowledge: of the estimate beforehand; None for an arm of which all is known but the
+            terminal link and friction.
 
     Attributes:
-        known: what an estimate knows beforehand; None for an arm of which all is known but the
-            terminal link and friction.
-        unit: (M,) of each free coefficient in the optimiser's eyes [rad].
+        basis: functions whose M free coefficients per joint are searched.
+        unit: (M,) scale of each free coefficient for the optimiser [rad].
+        grid: (N,) times at which constraints are computed [s].
+        criterion: that is minimised.
+        information: maps motions to information.
 
     Raises:
-        InputError: it takes more memory than any search may hold, or more samples than there are.
+        InputError: the search takes too much memory, or the sample rate is too low.
     """
 
     def __init__(
@@ -201,7 +220,7 @@ class Design:
         problem: ExcitationProblem,
         options: ExcitationOptions,
         motion: TrajectoryOptions,
-        known: Known | None = None,
+        knowledge: PriorKnowledge | None = None,
     ) -> None:
         self.problem = problem
         self.sample_rate = motion.sample_rate
@@ -216,21 +235,23 @@ class Design:
         points = int(np.ceil(GRID_PER_CYCLE * top * self.basis.duration))
         points = max(FEWEST_GRID_POINTS, points)
         # The basis functions, and two derivatives.
-        held = options.n_workers * COPIES * 3.0 * 8.0 * points * self.basis.size
-        if held > MOST_MEMORY:
+        memory = options.n_workers * COPIES * 3.0 * 8.0 * points * self.basis.size
+        if memory > MOST_MEMORY:
             raise InputError(
-                f"designing {motion.duration:g} s would take about {held / 1e9:.2g} GB of memory, "
-                f"the most is {MOST_MEMORY / 1e9:g} GB; make the motion shorter and repeat it"
+                f"designing {motion.duration:g} s would take about {memory / 1e9:.2g} GB of "
+                f"memory, the most is {MOST_MEMORY / 1e9:g} GB; make the motion shorter and "
+                "repeat it"
             )
         # All harmonics are alike as speeds, so L-BFGS needs fewer steps.
         self.harmonic = np.tile(np.arange(1.0, self.basis.harmonics + 1.0), 2)
         self.unit = np.concatenate(([1.0], 1.0 / self.harmonic))
         self.grid = (np.arange(points) + 0.5) * self.basis.duration / points
-        known = known or known_arm(problem)
-        told = len(self.grid[TOLD_BY])
-        sigma = problem.sigma / np.sqrt(motion.duration * motion.sample_rate / told)
-        self.criterion = criterion(problem, known)
-        self.information = predicted_information(problem, sigma, known, SMOOTHING_SHARE)
+        knowledge = knowledge or known_arm(problem)
+        n_samples = motion.duration * motion.sample_rate
+        n_points = len(self.grid[INFORMATION_POINTS])
+        sigma = problem.sigma / np.sqrt(n_samples / n_points)
+        self.criterion = design_criterion(problem, knowledge)
+        self.information = information_model(problem, sigma, knowledge, SMOOTHING_SHARE)
 
     def trajectory(self, x: Array) -> FourierTrajectory:
         """Return the trajectory of the free coefficients x (n, M)."""
@@ -238,7 +259,7 @@ class Design:
 
     @cached_property
     def on_grid(self) -> Series:
-        """The functions on the grid: most of what a search holds in memory."""
+        """The basis functions and two derivatives on the grid, (N, M) each: most of the memory."""
         return self.basis.evaluate(self.grid)
 
     def motion(self, x: Array) -> Series:
@@ -246,33 +267,41 @@ class Design:
         b, db, ddb = self.on_grid
         return self.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
 
-    def told(self, motion: Series) -> Information:
-        """Return the information of a motion (q, qd, qdd) on the grid."""
-        return self.information.evaluate(*(part[TOLD_BY] for part in motion))
+    def information_of(self, motion: Series) -> Information:
+        """Return the information of a motion (q, qd, qdd) on the grid, (N, n) each."""
+        return self.information.evaluate(
+            *(signal[INFORMATION_POINTS] for signal in motion)
+        )
 
-    def promise(self, x: Array | None) -> str:
-        """Return in words about how well free coefficients x (n, M) tell the terminal link."""
+    def expected_errors(self, x: Array | None) -> str:
+        """Return about which errors of the terminal link free coefficients x (n, M) lead to, in
+        words; "" without a motion.
+        """
         if x is None or not np.any(x):
             return ""
-        covariance = self.criterion.covariance(self.told(self.motion(x)).information)
-        mass, centre = spread_of(self.problem.robot.prior.theta, covariance)
-        return f"mass ± {mass:.2g} kg, centre of mass ± {1e3 * centre:.2g} mm"
+        information = self.information_of(self.motion(x)).information
+        covariance = self.criterion.covariance(information)
+        theta = self.problem.robot.prior.theta
+        mass_error, centre_error = mass_and_centre_errors(theta, covariance)
+        return (
+            f"mass ± {mass_error:.2g} kg, centre of mass ± {1e3 * centre_error:.2g} mm"
+        )
 
     def criterion_of(self, x: Array) -> float:
-        """Return the criterion of free coefficients x (n, M) alone."""
-        return self.criterion.evaluate(self.told(self.motion(x)).information)[0]
+        """Return the criterion of free coefficients x (n, M), without its gradient."""
+        information = self.information_of(self.motion(x)).information
+        return self.criterion.evaluate(information)[0]
 
 
 class Constraints(NamedTuple):
     """Constraint values of a motion, and their gradient.
 
-    Six families in the columns of one array: position, velocity, acceleration and torque of each
-    joint and the speed of the tool as share of the limit minus one, and the slack towards obstacles
-    over a length.
+    The columns are position, velocity, acceleration and torque of each joint and the speed of the
+    tool as share of the limit minus one, and the missing distance from obstacles over a length.
 
     Attributes:
         value: (N, 4 n + 2) g; fulfilled where <= 0.
-        vjp: gives the gradient (N, n) of sum(weight * g) with respect to q, qd and qdd.
+        vjp: takes weights (N, 4 n + 2) and returns the gradient of sum(weight * g).
     """
 
     value: Array
@@ -291,88 +320,100 @@ def constraints_of(
         share: of the limits to use; less than 1 leaves room for peaks between grid points.
         extra_slack: distance to keep beside the obstacles' own requirement [m].
     """
-    moved = Motion(np.arange(float(len(motion[0]))), *motion)
-    signals = problem.signals(moved)
-    slack = problem.obstacles.slack(moved.q)
-    allowed = share * problem.limits.columns
-    towards = (extra_slack - slack.value) / OBSTACLE_LENGTH
-    value = np.column_stack((np.abs(signals) / allowed - 1.0, towards))
-    return Constraints(
-        value, partial(_vjp, problem, motion, signals, allowed, slack.gradient)
-    )
+    # Nothing here depends on the time of a sample.
+    samples = Motion(np.arange(float(len(motion[0]))), *motion)
+    signals = problem.signals(samples)
+    slack = problem.obstacles.slack(samples.q)
+    limits = share * problem.limits.columns
+    missing = (extra_slack - slack.value) / OBSTACLE_LENGTH
+    value = np.column_stack((np.abs(signals) / limits - 1.0, missing))
+    vjp = partial(_vjp, problem, motion, signals, limits, slack.gradient)
+    return Constraints(value, vjp)
 
 
 def _vjp(
     problem: ExcitationProblem,
     motion: Series,
     signals: Array,
-    allowed: Array,
+    limits: Array,
     slack_gradient: Array,
     weight: Array,
 ) -> Gradient:
+    """Return the gradient of sum(weight * g) with respect to q, qd and qdd.
+
+    Args:
+        problem: the arm and its limits.
+        motion: q, qd and qdd (N, n).
+        signals: (N, 4 n + 1) of the problem.
+        limits: (4 n + 1,) of the signals.
+        slack_gradient: (N, n) of the slack by q.
+        weight: (N, 4 n + 2) of the constraints.
+    """
     ends = np.arange(1, 5) * problem.n_joints
-    adjoint = weight[:, :-1] * np.sign(signals) / allowed
-    q, qd, qdd, torque, fastest = np.split(adjoint, ends, axis=1)
+    adjoint = weight[:, :-1] * np.sign(signals) / limits
+    q, qd, qdd, by_torque, by_speed = np.split(adjoint, ends, axis=1)
     q -= weight[:, -1:] * slack_gradient / OBSTACLE_LENGTH
-    _add_torque(
-        problem, motion, np.split(signals, ends, axis=1)[3], torque, (q, qd, qdd)
-    )
-    used = np.flatnonzero(fastest)
+    torque = np.split(signals, ends, axis=1)[3]
+    _add_torque_gradient(problem, motion, torque, by_torque, (q, qd, qdd))
+    used = np.flatnonzero(by_speed)
     if len(used):
-        q_used, *rates = (part[used] for part in motion)
-        links = problem.dynamics.motion(q_used, *rates)
-        none, along = np.zeros((2, 6, problem.n_joints, len(used)))
-        along[:, -1] = problem.tool.speed_vjp(links.velocity[-1], fastest[used, 0])
-        for total, part in zip(
-            (q, qd, qdd), links.gradient(rates, none, (along, none), none)
-        ):
-            total[used] += part
+        used_q, *rates = (signal[used] for signal in motion)
+        links = problem.dynamics.motion(used_q, *rates)
+        zero, by_twist = np.zeros((2, 6, problem.n_joints, len(used)))
+        by_twist[:, -1] = problem.tool.speed_vjp(links.velocity[-1], by_speed[used, 0])
+        gradients = links.gradient(rates, zero, (by_twist, zero), zero)
+        for total, gradient in zip((q, qd, qdd), gradients):
+            total[used] += gradient
     return q, qd, qdd
 
 
-def _add_torque(
+def _add_torque_gradient(
     problem: ExcitationProblem,
     motion: Series,
     torque: Array,
     adjoint: Array,
     totals: Gradient,
 ) -> None:
-    """Add the gradient through the torque by one-sided differences, at active samples only."""
+    """Add to ``totals``, in place, the gradient through the torque, by one-sided differences.
+
+    Only samples at which the adjoint (N, n), the derivative by the torque (N, n), is not zero are
+    computed.
+    """
     active = np.flatnonzero(np.any(adjoint != 0.0, axis=1))
     if len(active) == 0:
         return
-    at = [part[active] for part in motion]
+    signals = [signal[active] for signal in motion]
     count = len(active)
     n = problem.n_joints
-    for which, part in enumerate(at):
+    for number, signal in enumerate(signals):
         # The friction torque jumps where a joint reverses; a step across the jump would be noise.
-        step = np.where(part < 0.0, -_TORQUE_STEP, _TORQUE_STEP).T
+        step = np.where(signal < 0.0, -_TORQUE_STEP, _TORQUE_STEP).T
         # All joints' steps at a time: (joint that is moved, sample, joint).
-        moved = [np.repeat(signal[None], n, axis=0) for signal in at]
-        moved[which][range(n), :, range(n)] += step
-        stepped = problem.torque_at(*(signal.reshape(-1, n) for signal in moved))
+        moved = [np.repeat(values[None], n, axis=0) for values in signals]
+        moved[number][range(n), :, range(n)] += step
+        stepped = problem.torque_at(*(values.reshape(-1, n) for values in moved))
         change = (stepped.reshape(n, count, n) - torque[active]) / step[:, :, None]
-        totals[which][active] += np.sum(change * adjoint[active], axis=2).T
+        totals[number][active] += np.sum(change * adjoint[active], axis=2).T
 
 
-def penalised(
+def penalised_objective(
     design: Design, candidate: Candidate, x: Array
 ) -> tuple[float, Array, Array]:
-    """Return the objective of a round at free coefficients x (n, M), gradient and new multipliers.
+    """Return (objective, gradient (n, M), new multipliers (N, 4 n + 2)) at coefficients x (n, M).
 
-    Multipliers and weight are those of the candidate; the new ones (N, 4 n + 2) are those after a
-    minimisation that ends at x.
+    The objective has the multipliers and the weight of the candidate; the new multipliers are those
+    after a minimisation that ends at x.
     """
     multipliers = candidate.multipliers
     weight = candidate.weight
     motion = design.motion(x)
-    told = design.told(motion)
-    value, slope = design.criterion.evaluate(told.information)
+    information = design.information_of(motion)
+    value, factor = design.criterion.evaluate(information.information)
     constraints = constraints_of(design.problem, motion, LIMIT_SHARE, EXTRA_SLACK)
     active = np.maximum(0.0, multipliers + weight * constraints.value)
     penalty = float(np.sum(active**2 - multipliers**2)) / (2.0 * weight)
     adjoints = constraints.vjp(active)
-    for adjoint, part in zip(adjoints, told.vjp(slope)):
-        adjoint[TOLD_BY] += part
+    for adjoint, gradient in zip(adjoints, information.vjp(factor)):
+        adjoint[INFORMATION_POINTS] += gradient
     gradient = sum(a.T @ f for a, f in zip(adjoints, design.on_grid))
     return min(value, _WORST) + penalty, np.asarray(gradient), active

@@ -1,9 +1,9 @@
-"""What an identification will make of a recording of a planned motion, before there is one.
+"""Standard errors that are expected of an identification of a planned motion's recording.
 
-The planned motion is treated like a log of it would be: its ends are cut off, all columns pass the
-low-pass, and moments in which a joint is too slow are left out. What remains has the covariance
-that the estimate itself states, with the same unknowns and the same priors, cause by cause. The
-search for a motion gets these priors from here.
+The planned motion is treated as a log of it would be: its ends are cut off, all columns pass the
+low-pass, and moments in which a joint is too slow are left out. The estimate's covariance is then
+computed for the remaining rows with the unknowns and priors of the identification, cause by cause.
+The search for a motion gets these priors from here.
 """
 
 from __future__ import annotations
@@ -51,9 +51,22 @@ from robot_sysid.estimation.unknowns import (
     expected_dry_friction,
     scale_spread,
 )
-from robot_sysid.motion import information, prediction
-from robot_sysid.motion.information import Criterion, Known
-from robot_sysid.motion.prediction import Prediction, Remedy
+from robot_sysid.motion.information import (
+    JOINT_TERMS,
+    Criterion,
+    PriorKnowledge,
+    design_criterion,
+    information_model,
+    mass_and_centre_errors,
+    random_information,
+)
+from robot_sysid.motion.prediction import (
+    LOOSE_SHARE,
+    PAYLOAD_MASS,
+    Improvement,
+    Prediction,
+    parameter_sizes,
+)
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array, Measurement, MotionPlan, SquareRootInformation
 from robot_sysid.records.messages import percent
@@ -61,257 +74,333 @@ from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks, sample_count
 
-UNUSABLE = "that is from all samples, but they cannot all be used"
+ALL_SAMPLES = "that is from all samples, but they cannot all be used"
+"""Caveat of errors for a motion that cannot be processed as a log."""
 HIGHEST_RATE_HZ = 200.0
 """Rate at which the motion is processed: far above its band. Noise is scaled to it."""
 MOST_SAMPLES = 200_000
 """Samples beyond which processing a motion beforehand would take too long."""
 LONGER = 4.0
+"""How many times as long the longer motion is that is suggested."""
 FASTER = 1.5
-BETTER = 0.5
-"""By how much longer and faster, and to which part of the error of the links, remedies are told."""
-_INSTANTS = 10.0
-_FEWEST = 100
-_MOST = 4000
-"""Instants of a motion per second that a remedy is worked out from, and at least and at most."""
-_NOISELESS = 1e-4
-"""Torque noise that hides nothing [N m]."""
-_NEARLY = 1.0 - 1e-6
-"""Share of the variance of a mass that weighing takes away."""
-_NOTHING = 100.0
-"""How many times its size a parameter may be off where all that is told is rounding."""
+"""How many times as fast the faster motion is that is suggested."""
+BETTER_LINKS = 0.5
+"""Share of the links' uncertainty that remains in the suggestion to know them better."""
+_INSTANTS_HZ = 10.0
+"""Instants of a motion per second for which the errors of suggestions are computed."""
+_FEWEST_INSTANTS = 100
+"""Fewest of these instants."""
+_MOST_INSTANTS = 4000
+"""Most of these instants."""
+_NO_NOISE = 1e-4
+"""Torque noise that makes no error beside that of the priors [N m]."""
+_WEIGHED_SHARE = 1.0 - 1e-6
+"""Share of the variance of a mass that weighing removes."""
+_LARGEST_ERROR = 100.0
+"""Standard error over the parameter's size beyond which the information is mere rounding."""
 NOISE = "torque noise"
-DOUBTED = (
+"""Cause of errors that is in every recording."""
+SUSPICION = (
     "links that are all off alike look like a scale of all torques (--scale-uncertainty says how "
     "far those may be off at most)"
 )
-_OFTEN = 0.05
-"""Share of recordings from which on that is told."""
-_PAYLOAD = prediction.WEIGHED * np.eye(10)[0]
-"""One at the origin of the last link."""
-_How = tuple[float, EstimationOptions, str]
-"""The sample rate and what follows it in ``expect``."""
+"""Why a scale of all torques may be suspected."""
+_SUSPICION_SHARE = 0.05
+"""Share of recordings from which this is reported."""
+_PAYLOAD = PAYLOAD_MASS * np.eye(10)[0]
+"""Parameters (10,) of a payload at the origin of the last link."""
 
 
-def known_of(
-    problem: ExcitationProblem, options: EstimationOptions, asked: str
-) -> Known:
-    """Return what an estimate knows of the arm before there is a recording, and what is asked."""
+@dataclass(frozen=True)
+class RecordingPlan:
+    """How a motion will be recorded and identified.
+
+    Attributes:
+        sample_rate: of the recording, with independent noise in each sample [Hz].
+        options: of the identification.
+        target: what is to be identified, see ``PriorKnowledge``.
+    """
+
+    sample_rate: float
+    options: EstimationOptions
+    target: str = "link"
+
+    @property
+    def is_payload(self) -> bool:
+        """Whether a payload is identified, by the difference of two recordings."""
+        return self.target == "payload"
+
+
+def prior_knowledge(
+    problem: ExcitationProblem, options: EstimationOptions, target: str
+) -> PriorKnowledge:
+    """Return what an identification knows about an arm before there is a recording."""
     robot = problem.robot
-    own = np.zeros((len(information.OWN), len(problem.rows)))
-    if asked == "payload":
+    deviations = np.zeros((len(JOINT_TERMS), len(problem.rows)))
+    if target == "payload":
         # Of the difference of two recordings only what changes between them is left.
-        own[0] = DRIFTS * robot.friction.coulomb[list(problem.rows)]
-        own[1] = DRIFTS * robot.friction.viscous[list(problem.rows)]
-        return Known(np.zeros((0, 0)), own, asked)
-    choice = _choice(problem, options)
-    question = Question(options)
+        joints = list(problem.rows)
+        deviations[0] = DRIFTS * robot.friction.coulomb[joints]
+        deviations[1] = DRIFTS * robot.friction.viscous[joints]
+        return PriorKnowledge(np.zeros((0, 0)), deviations, target)
+    choice = _initial_choice(problem, options)
     columns = Columns(robot, (), options.torques, choice.couplings)
     rng = np.random.default_rng(0)
     limits = problem.limits
     poses = rng.uniform(limits.lower, limits.upper, (100, robot.n_joints))
     torque = np.sqrt(np.mean(problem.torque_at(poses) ** 2, axis=0))
     choice = replace(choice, dry_friction=expected_dry_friction(columns, torque))
-    sought = build_unknowns(
-        columns, question, choice, torque, np.ones(len(columns.names), dtype=bool)
-    )
-    factor = np.zeros((0, 0))
-    sure = dict[str, float]()
-    for group in sought.groups:
-        sure.update(zip(group.names, np.sqrt(np.sum(group.factor**2, axis=1)).tolist()))
+    is_visible = np.ones(len(columns.names), dtype=bool)
+    unknowns = build_unknowns(columns, Question(options), choice, torque, is_visible)
+    link_factor = np.zeros((0, 0))
+    prior_deviations = dict[str, float]()
+    for group in unknowns.groups:
+        errors = np.sqrt(np.sum(group.factor**2, axis=1)).tolist()
+        prior_deviations.update(zip(group.names, errors))
         if group.cause == LINKS:
             n = len(group.mean)
-            factor = group.factor.reshape(-1, 10, n)[::-1].reshape(-1, n)
-    for place, term in enumerate(information.OWN):
-        for row, joint in enumerate(columns.joints):
+            link_factor = group.factor.reshape(-1, 10, n)[::-1].reshape(-1, n)
+    for row, joint in enumerate(columns.joints):
+        friction = choice.friction[columns.joint_indices[row]]
+        for index, term in enumerate(JOINT_TERMS):
+            without_prior = np.inf if term in friction.terms else 0.0
             name = f"{term}[{joint}]"
-            free = (
-                np.inf
-                if term in choice.friction[columns.joint_indices[row]].terms
-                else 0.0
-            )
-            own[place, row] = sure.get(name, free)
-    return Known(factor, own, asked)
+            deviations[index, row] = prior_deviations.get(name, without_prior)
+    return PriorKnowledge(link_factor, deviations, target)
 
 
-def _choice(problem: ExcitationProblem, options: EstimationOptions) -> Choice:
-    """Return the friction that the estimate begins with, and the couplings that are known."""
-    given = (
-        options if options.friction else replace(options, friction_model=CANDIDATES[0])
+def _initial_choice(problem: ExcitationProblem, options: EstimationOptions) -> Choice:
+    """Return the friction terms that an estimate begins with, and the couplings that are known."""
+    if not options.friction:
+        options = replace(options, friction_model=CANDIDATES[0])
+    assert options.friction is not None
+    motors, candidates = couplings_of(problem.robot, options)
+    friction = (options.friction,) * problem.robot.n_joints
+    known_motors = motors[: len(motors) - len(candidates)]
+    return Choice(friction, known_motors, link_scales=EXPECTED)
+
+
+def predict(
+    problem: ExcitationProblem, plan: MotionPlan, recording: RecordingPlan
+) -> Prediction:
+    """Return the standard errors that are expected of an identification of a motion.
+
+    Where the motion cannot be processed as a log, the errors are those of all its samples, and the
+    caveat says so.
+    """
+    robot = problem.robot
+    knowledge = prior_knowledge(problem, recording.options, recording.target)
+    criterion = design_criterion(problem, knowledge)
+    subject = robot.body_name
+    theta = robot.prior.theta
+    size = parameter_sizes(problem)
+    scale_error = 0.0
+    if recording.is_payload:
+        subject = f"a payload of {PAYLOAD_MASS:g} kg"
+        theta = _PAYLOAD
+        scale_error = _common_scale_error(problem, recording.options)
+    caveat = ""
+    link_errors = dict[str, float]()
+    common_scale = None
+    try:
+        posterior = predict_posterior(problem, plan, recording)
+    except InputError as error:
+        caveat = f"{ALL_SAMPLES}: {error}"
+        covariance = _bound_from_all_samples(problem, plan, recording, knowledge, size)
+        by_cause = {NOISE: covariance}
+    else:
+        names = PAYLOAD_NAMES if recording.is_payload else PARAMETER_NAMES
+        covariance, by_cause = posterior.errors_of(names)
+        if recording.target == "arm":
+            link_errors = _link_mass_errors(problem, posterior)
+        if posterior.suspicion > _SUSPICION_SHARE:
+            common_scale = posterior.suspicion_case(names, theta)
+    return Prediction(
+        subject=subject,
+        theta=theta,
+        size=size / robot.prior.mass if recording.is_payload else size,
+        covariance=covariance,
+        covariance_by_cause=by_cause,
+        link_mass_errors=link_errors,
+        invisible=_invisible_combinations(problem, criterion),
+        improvements=_improvements(problem, plan, recording, knowledge, criterion),
+        caveat=caveat,
+        scale_error=scale_error,
+        common_scale=common_scale,
     )
-    assert given.friction is not None
-    motors, offered = couplings_of(problem.robot, options)
-    friction = (given.friction,) * problem.robot.n_joints
-    return Choice(friction, motors[: len(motors) - len(offered)], link_scales=EXPECTED)
 
 
-def expect(
+def _bound_from_all_samples(
     problem: ExcitationProblem,
     plan: MotionPlan,
-    sample_rate: float,
-    options: EstimationOptions,
-    asked: str = "link",
-) -> Prediction:
-    """Predict what an identification of a recording of a motion will state.
+    recording: RecordingPlan,
+    knowledge: PriorKnowledge,
+    size: Array,
+) -> Array:
+    """Return the covariance (10, 10) that all samples of a motion would give, a lower bound.
 
-    Args:
-        problem: the arm, its limits, and the torque noise.
-        sample_rate: at which it will be recorded, with independent noise in each sample [Hz].
-        options: how it will be identified.
-        asked: what is to be identified, see ``Known``.
+    The diagonal is infinite for parameters whose errors are many times their sizes (10,): these are
+    not identifiable, and their variances are rounding.
     """
-    how = sample_rate, options, asked
-    robot = problem.robot
-    known = known_of(problem, options, asked)
-    told = information.criterion(problem, known)
-    own_size = prediction.sizes(problem)
-    of = robot.body_name
-    theta = robot.prior.theta
-    size = own_size
-    scaled = 0.0
-    if asked == "payload":
-        of = f"a payload of {prediction.WEIGHED:g} kg"
-        theta = _PAYLOAD
-        size = own_size / robot.prior.mass
-        scaled = _read_alike(problem, options)
-    others = dict[str, float]()
-    missing = ""
-    doubt = None
-    try:
-        after = _posterior(problem, plan, how)
-    except InputError as error:
-        missing = f"{UNUSABLE}: {error}"
-        covariance = told.covariance(_told(problem, plan, sample_rate, known)).copy()
-        variance = np.diag(covariance)
-        # What is known to no part of its size is not known.
-        shown = (variance > 0.0) & (variance < (_NOTHING * own_size) ** 2)
-        np.fill_diagonal(covariance, np.where(shown, variance, np.inf))
-        causes = {NOISE: covariance}
-    else:
-        names = PAYLOAD_NAMES if asked == "payload" else PARAMETER_NAMES
-        sought = after.sought
-        found = after.found
-        places = [sought.estimated_names.index(name) for name in names]
-        own = np.ix_(places, places)
-        parts = {cause: rows[:, places] for cause, rows in after.causes.items()}
-        causes = {
-            NOISE: found.noise[own],
-            **{c: rows.T @ rows for c, rows in parts.items()},
-        }
-        covariance = found.covariance[own]
-        np.fill_diagonal(covariance, found.standard_errors[places] ** 2)
-        others = dict(_masses(problem, sought, found)) if asked == "arm" else {}
-        if after.doubted > _OFTEN:
-            words = f"In about {percent(after.doubted)} of recordings {DOUBTED}"
-            then = projected_covariance(theta, after.then.covariance[own])
-            doubt = Remedy(words, *information.spread_of(theta, then))
-    rest = _never(problem, told), _best_first(problem, plan, how, known, told)
-    return Prediction(
-        of, theta, size, covariance, causes, others, *rest, missing, scaled, doubt
-    )
+    criterion = design_criterion(problem, knowledge)
+    information = _information(problem, plan, recording.sample_rate, knowledge)
+    covariance = criterion.covariance(information).copy()
+    variance = np.diag(covariance)
+    is_known = (variance > 0.0) & (variance < (_LARGEST_ERROR * size) ** 2)
+    np.fill_diagonal(covariance, np.where(is_known, variance, np.inf))
+    return covariance
 
 
-def _read_alike(problem: ExcitationProblem, options: EstimationOptions) -> float:
-    """Return by what share all torques, a payload's weight too, may read too much alike."""
+def _common_scale_error(
+    problem: ExcitationProblem, options: EstimationOptions
+) -> float:
+    """Return the share by which all torques, and so a payload's mass, may be read too large."""
     columns = Columns(problem.robot, (), options.torques)
     return common_error(scale_spread(columns, options, loaded=True))
 
 
 @dataclass(frozen=True)
-class _Posterior:
-    """What is sought, how well it is known, and why beside noise (see ``FitErrors``); in which
-    share of recordings all torque scales are doubted, and how well it is known then.
+class ExpectedPosterior:
+    """Errors that an estimate from a recording will have.
+
+    Attributes:
+        unknowns: parameters of the estimate.
+        errors: their errors.
+        causes: cause to rows (m, k) whose squares are the covariance it adds to that of noise.
+        suspicion: share of recordings in which a scale of all torques is suspected.
+        suspected_errors: errors of the parameters that are stated then.
     """
 
-    sought: Unknowns
-    found: Uncertainty
+    unknowns: Unknowns
+    errors: Uncertainty
     causes: Mapping[str, Array]
-    doubted: float
-    then: Uncertainty
+    suspicion: float
+    suspected_errors: Uncertainty
+
+    def errors_of(self, names: Sequence[str]) -> tuple[Array, dict[str, Array]]:
+        """Return the covariance (10, 10) of the named parameters, and its part by each cause."""
+        indices = self._indices(names)
+        block = np.ix_(indices, indices)
+        by_cause = {NOISE: self.errors.noise[block]}
+        for cause, rows in self.causes.items():
+            by_cause[cause] = rows[:, indices].T @ rows[:, indices]
+        covariance = self.errors.covariance[block]
+        np.fill_diagonal(covariance, self.errors.standard_errors[indices] ** 2)
+        return covariance, by_cause
+
+    def suspicion_case(self, names: Sequence[str], theta: Array) -> Improvement:
+        """Return the errors of the body theta (10,) with these parameters, where a scale of all
+        torques is suspected.
+        """
+        indices = self._indices(names)
+        covariance = self.suspected_errors.covariance[np.ix_(indices, indices)]
+        return Improvement(
+            f"In about {percent(self.suspicion)} of recordings {SUSPICION}",
+            *mass_and_centre_errors(theta, projected_covariance(theta, covariance)),
+        )
+
+    def _indices(self, names: Sequence[str]) -> list[int]:
+        """Return the indices of the named parameters among the estimated ones."""
+        return [self.unknowns.estimated_names.index(name) for name in names]
 
 
-def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Posterior:
-    """Return what an estimate from a recording knows."""
-    sample_rate, options, asked = how
-    rate = min(sample_rate, HIGHEST_RATE_HZ)
-    sigma = problem.sigma * np.sqrt(rate / sample_rate)
+def predict_posterior(
+    problem: ExcitationProblem, plan: MotionPlan, recording: RecordingPlan
+) -> ExpectedPosterior:
+    """Return the errors that an estimate from a recording of a motion will have.
+
+    Raises:
+        InputError: the motion cannot be processed as a log.
+    """
+    options = recording.options
+    rate = min(recording.sample_rate, HIGHEST_RATE_HZ)
+    sigma = problem.sigma * np.sqrt(rate / recording.sample_rate)
     robot = problem.robot
-    choice = _choice(problem, options)
-    is_loaded = asked == "payload"
-    (dataset,), _ = low_pass_recordings(
-        robot, [Piece("", _rehearsal(problem, plan, rate))], options
-    )
+    choice = _initial_choice(problem, options)
+    is_loaded = recording.is_payload
+    pieces = [Piece("", _simulated_recording(problem, plan, rate))]
+    (dataset,), _ = low_pass_recordings(robot, pieces, options)
     datasets: Sequence[Dataset] = (dataset,)
     assert dataset.signals is not None
     if is_loaded:
-        datasets = (
-            replace(dataset, order=-1.0),
-            replace(dataset, is_loaded=True, order=1.0),
-        )
+        empty = replace(dataset, order=-1.0)
+        datasets = (empty, replace(dataset, is_loaded=True, order=1.0))
     columns = Columns(robot, datasets, options.torques, choice.couplings)
     torque = mean_torque(datasets)
     data = evidence_of([columns.samples(columns.start())], torque)
     choice = replace(choice, dry_friction=expected_dry_friction(columns, torque))
     question = Question(options, loaded=is_loaded, drifts=is_loaded)
-    told = torque, data.nonzero
-    sought = build_unknowns(columns, question, choice, *told)
-    plain = data.of(sought)
-    # Rows count by the noise that is left in each. They are slow: what counts of white noise that
-    # passed the filter is its density at low frequencies, which the filter leaves alone, spread
-    # over the samples each row stands for.
+    unknowns = build_unknowns(columns, question, choice, torque, data.nonzero)
+    information = data.of(unknowns)
+    # Rows are weighted by the noise that is left in each. They are slow: of white noise that passed
+    # the filter, its density at low frequencies counts, which the filter leaves alone, spread over
+    # the samples each row stands for.
     low_pass = dataset.signals.low_pass
-    left = sigma * np.sqrt(np.sum(low_pass.kernel**2))
-    counts = 1.0 / left, sigma / np.sqrt(low_pass.step)
-    known = partial(_with_known, plain, counts, whole_triangle(plain, counts[0]))
-    found = known(sought.groups)
-    causes = {
-        g.cause: g.covariance_rows(plain.names, found.inverse) for g in sought.groups
-    }
-    doubt = 0.0, found
-    if sought.may_be_scaled(question):
-        wider = build_unknowns(
-            columns, question, replace(choice, common_scale=COMMON_SCALE), *told
+    filtered_sigma = sigma * np.sqrt(np.sum(low_pass.kernel**2))
+    weights = 1.0 / filtered_sigma
+    noise = (weights, sigma / np.sqrt(low_pass.step))
+    triangle = whole_triangle(information, weights)
+    errors_with = partial(_errors_with_priors, information, noise, triangle)
+    errors = errors_with(unknowns.groups)
+    causes = {}
+    for group in unknowns.groups:
+        causes[group.cause] = group.covariance_rows(information.names, errors.inverse)
+    suspicion = 0.0
+    suspected_errors = errors
+    if unknowns.may_be_scaled(question):
+        choice = replace(choice, common_scale=COMMON_SCALE)
+        scaled = build_unknowns(columns, question, choice, torque, data.nonzero)
+        scaled_errors = errors_with(scaled.groups)
+        suspicion, suspected_errors = _suspected_scale(
+            (unknowns, errors), (scaled, scaled_errors)
         )
-        doubt = _doubt(sought, found, wider, known(wider.groups))
     if not is_loaded:
-        at, usual = sought.bodies[robot.body_name]
-        found, causes = project_errors(
-            found, causes, np.searchsorted(sought.estimated, at), usual, usual
-        )
-    return _Posterior(sought, found, causes, *doubt)
+        indices, body = unknowns.bodies[robot.body_name]
+        estimated = np.searchsorted(unknowns.estimated, indices)
+        errors, causes = project_errors(errors, causes, estimated, body, body)
+    return ExpectedPosterior(unknowns, errors, causes, suspicion, suspected_errors)
 
 
-def _with_known(
-    plain: SquareRootInformation,
-    counts: tuple[Array, Array],
+def _errors_with_priors(
+    information: SquareRootInformation,
+    noise: tuple[Array, Array],
     triangle: Array,
     groups: Sequence[NuisanceGroup],
 ) -> Uncertainty:
-    """Return how well data, whose triangle it is by its weights, and priors tell all."""
-    both = with_prior(plain, groups)
-    whole = triangle if both.prior is None else triangle_of((triangle, both.prior))
-    return uncertainty(both, *counts, space=triangle_space(whole[:, :-1]))
-
-
-def _doubt(
-    sought: Unknowns, found: Uncertainty, wider: Unknowns, then: Uncertainty
-) -> tuple[float, Uncertainty]:
-    """Return in which share of recordings a scale of all torques is doubted, and how well what is
-    sought is known then, where there may as well be none.
+    """Return the errors of an estimate from data and priors.
 
     Args:
-        sought, found: without a scale of all torques; ``wider`` and ``then``: with one.
+        information: of the data.
+        noise: (joints,) weights of the rows, and (joints,) density of their noise [N m].
+        triangle: of the information with these weights.
+        groups: the priors.
     """
-    pairs = []
-    for asked, after in ((sought, found), (wider, then)):
-        scales = next(group for group in asked.groups if group.cause == SCALES)
-        places = scales.indices(asked.estimated_names)
-        pairs.append(
-            (scales.factor @ scales.factor.T, after.inverse[np.ix_(places, places)])
-        )
-    share, told = false_alarms(*pairs)
-    moved = then.inverse[:, places]
-    return share, then.with_cause(0.5 * moved @ told @ moved.T)
+    with_priors = with_prior(information, groups)
+    if with_priors.prior is not None:
+        triangle = triangle_of((triangle, with_priors.prior))
+    return uncertainty(with_priors, *noise, space=triangle_space(triangle[:, :-1]))
+
+
+def _suspected_scale(
+    separate: tuple[Unknowns, Uncertainty], common: tuple[Unknowns, Uncertainty]
+) -> tuple[float, Uncertainty]:
+    """Return the share of recordings in which a scale of all torques is suspected although there is
+    none, and the errors that are stated then.
+
+    Args:
+        separate: unknowns and errors without a scale of all torques.
+        common: unknowns and errors with one.
+    """
+    covariances = []
+    for unknowns, errors in (separate, common):
+        scales = next(group for group in unknowns.groups if group.cause == SCALES)
+        indices = scales.indices(unknowns.estimated_names)
+        prior = scales.factor @ scales.factor.T
+        covariances.append((prior, errors.inverse[np.ix_(indices, indices)]))
+    share, products = false_alarms(*covariances)
+    common_errors = common[1]
+    gain = common_errors.inverse[:, indices]
+    return share, common_errors.with_cause(0.5 * gain @ products @ gain.T)
 
 
 def friction_lines(
@@ -320,160 +409,196 @@ def friction_lines(
     rate: float,
     options: EstimationOptions,
 ) -> Iterator[str]:
-    """Say how well an identification of one recording will know each joint's friction."""
+    """Yield the standard errors that an identification of one recording at a rate [Hz] will have of
+    each joint's friction; nothing where the motion cannot be processed.
+    """
     try:
-        after = _posterior(problem, plan, (rate, options, "link"))
+        posterior = predict_posterior(problem, plan, RecordingPlan(rate, options))
     except InputError:
         return
+    names = posterior.unknowns.estimated_names
+    errors = dict(zip(names, posterior.errors.standard_errors))
     for term, unit in (("coulomb", "N·m"), ("viscous", "N·m·s/rad")):
-        errors = dict(zip(after.sought.estimated_names, after.found.standard_errors))
-        names = {joint: f"{term}[{joint}]" for joint in problem.joint_names}
-        listed = ", ".join(
-            f"{j} {errors[n]:.2g}" for j, n in names.items() if n in errors
-        )
-        yield f"{term.capitalize()} friction will be known to ± {listed} {unit}"
+        listed = []
+        for joint in problem.joint_names:
+            name = f"{term}[{joint}]"
+            if name in errors:
+                listed.append(f"{joint} {errors[name]:.2g}")
+        title = f"{term.capitalize()} friction will be known to ±"
+        yield f"{title} {', '.join(listed)} {unit}"
 
 
-def _rehearsal(
+def _simulated_recording(
     problem: ExcitationProblem, plan: MotionPlan, rate: float
 ) -> Measurement:
-    """Return what a recording of the motion at ``rate`` [Hz] would look like, without noise."""
+    """Return a recording of the motion at a rate [Hz] as the model predicts it, without noise."""
     if sample_count(plan.duration, rate) > MOST_SAMPLES:
         raise InputError(
             f"only motions up to {MOST_SAMPLES / rate:.0f} s are processed beforehand"
         )
-    exact = join_measurements(
-        simulate_inverse(problem.robot, motion_chunks(plan, rate))
-    )
-    return replace(exact, qd=None, qdd=None)
+    chunks = simulate_inverse(problem.robot, motion_chunks(plan, rate))
+    return replace(join_measurements(chunks), qd=None, qdd=None)
 
 
-def _masses(
-    problem: ExcitationProblem, sought: Unknowns, found: Uncertainty
-) -> Iterator[tuple[str, float]]:
-    """Yield other link and the share that its mass will be known to."""
+def _link_mass_errors(
+    problem: ExcitationProblem, posterior: ExpectedPosterior
+) -> dict[str, float]:
+    """Return the name of every other link to the standard error of its mass over the mass."""
     masses = {link.body_name: float(link.theta[0]) for link in problem.robot.links}
-    for name, (places, _) in sought.bodies.items():
+    unknowns = posterior.unknowns
+    mass_errors = {}
+    for name, (indices, _) in unknowns.bodies.items():
         if name != problem.robot.body_name:
-            place = int(np.searchsorted(sought.estimated, places[0]))
-            yield name, float(found.standard_errors[place]) / masses[name]
+            index = int(np.searchsorted(unknowns.estimated, indices[0]))
+            error = float(posterior.errors.standard_errors[index])
+            mass_errors[name] = error / masses[name]
+    return mass_errors
 
 
-def _never(problem: ExcitationProblem, told: Criterion) -> tuple[str, ...]:
-    """Return what no motion of these joints can show, in words."""
-    possible = told.seen / problem.scale[:, None]
-    left, singular, _ = np.linalg.svd(possible, full_matrices=True)
+def _invisible_combinations(
+    problem: ExcitationProblem, criterion: Criterion
+) -> tuple[str, ...]:
+    """Return the combinations of parameters that no motion of these joints shows, in words."""
+    visible = criterion.visible / problem.scale[:, None]
+    left, singular, _ = np.linalg.svd(visible, full_matrices=True)
     space = left[:, len(singular) :]
-    return (
-        tuple(describe(space, problem.scale, PARAMETER_NAMES)) if space.shape[1] else ()
-    )
+    if not space.shape[1]:
+        return ()
+    return tuple(describe(space, problem.scale, PARAMETER_NAMES))
 
 
-def _told(
+def _information(
     problem: ExcitationProblem,
     plan: MotionPlan,
     rate: float,
-    known: Known,
-    faster: float = 1.0,
+    knowledge: PriorKnowledge,
+    speed: float = 1.0,
 ) -> Array:
-    """Return the information of a path that is recorded at a rate [Hz], gone along faster."""
-    count = int(np.clip(_INSTANTS * plan.duration, _FEWEST, _MOST))
+    """Return the information (10 L, 10 L) of a motion recorded at a rate [Hz].
+
+    With ``speed`` s the path is passed s times as fast, over the same time.
+    """
+    n_instants = _INSTANTS_HZ * plan.duration
+    count = int(np.clip(n_instants, _FEWEST_INSTANTS, _MOST_INSTANTS))
     motion = plan.evaluate((np.arange(count) + 0.5) * plan.duration / count)
     sigma = problem.sigma * np.sqrt(count / (rate * plan.duration))
-    moved = motion.q, faster * motion.qd, faster**2 * motion.qdd
-    predicted = information.predicted_information(problem, sigma, known)
-    parts = split_motion(10 * problem.n_joints**2, *moved)
-    return np.asarray(sum(predicted.evaluate(*part).information for part in parts))
+    model = information_model(problem, sigma, knowledge)
+    series = motion.q, speed * motion.qd, speed**2 * motion.qdd
+    chunks = split_motion(10 * problem.n_joints**2, *series)
+    return np.asarray(sum(model.evaluate(*chunk).information for chunk in chunks))
 
 
-def _remedies(
+def _improvements(
     problem: ExcitationProblem,
     plan: MotionPlan,
-    how: _How,
-    known: Known,
-    told: Criterion,
-) -> Iterator[Remedy]:
-    """Yield what would tell more than a motion does, with the errors of mass and centre then."""
-    rate, options, asked = how
-    theta = _PAYLOAD if asked == "payload" else problem.robot.prior.theta
-    tell = partial(_told, problem, plan, rate)
-    here = tell(known)
-    quick = tell(known, faster=FASTER)
+    recording: RecordingPlan,
+    knowledge: PriorKnowledge,
+    criterion: Criterion,
+) -> tuple[Improvement, ...]:
+    """Return changes of motion or knowledge with the errors of mass and centre of mass after each,
+    the one with the smallest error of the centre of mass first.
 
-    def remedy(
-        words: str, covariance: Array, *planned: str, loaded: bool = asked == "payload"
-    ) -> Remedy:
-        scaled = loaded * _read_alike(problem, options) * theta[0]
-        covariance = covariance if loaded else projected_covariance(theta, covariance)
-        mass, centre = information.spread_of(theta, covariance)
-        return Remedy(words, float(np.hypot(mass, scaled)), centre, planned)
-
-    longer = ("--duration", f"{LONGER * plan.duration:.3g}")
-    yield remedy(
-        f"a motion {LONGER:g} times as long", told.covariance(LONGER * here), *longer
-    )
-    yield remedy(
-        f"a motion {FASTER:g} times as fast, over the same time", told.covariance(quick)
-    )
-    if asked == "payload":
-        return
-    if len(known.factor):
-        better = replace(told, factor=BETTER * known.factor).covariance(here)
-        half = f"{BETTER * options.link_uncertainty:g}"
-        yield remedy(f"other links known to {half} % (--link-uncertainty)", better)
-    covariance = told.covariance(here)
-    sure = (
-        covariance - _NEARLY * np.outer(covariance[0], covariance[0]) / covariance[0, 0]
-    )
-    weighed = remedy("its mass known, by weighing the part", sure)
-    yield replace(weighed, mass=0.0)
-    apart = known_of(problem, options, "payload")
-    difference = information.criterion(problem, apart).covariance(tell(apart))
-    bolted = "what is bolted to it as a payload by difference (plan --for payload)"
-    yield remedy(bolted, difference, "--for", "payload", loaded=True)
-
-
-def _best_first(
-    problem: ExcitationProblem,
-    plan: MotionPlan,
-    how: _How,
-    known: Known,
-    told: Criterion,
-) -> tuple[Remedy, ...]:
-    """Return what would tell more, what leaves the least error of the centre of mass first."""
-    places = plan.evaluate(np.linspace(0.0, plan.duration, 9)).q
-    if len(problem.rows) == 1 or np.all(places == places[0]):
-        return ()
-    found = _remedies(problem, plan, how, known, told)
-    return tuple(sorted(found, key=lambda each: each.centre))
-
-
-def outlook(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> str:
-    """Say before a search what no motion tells of a link, and what would; "" where one can.
-
-    Any motion leaves what the priors leave where there is no noise. Remedies are worked out along
-    a motion that is not designed yet.
+    Nothing for a motion that rests, or of which one torque alone is used.
     """
-    _, options, asked = how
-    known = known_of(problem, options, asked)
-    mass = problem.robot.prior.mass
-    told = information.criterion(problem, known)
-    least = told.covariance(information.random_information(problem, known, _NOISELESS))
-    least = (
-        least
-        if asked == "payload"
-        else projected_covariance(problem.robot.prior.theta, least)
-    )
-    floor, centre = information.spread_of(problem.robot.prior.theta, least)
-    if asked == "payload" or not floor > prediction.LOOSE_SHARE * mass:
+    poses = plan.evaluate(np.linspace(0.0, plan.duration, 9)).q
+    if len(problem.rows) == 1 or np.all(poses == poses[0]):
+        return ()
+    theta = _PAYLOAD if recording.is_payload else problem.robot.prior.theta
+    options = recording.options
+    improve = partial(_improvement, problem, theta, options)
+    information_of = partial(_information, problem, plan, recording.sample_rate)
+    information = information_of(knowledge)
+    fast_information = information_of(knowledge, speed=FASTER)
+    improvements = [
+        improve(
+            f"a motion {LONGER:g} times as long",
+            criterion.covariance(LONGER * information),
+            recording.is_payload,
+            ("--duration", f"{LONGER * plan.duration:.3g}"),
+        ),
+        improve(
+            f"a motion {FASTER:g} times as fast, over the same time",
+            criterion.covariance(fast_information),
+            recording.is_payload,
+        ),
+    ]
+    if not recording.is_payload:
+        if len(knowledge.link_factor):
+            factor = BETTER_LINKS * knowledge.link_factor
+            better = replace(criterion, link_factor=factor)
+            percentage = f"{BETTER_LINKS * options.link_uncertainty:g}"
+            description = f"other links known to {percentage} % (--link-uncertainty)"
+            improvements.append(improve(description, better.covariance(information)))
+        covariance = criterion.covariance(information)
+        mass_column = covariance[0]
+        mass_share = _WEIGHED_SHARE * np.outer(mass_column, mass_column)
+        weighed = improve(
+            "its mass known, by weighing the part",
+            covariance - mass_share / covariance[0, 0],
+        )
+        improvements.append(replace(weighed, mass_error=0.0))
+        payload = prior_knowledge(problem, options, "payload")
+        by_difference = design_criterion(problem, payload)
+        improvements.append(
+            improve(
+                "what is bolted to it as a payload by difference (plan --for payload)",
+                by_difference.covariance(information_of(payload)),
+                True,
+                ("--for", "payload"),
+            )
+        )
+    return tuple(sorted(improvements, key=lambda change: change.centre_error))
+
+
+def _improvement(
+    problem: ExcitationProblem,
+    theta: Array,
+    options: EstimationOptions,
+    description: str,
+    covariance: Array,
+    is_payload: bool = False,
+    plan_options: tuple[str, ...] = (),
+) -> Improvement:
+    """Return a change with the errors of a body theta (10,) with covariance (10, 10) after it.
+
+    A payload's mass has the error of torque scales besides; a link is made consistent.
+    """
+    scale_error = 0.0
+    if is_payload:
+        scale_error = _common_scale_error(problem, options) * theta[0]
+    else:
+        covariance = projected_covariance(theta, covariance)
+    mass_error, centre_error = mass_and_centre_errors(theta, covariance)
+    mass_error = float(np.hypot(mass_error, scale_error))
+    return Improvement(description, mass_error, centre_error, plan_options)
+
+
+def identifiability_note(
+    problem: ExcitationProblem, plan: MotionPlan, recording: RecordingPlan
+) -> str:
+    """Return, before a search, what no motion can identify of a link, and what would help; "" where
+    a motion can.
+
+    Without noise any motion leaves the errors that the priors leave. What would help is computed
+    along a motion that is not designed yet.
+    """
+    if recording.is_payload:
         return ""
-    remedies = _best_first(problem, plan, how, known, told)
-    listed = "; ".join(
-        f"{each.words}: {prediction.remedy_figures(each)}" for each in remedies
-    )
+    options = recording.options
+    knowledge = prior_knowledge(problem, options, recording.target)
+    prior = problem.robot.prior
+    criterion = design_criterion(problem, knowledge)
+    information = random_information(problem, knowledge, _NO_NOISE)
+    least = projected_covariance(prior.theta, criterion.covariance(information))
+    mass_error, centre_error = mass_and_centre_errors(prior.theta, least)
+    if not mass_error > LOOSE_SHARE * prior.mass:
+        return ""
+    improvements = _improvements(problem, plan, recording, knowledge, criterion)
+    suggestions = [f"{change.description}: {change.figures}" for change in improvements]
     return (
-        f"no motion of this arm tells the mass of {problem.robot.body_name}, {mass:.2g} kg, better "
-        f"than ± {floor:.2g} kg and its centre of mass than ± {1e3 * centre:.2g} mm: that much may "
-        f"be in the links before it, known to {options.link_uncertainty:g} %. What would help, "
-        f"along a random motion: {listed}"
+        f"no motion of this arm tells the mass of {problem.robot.body_name}, {prior.mass:.2g} kg, "
+        f"better than ± {mass_error:.2g} kg and its centre of mass than "
+        f"± {1e3 * centre_error:.2g} mm: that much may be in the links before it, known to "
+        f"{options.link_uncertainty:g} %. What would help, along a random motion: "
+        f"{'; '.join(suggestions)}"
     )

@@ -155,7 +155,7 @@ def check_limits(
     )
 
 
-def scaled_to_limits(
+def scale_to_limits(
     problem: ExcitationProblem, plan: SineTrajectory, sample_rate: float
 ) -> tuple[SineTrajectory, Array]:
     """Return a motion made small enough to keep all limits, and each joint's factor (n,).

@@ -1,4 +1,4 @@
-"""Which trajectory the arm moves along: random, designed, or one from a file; and its limits."""
+"""The motion of a run, random, designed or from a file, and the check of its limits."""
 
 from __future__ import annotations
 
@@ -28,10 +28,9 @@ from robot_sysid.records.option_fields import (
 )
 from robot_sysid.simulator import ArmTorque
 
-if (
-    TYPE_CHECKING
-):  # A random motion that nothing plays takes none of what checks and designs.
-    from robot_sysid.motion.information import Known
+# A random motion that nothing plays imports nothing that checks and designs.
+if TYPE_CHECKING:
+    from robot_sysid.motion.information import PriorKnowledge
     from robot_sysid.motion.limit_check import LimitCheck
     from robot_sysid.motion.problem import ExcitationProblem
 
@@ -41,15 +40,20 @@ LONGEST_CHECKED = 86400.0
 
 @dataclass(frozen=True)
 class MotionRequest:
-    """What motion is asked for, and what for.
+    """The motion of a run: its options and its purpose.
 
     Attributes:
-        torques: "chain" or "terminal": which torques will be used.
+        trajectory: duration, sample rate, speed and files.
+        excitation: how the trajectory is made.
+        limits: that it has to keep beside the model's own.
+        torques: "chain" or "terminal": which joint torques will be used.
         noise_torque: torque noise that is expected [N m]; zero for the usual.
         played: whether something will play the motion.
-        poses: whether it rests in poses, and in which.
-        known: what an estimate knows of an arm beforehand; None for all but the terminal link.
-        outlook: says before a search, from a motion, what no motion tells; "" for nothing.
+        poses: purpose of the motion, and its resting poses if it has some.
+        prior_knowledge: returns what an estimate knows about an arm beforehand; None where all but
+            the terminal link and friction is known.
+        identifiability_note: returns, before a search, from a random motion, what no motion
+            identifies; "" for nothing.
         link_uncertainty: how far the links may be off [%]; torque is reserved for that.
     """
 
@@ -60,17 +64,18 @@ class MotionRequest:
     noise_torque: PerJoint = 0.0
     played: bool = False
     poses: PoseOptions = PoseOptions()
-    known: Callable[[ExcitationProblem], Known] | None = None
-    outlook: Callable[[ExcitationProblem, MotionPlan], str] | None = None
+    prior_knowledge: Callable[[ExcitationProblem], PriorKnowledge] | None = None
+    identifiability_note: Callable[[ExcitationProblem, MotionPlan], str] | None = None
     link_uncertainty: float = 0.0
 
     @property
     def is_checked(self) -> bool:
         """Whether the motion has to keep all limits: it is played or kept, or limits were given."""
-        plan = self.trajectory
-        asked = {given.key for given in given_options(self.limits)}
-        kept = plan.plan_only or plan.save is not None or plan.file is not None
-        return self.played or kept or self.is_designed or bool(asked - {"max_velocity"})
+        options = self.trajectory
+        is_kept = options.plan_only or options.save is not None
+        if self.played or is_kept or options.file is not None or self.is_designed:
+            return True
+        return any(given.key != "max_velocity" for given in given_options(self.limits))
 
     @property
     def is_designed(self) -> bool:
@@ -80,9 +85,12 @@ class MotionRequest:
 
 @dataclass(frozen=True)
 class CheckedPlan:
-    """A trajectory, and what checking it found.
+    """A trajectory and the check of its limits.
 
-    The problem is the arm and the limits it has to keep; None where nothing plays it.
+    Attributes:
+        plan: the trajectory.
+        problem: the arm and the limits that it has to keep; None where nothing plays it.
+        check: of the limits; None where nothing plays it.
     """
 
     plan: MotionPlan
@@ -98,30 +106,36 @@ class CheckedPlan:
 def make_plan(
     request: MotionRequest, robot: RobotModel, seed: int, progress: Progress
 ) -> CheckedPlan:
-    """Return the trajectory of a run, checked where anything depends on its limits."""
+    """Return the trajectory of a run, checked where anything depends on its limits.
+
+    Raises:
+        InputError: no motion keeps the limits, or it is too long to be checked or sampled.
+    """
     options = request.trajectory
     if request.is_checked and options.file is None:
         _require_checkable(options.duration / options.speed)
-    made = _new_plan(request, robot, seed, progress)
+    checked = _new_plan(request, robot, seed, progress)
     if options.speed != 1.0:
         from robot_sysid.motion.trajectories import at_speed
 
-        made = CheckedPlan(at_speed(made.plan, options.speed), made.problem)
-    require_countable(made.plan.duration, options.sample_rate)
-    if made.problem is None:
-        for contact in find_new_contacts(robot, _counted(made.plan, progress)):
+        checked = CheckedPlan(at_speed(checked.plan, options.speed), checked.problem)
+    plan = checked.plan
+    require_countable(plan.duration, options.sample_rate)
+    if checked.problem is None:
+        for contact in find_new_contacts(robot, _motion_chunks(plan, progress)):
             progress.note(f"{contact} along this trajectory; do not play it on the arm")
-        return made
-    _require_checkable(made.plan.duration)
-    progress.note(*(() if request.is_designed else made.problem.notes))
+        return checked
+    _require_checkable(plan.duration)
+    if not request.is_designed:
+        progress.note(*checked.problem.notes)
     from robot_sysid.motion.limit_check import check_limits
 
-    check = made.check or check_limits(made.problem, made.plan, options.sample_rate)
-    return replace(made, check=check)
+    check = checked.check or check_limits(checked.problem, plan, options.sample_rate)
+    return replace(checked, check=check)
 
 
 def _require_checkable(duration: float) -> None:
-    """Raise InputError where going along the whole motion [s] would take hours."""
+    """Raise InputError where checking a motion of this duration [s] would take hours."""
     if not duration <= LONGEST_CHECKED:
         raise InputError(
             f"a motion of {duration:.3g} s takes too long to check against all limits; make it at "
@@ -132,7 +146,9 @@ def _require_checkable(duration: float) -> None:
 def _new_plan(
     request: MotionRequest, robot: RobotModel, seed: int, progress: Progress
 ) -> CheckedPlan:
-    """Return the trajectory with the limits it has to keep; checked where making it took that."""
+    """Return the trajectory at full speed with the limits it has to keep; with the check if the
+    design of the trajectory has made it.
+    """
     options = request.trajectory
     rng = np.random.default_rng(seed)
     if options.file is not None:
@@ -147,35 +163,41 @@ def _new_plan(
                 f"limits of {robot.path}"
             )
         return CheckedPlan(saved.plan, _problem(request, robot))
-    what = "Designing" if request.is_designed else "Generating"
-    stage = f"{what} excitation trajectory ({options.duration:.1f}s, {options.sample_rate:g} Hz)"
-    if request.poses.static:
-        stage = f"Choosing {request.poses.poses} poses to rest in"
-    elif request.poses.sets_its_time:
-        stage = "Looking for room to sweep each joint in"
-    progress.stage(f"{stage}...")
     if request.poses.sets_its_time:
-        from robot_sysid.motion.static import design_poses, design_sweeps
-
-        problem = _problem(request, robot)
-        static = request.poses.static
-        plan = (
-            design_poses(problem, request.poses, rng)
-            if static
-            else design_sweeps(problem)
-        )
-        return CheckedPlan(plan, problem)
-    return (_designed if request.is_designed else _random)(
-        request, robot, rng, progress
-    )
+        return _slow_plan(request, robot, rng, progress)
+    verb = "Designing" if request.is_designed else "Generating"
+    sampling = f"{options.duration:.1f}s, {options.sample_rate:g} Hz"
+    progress.stage(f"{verb} excitation trajectory ({sampling})...")
+    make = _designed_plan if request.is_designed else _random_plan
+    return make(request, robot, rng, progress)
 
 
-def _random(
+def _slow_plan(
     request: MotionRequest,
     robot: RobotModel,
     rng: np.random.Generator,
     progress: Progress,
 ) -> CheckedPlan:
+    """Return a motion through resting poses, or sweeps of one joint after the other."""
+    from robot_sysid.motion.static import design_poses, design_sweeps
+
+    poses = request.poses
+    if poses.static:
+        progress.stage(f"Choosing {poses.poses} poses to rest in...")
+        problem = _problem(request, robot)
+        return CheckedPlan(design_poses(problem, poses, rng), problem)
+    progress.stage("Looking for room to sweep each joint in...")
+    problem = _problem(request, robot)
+    return CheckedPlan(design_sweeps(problem), problem)
+
+
+def _random_plan(
+    request: MotionRequest,
+    robot: RobotModel,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> CheckedPlan:
+    """Return a random motion, scaled down until it keeps all limits where these are checked."""
     rate = request.trajectory.sample_rate
     # Ends on a sample, so that the last one is at rest.
     duration = (trajectory.sample_count(request.trajectory.duration, rate) - 1) / rate
@@ -185,80 +207,92 @@ def _random(
         torque = problem.limits.torque / trajectory.TORQUE_MARGIN
         qpos = robot.reference_qpos.copy()
         qpos[robot.qpos_index] = problem.rest
-        arm = replace(
-            robot, limits=replace(robot.limits, torque=torque), reference_qpos=qpos
-        )
+        limits = replace(robot.limits, torque=torque)
+        arm = replace(robot, limits=limits, reference_qpos=qpos)
     plan, notes = trajectory.generate_excitation_trajectory(
         arm, rng, duration, ArmTorque(robot)
     )
     progress.note(*notes)
     if problem is None:
         return CheckedPlan(plan)
-    from robot_sysid.motion.limit_check import scaled_to_limits
+    from robot_sysid.motion.limit_check import scale_to_limits
 
-    smaller, factors = scaled_to_limits(problem, plan, rate)
+    plan, factors = scale_to_limits(problem, plan, rate)
     if np.min(factors) < 1.0:
-        share = 100.0 * np.min(factors)
+        percentage = 100.0 * np.min(factors)
         joint = robot.joint_names[int(np.argmin(factors))]
         progress.note(
-            f"motion scaled down to keep all limits and clearances, most at {joint}: {share:.3g} %"
+            f"motion scaled down to keep all limits and clearances, most at {joint}: "
+            f"{percentage:.3g} %"
         )
-    return CheckedPlan(smaller, problem)
+    return CheckedPlan(plan, problem)
 
 
-def _designed(
+def _designed_plan(
     request: MotionRequest,
     robot: RobotModel,
     rng: np.random.Generator,
     progress: Progress,
 ) -> CheckedPlan:
+    """Return the motion that a search finds to identify the arm best, and its check."""
     from robot_sysid.motion.design import Design
     from robot_sysid.motion.design_search import design_excitation
 
     problem = _problem(request, robot)
-    known = None if request.known is None else request.known(problem)
-    design = Design(problem, request.excitation, request.trajectory, known)
+    knowledge = None
+    if request.prior_knowledge is not None:
+        knowledge = request.prior_knowledge(problem)
+    design = Design(problem, request.excitation, request.trajectory, knowledge)
 
-    def before(plan: MotionPlan) -> None:
-        told = "" if request.outlook is None else request.outlook(problem, plan)
-        if told:
-            progress.note(told)
+    def report_start(plan: MotionPlan) -> None:
+        if request.identifiability_note is not None:
+            note = request.identifiability_note(problem, plan)
+            if note:
+                progress.note(note)
 
-    result = design_excitation(design, rng, progress, before)
+    result = design_excitation(design, rng, progress, report_start)
     progress.note(*result.notes)
     gain = result.start_objective / result.objective
-    better = f"{gain:.2f} times better than the best of {result.n_feasible} feasible random ones"
-    progress.stage(Detail(f"Mean standard deviation: {result.objective:.4g}, {better}"))
+    progress.stage(
+        Detail(
+            f"Mean standard deviation: {result.objective:.4g}, {gain:.2f} times better than "
+            f"the best of {result.n_feasible} feasible random ones"
+        )
+    )
     return CheckedPlan(result.trajectory, problem, result.limit_check)
 
 
 def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
-    """Return the arm with all limits; of a new motion, its band limits the accelerations too."""
+    """Return the arm with all limits; of a new motion, its band limits the accelerations too, and
+    its start is a pose that the motors can hold.
+    """
     from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
     from robot_sysid.motion.static import gentle_problem, startable
 
     is_new = request.trajectory.file is None
-    basis = request.excitation.basis
-    band = basis(request.trajectory.duration).top_frequency_hz if is_new else None
-    noise = (
-        request.noise_torque if np.all(request.noise_torque) else DEFAULT_NOISE_TORQUE
-    )
-    uncertainty = request.link_uncertainty
+    top_frequency_hz = None
+    if is_new:
+        basis = request.excitation.basis(request.trajectory.duration)
+        top_frequency_hz = basis.top_frequency_hz
+    noise = request.noise_torque
     problem = build_problem(
-        robot, request.limits, request.torques, noise, band, uncertainty
+        robot,
+        request.limits,
+        request.torques,
+        noise if np.all(noise) else DEFAULT_NOISE_TORQUE,
+        top_frequency_hz,
+        request.link_uncertainty,
     )
     if request.poses.purpose == WEIGHT:
         problem = gentle_problem(problem)
     return startable(problem) if is_new else problem
 
 
-def _counted(plan: MotionPlan, progress: Progress) -> Iterator[Motion]:
-    """Yield the motion that is checked for contacts, and tell how far it is."""
-    total = math.ceil(
-        trajectory.sample_count(plan.duration, CHECK_RATE_HZ) / trajectory.CHUNK
-    )
-    for done, motion in enumerate(
-        trajectory.motion_chunks(plan, CHECK_RATE_HZ), start=1
-    ):
+def _motion_chunks(plan: MotionPlan, progress: Progress) -> Iterator[Motion]:
+    """Yield the motion that is searched for contacts, and advance the progress after each chunk."""
+    count = trajectory.sample_count(plan.duration, CHECK_RATE_HZ)
+    n_chunks = math.ceil(count / trajectory.CHUNK)
+    chunks = trajectory.motion_chunks(plan, CHECK_RATE_HZ)
+    for n_done, motion in enumerate(chunks, start=1):
         yield motion
-        progress.advance("Looking for contacts", done, total, "")
+        progress.advance("Looking for contacts", n_done, n_chunks, "")

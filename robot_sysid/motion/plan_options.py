@@ -258,8 +258,8 @@ class PoseOptions(OptionRecord):
     dwell: float = 1.5
 
     @property
-    def asked(self) -> str:
-        """What an estimate from the motion is asked for, see ``motion.information.Known``."""
+    def target(self) -> str:
+        """What an estimate is to identify: "link", "arm" or "payload" (``PriorKnowledge``)."""
         return self.purpose if self.purpose in ("arm", "payload") else "link"
 
     @property

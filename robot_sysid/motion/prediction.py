@@ -1,4 +1,8 @@
-"""What a trajectory promises before it is run, and what it does, as numbers and as lines."""
+"""What an identification of a planned motion's recording will state, and what the motion does.
+
+The standard errors that are expected of the estimate are numbers (``Prediction``); all lines that
+``robot-sysid plan`` prints about a motion and its limits are written here.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.motion.information import spread_of
+from robot_sysid.motion.information import mass_and_centre_errors
 from robot_sysid.motion.limit_check import DISTANCE_RESOLUTION, LimitCheck
 from robot_sysid.motion.problem import (
     ASKED,
@@ -25,101 +29,119 @@ from robot_sysid.records.messages import PARAMETER_UNITS, Detail, percent
 from robot_sysid.trajectory import TORQUE_MARGIN, spread_motion
 
 LOOSE_SHARE = 0.2
-"""A predicted standard deviation above this share of the parameter's size is called loose."""
-_TOLD_PART = 0.2
-"""Part of the whole error from which a cause is told: 4 % of its square."""
+"""Predicted standard error over the parameter's size above which the parameter is called loose."""
+_CAUSE_SHARE = 0.2
+"""Share of the total error from which a cause is listed: 4 % of its square."""
 _DIAGONAL = (0, 4, 7, 9)
+"""Parameters that are compared with their own value: mass and moments of inertia."""
 _OFF_DIAGONAL = {5: (4, 7), 6: (4, 9), 8: (7, 9)}
-"""Which parameters are compared with themselves: mass and moments; which with two others."""
+"""Product of inertia to the two moments whose geometric mean it is compared with."""
 _SAME_POSE = 1e-6
-"""How near to the model's pose a start counts as it [rad or m]."""
+"""How near to the model's pose a start counts as that pose [rad or m]."""
 _MOST_POSTURES = 3000
-"""Postures from which the swept box is found."""
-WEIGHED = 1.0
-"""Mass of the payload whose centre of mass is promised [kg]."""
+"""Postures from which the swept box is computed."""
+PAYLOAD_MASS = 1.0
+"""Mass of the payload whose errors are predicted [kg]."""
 
 
 @dataclass(frozen=True)
-class Remedy:
-    """What would change the errors: in words, with those of mass [kg] and centre of mass [m].
+class Improvement:
+    """A change that would make the predicted errors smaller.
 
-    The options, if any, plan a motion that does.
+    Attributes:
+        description: of the change, in words.
+        mass_error: standard error of the mass after it [kg]; 0 where the mass is then known.
+        centre_error: standard error of the centre of mass after it [m].
+        options: command-line options that plan such a motion, if any.
     """
 
-    words: str
-    mass: float
-    centre: float
+    description: str
+    mass_error: float
+    centre_error: float
     options: tuple[str, ...] = ()
+
+    @property
+    def figures(self) -> str:
+        """The errors after the change, in words."""
+        mass = f"mass ± {self.mass_error:.2g} kg, " if self.mass_error else ""
+        return f"{mass}centre of mass ± {1e3 * self.centre_error:.2g} mm"
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What an identification of one recording of a trajectory will state.
+    """Standard errors that are expected of an identification of one recording of a motion.
 
     Attributes:
-        of: what it is about, in words.
+        subject: which body is identified, in words.
         theta: (10,) of that body.
         size: (10,) magnitude each parameter is compared with: its own value in the model, for a
             first moment m L, for a product of inertia sqrt(Iii Ijj).
         covariance: (10, 10) of theta; infinite on the diagonal where the model's value stays.
-        causes: cause to its part (10, 10).
-        others: every other link's name to the share that its mass will be known to.
-        never: what no motion of these joints can show, in words.
-        remedies: what would tell more, what helps most first.
-        missing: why it is only a bound, from all samples; "" where it is none.
-        scaled: share of a payload's own mass that torque scales leave open beside.
-        doubt: how often all torque scales are doubted, with the errors that are stated then.
+        covariance_by_cause: cause of errors to its part (10, 10) of the covariance.
+        link_mass_errors: name of every other link to the standard error of its mass relative to it.
+        invisible: combinations of parameters that no motion of these joints shows, in words.
+        improvements: changes that would make the errors smaller, the best first.
+        caveat: why the errors are only a lower bound, computed from all samples; "" where not.
+        scale_error: error of a payload's mass by torque scales, relative to the mass.
+        common_scale: with how often a scale of all torques is suspected, and the errors that are
+            then stated; None where hardly ever.
     """
 
-    of: str
+    subject: str
     theta: Array
     size: Array
     covariance: Array
-    causes: Mapping[str, Array]
-    others: Mapping[str, float]
-    never: tuple[str, ...]
-    remedies: tuple[Remedy, ...] = ()
-    missing: str = ""
-    scaled: float = 0.0
-    doubt: Remedy | None = None
+    covariance_by_cause: Mapping[str, Array]
+    link_mass_errors: Mapping[str, float]
+    invisible: tuple[str, ...]
+    improvements: tuple[Improvement, ...] = ()
+    caveat: str = ""
+    scale_error: float = 0.0
+    common_scale: Improvement | None = None
 
     @property
-    def deviation(self) -> Array:
-        """Predicted standard deviation of each parameter (10,)."""
+    def standard_errors(self) -> Array:
+        """Predicted standard error of each parameter (10,)."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def share(self) -> Array:
-        """Predicted standard deviation as share of each parameter's size (10,)."""
-        return self.deviation / self.size
+    def relative_errors(self) -> Array:
+        """Predicted standard error of each parameter over its size (10,)."""
+        return self.standard_errors / self.size
 
     @property
-    def mass_share(self) -> float:
-        """Predicted standard deviation of the mass as share of the mass; infinite if not seen."""
-        return self.spread(self.covariance)[0] / float(self.size[0])
+    def relative_mass_error(self) -> float:
+        """Predicted standard error of the mass over the mass; infinite if not identified."""
+        return self.errors_of(self.covariance)[0] / float(self.size[0])
 
-    def remedy_options(self) -> tuple[str, ...]:
-        """Return the options of the motion that would know the mass best; none without one."""
-        planned = [remedy for remedy in self.remedies if remedy.options]
-        return min(planned, key=lambda remedy: remedy.mass).options if planned else ()
+    def improvement_options(self) -> tuple[str, ...]:
+        """Return the options of the motion that identifies the mass best; () where none does."""
+        planned = [change for change in self.improvements if change.options]
+        if not planned:
+            return ()
+        return min(planned, key=lambda change: change.mass_error).options
 
-    def budget(self) -> Iterator[tuple[str, float, float]]:
-        """Yield (cause, its part of the error of the mass [kg], of the centre of mass [m])."""
-        found = [(cause, *self.spread(part)) for cause, part in self.causes.items()]
-        yield from sorted(found, key=lambda each: -each[1])
+    def errors_by_cause(self) -> list[tuple[str, float, float]]:
+        """Return (cause, its error of the mass [kg], of the centre of mass [m]), largest first."""
+        errors = []
+        for cause, covariance in self.covariance_by_cause.items():
+            errors.append((cause, *self.errors_of(covariance)))
+        return sorted(errors, key=lambda error: -error[1])
 
-    def spread(self, covariance: Array) -> tuple[float, float]:
-        """Return the deviations of mass [kg] and centre of mass [m] that a covariance makes."""
+    def errors_of(self, covariance: Array) -> tuple[float, float]:
+        """Return the standard errors of mass [kg] and centre of mass [m] for a covariance (10, 10)
+        of theta; that of the centre is infinite where an entry is.
+        """
         if not np.all(np.isfinite(covariance[:4, :4])):
             return float(np.sqrt(covariance[0, 0])), np.inf
-        return spread_of(self.theta, covariance)
+        return mass_and_centre_errors(self.theta, covariance)
 
 
-def sizes(problem: ExcitationProblem) -> Array:
-    """Return (10,) the magnitudes that errors of the terminal link are compared with."""
+def parameter_sizes(problem: ExcitationProblem) -> Array:
+    """Return the magnitudes (10,) that errors of the terminal link are compared with."""
     theta = problem.robot.prior.theta
-    scale = problem.scale
-    size = np.where((theta > 0.0) & np.isin(np.arange(10), _DIAGONAL), theta, scale)
+    is_own = (theta > 0.0) & np.isin(np.arange(10), _DIAGONAL)
+    size = np.where(is_own, theta, problem.scale)
     for k, (i, j) in _OFF_DIAGONAL.items():
         size[k] = np.sqrt(size[i] * size[j])
     return size
@@ -131,125 +153,118 @@ def plan_lines(
     check: LimitCheck,
     prediction: Prediction,
 ) -> Iterator[str]:
-    """Yield the lines ``robot-sysid plan`` prints; those that are a ``Detail`` on demand."""
-    yield from kept_lines(problem, plan, check)
-    yield from _promise_lines(prediction)
-    yield from _advice_lines(prediction)
+    """Yield the lines ``robot-sysid plan`` prints; a ``Detail`` is printed on demand only."""
+    yield from limit_lines(problem, plan, check)
+    yield from _error_lines(prediction)
+    yield from _improvement_lines(prediction)
     yield from motion_lines(problem, plan, check)
 
 
-def kept_lines(
+def limit_lines(
     problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
 ) -> Iterator[str]:
-    """Say whether the motion may be played, and how near it comes to the arm and what is around."""
+    """Yield whether the motion may be played, and how near it comes to the arm and its scene."""
     if check.holds:
         nearest = check.nearest
-        near = "nothing comes near"
+        nearness = "nothing comes near"
         if np.isfinite(nearest.distance):
-            near = f"least distance {_at_least(nearest.distance, check.resolution)} mm"
-            near = f"{near}, between {nearest.label}"
-        yield f"Keeps all limits for {plan.duration:.1f} s; {near}"
-    yield from (f"NOT KEPT: {excess}" for excess in check.excesses)
+            distance = _at_least(nearest.distance, check.resolution)
+            nearness = f"least distance {distance} mm, between {nearest.label}"
+        yield f"Keeps all limits for {plan.duration:.1f} s; {nearness}"
+    for excess in check.excesses:
+        yield f"NOT KEPT: {excess}"
     if any(excess.limit.endswith(RESERVE_WORDS) for excess in check.excesses):
         yield "The reserve is for links known to --link-uncertainty; better known ones need less"
 
 
-def _promise_lines(prediction: Prediction) -> Iterator[str]:
-    """Say what an identification will state, and what of it comes from what."""
-    yield f"An identification of one recording will state, of {prediction.of}:"
-    if prediction.missing:
-        yield f"  {prediction.missing}"
-    mass, centre = prediction.spread(prediction.covariance)
-    parts = [
-        p for p in prediction.budget() if max(p[1] / mass, p[2] / centre) > _TOLD_PART
-    ]
+def _error_lines(prediction: Prediction) -> Iterator[str]:
+    """Yield the errors that an identification will state, and by which causes."""
+    yield f"An identification of one recording will state, of {prediction.subject}:"
+    if prediction.caveat:
+        yield f"  {prediction.caveat}"
+    mass, centre = prediction.errors_of(prediction.covariance)
+    causes = []
+    for cause, mass_error, centre_error in prediction.errors_by_cause():
+        if max(mass_error / mass, centre_error / centre) > _CAUSE_SHARE:
+            causes.append((cause, mass_error, 1e3 * centre_error))
     if np.isfinite(mass):
-        of_mass = ", ".join(f"{cause} {part:.2g}" for cause, part, _ in parts)
-        part = percent(mass / prediction.size[0])
-        if prediction.scaled:
-            part = f"{part}, and {percent(prediction.scaled)} for torque scales"
-        yield f"  mass ± {mass:.2g} kg ({part}): {of_mass}"
+        share = percent(mass / prediction.size[0])
+        if prediction.scale_error:
+            share = f"{share}, and {percent(prediction.scale_error)} for torque scales"
+        listed = ", ".join(f"{cause} {error:.2g}" for cause, error, _ in causes)
+        yield f"  mass ± {mass:.2g} kg ({share}): {listed}"
     if np.isfinite(centre):
-        of_centre = ", ".join(f"{cause} {1e3 * part:.2g}" for cause, _, part in parts)
-        yield f"  centre of mass ± {1e3 * centre:.2g} mm: {of_centre}"
-    if prediction.doubt:
-        yield f"  {prediction.doubt.words}: {remedy_figures(prediction.doubt)}"
-    pairs = list(zip(spatial.PARAMETER_NAMES, prediction.share))
-    shown = ", ".join(
-        f"{name} {percent(share)}" for name, share in pairs if np.isfinite(share)
-    )
-    if shown:
-        yield f"  {shown}"
-    hidden = [name for name, share in pairs if not np.isfinite(share)]
-    if hidden:
-        yield f"  not identified: {', '.join(hidden)}"
-    if prediction.others:
-        listed = ", ".join(
-            f"{name} {percent(s)}" for name, s in prediction.others.items()
-        )
+        listed = ", ".join(f"{cause} {error:.2g}" for cause, _, error in causes)
+        yield f"  centre of mass ± {1e3 * centre:.2g} mm: {listed}"
+    if prediction.common_scale:
+        doubt = prediction.common_scale
+        yield f"  {doubt.description}: {doubt.figures}"
+    identified = []
+    unidentified = []
+    for name, error in zip(spatial.PARAMETER_NAMES, prediction.relative_errors):
+        if np.isfinite(error):
+            identified.append(f"{name} {percent(error)}")
+        else:
+            unidentified.append(name)
+    if identified:
+        yield f"  {', '.join(identified)}"
+    if unidentified:
+        yield f"  not identified: {', '.join(unidentified)}"
+    if prediction.link_mass_errors:
+        masses = prediction.link_mass_errors.items()
+        listed = ", ".join(f"{name} {percent(error)}" for name, error in masses)
         yield f"  mass of the other links: {listed}"
-    for name, deviation, unit in zip(
-        spatial.PARAMETER_NAMES, prediction.deviation, PARAMETER_UNITS
-    ):
-        if np.isfinite(deviation):
-            yield Detail(f"  {name:3s} ± {deviation:9.2e} {unit}")
+    errors = zip(spatial.PARAMETER_NAMES, prediction.standard_errors, PARAMETER_UNITS)
+    for name, error, unit in errors:
+        if np.isfinite(error):
+            yield Detail(f"  {name:3s} ± {error:9.2e} {unit}")
 
 
-def _advice_lines(prediction: Prediction) -> Iterator[str]:
-    """Say what stays unknown, and what would show it."""
-    for what in prediction.never:
+def _improvement_lines(prediction: Prediction) -> Iterator[str]:
+    """Yield what stays unknown, and what would make the errors smaller."""
+    for combination in prediction.invisible:
         yield (
-            f"No motion of these joints shows {what}: use --torques chain if only the last joint "
-            "is used now, or mount the base at another angle"
+            f"No motion of these joints shows {combination}: use --torques chain if only the last "
+            "joint is used now, or mount the base at another angle"
         )
-    loose = [
-        f"{name} {percent(share)}"
-        for name, share in zip(spatial.PARAMETER_NAMES, prediction.share)
-        if LOOSE_SHARE < share < np.inf
-    ]
+    loose = []
+    for name, error in zip(spatial.PARAMETER_NAMES, prediction.relative_errors):
+        if LOOSE_SHARE < error < np.inf:
+            loose.append(f"{name} {percent(error)}")
     if loose:
         yield f"Stays loose: {', '.join(loose)}"
-    for number, remedy in enumerate(prediction.remedies):
-        line = f"{remedy.words}: {remedy_figures(remedy)}"
+    for number, change in enumerate(prediction.improvements):
+        line = f"{change.description}: {change.figures}"
         yield (
             f"What would help first: {line}" if number == 0 else Detail(f"  or {line}")
         )
 
 
-def remedy_figures(remedy: Remedy) -> str:
-    """Return the errors that something leads to, in words."""
-    mass = (
-        f"mass ± {remedy.mass:.2g} kg, " if remedy.mass else ""
-    )  # none where it is known
-    return f"{mass}centre of mass ± {1e3 * remedy.centre:.2g} mm"
-
-
 def motion_lines(
     problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
 ) -> Iterator[str]:
-    """Yield what a motion does beside its limits."""
-    lines = (
-        ["Peaks (share of limit):"],
-        _joint_lines(problem, check),
-        _origin_lines(problem),
-        _space_lines(problem, plan, check),
-        _load_lines(problem, plan),
-    )
-    yield from (Detail(line) for some in lines for line in some)
+    """Yield, mostly as details, how a motion uses its limits, its space and the torque, and where
+    it starts.
+    """
+    yield Detail("Peaks (share of limit):")
+    yield from map(Detail, _joint_lines(problem, check))
+    yield from map(Detail, _origin_lines(problem))
+    yield from map(Detail, _space_lines(problem, plan, check))
+    yield from map(Detail, _load_lines(problem, plan))
     yield from _start_lines(problem, plan)
 
 
 def _joint_lines(problem: ExcitationProblem, check: LimitCheck) -> Iterator[str]:
+    """Yield a line per joint with its range and its peaks, and one for the tool's speed."""
     peaks = check.joints[1:]
     width = max(len(name) for name in problem.joint_names)
     limits = problem.limits.largest[1:]
     for j, name in enumerate(problem.joint_names):
-        parts = [
-            f"{label} {peak:6.2f}{_share_text(peak, limit)}"
-            for label, peak, limit in zip(LIMIT_NAMES[1:], peaks[:, j], limits[:, j])
-        ]
         reach = f"{check.lowest[j]:+.2f} to {check.highest[j]:+.2f}"
-        yield f"  {name:{width}s}  position {reach}  {'  '.join(parts)}"
+        line = f"  {name:{width}s}  position {reach}"
+        for label, peak, limit in zip(LIMIT_NAMES[1:], peaks[:, j], limits[:, j]):
+            line += f"  {label} {peak:6.2f}{_share_text(peak, limit)}"
+        yield line
     fastest = check.largest[-1]
     limit = problem.limits.tool_speed
     share = _share_text(fastest, limit)
@@ -258,57 +273,53 @@ def _joint_lines(problem: ExcitationProblem, check: LimitCheck) -> Iterator[str]
 
 
 def _share_text(peak: float, limit: float) -> str:
+    """Return a peak as share of its limit, in brackets."""
     return f" ({100.0 * peak / limit:3.0f} %)" if np.isfinite(limit) else " (no limit)"
 
 
 def _origin_lines(problem: ExcitationProblem) -> Iterator[str]:
-    """Say which limits are the model's, which were asked for, and which are assumed."""
-    for origin, words in (
+    """Yield which limits are the model's, which were asked for, and which are assumed."""
+    for origin, title in (
         (MODEL, "Limits of the model"),
         (ASKED, "Limits that were asked for"),
         (ASSUMED, "Limits assumed, not the model's"),
     ):
-        parts = [_of_joints(problem, name, origin) for name in LIMIT_NAMES]
-        listed = "; ".join(part for part in parts if part)
+        families = [_limits_with_origin(problem, name, origin) for name in LIMIT_NAMES]
+        listed = "; ".join(filter(None, families))
         if listed:
-            yield f"{words}: {listed}"
+            yield f"{title}: {listed}"
 
 
-def _of_joints(problem: ExcitationProblem, family: str, origin: str) -> str:
+def _limits_with_origin(problem: ExcitationProblem, family: str, origin: str) -> str:
     """Return "velocity 2 of joint0, joint1" for the limits of a family with one origin, or ""."""
-    chosen = [j for j, each in enumerate(problem.origins[family]) if each == origin]
-    if not chosen:
+    joints = np.flatnonzero(problem.origins[family] == origin).tolist()
+    if not joints:
         return ""
-    everywhere = len(chosen) == problem.n_joints
-    names = (
-        "all joints"
-        if everywhere
-        else ", ".join(problem.joint_names[j] for j in chosen)
-    )
+    names = ", ".join(problem.joint_names[j] for j in joints)
+    if len(joints) == problem.n_joints:
+        names = "all joints"
     if family == "position":
         return f"position of {names}"
-    limit = problem.limits.largest[LIMIT_NAMES.index(family), chosen]
-    limit = limit / TORQUE_MARGIN if family == "torque" else limit
-    return (
-        f"{family} {', '.join(f'{value:.4g}' for value in np.unique(limit))} of {names}"
-    )
+    limit = problem.limits.largest[LIMIT_NAMES.index(family), joints]
+    if family == "torque":
+        limit = limit / TORQUE_MARGIN
+    values = ", ".join(f"{value:.4g}" for value in np.unique(limit))
+    return f"{family} {values} of {names}"
 
 
 def _space_lines(
     problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
 ) -> Iterator[str]:
-    """Say where the moving parts get to, and what comes near what."""
+    """Yield the box that the moving bodies stay in, and the distances between bodies."""
     lower, upper, lowest = swept_space(
         problem.robot, spread_motion(plan, _MOST_POSTURES).q
     )
     # Rounded outwards, to a centimetre.
     lower = np.floor(100.0 * lower) / 100.0
     upper = np.ceil(100.0 * upper) / 100.0
-    sides = [
-        f"{axis} {low:+.2f} to {high:+.2f}"
-        for axis, low, high in zip("xyz", lower, upper)
-    ]
-    yield f"Swept box: {', '.join(sides)} m; the lowest point is one of {lowest}"
+    ranges = zip("xyz", lower, upper)
+    box = ", ".join(f"{axis} {low:+.2f} to {high:+.2f}" for axis, low, high in ranges)
+    yield f"Swept box: {box} m; the lowest point is one of {lowest}"
     if not problem.has_floor:
         below = max(0.0, -float(lower[2]))
         reach = f"gets {below:.2f} m below z = 0" if below else "stays above z = 0"
@@ -317,26 +328,27 @@ def _space_lines(
     nearest = check.nearest
     tightest = check.closest
     if np.isfinite(nearest.distance):
-        place = f"between {nearest.label} at {nearest.time:.2f} s"
-        yield f"Clearance: {_at_least(nearest.distance, check.resolution)} mm {place}"
+        distance = _at_least(nearest.distance, check.resolution)
+        bodies = f"between {nearest.label} at {nearest.time:.2f} s"
+        yield f"Clearance: {distance} mm {bodies}"
     else:
         yield "Clearance: nothing comes near"
     if np.isfinite(tightest.distance) and tightest.label != nearest.label:
-        room = f"{1000.0 * tightest.slack:.1f} mm more than required"
-        yield f"Least room: {room}, between {tightest.label} at {tightest.time:.2f} s"
+        slack = f"{1000.0 * tightest.slack:.1f} mm more than required"
+        yield f"Least room: {slack}, between {tightest.label} at {tightest.time:.2f} s"
     neighbours = problem.obstacles.neighbours
     if np.isfinite(neighbours.distance):
-        apart = _at_least(neighbours.distance)
-        yield f"No motion brings these nearer than {apart} mm: {neighbours.label}"
+        distance = _at_least(neighbours.distance)
+        yield f"No motion brings these nearer than {distance} mm: {neighbours.label}"
 
 
 def _at_least(distance: float, resolution: float = DISTANCE_RESOLUTION) -> str:
-    """Return a distance in mm, rounded so that nothing comes nearer."""
+    """Return a distance [m] in mm, rounded down so far that nothing comes nearer."""
     return f"{np.floor(1e4 * (distance - resolution) + 1e-6) / 10.0:.1f}"
 
 
 def _load_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
-    """Say what load the torque limits leave room for, and what errors of the links."""
+    """Yield which load the torque limits leave room for, and which errors of the links."""
     if not np.any(np.isfinite(problem.limits.torque)):
         return
     motion = spread_motion(plan, _MOST_POSTURES)
@@ -347,17 +359,18 @@ def _load_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
             f"{name} {reserve:.2g}" for name, reserve in pairs if reserve > 0.0
         )
         yield f"Torque reserve for errors of the links (--link-uncertainty), up to: {listed}"
-    left, joint = problem.load_left(motion)
+    load, joint = problem.load_left(motion)
     name = problem.joint_names[joint]
-    kept = problem.reserve
-    reserved = f" (--payload-reserve {kept:g} kept)" if kept > 0.0 else ""
-    room = np.floor(100.0 * left) / 100.0
-    yield f"Torque left: a load of {room:.2f} kg at the tool's tip, then {name} is full{reserved}"
+    note = ""
+    if problem.reserve > 0.0:
+        note = f" (--payload-reserve {problem.reserve:g} kept)"
+    load = np.floor(100.0 * load) / 100.0
+    yield f"Torque left: a load of {load:.2f} kg at the tool's tip, then {name} is full{note}"
 
 
 def contact_before(problem: ExcitationProblem, plan: MotionPlan) -> str | None:
-    """Say between what a clearance is not kept on the straight way from the model's pose at rest to
-    the start of a motion; None where it is free, or the motion starts there.
+    """Return the names of two bodies that come too near each other on the straight line in joint
+    space from the model's pose at rest to the start of a motion; None where none do.
     """
     start = plan.evaluate(np.zeros(1)).q[0]
     if np.allclose(start, problem.robot.reference, atol=_SAME_POSE):
@@ -366,14 +379,16 @@ def contact_before(problem: ExcitationProblem, plan: MotionPlan) -> str | None:
 
 
 def _start_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
-    """Say where the motion starts, and what is known of the way there."""
+    """Yield where the motion starts, and whether the straight line there is free."""
     start = plan.evaluate(np.zeros(1)).q[0]
     pose = ", ".join(f"{name} {q:.3f}" for name, q in zip(problem.joint_names, start))
     if np.allclose(start, problem.robot.reference, atol=_SAME_POSE):
         yield Detail(f"Start: the model's pose at rest, {pose}")
     else:
-        touched = contact_before(problem, plan)
-        way = "free" if touched is None else f"NOT free, by the clearance of {touched}"
+        contact = contact_before(problem, plan)
+        state = (
+            "free" if contact is None else f"NOT free, by the clearance of {contact}"
+        )
         yield f"Start: {pose}"
-        yield f"  the straight way in joint space there from the model's pose at rest is {way}"
+        yield f"  the straight way in joint space there from the model's pose at rest is {state}"
     yield "The way there from where the arm stands now is no part of this motion, and not checked"

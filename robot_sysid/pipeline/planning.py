@@ -54,14 +54,18 @@ def design_motion(
         link_uncertainty=estimation.link_uncertainty,
     )
     if config.excitation.kind == "optimal":
-        from robot_sysid.motion.expected_errors import known_of, outlook
+        from robot_sysid.motion.expected_errors import (
+            RecordingPlan,
+            identifiability_note,
+            prior_knowledge,
+        )
 
-        asked = config.poses.asked
-        settings = config.trajectory.sample_rate, estimation, asked
+        target = config.poses.target
+        recording = RecordingPlan(config.trajectory.sample_rate, estimation, target)
         request = replace(
             request,
-            known=partial(known_of, options=estimation, asked=asked),
-            outlook=partial(outlook, how=settings),
+            prior_knowledge=partial(prior_knowledge, options=estimation, target=target),
+            identifiability_note=partial(identifiability_note, recording=recording),
         )
     return make_plan(request, robot, seed, progress), seed
 
@@ -89,12 +93,13 @@ def predict_identification(
 
     None of friction sweeps and resting poses.
     """
-    from robot_sysid.motion.expected_errors import expect
+    from robot_sysid.motion.expected_errors import RecordingPlan, predict
 
     if poses.sets_its_time:
         return None
     assert checked.problem is not None
-    return expect(checked.problem, checked.plan, rate, options, poses.asked)
+    recording = RecordingPlan(rate, options, poses.target)
+    return predict(checked.problem, checked.plan, recording)
 
 
 def plan_lines(
@@ -115,7 +120,7 @@ def plan_lines(
     if prediction is not None:
         yield from predictions.plan_lines(problem, plan, checked.check, prediction)
         return
-    yield from predictions.kept_lines(problem, plan, checked.check)
+    yield from predictions.limit_lines(problem, plan, checked.check)
     if poses.static:
         yield from pose_lines(problem, plan)
     else:
@@ -167,15 +172,15 @@ def _shortfalls(
         return [], ""
     mass_share = None
     if prediction is not None and config.poses.purpose != WEIGHT:
-        mass_share = prediction.mass_share
-    body_name = "" if prediction is None else prediction.of
+        mass_share = prediction.relative_mass_error
+    body_name = "" if prediction is None else prediction.subject
     contact = contact_before(checked.problem, checked.plan)
     shortfalls = shortfalls_of_plan(body_name, mass_share, contact)
     # Another motion shows more of a mass; it does not clear the way.
     is_mass_unknown = bool(shortfalls_of_plan(body_name, mass_share, None))
     if prediction is None or not is_mass_unknown or config.plan_file is None:
         return shortfalls, ""
-    options = prediction.remedy_options()
+    options = prediction.improvement_options()
     if not options:
         return shortfalls, ""
     arm_words, limit_words = config.words

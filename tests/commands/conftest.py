@@ -7,7 +7,7 @@ import pytest
 from robot_sysid.damiao import execution
 from robot_sysid.damiao.simulated import SimulatedLink
 from robot_sysid.errors import InputError
-from robot_sysid.motion.prediction import kept_lines, motion_lines
+from robot_sysid.motion.prediction import limit_lines, motion_lines
 from robot_sysid.pipeline import planning
 from tests.support.clocks import ScriptedClock, heard_signals
 from tests.support.damiao_rig import two_motor_arm
@@ -20,7 +20,7 @@ def unpredicted(monkeypatch):
 
     def plan_lines(checked, *settings):
         motion = checked.problem, checked.plan, checked.check
-        return (*kept_lines(*motion), *motion_lines(*motion))
+        return (*limit_lines(*motion), *motion_lines(*motion))
 
     monkeypatch.setattr(planning, "plan_lines", plan_lines)
     monkeypatch.setattr(planning, "predict_identification", lambda *_: None)

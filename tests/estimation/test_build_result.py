@@ -155,7 +155,7 @@ def test_a_common_torque_scale_is_noted_where_it_is_large(
 def test_a_resting_joint_keeps_the_models_numbers_and_an_offset_is_noted(
     plant, robot, result
 ):
-    plan = plan_of(plant).scaled(np.array([1.0, 1.0, 0.0]))
+    plan = plan_of(plant).scale_amplitudes(np.array([1.0, 1.0, 0.0]))
     log = log_of(plant, plan, noise_torque=0.05)
     resting = link_result(robot, replace(log, tau=log.tau + [0.0, 1.0, 0.0]))
     joint = resting.joints["joint2"]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from robot_sysid.errors import InputError
 from robot_sysid.motion import design as design_module
 from robot_sysid.motion.design_search import draw_trajectories
-from robot_sysid.motion.information import known_arm, predicted_information
+from robot_sysid.motion.information import information_model, known_arm
 from robot_sysid.motion.limit_check import check_limits, keeps_limits
 from robot_sysid.motion.plan_options import ExcitationOptions
 from robot_sysid.trajectory import TrajectoryOptions
@@ -51,7 +51,9 @@ def test_rounds_keep_the_best_that_keeps_all_limits():
 
 def objective_of(some, multipliers):
     return partial(
-        design_module.penalised, some, design_module.Candidate(None, multipliers, 10.0)
+        design_module.penalised_objective,
+        some,
+        design_module.Candidate(None, multipliers, 10.0),
     )
 
 
@@ -74,7 +76,7 @@ def deviations(some, plan, rate, smooth):
     motion = plan.evaluate(time)
     known = known_arm(some.problem)
     sigma = some.problem.sigma * np.sqrt(len(time))
-    told = predicted_information(some.problem, sigma, known, 0.03 if smooth else 0.0)
+    told = information_model(some.problem, sigma, known, 0.03 if smooth else 0.0)
     found = told.evaluate(motion.q, motion.qd, motion.qdd).information
     return np.sqrt(np.diag(some.criterion.covariance(found)))
 
@@ -88,7 +90,7 @@ def test_the_grid_is_fine_enough_for_the_band(xml):
         fine = deviations(some, plan, 500.0, smooth=False)
         rate = (
             design_module.GRID_PER_CYCLE
-            / design_module.TOLD_BY.step
+            / design_module.INFORMATION_POINTS.step
             * some.basis.top_frequency_hz
         )
         coarse = deviations(some, plan, rate, smooth=True)
@@ -98,13 +100,13 @@ def test_the_grid_is_fine_enough_for_the_band(xml):
 @given(SEEDS)
 def test_what_cannot_be_seen_stays_so_on_every_motion(seed):
     some = design(arms.SEVEN, torques="terminal")
-    assert design(arms.SEVEN).criterion.seen.shape == (10, 10)
-    assert some.criterion.seen.shape == (10, 7)
+    assert design(arms.SEVEN).criterion.visible.shape == (10, 10)
+    assert some.criterion.visible.shape == (10, 7)
     scale = np.diag(some.problem.scale)
-    chosen = predicted_information(some.problem, np.ones(1), known_arm(some.problem))
+    chosen = information_model(some.problem, np.ones(1), known_arm(some.problem))
     q, qd, qdd = np.random.default_rng(seed).normal(size=(3, 50, 7))
     matrix = scale @ chosen.evaluate(q, qd, qdd).information[:10, :10] @ scale
-    seen = np.linalg.solve(scale, some.criterion.seen)
+    seen = np.linalg.solve(scale, some.criterion.visible)
     hidden = np.eye(10) - seen @ seen.T
     assert np.max(np.abs(matrix @ hidden)) < 1e-6 * np.max(np.abs(matrix))
 

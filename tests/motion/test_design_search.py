@@ -22,7 +22,7 @@ from robot_sysid.motion import design as design_module
 from robot_sysid.motion import design_search as search
 from robot_sysid.motion.design import Candidate, Design, constraints_of
 from robot_sysid.motion.design_search import design_excitation, draw_trajectories
-from robot_sysid.motion.expected_errors import known_of
+from robot_sysid.motion.expected_errors import prior_knowledge
 from robot_sysid.motion.problem import ROUNDING
 from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions, motion_chunks
@@ -131,7 +131,7 @@ def test_rounds_make_it_better_and_progress_is_told():
     assert result.objective < 0.9 * result.start_objective
     assert seen.done == sorted(seen.done) and seen.totals == {seen.done[-1]}
     some = design(arms.THREE, rounds=3, iterations=20)
-    assert seen.texts[-1] == some.promise(result.trajectory.coefficients)
+    assert seen.texts[-1] == some.expected_errors(result.trajectory.coefficients)
     assert seen.texts[-1].startswith("mass ± ") and seen.texts[-1].endswith(" mm")
 
 
@@ -155,9 +155,11 @@ def test_the_best_start_goes_on_until_a_round_gains_next_to_nothing(monkeypatch)
     )
     monkeypatch.setattr(search, "improve", improved)
     found = []
-    run = partial(search._run, None, None)
+    run = partial(search._run_jobs, None, None)
     told = list(
-        search._improved(run, options(rounds=50), [np.zeros(1)] * 2, found, np.inf)
+        search._improve_starts(
+            run, options(rounds=50), [np.zeros(1)] * 2, found, np.inf
+        )
     )
     assert told == [1, 2, 3, 4, 5]
     assert [(each.rounds, each.feasible_score) for each in found] == [
@@ -187,7 +189,7 @@ def test_ctrl_c_before_there_is_anything_is_an_interruption(monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(search, "_shrunk", interrupt)
+    monkeypatch.setattr(search, "_shrink_to_limits", interrupt)
     with pytest.raises(KeyboardInterrupt):
         searched(design(arms.THREE), 3)
 
@@ -274,7 +276,7 @@ def test_what_is_asked_for_decides_which_motion_is_found():
             arm,
             options(draws=5, rounds=4, iterations=30),
             motion,
-            known_of(arm, USUAL, asked),
+            prior_knowledge(arm, USUAL, asked),
         )
         for asked in ("link", "payload")
     )
@@ -296,7 +298,7 @@ def elsewhere(parent, number):
 def test_what_workers_that_die_leave_is_done_here(monkeypatch):
     """They use one thread each where the user says nothing."""
     monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
-    with search._workers(os.getpid(), 2) as run:
+    with search._worker_pool(os.getpid(), 2) as run:
         assert list(run([partial(elsewhere, number=0)])) == [(0, "1", False)]
         found = list(run([partial(elsewhere, number=k) for k in range(1, 6)]))
     assert [number for number, *_ in found] == [1, 2, 3, 4, 5]
@@ -315,7 +317,7 @@ def test_workers_end_with_a_process_that_is_killed():
     """Whoever is killed cannot end his workers; they would wait for ever."""
     code = (
         "from tests.motion.test_design_search import number, search\n"
-        "with search._workers(0, 2) as run:\n"
+        "with search._worker_pool(0, 2) as run:\n"
         "    print(*{*run([number] * 8)}, flush=True)\n"
         "    input()\n"
     )

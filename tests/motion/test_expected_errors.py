@@ -18,12 +18,13 @@ from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.estimation.unknowns import LINKS, SCALES
 from robot_sysid.motion.expected_errors import (
     NOISE,
-    expect,
+    RecordingPlan,
     friction_lines,
-    known_of,
-    outlook,
+    identifiability_note,
+    predict,
+    prior_knowledge,
 )
-from robot_sysid.motion.information import criterion, predicted_information
+from robot_sysid.motion.information import design_criterion, information_model
 from robot_sysid.motion.trajectories import FourierTrajectory
 from robot_sysid.records.messages import Progress
 from robot_sysid.signals.resampling import join_measurements
@@ -46,7 +47,9 @@ KNOWN_ARM = EstimationOptions(**{f"{cause}_uncertainty": 0.0 for cause in CAUSES
 
 
 def promised(options, **changes):
-    return expect(problem(ARM, noise_torque=SIGMA, **changes), PLAN, RATE, options)
+    return predict(
+        problem(ARM, noise_torque=SIGMA, **changes), PLAN, RecordingPlan(RATE, options)
+    )
 
 
 @cache
@@ -67,7 +70,7 @@ def delivered(options, seed):
 def test_of_a_known_arm_the_promise_is_the_error_that_identifications_report():
     # One short recording knows its own noise, and how white it is, to a tenth or so.
     found = [delivered(KNOWN_ARM, seed).standard_errors[:10] for seed in range(4)]
-    ratio = np.mean(found, axis=0) / promised(KNOWN_ARM).deviation
+    ratio = np.mean(found, axis=0) / promised(KNOWN_ARM).standard_errors
     assert abs(np.median(ratio) - 1.0) < 0.2 and np.all(np.abs(ratio - 1.0) < 0.3)
 
 
@@ -75,7 +78,7 @@ def test_of_a_known_arm_the_promise_is_the_error_that_identifications_report():
 def test_of_a_known_arm_the_promise_is_the_spread_of_identifications():
     """Sixty runs know a spread to 9 %; ten parameters stay within three times that."""
     found = np.array([delivered(KNOWN_ARM, seed).values[:10] for seed in range(60)])
-    ratio = found.std(axis=0, ddof=1) / promised(KNOWN_ARM).deviation
+    ratio = found.std(axis=0, ddof=1) / promised(KNOWN_ARM).standard_errors
     assert np.all(np.abs(ratio - 1.0) < 0.27)
     assert abs(np.median(ratio) - 1.0) < 0.1
 
@@ -85,17 +88,17 @@ def test_of_an_arm_that_is_not_known_the_whole_error_is_promised():
     expected = promised(options)
     (*_, stated) = answered(options, 0).links()
     # This model is right, which a recording finds out and a plan cannot know.
-    ratio = stated.errors / expected.deviation
+    ratio = stated.errors / expected.standard_errors
     assert np.all((ratio > 0.3) & (ratio < 1.3))
-    assert np.all(expected.deviation > promised(KNOWN_ARM).deviation)
+    assert np.all(expected.standard_errors > promised(KNOWN_ARM).standard_errors)
     for cause in (LINKS, SCALES):
-        part = np.sqrt(np.diag(expected.causes[cause]))
+        part = np.sqrt(np.diag(expected.covariance_by_cause[cause]))
         assert 0.6 < np.median(part / stated.budget[cause]) < 3.0
 
 
 def test_the_causes_add_up_to_the_promise():
     expected = promised(EstimationOptions())
-    whole = np.sum(list(expected.causes.values()), axis=0)
+    whole = np.sum(list(expected.covariance_by_cause.values()), axis=0)
     np.testing.assert_allclose(whole, expected.covariance, atol=1e-9 * np.max(whole))
 
 
@@ -105,15 +108,15 @@ def test_the_causes_add_up_to_the_promise():
 def test_the_search_makes_small_what_is_promised(options):
     """It looks at all samples, the promise at a recording of them without its ends."""
     some = problem(ARM, noise_torque=SIGMA)
-    known = known_of(some, options, "link")
+    known = prior_knowledge(some, options, "link")
     motion = PLAN.evaluate((np.arange(2000) + 0.5) * PLAN.duration / 2000)
     sigma = some.sigma * np.sqrt(2000 / (RATE * PLAN.duration))
-    told = predicted_information(some, sigma, known).evaluate(
+    told = information_model(some, sigma, known).evaluate(
         motion.q, motion.qd, motion.qdd
     )
-    found = criterion(some, known).covariance(told.information)
+    found = design_criterion(some, known).covariance(told.information)
     found = projected_covariance(some.robot.prior.theta, found)
-    ratio = promised(options).deviation / np.sqrt(np.diag(found))
+    ratio = promised(options).standard_errors / np.sqrt(np.diag(found))
     assert np.all((ratio > 0.99) & (ratio < 1.5)) and np.median(ratio) < 1.25
 
 
@@ -130,24 +133,29 @@ def test_of_friction_what_identifications_report_is_promised():
 
 def test_a_payload_is_told_by_the_difference_of_two_recordings():
     """Of it alone, so that what the model knows of links, and noise of both recordings, count."""
-    expected = expect(
-        problem(ARM, noise_torque=SIGMA), PLAN, RATE, EstimationOptions(), "payload"
+    expected = predict(
+        problem(ARM, noise_torque=SIGMA),
+        PLAN,
+        RecordingPlan(RATE, EstimationOptions(), "payload"),
     )
     link = promised(EstimationOptions())
-    assert 0.0 < expected.deviation[0] < 0.3 * link.deviation[0]
-    assert expected.causes[NOISE][0, 0] > 0.5 * expected.covariance[0, 0]
-    assert 0.01 < expected.scaled < 0.03
+    assert 0.0 < expected.standard_errors[0] < 0.3 * link.standard_errors[0]
+    assert expected.covariance_by_cause[NOISE][0, 0] > 0.5 * expected.covariance[0, 0]
+    assert 0.01 < expected.scale_error < 0.03
 
 
 def test_scales_that_are_not_alike_are_averaged_as_the_estimate_does():
     sure = EstimationOptions(scale_uncertainty=(1.0, 2.0, 4.0, 8.0))
-    found = expect(problem(ARM, noise_torque=SIGMA), PLAN, RATE, sure, "payload").scaled
+    recording = RecordingPlan(RATE, sure, "payload")
+    found = predict(problem(ARM, noise_torque=SIGMA), PLAN, recording).scale_error
     assert found == pytest.approx(0.01 / np.linalg.norm([1.0, 0.5, 0.25, 0.125]))
 
 
 def test_a_payload_weighs_as_surely_as_torques_are_scaled_at_best():
-    found = promised(EstimationOptions(scale_uncertainty=6.0)).remedies
-    weighed = next(each.mass for each in found if "by difference" in each.words)
+    found = promised(EstimationOptions(scale_uncertainty=6.0)).improvements
+    weighed = next(
+        each.mass_error for each in found if "by difference" in each.description
+    )
     mass = robot(ARM).prior.mass
     joints = robot(ARM).n_joints
     assert 0.06 / np.sqrt(joints) * mass < weighed < 0.1 * mass
@@ -157,13 +165,13 @@ def test_where_no_motion_tells_the_mass_it_is_said_beforehand_with_what_would():
     tip = '<inertial pos=".02 .03 .06" mass=".08" diaginertia=".0005 .0006 .0003"/>'
     light = ARM.replace(arms.TIP, tip)
     some = problem(light, noise_torque=SIGMA)
-    said = outlook(some, PLAN, (RATE, EstimationOptions(), "link"))
+    said = identifiability_note(some, PLAN, RecordingPlan(RATE, EstimationOptions()))
     floor = float(re.search(r"better than ± ([\d.]+) kg", said).group(1))
     assert floor > 0.2 * some.robot.prior.mass and "payload by difference" in said
     longer = replace(EstimationOptions(), link_uncertainty=0.5)
-    assert outlook(some, PLAN, (RATE, longer, "link")) == ""
-    promise = expect(some, PLAN, RATE, EstimationOptions())
-    assert promise.deviation[0] > 0.99 * floor
+    assert identifiability_note(some, PLAN, RecordingPlan(RATE, longer)) == ""
+    promise = predict(some, PLAN, RecordingPlan(RATE, EstimationOptions()))
+    assert promise.standard_errors[0] > 0.99 * floor
 
 
 @pytest.mark.parametrize(
@@ -175,13 +183,15 @@ def test_what_cannot_be_processed_gets_the_bound_and_the_reason(
 ):
     monkeypatch.setattr("robot_sysid.motion.expected_errors.MOST_SAMPLES", 1999)
     monkeypatch.setattr(consistent_bodies, "_DRAWS", 24)
-    expected = expect(problem(ARM), PLAN, rate, EstimationOptions())
-    assert words in expected.missing and np.all(np.isfinite(expected.deviation))
+    expected = predict(problem(ARM), PLAN, RecordingPlan(rate, EstimationOptions()))
+    assert words in expected.caveat and np.all(np.isfinite(expected.standard_errors))
 
 
 def test_an_arm_at_rest_shows_nothing():
     still = FourierTrajectory(
         PLAN.basis, problem(ARM).rest, np.zeros_like(PLAN.coefficients)
     )
-    expected = expect(problem(ARM), still, RATE, EstimationOptions())
-    assert "moves faster" in expected.missing and np.all(np.isinf(expected.deviation))
+    expected = predict(problem(ARM), still, RecordingPlan(RATE, EstimationOptions()))
+    assert "moves faster" in expected.caveat and np.all(
+        np.isinf(expected.standard_errors)
+    )

@@ -12,13 +12,13 @@ from robot_sysid.dynamics.friction import TERMS, FrictionModel
 from robot_sysid.dynamics.inverse_dynamics import analysis_copy, data_at_pose
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import AmbiguousJointError
-from robot_sysid.motion.information import OWN, Criterion, PredictedInformation
+from robot_sysid.motion.information import JOINT_TERMS, Criterion, InformationModel
 from robot_sysid.records import Measurement
 from tests.support import arms
 from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
 from tests.support.excitation_arms import slope
 
-FREE = FrictionModel(OWN[:4])
+FREE = FrictionModel(JOINT_TERMS[:4])
 SAMPLES = 60
 
 
@@ -30,7 +30,7 @@ def predicted(robot, own, smoothing=0.0, rows=None):
     own = np.tile(np.array(own)[:, None], len(rows))
     sigma = np.linspace(0.5, 2.0, len(rows))
     arm = LinkDynamics(robot), links, theta, rows
-    return PredictedInformation(*arm, sigma, np.full(n, smoothing), own)
+    return InformationModel(*arm, sigma, np.full(n, smoothing), own)
 
 
 def eliminated_by_hand(robot, motion, torques, sigma, own):
@@ -62,7 +62,7 @@ def eliminated_by_hand(robot, motion, torques, sigma, own):
         nuisance = np.vstack(
             (nuisance / s * np.where(sure, own, 1.0), np.diag(sure.astype(float)))
         )
-        seen = np.vstack((bodies / s, np.zeros((len(OWN), len(total)))))
+        seen = np.vstack((bodies / s, np.zeros((len(JOINT_TERMS), len(total)))))
         left = seen - nuisance @ np.linalg.lstsq(nuisance, seen, rcond=None)[0]
         total += left.T @ left
     down = [*range(10), *np.arange(10, len(total)).reshape(-1, 10)[::-1].ravel()]

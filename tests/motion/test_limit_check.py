@@ -21,7 +21,7 @@ from robot_sysid.motion.limit_check import (
     checked_time,
     first_contact,
     keeps_limits,
-    scaled_to_limits,
+    scale_to_limits,
 )
 from robot_sysid.motion.trajectories import (
     FourierBasis,
@@ -246,7 +246,7 @@ def test_a_joint_that_keeps_its_speeds_stays_as_it_is_the_others_just_keep_their
     plan, _ = generate_excitation_trajectory(
         robot(arms.THREE), np.random.default_rng(seed), 1.0
     )
-    smaller, factors = scaled_to_limits(some, plan, 0.0)
+    smaller, factors = scale_to_limits(some, plan, 0.0)
     before = check_limits(some, plan)
     after = check_limits(some, smaller)
     share = np.maximum(before.joints[1] / v, before.joints[2] / a)

@@ -177,7 +177,7 @@ def test_a_trajectory_from_a_file_that_breaks_a_limit_fails(case, tmp_path):
 
 def test_a_trajectory_made_elsewhere_does_not_hit_what_stands_in_the_model(tmp_path):
     path = tmp_path / "plan.json"
-    plan = free().scaled((8.0, 4.0, 1.0, 1.0))
+    plan = free().scale_amplitudes((8.0, 4.0, 1.0, 1.0))
     save_trajectory(path, plan, robot(TUBES).joint_names)
     assert (
         planned(TUBES, trajectory={"file": path}, limits={"max_velocity": 1e3}).failure

@@ -11,10 +11,10 @@ from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.motion.design_search import draw_trajectories
 from robot_sysid.motion.information import (
-    criterion,
+    design_criterion,
+    information_model,
     known_arm,
-    predicted_information,
-    spread_of,
+    mass_and_centre_errors,
 )
 from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.prediction import motion_lines
@@ -65,9 +65,9 @@ def test_the_information_of_all_samples_is_that_of_monte_carlo(xml):
     known = known_arm(some)
     time = np.arange(1201) / 200.0
     motion = plan.evaluate(time)
-    told = predicted_information(some, some.sigma, known_arm(some))
+    told = information_model(some, some.sigma, known_arm(some))
     found = told.evaluate(motion.q, motion.qd, motion.qdd).information
-    deviation = np.sqrt(np.diag(criterion(some, known).covariance(found)))
+    deviation = np.sqrt(np.diag(design_criterion(some, known).covariance(found)))
     # 1000 draws know a standard deviation to 2.2 %; ten of them stay within 10 %.
     seen = empirical_deviation_of(robot(xml), plan, 200.0, 0.3, 1000)
     assert np.all(np.abs(seen / deviation - 1.0) < 0.10)
@@ -79,7 +79,9 @@ def test_the_centre_of_mass_is_that_of_monte_carlo_to_first_order():
     root = 1e-3 * rng.normal(size=(10, 10))
     drawn = rng.multivariate_normal(theta, root @ root.T, size=4000)
     spread = np.sqrt(np.sum(np.var(drawn[:, 1:4] / drawn[:, :1], axis=0)))
-    assert spread_of(theta, root @ root.T)[1] == pytest.approx(spread, rel=0.05)
+    assert mass_and_centre_errors(theta, root @ root.T)[1] == pytest.approx(
+        spread, rel=0.05
+    )
 
 
 STRONG = TUBES.replace('range="-2.5 2.5"', 'range="-2.5 2.5" actuatorfrcrange="-60 60"')
