@@ -1,4 +1,4 @@
-"""The command ``robot-sysid``: which subcommand, one handler for all errors, the exit code."""
+"""The program ``robot-sysid``: finds the subcommand, handles all errors, returns the exit code."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from robot_sysid import __version__
-from robot_sysid.commands import COMMANDS, PROGRAM
-from robot_sysid.commands.streams import print_line, tolerant_output
+from robot_sysid.commands import COMMANDS, PROGRAM, make_output_tolerant, print_line
 from robot_sysid.errors import (
     INTERRUPTED,
     ColumnsError,
@@ -23,52 +22,59 @@ from robot_sysid.errors import (
 )
 
 UNFINISHED = "interrupted; no unfinished file is left"
-"""What an interrupted command says that says nothing else by its ``INTERRUPTED``."""
+"""Message of an interrupted command whose module has no message ``INTERRUPTED``."""
+_MESSAGE_START = 1500
+_MESSAGE_END = 400
+"""A longer error message is printed without its middle."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit code, see ``errors.EXIT_CODES``."""
+    """Run a command and return its exit code, see ``errors.EXIT_CODES``.
+
+    Args:
+        argv: arguments without the program's name; default those of this process, which is then
+            expected to end.
+    """
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
-    tolerant_output()
-    _without_what_only_costs_time()
+    make_output_tolerant()
+    _limit_libraries()
     if "_ARGCOMPLETE" in os.environ:
-        importlib.import_module("robot_sysid.commands.completion").complete()
+        importlib.import_module("robot_sysid.commands.arguments").complete()
     name = arguments.pop(0) if arguments and arguments[0] in COMMANDS else ""
-    with _remembered_interrupts(ends=argv is None) as interrupts:
-        interrupted = "interrupted"
+    interrupted = "interrupted"
+    with _record_interrupts(process_ends=argv is None) as interrupts:
         try:
-            if arguments == ["--version"]:  # which takes no options
+            if arguments == ["--version"]:  # It takes no options.
                 print_line(f"{PROGRAM} {__version__}", sys.stdout)
                 return 0
             if not name and arguments and not arguments[0].startswith("-"):
-                _refuse_misspelt(arguments[0])
-            module = COMMANDS.get(name, "run")
-            command = importlib.import_module(f"robot_sysid.commands.{module}")
-            interrupted = getattr(command, "INTERRUPTED", UNFINISHED)
-            return int(command.main(arguments, *((name,) if module == "run" else ())))
+                _refuse_misspelt_command(arguments[0])
+            module_name = COMMANDS.get(name, COMMANDS["identify"])
+            module = importlib.import_module(f"robot_sysid.commands.{module_name}")
+            interrupted = getattr(module, "INTERRUPTED", UNFINISHED)
+            if module_name == COMMANDS["identify"]:
+                return int(module.main(arguments, name))
+            return int(module.main(arguments))
         except SysidError as error:
-            return _report(f"{error}{_drafted(error)}", error.exit_code, debug)
+            message = f"{error}{_write_columns_draft(error)}"
+            return _report_error(message, error.exit_code, debug)
         except MemoryError:
             remedy = "use a shorter log or motion, or a lower rate"
-            return _report(
-                f"the memory is not enough; {remedy}", InputError.exit_code, debug
-            )
+            message = f"the memory is not enough; {remedy}"
+            return _report_error(message, InputError.exit_code, debug)
         except (Exception, KeyboardInterrupt) as error:
             if interrupts or isinstance(error, KeyboardInterrupt):
-                return _report(interrupted, INTERRUPTED, debug)
-            if isinstance(error, OSError) and error.strerror:
-                # Of a file that is there no more, a name that is too long, a disk that fails.
-                refused = f"{error.strerror}: {error.filename or 'a temporary file'}"
-                return _report(f"{refused}; check it, or choose another", 2, debug)
-            hint = (
-                "this is a defect in robot-sysid; run again with --debug and report it"
-            )
-            return _report(f"{type(error).__name__}: {error} ({hint})", 1, debug)
+                return _report_error(interrupted, INTERRUPTED, debug)
+            return _report_unexpected(error, debug)
 
 
-def _drafted(error: SysidError) -> str:
-    """Write the columns file that an error brings, over no other; return what to do with it."""
+def _write_columns_draft(error: SysidError) -> str:
+    """Write the columns file that an error suggests, unless the file exists.
+
+    Returns:
+        The end of the message, which says how to use the file; "" where none was written.
+    """
     if not isinstance(error, ColumnsError) or not error.draft:
         return ""
     try:
@@ -80,59 +86,74 @@ def _drafted(error: SysidError) -> str:
     return f"; complete {name}, which was written for it, and add --columns {name}"
 
 
-def _refuse_misspelt(word: str) -> None:
-    """Raise InputError where a word looks like a subcommand and is no file."""
+def _refuse_misspelt_command(word: str) -> None:
+    """Raise InputError where a word resembles a subcommand and is no file."""
     from difflib import get_close_matches
 
-    near = get_close_matches(word, COMMANDS, 1, 0.75)
-    if near and not os.path.exists(word):
+    matches = get_close_matches(word, COMMANDS, 1, 0.75)
+    if matches and not os.path.exists(word):
         raise InputError(
-            f"there is no file and no command {word}: did you mean {near[0]}?"
+            f"there is no file and no command {word}: did you mean {matches[0]}?"
         )
 
 
 @contextlib.contextmanager
-def _remembered_interrupts(ends: bool = False) -> Iterator[list[int]]:
-    """Turn requests to stop into KeyboardInterrupt and yield a list that gets an entry with each.
+def _record_interrupts(process_ends: bool = False) -> Iterator[list[int]]:
+    """Turn stop signals into KeyboardInterrupt; yield a list to which each signal is added.
 
     A compiled module that is interrupted while it is imported turns KeyboardInterrupt into an
-    ImportError; the list tells that from a real one. For ``ends`` see ``handle_stop_signals``.
+    ImportError; the list tells that from a real one. A program that handles SIGINT itself keeps
+    its handlers.
+
+    Args:
+        process_ends: ignore the signals after the block, see ``handle_stop_signals``.
     """
-    seen: list[int] = []
+    numbers: list[int] = []
 
     def interrupt(number: int, frame: Any) -> None:
-        seen.append(number)
+        numbers.append(number)
         raise KeyboardInterrupt
 
-    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    with handle_stop_signals(interrupt, ends) if usual else contextlib.nullcontext():
-        yield seen
+    handling: contextlib.AbstractContextManager[None] = contextlib.nullcontext()
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        handling = handle_stop_signals(interrupt, ignore_afterwards=process_ends)
+    with handling:
+        yield numbers
 
 
-def _without_what_only_costs_time() -> None:
+def _limit_libraries() -> None:
     """Keep numpy from starting threads, and MuJoCo from looking for windows.
 
-    Must come before they are imported. The matrices are small, and threads only wait for another:
-    what is set for other programs does not count, as an arm of 60 joints takes fifty times as long
-    with four of them. What draws chooses its renderer itself (``preview.film``).
+    Must come before they are imported. Threads only wait for each other on matrices this small: an
+    arm of 60 joints takes fifty times as long with four of them, so values that are set for other
+    programs are replaced. Code that draws chooses its own renderer (``preview.film``).
     """
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ[name] = "1"
     os.environ.setdefault("MUJOCO_GL", "disable")
 
 
-def _report(message: str, code: int, debug: bool) -> int:
+def _report_unexpected(error: BaseException, debug: bool) -> int:
+    """Print an error that is not raised on purpose and return the exit code."""
+    if isinstance(error, OSError) and error.strerror:
+        # A file that is gone, a name that is too long, a disk that fails.
+        fault = f"{error.strerror}: {error.filename or 'a temporary file'}"
+        return _report_error(f"{fault}; check it, or choose another", 2, debug)
+    hint = "this is a defect in robot-sysid; run again with --debug and report it"
+    return _report_error(f"{type(error).__name__}: {error} ({hint})", 1, debug)
+
+
+def _report_error(message: str, code: int, debug: bool) -> int:
+    """Print an error as one line, with ``debug`` its traceback too; return the exit code."""
     if debug:
         import traceback
 
         traceback.print_exc()
-    one_line = " ".join(message.split())
-    beginning = 1500
-    end = 400
-    if len(one_line) > beginning + end:  # Nobody would read it all.
-        one_line = f"{one_line[:beginning]} [...] {one_line[-end:]}"
+    line = " ".join(message.split())
+    if len(line) > _MESSAGE_START + _MESSAGE_END:
+        line = f"{line[:_MESSAGE_START]} [...] {line[-_MESSAGE_END:]}"
     with contextlib.suppress(InputError):
-        print_line(f"{PROGRAM}: error: {one_line}", sys.stderr)
+        print_line(f"{PROGRAM}: error: {line}", sys.stderr)
     return code
 
 

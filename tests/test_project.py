@@ -203,7 +203,7 @@ def test_a_run_starts_without_what_it_does_not_need_and_in_one_thread(tmp_path):
     """
     names = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
     code = (
-        "import os, sys, robot_sysid.cli, robot_sysid.commands.run as _; "
+        "import os, sys, robot_sysid.cli, robot_sysid.commands.identify as _; "
         "early = 'numpy' in sys.modules; "
         f"code = robot_sysid.cli.main([{str(ROOT / EXAMPLE)!r}, '--duration', '1', '--quiet']); "
         f"told = [os.environ.get(name) for name in {names}]; "

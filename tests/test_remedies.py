@@ -15,7 +15,7 @@ from importlib import import_module
 import pytest
 
 from robot_sysid.commands import COMMANDS as NAMES
-from robot_sysid.commands import example, log, motors, report, run
+from robot_sysid.commands import example, identify, log, motors, report
 from robot_sysid.config import Config
 from robot_sysid.records.option_fields import OptionRecord
 from tests.test_architecture import FUNCTIONS, nodes_of, package_sources
@@ -63,13 +63,13 @@ LIFTED = places(
     "motion.problem", "_above_base"
 )  # what was planned below the base may be played
 EXPORT = places("damiao.joints", "damiao_joints")
-QUESTIONS = set(places("commands.run", "ALONE", "PLAN", "IDENTIFY", "PAYLOAD"))
+QUESTIONS = set(places("commands.identify", "ALONE", "PLAN", "IDENTIFY", "PAYLOAD"))
 SHOWN = places("preview", "require_preview", "show_plan")
 
 
 def others(name: str, *shown: Place) -> tuple[Place, ...]:
     """Return what stands beside a question in its module and is not of it."""
-    return (*(QUESTIONS - set(places("commands.run", name))), *shown)
+    return (*(QUESTIONS - set(places("commands.identify", name))), *shown)
 
 
 NEVER = {
@@ -100,7 +100,7 @@ NEVER = {
     # A page names the joint that the run found.
     "report": places("model.chain", "_require_end")
     + (*places("errors", "AmbiguousJointError"), *places("parser", "_notes")),
-    "example": places("commands.example", "_record"),  # with files of its own
+    "example": places("commands.example", "_record_logs"),  # with files of its own
     **dict.fromkeys(
         [f"motors {word}" for word in ("check", "play", "simulate")], LIFTED
     ),
@@ -119,7 +119,7 @@ NEVER = {
     + places("damiao.execution", "MotorRun"),  # nothing is played
     # No model.
     **dict.fromkeys(
-        ("motors monitor", "motors setup"), places("commands.motors.asked", "Asked")
+        ("motors monitor", "motors setup"), places("commands.motors.session", "Session")
     ),
 }
 """Command to what it never comes to: stages of other questions, and what it does not ask."""
@@ -131,7 +131,9 @@ def parser_of(command: str):
     if word in MODULES:
         return MODULES[word].build_parser()
     return (
-        motors.build_parser(name) if name else run.build_parser(word.replace("run", ""))
+        motors.build_parser(name)
+        if name
+        else identify.build_parser(word.replace("run", ""))
     )
 
 
@@ -250,7 +252,7 @@ def reached(command: str) -> frozenset[Place]:
             (motors.COMMANDS[name].run.__module__, motors.COMMANDS[name].run.__name__)
         ]
     else:
-        start = f"robot_sysid.commands.{NAMES.get(word, 'run')}"
+        start = f"robot_sysid.commands.{NAMES.get(word, 'identify')}"
         waiting = [*((start, each) for each in definitions(start)), *ONLY.get(word, ())]
         waiting = [each for each in waiting if each not in NEVER.get(word, ())]
     found = set(waiting)

@@ -1,8 +1,247 @@
-"""The subcommands, and the console that all of them print on."""
+"""The subcommands, and the console that all of them print on.
+
+Imports nothing slow: errors at the very start are printed by it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from robot_sysid.errors import InputError
+from robot_sysid.records.messages import Detail, Progress
+from robot_sysid.records.option_fields import OptionRecord, option
 
 PROGRAM = "robot-sysid"
 COMMANDS = {
-    **dict.fromkeys(("plan", "identify", "payload"), "run"),
+    **dict.fromkeys(("plan", "identify", "payload"), "identify"),
     **{name: name for name in ("log", "report", "motors", "example")},
 }
-"""Subcommand to its module; any other first word is a model file."""
+"""Subcommand to its module; any other first word is a model file, for the module identify."""
+# What a title or a path from a file could do to a terminal; the last two ranges are line ends and
+# marks by which text runs from right to left.
+_CONTROL_CODES = (
+    *range(32),
+    *range(127, 160),
+    *range(0x2028, 0x202F),
+    *range(0x2066, 0x206A),
+)
+_REPLACEMENTS = {code: "?" for code in _CONTROL_CODES if chr(code) != "\t"}
+_GREEN = 32
+_YELLOW = 33
+_RED = 31
+_BOLD = 1
+_COLOURS = {
+    **dict.fromkeys(("Not usable", "robot-sysid: error", "STOP"), _RED),
+    **dict.fromkeys(("Usable, but", "Usable (", "Usable for", "note", "warn"), _YELLOW),
+    **dict.fromkeys(("Usable", "Self-test passed"), _GREEN),
+    "Next": _BOLD,
+}
+"""Beginning of a line to the colour of that beginning on a terminal."""
+_SHELL_LINES = ("robot-sysid ", "Next: robot-sysid ")
+"""Beginnings of lines with a command to paste, which are never wrapped."""
+PROGRESS_INTERVAL = 10.0
+"""Time between two lines of progress where there is no terminal [s]."""
+
+
+def print_line(message: str, stream: Any) -> None:
+    """Print a line; a reader that has gone away (``| head``) does not stop the run.
+
+    Control characters, and ends of lines within it, are shown as "?". On a terminal a line is
+    wrapped, and its beginning may have a colour.
+    """
+    text = message.translate(_REPLACEMENTS)
+    print_text(f"{_terminal_text(text) if stream.isatty() else text}\n", stream)
+
+
+def print_text(text: str, stream: Any) -> None:
+    """Print a text unchanged; InputError where the stream cannot be written (a full disk).
+
+    A reader that has gone away does not stop the run.
+    """
+    try:
+        stream.write(text)
+        stream.flush()
+    except BrokenPipeError:
+        _redirect_to_devnull(stream)
+    except OSError as error:
+        _redirect_to_devnull(stream)
+        raise InputError(
+            f"cannot print: {error.strerror}; send the output elsewhere"
+        ) from None
+
+
+def _terminal_text(text: str) -> str:
+    """Return a line wrapped to the terminal's width and coloured.
+
+    Rows of tables and commands are not wrapped. There is no colour where NO_COLOR
+    (https://no-color.org) forbids it or the terminal has none.
+    """
+    import shutil
+    import textwrap
+
+    width = shutil.get_terminal_size().columns
+    is_wrapped = "  " not in text.strip() and not text.startswith(_SHELL_LINES)
+    if len(text) > width > 20 and is_wrapped:
+        indent = " " * (len(text) - len(text.lstrip()) + 2)
+        lines = textwrap.wrap(
+            text, width, subsequent_indent=indent, break_on_hyphens=False
+        )
+        text = "\n".join(lines)
+    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return text
+    for start, colour in _COLOURS.items():
+        if text.startswith(start):
+            end = max(text.find(":"), len(start))
+            return f"\x1b[{colour}m{text[:end]}\x1b[0m{text[end:]}"
+    return text
+
+
+def _redirect_to_devnull(stream: Any) -> None:
+    """Discard what is still to be printed on a stream, its buffer included."""
+    devnull = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(devnull, stream.fileno())
+    os.close(devnull)
+
+
+def make_output_tolerant() -> None:
+    """Let printing never fail on a missing stream, or on a terminal without a middle dot."""
+    sys.stdin = sys.stdin or _open_devnull("r")
+    sys.stdout = sys.stdout or _open_devnull("w")
+    sys.stderr = sys.stderr or _open_devnull("w")
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+
+
+def _open_devnull(mode: str) -> Any:
+    """Return a stream that discards all and is empty, in place of one that was closed.
+
+    A closed stream's number would go to the next file that is opened; and a process that a library
+    starts (old versions of GLFW's loader do) has to find an open one.
+    """
+    stream = open(os.devnull, mode)  # noqa: SIM115
+    os.set_inheritable(stream.fileno(), True)
+    return stream
+
+
+@dataclass(frozen=True)
+class ConsoleOptions(OptionRecord):
+    """How much is printed.
+
+    Attributes:
+        config: TOML file with more options; None for none.
+    """
+
+    verbose: bool = option(False, "say more", short="-v")
+    quiet: bool = option(False, "print errors only")
+    debug: bool = option(False, "show the traceback of an error")
+    json: bool = option(
+        False, "print the result as JSON on standard output, all else on standard error"
+    )
+    config: Path | None = option(
+        None,
+        "take options from this TOML file too, such as the run.toml of a run",
+        "FILE",
+    )
+
+
+class Console(ConsoleOptions, Progress):
+    """Progress and results on standard output, notes on standard error.
+
+    A message of type ``Detail`` is printed only where it is verbose.
+
+    Attributes:
+        json_lines: lines that went to standard error because the result is JSON.
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.verbose and self.quiet:
+            raise InputError("--verbose and --quiet exclude each other; choose one")
+        self._bar: Any = None
+        self._printed_at = 0.0
+        self.json_lines: list[str] = []
+
+    @property
+    def _out(self) -> Any:
+        return sys.stderr if self.json else sys.stdout
+
+    def result(self, content: Mapping[str, Any] | str) -> None:
+        """Print the result of a command where JSON is wanted; a text is JSON already."""
+        if self.json:
+            from robot_sysid.export import json_text
+
+            text = content if isinstance(content, str) else json_text(content)
+            print_text(text, sys.stdout)
+
+    def stage(self, *messages: str) -> None:
+        """Print lines, each in place of the progress bar."""
+        for message in filter(self._is_printed, messages):
+            self.close()
+            if self.json:
+                self.json_lines.append(message)
+            print_line(message, self._out)
+
+    def move_up(self, lines: int) -> None:
+        """Have the next lines replace the last ones, on a terminal."""
+        if self._out.isatty() and not self.quiet:
+            self._out.write(f"\x1b[{lines}A")
+
+    def advance(self, label: str, done: float, total: float, text: str) -> None:
+        """Move the progress bar of a long step, on a terminal; it disappears at its end.
+
+        Elsewhere a line is printed now and then, if there is a text, so that a log file shows that
+        the run goes on.
+        """
+        if self.quiet:
+            return
+        if not sys.stderr.isatty():
+            if text:
+                self._print_progress(f"{label}: {100.0 * done / total:.0f} %, {text}")
+            return
+        if self._bar is None or self._bar.desc != label:
+            from tqdm import tqdm
+
+            self.close()
+            self._bar = tqdm(
+                desc=label,
+                total=total,
+                initial=done,
+                delay=0.5,
+                bar_format="{l_bar}{bar}| [{elapsed}<{remaining}{postfix}]",
+                leave=False,
+            )
+        self._bar.set_postfix_str(text, refresh=False)
+        self._bar.update(done - self._bar.n)
+        if done >= total:
+            self.close()
+
+    def _print_progress(self, line: str) -> None:
+        """Print a line once per ``PROGRESS_INTERVAL``, for the first time after one interval."""
+        now = time.monotonic()
+        self._printed_at = self._printed_at or now
+        if now - self._printed_at >= PROGRESS_INTERVAL:
+            self._printed_at = now
+            print_line(line, sys.stderr)
+
+    def close(self) -> None:
+        """Remove the progress bar, if there is one."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+
+    def note(self, *messages: str) -> None:
+        """Print sentences the user should know."""
+        for message in filter(self._is_printed, messages):
+            if self._bar is not None:
+                self._bar.clear()
+            print_line(f"note: {message}", sys.stderr)
+
+    def _is_printed(self, message: str) -> bool:
+        return not self.quiet and (self.verbose or not isinstance(message, Detail))

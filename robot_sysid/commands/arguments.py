@@ -1,32 +1,51 @@
-"""Command-line parsers made from option records, and records made from what was parsed."""
+"""Command-line parsers made from option records, their values, and completion in a shell."""
 
 from __future__ import annotations
 
 import argparse
+import importlib
+import os
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Callable, NoReturn
 
-import robot_sysid.records.option_fields as options
 from robot_sysid import __version__
-from robot_sysid.commands import PROGRAM as PROGRAM
-from robot_sysid.commands.console import Console, ConsoleOptions
-from robot_sysid.commands.streams import print_line
+from robot_sysid.commands import COMMANDS, PROGRAM, Console, ConsoleOptions, print_line
 from robot_sysid.errors import EXIT_CODES, InputError
+from robot_sysid.records import option_fields as options
 from robot_sysid.records.file_access import read_toml
 
 PYTHON_ONLY = ("plan_only",)
 """Keys of options that only Python programs have."""
-_TYPED_ONLY = ("config", "help", "help_all", "version")
+_NOT_IN_FILE = ("config", "help", "help_all", "version")
+"""Options that a configuration file cannot hold."""
+
+
+class _Formatter(argparse.HelpFormatter):
+    """Help on wide lines, with an option and its meaning side by side."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=34, width=100)
+
+    def _format_usage(self, usage: Any, actions: Any, groups: Any, prefix: Any) -> str:
+        names = [str(self._prog)]
+        for action in actions:
+            if not action.option_strings:
+                names.append(self._metavar_formatter(action, action.dest)(1)[0])
+        return f"usage: {' '.join(names)} [options]\n\n"
 
 
 class Parser(argparse.ArgumentParser):
     """Argument parser that reports a usage error as one line and shows an example first.
 
     Args:
-        command: its words after the program's name, "" for the program itself.
-        main: keys of the options that its help shows; None shows all. The rest work as well.
+        command: the subcommand's words after the program's name, "" for the program itself.
+        example: a complete command line.
+        description: what the command does.
+        main: keys of the options in the help; None for all. The others work as well.
+        epilog: end of the help, before the exit codes.
+        codes: exit codes that the command may have.
     """
 
     def __init__(
@@ -38,11 +57,11 @@ class Parser(argparse.ArgumentParser):
         epilog: str = "",
         codes: Sequence[int] = (0, 1, 2, 130),
     ) -> None:
-        said = ", ".join(f"{code} {EXIT_CODES[code]}" for code in codes)
+        meanings = ", ".join(f"{code} {EXIT_CODES[code]}" for code in codes)
         super().__init__(
             prog=f"{PROGRAM} {command}".strip(),
             description=description,
-            epilog=f"{epilog} Exit codes: {said}.".strip(),
+            epilog=f"{epilog} Exit codes: {meanings}.".strip(),
             formatter_class=_Formatter,
             allow_abbrev=False,
             add_help=False,
@@ -59,81 +78,74 @@ class Parser(argparse.ArgumentParser):
         raise InputError(f"{message} ({self.prog} --help-all lists all options)")
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse all arguments; an unknown option is told with the known one that is nearest."""
-        for word in args or ():
-            if word.startswith("-") and word.endswith(
-                "=--"
-            ):  # argparse makes an empty list of it
-                self.error(f"argument {word[:-3]}: expected a value, not --")
-        known, unknown = self.parse_known_args(args, namespace)
+        """Parse all arguments; InputError for an unknown option suggests the nearest one."""
+        for argument in args or ():
+            # argparse makes an empty list of it.
+            if argument.startswith("-") and argument.endswith("=--"):
+                self.error(f"argument {argument[:-3]}: expected a value, not --")
+        namespace, unknown = self.parse_known_args(args, namespace)
         if unknown:
-            self.error(
-                f"unrecognized arguments: {' '.join(unknown)}{self._meant(unknown)}"
-            )
-        return known
+            suggestion = self._suggestion(unknown)
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{suggestion}")
+        return namespace
 
-    def with_config(self, path: Path, arguments: Sequence[str]) -> dict[str, Any]:
-        """Return what a TOML file holds, and over it what was typed.
+    def _suggestion(self, arguments: Sequence[str]) -> str:
+        """Return "; --x: did you mean --y?" for the first option with a similar flag, or ""."""
+        from difflib import get_close_matches
 
-        What stands in it is typed for the user: the same parser reads it, and says the same.
+        flags = [flag for action in self._actions for flag in action.option_strings]
+        for argument in arguments:
+            flag = argument.split("=")[0]
+            matches = get_close_matches(flag, flags, 1) if flag.startswith("-") else ()
+            if matches:
+                return f"; {flag}: did you mean {matches[0]}?"
+        return ""
+
+    def parse_with_file(self, path: Path, arguments: Sequence[str]) -> dict[str, Any]:
+        """Return the options of a TOML file, replaced by those of the command line.
+
+        The file's options are turned into command-line words and parsed, so that both have the
+        same errors. A positional argument may come from either.
         """
-        words = [action for action in self._actions if not action.option_strings]
-        needed = [action for action in words if action.required]
-        for action in words:
+        positionals = [a for a in self._actions if not a.option_strings]
+        required = [action for action in positionals if action.required]
+        for action in positionals:
             action.nargs = "*" if action.nargs == "+" else "?"
             action.required = False
             action.default = None
-        stored = [*self._words_in(path)]
+        file_arguments = list(self._file_arguments(path))
         try:
-            held = vars(self.parse_args(stored))
+            values = vars(self.parse_args(file_arguments))
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        both = (*held.items(), *vars(self.parse_args(arguments)).items())
-        values = {key: value for key, value in both if value not in (None, [])}
-        missing = [
-            str(action.metavar) for action in needed if action.dest not in values
-        ]
+        for key, value in vars(self.parse_args(arguments)).items():
+            if value not in (None, []):
+                values[key] = value
+        values = {k: value for k, value in values.items() if value not in (None, [])}
+        missing = [str(a.metavar) for a in required if a.dest not in values]
         if missing:
             self.error(f"the following arguments are required: {', '.join(missing)}")
         return values
 
-    def _words_in(self, path: Path) -> Iterator[str]:
-        """Yield what would be typed for the options in a file."""
-        known = {
-            action.dest: action
-            for action in self._actions
-            if action.dest not in _TYPED_ONLY
-        }
+    def _file_arguments(self, path: Path) -> Iterator[str]:
+        """Yield a TOML file's options as words of a command line, positional ones first."""
         content = read_toml(path)
+        actions = {a.dest: a for a in self._actions if a.dest not in _NOT_IN_FILE}
         for key in content:
-            if key not in known:
+            if key not in actions:
                 raise InputError(
                     f"{path}: {self.prog} has no option {key}; leave it out"
                 )
-        # Positional words come first.
-        for key in sorted(content, key=lambda key: bool(known[key].option_strings)):
-            action = known[key]
+        for key in sorted(content, key=lambda key: bool(actions[key].option_strings)):
+            action = actions[key]
             value = content[key]
             if isinstance(value, bool) != (action.nargs == 0):
-                takes = "true or false" if action.nargs == 0 else "a value"
-                raise InputError(f"{path}: {key} takes {takes} (got {value!r})")
-            yield from (
-                _flagged(action, value) if action.option_strings else _texts(value)
-            )
-
-    def _meant(self, unknown: Sequence[str]) -> str:
-        from difflib import get_close_matches
-
-        flags = [flag for action in self._actions for flag in action.option_strings]
-        for word in unknown:
-            near = (
-                get_close_matches(word.split("=")[0], flags, 1)
-                if word[:1] == "-"
-                else []
-            )
-            if near:
-                return f"; {word.split('=')[0]}: did you mean {near[0]}?"
-        return ""
+                expected = "true or false" if action.nargs == 0 else "a value"
+                raise InputError(f"{path}: {key} takes {expected} (got {value!r})")
+            if action.option_strings:
+                yield from _option_words(action, value)
+            else:
+                yield from _texts(value)
 
     def _print_message(self, message: str, file: Any = None) -> None:
         for line in message.rstrip("\n").split("\n"):
@@ -145,27 +157,31 @@ class Parser(argparse.ArgumentParser):
         *records: Any,
         only: Collection[str] = (),
         leave_out: Collection[str] = (),
-        usual: Mapping[str, Any] | None = None,
+        defaults: Mapping[str, Any] | None = None,
     ) -> Any:
-        """Add the options of some records as one group and return it: ``only`` some keys, or all.
+        """Add the options of records as one group of the help and return the group.
 
-        ``usual`` are, by key, defaults that this command has in place of the records'.
+        Args:
+            records: classes of option records.
+            only: keys of the options to add; empty for all.
+            leave_out: keys of options not to add.
+            defaults: by key, defaults of this command in place of the records'.
         """
         group = self.add_argument_group(title)
+        excluded = {*leave_out, *PYTHON_ONLY}
         for record in records:
-            for name, each in options.options_of(record).items():
-                if each.key not in (*leave_out, *PYTHON_ONLY) and (
-                    not only or each.key in only
-                ):
-                    default = (usual or {}).get(
-                        each.key, options.default_of(record, name)
-                    )
-                    hidden = self._main is not None and each.key not in self._main
-                    _add(group, each, default, hidden)
+            for name, option in options.options_of(record).items():
+                key = option.key
+                if key in excluded or (only and key not in only):
+                    continue
+                default = options.default_of(record, name)
+                default = (defaults or {}).get(key, default)
+                is_hidden = self._main is not None and key not in self._main
+                _add_option(group, option, default, is_hidden)
         return group
 
-    def with_console(self) -> Parser:
-        """Add what every command has, and return the parser."""
+    def add_console_options(self) -> Parser:
+        """Add the options that every command has, and return the parser."""
         group = self.add("console", ConsoleOptions)
         version = f"{PROGRAM} {__version__}"
         group.add_argument(
@@ -176,108 +192,149 @@ class Parser(argparse.ArgumentParser):
         return self
 
 
-def _flagged(action: argparse.Action, value: Any) -> Iterator[str]:
+def _option_words(action: argparse.Action, value: Any) -> Iterator[str]:
+    """Yield the words by which an option has a TOML value on a command line."""
     flag = action.option_strings[-1]
     if action.nargs == 0:
-        yield from [flag] if value else []
+        if value:
+            yield flag
         return
     repeats = isinstance(action, argparse._AppendAction) and isinstance(value, list)
-    for each in value if repeats else [value]:
+    for repetition in value if repeats else [value]:
         if action.nargs is None:
-            yield f"{flag}={','.join(_texts(each))}"
+            yield f"{flag}={','.join(_texts(repetition))}"
         else:
-            yield from (flag, *_texts(each))
+            yield flag
+            yield from _texts(repetition)
 
 
 def _texts(value: Any) -> list[str]:
-    return [str(each) for each in (value if isinstance(value, list) else [value])]
+    """Return a TOML value, or each element of a list, as text."""
+    return list(map(str, value if isinstance(value, list) else [value]))
 
 
-class _Formatter(argparse.HelpFormatter):
-    """Help on wide lines: an option and what it does stand beside each other."""
-
-    def __init__(self, prog: str) -> None:
-        super().__init__(prog, max_help_position=34, width=100)
-
-    def _format_usage(self, usage: Any, actions: Any, groups: Any, prefix: Any) -> str:
-        positional = [action for action in actions if not action.option_strings]
-        words = [self._metavar_formatter(a, a.dest)(1)[0] for a in positional]
-        return f"usage: {' '.join([str(self._prog), *words])} [options]\n\n"
-
-
-def described(each: options.Option, default: Any) -> str:
-    """Return an option's help with unit and default."""
-    unit = f" [{each.unit}]" if each.unit else ""
-    usual = default_text(each, default)
-    return f"{each.help}{unit}" + (f" (default: {usual})" if usual else "")
-
-
-def default_text(each: options.Option, default: Any) -> str:
+def default_text(option: options.Option, default: Any) -> str:
     """Return a default as a user would type it, or in words; "" where there is none."""
-    if each.default_text:
-        return each.default_text
+    if option.default_text:
+        return option.default_text
     if default is None or isinstance(default, (bool, tuple)):
         return ""
     return f"{default:g}" if isinstance(default, float) else str(default)
 
 
-def _add(group: Any, each: options.Option, default: Any, hidden: bool) -> None:
-    text = argparse.SUPPRESS if hidden else described(each, default).replace("%", "%%")
-    flags = [each.short, each.flag] if each.short else [each.flag]
-    words: dict[str, Any] = {
-        "help": text,
+def _help_text(option: options.Option, default: Any) -> str:
+    """Return an option's help with unit and default, for argparse."""
+    text = option.help
+    if option.unit:
+        text += f" [{option.unit}]"
+    if default_text(option, default):
+        text += f" (default: {default_text(option, default)})"
+    return text.replace("%", "%%")
+
+
+def _add_option(
+    group: Any, option: options.Option, default: Any, is_hidden: bool
+) -> None:
+    """Add an option to a group of a parser; a hidden one has no help."""
+    flags = [option.short, option.flag] if option.short else [option.flag]
+    settings: dict[str, Any] = {
+        "help": argparse.SUPPRESS if is_hidden else _help_text(option, default),
         "default": argparse.SUPPRESS,
-        "dest": each.key,
+        "dest": option.key,
     }
     if isinstance(default, bool):
-        group.add_argument(*flags, action="store_true", **words)
+        group.add_argument(*flags, action="store_true", **settings)
         return
-    if each.choices:
-        words["choices"] = each.choices
-        words["metavar"] = each.metavar or "{" + ",".join(each.choices) + "}"
+    if option.choices:
+        settings["choices"] = option.choices
+        settings["metavar"] = option.metavar or "{" + ",".join(option.choices) + "}"
     else:
-        words["metavar"] = each.metavar or each.key.upper()
-        words["type"] = _typed(each.parse or str)
-    if isinstance(each.metavar, tuple):
-        words["nargs"] = len(each.metavar)
-    elif each.takes_many:
-        words["nargs"] = "+"
-    if each.repeats:
-        words["action"] = "append"
-    group.add_argument(*flags, **words)
+        settings["metavar"] = option.metavar or option.key.upper()
+        settings["type"] = _argument_type(option.parse or str)
+    if isinstance(option.metavar, tuple):
+        settings["nargs"] = len(option.metavar)
+    elif option.takes_many:
+        settings["nargs"] = "+"
+    if option.repeats:
+        settings["action"] = "append"
+    group.add_argument(*flags, **settings)
 
 
-def _typed(parse: Callable[[str], Any]) -> Callable[[str], Any]:
-    """Return a parse function whose complaints argparse can name the option in."""
+def _argument_type(parse: Callable[[str], Any]) -> Callable[[str], Any]:
+    """Return ``parse`` with an InputError turned into one for which argparse names the option."""
 
-    def typed(text: str) -> Any:
+    def argument_type(text: str) -> Any:
         try:
             return parse(text)
         except InputError as error:
             raise argparse.ArgumentTypeError(str(error)) from None
 
-    typed.__name__ = getattr(parse, "__name__", "value")
-    return typed
+    argument_type.__name__ = getattr(parse, "__name__", "value")
+    return argument_type
 
 
-def parsed(
+def parse_command(
     build_parser: Callable[[bool], Parser], arguments: Sequence[str]
 ) -> tuple[dict[str, Any], Console]:
-    """Return (what was given, lists as tuples; what to print on).
+    """Parse the arguments of a command, and the file of its --config.
 
-    The parser is built with whether its help shows all options.
+    Args:
+        build_parser: makes the command's parser; its argument says whether its help has all
+            options.
+
+    Returns:
+        Key to value of the options that were given, lists as tuples; the console.
     """
     parser = build_parser("--help-all" in arguments)
-    asked = argparse.ArgumentParser(add_help=False, formatter_class=_Formatter)
-    asked.add_argument("--config", nargs="?", type=Path)
-    file = asked.parse_known_args(arguments)[0].config
-    given = (
-        parser.with_config(file, arguments)
-        if file
-        else vars(parser.parse_args(arguments))
-    )
-    values = {key: options.immutable_value(value) for key, value in given.items()}
+    config_parser = argparse.ArgumentParser(add_help=False, formatter_class=_Formatter)
+    config_parser.add_argument("--config", nargs="?", type=Path)
+    path = config_parser.parse_known_args(arguments)[0].config
+    if path:
+        parsed_values = parser.parse_with_file(path, arguments)
+    else:
+        parsed_values = vars(parser.parse_args(arguments))
+    values = {
+        key: options.immutable_value(value) for key, value in parsed_values.items()
+    }
     console = options.record_from(Console, values)
-    for name in options.options_of(Console):
-        values.pop(name, None)
+    for key in options.options_of(Console):
+        values.pop(key, None)
     return values, console
+
+
+def complete() -> None:
+    """Answer a shell's request for completions, and exit.
+
+    The shell has run ``register-python-argcomplete robot-sysid``.
+    """
+    from argcomplete import autocomplete
+    from argcomplete.completers import FilesCompleter
+
+    typed = os.environ["COMP_LINE"][: int(os.environ["COMP_POINT"])]
+    # The last word is the one to complete; the first one is the program.
+    words = f"{typed}|".split()[1:-1]
+    parser, name_length = _completion_parser(words)
+
+    def complete_files_and_commands(prefix: str, **_: Any) -> list[str]:
+        return [*(() if words else COMMANDS), *FilesCompleter()(prefix)]
+
+    # A subcommand is completed as a program of its own, whose name has so many words.
+    os.environ["_ARGCOMPLETE"] = str(name_length)
+    completer: Any = complete_files_and_commands
+    autocomplete(parser, default_completer=completer)
+
+
+def _completion_parser(words: Sequence[str]) -> tuple[argparse.ArgumentParser, int]:
+    """Return the parser for the complete words of a line, and how many name the command."""
+    name = words[0] if words and words[0] in COMMANDS else ""
+    module_name = COMMANDS.get(name, COMMANDS["identify"])
+    module = importlib.import_module(f"robot_sysid.commands.{module_name}")
+    if name == "motors":
+        if len(words) > 1 and words[1] in module.COMMANDS:
+            return module.build_parser(words[1]), 3
+        parser = argparse.ArgumentParser()
+        parser.add_argument("command", choices=module.COMMANDS)
+        return parser, 2
+    if module_name == "identify":
+        return module.build_parser(name), 2 if name else 1
+    return module.build_parser(), 2

@@ -10,7 +10,7 @@ from pathlib import Path
 from shlex import quote
 
 import robot_sysid
-from robot_sysid.commands.arguments import Parser, parsed
+from robot_sysid.commands.arguments import Parser, parse_command
 from robot_sysid.config import SysidConfig
 from robot_sysid.errors import InputError, error_text
 from robot_sysid.records.file_access import draft_folder, temporary_folder
@@ -27,11 +27,11 @@ GUESS = "kinova_fullinertia_guess.xml"
 TRUTH = "kinova_fullinertia.xml"
 LOG = "true_arm.csv"
 EMPTY_LOG = "empty_arm.csv"
-PLAYED = {LOG: TRUTH, EMPTY_LOG: "kinova_empty_gripper.xml"}
-"""Log to the model that plays in it."""
+PLANTS = {LOG: TRUTH, EMPTY_LOG: "kinova_empty_gripper.xml"}
+"""Log to the model that is simulated in it."""
 RECORDING = {"duration": 15.0, "sample_rate": 200.0, "noise_torque": 0.1}
-"""How they are recorded: small enough to open in a spreadsheet."""
-NEXT = {
+"""Options of the simulation: a log that is small enough to open in a spreadsheet."""
+WALKTHROUGH = {
     "1. Self-test: the model's own numbers have to come back from its own simulation": (
         f"robot-sysid {{model}}/{GUESS}"
     ),
@@ -43,11 +43,12 @@ NEXT = {
         "--output-dir weighed"
     ),
 }
+"""Heading to command, with the copied files in braces."""
 
 
 @dataclass(frozen=True)
 class ExampleOptions(OptionRecord):
-    """Where an example goes."""
+    """Folder that an example is copied to; None for one of the example's name."""
 
     output_dir: Path | None = option(
         None,
@@ -59,7 +60,7 @@ class ExampleOptions(OptionRecord):
 
 
 def build_parser(full: bool = True) -> Parser:
-    """Return the parser of this command."""
+    """Return the parser of this command; without ``full``, its help has the main options only."""
     parser = Parser(
         "example",
         "robot-sysid example kinova",
@@ -72,61 +73,68 @@ def build_parser(full: bool = True) -> Parser:
         "name", metavar="NAME", choices=EXAMPLES, help=", ".join(EXAMPLES)
     )
     parser.add("output", ExampleOptions)
-    return parser.with_console()
+    return parser.add_console_options()
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    values, console = parsed(build_parser, arguments)
-    place = record_from(ExampleOptions, values).output_dir or Path(values["name"])
-    if place.exists():
-        raise InputError(f"{place} exists; choose another folder with --output-dir DIR")
-    _copy(_home(values["name"]), place)
-    console.stage(f"Example copied to {place}. What to do with it:")
-    files = {"model": "model", "log": LOG, "empty": EMPTY_LOG}
-    named = {key: quote(str(place / name)) for key, name in files.items()}
-    commands = [line.format(**named) for line in NEXT.values()]
-    for words, line in zip(NEXT, commands):
-        console.stage("", f"# {words}", line)
-    console.result({"folder": str(place), "commands": commands})
+    values, console = parse_command(build_parser, arguments)
+    folder = record_from(ExampleOptions, values).output_dir or Path(values["name"])
+    if folder.exists():
+        raise InputError(
+            f"{folder} exists; choose another folder with --output-dir DIR"
+        )
+    _copy_example(_source_folder(values["name"]), folder)
+    console.stage(f"Example copied to {folder}. What to do with it:")
+    names = {"model": "model", "log": LOG, "empty": EMPTY_LOG}
+    paths = {key: quote(str(folder / name)) for key, name in names.items()}
+    commands = []
+    for heading, template in WALKTHROUGH.items():
+        commands.append(template.format(**paths))
+        console.stage("", f"# {heading}", commands[-1])
+    console.result({"folder": str(folder), "commands": commands})
     return 0
 
 
-def _copy(home: Path, place: Path) -> None:
-    """Let a copy of the example appear, all of it at once."""
+def _copy_example(source: Path, folder: Path) -> None:
+    """Copy an example and record its logs; the folder appears complete or not at all."""
     ignored = shutil.ignore_patterns("__pycache__", "images")
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        with draft_folder(place) as draft:
-            shutil.copytree(home, draft, ignore=ignored, dirs_exist_ok=True)
-            _record(draft / "model", draft)
-            os.rename(draft, place)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with draft_folder(folder) as draft:
+            shutil.copytree(source, draft, ignore=ignored, dirs_exist_ok=True)
+            _record_logs(draft / "model", draft)
+            os.rename(draft, folder)
     except OSError as error:
         raise InputError(
-            f"cannot copy the example to {place}: {error_text(error)}"
+            f"cannot copy the example to {folder}: {error_text(error)}"
         ) from None
 
 
-def _home(name: str) -> Path:
+def _source_folder(name: str) -> Path:
     """Return an example's folder: in the installed package, or beside it in a checkout."""
     package = Path(robot_sysid.__file__).parent
-    for place in (package / "examples" / name, package.parent / "examples" / name):
-        if (place / "model").is_dir():
-            return place
+    for parent in (package, package.parent):
+        folder = parent / "examples" / name
+        if (folder / "model").is_dir():
+            return folder
     raise InputError(
         f"the example {name} is not in this installation; install it again"
     )
 
 
-def _record(model: Path, place: Path) -> None:
-    """Let the true arm of the example play trajectories and write what its sensors say."""
+def _record_logs(model_folder: Path, folder: Path) -> None:
+    """Simulate the true arm on random trajectories and write its logs into ``folder``."""
     from robot_sysid.pipeline.stages import run
 
-    for seed, (log, played) in enumerate(PLAYED.items(), start=1):
-        arm = {
-            "plant_model": model / played,
-            "save_measurements": place / log,
-            "seed": seed,
-        }
-        with temporary_folder() as nowhere:
-            run(SysidConfig.of(model / GUESS, **RECORDING, **arm, output_dir=nowhere))
+    for seed, (log, plant) in enumerate(PLANTS.items(), start=1):
+        with temporary_folder() as discarded:
+            config = SysidConfig.of(
+                model_folder / GUESS,
+                **RECORDING,
+                plant_model=model_folder / plant,
+                save_measurements=folder / log,
+                seed=seed,
+                output_dir=discarded,
+            )
+            run(config)

@@ -1,14 +1,13 @@
-"""``robot-sysid log LOG [MODEL]``: what is in a log, and what is wrong with it."""
+"""``robot-sysid log LOG [MODEL]``: content of a log, and what is wrong with it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
-from typing import Any
 
-from robot_sysid.commands.arguments import Parser, parsed
-from robot_sysid.commands.console import Console
+from robot_sysid.commands import Console
+from robot_sysid.commands.arguments import Parser, parse_command
 from robot_sysid.errors import InputError
 from robot_sysid.logs import CHECKS, LogOptions
 from robot_sysid.model import ModelOptions
@@ -17,13 +16,13 @@ from robot_sysid.records.option_fields import given_options, record_from
 
 INTERRUPTED = "interrupted; nothing was written"
 LEFT_OUT = ("measurements", "validation_measurements", "verify_rollout")
-
-READ_ALONE = ("topic", "episode")
+"""Keys of a log's options that only identifications have."""
+WITHOUT_MODEL = ("topic", "episode")
 """Keys of options that count without a model."""
 
 
 def build_parser(full: bool = True) -> Parser:
-    """Return the parser of this command."""
+    """Return the parser of this command, whose help always has all options."""
     parser = Parser(
         "log",
         "robot-sysid log log.csv arm.xml",
@@ -40,62 +39,78 @@ def build_parser(full: bool = True) -> Parser:
     parser.add("model", ModelOptions)
     parser.add("log", LogOptions, leave_out=LEFT_OUT)
     parser.add("preview", PreviewOptions)
-    return parser.with_console()
+    return parser.add_console_options()
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    values, console = parsed(build_parser, arguments)
-    log = record_from(LogOptions, values)
-    preview = record_from(PreviewOptions, values)
-    require_preview(preview)
-    if values.get("path") is not None:
-        return _checked(values, log, preview, console)
-    records = preview, log, record_from(ModelOptions, values)
-    for each in (given for record in records for given in given_options(record)):
-        if each.key not in READ_ALONE:
-            raise InputError(f"{each.flag} needs the MODEL after the log")
+    values, console = parse_command(build_parser, arguments)
+    log_options = record_from(LogOptions, values)
+    preview_options = record_from(PreviewOptions, values)
+    model_options = record_from(ModelOptions, values)
+    path = values["log"]
+    require_preview(preview_options)
+    model_path = values.get("path")
+    if model_path is not None:
+        _check_log(
+            path, model_path, log_options, model_options, preview_options, console
+        )
+        return 0
+    for record in (preview_options, log_options, model_options):
+        for option in given_options(record):
+            if option.key not in WITHOUT_MODEL:
+                raise InputError(f"{option.flag} needs the MODEL after the log")
     from robot_sysid.logs.reader import content_lines
 
-    lines = content_lines(values["log"], log, console)
+    lines = content_lines(path, log_options, console)
     console.stage(*lines)
-    console.result({"log": str(values["log"]), "content": lines})
+    console.result({"log": str(path), "content": lines})
     return 0
 
 
-def _checked(
-    values: Mapping[str, Any],
-    options: LogOptions,
-    preview: PreviewOptions,
+def _check_log(
+    path: Path,
+    model_path: Path,
+    log_options: LogOptions,
+    model_options: ModelOptions,
+    preview_options: PreviewOptions,
     console: Console,
-) -> int:
+) -> None:
+    """Print a log's findings against a model; SysidError where one is not accepted."""
     from robot_sysid.diagnosis.log_checks import check_against_model, require_acceptable
     from robot_sysid.logs.reader import open_log
     from robot_sysid.parser import load_robot_model
 
-    model = record_from(ModelOptions, values)
-    path = values["path"]
-    robot = load_robot_model(path, model.mesh_dir, model.joint, keyframe=model.keyframe)
-    log = open_log(robot, values["log"], options, console)
-    console.stage(*map(str, log.notes))  # details are what is asked for here
-    rate = (len(log.samples) - 1) / log.duration
-    console.stage(
-        f"{len(log.samples)} samples in {log.duration:.4g} s, {rate:.4g} Hz on average"
+    robot = load_robot_model(
+        model_path,
+        model_options.mesh_dir,
+        model_options.joint,
+        keyframe=model_options.keyframe,
     )
-    found = check_against_model(robot, log.pieces, divided=log.torque_scale)
-    console.stage(*(each.line() for each in found))
-    if preview.view or preview.video:
+    log = open_log(robot, path, log_options, console)
+    console.stage(*map(str, log.notes))  # As plain text: details are printed here.
+    count = len(log.samples)
+    rate = (count - 1) / log.duration
+    console.stage(f"{count} samples in {log.duration:.4g} s, {rate:.4g} Hz on average")
+    findings = check_against_model(robot, log.pieces, divided=log.torque_scale)
+    console.stage(*(finding.line() for finding in findings))
+    if preview_options.view or preview_options.video:
         from robot_sysid.preview.film import log_preview
 
-        show_preview(robot, log_preview(robot, log.samples), preview, console)
-    named = [{**vars(each), "level": each.level.value} for each in found]
-    about = {"samples": len(log.samples), "duration": log.duration, "sample_rate": rate}
+        preview = log_preview(robot, log.samples)
+        show_preview(robot, preview, preview_options, console)
+    entries = [{**vars(finding), "level": finding.level.value} for finding in findings]
     console.result(
-        {"log": str(log.path), **about, "notes": log.notes, "findings": named}
+        {
+            "log": str(log.path),
+            "samples": count,
+            "duration": log.duration,
+            "sample_rate": rate,
+            "notes": log.notes,
+            "findings": entries,
+        }
     )
-    require_acceptable(str(log.path), found, options.accept)
+    require_acceptable(str(log.path), findings, log_options.accept)
     console.stage("Usable: nothing that stops an identification was found")
-    console.stage(
-        f"Next: robot-sysid identify {quote(str(path))} {quote(str(log.path))}"
-    )
-    return 0
+    model_text = quote(str(model_path))
+    console.stage(f"Next: robot-sysid identify {model_text} {quote(str(log.path))}")

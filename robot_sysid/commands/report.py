@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.commands.arguments import Parser, parsed
-from robot_sysid.commands.console import Console
+from robot_sysid.commands import Console
+from robot_sysid.commands.arguments import Parser, parse_command
 from robot_sysid.config import OutputOptions
 from robot_sysid.errors import SysidError
 from robot_sysid.model import ModelOptions
@@ -22,7 +22,7 @@ from robot_sysid.records.option_fields import (
 
 @dataclass(frozen=True)
 class PageOptions(OptionRecord):
-    """Where the page goes, and what goes beside it."""
+    """Folder of the page (None for that of the first run), and files beside it."""
 
     output_dir: Path | None = option(
         None,
@@ -35,7 +35,7 @@ class PageOptions(OptionRecord):
 
 
 def build_parser(full: bool = True) -> Parser:
-    """Return the parser of this command."""
+    """Return the parser of this command, whose help always has all options."""
     parser = Parser(
         "report",
         "robot-sysid report sysid_output",
@@ -51,73 +51,77 @@ def build_parser(full: bool = True) -> Parser:
     )
     parser.add("page", PageOptions)
     parser.add("model", ModelOptions, only=("mesh_dir",))
-    return parser.with_console()
+    return parser.add_console_options()
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    values, console = parsed(build_parser, arguments)
+    values, console = parse_command(build_parser, arguments)
     page = record_from(PageOptions, values)
-    model = record_from(ModelOptions, values)
+    mesh_dir = record_from(ModelOptions, values).mesh_dir
     require_report(OutputOptions(report=True))
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.report.page import write_report
     from robot_sysid.report.runs import load_run
 
     runs = [load_run(folder) for folder in values["folders"]]
-    destination = page.output_dir or runs[0].folder
-    written = write_report(
-        runs, destination, model.mesh_dir, plots=page.plots, progress=console
-    )
-    console.stage(f"Written: {written[0]}")
-    if len(written) > 1:
-        console.stage(f"Written: {len(written) - 1} figures in {written[-1].parent}")
+    folder = page.output_dir or runs[0].folder
+    paths = write_report(runs, folder, mesh_dir, plots=page.plots, progress=console)
+    console.stage(f"Written: {paths[0]}")
+    if len(paths) > 1:
+        console.stage(f"Written: {len(paths) - 1} figures in {paths[-1].parent}")
     verdicts = [run.content["verdict"] for run in runs]
-    console.result({"written": list(map(str, written)), "verdicts": verdicts})
-    console.stage(*(verdicts[0] if len(runs) == 1 else ()))
+    console.result({"written": list(map(str, paths)), "verdicts": verdicts})
+    if len(runs) == 1:
+        console.stage(*verdicts[0])
     return 0
 
 
 def require_report(output: OutputOptions) -> None:
-    """Raise InputError where a report is wanted that cannot be made; asked before a long run."""
+    """Raise InputError where a wanted report cannot be made; called before a long run."""
     if output.report or output.plots:
         from robot_sysid.report.drawing import require_libraries
 
         require_libraries()
 
 
-def report_of(
+def write_outcome_report(
     outcome: Any, output: OutputOptions, mesh_dir: Path | None, console: Console
 ) -> str | None:
-    """Write what a later report needs, and the report where it is wanted; return why that failed.
+    """Write the data of a later report, and the report if it is wanted.
 
-    The results are in their files already; whatever fails here leaves them there.
+    The results are in their files already, and stay there whatever fails here.
+
+    Args:
+        outcome: a ``pipeline.outcome.Outcome``; those of a plan and of servos that were found
+            without torques have no report.
+
+    Returns:
+        Why a wanted report is missing, or None.
     """
-    wanted = output.report or output.plots
+    is_wanted = output.report or output.plots
     traces = outcome.traces
-    # A plan, and servos found without torques, have none to draw.
-    if traces is None or not (wanted or outcome.result.is_measured):
+    if traces is None or not (is_wanted or outcome.result.is_measured):
         return None
     from robot_sysid.report.page import save_data, write_report
     from robot_sysid.report.runs import load_run
 
     try:
         save_data(output.output_dir, traces(), outcome.result_hash)
-        if not wanted:
+        if not is_wanted:
             return None
         console.stage("Drawing the report...")
-        page = output.report
         run = load_run(output.output_dir)
-        written = write_report([run], run.folder, mesh_dir, page, output.plots, console)
-    except Exception as error:  # the run is done, and what it found must stand
-        cause = (
-            str(error)
-            if isinstance(error, SysidError)
-            else f"{type(error).__name__}: {error}"
+        paths = write_report(
+            [run], run.folder, mesh_dir, output.report, output.plots, console
         )
-        if not wanted:
-            console.note(f"nothing was left for a later report: {cause}")
-            return None
-        return f"the results are written, but the report is not: {cause}"
-    console.stage(f"Report: {written[0] if page else written[0].parent}")
+    except Exception as error:  # The run is done, and its results must stand.
+        cause = f"{type(error).__name__}: {error}"
+        if isinstance(error, SysidError):
+            cause = str(error)
+        if is_wanted:
+            return f"the results are written, but the report is not: {cause}"
+        console.note(f"nothing was left for a later report: {cause}")
+        return None
+    console.stage(f"Report: {paths[0] if output.report else paths[0].parent}")
     return None

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import get_type_hints
 
 import pytest
 
-from robot_sysid.commands.arguments import parsed
-from robot_sysid.commands.run import QUESTIONS, build_parser, text_of
+from robot_sysid.commands.arguments import parse_command
+from robot_sysid.commands.identify import SPECS, build_parser, settings_text
 from robot_sysid.config import PayloadConfig, SysidConfig
 from robot_sysid.errors import InputError
-from robot_sysid.model import ModelOptions
 from robot_sysid.records.option_fields import default_of, options_of
 from tests.support import option_samples
 
@@ -21,17 +19,18 @@ IDENTIFY = partial(build_parser, "identify")
 MODEL = Path("an 'arm'.xml")
 
 
-def written(kind, sample):
-    """The file of a run that was asked for one thing."""
+def file_text(kind, sample):
+    """The settings file of a run with one option that is not at its default."""
     record = get_type_hints(kind)[sample.record]
-    held = object.__new__(record)  # what else goes with it is not checked
-    vars(held).update({name: default_of(record, name) for name in options_of(record)})
-    vars(held)[sample.field] = sample.value
-    config = SimpleNamespace(model=ModelOptions(path=MODEL), asked=held)
-    return text_of("robot-sysid", config, Path("run.toml"), {})
+    # Its options are not checked, as one may need another.
+    values = object.__new__(record)
+    for name in options_of(record):
+        vars(values)[name] = default_of(record, name)
+    vars(values)[sample.field] = sample.value
+    return settings_text("robot-sysid", MODEL, [values], {})
 
 
-@pytest.mark.parametrize("name", QUESTIONS)
+@pytest.mark.parametrize("name", SPECS)
 def test_every_option_that_is_written_is_read_again(name, tmp_path):
     kind = PayloadConfig if name == "payload" else SysidConfig
     taken = option_samples.keys_of(build_parser(name))
@@ -40,9 +39,11 @@ def test_every_option_that_is_written_is_read_again(name, tmp_path):
     for sample in option_samples.samples(kind):
         if sample.option.key in taken:
             file.write_text(
-                written(kind, sample) + 'measurements = ["log.csv"]\n' * len(logs)
+                file_text(kind, sample) + 'measurements = ["log.csv"]\n' * len(logs)
             )
-            values, _ = parsed(partial(build_parser, name), ["--config", str(file)])
+            values, _ = parse_command(
+                partial(build_parser, name), ["--config", str(file)]
+            )
             assert values == {"path": MODEL, **logs, sample.option.key: sample.value}
 
 
@@ -60,7 +61,7 @@ def test_what_is_typed_counts_before_the_file(tmp_path):
         "--keep",
         "links",
     ]
-    values, console = parsed(IDENTIFY, words)
+    values, console = parse_command(IDENTIFY, words)
     assert values == {
         **{"path": Path("other.xml"), "measurements": (Path("b.csv"),)},
         **{"cutoff": 9.0, "keep": ("links",)},
@@ -89,5 +90,5 @@ def test_what_is_wrong_with_it_is_said_in_one_line(tmp_path, text, said):
     if text is not None:
         file.write_text(text)
     with pytest.raises(InputError) as error:
-        parsed(IDENTIFY, ["--config", str(file)])
+        parse_command(IDENTIFY, ["--config", str(file)])
     assert said in str(error.value)

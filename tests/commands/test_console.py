@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_sysid.commands.console import Console
-from robot_sysid.commands.streams import print_line
+from robot_sysid.commands import Console, print_line
 from robot_sysid.records.messages import Detail
 
 
@@ -79,7 +78,7 @@ def test_a_result_as_json_has_standard_output_for_itself(capsys):
         printed = capsys.readouterr()
         if as_json:
             assert json.loads(printed.out) == {"value": None, "at": "x"}
-            assert printed.err == "a stage\nnote: a note\n" and console.said == [
+            assert printed.err == "a stage\nnote: a note\n" and console.json_lines == [
                 "a stage"
             ]
         else:

@@ -18,10 +18,10 @@ def unrecorded(monkeypatch):
     """The logs of the true arm take a second each to simulate."""
 
     def record(model, place):
-        for log in example.PLAYED:
+        for log in example.PLANTS:
             (place / log).write_text("time\n")
 
-    monkeypatch.setattr(example, "_record", record)
+    monkeypatch.setattr(example, "_record_logs", record)
 
 
 def printed_commands(out: str) -> list[list[str]]:
@@ -51,7 +51,7 @@ def test_a_copy_that_ends_early_leaves_nothing(command, tmp_path, monkeypatch):
         assert model.is_dir() and not (tmp_path / "kinova").exists()
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(example, "_record", fail)
+    monkeypatch.setattr(example, "_record_logs", fail)
     assert "no unfinished file is left" in command.refused(
         "example", "kinova", code=130
     )

@@ -20,7 +20,7 @@ import pytest
 
 from robot_sysid import parser
 from robot_sysid.cli import main
-from robot_sysid.commands.motors import asked as motors_asked
+from robot_sysid.commands.motors import session
 from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.joints import damiao_joints, write_joint_map
 from robot_sysid.damiao.model_check import gravity_check
@@ -195,10 +195,10 @@ def test_interrupting_before_anything_moves(capsys, bus, trajectory, person):
 
 def test_a_driver_that_does_not_return_ends_the_program(capsys, monkeypatch):
     ended = []
-    monkeypatch.setattr(motors_asked.os, "_exit", ended.append)
-    motors_asked._hanging("it hangs", False)
+    monkeypatch.setattr(session.os, "_exit", ended.append)
+    session._report_stall("it hangs", False)
     assert ended == []
-    motors_asked._hanging("it hangs", True)
+    session._report_stall("it hangs", True)
     assert ended == [3]
     assert (
         capsys.readouterr().err
@@ -210,11 +210,11 @@ def test_a_terminal_that_takes_nothing_does_not_keep_it_from_ending(monkeypatch)
     """Held with Ctrl-S, or broken in a way that nobody thought of."""
     ended = []
     released = threading.Event()
-    monkeypatch.setattr(motors_asked.os, "_exit", ended.append)
-    monkeypatch.setattr(motors_asked, "_PATIENCE", 0.01)
+    monkeypatch.setattr(session.os, "_exit", ended.append)
+    monkeypatch.setattr(session, "_PRINT_TIMEOUT", 0.01)
     for printing in (lambda *_: released.wait(20.0), lambda *_: 1 / 0):
-        monkeypatch.setattr(motors_asked, "print_line", printing)
-        motors_asked._hanging("it hangs", True)
+        monkeypatch.setattr(session, "print_line", printing)
+        session._report_stall("it hangs", True)
         assert not released.is_set()
     released.set()
     assert ended == [3, 3]

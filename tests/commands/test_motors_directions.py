@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from robot_sysid.commands.motors import directions
+from robot_sysid.commands.motors import mapping
 from robot_sysid.damiao.joints import damiao_joints, read_joint_map
 from robot_sysid.damiao.references import HoldingCheck
 from robot_sysid.errors import HardwareAbort
@@ -27,7 +27,7 @@ START = np.array([0.4, 0.6])
 def words(bus, arm_file, tmp_path, monkeypatch):
     """What plays a swing on an arm with an upright first axis."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(directions, "_PACE", (1.0, 0.4))
+    monkeypatch.setattr(mapping, "_PACE", (1.0, 0.4))
     path = arm_file(arms.serial_arm((arms.Z, arms.Y)))
     robot = load_robot_model(path)
     bus.arm.mechanism = ArmStepper(robot, START, 4e-3)
@@ -77,7 +77,7 @@ def test_what_is_seen_is_never_written_into_a_file_of_lerobots(
     text = json.dumps({f"joint_{k}": {**entry, "id": k + 1} for k in range(2)})
     theirs = tmp_path / "calibration.json"
     theirs.write_text(text)
-    monkeypatch.setattr(directions, "_move_a_little", lambda *_: ["up"] * 2)
+    monkeypatch.setattr(mapping, "_nudge_joints", lambda *_: ["up"] * 2)
     person[0][:] = ["yes"] * 3
     code, _, err = run(capsys, *words, "--verify", "--joint-map", theirs)
     assert (code, err) == (0, "") and theirs.read_text() == text

@@ -262,11 +262,11 @@ def test_a_map_is_not_guessed(capsys, bus, person, tmp_path, arm_file):
 
 
 def test_the_model_says_which_way_is_positive(arm_file):
-    from robot_sysid.commands.motors.setup import positive_ways
+    from robot_sysid.commands.motors.mapping import movement_texts
     from robot_sysid.parser import load_robot_model
 
     robot = load_robot_model(arm_file(arms.serial_arm((arms.Z, arms.Y))))
-    ways = positive_ways(robot)
+    ways = movement_texts(robot)
     assert [way.partition("seen from ")[2] for way in ways] == ["+z (up)", "+y"]
     assert all("counter-clockwise" in way for way in ways)
 

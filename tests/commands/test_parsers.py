@@ -14,12 +14,12 @@ import pytest
 
 from robot_sysid import __version__
 from robot_sysid.cli import main
-from robot_sysid.commands import log, run
-from robot_sysid.commands.arguments import PYTHON_ONLY, parsed
+from robot_sysid.commands import identify, log
+from robot_sysid.commands.arguments import PYTHON_ONLY, parse_command
 from robot_sysid.config import PayloadConfig, SysidConfig
 from tests.support import option_samples
 
-PARSERS = {**{name: partial(run.build_parser, name) for name in run.QUESTIONS}}
+PARSERS = {**{name: partial(identify.build_parser, name) for name in identify.SPECS}}
 PARSERS["log"] = log.build_parser
 POSITIONAL = {"identify": ["arm.xml", "log.csv"], "log": ["log.csv", "arm.xml"]}
 
@@ -34,7 +34,7 @@ def test_every_option_arrives_as_the_value_that_was_typed(name):
     known = {sample.option.key for sample in samples}
     assert taken - {"view", "video"} <= known - set(PYTHON_ONLY)
     for sample in (sample for sample in samples if sample.option.key in taken):
-        values, _ = parsed(parser, [*words, *sample.words])
+        values, _ = parse_command(parser, [*words, *sample.words])
         assert values[sample.option.key] == sample.value
         assert set(values) <= {"path", "measurements", "log", sample.option.key}
 
@@ -43,7 +43,9 @@ def test_every_option_arrives_as_the_value_that_was_typed(name):
 def asked(monkeypatch):
     """Function: the configuration that a command line asks for, without running it."""
     seen = []
-    monkeypatch.setattr(run, "carry_out", lambda config, *_: seen.append(config) or 0)
+    monkeypatch.setattr(
+        identify, "run_command", lambda config, *_: seen.append(config) or 0
+    )
 
     def ask(*arguments):
         assert main([*arguments]) == 0
@@ -93,7 +95,7 @@ def test_help_is_an_example_and_the_main_options_and_the_full_help_has_all(
     shown = [
         a for a in PARSERS[name](full=False)._actions if a.help != argparse.SUPPRESS
     ]
-    main_options = run.QUESTIONS[name].main if name in run.QUESTIONS else ()
+    main_options = identify.SPECS[name].main if name in identify.SPECS else ()
     assert set(main_options) <= {action.dest for action in shown}
 
 

@@ -7,9 +7,9 @@ from functools import partial
 
 import pytest
 
-from robot_sysid.commands.arguments import parsed
-from robot_sysid.commands.console import Console
-from robot_sysid.commands.run import build_parser
+from robot_sysid.commands import Console
+from robot_sysid.commands.arguments import parse_command
+from robot_sysid.commands.identify import build_parser
 from robot_sysid.config import SysidConfig
 from robot_sysid.estimation.algebra import consistent_bodies
 from robot_sysid.motion.trajectories import LineTrajectory, load_trajectory
@@ -53,7 +53,7 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(
     assert saved.joint_names == ("joint0", "joint1", "joint2")
     file = path.parent / "sysid_output" / "trajectory.toml"
     repeated = SysidConfig.of_plan(
-        **parsed(partial(build_parser, "plan"), ["--config", str(file)])[0]
+        **parse_command(partial(build_parser, "plan"), ["--config", str(file)])[0]
     )
     assert repeated.excitation.kind == "sines"
 
@@ -97,7 +97,7 @@ def test_ctrl_c_without_a_terminal_keeps_the_best_motion(
         told.append(line)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Console, "_tell", interrupt)
+    monkeypatch.setattr(Console, "_print_progress", interrupt)
     printed = command.run("plan", path, *SINES[2:])
     assert len(told) == 1 and re.match(
         "Designing the trajectory: .* %, mass ± .* kg", told[0]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.cli import main
-from robot_sysid.commands import example, log, motors, report, run
+from robot_sysid.commands import example, identify, log, motors, report
 from robot_sysid.damiao.joints import write_joint_map
 from robot_sysid.parser import load_robot_model
 from tests.support import arms, log_files
@@ -22,7 +22,7 @@ from tests.support.measured_logs import JOINT, log_of, true_arm
 resource = pytest.importorskip("resource")
 
 PARSERS = {
-    **{name: run.build_parser(name) for name in run.QUESTIONS},
+    **{name: identify.build_parser(name) for name in identify.SPECS},
     **{f"motors {name}": motors.build_parser(name) for name in motors.COMMANDS},
     "log": log.build_parser(),
     "report": report.build_parser(),

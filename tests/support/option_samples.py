@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, get_type_hints
 
-from robot_sysid.commands.console import ConsoleOptions
+from robot_sysid.commands import ConsoleOptions
 from robot_sysid.config import SysidConfig
 from robot_sysid.records.option_fields import Option, default_of, options_of
 

@@ -10,9 +10,8 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from robot_sysid.commands import motors, run
+from robot_sysid.commands import ConsoleOptions, identify, motors
 from robot_sysid.commands.arguments import PYTHON_ONLY, default_text
-from robot_sysid.commands.console import ConsoleOptions
 from robot_sysid.config import PayloadOptions
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.protocol import BusTiming
@@ -23,8 +22,8 @@ from robot_sysid.records.option_fields import Option, default_of, options_of
 from tests.support.places import ROOT
 
 PAGES = (ROOT / "README.md", ROOT / "docs" / "options.md")
-GROUPS = run.QUESTIONS[""].groups
-MAIN = run.QUESTIONS[""].main
+GROUPS = identify.SPECS[""].groups
+MAIN = identify.SPECS[""].main
 TABLES: Mapping[str, Sequence[type]] = {
     **GROUPS,
     "main": (

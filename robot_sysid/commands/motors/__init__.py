@@ -10,18 +10,30 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
-from robot_sysid.commands.motors import setup as motors_setup
-from robot_sysid.commands.motors.asked import (
-    Asked,
+from robot_sysid.commands import PROGRAM
+from robot_sysid.commands.arguments import Parser, parse_command
+from robot_sysid.commands.motors.mapping import (
+    DirectionChoices,
+    MapOptions,
+    map_joints,
+    verify_directions,
+)
+from robot_sysid.commands.motors.session import (
+    Session,
     check_lines,
+    confirm,
     motor_table,
     run_lines,
-    said_yes,
 )
-from robot_sysid.commands.motors.directions import DirectionChoices, verify
-from robot_sysid.commands.motors.setup import LifetimeOptions
-from robot_sysid.damiao import preflight, simulated
+from robot_sysid.commands.motors.setup import (
+    SILENT,
+    LifetimeOptions,
+    MonitorOptions,
+    SetupOptions,
+    monitor,
+    setup,
+)
+from robot_sysid.damiao import preflight
 from robot_sysid.damiao.adapters import BusAddress, BusLink, import_can, slcan_terminal
 from robot_sysid.damiao.bus import GuardedLink, Link, inspect_bus
 from robot_sysid.damiao.execution import lengthen_hold
@@ -29,11 +41,12 @@ from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.protocol import BusTiming, default_rate
 from robot_sysid.damiao.settings import (
     Permissions,
+    Plan,
     PlaySettings,
     RecordingOptions,
     SecondArm,
 )
-from robot_sysid.damiao.simulated import serve
+from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG, serve
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
 from robot_sysid.model import ModelOptions
@@ -49,16 +62,21 @@ from robot_sysid.records.option_fields import (
 
 INTERRUPTED = "interrupted; no motor is enabled"
 _CODES = (0, 1, 2, 3, 130)
-# Coarse enough for an ordinary computer to keep up with.
 _REAL_TIME_STEP = 1e-3
-_FOR_EVER = 1e8
-# A simulated arm that is later than this lets answers miss their cycle at 250 Hz [s].
-_WORTH_SAYING = 3e-3
+"""Time step of an arm simulated in real time [s]: one that an ordinary computer keeps up with."""
+_UNLIMITED = 1e8
+"""Time for which an arm is held without --for [s]."""
+_NOTABLE_DELAY = 3e-3
+"""Delay of a simulated arm's answers that is reported [s]: at 250 Hz they miss their cycle."""
+_WARNING = (
+    "The arm will move. Keep clear of it, keep the emergency stop at hand, and remember that it "
+    "sinks when it is disabled."
+)
 
 
 @dataclass(frozen=True)
 class PlayChoices(OptionRecord):
-    """What ``motors play`` does beside playing."""
+    """Whether ``motors play`` stops after the checks, and whether it asks a person."""
 
     dry_run: bool = option(
         False, "stop after the checks; without --channel only those that need no bus"
@@ -68,119 +86,118 @@ class PlayChoices(OptionRecord):
 
 @dataclass(frozen=True)
 class SimulatedMotorOptions(LifetimeOptions):
-    """What ``motors simulate`` puts on the bus, and for how long."""
+    """Options of the simulated motors of ``motors simulate``."""
 
     play: bool = option(
         False, "play the trajectory at once, in simulated time, without a bus"
     )
-    watchdog: float = option(
-        simulated.DEFAULT_WATCHDOG, "of the simulated motors", "S [s] > 0"
-    )
+    watchdog: float = option(DEFAULT_WATCHDOG, "of the simulated motors", "S [s] > 0")
 
 
-def check(asked: Asked) -> int:
-    """Inspect the motors; return 0 where a trajectory could be played."""
-    console = asked.console
-    if not asked.address.channel:
+def check(session: Session) -> int:
+    """Inspect the motors; return 0 where a trajectory could be played, else 1."""
+    console = session.console
+    if not session.address.channel:
         raise InputError("check needs --channel, for instance --channel can0")
-    plan = asked.plan() if asked.values.get("trajectory") else None
-    if plan is None and asked.values.get("model"):
+    plan = session.plan() if session.values.get("trajectory") else None
+    if plan is None and session.values.get("model"):
         raise InputError("--model needs a TRAJECTORY to check")
-    checks = asked.checks(plan) if plan else []
-    with asked.open_guarded() as link:
+    checks = session.checks(plan) if plan else []
+    with session.open_guarded() as link:
         inspection = inspect_bus(link)
-    motors = len(inspection.motors)
-    if not motors:
+    count = len(inspection.motors)
+    if not count:
         console.stage(*check_lines(checks))
-        asked.verdict = (f"Not usable: {motors_setup.SILENT}",)
+        session.verdict = (f"Not usable: {SILENT}",)
         return 1
-    rate = record_from(PlaySettings, asked.values).rate or default_rate(
-        motors, asked.timing
-    )
+    timing = session.timing
+    given_rate = record_from(PlaySettings, session.values).rate
+    settings = PlaySettings(rate=given_rate or default_rate(count, timing))
     if plan:
-        checks += asked.inspection_checks(plan, inspection)
+        checks += session.inspection_checks(plan, inspection)
     else:
-        settings = PlaySettings(rate=rate)
-        checks += preflight.general_checks(inspection, settings, asked.timing)
+        checks += preflight.general_checks(inspection, settings, timing)
     joints = plan.trajectory.joints if plan else ()
     console.stage(*motor_table(inspection, joints), *check_lines(checks))
-    to_change = len(preflight.stops(checks))
-    if to_change:
-        asked.verdict = (f"Not usable: {to_change} to change before playing",)
-    elif plan:
-        asked.conclude("Usable: ready to play", asked.play_words())
+    faults = len(preflight.stops(checks))
+    if faults:
+        session.verdict = (f"Not usable: {faults} to change before playing",)
+        return 1
+    if plan:
+        session.conclude("Usable: ready to play", session.play_command())
     else:
-        asked.conclude(
-            "Usable: the motors are in order",
-            asked.command("check", trajectory="TRAJECTORY"),
-        )
-    return 1 if to_change else 0
+        next_command = session.command("check", trajectory="TRAJECTORY")
+        session.conclude("Usable: the motors are in order", next_command)
+    return 0
 
 
-def play(asked: Asked) -> int:
-    """Play a trajectory on the motors."""
-    choices = record_from(PlayChoices, asked.values)
-    plan = asked.plan()
-    checks = asked.checks(plan)
-    if asked.address.channel:
-        with asked.open_guarded() as link:
-            if (
-                record_from(DirectionChoices, asked.values).verify
-                and not choices.dry_run
-            ):
-                return verify(asked, link, plan)
-            return _play_on(link, plan, checks, choices, asked, real=True)
+def play(session: Session) -> int:
+    """Play a trajectory on the motors, or only check it; return the exit code."""
+    choices = record_from(PlayChoices, session.values)
+    verifies = record_from(DirectionChoices, session.values).verify
+    plan = session.plan()
+    checks = session.checks(plan)
+    if session.address.channel:
+        with session.open_guarded() as link:
+            if verifies and not choices.dry_run:
+                return verify_directions(session, link, plan)
+            return _play_on(link, plan, checks, choices, session, is_real=True)
     if not choices.dry_run:
         raise InputError(
             "play needs --channel, for instance --channel can0 (or --dry-run)"
         )
-    asked.console.stage(*check_lines(checks))
-    return _rehearsed(checks, asked)
+    session.console.stage(*check_lines(checks))
+    return _conclude_dry_run(checks, session)
 
 
-def simulate(asked: Asked) -> int:
-    """Put a simulated arm on a bus, or play on it at once."""
-    options = record_from(SimulatedMotorOptions, asked.values)
-    plan = asked.plan()
-    checks = asked.checks(plan)
+def simulate(session: Session) -> int:
+    """Serve a simulated arm on a bus, or play on it at once; return the exit code."""
+    options = record_from(SimulatedMotorOptions, session.values)
+    plan = session.plan()
+    checks = session.checks(plan)
     if options.play:
-        with asked.open_simulated(asked.simulated_arm(plan, options.watchdog)) as link:
-            return _play_on(link, plan, checks, PlayChoices(yes=True), asked)
+        arm = session.simulated_arm(plan, options.watchdog)
+        with session.open_simulated(arm) as link:
+            return _play_on(link, plan, checks, PlayChoices(yes=True), session)
     preflight.require_no_stop(checks, "not rehearsed")
-    arm = asked.simulated_arm(plan, options.watchdog, _REAL_TIME_STEP)
-    system = asked.clock
+    arm = session.simulated_arm(plan, options.watchdog, _REAL_TIME_STEP)
+    clock = session.clock
     stop = StopRequest()
-    with contextlib.closing(_simulated_end(asked)) as end, stop.on_signals():
-        ends = system.now() + (options.lifetime or float("inf"))
-        service = serve(
-            arm, end, system, lambda: not stop.count and system.now() < ends
-        )
+    with contextlib.closing(_open_simulated_end(session)) as link, stop.on_signals():
+        end = clock.now() + (options.lifetime or float("inf"))
+        service = serve(arm, link, clock, lambda: not stop.count and clock.now() < end)
     if service.left_out > 0.0:
-        asked.console.stage(
+        session.console.stage(
             f"this computer was too slow by {service.left_out:.1f} s in all"
         )
-    if service.longest_delay > _WORTH_SAYING:
-        late = f"{1e3 * service.longest_delay:.0f} ms"
-        asked.console.stage(f"this computer kept commands waiting for up to {late}")
+    if service.longest_delay > _NOTABLE_DELAY:
+        delay = f"{1e3 * service.longest_delay:.0f} ms"
+        session.console.stage(f"this computer kept commands waiting for up to {delay}")
     return 0
 
 
-def hold(asked: Asked) -> int:
-    """Hold the arm where it stands, its weight carried by torques of its model."""
-    seconds = record_from(LifetimeOptions, asked.values).lifetime or _FOR_EVER
-    choices = record_from(PlayChoices, asked.values)
-    with asked.open_guarded() as link:
-        plan = asked.hold_plan(inspect_bus(link))
-        checks = asked.checks(plan)
-        return _play_on(
-            link, lengthen_hold(plan, seconds), checks, choices, asked, holds=True
-        )
+def hold(session: Session) -> int:
+    """Hold the arm in its present pose with gravity torques of its model; return the exit code."""
+    seconds = record_from(LifetimeOptions, session.values).lifetime or _UNLIMITED
+    choices = record_from(PlayChoices, session.values)
+    with session.open_guarded() as link:
+        plan = session.hold_plan(inspect_bus(link))
+        checks = session.checks(plan)
+        long_plan = lengthen_hold(plan, seconds)
+        return _play_on(link, long_plan, checks, choices, session, holds=True)
 
 
-class _Command(NamedTuple):
-    """What a subcommand does, an example, what its help says, and its own options by group."""
+class MotorCommand(NamedTuple):
+    """One subcommand of motors.
 
-    run: Callable[[Asked], int]
+    Attributes:
+        run: runs it and returns the exit code.
+        example: words of a complete command line after the command.
+        description: its help.
+        groups: heading in the help to classes of option records that other commands lack.
+    """
+
+    run: Callable[[Session], int]
     example: str
     description: str
     groups: Mapping[str, Sequence[type]]
@@ -189,14 +206,14 @@ class _Command(NamedTuple):
 _MOTION = {"motion and limits": (PlaySettings,), "what to allow": (Permissions,)}
 _ASKING = {"asking": (PlayChoices,)}
 _PLAYED = {
-    "check": _Command(
+    "check": MotorCommand(
         check,
         "damiao_trajectory.csv --channel can0",
         "Ask every id from 1 to 15, print what the motors say, and tell what has to change before "
         "a trajectory can be played. Enables no motor and writes nothing.",
         _MOTION,
     ),
-    "play": _Command(
+    "play": MotorCommand(
         play,
         "damiao_trajectory.csv --channel can0 --speed 0.3 --record measured.csv",
         "Go through all checks, ask for confirmation, enable the motors, move slowly to the first "
@@ -208,7 +225,7 @@ _PLAYED = {
             "asking": (PlayChoices, DirectionChoices),
         },
     ),
-    "simulate": _Command(
+    "simulate": MotorCommand(
         simulate,
         "damiao_trajectory.csv --model arm.xml --play --record measured.csv",
         "Simulate the arm of a model with Damiao motors. Without --play it sits behind a "
@@ -221,9 +238,9 @@ _PLAYED = {
         },
     ),
 }
-COMMANDS: Mapping[str, _Command] = {
+COMMANDS: Mapping[str, MotorCommand] = {
     **_PLAYED,
-    "hold": _Command(
+    "hold": MotorCommand(
         hold,
         "--channel can0 --model arm.xml --park rest",
         "Hold the arm where it stands, stiff, its weight carried by torques of its model. Ctrl-C "
@@ -235,25 +252,25 @@ COMMANDS: Mapping[str, _Command] = {
             **_ASKING,
         },
     ),
-    "setup": _Command(
-        motors_setup.setup,
+    "setup": MotorCommand(
+        setup,
         "--channel can0 --motor 1 --new-id 2 --new-master-id 0x12 --mit --watchdog 0.1 --store",
         "List the motors on a bus, or change one: ids, mode, watchdog, bit rate, zero, error. "
         "Never while it is enabled.",
-        {"setup": (motors_setup.SetupOptions,)},
+        {"setup": (SetupOptions,)},
     ),
-    "monitor": _Command(
-        motors_setup.monitor,
+    "monitor": MotorCommand(
+        monitor,
         "--channel can0",
         "Show what the motors measure, again and again. Enables nothing.",
-        {"monitor": (motors_setup.MonitorOptions,)},
+        {"monitor": (MonitorOptions,)},
     ),
-    "map": _Command(
-        motors_setup.map_joints,
+    "map": MotorCommand(
+        map_joints,
         "--channel can0 --model arm.xml --output joint_map.csv",
         "Find out by hand which motor drives which joint of a model, which way, and where its "
         "zero is. The arm is limp: support it, and move one joint at a time when you are asked.",
-        {"map": (motors_setup.MapOptions,)},
+        {"map": (MapOptions,)},
     ),
 }
 _MAIN = (
@@ -275,79 +292,99 @@ _MAIN = (
 
 
 def build_parser(command: str, full: bool = True) -> Parser:
-    """Return the parser of a subcommand; without ``full``, its help shows the main options only."""
-    _, example, description, groups = COMMANDS[command]
-    own = (
-        name
-        for records in groups.values()
-        for each in records
-        for name in options_of(each)
+    """Return the parser of a subcommand; without ``full``, its help has the main options only."""
+    spec = COMMANDS[command]
+    is_run = command in (*_PLAYED, "hold")
+    main = list(_MAIN)
+    if not is_run:
+        main = list(_MAIN[:3])
+        for records in spec.groups.values():
+            for record in records:
+                main += options_of(record)
+    example = f"{PROGRAM} motors {command} {spec.example}"
+    parser = Parser(
+        f"motors {command}",
+        example,
+        spec.description,
+        None if full else main,
+        codes=_CODES,
     )
-    main = _MAIN if command in (*_PLAYED, "hold") else (*_MAIN[:3], *own)
-    usage = f"{PROGRAM} motors {command} {example}"
-    shown = None if full else main
-    parser = Parser(f"motors {command}", usage, description, shown, codes=_CODES)
     if command in _PLAYED:
-        nargs = "?" if command == "check" else None
         parser.add_argument(
             "trajectory",
             metavar="TRAJECTORY",
             type=Path,
             help="damiao_trajectory.csv",
-            nargs=nargs,
+            nargs="?" if command == "check" else None,
         )
-    if command in (*_PLAYED, "hold", "map"):
-        arms = (ModelOptions,) if command == "map" else (ModelOptions, SecondArm)
-        none = () if command in _PLAYED else ("also",)
-        group = parser.add("arm", *arms, leave_out=none)
-        help_model = "of the arm"
-        if command != "map":
-            help_model = (
-                "MJCF or URDF of the arm; the trajectory is checked against its limits"
-            )
-            help_map = (
-                "how each joint's motor is mounted (see: motors map), or LeRobot's file"
-            )
-            group.add_argument("--joint-map", metavar="FILE", type=Path, help=help_map)
-        needed = command in ("simulate", "hold", "map")
-        group.add_argument(
-            "--model", metavar="MODEL", type=Path, required=needed, help=help_model
-        )
+    if is_run or command == "map":
+        _add_arm_options(parser, command)
     parser.add("bus", BusAddress, BusTiming)
-    for title, records in groups.items():
+    for title, records in spec.groups.items():
         parser.add(title, *records)
     if command in _PLAYED:
-        # Nothing is limited by default, but by the model.
-        parser.add("limits", LimitOptions, only=LIMITS, usual=dict.fromkeys(LIMITS))
-    return parser.with_console()
+        # By default only the model limits the motion.
+        no_limits = dict.fromkeys(LIMITS)
+        parser.add("limits", LimitOptions, only=LIMITS, defaults=no_limits)
+    return parser.add_console_options()
+
+
+def _add_arm_options(parser: Parser, command: str) -> None:
+    """Add the options that say which arm the motors drive."""
+    help_text = "of the arm"
+    if command == "map":
+        group = parser.add("arm", ModelOptions, leave_out=("also",))
+    else:
+        # A held arm has no second trajectory.
+        leave_out = ("also",) if command == "hold" else ()
+        group = parser.add("arm", ModelOptions, SecondArm, leave_out=leave_out)
+        help_text = (
+            "MJCF or URDF of the arm; the trajectory is checked against its limits"
+        )
+        group.add_argument(
+            "--joint-map",
+            metavar="FILE",
+            type=Path,
+            help="how each joint's motor is mounted (see: motors map), or LeRobot's file",
+        )
+    is_required = command in ("simulate", "hold", "map")
+    group.add_argument(
+        "--model", metavar="MODEL", type=Path, required=is_required, help=help_text
+    )
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     name = arguments[0] if arguments else "--help"
     if name not in COMMANDS:
-        _overview().parse_args(arguments or ["--help"])
+        _overview_parser().parse_args(arguments or ["--help"])
         raise InputError(f"unknown command {name!r}; valid: {', '.join(COMMANDS)}")
-    asked = Asked(*parsed(partial(build_parser, name), arguments[1:]))
+    session = Session(*parse_command(partial(build_parser, name), arguments[1:]))
     failure: SysidError | None = None
     try:
-        code = COMMANDS[name].run(asked)
-        asked.console.stage(*asked.verdict)
+        code = COMMANDS[name].run(session)
+        session.console.stage(*session.verdict)
     except SysidError as error:
         code = error.exit_code
         failure = error
-        asked.verdict = (f"Not usable: {error}",)
-    told = {"verdict": asked.verdict, "lines": asked.console.said}
+        session.verdict = (f"Not usable: {error}",)
+    content = {
+        "command": name,
+        "exit_code": code,
+        "verdict": session.verdict,
+        "lines": session.console.json_lines,
+    }
     try:
-        asked.console.result({"command": name, "exit_code": code, **told})
+        session.console.result(content)
     finally:
-        # That nothing can be printed is no reason to leave out what happened to the motors.
+        # An error of printing must not hide what happened to the motors.
         if failure is not None:
             raise failure
     return code
 
 
-def _overview() -> Parser:
+def _overview_parser() -> Parser:
+    """Return the parser of ``motors`` without a subcommand."""
     parser = Parser(
         "motors",
         f"{PROGRAM} motors check --channel can0",
@@ -357,136 +394,146 @@ def _overview() -> Parser:
         codes=_CODES,
     )
     parser.add_argument("command", metavar="|".join(COMMANDS), help="what to do")
-    return parser.with_console()
+    return parser.add_console_options()
 
 
 def _play_on(
     link: GuardedLink,
-    plan: preflight.Plan,
+    plan: Plan,
     checks: Sequence[preflight.Check],
     choices: PlayChoices,
-    asked: Asked,
+    session: Session,
     holds: bool = False,
-    real: bool = False,
+    is_real: bool = False,
 ) -> int:
-    """Play on ``real`` motors or others; where it ``holds``, until somebody wants it to end."""
-    console = asked.console
+    """Check a plan on inspected motors, play it and conclude; return the exit code 0.
+
+    Args:
+        checks: the checks that were made without a bus.
+        holds: the plan holds the arm until somebody stops it.
+        is_real: the motors are real ones.
+    """
+    console = session.console
     inspection = inspect_bus(link)
-    checks = [*checks, *asked.inspection_checks(plan, inspection, real)]
-    console.stage(
-        *motor_table(inspection, plan.trajectory.joints), *check_lines(checks)
-    )
+    checks = [*checks, *session.inspection_checks(plan, inspection, is_real)]
+    table = motor_table(inspection, plan.trajectory.joints)
+    console.stage(*table, *check_lines(checks))
     if choices.dry_run:
-        return _rehearsed(checks, asked)
+        return _conclude_dry_run(checks, session)
     preflight.require_no_stop(checks, "not played")
-    asked.require_free(plan)
+    session.require_free(plan)
     if not choices.yes:
-        if not said_yes(_WARNING, "; give --yes"):
+        if not confirm(_WARNING, "; give --yes"):
             raise InputError("not confirmed; nothing was moved")
         # The arm may have moved or been touched in the meantime.
         inspection = inspect_bus(link)
-        preflight.require_no_stop(
-            asked.inspection_checks(plan, inspection, real), "not played"
-        )
-
+        checks = session.inspection_checks(plan, inspection, is_real)
+        preflight.require_no_stop(checks, "not played")
     stop = StopRequest()
 
-    def tell(time: float) -> None:
+    def show_progress(time: float) -> None:
         if not holds:
             console.advance("Playing", time, plan.duration, "")
 
-    def say(phase: str) -> None:
-        console.stage(
-            "holding; Ctrl-C ends it" if holds and "playing" in phase else phase
-        )
+    def show_phase(phase: str) -> None:
+        if holds and "playing" in phase:
+            phase = "holding; Ctrl-C ends it"
+        console.stage(phase)
 
     try:
-        console.stage(*run_lines(asked.play(link, plan, inspection, stop, say, tell)))
+        report = session.play(link, plan, inspection, stop, show_phase, show_progress)
+        console.stage(*run_lines(report))
     except HardwareAbort as error:
-        # That it has to end is no fault of holding, if all else went well.
+        # A stop is the normal end of holding, if nothing else went wrong.
         if not holds or str(error) != stop.reason:
             raise
-    _conclude(asked, plan, holds, real)
+    _conclude_run(session, plan, holds, is_real)
     return 0
 
 
-def _conclude(asked: Asked, plan: preflight.Plan, held: bool, real: bool) -> None:
-    """Say what came of a run, and what to do with it."""
+def _conclude_run(session: Session, plan: Plan, holds: bool, is_real: bool) -> None:
+    """Set the verdict of a finished run, and the next command."""
     record = plan.recording.record
-    done = f"{'held' if held else 'played'}, and all motors are disabled"
-    done = f"{'Done' if record is None else 'Usable'}: {done}"
-    done += "" if record is None else f"; recorded to {record}"
-    if held:
-        asked.verdict = (done,)
+    done = f"{'held' if holds else 'played'}, and all motors are disabled"
+    verdict = f"Done: {done}"
+    if record is not None:
+        verdict = f"Usable: {done}; recorded to {record}"
+    if holds:
+        session.verdict = (verdict,)
     elif record is None or plan.settings.speed < 1.0:
-        again = asked.command("play", "speed", record="measured.csv")
-        asked.conclude(done, again, " (a recording at full speed, to identify from)")
+        next_command = session.command("play", "speed", record="measured.csv")
+        reason = " (a recording at full speed, to identify from)"
+        session.conclude(verdict, next_command, reason)
     else:
-        asked.conclude(done, _identify_command(asked, plan, record, real))
+        next_command = _identify_command(session, plan, record, is_real)
+        session.conclude(verdict, next_command)
 
 
 def _identify_command(
-    asked: Asked, plan: preflight.Plan, record: Path, real: bool
+    session: Session, plan: Plan, record: Path, is_real: bool
 ) -> list[str]:
     """Return the command that identifies the arm from a recording of a plan.
 
-    Results go to the folder of the planned motion. The model of a simulated arm stands for the real
-    arm, which nobody knows: what is identified then is the model that the motion was planned with.
+    Results go to the folder of the planned motion. The model of a simulated arm plays the real arm,
+    which nobody knows: the model to identify is then the one that the motion was planned with.
     """
-    arm = asked.values
+    arm = session.values
     model = arm.get("model") or "MODEL"
-    settings = (
-        None
-        if plan.trajectory.has_two_arms
-        else plan_settings(plan.trajectory.path.parent)
-    )
-    folder = () if settings is None else ("--output-dir", str(settings[0].parent))
-    if settings is not None and not real:
-        arm = settings[1]
-        model = arm.get("path", model)
+    settings = None
+    if not plan.trajectory.has_two_arms:
+        settings = plan_settings(plan.trajectory.path.parent)
+    folder: list[str] = []
+    if settings is not None:
+        path, planned = settings
+        folder = ["--output-dir", str(path.parent)]
+        if not is_real:
+            arm = planned
+            model = arm.get("path", model)
     arm_options = command_arguments(arm, ModelOptions)
     return [PROGRAM, "identify", str(model), str(record), *arm_options, *folder]
 
 
-def _simulated_end(asked: Asked) -> Link:
-    """Open the simulated arm's end of the bus and say how to reach it."""
-    interface = asked.address.interface
-    channels = asked.address.channel
+def _open_simulated_end(session: Session) -> Link:
+    """Open the simulated arm's end of the bus and print the command that plays on it."""
+    interface = session.address.interface
+    channels = session.address.channel
     if channels:
-        link = asked.open_link()
-    elif "interface" in asked.values:
+        link = session.open_link()
+    elif "interface" in session.values:
         raise InputError("--interface needs --channel")
     else:
         import_can()
-        names = asked.channels
-        ends = [slcan_terminal() for _ in names or ("",)]
-        devices = [device for _, device in ends]
-        channels = (
-            tuple(map("=".join, zip(names, devices)))
-            if len(names) > 1
-            else tuple(devices)
-        )
-        link = BusLink([terminal for terminal, _ in ends], asked.clock)
+        names = session.channels
+        terminals = []
+        devices = []
+        for _ in names or ("",):
+            terminal, device = slcan_terminal()
+            terminals.append(terminal)
+            devices.append(device)
+        link = BusLink(terminals, session.clock)
         interface = "slcan"
-    # A simulated arm turns as its model does.
-    there = {"interface": interface, "channel": channels, "accept_directions": True}
-    words = asked.command("play", **{"record": "measured.csv", **there})
-    told = "the simulated arm is parked at the first point until its motors are enabled; Ctrl-C "
-    told += "ends it. To play on it, in another terminal:"
-    asked.console.stage(told, shlex.join(words))
+        channels = tuple(devices)
+        if len(names) > 1:
+            channels = tuple(map("=".join, zip(names, devices)))
+    # The motors of a simulated arm turn as its model does.
+    play_command = session.command(
+        "play",
+        record="measured.csv",
+        interface=interface,
+        channel=channels,
+        accept_directions=True,
+    )
+    session.console.stage(
+        "the simulated arm is parked at the first point until its motors are enabled; Ctrl-C ends "
+        "it. To play on it, in another terminal:",
+        shlex.join(play_command),
+    )
     return link
 
 
-_WARNING = (
-    "The arm will move. Keep clear of it, keep the emergency stop at hand, and remember that it "
-    "sinks when it is disabled."
-)
-
-
-def _rehearsed(checks: Sequence[preflight.Check], asked: Asked) -> int:
+def _conclude_dry_run(checks: Sequence[preflight.Check], session: Session) -> int:
+    """Set the verdict of checks without a run; HardwareAbort where one forbids it."""
     preflight.require_no_stop(checks, "would not be played")
-    asked.conclude(
-        "Usable: nothing speaks against playing (nothing was enabled)",
-        asked.play_words(),
-    )
+    verdict = "Usable: nothing speaks against playing (nothing was enabled)"
+    session.conclude(verdict, session.play_command())
     return 0

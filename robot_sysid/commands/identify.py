@@ -1,8 +1,9 @@
-"""Commands that identify and plan: their parsers, and what all of them do with an outcome."""
+"""``robot-sysid MODEL``, ``plan``, ``identify`` and ``payload``: parsers, runs and outcomes."""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -11,9 +12,9 @@ from pathlib import Path
 from shlex import quote
 from typing import Any, NamedTuple
 
-from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
-from robot_sysid.commands.console import Console
-from robot_sysid.commands.report import report_of, require_report
+from robot_sysid.commands import PROGRAM, Console
+from robot_sysid.commands.arguments import Parser, parse_command
+from robot_sysid.commands.report import require_report, write_outcome_report
 from robot_sysid.config import (
     PLANNED,
     PREDICTED,
@@ -41,11 +42,19 @@ from robot_sysid.records.option_fields import (
 from robot_sysid.simulation import SimulatedArmOptions
 
 
-class Question(NamedTuple):
-    """What a command asks, an example, what its help says, and its options: the main ones, all.
+class CommandSpec(NamedTuple):
+    """Help and options of one command.
 
-    Of some groups ``only`` some keys are options, and none in any of those ``left_out``; ``usual``
-    are, by key, defaults that it has in place of the records'.
+    Attributes:
+        config: makes the run's configuration of a model file and options by key.
+        example: a complete command line.
+        description: what the command does.
+        main: keys of the options in the short help.
+        groups: heading in the help to classes of option records.
+        only: heading to keys of the only options that are added of the group; default all.
+        leave_out: keys of options of the groups that the command does not have.
+        defaults: by key, defaults in place of the records'.
+        epilog: end of the help.
     """
 
     config: Any
@@ -54,12 +63,12 @@ class Question(NamedTuple):
     main: Collection[str]
     groups: Mapping[str, Sequence[Any]]
     only: Mapping[str, Collection[str]] = {}
-    left_out: Collection[str] = ()
-    usual: Mapping[str, Any] = {}
+    leave_out: Collection[str] = ()
+    defaults: Mapping[str, Any] = {}
     epilog: str = ""
 
 
-ALONE = Question(
+ALONE = CommandSpec(
     SysidConfig.of,
     "robot-sysid examples/kinova/model/kinova_fullinertia_guess.xml",
     "Identify mass, centre of mass, inertia and friction of a robot arm's terminal "
@@ -94,7 +103,7 @@ ALONE = Question(
     "example; each has its own --help. A model file that is called like a command is "
     "reached as ./plan.",
 )
-PLAN = Question(
+PLAN = CommandSpec(
     SysidConfig.of_plan,
     "robot-sysid plan arm.xml --save-trajectory plan.json",
     "Design a trajectory that tells most about the terminal link, check it against "
@@ -128,10 +137,10 @@ PLAN = Question(
         "preview": (PreviewOptions,),
     },
     only={"prediction": PREDICTED},
-    left_out=("keep", "links", "bundle", "report", "plots"),
-    usual=PLANNED,
+    leave_out=("keep", "links", "bundle", "report", "plots"),
+    defaults=PLANNED,
 )
-IDENTIFY = Question(
+IDENTIFY = CommandSpec(
     SysidConfig.of,
     "robot-sysid identify arm.xml log.csv",
     "Identify an arm from one log of it, or from several together: the terminal link, every "
@@ -157,9 +166,9 @@ IDENTIFY = Question(
         "logs": (LogOptions,),
         "estimation": (EstimationOptions,),
     },
-    left_out=("measurements",),
+    leave_out=("measurements",),
 )
-PAYLOAD = Question(
+PAYLOAD = CommandSpec(
     PayloadConfig.of,
     "robot-sysid payload arm.xml --empty a.csv d.csv --loaded b.csv c.csv --order ABBA",
     "Identify what is bolted to the flange from logs without and with it, and "
@@ -198,50 +207,55 @@ PAYLOAD = Question(
             "delay_uncertainty",
         )
     },
-    left_out=("links", "measurements", "validation_measurements", "verify_rollout"),
+    leave_out=("links", "measurements", "validation_measurements", "verify_rollout"),
 )
-QUESTIONS = {"": ALONE, "plan": PLAN, "identify": IDENTIFY, "payload": PAYLOAD}
-"""By the command's name; "" is the program with a model alone."""
+SPECS = {"": ALONE, "plan": PLAN, "identify": IDENTIFY, "payload": PAYLOAD}
+"""Name of the command to its specification; "" is the program with a model alone."""
 
 
 def build_parser(command: str = "", full: bool = True) -> Parser:
-    """Return the parser of a command; without ``full``, its help shows the main options only."""
-    asked = QUESTIONS[command]
-    main = None if full else asked.main
-    parser = Parser(command, asked.example, asked.description, main, asked.epilog)
+    """Return the parser of a command; without ``full``, its help has the main options only."""
+    spec = SPECS[command]
+    main = None if full else spec.main
+    parser = Parser(command, spec.example, spec.description, main, spec.epilog)
     parser.add_argument(
         "path", metavar="MODEL", type=Path, help="MuJoCo XML (MJCF) or URDF file"
     )
     if command == "identify":
-        logs = "recording of the real arm"
         parser.add_argument(
-            "measurements", metavar="LOG", nargs="+", type=Path, help=logs
+            "measurements",
+            metavar="LOG",
+            nargs="+",
+            type=Path,
+            help="recording of the real arm",
         )
-    for title, records in asked.groups.items():
-        only = asked.only.get(title, ())
+    for title, records in spec.groups.items():
         parser.add(
-            title, *records, only=only, leave_out=asked.left_out, usual=asked.usual
+            title,
+            *records,
+            only=spec.only.get(title, ()),
+            leave_out=spec.leave_out,
+            defaults=spec.defaults,
         )
-    return parser.with_console()
+    return parser.add_console_options()
 
 
 def main(arguments: Sequence[str], command: str = "") -> int:
     """Run a command and return its exit code."""
-    values, console = parsed(partial(build_parser, command), arguments)
+    values, console = parse_command(partial(build_parser, command), arguments)
     preview = record_from(PreviewOptions, values)
     require_preview(preview)
-    own = {
-        key: value
-        for key, value in values.items()
-        if key not in keys_of(PreviewOptions)
-    }
-    return carry_out(QUESTIONS[command].config(**own), console, preview)
+    for key in keys_of(PreviewOptions):
+        values.pop(key, None)
+    run_command(SPECS[command].config(**values), console, preview)
+    return 0
 
 
-def carry_out(config: Config, console: Console, preview: PreviewOptions) -> int:
-    """Run what was asked for, show and print what it says, write report and bundle; return 0.
+def run_command(config: Config, console: Console, preview: PreviewOptions) -> None:
+    """Run a command, print its outcome and write its report and bundle.
 
-    SysidError where it failed, there is nothing to use, or no report.
+    Raises:
+        SysidError: the run failed, its result cannot be used, or a wanted report is missing.
     """
     require_report(config.output)
     # Imported here so that --help and usage errors do not wait for MuJoCo.
@@ -250,76 +264,82 @@ def carry_out(config: Config, console: Console, preview: PreviewOptions) -> int:
     config = replace(config, output=replace(config.output, config=console.config))
     if isinstance(config, SysidConfig):
         config = config.seeded()
+    output = config.output
     with warnings_as_notes(console):
         outcome = run(config, console)
     show_plan(outcome.checked, preview, console)
-    saved = outcome.files if outcome.checked else ()
-    console.stage(*outcome.lines, *(f"Trajectory saved to {path}" for path in saved))
-    console.result(_answer(outcome))
+    console.stage(*outcome.lines)
+    for path in outcome.files if outcome.checked else ():
+        console.stage(f"Trajectory saved to {path}")
+    console.result(_json_answer(outcome))
     if outcome.files:
-        _repeatable(config)
-    failure = report_of(outcome, config.output, config.model.mesh_dir, console)
+        _write_settings(config)
+    failure = write_outcome_report(outcome, output, config.model.mesh_dir, console)
     if outcome.failure:
         raise SysidError(" ".join(outcome.verdict) or outcome.failure)
-    if config.output.bundle:
+    if output.bundle:
         from robot_sysid.results.written_model import write_bundle
 
-        names = file_access.MODEL_NAMES.values()
-        for model in [path for path in outcome.files if path.name in names][:1]:
-            console.stage(
-                f"Bundle saved to {write_bundle(model, config.output.output_dir)}"
-            )
+        for path in outcome.files:
+            if path.name in file_access.MODEL_NAMES.values():
+                bundle = write_bundle(path, output.output_dir)
+                console.stage(f"Bundle saved to {bundle}")
     console.stage(*outcome.verdict)
     if failure:
         raise SysidError(failure)
-    return 0
 
 
-def _repeatable(config: Config) -> None:
-    """Write the file that repeats a run, but not over the one that it was asked with."""
+def _write_settings(config: Config) -> None:
+    """Write the file that repeats a run, but not over the file of its own --config."""
     path = config.output.output_dir / file_access.RUN_NAME
     command = PROGRAM
-    usual: Mapping[str, Any] = {}
+    defaults: Mapping[str, Any] = {}
     if isinstance(config, PayloadConfig):
-        command += " payload"
+        command = f"{PROGRAM} payload"
     elif isinstance(config, SysidConfig) and config.trajectory.plan_only:
         assert config.plan_file is not None
         path = config.plan_file.with_suffix(".toml")
-        command = f"{command} plan"
-        usual = PLANNED
-    given = config.output.config
-    if given is None or not (path.exists() and path.samefile(given)):
-        file_access.write_atomically(path, text_of(command, config, path, usual))
+        command = f"{PROGRAM} plan"
+        defaults = PLANNED
+    source = config.output.config
+    if source is None or not (path.exists() and path.samefile(source)):
+        heading = f"{command} --config {quote(str(path))}"
+        records = vars(config).values()
+        text = settings_text(heading, config.model.path, records, defaults)
+        file_access.write_atomically(path, text)
 
 
-def text_of(command: str, config: Any, path: Path, usual: Mapping[str, Any]) -> str:
-    """Return the file, to be at a path, that asks a command ("robot-sysid plan") for this again.
+def settings_text(
+    command: str, model: Path, records: Collection[Any], defaults: Mapping[str, Any]
+) -> str:
+    """Return the TOML text of a command's options that differ from their defaults.
 
-    What is asked is a record of records of options, with the model's path; ``usual`` are, by key,
-    defaults that the command has in place of the records'.
+    Args:
+        command: command line that reads the file, for its first line, a comment.
+        model: the model file.
+        records: the option records.
+        defaults: by key, defaults of the command in place of the records'.
     """
-    given = {"path": config.model.path}
-    for record in vars(config).values():
-        for name, each in options_of(record).items():
-            if getattr(record, name) != usual.get(each.key, default_of(record, name)):
-                given[each.key] = getattr(record, name)
-    lines = [f"{key} = {_toml(value)}" for key, value in given.items()]
-    said = f"# In {Path.cwd()}: {command} --config {quote(str(path))}"
-    return "\n".join([said, *lines, ""])
+    lines = [f"# In {Path.cwd()}: {command}", f"path = {_toml_value(model)}"]
+    for record in records:
+        for name, option in options_of(record).items():
+            value = getattr(record, name)
+            if value != defaults.get(option.key, default_of(record, name)):
+                lines.append(f"{option.key} = {_toml_value(value)}")
+    return "\n".join([*lines, ""])
 
 
-def _toml(value: Any) -> str:
+def _toml_value(value: Any) -> str:
+    """Return an option's value as TOML text."""
     if isinstance(value, tuple):
-        return f"[{', '.join(map(_toml, value))}]"
+        return f"[{', '.join(map(_toml_value, value))}]"
     if isinstance(value, (bool, int, float)):
         return str(value).lower()
-    import json
-
     return json.dumps(str(value), ensure_ascii=False)
 
 
-def _answer(outcome: Any) -> Mapping[str, Any] | str:
-    """Return what --json prints: the result's file, or what there is to say of a plan."""
+def _json_answer(outcome: Any) -> Mapping[str, Any] | str:
+    """Return the output of --json: the content of the result's file, or the summary of a plan."""
     for path in outcome.files:
         if path.name in (file_access.PARAMS_NAME, file_access.SERVO_NAME):
             return str(path.read_text(encoding="utf-8"))
@@ -327,7 +347,7 @@ def _answer(outcome: Any) -> Mapping[str, Any] | str:
         "verdict": outcome.verdict,
         "failure": outcome.failure,
         "prediction": outcome.lines,
-        "files": [str(path) for path in outcome.files],
+        "files": list(map(str, outcome.files)),
     }
 
 

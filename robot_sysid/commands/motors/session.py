@@ -1,0 +1,229 @@
+"""One run of a ``robot-sysid motors`` command: its options, questions to a person and tables."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shlex
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from robot_sysid.commands import PROGRAM, Console, print_line
+from robot_sysid.damiao import protocol
+from robot_sysid.damiao.adapters import BusAddress
+from robot_sysid.damiao.bus import InspectedMotor, Inspection
+from robot_sysid.damiao.execution import MotorRun
+from robot_sysid.damiao.joints import DamiaoJoint, limits_agree, matching_types
+from robot_sysid.damiao.player import PlayReport
+from robot_sysid.damiao.preflight import OK, Check
+from robot_sysid.damiao.protocol import Feedback
+from robot_sysid.damiao.recorder import Aside
+from robot_sysid.damiao.settings import (
+    Permissions,
+    PlaySettings,
+    RecordingOptions,
+    SecondArm,
+)
+from robot_sysid.damiao.trajectory import LIMITS
+from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.model import ModelOptions
+from robot_sysid.motion.plan_options import LimitOptions
+from robot_sysid.records.messages import Detail
+from robot_sysid.records.option_fields import command_arguments
+from robot_sysid.results.verdict import two_lines
+
+_PRINT_TIMEOUT = 1.0
+"""Time that printing one line may take while a driver stalls [s]."""
+_BUS_RECORDS = BusAddress, protocol.BusTiming
+_RUN_RECORDS = ModelOptions, SecondArm, PlaySettings, Permissions, RecordingOptions
+
+
+def ask(prompt: str) -> str:
+    """Return the line that a person types; InputError where standard input has ended."""
+    with contextlib.suppress(EOFError):
+        return input(prompt)
+    raise InputError("not confirmed: standard input has ended")
+
+
+def confirm(question: str, hint: str = "") -> bool:
+    """Return whether a person answers a question with yes.
+
+    Raises:
+        InputError: standard input is no terminal; ``hint`` ends the message.
+    """
+    if not sys.stdin.isatty():
+        raise InputError(f"nobody can confirm: standard input is no terminal{hint}")
+    return ask(f"{question} Type yes: ").strip().lower() == "yes"
+
+
+def _report_stall(message: str, is_final: bool) -> None:
+    """Print that a driver does not return; a final report ends the process.
+
+    The main thread waits for the driver, so the process ends without it.
+    """
+    level = "error" if is_final else "note"
+    line = f"{PROGRAM}: {level}: {message}"
+    # A terminal that takes nothing must not keep the process from ending.
+    printer = Aside(threaded=True)
+    printer(partial(print_line, line, sys.stderr))
+    printer.finish(_PRINT_TIMEOUT)
+    if is_final:
+        os._exit(HardwareAbort.exit_code)
+
+
+class Session(MotorRun):
+    """One run of a motors command.
+
+    Args:
+        values: key to value of the options that were given.
+
+    Attributes:
+        verdict: last lines of the output, set by the command.
+    """
+
+    def __init__(self, values: Mapping[str, Any], console: Console) -> None:
+        super().__init__(values, _report_stall)
+        self.console = console
+        self.verdict: tuple[str, ...] = ()
+
+    def conclude(
+        self, verdict: str, next_command: Sequence[str], reason: str = ""
+    ) -> None:
+        """Set the verdict, with the words of the next command and its reason."""
+        self.verdict = two_lines(verdict, shlex.join(next_command) + reason)
+
+    def command(self, name: str, *leave_out: str, **changes: Any) -> list[str]:
+        """Return the words of a motors command with the options of this one.
+
+        Args:
+            leave_out: keys of options that it does not get.
+            changes: key to value of options that it gets in addition or instead.
+        """
+        values = {**self.values, **changes}
+        for key in leave_out:
+            if key not in changes:
+                values.pop(key, None)
+        words = [PROGRAM, "motors", name]
+        if values.get("trajectory"):
+            words.append(str(values["trajectory"]))
+        words += command_arguments(values, *_BUS_RECORDS)
+        for key in ("model", "joint_map"):
+            if values.get(key):
+                words += [f"--{key.replace('_', '-')}", str(values[key])]
+        limits = {key: values[key] for key in LIMITS if key in values}
+        words += command_arguments(values, *_RUN_RECORDS)
+        return [*words, *command_arguments(limits, LimitOptions)]
+
+    def play_command(self) -> list[str]:
+        """Return the words of the command that plays the checked motion, slowly at first."""
+        defaults = {"channel": ("CHANNEL",), "speed": 0.3, "record": "slow.csv"}
+        missing = {k: v for k, v in defaults.items() if k not in self.values}
+        return self.command("play", **missing)
+
+
+_HEADINGS = (
+    *("id", "reply", "mode", "PMAX", "VMAX", "TMAX", "type", "watchdog", "gear"),
+    *("degC", "state"),
+)
+_MARKS = {"ok": "ok  ", "note": "note", "stop": "STOP"}
+
+
+def motor_table(
+    inspection: Inspection, joints: Sequence[DamiaoJoint] = ()
+) -> Iterator[str]:
+    """Yield a table of the inspected motors, a row per motor.
+
+    Args:
+        joints: the joints that they should drive, whose motor types are compared.
+    """
+    joint_by_address = {joint.address: joint for joint in joints}
+    rows: list[tuple[str, ...]] = [_HEADINGS]
+    for address, motor in sorted(inspection.motors.items()):
+        rows.append(_motor_row(motor, joint_by_address.get(address)))
+    yield from _align_columns(rows)
+
+
+def state_table(
+    states: Iterable[tuple[InspectedMotor, Feedback | None]],
+) -> Iterator[str]:
+    """Yield a table of motors with their last feedback, None where one does not answer."""
+    rows = [("motor", "position", "velocity", "torque", "degC", "state")]
+    for motor, state in states:
+        if state is None:
+            rows.append((motor.name, "?", "?", "?", "?", "does not tell"))
+            continue
+        position, velocity, torque = (
+            f"{values[0]:8.3f}"
+            for values in (state.position, state.velocity, state.torque)
+        )
+        heat = f"{state.temperature_mos[0]}/{state.temperature_rotor[0]}"
+        status = protocol.status_text(int(state.status[0]))
+        rows.append((motor.name, position, velocity, torque, heat, status))
+    yield from _align_columns(rows)
+
+
+def _align_columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    """Yield rows of cells as lines with aligned columns."""
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    for row in rows:
+        yield "  ".join(map(str.ljust, row, widths)).rstrip()
+
+
+def check_lines(checks: Sequence[Check]) -> Iterator[str]:
+    """Yield one line per check; passed ones are details (--verbose), and are counted."""
+    for check in checks:
+        line = f"[{_MARKS[check.severity]}] {check.text}"
+        yield Detail(line) if check.severity == OK else line
+    yield f"[ok  ] {sum(check.severity == OK for check in checks)} points (--verbose lists them)"
+
+
+def run_lines(report: PlayReport) -> Iterator[str]:
+    """Yield a summary of a finished run: cycles, lateness, tracking errors, lost answers."""
+    yield (
+        f"played {report.cycles} cycles, {report.skipped} skipped; started late by "
+        f"{1e3 * report.lateness_p50:.2f} ms (median), {1e3 * report.lateness_p99:.2f} ms (99 %)"
+    )
+    tracking = ", ".join(f"{error:.3f}" for error in report.worst_tracking)
+    yield f"largest distance from the path per joint [rad]: {tracking}"
+    if np.any(report.missed):
+        missed = ", ".join(str(count) for count in report.missed)
+        yield f"unanswered commands per joint: {missed}"
+
+
+def _motor_row(motor: InspectedMotor, joint: DamiaoJoint | None) -> tuple[str, ...]:
+    """Return a motor's cells for ``motor_table``; ``joint`` is the one that it should drive."""
+    registers = motor.registers
+    mode = int(registers.get(protocol.CTRL_MODE, 0))
+    replies = "/".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
+    if len(motor.reply_ids) != 1:
+        replies += f" (x{len(motor.reply_ids)})"
+    watchdog = registers.get(protocol.TIMEOUT, 0.0)
+    heat = "?"
+    state = "does not tell"
+    if motor.feedback:
+        feedback = motor.feedback
+        heat = f"{feedback.temperature_mos[0]}/{feedback.temperature_rotor[0]}"
+        state = protocol.status_text(int(feedback.status[0]))
+    return (
+        f"{motor.can_id} {motor.channel}".rstrip(),
+        replies,
+        protocol.MODES.get(mode, "?"),
+        *(f"{value or np.nan:g}" for value in motor.limits),
+        _type_name(motor.limits, joint),
+        f"{1e3 * watchdog * protocol.TIMEOUT_UNIT:g} ms",
+        f"{registers.get(protocol.GR, np.nan):g}",
+        heat,
+        state,
+    )
+
+
+def _type_name(limits: tuple[float, float, float], joint: DamiaoJoint | None) -> str:
+    """Return the motor types with these limits, or whether a joint's motor type has them."""
+    if joint is None:
+        return " or ".join(matching_types(limits)) or "unknown"
+    is_same = limits_agree(joint.spec.limits, limits)
+    return joint.motor_type if is_same else f"not {joint.motor_type}!"
