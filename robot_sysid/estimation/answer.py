@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -32,8 +32,7 @@ from robot_sysid.estimation.fit import Fit
 from robot_sysid.estimation.log_comparison import FrictionOfLogs
 from robot_sysid.estimation.question import FILE_FRICTION
 from robot_sysid.estimation.trust import HARMLESS
-from robot_sysid.estimation.unknowns import FRICTION as LACKING
-from robot_sysid.estimation.unknowns import LINKS
+from robot_sysid.estimation.unknowns import FRICTION, LINKS
 from robot_sysid.records import (
     DELAY_NAME,
     Array,
@@ -58,7 +57,9 @@ _SIGNS = np.array([[1.0, 1.0], [1.0, -1.0]])
 
 @dataclass(frozen=True)
 class Answer:
-    """A fit, its errors, its tests and the model file made from it.
+    """An identified arm: the fit, its errors and tests, and the fit for a model file.
+
+    It is what ``identify`` returns; ``build_result`` makes the ``Result`` record from it.
 
     Attributes:
         fit: the estimate.
@@ -93,7 +94,7 @@ class Answer:
         return self.errors.share(self.fit)
 
     def pick(self, names: Sequence[str]) -> Array:
-        """Return the rows (m, k) that select parameters from the estimated ones."""
+        """Return the rows (m, k) that select named parameters from the k estimated ones."""
         indices = self.fit.unknowns.estimated
         return np.eye(len(indices))[
             np.searchsorted(indices, self.fit.columns.indices(names))
@@ -102,7 +103,13 @@ class Answer:
     def body(
         self, name: str, change: Array, theta: Array, model_theta: Array | None
     ) -> BodyEstimate:
-        """Return a body whose parameters are combinations (10, k) of the estimated ones."""
+        """Return a body whose parameters are combinations of the estimated ones.
+
+        Args:
+            change: (10, k) the combinations.
+            theta: (10,) their values.
+            model_theta: (10,) the model's body; None where it has none.
+        """
         covariance, noise, budget = self.errors.of(change, theta)
         weight = np.abs(change)
         share = weight @ self.share / np.maximum(np.sum(weight, axis=1), 1e-300)
@@ -119,23 +126,18 @@ class Answer:
 
     def links(self) -> Iterator[BodyEstimate]:
         """Yield every estimated link, base to terminal."""
-        pairs = zip(self.robot.joint_names, self.robot.links)
-        joints = {
-            link.body_name: (joint, link.theta)
-            for joint, link in pairs
-            if link.has_mass
-        }
+        links = enumerate(self.robot.links)
+        joints = {link.body_name: k for k, link in links if link.has_mass}
         for name, (indices, _) in self.fit.unknowns.bodies.items():
             if name in joints:
-                joint, model_theta = joints[name]
-                names = [self.fit.columns.names[k] for k in indices]
-                body = self.body(
-                    name, self.pick(names), self.fit.values[indices], model_theta
-                )
-                yield replace(body, joint=joint)
+                joint = joints[name]
+                change = self.pick([self.fit.columns.names[k] for k in indices])
+                model_theta = self.robot.links[joint].theta
+                body = self.body(name, change, self.fit.values[indices], model_theta)
+                yield replace(body, joint=self.robot.joint_names[joint])
 
     def figure(self, name: str) -> Quantity:
-        """Return a parameter with its standard error by all causes; NaN where it is at a bound."""
+        """Return a parameter with its standard error; NaN for one that is held at a bound."""
         index = self.fit.columns.index[name]
         unknowns = self.fit.unknowns
         value = float(self.fit.final[index])
@@ -145,16 +147,13 @@ class Answer:
         return Quantity(value, float(self.errors.total.standard_errors[row]))
 
     def joints(self) -> Iterator[tuple[str, JointEstimate]]:
-        """Yield each chain joint, and each coupled motor, with its friction."""
+        """Yield (name, friction) of each chain joint, base to terminal, then of coupled motors."""
         noise = self.fit.noise_per_joint
-        friction_terms = self._own_terms()
+        friction_terms = self._friction_terms()
         robot = self.robot
         models = dict(zip(robot.joint_names, self.fit.choice.friction))
         for index, joint in enumerate(robot.joint_names):
-            terms = {
-                name: self.figure(f"{name}[{joint}]")
-                for name in friction_terms.get(joint, ())
-            }
+            terms = self._figures(joint, friction_terms.get(joint, ()))
             model_terms = {
                 "coulomb": float(robot.friction.coulomb[index]),
                 "viscous": float(robot.friction.viscous[index]),
@@ -174,16 +173,17 @@ class Answer:
                 ),
             )
         for motor in self.fit.choice.couplings:
-            terms = {
-                name: self.figure(f"{name}[{motor.name}]")
-                for name in friction_terms.get(motor.name, ())
-            }
+            terms = self._figures(motor.name, friction_terms.get(motor.name, ()))
             of_model = zip(motor.terms, motor.model.tolist())
             model_terms = {} if motor.tendon is None else dict(of_model)
             yield (
                 motor.name,
                 JointEstimate("-".join(terms) or "none", terms, model_terms),
             )
+
+    def _figures(self, owner: str, terms: Iterable[str]) -> dict[str, Quantity]:
+        """Return friction term to its estimate, of a joint or motor."""
+        return {term: self.figure(f"{term}[{owner}]") for term in terms}
 
     def _friction_by_log(self, owner: str) -> dict[str, dict[str, Quantity]]:
         """Return the friction terms of a joint by log; empty for a single log."""
@@ -193,41 +193,40 @@ class Answer:
         terms = friction.terms_of(owner)
         values = friction.between.values
         errors = friction.between.errors
-        return {
-            log: {
-                term: Quantity(float(values[row, index]), float(errors[row, index]))
-                for term, index in terms.items()
-            }
-            for row, log in enumerate(friction.logs)
-        }
+        by_log: dict[str, dict[str, Quantity]] = {}
+        for row, log in enumerate(friction.logs):
+            by_log[log] = {}
+            for term, index in terms.items():
+                value = float(values[row, index])
+                by_log[log][term] = Quantity(value, float(errors[row, index]))
+        return by_log
 
     def _another_day(self, owner: str) -> dict[str, Quantity]:
         """Return the friction terms of a joint with their errors for a log that was not fitted."""
         friction = self.friction_of_logs
         if friction is None:
             return {}
-        figures = [self.figure(name) for name in friction.names]
-        errors = friction.between.next_log(
-            np.array([figure.error for figure in figures])
-        )
+        values, errors = np.array([self.figure(name) for name in friction.names]).T
+        next_errors = friction.between.next_log(errors)
+        terms = friction.terms_of(owner).items()
         return {
-            term: Quantity(figures[index].value, float(errors[index]))
-            for term, index in friction.terms_of(owner).items()
+            term: Quantity(float(values[k]), float(next_errors[k])) for term, k in terms
         }
 
-    def _own_terms(self) -> dict[str, list[str]]:
-        """Return the estimated friction terms of each joint and motor."""
-        lacking = {
-            n for g in self.fit.unknowns.groups if g.cause == LACKING for n in g.names
-        }
-        other = {"scale", "zero", "drift"}
+    def _friction_terms(self) -> dict[str, list[str]]:
+        """Return joint or motor to its estimated friction terms, without nuisances."""
+        nuisances = set[str]()
+        for group in self.fit.unknowns.groups:
+            if group.cause == FRICTION:
+                nuisances.update(group.names)
+        sensor_terms = {"scale", "zero", "drift"}
         terms: dict[str, list[str]] = {}
         for name in (
             *self.fit.unknowns.estimated_names,
             *self.fit.unknowns.names_at_bound,
         ):
             term, bracket, owner = name.partition("[")
-            if bracket and name not in lacking and term not in other:
+            if bracket and name not in nuisances and term not in sensor_terms:
                 terms.setdefault(owner[:-1], []).append(term)
         return terms
 
@@ -243,31 +242,23 @@ class Answer:
             np.maximum(np.diag(_SIGNS @ self.errors.of(both)[0] @ _SIGNS.T), 0.0)
         )
         values = _SIGNS @ [terms[level].value, terms["offset"].value]
-        return tuple(Quantity(*pair) for pair in zip(values.tolist(), spread.tolist()))  # type: ignore[return-value]
+        forward, backward = zip(values.tolist(), spread.tolist())
+        return Quantity(*forward), Quantity(*backward)
 
     def body_names(self) -> set[str]:
         """Return the names of all estimated parameters of bodies."""
-        unknowns = self.fit.unknowns
-        return {
-            unknowns.names[k]
-            for indices, _ in unknowns.bodies.values()
-            for k in indices
-        }
+        names = set[str]()
+        for indices, _ in self.fit.unknowns.bodies.values():
+            names.update(self.fit.columns.names[k] for k in indices)
+        return names
 
     def sensors(self) -> dict[str, Quantity]:
-        """Return scales, zeros, drift, tilt, delay, and friction terms that are nuisances."""
-        friction_names = {
-            f"{term}[{owner}]"
-            for owner, terms in self._own_terms().items()
-            for term in terms
-        }
-        bodies = self.body_names()
-        names = [
-            n
-            for n in self.fit.unknowns.estimated_names
-            if n not in friction_names and n not in bodies
-        ]
-        return {name: self.figure(name) for name in names}
+        """Return estimated scales, zeros, drift, tilt, delay, and friction that is a nuisance."""
+        excluded = self.body_names()
+        for owner, terms in self._friction_terms().items():
+            excluded.update(f"{term}[{owner}]" for term in terms)
+        names = self.fit.unknowns.estimated_names
+        return {name: self.figure(name) for name in names if name not in excluded}
 
 
 def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
@@ -326,12 +317,10 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
 
 def _urdf_note(file: ModelFile, urdf: ModelFile) -> str:
     """Return a sentence on the URDF that is written with an MJCF."""
-    shares = [
-        ""
-        if test is None or test.relative_error is None
-        else percent(test.relative_error)
-        for test in (urdf.validation_after, file.validation_after)
-    ]
+    shares = []
+    for test in (urdf.validation_after, file.validation_after):
+        error = None if test is None else test.relative_error
+        shares.append("" if error is None else percent(error))
     motors = ", ".join(motor.name for motor in file.motors)
     return (
         f"a URDF cannot hold the motor that turns with {motors}, or rotor inertia: "
@@ -341,7 +330,7 @@ def _urdf_note(file: ModelFile, urdf: ModelFile) -> str:
 
 
 def _offset_notes(file: Answer, test: Validation) -> Iterator[str]:
-    """Yield a sentence on torque offsets, which no file holds, where they outweigh its error."""
+    """Yield a sentence on torque offsets, which no file holds, where they exceed its error."""
     fit = file.fit
     counts = zip(fit.columns.joints, sample_counts(fit.evidence.total))
     free = {j: count for j, count in counts if j not in fit.choice.offsets}
@@ -385,15 +374,12 @@ def estimate_of(answer: Answer) -> Estimate:
     errors = answer.errors
     names = fit.unknowns.estimated_names
     sensors = answer.sensors()
-    settled = {DELAY_NAME, "tilt_1", "tilt_2"} & set(fit.unknowns.increments)
+    increments = {DELAY_NAME, "tilt_1", "tilt_2"} & set(fit.unknowns.increments)
     links = answer.body_names() - set(PARAMETER_NAMES)
-    interest = [
-        n for n in names if n not in links and (n not in sensors or n in settled)
-    ]
-    order = [
-        names.index(n)
-        for n in (*interest, *(n for n in names if n not in set(interest)))
-    ]
+    nuisances = links.union(sensors) - increments
+    interest = [name for name in names if name not in nuisances]
+    others = [name for name in names if name in nuisances]
+    order = [names.index(name) for name in (*interest, *others)]
     residuals = residual_errors(fit.evidence.total, fit.values)
     return Estimate(
         names=tuple(names[k] for k in order),

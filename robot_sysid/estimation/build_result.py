@@ -354,23 +354,21 @@ def make_traces(
         return np.concatenate([np.stack(getattr(log, name), axis=1) for log in samples])
 
     def interpolate_motion(name: str) -> Array:
-        signals = [
-            [
-                np.interp(log.time, motion.time, signal)
-                for signal in getattr(motion, name).T[indices]
-            ]
-            for log, motion in zip(samples, motions)
-        ]
-        return np.concatenate([np.column_stack(joints) for joints in signals])
+        pieces = []
+        for log, motion in zip(samples, motions):
+            signals = getattr(motion, name).T[indices]
+            interpolated = [np.interp(log.time, motion.time, x) for x in signals]
+            pieces.append(np.column_stack(interpolated))
+        return np.concatenate(pieces)
 
     missing = stack_joints("tau")
     measured = stack_joints("measured")
     limits = robot.limits
-    rubbing = {
-        n: v
-        for n, v in estimate.items()
-        if "[" in n and n.split("[")[0] not in _NOT_FRICTION
-    }
+    friction = {}
+    for name, value in estimate.items():
+        term, bracket, _ = name.partition("[")
+        if bracket and term not in _NOT_FRICTION:
+            friction[name] = value
     return Traces(
         joints=joints,
         is_slide=tuple(bool(robot.is_slide[j]) for j in indices),
@@ -380,7 +378,7 @@ def make_traces(
         measured=np.where(np.isfinite(missing), measured, np.nan),
         predicted=measured - missing + _products(samples, estimate),
         prior_prediction=measured - missing + _products(samples, prior),
-        friction=_products(samples, rubbing),
+        friction=_products(samples, friction),
         limits=JointLimits(
             limits.lower[indices],
             limits.upper[indices],
@@ -395,22 +393,24 @@ def _products(
 ) -> Array:
     """Return the torque (K, joints) of parameters [N m]; missing ones are zero."""
     coefficients = np.array([values.get(name, 0.0) for name in samples[0].names])
-    torques = [
-        [rows @ coefficients[columns] for rows, columns in zip(log.rows, log.columns)]
-        for log in samples
-    ]
-    return np.concatenate([np.stack(log_torques, axis=1) for log_torques in torques])
+    torques = []
+    for log in samples:
+        pairs = zip(log.rows, log.columns)
+        log_torques = [rows @ coefficients[columns] for rows, columns in pairs]
+        torques.append(np.stack(log_torques, axis=1))
+    return np.concatenate(torques)
 
 
 def traces_of(answer: Answer) -> Traces:
-    """Return the measured torques and those that the written file (else the fit) and the model
-    predict; both predictions contain the estimated offsets of the torque sensors.
+    """Return the measured torques and the predictions of the written file and of the model.
+
+    Without a file, the first prediction is the fit's. Both contain the estimated offsets of the
+    torque sensors.
     """
     fit = answer.fit if answer.file is None else answer.file.fit
     names = fit.columns.names
-    estimate, prior = (
-        dict(zip(names, v.tolist())) for v in (fit.values, fit.columns.model_values)
-    )
+    estimate = dict(zip(names, fit.values.tolist()))
+    prior = dict(zip(names, fit.columns.model_values.tolist()))
     if fit.question.loaded:
         prior = {
             name: value for name, value in estimate.items() if name not in PAYLOAD_NAMES

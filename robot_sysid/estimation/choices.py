@@ -87,7 +87,7 @@ def choose(
     model: FrictionModel | None,
     couplings: tuple[Coupling, ...] | None = None,
 ) -> tuple[Choice, Errors, Point]:
-    """Return what the recordings decide, held-out errors of friction models, and a point to start.
+    """Return (choice, held-out errors of friction models, point at which a fit may start).
 
     Args:
         model: friction of every joint, where the user states it; None to choose it.
@@ -121,7 +121,7 @@ def choose(
 
 
 def _link_evidence(fit: Fit) -> LinkEvidence | None:
-    """Return a fit's evidence on links that the model states; None where none is unknown."""
+    """Return the evidence of a fit on the links that the model states; None without such links."""
     group = next((group for group in fit.unknowns.groups if group.cause == LINKS), None)
     if group is None:
         return None
@@ -147,28 +147,29 @@ def _link_evidence(fit: Fit) -> LinkEvidence | None:
 def _select_friction(
     fitter: Fitter, question: Question, choice: Choice, point: Point, noise: Array
 ) -> tuple[Choice, Errors, Point]:
-    """Return the choice with friction terms that predict held-out torques clearly better, the root
-    mean square error of each candidate, and the point with the speeds of these terms.
+    """Return (choice with selected friction terms, errors of all candidates, point).
 
-    The noise (joints,) [N m] is that of a fit of simple friction around the point.
+    Terms are selected where they predict held-out torques clearly better. The point has the speeds
+    of the selected nonlinear terms.
+
+    Args:
+        noise: (joints,) of a fit of the simplest friction around the point [N m].
     """
     squared, speeds, counts = _candidate_errors(fitter, question, choice, point, noise)
     friction = list(choice.friction)
     point_speeds = dict(point.speed or {})
-    errors = {}
+    errors: dict[str, dict[str, float]] = {}
     for row, (index, joint) in enumerate(
         zip(fitter.columns.joint_indices, fitter.columns.joints)
     ):
-        joint_errors = {name: error[:, row] for name, error in squared.items()}
-        rows = np.maximum(counts[:, row], 1.0)
-        total = max(np.sum(counts[:, row]), 1.0)
-        best = clearly_best(
-            {name: error / rows for name, error in joint_errors.items()}
-        )
-        errors[joint] = {
-            name: float(np.sqrt(np.sum(error) / total))
-            for name, error in joint_errors.items()
-        }
+        block_counts = np.maximum(counts[:, row], 1.0)
+        count = max(np.sum(counts[:, row]), 1.0)
+        scores = {}
+        errors[joint] = {}
+        for name, error in squared.items():
+            scores[name] = error[:, row] / block_counts
+            errors[joint][name] = float(np.sqrt(np.sum(error[:, row]) / count))
+        best = clearly_best(scores)
         friction[index] = friction_model(best)
         for term in friction[index].nonlinear_terms:
             point_speeds[term] = point_speeds[term].copy()
@@ -180,10 +181,13 @@ def _select_friction(
 def _candidate_errors(
     fitter: Fitter, question: Question, choice: Choice, point: Point, noise: Array
 ) -> tuple[dict[str, Array], dict[str, Array], Array]:
-    """Return candidate to its squared errors (blocks, joints) [N^2 m^2], candidate to the speeds
-    (joints,) of its nonlinear term [rad/s], and ``HeldOut.counts``.
+    """Return the held-out errors of all candidates for friction.
 
     A term that is nonlinear in a speed is tried at several speeds; each joint keeps its best.
+
+    Returns:
+        (candidate to its squared errors (blocks, joints) [N^2 m^2], candidate to the speed
+        (joints,) of its nonlinear term [rad/s], ``HeldOut.counts``).
     """
     robot = fitter.columns.robot
     squared: dict[str, Array] = {}
@@ -218,15 +222,20 @@ def _candidate_errors(
                 lower, speed, speeds.get(name, np.zeros(error.shape[1]))
             )
         counts = judge.counts
-        del (
-            data,
-            judge,
-        )  # before the next ones are made: they take as much memory as the rows
+        # Before the next ones are made: they take as much memory as the rows.
+        del data, judge
     return squared, speeds, counts
 
 
 def clearly_best(scores: Mapping[str, Array]) -> str:
-    """Return the best candidate, from the squared errors (blocks,) of each."""
+    """Return the candidate that no other one is clearly better than.
+
+    The search starts at the first candidate and moves to the best of the clearly better ones with
+    the fewest terms.
+
+    Args:
+        scores: candidate to its mean squared errors (blocks,), simplest first.
+    """
     best = next(iter(scores))
     while True:
         better = [
@@ -331,7 +340,7 @@ def neighbours(robot: RobotModel) -> Iterator[Coupling]:
 def couplings_of(
     robot: RobotModel, options: EstimationOptions
 ) -> tuple[tuple[Coupling, ...], tuple[Coupling, ...]]:
-    """Return (couplings that have columns, those of them that need evidence of the recordings).
+    """Return (all couplings that get columns, those of them that need evidence from recordings).
 
     Couplings of the model and of the user's file need no evidence. Torques of the last joint alone
     identify none.
@@ -351,11 +360,13 @@ def couplings_of(
 
 
 def _is_among(motor: Coupling, others: Sequence[Coupling]) -> bool:
-    """Tell whether a motor's ratios are parallel to those of another motor."""
-    directions = [
-        item.ratios / np.linalg.norm(item.ratios) for item in (motor, *others)
-    ]
-    return any(abs(directions[0] @ other) > _SAME_DIRECTION for other in directions[1:])
+    """Tell whether a motor's ratios are parallel to those of one of the others."""
+    direction = motor.ratios / np.linalg.norm(motor.ratios)
+    for other in others:
+        cosine = direction @ (other.ratios / np.linalg.norm(other.ratios))
+        if abs(cosine) > _SAME_DIRECTION:
+            return True
+    return False
 
 
 def select_couplings(
@@ -366,8 +377,8 @@ def select_couplings(
 ) -> tuple[Coupling, ...]:
     """Return the couplings that need no evidence and the offered ones that have clear evidence.
 
-    A motor is selected where it makes the torques clearly more likely, with noise estimated anew
-    beside it, and one of its parameters is clearly not zero. Joint torque sensors behind the gears
+    A motor is selected where it makes the torques clearly more likely, with noise estimated anew,
+    and one of its parameters is clearly not zero. Joint torque sensors behind the gears
     measure no torque of motors, and so none of a motor that joints share.
     """
     couplings = fitter.columns.couplings
@@ -393,10 +404,10 @@ def select_couplings(
 def _promising_couplings(
     fit: Fit, question: Question, offered: Sequence[Coupling]
 ) -> list[tuple[Coupling, ...]]:
-    """Return the couplings of a fit with one offered motor added, for the two best motors at most.
+    """Return the couplings of a fit with one offered motor added, for at most the two best motors.
 
-    Each makes the torques more likely. The noise is that of the fit, and friction may have either
-    sign: this saves fits with motors that cannot win.
+    Motors are compared with the noise of the fit and without bounds on friction, which saves fits
+    with motors that cannot win.
     """
     present = fit.choice.couplings
     candidates = [

@@ -69,7 +69,7 @@ def fit_file(
     pull: Array | None = None,
     carried: Array | None = None,
 ) -> FileFit:
-    """Return the file that predicts held-out torques best.
+    """Return the fit of the model file that predicts held-out torques best.
 
     Motors that turn several joints are fixed tendons, which only an MJCF has.
 

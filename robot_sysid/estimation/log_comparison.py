@@ -34,7 +34,6 @@ from robot_sysid.estimation.algebra.least_squares import (
     estimate_noise,
     normal_matrix,
     restrict,
-    sample_counts,
     solver,
 )
 from robot_sysid.estimation.algebra.priors import (
@@ -56,7 +55,7 @@ DISAGREE = 2.0
 MOST_NAMED = 2
 """Joints whose friction differs between logs that are named; ``params.json`` has all."""
 LEAST_DIFFERENCE = 0.02
-"""Share of a joint's friction torque below which a difference between logs is not worth a word."""
+"""Share of a joint's friction torque below which a difference between logs is not reported."""
 NOISE_FLOOR = 0.01
 """Least noise of a log whose friction is fitted to it alone, as a share of the fit's noise."""
 SIZE_FLOOR = 1e-6
@@ -144,8 +143,12 @@ class FrictionOfLogs:
 
 @dataclass(frozen=True)
 class LogComparison:
-    """How several logs of an arm compare: sentences, the error of each log predicted from the
-    others, and friction by log. Empty for a single log.
+    """How several logs of an arm compare; all fields are empty for a single log.
+
+    Attributes:
+        notes: one sentence each, on masses and friction.
+        tests: error of each log predicted from the others.
+        friction: friction by log; None without friction.
     """
 
     notes: tuple[str, ...] = ()
@@ -161,9 +164,9 @@ def compare_recordings(fit: Fit, names: Sequence[str]) -> LogComparison:
     Args:
         names: the log of each dataset.
     """
-    logs = {
-        name: [s for s, n in zip(fit.samples, names) if n == name] for name in names
-    }
+    logs: dict[str, list[DecimatedSamples]] = {}
+    for name, samples in zip(names, fit.samples):
+        logs.setdefault(name, []).append(samples)
     if len(logs) < 2:
         return LogComparison()
     data = evidence_of(logs.values(), fit.evidence.torque)
@@ -176,19 +179,14 @@ def compare_recordings(fit: Fit, names: Sequence[str]) -> LogComparison:
         return is_informative_test(errors[[k]], noise[[k]], lambda: chance()[[k]])
 
     joints = [joint.joint for joint in fit.evidence.total.joints]
-    tests = tuple(
-        validation_of(
-            joints,
-            error,
-            square,
-            sample_counts(block),
-            f"{name}, predicted from the other logs",
-        )
-        for k, (name, block, error, square) in enumerate(
-            zip(logs, data.blocks, errors, data.squared_torque)
-        )
-        if is_test(k)
-    )
+    tests = []
+    for k, name in enumerate(logs):
+        if is_test(k):
+            source = f"{name}, predicted from the other logs"
+            squares = data.squared_torque[k]
+            tests.append(
+                validation_of(joints, errors[k], squares, judge.counts[k], source)
+            )
     unknowns = fit.unknowns
     own_rows = {
         name: [restrict_samples(block, unknowns) for block in log]
@@ -205,7 +203,8 @@ def compare_recordings(fit: Fit, names: Sequence[str]) -> LogComparison:
         )
         masses[name] = float(values[0]), float(np.sqrt(covariance[0, 0]))
     note = () if friction is None else friction.note
-    return LogComparison((*_agreement(masses, not note), *note), tests, friction)
+    notes = (*_agreement(masses, not note), *note)
+    return LogComparison(notes, tuple(tests), friction)
 
 
 def friction_of_logs(
@@ -438,7 +437,7 @@ def _of_each_log(
     center: Array,
     sizes: Array,
 ) -> tuple[Array, Array]:
-    """Return values (L, f) according to each log, and their covariance (L, f, L, f)."""
+    """Return estimates (L, f) of each log with all else in common, and their covariance."""
     size = len(prior)
     number = len(indices)
     common = np.setdiff1d(np.arange(size - 1), indices)
