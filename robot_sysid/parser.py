@@ -77,8 +77,10 @@ def robot_from_compiled(
     carriers = chain_to(mj_model, terminal)
     chain = arm_without_base(mj_model, carriers)
     body = int(mj_model.jnt_bodyid[terminal])
-    rest = rest_keyframe(mj_model, keyframe)
-    rest_qpos = mj_model.qpos0 if rest is None else mj_model.key_qpos[rest]
+    keyframe_id = rest_keyframe(mj_model, keyframe)
+    rest_qpos = (
+        mj_model.qpos0 if keyframe_id is None else mj_model.key_qpos[keyframe_id]
+    )
     qpos = np.array(rest_qpos, dtype=float)
     dofs = mj_model.jnt_dofadr[list(chain)].astype(np.int64)
     names = tuple(joint_label(mj_model, j) for j in chain)
@@ -101,7 +103,7 @@ def robot_from_compiled(
         bodies=bodies,
         friction=joint_friction(mj_model, dofs),
         links=arm_links(mj_model, qpos, chain),
-        notes=(*compiled.notes, *_notes(mj_model, rest, carriers, chain)),
+        notes=(*compiled.notes, *_notes(mj_model, keyframe_id, carriers, chain)),
     )
 
 
@@ -138,16 +140,19 @@ def _prior(bodies: Sequence[SubtreeBody]) -> InertialParameters:
 
 
 def _notes(
-    mj_model: Any, rest: int | None, carriers: tuple[int, ...], chain: tuple[int, ...]
+    mj_model: Any,
+    keyframe_id: int | None,
+    carriers: tuple[int, ...],
+    chain: tuple[int, ...],
 ) -> Iterator[str]:
     """Yield sentences on assumptions, and on parts of the model that the analysis leaves out.
 
     Args:
-        rest: index of the keyframe at rest, or None.
+        keyframe_id: index of the keyframe at rest, or None.
         carriers: ids of all joints from the world to the terminal one.
         chain: those of them that belong to the arm.
     """
-    if rest is None and mj_model.nkey:
+    if keyframe_id is None and mj_model.nkey:
         names = ", ".join(_keyframe_names(mj_model))
         none = "of several keyframes none is called home, so all joints start at their zero"
         yield f"{none}; --keyframe chooses one of {names}"

@@ -337,7 +337,9 @@ def test_two_arrays_of_one_name_are_told_apart_and_what_is_no_array_is_no_column
     assert_read(path)
     np.savez(
         path,
-        **{f"{part}/{n}": a for part in ("train", "test") for n, a in COLUMNS.items()},
+        **{
+            f"{group}/{n}": a for group in ("train", "test") for n, a in COLUMNS.items()
+        },
     )
     with pytest.raises(InputError, match=r"train/q\[0\], .*test/q\[0\]"):
         read_measurements(path, JOINTS)
@@ -404,9 +406,9 @@ def test_a_matlab_files_empty_cells_are_not_unpacked(tmp_path):
     count = 3_000_000
     savemat(path, {"time": DATA.time, "q": DATA.q, "tau": DATA.tau})
 
-    def element(kind, content):
+    def element(element_type, content):
         return (
-            struct.pack("<II", kind, len(content))
+            struct.pack("<II", element_type, len(content))
             + content
             + b"\0" * (-len(content) % 8)
         )

@@ -1,4 +1,4 @@
-"""Each thing that can be wrong with a log is found and said, with its first line and a remedy."""
+"""Each thing that can be wrong with a log is found and notes, with its first line and a remedy."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ def long_rows(rows):
     return [[*r, 0.0] if k in RUBBISH else r for k, r in enumerate(rows.tolist())]
 
 
-def changed(place, change):
+def changing(index, change):
     """A fault that changes some cells of the table."""
 
     def fault(rows):
-        rows[place] = change(rows[place])
+        rows[index] = change(rows[index])
         return rows
 
     return fault
 
 
-def apart(rows):
+def separate_joints(rows):
     """Joints in messages of their own."""
     rows[::2, [1, 4]] = np.nan
     rows[1::2, [2, 3, 5, 6]] = np.nan
@@ -64,7 +64,7 @@ def all_at_once(rows):
 
 TIME = np.s_[:, 0]
 Q = np.s_[:, 1:4]
-# Each fault changes the table and is an error that says the words.
+# Each fault changes the table and is an error that says the fragments.
 ERRORS: dict[str, tuple[Callable, list[str]]] = {
     "text cells": (
         text_cells,
@@ -73,59 +73,59 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
     "short rows": (short_rows, ["5 of 400 rows", "line 11: 5 cells instead of 7"]),
     "long rows": (long_rows, ["5 of 400 rows", "line 11: 8 cells instead of 7"]),
     "absurd cells": (
-        changed((list(RUBBISH), 4), lambda tau: np.full(len(tau), 1e30)),
+        changing((list(RUBBISH), 4), lambda tau: np.full(len(tau), 1e30)),
         ["5 of 400 rows", "first: line 11)"],
     ),
     "backwards": (
-        changed(([20, 21], 0), lambda time: time[::-1].copy()),
+        changing(([20, 21], 0), lambda time: time[::-1].copy()),
         ["log.csv: ", "line 23", "backwards", "0.005 s"],
     ),
     "many holes": (
-        changed(np.s_[::10, 2], lambda q: np.nan * q),
+        changing(np.s_[::10, 2], lambda q: np.nan * q),
         ["40 of 400 rows", "5 %", "line 2"],
     ),
     "coarse time": (
-        changed(TIME, lambda time: np.floor(time * 50) / 50),
+        changing(TIME, lambda time: np.floor(time * 50) / 50),
         ["repeat the time stamp", "more digits"],
     ),
     "milliseconds": (
-        changed(TIME, lambda t: 1e3 * t),
+        changing(TIME, lambda t: 1e3 * t),
         ["time steps of 5 s", "--units ms"],
     ),
-    "microseconds": (changed(TIME, lambda t: 1e6 * t), ["--units us"]),
+    "microseconds": (changing(TIME, lambda t: 1e6 * t), ["--units us"]),
     "nanoseconds since 1970": (
-        changed(TIME, lambda t: 1.7e18 + 1e9 * t),
+        changing(TIME, lambda t: 1.7e18 + 1e9 * t),
         ["--units ns"],
     ),
     "tiny time": (
-        changed(TIME, lambda t: 1e-3 * t),
+        changing(TIME, lambda t: 1e-3 * t),
         ["time steps of 5e-06 s", "declare the unit"],
     ),
     "minutes": (
-        changed(TIME, lambda t: t / 60.0),
+        changing(TIME, lambda t: t / 60.0),
         [
             "time steps of 8.33e-05 s are so short that joint base",
             "'time = 60 * TITLE'",
         ],
     ),
     "hours": (
-        changed(TIME, lambda t: t / 3600.0),
+        changing(TIME, lambda t: t / 3600.0),
         ["too short", "'time = 3600 * TITLE'"],
     ),
     "stamps of arrival": (
-        changed((slice(10, None, 9), 0), lambda t: t - 4.99e-3),
+        changing((slice(10, None, 9), 0), lambda t: t - 4.99e-3),
         ["uneven (11% of the steps", "joint base would often", "'rate = 200'"],
     ),
     "whole seconds": (
-        changed(TIME, np.floor),
+        changing(TIME, np.floor),
         ["398 of 400 rows repeat the time stamp", "'rate = HZ' in --columns"],
     ),
     "noise": (
-        changed(Q, lambda q: q + np.random.default_rng(0).normal(0.0, 0.1, q.shape)),
+        changing(Q, lambda q: q + np.random.default_rng(0).normal(0.0, 0.1, q.shape)),
         ["position of joint base goes to and fro by 0.09", "encoder"],
     ),
     "full turns": (
-        changed(np.s_[:, 2], lambda q: q + 6.0 * np.pi),
+        changing(np.s_[:, 2], lambda q: q + 6.0 * np.pi),
         [
             "joint elbow reaches 19.7",
             "3 full turns from the model's zero",
@@ -133,11 +133,11 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
         ],
     ),
     "no effort": (
-        changed(np.s_[:, [4, 6]], lambda tau: np.nan * tau),
+        changing(np.s_[:, [4, 6]], lambda tau: np.nan * tau),
         ["columns 'tau1', 'tau3' hold no number in any row", "--columns FILE"],
     ),
-    "joints apart": (
-        apart,
+    "joints separate_joints": (
+        separate_joints,
         [
             "no line holds numbers in all columns (empty: column 'q1', in 200 of 400)",
             "record all in",
@@ -152,18 +152,18 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
             "torque of joint base is zero in every row, that of joint wrist is the same (1 N m)",
         ],
     ),
-    "degrees": (changed(Q, np.degrees), ["look like degrees", "--units deg"]),
-    "at rest": (changed(Q, lambda q: 0.3 + 1e-3 * q), ["at rest", "no joint moves"]),
+    "degrees": (changing(Q, np.degrees), ["look like degrees", "--units deg"]),
+    "at rest": (changing(Q, lambda q: 0.3 + 1e-3 * q), ["at rest", "no joint moves"]),
     "spike": (
-        changed((33, 3), lambda q: q + 2.0),
+        changing((33, 3), lambda q: q + 2.0),
         ["joint wrist", "jumps at line 35 and 1 more"],
     ),
     "zero torque": (
-        changed(np.s_[:, 5], lambda tau: 0.0 * tau),
+        changing(np.s_[:, 5], lambda tau: 0.0 * tau),
         ["torque of joint elbow is zero in every row"],
     ),
     "stuck torque": (
-        changed(np.s_[:, 6], lambda tau: np.full(len(tau), 1.25)),
+        changing(np.s_[:, 6], lambda tau: np.full(len(tau), 1.25)),
         ["torque of joint wrist is the same (1.25 N m)"],
     ),
     "too few": (lambda rows: rows[:5], ["only 5 usable rows"]),
@@ -172,11 +172,11 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
 
 @pytest.mark.parametrize("name", ERRORS)
 def test_a_log_that_cannot_be_used_is_refused(tmp_path, name):
-    fault, words = ERRORS[name]
+    fault, fragments = ERRORS[name]
     with pytest.raises(InputError) as caught:
         read_table(tmp_path, fault(table(motion())))
     message = str(caught.value)
-    assert all(word in message for word in words), message
+    assert all(text in message for text in fragments), message
     assert "\n" not in message
     assert ("degrees" in message) == (name == "degrees")
 
@@ -202,7 +202,7 @@ def stands_still(rows):
 NOTES: dict[str, tuple[Callable, list[str]]] = {
     "nothing": (lambda rows: rows, []),
     "repeated": (
-        changed((50, 0), lambda time: time - 0.005),
+        changing((50, 0), lambda time: time - 0.005),
         ["left out 1 rows that repeat the time stamp before them (first: line 52)"],
     ),
     "gap": (
@@ -224,7 +224,7 @@ NOTES: dict[str, tuple[Callable, list[str]]] = {
         ["stands still up to line 103 (0.5", "stands still from line 252 on (0.7"],
     ),
     "one at rest": (
-        changed(np.s_[:, 2], lambda q: 0.0 * q),
+        changing(np.s_[:, 2], lambda q: 0.0 * q),
         ["do not move in this log: elbow"],
     ),
 }
@@ -232,14 +232,14 @@ NOTES: dict[str, tuple[Callable, list[str]]] = {
 
 @pytest.mark.parametrize("name", NOTES)
 def test_what_is_odd_about_a_log_is_said(tmp_path, name):
-    fault, words = NOTES[name]
-    said = notes_of(read_table(tmp_path, fault(table(motion()))))
-    assert all(word in said for word in words) if words else not said
+    fault, fragments = NOTES[name]
+    notes = notes_of(read_table(tmp_path, fault(table(motion()))))
+    assert all(text in notes for text in fragments) if fragments else not notes
 
 
 def test_positions_outside_the_limits_are_said(tmp_path):
-    said = notes_of(read_table(tmp_path, table(motion()), limits=limits(0.85)))
-    assert "joint limits: base by 0.05" in said and "line" in said
+    notes = notes_of(read_table(tmp_path, table(motion()), limits=limits(0.85)))
+    assert "joint limits: base by 0.05" in notes and "line" in notes
 
 
 def test_own_time_stamps_are_kept_unless_of_another_clock_or_backwards(tmp_path):

@@ -17,16 +17,18 @@ UR = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 
 
 def recognise(
-    titles: str, joints=JOINTS, chosen=None, first_row=(), is_slide=(False,) * 3
+    titles: str, joints=JOINTS, choices=None, first_row=(), is_slide=(False,) * 3
 ) -> column_map.ColumnMap:
-    chosen = chosen or column_map.ColumnChoices()
+    choices = choices or column_map.ColumnChoices()
     return column_map.recognise_columns(
-        titles.split(","), joints, chosen, first_row, is_slide
+        titles.split(","), joints, choices, first_row, is_slide
     )
 
 
-def where(found: column_map.ColumnMap) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    return tuple(s.index for s in found.position), tuple(s.index for s in found.torque)
+def where(columns: column_map.ColumnMap) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    return tuple(s.index for s in columns.position), tuple(
+        s.index for s in columns.torque
+    )
 
 
 @pytest.mark.parametrize(
@@ -45,9 +47,9 @@ def where(found: column_map.ColumnMap) -> tuple[tuple[int, ...], tuple[int, ...]
     ],
 )
 def test_counting_titles_go_by_their_numbers(titles):
-    found = recognise(titles, ("base", "elbow", "wrist"))
-    assert found.time is not None and found.time.index == 0
-    assert where(found) == ((1, 2, 3), (4, 5, 6))
+    columns = recognise(titles, ("base", "elbow", "wrist"))
+    assert columns.time is not None and columns.time.index == 0
+    assert where(columns) == ((1, 2, 3), (4, 5, 6))
 
 
 @pytest.mark.parametrize(
@@ -88,12 +90,14 @@ NAME_PIECES = (
     )
 )  # fmt: skip
 def test_a_unit_within_a_joints_name_is_no_unit(names):
-    titles = [f"{name}_{kind}" for kind in ("position", "torque") for name in names]
-    found = recognise(
+    titles = [
+        f"{name}_{quantity}" for quantity in ("position", "torque") for name in names
+    ]
+    columns = recognise(
         ",".join(["time", *titles]), tuple(names), is_slide=[False] * len(names)
     )
-    assert [s.title for s in found.position + found.torque] == titles
-    assert {s.factor for s in found.position + found.torque} == {1.0}
+    assert [s.title for s in columns.position + columns.torque] == titles
+    assert {s.factor for s in columns.position + columns.torque} == {1.0}
 
 
 def test_ros_names_in_the_first_row_outrank_counting_and_its_header_the_receipt():
@@ -104,9 +108,9 @@ def test_ros_names_in_the_first_row_outrank_counting_and_its_header_the_receipt(
         "field.position2,field.effort0,field.effort1,field.effort2,field.header.stamp"
     )
     row = ["1", "elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint"] + ["0"] * 7
-    found = recognise(titles, UR, first_row=row)
-    assert where(found) == ((6, 5, 4), (9, 8, 7))
-    assert found.time is not None and found.time.index == 10
+    columns = recognise(titles, UR, first_row=row)
+    assert where(columns) == ((6, 5, 4), (9, 8, 7))
+    assert columns.time is not None and columns.time.index == 10
 
 
 def test_the_columns_of_a_damiao_recording_are_known():
@@ -120,45 +124,47 @@ def test_the_columns_of_a_damiao_recording_are_known():
         "temp_rotor",
     )
     titles = ["time", *trajectory_columns(3)]
-    titles += [f"j{j}_{what}" for j in range(3) for what in extra]
-    found = recognise(",".join(titles), ("joint1", "joint2", "joint3"))
-    taken = (
-        found.position
-        + found.torque
-        + (found.velocity or ())
-        + (found.joint_time or ())
+    titles += [f"j{j}_{quantity}" for j in range(3) for quantity in extra]
+    columns = recognise(",".join(titles), ("joint1", "joint2", "joint3"))
+    used = (
+        columns.position
+        + columns.torque
+        + (columns.velocity or ())
+        + (columns.joint_time or ())
     )
     expected = [
-        f"j{j}_{what}" for what in ("pos", "tau", "vel", "time") for j in range(3)
+        f"j{j}_{quantity}"
+        for quantity in ("pos", "tau", "vel", "time")
+        for j in range(3)
     ]
-    assert [source.title for source in taken] == expected
+    assert [source.title for source in used] == expected
 
 
 def test_units_in_titles_become_factors():
-    found = recognise(
+    columns = recognise(
         "time_ms,q1 [deg],q2 [deg],q3 [deg],qd1 (deg/s),qd2_deg_s,qd3_dps,tau1_Nm,tau2,tau3_mNm"
     )
-    assert found.time is not None and found.time.factor == 1e-3
-    assert {s.factor for s in found.position} == {math.pi / 180}
-    assert found.velocity is not None
-    assert {s.factor for s in found.velocity} == {math.pi / 180}
-    assert [s.factor for s in found.torque] == [1.0, 1.0, 1e-3]
-    assert found.angle_declared
+    assert columns.time is not None and columns.time.factor == 1e-3
+    assert {s.factor for s in columns.position} == {math.pi / 180}
+    assert columns.velocity is not None
+    assert {s.factor for s in columns.velocity} == {math.pi / 180}
+    assert [s.factor for s in columns.torque] == [1.0, 1.0, 1e-3]
+    assert columns.angle_declared
 
 
 def test_declared_degrees_leave_slides_alone():
-    chosen = column_map.ColumnChoices(angle_unit="deg", time_unit="us")
-    found = recognise(
-        "t,q1,q2,q3,tau1,tau2,tau3", JOINTS, chosen, is_slide=(False, True, False)
+    choices = column_map.ColumnChoices(angle_unit="deg", time_unit="us")
+    columns = recognise(
+        "t,q1,q2,q3,tau1,tau2,tau3", JOINTS, choices, is_slide=(False, True, False)
     )
-    assert [s.factor for s in found.position] == [math.pi / 180, 1.0, math.pi / 180]
-    assert found.time is not None and found.time.factor == 1e-6
+    assert [s.factor for s in columns.position] == [math.pi / 180, 1.0, math.pi / 180]
+    assert columns.time is not None and columns.time.factor == 1e-6
     with pytest.raises(InputError, match=r"q1 \[rad\].*contradicts"):
-        recognise("t,q1 [rad],q2,q3,tau1,tau2,tau3", chosen=chosen)
+        recognise("t,q1 [rad],q2,q3,tau1,tau2,tau3", choices=choices)
 
 
 @pytest.mark.parametrize(
-    ("titles", "words"),
+    ("titles", "fragments"),
     [
         (
             "time,q1,q2,q3,tau1,tau2,tau3,torque_1",
@@ -192,13 +198,13 @@ def test_declared_degrees_leave_slides_alone():
         ("t,q1 [furlong],q2,q3,tau1,tau2,tau3", ["furlong", "unknown"]),
     ],
 )
-def test_what_is_missing_or_ambiguous_is_said(titles, words):
+def test_what_is_missing_or_ambiguous_is_said(titles, fragments):
     with pytest.raises(InputError) as caught:
         recognise(titles)
-    assert all(word in str(caught.value) for word in words)
+    assert all(word in str(caught.value) for word in fragments)
 
 
-def choices(tmp_path, text: str) -> column_map.ColumnChoices:
+def read_choices(tmp_path, text: str) -> column_map.ColumnChoices:
     path = tmp_path / "columns.txt"
     path.write_text(text)
     return column_map.read_columns_file(path, JOINTS)
@@ -207,18 +213,18 @@ def choices(tmp_path, text: str) -> column_map.ColumnChoices:
 def test_a_columns_file_names_flips_and_scales(tmp_path):
     text = "# remark\ntime = Zeit  # seconds\nposition = A, B, C\ntorque.joint0 = -X\n"
     text += "torque.joint1 = 0.5 * Y\ntorque.joint2 = Z\nunits = deg,ms\n"
-    found = recognise("X,Y,Z,A,B,C,Zeit,tau3", chosen=choices(tmp_path, text))
-    assert where(found) == ((3, 4, 5), (0, 1, 2))
-    assert [s.factor for s in found.torque] == [-1.0, 0.5, 1.0]
-    assert found.position[0].factor == math.pi / 180
-    assert found.time is not None and found.time.factor == 1e-3
+    columns = recognise("X,Y,Z,A,B,C,Zeit,tau3", choices=read_choices(tmp_path, text))
+    assert where(columns) == ((3, 4, 5), (0, 1, 2))
+    assert [s.factor for s in columns.torque] == [-1.0, 0.5, 1.0]
+    assert columns.position[0].factor == math.pi / 180
+    assert columns.time is not None and columns.time.factor == 1e-3
 
 
 def test_a_columns_file_counts_columns_and_keeps_quantities_out(tmp_path):
     text = "rate = 100\nposition = #1, #2, #3\ntorque = #4, #5, #6\nvelocity = none\n"
-    found = recognise("q1,q2,q3,qd1,qd2,qd3", chosen=choices(tmp_path, text))
-    assert where(found) == ((0, 1, 2), (3, 4, 5))
-    assert found.velocity is None and found.time is None and found.rate == 100.0
+    columns = recognise("q1,q2,q3,qd1,qd2,qd3", choices=read_choices(tmp_path, text))
+    assert where(columns) == ((0, 1, 2), (3, 4, 5))
+    assert columns.velocity is None and columns.time is None and columns.rate == 100.0
 
 
 def test_a_draft_says_what_was_recognised_and_works_once_completed(tmp_path):
@@ -230,17 +236,17 @@ def test_a_draft_says_what_was_recognised_and_works_once_completed(tmp_path):
     with pytest.raises(
         InputError, match="line 4: put the log's columns in the place of ?"
     ):
-        choices(tmp_path, drafted)
+        read_choices(tmp_path, drafted)
     completed = drafted.replace("time = ?", "time = when").replace("?, ?, ?", "#5-7")
-    found = recognise(titles, chosen=choices(tmp_path, completed))
-    assert where(found) == ((1, 2, 3), (4, 5, 6)) and found.time.title == "when"
+    columns = recognise(titles, choices=read_choices(tmp_path, completed))
+    assert where(columns) == ((1, 2, 3), (4, 5, 6)) and columns.time.title == "when"
     with pytest.raises(ColumnsError) as caught:
-        recognise(titles, chosen=choices(tmp_path, "time = when"))
+        recognise(titles, choices=read_choices(tmp_path, "time = when"))
     assert caught.value.draft == ""
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "fragments"),
     [
         ("speed = a", "valid keys: time, position"),
         ("position = a, b", "lists 2 columns, the chain has 3"),
@@ -257,6 +263,6 @@ def test_a_draft_says_what_was_recognised_and_works_once_completed(tmp_path):
         ("torque = B, tau2, tau3", "no single column 'B'.*time, q1"),
     ],
 )
-def test_a_bad_columns_file_says_what_is_wrong(tmp_path, text, words):
-    with pytest.raises(InputError, match=words):
-        recognise("time,q1,q2,q3,tau1,tau2,tau3", chosen=choices(tmp_path, text))
+def test_a_bad_columns_file_says_what_is_wrong(tmp_path, text, fragments):
+    with pytest.raises(InputError, match=fragments):
+        recognise("time,q1,q2,q3,tau1,tau2,tau3", choices=read_choices(tmp_path, text))

@@ -43,7 +43,7 @@ def test_a_log_without_titles_needs_a_columns_file_and_one_without_time_a_rate(
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    ("content", "fault"),
     [
         (None, "cannot read the log"),
         (b"# only\n# comments\n", "holds no rows"),
@@ -51,11 +51,11 @@ def test_a_log_without_titles_needs_a_columns_file_and_one_without_time_a_rate(
         (b"\x00\x01\x02binary", "not a text file"),
     ],
 )
-def test_files_without_a_table_are_refused(tmp_path, content, words):
+def test_files_without_a_table_are_refused(tmp_path, content, fault):
     path = tmp_path / "log.csv"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=fault):
         read_measurements(path, JOINTS)
 
 
@@ -79,11 +79,11 @@ def test_a_log_is_read_from_a_pipe(tmp_path, monkeypatch):
             ):
                 read_measurements("-", JOINTS)
         else:
-            whole = read_measurements(path, JOINTS)
+            expected = read_measurements(path, JOINTS)
             for _ in range(2):
                 piped = read_measurements("-", JOINTS)
-                assert_samples(piped.samples, whole.samples)
-            assert reader.origin_of([whole, piped]).files == (str(path), "-")
+                assert_samples(piped.samples, expected.samples)
+            assert reader.origin_of([expected, piped]).files == (str(path), "-")
 
 
 POSITIVE = st.lists(st.floats(1e-2, 1e2), min_size=3, max_size=3).map(tuple)

@@ -39,10 +39,10 @@ def test_what_a_title_says_where_commands_are_asked_for_and_where_not(
     title, measured, commanded
 ):
     assert read_title(title).measured_quantity == measured
-    (found,) = interpret_titles(
+    (interpreted,) = interpret_titles(
         [read_title(title)], ("ref_joint", "joint1"), False, commanded=True
     )
-    assert joint_quantity(found) == commanded
+    assert joint_quantity(interpreted) == commanded
 
 
 @pytest.mark.parametrize("title", COMMANDS)

@@ -75,9 +75,9 @@ def test_behind_a_symbolic_link_the_path_is_absolute(tmp_path):
 
 
 def test_an_included_file_that_is_not_utf8_takes_its_place(tmp_path):
-    part = "<?xml version='1.0' encoding='latin-1'?><mujoco><!-- é --></mujoco>"
+    fragment = "<?xml version='1.0' encoding='latin-1'?><mujoco><!-- é --></mujoco>"
     (tmp_path / "part.xml").write_bytes(
-        part.replace("<!--", "<size/><!--").encode("latin-1")
+        fragment.replace("<!--", "<size/><!--").encode("latin-1")
     )
     main = "<mujoco><include file='part.xml'/><worldbody/></mujoco>"
     (tmp_path / "m.xml").write_text(main)
@@ -95,8 +95,8 @@ def test_the_users_mesh_folder_replaces_that_of_the_file(tmp_path):
     )
     files = {"m.xml": text, "d/s/m.obj": "", "mine/m.obj": "", "mine/t.png": ""}
     document = read_document(write_files(tmp_path, files))
-    found = {a.name: a.path for a in find_assets(document, tmp_path / "mine")}
-    assert found == {
+    paths = {a.name: a.path for a in find_assets(document, tmp_path / "mine")}
+    assert paths == {
         "s/m.obj": tmp_path / "mine/m.obj",
         "t.png": tmp_path / "mine/t.png",
     }

@@ -204,7 +204,7 @@ def document_of(tmp_path, text):
 
 
 @pytest.mark.parametrize(
-    ("element", "name", "value", "before", "after"),
+    ("element", "name", "value", "old", "new"),
     [
         (0, "x", "5", "'1>2'", '"5"'),
         (0, "new", 'a&"<', 'y="3"', 'y="3" new="a&amp;&quot;&lt;"'),
@@ -215,12 +215,12 @@ def document_of(tmp_path, text):
     ],
 )
 def test_an_attribute_is_changed_and_nothing_else(
-    tmp_path, element, name, value, before, after
+    tmp_path, element, name, value, old, new
 ):
     document = document_of(tmp_path, TEXT)
     edits = Edits(document)
     edits.set(list(document.walk())[element], name, value)
-    assert edits.text().decode() == TEXT.replace(before, after, 1)
+    assert edits.text().decode() == TEXT.replace(old, new, 1)
 
 
 @pytest.mark.parametrize(

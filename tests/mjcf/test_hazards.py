@@ -56,7 +56,7 @@ def test_a_model_may_be_attached_more_than_once(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("part", "message"),
+    ("element", "message"),
     [
         (
             '<asset><hfield name="h" nrow="9e4" ncol="9e4" size="1 1 1 1"/></asset>',
@@ -85,10 +85,10 @@ def test_a_model_may_be_attached_more_than_once(tmp_path):
     ],
 )
 @pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
-def test_what_would_end_or_stop_the_process_is_refused(tmp_path, part, message):
+def test_what_would_end_or_stop_the_process_is_refused(tmp_path, element, message):
     os.mkfifo(tmp_path / "shape.stl")
     path = model(tmp_path, "a.xml")
-    path.write_text(path.read_text().replace("<asset>", f"{part}<asset>"))
+    path.write_text(path.read_text().replace("<asset>", f"{element}<asset>"))
     with pytest.raises(ModelError, match=message):
         compile_model(path)
 
@@ -96,10 +96,10 @@ def test_what_would_end_or_stop_the_process_is_refused(tmp_path, part, message):
 def png(width, height, content=b"\0", colours=2):
     """A PNG file's bytes; what its head says need not be what it holds."""
     head = struct.pack(">IIBBBBB", width, height, 8, colours, 0, 0, 0)
-    parts = [(b"IHDR", head), (b"IDAT", zlib.compress(content, 9)), (b"IEND", b"")]
+    chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(content, 9)), (b"IEND", b"")]
     chunks = (
         struct.pack(">I", len(c)) + k + c + struct.pack(">I", zlib.crc32(k + c))
-        for k, c in parts
+        for k, c in chunks
     )
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
@@ -122,11 +122,11 @@ LARGE = {
 
 @pytest.mark.parametrize("name", LARGE)
 def test_what_unpacks_to_too_much_together_is_refused_by_its_head(tmp_path, name):
-    assets, size, said = LARGE[name]
+    assets, size, message = LARGE[name]
     (tmp_path / "a.png").write_bytes(png(*size))
     with (tmp_path / "m.obj").open("wb") as mesh:
         mesh.truncate(100_000_000)
-    with pytest.raises(ModelError, match=said):
+    with pytest.raises(ModelError, match=message):
         compile_model(model(tmp_path, "a.xml", assets))
 
 

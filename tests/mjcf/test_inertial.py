@@ -67,7 +67,7 @@ def test_numbers_that_mujoco_cannot_read_are_zero():
 
 
 @pytest.mark.parametrize(
-    ("before", "after"),
+    ("old", "new"),
     [
         ("<body name='a'/>", "<body name='a'><NEW/></body>"),
         (
@@ -85,14 +85,14 @@ def test_numbers_that_mujoco_cannot_read_are_zero():
         ("<body><include file='i.xml'/></body>", "<body><NEW/></body>"),
     ],
 )
-def test_the_old_inertial_goes_and_a_missing_one_comes(tmp_path, before, after):
-    text = f"<mujoco><worldbody>{before}</worldbody></mujoco>"
+def test_the_old_inertial_goes_and_a_missing_one_comes(tmp_path, old, new):
+    text = f"<mujoco><worldbody>{old}</worldbody></mujoco>"
     included = "<x><inertial pos='0 0 0' mass='1'/></x>"
     edits = Edits(
         read_document(write_files(tmp_path, {"m.xml": text, "i.xml": included}))
     )
     edits.put_inertial(next(edits.document.walk("body")), "<NEW/>")
-    assert edits.text().decode() == text.replace(before, after)
+    assert edits.text().decode() == text.replace(old, new)
 
 
 # Each body carries its MuJoCo id as mass of its only geom.
@@ -256,8 +256,8 @@ def test_what_hangs_on_joints_gets_as_light_as_it_has_to(seed):
     plan = plan_write_back(composite, bodies)
     assert 0.1 <= plan.scale < 1.0 and [b.name for b in plan.lightened] == ["b5", "b6"]
     assert [b.name for b in plan.emptied] == ["b4"] and plan.inflation < 1e-9
-    rest = composite - plan.scale * (finger + thumb)
-    np.testing.assert_allclose(plan.theta, rest, rtol=0, atol=1e-9)
+    remainder = composite - plan.scale * (finger + thumb)
+    np.testing.assert_allclose(plan.theta, remainder, rtol=0, atol=1e-9)
     assert possible_body(plan.theta, 1.0) is not None
     assert (
         possible_body(composite - 1.0001 * plan.scale * (finger + thumb), 1.0) is None

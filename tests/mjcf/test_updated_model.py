@@ -45,7 +45,7 @@ from tests.support.releases import since
 THETA = random_theta(np.random.default_rng(1), 2.0)
 
 
-def exported(source, label, composite, target, mesh_dir=None, original=None):
+def write_and_verify(source, label, composite, target, mesh_dir=None, original=None):
     """Write as the results are; return the plan and the verified compiled model."""
     original = original or compile_model(source, mesh_dir).mj_model
     body = mujoco.mj_name2id(original, int(mujoco.mjtObj.mjOBJ_BODY), label)
@@ -81,7 +81,7 @@ def test_only_the_inertial_and_the_comment_change(tmp_path):
     difference = list(difflib.ndiff(ARM.splitlines(), text.splitlines()))
     removed = [line[2:].split() for line in difference if line.startswith("- ")]
     comment, inertial = [line[2:] for line in difference if line.startswith("+ ")]
-    assert [words[0] for words in removed] == ["<inertial", 'diaginertia="2e-3']
+    assert [tokens[0] for tokens in removed] == ["<inertial", 'diaginertia="2e-3']
     assert comment == (
         "        <!-- System ID: body 'link2' identified with RMSE 0.000123 Nm -->"
     )
@@ -102,8 +102,8 @@ def test_its_own_output_can_be_exported_again(tmp_path):
     source = write_files(tmp_path, {"m.xml": ARM})
     first = tmp_path / "a" / "m.xml"
     second = tmp_path / "b" / "c" / "m.xml"
-    exported(source, "link2", 2.0 * THETA, first)
-    exported(first, "link2", 2.0 * THETA, second)
+    write_and_verify(source, "link2", 2.0 * THETA, first)
+    write_and_verify(first, "link2", 2.0 * THETA, second)
     assert second.read_bytes() == first.read_bytes()
     assert second.read_bytes().count(b"System ID") == 1
 
@@ -125,15 +125,13 @@ def test_a_nameless_body_in_an_include_is_changed_and_its_files_are_found(
     tmp_path, folder
 ):
     source = write_files(tmp_path / "in", INCLUDING)
-    before = source.read_bytes(), (tmp_path / "in/parts/link.xml").read_bytes()
+    sources = (source, tmp_path / "in/parts/link.xml")
+    contents = [path.read_bytes() for path in sources]
     target = tmp_path / folder / "updated.xml"
-    exported(source, "#1", THETA, target)
+    write_and_verify(source, "#1", THETA, target)
     text = changed_model_text(source, CHANGE, target.parent).decode()
     assert "in place of 0 0 -5" in text and text.count("gravity=") == 1
-    assert before == (
-        source.read_bytes(),
-        (tmp_path / "in/parts/link.xml").read_bytes(),
-    )
+    assert contents == [path.read_bytes() for path in sources]
     assert b"size.xml" in target.read_bytes() and b"link.xml" not in target.read_bytes()
 
 
@@ -148,12 +146,10 @@ WITHOUT_ONE_TERMINAL = (
 def terminal_label(mj_model) -> str:
     """The terminal body of a public model; one of them where the tool would ask."""
     names = [mj_model.body(i).name for i in range(mj_model.nbody)]
-    chosen = [name for name in WITHOUT_ONE_TERMINAL if name in names]
-    return (
-        chosen[0]
-        if chosen
-        else names[mj_model.jnt_bodyid[find_terminal_joint(mj_model)]]
-    )
+    for name in WITHOUT_ONE_TERMINAL:
+        if name in names:
+            return name
+    return names[mj_model.jnt_bodyid[find_terminal_joint(mj_model)]]
 
 
 MODELS = [
@@ -180,8 +176,8 @@ def test_public_models_keep_everything_but_the_inertia(tmp_path, path):
     )
     first = tmp_path / "a" / path.name
     second = tmp_path / "b" / "c" / path.name
-    exported(path, label, theta, first)
-    exported(first, label, theta, second)
+    write_and_verify(path, label, theta, first)
+    write_and_verify(first, label, theta, second)
     assert second.read_bytes().count(b"System ID") == 1
 
 
@@ -208,7 +204,7 @@ CHANGE = ModelChange((), 1.23e-4, gravity=TURNED)
 WRITTEN = 'gravity="0.30000000000000004 -1.5 -9.6"'
 
 
-def changed(tmp_path, files, change=CHANGE):
+def change_gravity(tmp_path, files, change=CHANGE):
     """The text that is written, after MuJoCo has read it with this gravity in another folder."""
     source = write_files(tmp_path / "in", files)
     target = tmp_path / "out" / source.name
@@ -248,15 +244,15 @@ def with_options(*options):
     ],
 )
 def test_the_option_that_counts_is_changed(tmp_path, options, expected):
-    text = changed(tmp_path, {"m.xml": with_options(*options)})
+    text = change_gravity(tmp_path, {"m.xml": with_options(*options)})
     lines = [line for line in text.splitlines() if "option" in line]
     assert lines == expected
-    before = "0 0 -9.8" if "9.8" in "".join(options) else "0 0 -9.81"
-    assert f"in place of {before}, because" in text
+    gravity = "0 0 -9.8" if "9.8" in "".join(options) else "0 0 -9.81"
+    assert f"in place of {gravity}, because" in text
 
 
 @pytest.mark.parametrize(
-    "part",
+    "extension",
     [
         "",
         "<mujoco/>",
@@ -265,33 +261,29 @@ def test_the_option_that_counts_is_changed(tmp_path, options, expected):
         '<mujoco><option timestep="0.001" gravity="0 0 -9.7"/></mujoco>',
     ],
 )
-def test_a_urdf_states_it_in_the_part_that_mujoco_reads(tmp_path, part):
+def test_a_urdf_states_it_in_the_part_that_mujoco_reads(tmp_path, extension):
     links = urdf.serial(
         {"l1": urdf.inertial() + urdf.mesh("visual", "meshes/none.stl")}
     )
-    source = write_files(tmp_path / "in", {"m.urdf": urdf.robot(part, links)})
+    source = write_files(tmp_path / "in", {"m.urdf": urdf.robot(extension, links)})
     text = changed_model_text(source, CHANGE, tmp_path)
     written = tmp_path / "m.urdf"
     written.write_bytes(text)
-    found = compile_model(written).mj_model
-    np.testing.assert_array_equal(found.opt.gravity, TURNED)
-    assert found.opt.timestep == (0.001 if "timestep" in part else 0.002)
-    assert (b'balanceinertia="true"' in text) == ("balanceinertia" in part)
-    for each in (text, changed_model_text(written, CHANGE, tmp_path)):
-        assert (
-            each.count(b"<mujoco")
-            == each.count(b"<option")
-            == each.count(b"System ID")
-            == 1
-        )
+    mj_model = compile_model(written).mj_model
+    np.testing.assert_array_equal(mj_model.opt.gravity, TURNED)
+    assert mj_model.opt.timestep == (0.001 if "timestep" in extension else 0.002)
+    assert (b'balanceinertia="true"' in text) == ("balanceinertia" in extension)
+    for content in (text, changed_model_text(written, CHANGE, tmp_path)):
+        for mark in (b"<mujoco", b"<option", b"System ID"):
+            assert content.count(mark) == 1
 
 
 def test_gravity_that_is_switched_off_or_no_vector_is_refused(tmp_path):
     off = with_options('<option><flag gravity="disable"/></option>')
     with pytest.raises(ExportError, match="switches gravity off"):
-        changed(tmp_path, {"m.xml": off})
+        change_gravity(tmp_path, {"m.xml": off})
     with pytest.raises(ExportError, match="no vector"):
-        changed(
+        change_gravity(
             tmp_path, {"m.xml": ARM}, ModelChange((), 0.0, gravity=(np.nan, 0.0, -9.8))
         )
 
@@ -331,12 +323,13 @@ def test_a_joint_is_found_by_its_number(tmp_path, joint):
     document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
     label = "last" if joint == 4 else f"#{joint}"
     text = with_joints(document, JointChange(label, 1.25, 2.5, 3.75))
-    before, after = (mujoco.MjModel.from_xml_string(xml) for xml in (MIXED, text))
-    dof = before.jnt_dofadr[joint]
+    original = mujoco.MjModel.from_xml_string(MIXED)
+    written = mujoco.MjModel.from_xml_string(text)
+    dof = original.jnt_dofadr[joint]
     for field, value in (("armature", 1.25), ("damping", 2.5), ("frictionloss", 3.75)):
-        expected = getattr(before, f"dof_{field}").copy()
+        expected = getattr(original, f"dof_{field}").copy()
         expected[dof] = value
-        np.testing.assert_array_equal(getattr(after, f"dof_{field}"), expected)
+        np.testing.assert_array_equal(getattr(written, f"dof_{field}"), expected)
 
 
 def test_nonlinear_damping_behind_the_linear_one_stays(tmp_path):
@@ -397,13 +390,13 @@ def test_gains_are_written_into_the_actuator_that_mujoco_numbers(tmp_path):
     for change in (ActuatorChange(1, 40.0, 4.0), ActuatorChange(2, 50.0, 0.0)):
         write_actuator(edits, change)
     model = mujoco.MjModel.from_xml_string(edits.text().decode())
-    before = mujoco.MjModel.from_xml_string(SERVOS)
+    original = mujoco.MjModel.from_xml_string(SERVOS)
     assert model.actuator_gainprm[:, 0].tolist() == [1.0, 40.0, 50.0]
     assert model.actuator_biasprm[1:, :3].tolist() == [
         [0.0, -40.0, -4.0],
         [0.0, -50.0, 0.0],
     ]
-    np.testing.assert_array_equal(model.dof_damping, before.dof_damping)
+    np.testing.assert_array_equal(model.dof_damping, original.dof_damping)
     for number in (0, 3):
         with pytest.raises(
             ExportError, match=f"actuator number {number} is not written out"

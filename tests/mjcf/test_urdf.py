@@ -44,7 +44,7 @@ def test_what_is_only_drawn_is_left_out_in_silence(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "given"),
+    ("content", "has_minimum"),
     [
         ("", True),
         (urdf.inertial(mass=0.0, inertia="0 0 0"), True),
@@ -52,10 +52,12 @@ def test_what_is_only_drawn_is_left_out_in_silence(tmp_path):
         (urdf.inertial(), False),
     ],
 )
-def test_the_minimum_goes_to_moving_links_without_inertia(tmp_path, content, given):
+def test_the_minimum_goes_to_moving_links_without_inertia(
+    tmp_path, content, has_minimum
+):
     text, notes = compilable_urdf(arm(tmp_path, content), with_minimum=True)
-    assert (b'ixx="1e-09"' in text) == given
-    assert [("'l1'" in note) for note in notes] == [True] * given
+    assert (b'ixx="1e-09"' in text) == has_minimum
+    assert [("'l1'" in note) for note in notes] == [True] * has_minimum
     if "2.0" in content:
         assert b'<mass value="2.0"/>' in text
 
@@ -65,9 +67,9 @@ def test_a_link_whose_mass_is_welded_to_it_needs_no_minimum(tmp_path):
     assert compilable_urdf(arm(tmp_path, "", *more), with_minimum=True)[1] == ()
 
 
-def document(tmp_path, *parts, name="robots/arm.urdf"):
+def document(tmp_path, *elements, name="robots/arm.urdf"):
     return read_document(
-        write_files(tmp_path, {name: urdf.robot(*parts, urdf.link("base"))})
+        write_files(tmp_path, {name: urdf.robot(*elements, urdf.link("base"))})
     )
 
 
@@ -80,7 +82,7 @@ def mesh_found(tmp_path, name, mesh_dir=None):
 
 
 @pytest.mark.parametrize(
-    ("name", "place"),
+    ("name", "mesh"),
     [
         ("meshes/a.stl", "robots/meshes/a.stl"),
         ("package://pack/meshes/a.stl", "pack/meshes/a.stl"),
@@ -91,16 +93,16 @@ def mesh_found(tmp_path, name, mesh_dir=None):
         ("meshes\\a.stl", "robots/meshes/a.stl"),
     ],
 )
-def test_a_mesh_is_found_in_the_folders_above(tmp_path, name, place):
-    write_files(tmp_path, {place: ""})
-    assert mesh_found(tmp_path, name) == tmp_path / place
+def test_a_mesh_is_found_in_the_folders_above(tmp_path, name, mesh):
+    write_files(tmp_path, {mesh: ""})
+    assert mesh_found(tmp_path, name) == tmp_path / mesh
 
 
-@pytest.mark.parametrize("place", ["pack/meshes/a.stl", "meshes/a.stl", "a.stl"])
-def test_the_users_mesh_folder_comes_first(tmp_path, place):
-    write_files(tmp_path, {f"mine/{place}": "", "robots/meshes/a.stl": ""})
-    found = mesh_found(tmp_path, "package://pack/meshes/a.stl", tmp_path / "mine")
-    assert found == tmp_path / "mine" / place
+@pytest.mark.parametrize("mesh", ["pack/meshes/a.stl", "meshes/a.stl", "a.stl"])
+def test_the_users_mesh_folder_comes_first(tmp_path, mesh):
+    write_files(tmp_path, {f"mine/{mesh}": "", "robots/meshes/a.stl": ""})
+    path = mesh_found(tmp_path, "package://pack/meshes/a.stl", tmp_path / "mine")
+    assert path == tmp_path / "mine" / mesh
 
 
 def test_what_is_missing_or_unreadable_is_not_usable(tmp_path):

@@ -1,4 +1,4 @@
-"""Which joint is the arm's last one: found, asked for, or refused."""
+"""Which joint is the arm's last one: recognised, named, or refused."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.support.arms import (
 )
 
 
-def found(xml):
+def terminal_of(xml):
     model = compile_xml(xml)
     return module.joint_label(model, module.find_terminal_joint(model))
 
@@ -62,7 +62,7 @@ def long_finger(side, y):
     ],
 )
 def test_the_last_joint_before_the_tree_branches_is_found(name, expected):
-    assert found(arms.MODELS[name]) == expected
+    assert terminal_of(arms.MODELS[name]) == expected
 
 
 HAND = long_finger("left", 0.1) + long_finger("right", -0.1)
@@ -92,7 +92,7 @@ WHEELS = "".join(
     ],
 )
 def test_fingers_head_and_wheels_are_not_the_arm(xml, expected):
-    assert found(xml) == expected
+    assert terminal_of(xml) == expected
 
 
 def test_two_arms_on_one_torso_are_doubt_and_the_torso_is_offered_too():
@@ -142,7 +142,7 @@ def test_a_last_joint_without_a_motor_behind_joints_with_motors_is_doubt():
     ],
 )
 def test_a_last_joint_driven_by_tendon_coupling_or_motor_is_no_doubt(drive):
-    assert found(serial_arm((Z, Y, X, Y), extra=drive)) == "joint3"
+    assert terminal_of(serial_arm((Z, Y, X, Y), extra=drive)) == "joint3"
 
 
 BALL = '<joint name="socket" type="ball"/>'
@@ -174,10 +174,10 @@ def test_a_joint_that_is_not_the_last_of_its_body_is_refused_and_the_last_named(
 PLANE = (("slide", X), ("slide", Y), ("hinge", Z))
 
 
-def on_base(kinds_and_axes, attributes="", axes=(Z, Y, X, Y)):
+def on_base(base_joints, attributes="", axes=(Z, Y, X, Y)):
     joints = "".join(
-        f'<joint name="base{i}" type="{kind}" axis="{axis}" {attributes}/>'
-        for i, (kind, axis) in enumerate(kinds_and_axes)
+        f'<joint name="base{i}" type="{joint_type}" axis="{axis}" {attributes}/>'
+        for i, (joint_type, axis) in enumerate(base_joints)
     )
     inertial = '<inertial pos="0 0 .1" mass="20" diaginertia="1 1 1"/>'
     return world(f'<body name="base">{inertial}{joints}{serial_bodies(axes)}</body>')
@@ -240,12 +240,16 @@ def test_degrees_and_default_classes_arrive_in_radians():
 
 
 @pytest.mark.parametrize(
-    ("asked", "slide"), [(2.0, module.DEFAULT_SLIDE_VELOCITY), (0.1, 0.1)]
+    ("max_velocity", "slide"), [(2.0, module.DEFAULT_SLIDE_VELOCITY), (0.1, 0.1)]
 )
-def test_slides_have_a_speed_of_their_own_but_never_more_than_asked(asked, slide):
-    limits = limits_of('type="slide" range="-1 1"', max_velocity=asked)
+def test_slides_have_a_speed_of_their_own_but_never_more_than_asked(
+    max_velocity, slide
+):
+    limits = limits_of('type="slide" range="-1 1"', max_velocity=max_velocity)
     np.testing.assert_array_equal(limits.velocity, [slide] * 3)
-    np.testing.assert_array_equal(limits_of(max_velocity=asked).velocity, [asked] * 3)
+    np.testing.assert_array_equal(
+        limits_of(max_velocity=max_velocity).velocity, [max_velocity] * 3
+    )
 
 
 @pytest.mark.parametrize(
@@ -275,9 +279,11 @@ def test_torque_limit_is_what_the_actuators_can_give(actuators, expected):
 
 
 def test_limit_of_the_joint_itself_counts_where_it_is_tighter():
-    own = 'actuatorfrcrange="-10 10"'
-    assert torque_of('<motor joint="joint1" forcerange="-30 30"/>', own) == 10.0
-    assert torque_of('<motor joint="joint1" forcerange="-3 3"/>', own) == 3.0
+    joint_limit = 'actuatorfrcrange="-10 10"'
+    assert torque_of('<motor joint="joint1" forcerange="-30 30"/>', joint_limit) == 10.0
+    assert torque_of('<motor joint="joint1" forcerange="-3 3"/>', joint_limit) == 3.0
     # A tendon's force may go elsewhere.
     tendon = '<tendon><fixed name="t"><joint joint="joint1" coef="1"/></fixed></tendon>'
-    assert torque_of('<motor tendon="t" forcerange="-1 1"/>', own, tendon) == 10.0
+    assert (
+        torque_of('<motor tendon="t" forcerange="-1 1"/>', joint_limit, tendon) == 10.0
+    )

@@ -105,8 +105,8 @@ def test_a_urdf_inertia_is_exact_whatever_its_axes(tmp_path):
     mj_model = compile_model(write_files(tmp_path, {"m.urdf": text})).mj_model
     turn = Rotation.from_euler("ZYX", [1.1, -0.7, 0.3]).as_matrix()
     expected = turn @ np.diag([2e-6, 3e-6, 4.5e-6]) @ turn.T
-    found = inertia_about_com(mj_model, mj_model.body("l1").id)
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-17)
+    inertia = inertia_about_com(mj_model, mj_model.body("l1").id)
+    np.testing.assert_allclose(inertia, expected, rtol=0.0, atol=1e-17)
 
 
 def test_a_urdf_states_its_speed_limits(tmp_path):
@@ -124,7 +124,7 @@ def test_a_urdf_states_its_speed_limits(tmp_path):
     assert compile_model(path).velocity_limits == {"j0": 1.5}
 
 
-def compiled(theta):
+def compile_body(theta):
     inertial = mjcf_inertial(theta, principal=True)
     body = f"<body name='b'><joint/>{inertial}</body>"
     return mujoco.MjModel.from_xml_string(
@@ -136,30 +136,30 @@ def compiled(theta):
 def test_a_turned_inertia_is_restored_with_all_that_follows(seed):
     rng = np.random.default_rng(seed)
     theta = random_theta(rng)
-    good = compiled(theta)
-    bad = compiled(theta)
+    exact = compile_body(theta)
+    turned_model = compile_body(theta)
     turn = np.append(1.0, 1e-4 * rng.normal(size=3))
     turned = np.empty(4)
-    mujoco.mju_mulQuat(turned, turn / np.linalg.norm(turn), bad.body_iquat[1])
-    bad.body_iquat[1] = turned
-    restore_exact_inertias(bad, {"b": spatial.com_from_theta(theta)})
+    mujoco.mju_mulQuat(turned, turn / np.linalg.norm(turn), turned_model.body_iquat[1])
+    turned_model.body_iquat[1] = turned
+    restore_exact_inertias(turned_model, {"b": spatial.com_from_theta(theta)})
     # A value of 4 has rounding steps of 9e-16, so the tolerance goes with the largest.
     largest = np.max(np.abs(theta))
     np.testing.assert_allclose(
-        body_theta(bad, 1) / largest, theta / largest, rtol=0, atol=1e-15
+        body_theta(turned_model, 1) / largest, theta / largest, rtol=0, atol=1e-15
     )
-    np.testing.assert_allclose(bad.dof_M0, good.dof_M0, rtol=1e-11)
+    np.testing.assert_allclose(turned_model.dof_M0, exact.dof_M0, rtol=1e-11)
 
 
 def test_a_bounded_inertia_and_an_unknown_link_are_left_alone():
     theta = random_theta(np.random.default_rng(0))
-    model = compiled(theta)
+    model = compile_body(theta)
     model.body_inertia[1] *= 2.0
-    before = body_theta(model, 1)
+    theta_of_model = body_theta(model, 1)
     restore_exact_inertias(
         model, {"b": spatial.com_from_theta(theta), "gone": (1, 0, np.eye(3))}
     )
-    np.testing.assert_array_equal(body_theta(model, 1), before)
+    np.testing.assert_array_equal(body_theta(model, 1), theta_of_model)
 
 
 def test_a_decimal_comma_is_refused_before_meshes_are_read_wrongly(
@@ -180,13 +180,13 @@ def test_a_decimal_comma_is_refused_before_meshes_are_read_wrongly(
 def test_nothing_of_meshes_is_kept_where_memory_matters(tmp_path):
     cache = mujoco.mj_getCache()
     path = write_files(tmp_path, {"m.xml": MESH_MODEL, "d/m.obj": TETRAHEDRON})
-    usual = 123456789
-    mujoco.mj_setCacheCapacity(cache, usual)
+    capacity = 123456789
+    mujoco.mj_setCacheCapacity(cache, capacity)
     with pytest.raises(KeyError), meshes_not_kept():
         compile_model(path)
         assert mujoco.mj_getCacheSize(cache) == 0
         raise KeyError
-    assert mujoco.mj_getCacheCapacity(cache) == usual
+    assert mujoco.mj_getCacheCapacity(cache) == capacity
 
 
 def test_what_is_fixed_to_a_finger_is_not_welded_to_the_link():

@@ -15,11 +15,11 @@ BALL = '<geom size=".08"/>'
 WALL = '<body name="wall" pos="0 .5 .5"><geom type="box" size=".5 .05 .5"/></body>'
 
 
-def arm_with_tip(beside="", extra=""):
+def arm_with_tip(neighbour="", extra=""):
     """Two joints; the tip is a ball 0.4 m from a vertical axis."""
     tip = link(hinge("twist", Y), BALL, "tip", pos=".4 0 0")
     return world(
-        link(hinge("turn", Z), tip, "upper", pos="0 0 .5") + beside, extra=extra
+        link(hinge("turn", Z), tip, "upper", pos="0 0 .5") + neighbour, extra=extra
     )
 
 
@@ -41,8 +41,8 @@ def test_first_touch_of_a_pair_is_told_once_with_time_and_names():
 
 def test_what_touches_at_rest_is_told_once_and_is_no_news_later():
     stand = '<body name="stand" pos=".4 0 .42"><geom size=".05"/></body>'
-    found = contacts(arm_with_tip(stand), [0.0, 0.05, -0.05])
-    assert found == ("tip and stand touch at rest",)
+    texts = contacts(arm_with_tip(stand), [0.0, 0.05, -0.05])
+    assert texts == ("tip and stand touch at rest",)
 
 
 def names_of_neighbours(xml):
@@ -64,8 +64,8 @@ def test_neighbours_are_what_carries_and_what_is_carried():
         pos="0 0 .5",
     )
     base = f'<body name="base"><geom size=".1"/><body name="cover"/>{arm}</body>'
-    beside = '<body name="table"><geom size=".1"/></body>'
-    assert names_of_neighbours(world(base + beside)) == {
+    table = '<body name="table"><geom size=".1"/></body>'
+    assert names_of_neighbours(world(base + table)) == {
         ("base", "upper"),
         ("base", "lamp"),
         ("cover", "upper"),
@@ -95,8 +95,8 @@ def test_links_of_the_arm_touching_each_other_are_found():
 
 
 def test_a_near_miss_inside_the_contact_margin_is_no_touch():
-    near = WALL.replace("<geom ", '<geom margin=".5" ')
-    finder = ContactFinder(robot_of(arm_with_tip(near)))
+    wide_wall = WALL.replace("<geom ", '<geom margin=".5" ')
+    finder = ContactFinder(robot_of(arm_with_tip(wide_wall)))
     assert finder.new_pairs(np.array([0.3, 0.0])) == set()
     assert len(finder.new_pairs(np.array([1.5, 0.0]))) == 1
 

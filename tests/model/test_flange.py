@@ -24,28 +24,31 @@ ARM = serial_arm((Z, Y, X), tip=TIP).replace('quat="1 0 0 0"', 'quat="1 .3 -.2 .
 ROBOT = robot_of(ARM, joint="joint2")
 
 
-def world_pose(robot, kind, name):
+def world_pose(robot, object_type, name):
     """(rotation, origin) of a site or body relative to the terminal body, in some configuration."""
     data = mujoco.MjData(robot.mj_model)
     data.qpos[:] = np.random.default_rng(0).uniform(-1.0, 1.0, robot.mj_model.nq)
     mujoco.mj_kinematics(robot.mj_model, data)
-    place = getattr(data, kind)(name)
+    frame = getattr(data, object_type)(name)
     axes = data.xmat[robot.body_id].reshape(3, 3)
-    return axes.T @ place.xmat.reshape(3, 3), axes.T @ (
-        place.xpos - data.xpos[robot.body_id]
+    return axes.T @ frame.xmat.reshape(3, 3), axes.T @ (
+        frame.xpos - data.xpos[robot.body_id]
     )
 
 
 @pytest.mark.parametrize(
-    ("kind", "name"), [("site", "attachment_site"), ("site", "palm"), ("body", "hand")]
+    ("object_type", "name"),
+    [("site", "attachment_site"), ("site", "palm"), ("body", "hand")],
 )
-def test_a_named_flange_is_where_mujoco_puts_it_whatever_the_joints_do(kind, name):
+def test_a_named_flange_is_where_mujoco_puts_it_whatever_the_joints_do(
+    object_type, name
+):
     flange = find_flange(ROBOT, name)
-    rotation, translation = world_pose(ROBOT, kind, name)
+    rotation, translation = world_pose(ROBOT, object_type, name)
     np.testing.assert_allclose(flange.rotation, rotation, rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(flange.translation, translation, rtol=0.0, atol=1e-14)
     assert (flange.name, flange.terminal, flange.note) == (
-        f"{kind} '{name}'",
+        f"{object_type} '{name}'",
         "link2",
         None,
     )
@@ -56,9 +59,9 @@ def test_a_named_flange_is_where_mujoco_puts_it_whatever_the_joints_do(kind, nam
 @given(SEEDS)
 def test_numbers_are_metres_and_degrees_about_fixed_axes(seed):
     rng = np.random.default_rng(seed)
-    place = rng.uniform(-1.0, 1.0, 3)
+    position = rng.uniform(-1.0, 1.0, 3)
     angles = rng.uniform(-180.0, 180.0, 3)
-    flange = find_flange(ROBOT, ", ".join(str(value) for value in (*place, *angles)))
+    flange = find_flange(ROBOT, ", ".join(str(value) for value in (*position, *angles)))
     (sr, sp, sy) = np.sin(np.radians(angles))
     (cr, cp, cy) = np.cos(np.radians(angles))
     about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
@@ -67,12 +70,12 @@ def test_numbers_are_metres_and_degrees_about_fixed_axes(seed):
     np.testing.assert_allclose(
         flange.rotation, about_z @ about_y @ about_x, rtol=0.0, atol=1e-14
     )
-    np.testing.assert_array_equal(flange.translation, place)
+    np.testing.assert_array_equal(flange.translation, position)
     assert flange.carrier == ROBOT.body_id
 
 
 @pytest.mark.parametrize(
-    ("site", "taken"),
+    ("site", "flange_name"),
     [
         ("attachment_site", "site 'attachment_site'"),
         ("tool_flange", "site 'tool_flange'"),
@@ -83,15 +86,15 @@ def test_numbers_are_metres_and_degrees_about_fixed_axes(seed):
         ("flangeless", "body 'link2'"),
     ],
 )
-def test_what_is_called_like_a_flange_is_taken_and_said(site, taken):
+def test_what_is_called_like_a_flange_is_taken_and_said(site, flange_name):
     flange = find_flange(robot_of(serial_arm((Z, Y, X), tip=f'<site name="{site}"/>')))
-    assert flange.name == taken
-    words = (
+    assert flange.name == flange_name
+    reason = (
         "because of its name"
-        if taken.startswith("site")
+        if flange_name.startswith("site")
         else "others that can be named"
     )
-    assert words in flange.note
+    assert reason in flange.note
 
 
 def test_a_site_and_a_body_of_one_place_are_one_flange():
