@@ -95,8 +95,8 @@ def package_sources() -> Mapping[str, str]:
     """Return source text by module name."""
     sources = {}
     for path in sorted(PACKAGE.rglob("*.py")):
-        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
-        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        module = path.parent if path.stem == "__init__" else path.with_suffix("")
+        name = ".".join(module.relative_to(PACKAGE.parent).parts)
         sources[name] = path.read_text(encoding="utf-8")
     return sources
 
@@ -122,7 +122,7 @@ def height(name: str) -> int:
 
 
 def imports(
-    source: str, known: Mapping[str, str], top_level: bool = False
+    source: str, modules: Mapping[str, str], top_level: bool = False
 ) -> Iterator[str]:
     """Yield the full names a module imports; names out of a package's module become that module."""
     module, *inner = nodes_of(source)
@@ -135,7 +135,7 @@ def imports(
             )
             for alias in node.names:
                 full = f"{node.module}.{alias.name}"
-                yield full if full in known else str(node.module)
+                yield full if full in modules else str(node.module)
 
 
 def import_faults(sources: Mapping[str, str]) -> Iterator[str]:
@@ -311,8 +311,8 @@ def test_a_fault_is_found(module, source, check, fault):
         "robot_sysid.damiao.player.y": "",
         "robot_sysid.cli": "",
     }
-    bad = {**GOOD, **back, f"robot_sysid.{module}": source}
-    assert any(fault in found for found in check(bad))
+    faulty_sources = {**GOOD, **back, f"robot_sysid.{module}": source}
+    assert any(fault in complaint for complaint in check(faulty_sources))
 
 
 def test_an_elif_is_not_nested_deeper():

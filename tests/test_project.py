@@ -59,12 +59,12 @@ def test_the_site_has_every_page():
 def test_home_shows_before_it_tells():
     """A picture, what to type and what it prints, before the first sentence."""
     lines = (ROOT / "docs" / "index.md").read_text(encoding="utf-8").split("\n\n")
-    assert [re.match(r"\W*\w*", part)[0].strip() for part in lines[1:4]] == [
+    assert [re.match(r"\W*\w*", block)[0].strip() for block in lines[1:4]] == [
         "![Torque", "```bash", "<!-- printed",
     ]  # fmt: skip
 
 
-def masked(text: str) -> list[str]:
+def mask_changing(text: str) -> list[str]:
     """Return lines with what changes from run to run replaced by #."""
     return re.sub(r"(Condition number: )[\d.]+", r"\1#", text).splitlines()
 
@@ -74,7 +74,7 @@ def test_printed_output_in_the_pages_is_real(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     assert main([EXAMPLE]) == 0
-    printed = masked(capsys.readouterr().out)
+    printed = mask_changing(capsys.readouterr().out)
     pages = {
         "README.md": (QUICK_START, 16),
         "examples/kinova/README.md": (KINOVA_OUTPUT, None),
@@ -82,7 +82,7 @@ def test_printed_output_in_the_pages_is_real(tmp_path, monkeypatch, capsys):
     for page, (pattern, lines) in pages.items():
         promised = pattern.search((ROOT / page).read_text(encoding="utf-8"))
         assert promised is not None
-        assert masked(promised[1]) == printed[:lines]
+        assert mask_changing(promised[1]) == printed[:lines]
 
 
 def written_regressor() -> list[list[str]]:

@@ -37,38 +37,38 @@ def logs(workshop):
     return sorted(map(str, workshop.glob("log*.csv")))
 
 
-def added(model, logs, rounds=2):
-    found = None
+def add_logs(model, logs, rounds=2):
+    total = None
     for _ in range(rounds):
-        found = sum(
-            rs.information(model, log, around=found, cutoff=CUTOFF) for log in logs
+        total = sum(
+            rs.information(model, log, around=total, cutoff=CUTOFF) for log in logs
         )
-    return found
+    return total
 
 
 @pytest.mark.slow
 def test_the_sum_is_what_identify_finds(model, logs, tmp_path):
     """To rounding in three rounds, and nearly so in two."""
-    whole = rs.identify(
+    direct = rs.identify(
         model, logs, cutoff=CUTOFF, friction_model=TERMS, keep="gravity"
     )
-    for rounds, same, alike in ((2, 1e-4, 0.15), (3, 1e-9, 0.02)):
-        found = rs.identify_from(
-            model, pickle.loads(pickle.dumps(added(model, logs, rounds)))
+    for rounds, value_tolerance, error_tolerance in ((2, 1e-4, 0.15), (3, 1e-9, 0.02)):
+        summed = rs.identify_from(
+            model, pickle.loads(pickle.dumps(add_logs(model, logs, rounds)))
         )
-        assert found.theta == pytest.approx(whole.theta, rel=same)
-        assert found.failure == whole.failure
-        errors = whole.standard_errors.items()
-        assert found.standard_errors == {
-            k: pytest.approx(v, rel=alike) for k, v in errors
+        assert summed.theta == pytest.approx(direct.theta, rel=value_tolerance)
+        assert summed.failure == direct.failure
+        errors = direct.standard_errors.items()
+        assert summed.standard_errors == {
+            k: pytest.approx(v, rel=error_tolerance) for k, v in errors
         }
-    assert "3 logs, added" in str(found.to_dict())
-    assert {path.name for path in found.save(tmp_path)} == {
+    assert "3 logs, added" in str(summed.to_dict())
+    assert {path.name for path in summed.save(tmp_path)} == {
         "params.json",
         "updated_model.xml",
     }
     with pytest.raises(InputError, match="holds no samples"):
-        found.plot()
+        summed.plot()
 
 
 @pytest.mark.slow
@@ -78,20 +78,27 @@ def test_a_cluster_finds_the_numbers_of_one_process(model, logs):
     blocks = [text for _, text in pages.blocks(ROOT / "docs" / "python.md")]
     page = {"__name__": "page"}
     exec(next(text for text in blocks if "dask" in text), page)
-    one = rs.identify_from(model, added(model, logs))
-    local = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
-    with distributed.LocalCluster(**local) as cluster, distributed.Client(cluster):
-        many = rs.identify_from(model, page["total"](model, logs, CUTOFF))
-    np.testing.assert_allclose(many.theta, one.theta, rtol=1e-9)
+    local = rs.identify_from(model, add_logs(model, logs))
+    cluster_options = {
+        "n_workers": 2,
+        "threads_per_worker": 1,
+        "dashboard_address": None,
+    }
+    with (
+        distributed.LocalCluster(**cluster_options) as cluster,
+        distributed.Client(cluster),
+    ):
+        clustered = rs.identify_from(model, page["total"](model, logs, CUTOFF))
+    np.testing.assert_allclose(clustered.theta, local.theta, rtol=1e-9)
     errors = {
         name: pytest.approx(error, rel=1e-6)
-        for name, error in one.standard_errors.items()
+        for name, error in local.standard_errors.items()
     }
-    assert many.standard_errors == errors
+    assert clustered.standard_errors == errors
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
         ({}, "give cutoff=HZ"),
         ({"cutoff": 8.0, "sped": 1}, "unknown option 'sped'; valid: "),
@@ -99,8 +106,8 @@ def test_a_cluster_finds_the_numbers_of_one_process(model, logs):
         ({"cutoff": 8.0, "joint": "elbow"}, "elbow"),
     ],
 )
-def test_what_cannot_be_used_is_one_clear_error(model, logs, options, words):
-    with pytest.raises(InputError, match=words):
+def test_what_cannot_be_used_is_one_clear_error(model, logs, options, message):
+    with pytest.raises(InputError, match=message):
         rs.information(model, logs[0], **options)
 
 

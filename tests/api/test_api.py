@@ -37,11 +37,11 @@ def result(workshop):
 def silent_and_without_files(workshop, tmp_path, monkeypatch, capfd):
     """Whatever a test calls prints nothing and leaves nothing where it is."""
     monkeypatch.chdir(tmp_path)
-    before = sorted(workshop.iterdir())
+    files_before = sorted(workshop.iterdir())
     yield
     printed = capfd.readouterr()
     assert (printed.out, printed.err) == ("", "")
-    assert sorted(workshop.iterdir()) == before
+    assert sorted(workshop.iterdir()) == files_before
 
 
 class Frame:
@@ -77,8 +77,8 @@ def test_arrays_frames_and_logs_are_what_the_file_is(workshop, result):
         frame_of(workshop / "log.csv"),
     )
     for form in forms:
-        again = rs.identify(workshop / "arm.xml", form)
-        np.testing.assert_allclose(again.theta, result.theta, rtol=1e-9)
+        from_form = rs.identify(workshop / "arm.xml", form)
+        np.testing.assert_allclose(from_form.theta, result.theta, rtol=1e-9)
     both = rs.identify(workshop / "arm.xml", [log, arrays], validation=arrays)
     assert both.mass == pytest.approx(result.mass, rel=0.01)
     assert (
@@ -108,21 +108,21 @@ def test_named_values_fit_together(result):
 
 
 def test_a_result_is_the_same_after_pickling(result, tmp_path):
-    again = pickle.loads(pickle.dumps(result))
-    assert again.to_dict() == result.to_dict() and str(again) == str(result)
+    unpickled = pickle.loads(pickle.dumps(result))
+    assert unpickled.to_dict() == result.to_dict() and str(unpickled) == str(result)
     np.testing.assert_array_equal(
-        again.identification.traces().q, result.identification.traces().q
+        unpickled.identification.traces().q, result.identification.traces().q
     )
-    assert (tmp_path / "out" / "updated_model.xml") in again.save(tmp_path / "out")
+    assert (tmp_path / "out" / "updated_model.xml") in unpickled.save(tmp_path / "out")
     itself = rs.identify(result.robot.path, seed=1, duration=2.0)
     assert pickle.loads(pickle.dumps(itself)).mass == itself.mass
     assert "Self-test passed" in str(itself)
     simulated = rs.identify(
         result.robot.path, plant_model=result.robot.path, seed=1, duration=4.0
     )
-    again = pickle.loads(pickle.dumps(simulated))
+    unpickled = pickle.loads(pickle.dumps(simulated))
     np.testing.assert_array_equal(
-        again.identification.traces().truth.theta, itself.robot.prior.theta
+        unpickled.identification.traces().truth.theta, itself.robot.prior.theta
     )
 
 
@@ -165,15 +165,18 @@ def test_a_spec_has_the_result_in_it(result):
 
 def test_a_result_that_must_not_be_used_says_so_and_makes_no_model(result, tmp_path):
     doubtful = replace(result.result, verdict=Verdict.TOO_WEAK, reasons=("so light",))
-    wrong = replace(
+    doubtful_result = replace(
         result, identification=replace(result.identification, result=doubtful)
     )
     assert (
-        wrong.failure.startswith("so light") and "Not to be used" in wrong._repr_html_()
+        doubtful_result.failure.startswith("so light")
+        and "Not to be used" in doubtful_result._repr_html_()
     )
-    assert [path.name for path in wrong.save(tmp_path / "out")] == ["params.json"]
+    assert [path.name for path in doubtful_result.save(tmp_path / "out")] == [
+        "params.json"
+    ]
     with pytest.raises(SysidError, match="so light"):
-        wrong.spec()
+        doubtful_result.spec()
 
 
 def test_a_plot_shows_every_joint(result, monkeypatch, tmp_path):
@@ -207,17 +210,19 @@ def test_a_plot_shows_every_joint(result, monkeypatch, tmp_path):
 def test_a_payload_is_the_difference(workshop, tmp_path):
     model = workshop / "arm.xml"
     logs = (workshop / "log.csv", workshop / "loaded.csv")
-    found = rs.payload(model, *logs)
+    identified = rs.payload(model, *logs)
     arrays = rs.read_log(logs[1], model)
-    assert rs.payload(model, [logs[0]], [arrays]).mass == found.mass
-    assert abs(found.mass - 2.0) < 3.0 * found.standard_errors["m"]
+    assert rs.payload(model, [logs[0]], [arrays]).mass == identified.mass
+    assert abs(identified.mass - 2.0) < 3.0 * identified.standard_errors["m"]
     assert (
-        found.failure is None
-        and found.to_dict()["payload"]["body"]["mass"] == found.mass
+        identified.failure is None
+        and identified.to_dict()["payload"]["body"]["mass"] == identified.mass
     )
-    assert found.theta[0] == found.mass and found.center_of_mass.shape == (3,)
-    assert "<td>centre of mass x</td>" in found._repr_html_()
-    names = {path.name for path in found.save(tmp_path / "out")}
+    assert identified.theta[
+        0
+    ] == identified.mass and identified.center_of_mass.shape == (3,)
+    assert "<td>centre of mass x</td>" in identified._repr_html_()
+    names = {path.name for path in identified.save(tmp_path / "out")}
     assert names == {"params.json", "updated_model.xml", "payload_card.txt"}
 
 
@@ -225,32 +230,32 @@ def test_a_payload_is_the_difference(workshop, tmp_path):
 def test_scales_by_a_known_mass_are_those_of_the_log_whatever_it_was_divided_by(
     workshop, tmp_path
 ):
-    def scales(**given):
+    def scales(**options):
         logs = (workshop / "log.csv", workshop / "loaded.csv")
-        found = rs.payload(workshop / "arm.xml", *logs, known_mass=2.0, **given)
-        return found.to_dict()["payload"]["torque_scale"]
+        identified = rs.payload(workshop / "arm.xml", *logs, known_mass=2.0, **options)
+        return identified.to_dict()["payload"]["torque_scale"]
 
-    vague = {"scale_uncertainty": 50.0}
-    plain = scales(**vague)
-    divided = scales(**vague, torque_scale=1.02)
-    assert plain["joint1"]["standard_error"] < 0.01
-    for joint, each in plain.items():
-        again = divided[joint]["value"] - each["value"]
-        assert abs(again) < max(1e-3, 0.1 * each["standard_error"]), joint
+    prior = {"scale_uncertainty": 50.0}
+    scales_by_joint = scales(**prior)
+    divided = scales(**prior, torque_scale=1.02)
+    assert scales_by_joint["joint1"]["standard_error"] < 0.01
+    for joint, scale in scales_by_joint.items():
+        difference = divided[joint]["value"] - scale["value"]
+        assert abs(difference) < max(1e-3, 0.1 * scale["standard_error"]), joint
 
 
 @pytest.mark.slow
 def test_every_link_has_its_numbers(workshop, result):
-    found = rs.identify(workshop / "arm.xml", workshop / "log.csv", links=True)
-    assert found.to_dict() == result.to_dict()
-    assert list(found.links) == ["link0", "link1", "link2", "link3"]
-    for link in found.to_dict()["links"]:
-        assert link["mass"] == found.links[link["name"]].mass
+    identified = rs.identify(workshop / "arm.xml", workshop / "log.csv", links=True)
+    assert identified.to_dict() == result.to_dict()
+    assert list(identified.links) == ["link0", "link1", "link2", "link3"]
+    for link in identified.to_dict()["links"]:
+        assert link["mass"] == identified.links[link["name"]].mass
     assert (
-        found.links["link3"].mass == found.mass
-        and found.friction["joint0"]["coulomb"] > 0.0
+        identified.links["link3"].mass == identified.mass
+        and identified.friction["joint0"]["coulomb"] > 0.0
     )
-    assert "link0 mass" in str(found) and "link0 mass" not in str(result)
+    assert "link0 mass" in str(identified) and "link0 mass" not in str(result)
 
 
 def test_a_plan_gives_arrays_to_play(workshop, tmp_path, monkeypatch):
@@ -263,12 +268,12 @@ def test_a_plan_gives_arrays_to_play(workshop, tmp_path, monkeypatch):
     files = plan.save(tmp_path / "plan.json")
     assert repr(plan) == "<PlanResult 4 s for 4 joints of arm.xml, keeps all limits>"
     assert pickle.loads(pickle.dumps(plan)).duration == 4.0
-    again = rs.plan(workshop / "arm.xml", trajectory=str(files[0]))
-    np.testing.assert_allclose(again.motion(motion.time).q, motion.q, atol=1e-9)
+    loaded = rs.plan(workshop / "arm.xml", trajectory=str(files[0]))
+    np.testing.assert_allclose(loaded.motion(motion.time).q, motion.q, atol=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("call", "words"),
+    ("call", "message"),
     [
         (lambda m: rs.identify(m, 5), "a log is a path, arrays by name"),
         (lambda m: rs.identify(m, {"time": [1.0, 2.0]}), "tau|torque|position"),
@@ -284,8 +289,8 @@ def test_a_plan_gives_arrays_to_play(workshop, tmp_path, monkeypatch):
         ),
     ],
 )
-def test_what_cannot_be_used_is_one_clear_error(call, words, workshop):
-    with pytest.raises(InputError, match=words):
+def test_what_cannot_be_used_is_one_clear_error(call, message, workshop):
+    with pytest.raises(InputError, match=message):
         call(workshop / "arm.xml")
 
 

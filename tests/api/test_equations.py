@@ -32,34 +32,38 @@ def by_mujoco(model, q, qd, qdd):
     return np.array(tau) + model.dof_frictionloss * np.sign(qd) + model.dof_damping * qd
 
 
-def check_law(found, tau):
-    assert found.Y.shape == (*tau.shape, len(found.names)) and len(found.theta) == len(
-        found.names
-    )
+def check_law(regressor, tau):
+    assert regressor.Y.shape == (*tau.shape, len(regressor.names)) and len(
+        regressor.theta
+    ) == len(regressor.names)
     scale = np.max(np.abs(tau))
-    np.testing.assert_allclose(found.Y @ found.theta, tau, rtol=0, atol=1e-9 * scale)
-    np.testing.assert_allclose(found.tau, tau, rtol=0, atol=1e-9 * scale)
+    np.testing.assert_allclose(
+        regressor.Y @ regressor.theta, tau, rtol=0, atol=1e-9 * scale
+    )
+    np.testing.assert_allclose(regressor.tau, tau, rtol=0, atol=1e-9 * scale)
 
 
 @pytest.mark.parametrize("form", ["file", "MjModel", "MjSpec"])
 def test_columns_times_parameters_are_the_inverse_dynamics_of_mujoco(tmp_path, form):
     model = mujoco.MjModel.from_xml_string(TEXT)
-    given = model
+    source = model
     if form == "file":
-        given = tmp_path / "arm.xml"
-        given.write_text(TEXT)
+        source = tmp_path / "arm.xml"
+        source.write_text(TEXT)
     elif form == "MjSpec":
         pytest.importorskip("mujoco", minversion="3.2.5")
-        given = mujoco.MjSpec.from_string(TEXT)
-    found = rs.joint_torque_regressor(given, *motion(3))
-    check_law(found, by_mujoco(model, *motion(3)))
-    matrix, tau = rs.joint_torque_regressor(given, *(each[4] for each in motion(3)))
+        source = mujoco.MjSpec.from_string(TEXT)
+    regressor = rs.joint_torque_regressor(source, *motion(3))
+    check_law(regressor, by_mujoco(model, *motion(3)))
+    matrix, tau = rs.joint_torque_regressor(
+        source, *(signal[4] for signal in motion(3))
+    )
     # One sample and many take other sums of the same terms, all of them smaller than 10.
-    np.testing.assert_allclose(matrix, found.Y[4], rtol=0.0, atol=1e-14)
-    np.testing.assert_allclose(tau, found.tau[4], rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(matrix, regressor.Y[4], rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(tau, regressor.tau[4], rtol=0.0, atol=1e-13)
     assert (
-        found.names[:2] == ("m(link0)", "hx(link0)")
-        and found.names[-1] == "coulomb[joint2]"
+        regressor.names[:2] == ("m(link0)", "hx(link0)")
+        and regressor.names[-1] == "coulomb[joint2]"
     )
 
 
@@ -96,7 +100,7 @@ def test_a_spec_is_identified_like_its_file(tmp_path):
     assert from_spec.spec().compile().ngeom == spec.compile().ngeom
     assert (tmp_path / "updated_model.xml") in from_spec.save(tmp_path)
     assets = {
-        each.name: each.read_bytes() for each in (EXAMPLE / "model/meshes").iterdir()
+        mesh.name: mesh.read_bytes() for mesh in (EXAMPLE / "model/meshes").iterdir()
     }
     held = mujoco.MjSpec.from_string(path.read_text(encoding="utf-8"), assets=assets)
     np.testing.assert_allclose(
@@ -111,9 +115,9 @@ def test_a_compiled_model_is_written_while_mujoco_still_knows_its_xml():
     quick = {"seed": 1, "duration": 1.0}
     model = mujoco.MjModel.from_xml_string(TEXT)
     model.body_mass[3] *= 2.0
-    found = rs.identify(model, **quick)
-    assert found.mass == pytest.approx(model.body_mass[3], rel=1e-5)
-    assert rs.identify(model, **quick).mass == found.mass
+    identified = rs.identify(model, **quick)
+    assert identified.mass == pytest.approx(model.body_mass[3], rel=1e-5)
+    assert rs.identify(model, **quick).mass == identified.mass
     forgotten = mujoco.MjModel.from_xml_string(arms.serial_arm((arms.Z, arms.Y)))
     mujoco.MjModel.from_xml_string(TEXT)
     with pytest.raises(rs.ModelError, match="give its file, or the MjSpec"):

@@ -23,19 +23,25 @@ def test_the_types_are_what_the_generator_writes():
 @pytest.mark.parametrize("function", RECORDS)
 def test_a_signature_shows_every_keyword_with_its_default(function):
     face = rs if hasattr(rs, function) else rs.motors
-    shown = inspect.signature(getattr(face, function)).parameters
-    known = keys_of(*RECORDS[function]) - set(refused_by(function))
-    assert known <= set(shown) and "options" not in shown
-    if "cutoff" in shown:
-        assert shown["cutoff"].default is None and shown["delay"].default == "off"
+    parameters = inspect.signature(getattr(face, function)).parameters
+    keys = keys_of(*RECORDS[function]) - set(refused_by(function))
+    assert keys <= set(parameters) and "options" not in parameters
+    if "cutoff" in parameters:
+        assert (
+            parameters["cutoff"].default is None
+            and parameters["delay"].default == "off"
+        )
     if function == "plan":
-        assert shown["excitation"].default == "optimal"
+        assert parameters["excitation"].default == "optimal"
     if function == "play":
-        assert shown["max_velocity"].default is None and "below_base" not in shown
+        assert (
+            parameters["max_velocity"].default is None
+            and "below_base" not in parameters
+        )
 
 
 @pytest.mark.parametrize(
-    ("call", "words"),
+    ("call", "message"),
     [
         (
             lambda: rs.identify("m", cutof=8.0),
@@ -92,10 +98,10 @@ def test_a_signature_shows_every_keyword_with_its_default(function):
         ),
     ],
 )
-def test_what_cannot_be_used_is_said_in_the_words_of_python(call, words):
+def test_what_cannot_be_used_is_said_in_the_words_of_python(call, message):
     with pytest.raises(rs.InputError) as caught:
         call()
-    assert str(caught.value).startswith(words)
+    assert str(caught.value).startswith(message)
 
 
 @pytest.mark.parametrize(
@@ -136,7 +142,7 @@ print(report.cycles, rs.motors.hold("arm.xml", 2.0, others="hold").worst_trackin
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("replacement", "complaint"),
     [
         (("", ""), ""),
         (("cutoff", "cutof"), 'Unexpected keyword argument "cutof" for "identify"'),
@@ -147,11 +153,11 @@ print(report.cycles, rs.motors.hold("arm.xml", 2.0, others="hold").worst_trackin
     ],
 )
 def test_a_checker_knows_the_keywords_of_a_users_script(
-    tmp_path, monkeypatch, wrong, said
+    tmp_path, monkeypatch, replacement, complaint
 ):
     pytest.importorskip("mypy")
     monkeypatch.setenv("MYPYPATH", str(ROOT))
-    (tmp_path / "mine.py").write_text(USER.replace(*wrong) if said else USER)
+    (tmp_path / "mine.py").write_text(USER.replace(*replacement) if complaint else USER)
     command = [
         sys.executable,
         "-m",
@@ -161,4 +167,6 @@ def test_a_checker_knows_the_keywords_of_a_users_script(
         "mine.py",
     ]
     checked = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert checked.returncode == bool(said) and said in checked.stdout, checked.stdout
+    assert checked.returncode == bool(complaint) and complaint in checked.stdout, (
+        checked.stdout
+    )

@@ -41,11 +41,11 @@ def quickly(monkeypatch):
 
 
 def test_a_run_is_that_of_the_command(trajectory, model, tmp_path, capfd):
-    said = []
+    sentences = []
     record = tmp_path / "measured.csv"
     options = {"model": model, "simulate": True, "record": record, "rate": 250}
-    report = rs.motors.play(trajectory, **options, say=said.append)
-    assert report.cycles == 126 and "enabling the motors" in said
+    report = rs.motors.play(trajectory, **options, say=sentences.append)
+    assert report.cycles == 126 and "enabling the motors" in sentences
     assert read_recording(record).ending == "completed"
     assert tuple(capfd.readouterr()) == ("", "")
 
@@ -53,11 +53,11 @@ def test_a_run_is_that_of_the_command(trajectory, model, tmp_path, capfd):
 def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, monkeypatch):
     # What an estimate will know is slow to tell.
     monkeypatch.setattr(calls, "plan_lines", lambda *_: ())
-    made = {"excitation": "sines", "duration": 0.6, "sample_rate": 250.0, "seed": 0}
-    planned = rs.plan(model, **made, export_damiao=True, motor_type=["DM4340"] * 2)
-    report = rs.motors.play(planned, simulate=True, rate=250)
+    motion = {"excitation": "sines", "duration": 0.6, "sample_rate": 250.0, "seed": 0}
+    plan = rs.plan(model, **motion, export_damiao=True, motor_type=["DM4340"] * 2)
+    report = rs.motors.play(plan, simulate=True, rate=250)
     assert report.cycles == 151 and np.max(report.worst_tracking) < 0.1
-    for_none = replace(planned, config=replace(planned.config, motors=MotorOptions()))
+    for_none = replace(plan, config=replace(plan.config, motors=MotorOptions()))
     with pytest.raises(
         rs.InputError, match="give rs.plan export_damiao and motor_type"
     ):
@@ -65,7 +65,7 @@ def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
         ({"sped": 0.5}, "unknown option 'sped'; did you mean 'speed'"),
         ({"below_base": True}, "below_base is for designing a motion; see plan"),
@@ -77,8 +77,8 @@ def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, monkeypatch):
         ),
     ],
 )
-def test_what_cannot_be_used_is_said(trajectory, options, words):
-    with pytest.raises(rs.InputError, match=words):
+def test_what_cannot_be_used_is_said(trajectory, options, message):
+    with pytest.raises(rs.InputError, match=message):
         rs.motors.play(trajectory, **options)
 
 
@@ -98,12 +98,12 @@ def arm(monkeypatch):
     clock = ScriptedClock()
     monkeypatch.setattr(execution, "SystemClock", lambda: clock)
 
-    def opened(address, timing, clock, tell):
+    def open_bus(address, timing, clock, tell):
         return RememberingLink(
             execution.SimulatedLink(clock, arm, timing, echo=True), clock
         )
 
-    monkeypatch.setattr(execution, "open_bus", opened)
+    monkeypatch.setattr(execution, "open_bus", open_bus)
     return arm
 
 

@@ -11,16 +11,16 @@ from robot_sysid.api import calls
 from robot_sysid.api.results import one_thread
 from tests.support import arms
 
-HERE = [each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]
+LIBRARIES = [pool for pool in threadpool_info() if pool["user_api"] == "blas"]
 pytestmark = pytest.mark.skipif(
-    not HERE, reason="a linear algebra that has no threads to set"
+    not LIBRARIES, reason="a linear algebra that has no threads to set"
 )
 
 
 def counts():
     """Threads of each library of linear algebra."""
     return {
-        each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"
+        pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"
     }
 
 
@@ -42,7 +42,9 @@ def test_there_is_one_inside_and_afterwards_what_was_there():
 
 
 def test_a_function_works_in_one(monkeypatch, arm_file):
-    seen = []
-    monkeypatch.setattr(calls.stages, "identify", lambda *_: seen.append(counts()))
+    thread_counts = []
+    monkeypatch.setattr(
+        calls.stages, "identify", lambda *_: thread_counts.append(counts())
+    )
     rs.identify(arm_file(arms.THREE))
-    assert seen == [{1}] and counts() == {2}
+    assert thread_counts == [{1}] and counts() == {2}
