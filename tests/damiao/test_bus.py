@@ -59,11 +59,11 @@ class ArmBus:
         for reply in self._arm.handle(frame, self._clock.now()):
             self.waiting.append(self.message(reply.id, reply.data))
 
-    def message(self, identifier=1, data=b"", age=0.0, **rest):
+    def message(self, identifier=1, data=b"", age=0.0, **fields):
         stamp = WALL + self._clock.now() - age
-        rest = {"is_extended_id": False, **rest}
+        fields = {"is_extended_id": False, **fields}
         return can.Message(
-            timestamp=stamp, arbitration_id=identifier, data=data, **rest
+            timestamp=stamp, arbitration_id=identifier, data=data, **fields
         )
 
     def recv(self, timeout):
@@ -83,10 +83,10 @@ def clock(monkeypatch):
 
 def test_an_arm_behind_pythons_messages_answers(clock):
     link = GuardedLink(BusLink([ArmBus(clock, two_motor_arm())], clock), clock)
-    found = inspect_bus(link)
-    assert sorted(found.motors) == [(0, 1), (0, 2)]
-    assert found.motors[0, 1].limits == (12.5, 10.0, 28.0)
-    assert found.motors[0, 2].feedback.temperature_rotor[0] == 29
+    inspection = inspect_bus(link)
+    assert sorted(inspection.motors) == [(0, 1), (0, 2)]
+    assert inspection.motors[0, 1].limits == (12.5, 10.0, 28.0)
+    assert inspection.motors[0, 2].feedback.temperature_rotor[0] == 29
 
 
 @pytest.mark.parametrize(
@@ -134,8 +134,8 @@ def test_a_bus_that_breaks_raises_our_error():
 class Broken:
     """A driver that raises something, whatever it is asked."""
 
-    def __init__(self, kind):
-        self._kind = kind
+    def __init__(self, error_type):
+        self._kind = error_type
 
     def send(self, *_, timeout=None):
         raise self._kind(7)
@@ -143,14 +143,14 @@ class Broken:
     recv = shutdown = send
 
 
-@pytest.mark.parametrize("kind", [can.CanError, ValueError, SystemExit])
-def test_whatever_a_driver_raises_is_our_error(clock, kind):
-    link = BusLink([Broken(kind)], clock)
+@pytest.mark.parametrize("error_type", [can.CanError, ValueError, SystemExit])
+def test_whatever_a_driver_raises_is_our_error(clock, error_type):
+    link = BusLink([Broken(error_type)], clock)
     for call in (lambda: link.send(Frame(1, b"")), lambda: link.receive(0.1)):
         with pytest.raises(LinkError, match="7"):
             call()
-    for each in (link, BusLink([Broken(KeyboardInterrupt)], clock)):
-        each.close()
+    for broken_link in (link, BusLink([Broken(KeyboardInterrupt)], clock)):
+        broken_link.close()
 
 
 def test_a_garbled_line_is_a_lost_frame_and_several_within_a_second_are_an_error(clock):
@@ -174,11 +174,11 @@ def test_a_garbled_line_is_a_lost_frame_and_several_within_a_second_are_an_error
 
 def test_a_driver_that_does_not_return_is_told_and_a_busy_one_is_not(monkeypatch):
     monkeypatch.setattr("robot_sysid.damiao.adapters._LOOK", 1e-3)
-    told = []
+    reports = []
     ended = threading.Event()
 
-    def tell(words, last):
-        told.append((words, last))
+    def tell(message, last):
+        reports.append((message, last))
         if last:
             ended.set()
 
@@ -192,23 +192,23 @@ def test_a_driver_that_does_not_return_is_told_and_a_busy_one_is_not(monkeypatch
     until = clock.now() + 0.2
     while clock.now() < until:
         busy.receive(clock.now() + 2e-3)
-    assert told == []
+    assert reports == []
     BusLink([Hanging(None)], clock, watch).send(Frame(1, b""))
-    assert [last for _, last in told] == [False, True]
-    assert "nothing can be sent meanwhile" in told[0][0]
+    assert [last for _, last in reports] == [False, True]
+    assert "nothing can be sent meanwhile" in reports[0][0]
 
 
 # Older releases of python-can trip over a bus they have only half built.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(
-    ("interface", "channel", "words"),
+    ("interface", "channel", "message"),
     [
         ("udp_multicast", "239.0.0.1", "--interface 'udp_multicast': choose one of"),
         ("socketcan", "no-such-bus", "cannot open socketcan channel no-such-bus"),
     ],
 )
-def test_a_bus_that_cannot_be_opened_is_said(interface, channel, words):
-    with pytest.raises(InputError, match=words):
+def test_a_bus_that_cannot_be_opened_is_said(interface, channel, message):
+    with pytest.raises(InputError, match=message):
         open_bus(BusAddress(interface, (channel,)), BusTiming(), SystemClock())
 
 
@@ -291,11 +291,11 @@ def test_the_frame_log_is_lossless(tmp_path_factory, frames):
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
+    ("name", "message"),
     [("x.unknown", "cannot log frames"), ("no/folder.log", "cannot write")],
 )
-def test_a_frame_log_that_cannot_be_made_is_said(tmp_path, name, words):
-    with pytest.raises(InputError, match=words):
+def test_a_frame_log_that_cannot_be_made_is_said(tmp_path, name, message):
+    with pytest.raises(InputError, match=message):
         RawFrameLog(tmp_path / name, GuardedLink(None, SimulatedClock()))
 
 

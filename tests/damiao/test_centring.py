@@ -24,8 +24,8 @@ def replies_of(q, qd, time, command):
 
 def stiff(position, kp=100.0, kd=2.0):
     """A command to be at positions (n,)."""
-    still = np.zeros_like(position)
-    return MitCommand(position, still, still + kp, still + kd, still)
+    zero = np.zeros_like(position)
+    return MitCommand(position, zero, zero + kp, zero + kd, zero)
 
 
 def test_a_joint_that_holds_still_gets_the_mean_of_held_commands():
@@ -35,20 +35,20 @@ def test_a_joint_that_holds_still_gets_the_mean_of_held_commands():
     count = 400
     angular = 2.0 * np.pi * frequency
     centring = Centring(PERIOD)
-    still = np.zeros(1)
+    zero = np.zeros(1)
     times = PERIOD * np.arange(count)
     positions = np.sin(angular * times)
     torques = [
         centring.torques(
-            replies_of(still, still, still + time, stiff(positions[k + 1 : k + 2], kp)),
+            replies_of(zero, zero, zero + time, stiff(positions[k + 1 : k + 2], kp)),
             stiff(positions[k : k + 1], kp),
         )[1][0]
         + kp * positions[k]
         for k, time in enumerate(times[1:-1] + 0.0)
     ]
     # Row k was sampled when command k + 1 arrived.
-    after = times[1:-1] - 0.5 * PERIOD
-    expected = kp * np.sinc(frequency * PERIOD) * np.sin(angular * after)
+    middles = times[1:-1] - 0.5 * PERIOD
+    expected = kp * np.sinc(frequency * PERIOD) * np.sin(angular * middles)
     error = np.max(np.abs(np.array(torques) - expected)[2:]) / kp
     half_step_only = (angular * PERIOD) ** 2 / 12.0
     assert error < 0.25 * half_step_only
@@ -59,13 +59,13 @@ def one_period(mobility, stiffness, damping, torques, start):
     h = PERIOD / len(torques)
     n = len(start[0])
     resistance = 0.5 * h * mobility * (damping + 0.5 * h * stiffness)
-    after = np.linalg.inv(np.eye(n) + resistance)
-    before = np.eye(n) - resistance
+    next_step = np.linalg.inv(np.eye(n) + resistance)
+    previous_step = np.eye(n) - resistance
     q, v = start
     states = []
     for torque in torques:
         earlier = v
-        v = after @ (before @ v + h * mobility @ (torque - stiffness * q))
+        v = next_step @ (previous_step @ v + h * mobility @ (torque - stiffness * q))
         q = q + 0.5 * h * (earlier + v)
         states.append((q, v))
     return np.array(states)
@@ -114,17 +114,17 @@ def test_ripple_is_the_periodic_response_to_steps_at_their_moments(damping, stif
 
 def test_a_step_leaves_a_twelfth_of_its_impulse_where_nothing_damps():
     ripple = SamplingRipple(lambda q: np.array([[4.0]]), np.zeros(1))
-    still = np.zeros(1)
-    free = stiff(still, 0.0, 0.0)
-    _, velocity = ripple.motion(still, free, np.array([0.6]), still, still, PERIOD)
+    zero = np.zeros(1)
+    free = stiff(zero, 0.0, 0.0)
+    _, velocity = ripple.motion(zero, free, np.array([0.6]), zero, zero, PERIOD)
     assert velocity[0] == pytest.approx(-0.6 * PERIOD * 4.0 / 12.0, rel=1e-3)
 
 
 def test_a_model_without_inertia_tells_nothing_of_ripple():
     ripple = SamplingRipple(lambda q: np.full((1, 1), np.inf), np.zeros(1))
-    still = np.zeros(1)
+    zero = np.zeros(1)
     command = stiff(np.zeros(1))
-    motion = ripple.motion(still, command, np.ones(1), still, still, PERIOD)
+    motion = ripple.motion(zero, command, np.ones(1), zero, zero, PERIOD)
     np.testing.assert_array_equal(motion, 0.0)
 
 

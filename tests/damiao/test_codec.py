@@ -71,8 +71,8 @@ def test_known_feedback_has_known_values(limits, p, v, t):
     frame = np.frombuffer(bytes.fromhex("138B217D3866231F"), dtype=np.uint8)[None]
     feedback = decode_feedback(frame, Scaling([limits]))
     assert (feedback.can_id[0], feedback.status[0]) == (3, 1)
-    found = feedback.position[0], feedback.velocity[0], feedback.torque[0]
-    np.testing.assert_allclose(found, (p, v, t), atol=5e-6)
+    measured = feedback.position[0], feedback.velocity[0], feedback.torque[0]
+    np.testing.assert_allclose(measured, (p, v, t), atol=5e-6)
     assert (feedback.temperature_mos[0], feedback.temperature_rotor[0]) == (35, 31)
 
 
@@ -106,11 +106,11 @@ def test_many_joints_and_samples_survive_within_half_a_step(names, seed, shape):
 @given(name=st.sampled_from(TYPES), raw=st.binary(min_size=8, max_size=8))
 def test_decoding_and_encoding_a_command_gives_its_bytes_back(name, raw):
     scaling = scaling_of(name)
-    meant = decode_mit(np.frombuffer(raw, dtype=np.uint8)[None], scaling)
-    if raw[:7] == b"\xff" * 7 or (meant.kp[0] > 0 and meant.kd[0] == 0):
-        refusal(meant, scaling)
+    decoded = decode_mit(np.frombuffer(raw, dtype=np.uint8)[None], scaling)
+    if raw[:7] == b"\xff" * 7 or (decoded.kp[0] > 0 and decoded.kd[0] == 0):
+        refusal(decoded, scaling)
     else:
-        assert encode_mit(meant, scaling).tobytes() == raw
+        assert encode_mit(decoded, scaling).tobytes() == raw
 
 
 @given(names=NAMES, seed=SEEDS)
@@ -147,15 +147,15 @@ def test_what_is_beyond_its_limit_by_a_millionth_of_it_is_refused(field, sign):
     values = dict(zip(FIELDS, (0.0, 0.0, 0.0, 1.0, 0.0)))
     low = 0.0 if field in ("kp", "kd") else -limits[field]
     exact = values | {field: limits[field] if sign > 0 else low}
-    near, beyond = (
+    almost, beyond = (
         values | {field: exact[field] + sign * share * limits[field]}
         for share in (0.9e-6, 1.1e-6)
     )
-    frames = [encode_mit(command(**v), scaling).tobytes() for v in (exact, near)]
+    frames = [encode_mit(command(**v), scaling).tobytes() for v in (exact, almost)]
     assert frames[0] == frames[1]
     assert f"{field} " in refusal(command(**beyond), scaling)
-    for bad in (np.nan, np.inf):
-        assert field in refusal(command(**{**values, field: bad}), scaling)
+    for limit_value in (np.nan, np.inf):
+        assert field in refusal(command(**{**values, field: limit_value}), scaling)
 
 
 def test_the_message_names_the_joint_that_is_out_of_range():
@@ -187,19 +187,19 @@ def test_stiffness_without_damping_is_refused():
 def test_a_command_that_looks_like_a_special_frame_is_refused_by_the_motors_number(
     share,
 ):
-    many = MitCommand(
+    commands = MitCommand(
         *np.array([[0, 0, 1, 1, 0], [12.5, 10, 500, 5, 28 * share]], float).T
     )
-    assert refusal(many, scaling_of("DM4310", "DM4340")) == (
+    assert refusal(commands, scaling_of("DM4310", "DM4340")) == (
         "the command of motor number 2 has every field at its maximum and would read as a special "
         "frame; lower its gains or torque"
     )
 
 
-@pytest.mark.parametrize("bad", [0.0, -12.5, np.nan, np.inf])
-def test_scaling_has_to_be_positive(bad):
+@pytest.mark.parametrize("limit_value", [0.0, -12.5, np.nan, np.inf])
+def test_scaling_has_to_be_positive(limit_value):
     with pytest.raises(InputError, match="velocity scaling must be positive numbers"):
-        Scaling([(1.0, 2.0, 3.0), (12.5, bad, 28.0)])
+        Scaling([(1.0, 2.0, 3.0), (12.5, limit_value, 28.0)])
 
 
 @given(
@@ -210,8 +210,8 @@ def test_scaling_has_to_be_positive(bad):
 def test_a_motor_is_pulled_towards_where_and_how_fast_it_should_be(values, kp, kd):
     """By a spring and a damper to its reference, beside the torque asked for."""
     p, v, t, q, qd = values
-    asked = command(p, v, kp, kd, t)
-    there = asked.motor_torque(np.array([p]), np.array([v]))[0]
-    away = asked.motor_torque(np.array([p + q]), np.array([v + qd]))[0]
-    assert there == pytest.approx(t, abs=1e-12)
-    assert away - there == pytest.approx(-kp * q - kd * qd, abs=1e-12)
+    request = command(p, v, kp, kd, t)
+    at_reference = request.motor_torque(np.array([p]), np.array([v]))[0]
+    off_reference = request.motor_torque(np.array([p + q]), np.array([v + qd]))[0]
+    assert at_reference == pytest.approx(t, abs=1e-12)
+    assert off_reference - at_reference == pytest.approx(-kp * q - kd * qd, abs=1e-12)

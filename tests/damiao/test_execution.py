@@ -27,7 +27,7 @@ def test_an_arm_that_needs_more_than_its_motors_is_to_be_weighed(
     trajectory = trajectory_file(tmp_path, swing(3, duration=1.0))
     values = {"trajectory": trajectory.path, "model": arm_file(THREE)}
     motors = execution.MotorRun(values, lambda text, last: None)
-    monkeypatch.setattr(motors, "orders", lambda plan, here: ())
+    monkeypatch.setattr(motors, "orders", lambda plan, q: ())
     plan = motors.plan()
     inspection = SimpleNamespace(motors={})
     with pytest.raises(HardwareAbort, match="motor 1 stops") as error:

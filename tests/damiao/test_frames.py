@@ -72,9 +72,11 @@ def test_defaults_fit_the_bus():
 
 @given(number=st.sampled_from(sorted(NAMES)), data=st.data())
 def test_register_values_survive_their_four_bytes(number, data):
-    whole = number in INTEGERS
+    is_integer = number in INTEGERS
     values = (
-        st.integers(0, 2**32 - 1) if whole else st.floats(width=32, allow_nan=False)
+        st.integers(0, 2**32 - 1)
+        if is_integer
+        else st.floats(width=32, allow_nan=False)
     )
     value = data.draw(values)
     assert value_from_bytes(number, bytes_from_value(number, value)) == value

@@ -60,15 +60,15 @@ def test_an_unknown_type_lists_the_valid_ones():
 
 
 @pytest.mark.parametrize(
-    ("names", "words"),
+    ("names", "message"),
     [
         ([], "--export-damiao requires at least one --motor-type"),
         (["DM4340"] * 3, "--motor-type was given 3 times but the chain has 7 joints"),
         (["DM4340"], "--motor-type was given once but the chain has 7 joints"),
     ],
 )
-def test_motor_types_have_to_match_the_chain(names, words):
-    with pytest.raises(InputError, match=words):
+def test_motor_types_have_to_match_the_chain(names, message):
+    with pytest.raises(InputError, match=message):
         damiao_joints(names, 7)
 
 
@@ -78,10 +78,11 @@ NUMBERS = st.floats(-10.0, 10.0)
 
 @st.composite
 def spaces(draw, n=3):
-    each = [
-        [draw(kind) for _ in range(n)] for kind in (WAYS, NUMBERS, st.floats(0.1, 5.0))
+    mountings = [
+        [draw(strategy) for _ in range(n)]
+        for strategy in (WAYS, NUMBERS, st.floats(0.1, 5.0))
     ]
-    return JointSpace(*np.array(each, dtype=float))
+    return JointSpace(*np.array(mountings, dtype=float))
 
 
 @given(spaces(), st.lists(NUMBERS, min_size=3, max_size=3))
@@ -97,10 +98,14 @@ def test_a_motor_makes_the_torque_that_its_joint_is_told(space, numbers):
     from robot_sysid.damiao.protocol import MitCommand
 
     position, velocity, torque, q, qd = np.array(numbers).reshape(5, 3)
-    told = MitCommand(position, velocity, np.full(3, 20.0), np.full(3, 1.0), torque)
-    motor = space.command_to_motors(told).motor_torque(*space.to_motors(q, qd, q)[:2])
+    joint_command = MitCommand(
+        position, velocity, np.full(3, 20.0), np.full(3, 1.0), torque
+    )
+    motor = space.command_to_motors(joint_command).motor_torque(
+        *space.to_motors(q, qd, q)[:2]
+    )
     *_, torque = space.to_joints(q, qd, motor)
-    np.testing.assert_allclose(torque, told.motor_torque(q, qd), atol=1e-6)
+    np.testing.assert_allclose(torque, joint_command.motor_torque(q, qd), atol=1e-6)
 
 
 @given(
@@ -111,8 +116,10 @@ def test_a_motor_makes_the_torque_that_its_joint_is_told(space, numbers):
 def test_a_map_is_read_as_it_was_written(tmp_path_factory, rows):
     path = tmp_path_factory.mktemp("map") / "map.csv"
     written = [
-        map_line(f"j{k}", "can0", k + 1, k + 17, way, round(offset, 4), round(ratio, 3))
-        for k, (way, offset, ratio) in enumerate(rows)
+        map_line(
+            f"j{k}", "can0", k + 1, k + 17, direction, round(offset, 4), round(ratio, 3)
+        )
+        for k, (direction, offset, ratio) in enumerate(rows)
     ]
     write_joint_map(path, written)
     assert list(read_joint_map(path)) == written
@@ -125,7 +132,7 @@ def test_what_is_left_out_is_as_usual(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("", "expected the columns"),
         ("joint,can_id\na,1\n", "expected the columns"),
@@ -140,10 +147,10 @@ def test_what_is_left_out_is_as_usual(tmp_path):
         ("joint,can_id,direction\na\0,1,1\n", "zero bytes"),
     ],
 )
-def test_a_map_that_is_none_is_refused_with_its_row(tmp_path, text, words):
+def test_a_map_that_is_none_is_refused_with_its_row(tmp_path, text, message):
     path = tmp_path / "map.csv"
     path.write_text(text)
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=message):
         read_joint_map(path)
     with pytest.raises(InputError, match="cannot read"):
         read_joint_map(tmp_path / "nowhere.csv")
@@ -194,9 +201,9 @@ def test_a_configuration_tells_ids_and_buses_of_one_arm_or_two(read):
         == read(ARM)
         == (DamiaoJoint("", 1, 17, "joint_1", 0, "can0"),)
     )
-    right = {"port": "can1", "motor_config": {"joint_1": [1, 33, "dm8009"]}}
+    right_arm = {"port": "can1", "motor_config": {"joint_1": [1, 33, "dm8009"]}}
     rows = read(
-        {"left_arm_config": ARM, "right_arm_config": right}, [*LEFT, "right_joint1"]
+        {"left_arm_config": ARM, "right_arm_config": right_arm}, [*LEFT, "right_joint1"]
     )
     assert [(row.name, row.master_id, row.channel) for row in rows] == [
         ("openarm_left_joint1", 17, "can0"),
@@ -205,7 +212,7 @@ def test_a_configuration_tells_ids_and_buses_of_one_arm_or_two(read):
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    ("content", "message"),
     [
         (
             {"joint_1": {**CALIBRATION["joint_1"], "homing_offset": 512}},
@@ -224,6 +231,6 @@ def test_a_configuration_tells_ids_and_buses_of_one_arm_or_two(read):
         ({}, "has no lines"),
     ],
 )
-def test_what_is_no_file_of_damiao_motors_is_refused(read, content, words):
-    with pytest.raises(InputError, match=words):
+def test_what_is_no_file_of_damiao_motors_is_refused(read, content, message):
+    with pytest.raises(InputError, match=message):
         read(content)

@@ -73,11 +73,11 @@ def exceeded(checks):
     stops = [check.text.partition(";")[0] for check in checks if check.severity == STOP]
     if not stops:
         assert [check.severity for check in checks] == [OK]
-    found = [
+    excesses = [
         (j, w) for t in stops for j in JOINTS for w in WHAT if j in t and f"{w} " in t
     ]
-    assert len(found) == len(stops) == len(checks) - (not stops), stops
-    return set(found)
+    assert len(excesses) == len(stops) == len(checks) - (not stops), stops
+    return set(excesses)
 
 
 def peaks_of(motion):
@@ -115,8 +115,8 @@ def test_what_the_positions_do_counts_also_where_the_file_states_no_velocity(
     steepest = (np.abs(np.diff(q, axis=0)).max(axis=0) - 1e-4) * rate * speed
     free = np.full(3, np.inf)
     robot = replace(arm, limits=JointLimits(-free, free, steepest / share, free))
-    found = exceeded(checked(written(folder, (time, q, 0 * qd, tau)), speed, robot))
-    assert found == (
+    excesses = exceeded(checked(written(folder, (time, q, 0 * qd, tau)), speed, robot))
+    assert excesses == (
         {(joint, "velocity") for joint in JOINTS} if share > 1.0 else set()
     )
 
@@ -152,10 +152,10 @@ def test_a_message_tells_joint_limit_value_and_moment(arm, folder):
 
 def with_its_torque(arm, seed, factor=1.0):
     """A swing about a random place with the torque that the arm needs."""
-    place = np.random.default_rng(seed).uniform(0.5, 1.0, 3)
+    scale = np.random.default_rng(seed).uniform(0.5, 1.0, 3)
     time, q, qd, _ = swing(3, duration=2.0, rate=100.0)
-    motion = Motion(time, q + place, qd, np.gradient(qd, time, axis=0))
-    return time, q + place, qd, factor * ArmTorque(arm)(motion)
+    motion = Motion(time, q + scale, qd, np.gradient(qd, time, axis=0))
+    return time, q + scale, qd, factor * ArmTorque(arm)(motion)
 
 
 def refused(folder, arm, motion, **settings):
@@ -174,7 +174,7 @@ def test_the_torque_of_the_motion_is_let_pass_also_where_the_load_is_another(
 
 
 @pytest.mark.parametrize(
-    ("factor", "words"),
+    ("factor", "message"),
     [
         (-1.0, "forward has the other sign"),
         (0.0, "is missing"),
@@ -182,30 +182,30 @@ def test_the_torque_of_the_motion_is_let_pass_also_where_the_load_is_another(
     ],
 )
 def test_another_torque_than_the_motion_needs_is_refused_and_named(
-    arm, folder, factor, words
+    arm, folder, factor, message
 ):
     motion = with_its_torque(arm, 0)
     loaded = int(np.argmax(np.abs(motion[3]).mean(axis=0)))
     motion[3][:, loaded] *= factor
-    (said,) = refused(folder, arm, motion)
-    assert f"motor {loaded + 1}: " in said and words in said
+    (texts,) = refused(folder, arm, motion)
+    assert f"motor {loaded + 1}: " in texts and message in texts
 
 
 @pytest.mark.parametrize(
-    ("amplitude", "words"),
+    ("amplitude", "message"),
     [
         (0.05, "is missing: it is off by 10.5 N m where"),
         (0.15, "N m and its motor makes 27 at"),
     ],
 )
-def test_a_ripple_that_no_motor_follows_is_refused(arm, folder, amplitude, words):
+def test_a_ripple_that_no_motor_follows_is_refused(arm, folder, amplitude, message):
     """0.05 rad at 10 Hz: 3 rad/s, below any speed limit, and 197 rad/s^2."""
     time, q, qd, tau = with_its_torque(arm, 0)
     wave = 2 * np.pi * 10
     q[:, 0] += amplitude * (1 - np.cos(wave * time))
     qd[:, 0] += amplitude * wave * np.sin(wave * time)
     first = refused(folder, arm, (time, q, qd, tau))[0]
-    assert words in first and "it cannot follow" in first
+    assert message in first and "it cannot follow" in first
 
 
 # --- contact ------------------------------------------------------------------------------------
@@ -242,26 +242,26 @@ def test_where_the_arm_is_parked_and_each_way_are_compared_too(folder, angle):
     """The one joint has no order that avoids the wall between zero and an angle."""
     robot = arms.robot_of(WALL, max_velocity=np.inf)
     (folder / "pose").write_text(f"{angle}")
-    said = [
+    texts = [
         c.text for c in checked(written(folder, turn(0.5)), 1.0, robot, folder / "pose")
     ]
     assert any(
-        "outside the model's -3 to 3; choose another" in text for text in said
+        "outside the model's -3 to 3; choose another" in text for text in texts
     ) == (angle > 3.0)
     order, touching = Contacts([robot]).order(np.zeros(1), np.array([angle]))
     assert (order, "wall" in touching) == (
         ("", True) if angle > 1.5 else (STRAIGHT, False)
     )
-    for words, ends in (
+    for message, ends in (
         ("the first point", "nearer by hand"),
         ("parked", "choose another --park"),
     ):
-        found = [
-            c.text for c in transfer_check(f"on the way to {words}", order, touching)
+        excesses = [
+            c.text for c in transfer_check(f"on the way to {message}", order, touching)
         ]
-        assert [words in text and text.endswith(ends) for text in found] == [True] * (
-            angle > 1.5
-        )
+        assert [message in text and text.endswith(ends) for text in excesses] == [
+            True
+        ] * (angle > 1.5)
 
 
 def test_planes_and_boxes_hold_for_what_is_played_approached_and_parked(folder):
@@ -303,13 +303,13 @@ def test_an_arm_goes_joint_by_joint_where_the_straight_way_touches(post, order):
     robot = arms.robot_of(
         ELBOW.format(x=post[0], y=post[1]), joint="b", max_velocity=np.inf
     )
-    found, touching = Contacts([robot]).order(np.zeros(2), np.array([1.2, 1.0]))
-    assert (found, bool(touching)) == (
+    free_order, touching = Contacts([robot]).order(np.zeros(2), np.array([1.2, 1.0]))
+    assert (free_order, bool(touching)) == (
         "" if order is None else ORDERS[order],
         order != 0,
     )
-    (said,) = [*transfer_check("on the way", found, touching)] or [None]
-    assert (said and said.severity) == {0: None, None: STOP}.get(order, NOTE)
+    (check,) = [*transfer_check("on the way", free_order, touching)] or [None]
+    assert (check and check.severity) == {0: None, None: STOP}.get(order, NOTE)
 
 
 # --- a planned motion that an arm with another load is to play ----------------------------------
@@ -339,8 +339,8 @@ def test_an_arm_that_needs_more_than_its_motors_make_is_to_be_weighed_first(
     assert command.endswith(f"--for weight --output-dir {tmp_path / 'weighing'}")
     settings_file(tmp_path, "guess.xml")
     first = refused(tmp_path, arm, heavy_motion(arm))[0]
-    words = f"--config {tmp_path / 'trajectory.toml'} --for weight --output-dir"
-    assert first.endswith(f" first: robot-sysid plan {words} {tmp_path / 'weighing'}")
+    message = f"--config {tmp_path / 'trajectory.toml'} --for weight --output-dir"
+    assert first.endswith(f" first: robot-sysid plan {message} {tmp_path / 'weighing'}")
     settings_file(tmp_path, "guess.xml", for_="weight")
     assert " --max-torque " in refused(tmp_path, arm, heavy_motion(arm))[0]
 
@@ -350,7 +350,7 @@ HEAVY = arms.THREE.replace('mass=".8"', 'mass="8"')
 
 
 @pytest.mark.parametrize(
-    ("purpose", "factor", "severity", "words"),
+    ("purpose", "factor", "severity", "message"),
     [
         (
             "link",
@@ -363,7 +363,7 @@ HEAVY = arms.THREE.replace('mass=".8"', 'mass="8"')
     ],
 )
 def test_a_load_that_the_plan_did_not_know_is_told_from_a_wrong_file(
-    tmp_path, purpose, factor, severity, words
+    tmp_path, purpose, factor, severity, message
 ):
     """A mirrored torque is refused whatever the motion is for."""
     model = tmp_path / "light.xml"
@@ -375,4 +375,4 @@ def test_a_load_that_the_plan_did_not_know_is_told_from_a_wrong_file(
     checks = [
         c for c in torque_checks(played, settings, heavy) if "feeds forward " in c.text
     ]
-    assert checks[0].severity == severity and words in checks[0].text
+    assert checks[0].severity == severity and message in checks[0].text

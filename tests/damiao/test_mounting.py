@@ -44,8 +44,8 @@ def test_a_mirrored_and_shifted_motor_moves_its_joint_as_the_file_says(tmp_path)
     odd.mount(1, direction=-1, offset=0.6, torque_ratio=1.3)
     odd.run()
     assert plain.error is None and odd.error is None
-    for what, close in (("pos", 2e-3), ("vel", 0.05), ("tau", 0.15)):
-        straight, turned = (r.recording.joint_values(what) for r in (plain, odd))
+    for signal, close in (("pos", 2e-3), ("vel", 0.05), ("tau", 0.15)):
+        straight, turned = (r.recording.joint_values(signal) for r in (plain, odd))
         np.testing.assert_allclose(turned, straight, atol=close)
     assert odd.motors[1].position == pytest.approx(
         0.6 - odd.arm.mechanism.q[1], abs=0.01
@@ -55,21 +55,23 @@ def test_a_mirrored_and_shifted_motor_moves_its_joint_as_the_file_says(tmp_path)
 # --- motors outside the trajectory ----------------------------------------------------------------
 
 
-@pytest.mark.parametrize("how", ["limp", "hold"])
-def test_other_motors_are_left_limp_or_held_where_they_are(tmp_path, how):
+@pytest.mark.parametrize("treatment", ["limp", "hold"])
+def test_other_motors_are_left_limp_or_held_where_they_are(tmp_path, treatment):
     gripper = simulated_motor(DamiaoJoint("DM4310", 8, 0x18))
     gripper.position = 0.3
-    seen = []
-    run = rig(tmp_path, extra_motors=[gripper], others=how)
+    phases = []
+    run = rig(tmp_path, extra_motors=[gripper], others=treatment)
     run.during(
-        "playing", 0.3, lambda r: seen.append((gripper.status, gripper.command))
+        "playing", 0.3, lambda r: phases.append((gripper.status, gripper.command))
     ).run()
     assert run.error is None and run.states() == [DISABLED] * 3
-    said = [check.text for check in run.checks if "not in the trajectory" in check.text]
-    assert len(said) == 1 and how in said[0].replace("held", "hold")
-    ((status, (position, _, kp, *_)),) = seen
-    assert (status, kp > 0.0) == ((1, True) if how == "hold" else (0, False))
-    if how == "hold":
+    notes = [
+        check.text for check in run.checks if "not in the trajectory" in check.text
+    ]
+    assert len(notes) == 1 and treatment in notes[0].replace("held", "hold")
+    ((status, (position, _, kp, *_)),) = phases
+    assert (status, kp > 0.0) == ((1, True) if treatment == "hold" else (0, False))
+    if treatment == "hold":
         assert position == pytest.approx(0.3, abs=1e-3)
     assert run.recording.joint_values("pos").shape[1] == 2
 
@@ -222,12 +224,12 @@ def test_one_arm_of_a_map_is_never_played_on_the_bus_of_the_other():
     rows = [map_line(f"left_{k}", "can0", k, k + 16, 1) for k in (1, 2)]
     rows += [map_line(f"right_{k}", "can1", k, k + 16, 1) for k in (1, 2)]
     joints = damiao_joints(["DM4340"] * 2, 2)
-    right = ["right_1", "right_2"]
+    right_arm = ["right_1", "right_2"]
     with pytest.raises(
         InputError, match="right_1 on can1; open it with --channel can1"
     ):
-        map_joints(joints, rows, ["can0"], right)
-    assert [j.can_id for j in map_joints(joints, rows, ["can1"], right)] == [1, 2]
+        map_joints(joints, rows, ["can0"], right_arm)
+    assert [j.can_id for j in map_joints(joints, rows, ["can1"], right_arm)] == [1, 2]
 
 
 def test_holding_torques_are_compared_with_the_models_gravity(three_joint_arm):

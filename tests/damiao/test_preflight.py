@@ -47,28 +47,28 @@ def checks_of(
         replace(joint, offset=offset) for joint in damiao_joints(types, len(types))
     ]
     timing = timing or BusTiming()
-    chosen = PlaySettings(**settings).for_motors(
+    completed = PlaySettings(**settings).for_motors(
         [joint.spec for joint in joints], timing
     )
-    asked = {
-        "settings": chosen,
+    fields = {
+        "settings": completed,
         "timing": timing,
         "inertia": inertia,
         "parking_pose": parking_pose,
     }
     played = DamiaoTrajectory(Path(), tuple(joints), np.arange(len(rows[0])), *rows)
-    return plan_checks(SimpleNamespace(trajectory=played, duration=5.0, **asked))
+    return plan_checks(SimpleNamespace(trajectory=played, duration=5.0, **fields))
 
 
 def beyond(checks):
     """(joint, what) of each limit that is said to be exceeded."""
-    found = [
+    findings = [
         re.match(r"motor (\d+): ([a-z ]+?) [\d.e+]+ \S+", text)
         for text in stops(checks)
     ]
     limits = [
         m
-        for m, text in zip(found, stops(checks))
+        for m, text in zip(findings, stops(checks))
         if "is beyond its type's limit" in text
     ]
     return {(int(match[1]) - 1, match[2]) for match in limits}
@@ -96,20 +96,20 @@ def test_each_joint_and_limit_is_judged_by_itself_at_the_speed_it_is_played_at(
 @given(worst=st.floats(0.0, 0.2), speed=st.floats(0.05, 1.0))
 def test_both_ends_have_to_be_at_rest_at_the_speed_they_are_played_at(worst, speed):
     rows = rows_of(2, velocity=np.array([0.0, worst]))
-    said = [
+    texts = [
         c for c in checks_of(rows, ["DM4340"] * 2, speed=speed) if "at rest" in c.text
     ]
-    assert [check.severity for check in said] == [STOP if worst * speed > 0.05 else OK]
+    assert [check.severity for check in texts] == [STOP if worst * speed > 0.05 else OK]
 
 
 @given(rate=st.floats(10.0, 3000.0), n=st.integers(1, 8), fd=st.booleans())
 def test_a_bus_that_is_too_full_is_refused(rate, n, fd):
     timing = BusTiming(fd=fd)
     checks = checks_of(rows_of(n), ["DM4340"] * n, timing, rate=rate)
-    (said,) = [check for check in checks if " load " in check.text]
+    (texts,) = [check for check in checks if " load " in check.text]
     full = bus_load(n, rate, timing) > 0.7
-    assert said.severity == (STOP if full else OK)
-    assert full == ("use --rate" in said.text)
+    assert texts.severity == (STOP if full else OK)
+    assert full == ("use --rate" in texts.text)
 
 
 @pytest.mark.parametrize("name", ["DM4340", "DM6248", "DMS3519"])
@@ -117,10 +117,10 @@ def test_what_a_motor_cannot_do_is_refused_and_what_is_beyond_its_rating_noted(n
     spec = MOTORS[name]
     for torque, severity in ((spec.rated_torque, NOTE), (spec.peak_torque, STOP)):
         checks = checks_of(rows_of(1, torque=1.001 * torque), [name])
-        (said,) = [
+        (texts,) = [
             c for c in checks if "exceeds the" in c.text and "torque of a" in c.text
         ]
-        assert said.severity == severity
+        assert texts.severity == severity
     for share in (0.999, 1.001):
         top = share * (spec.no_load_rpm or 0.0) * 2 * np.pi / 60
         checks = checks_of(rows_of(1, velocity=top), [name])
@@ -147,25 +147,31 @@ def test_a_joint_that_its_motor_would_shake_is_noted():
 @pytest.mark.parametrize("rate", [2.0, 9.0, 12.5, 250.0])
 @pytest.mark.parametrize("timeout", [0.0, 1e-3, 4.9, 20.0])
 def test_the_watchdog_that_is_advised_can_be_given_and_lets_the_arm_play(rate, timeout):
-    found = _watchdog_check("motor 1", timeout, PlaySettings(rate=rate))
-    asked = {
+    check = _watchdog_check("motor 1", timeout, PlaySettings(rate=rate))
+    options = {
         key: float(value)
-        for key, value in re.findall(r"--(\S+) ([\d.]*\d)", found.text)
+        for key, value in re.findall(r"--(\S+) ([\d.]*\d)", check.text)
     }
-    if "set-watchdog" in asked:
+    if "set-watchdog" in options:
         # Refuses what cannot be given.
-        permissions = record_from(Permissions, {"set_watchdog": asked["set-watchdog"]})
-        settings = PlaySettings(rate=asked.get("rate", rate))
-        found = _watchdog_check("motor 1", permissions.watchdog, settings)
-    assert found.severity != STOP
+        permissions = record_from(
+            Permissions, {"set_watchdog": options["set-watchdog"]}
+        )
+        settings = PlaySettings(rate=options.get("rate", rate))
+        check = _watchdog_check("motor 1", permissions.watchdog, settings)
+    assert check.severity != STOP
 
 
 @given(
-    place=st.floats(-12.4, 12.4) | st.floats(12.6, 30.0), offset=st.floats(-3.0, 3.0)
+    position=st.floats(-12.4, 12.4) | st.floats(12.6, 30.0), offset=st.floats(-3.0, 3.0)
 )
-def test_a_motor_cannot_be_parked_beyond_what_its_frames_carry(place, offset):
-    pose = np.array([-offset, place - offset])
+def test_a_motor_cannot_be_parked_beyond_what_its_frames_carry(position, offset):
+    pose = np.array([-offset, position - offset])
     checks = checks_of(rows_of(2), ["DM4340"] * 2, parking_pose=pose, offset=offset)
-    found = [check for check in checks if check.text.endswith("choose another --park")]
-    assert [check.severity for check in found] == [STOP] * (place > 12.5)
-    assert all(c.text.startswith("motor 2") and "limit 12.5" in c.text for c in found)
+    findings = [
+        check for check in checks if check.text.endswith("choose another --park")
+    ]
+    assert [check.severity for check in findings] == [STOP] * (position > 12.5)
+    assert all(
+        c.text.startswith("motor 2") and "limit 12.5" in c.text for c in findings
+    )

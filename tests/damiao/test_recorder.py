@@ -40,8 +40,8 @@ def recorder_for(path, types=("DM4340",), overwrite=False):
     settings = PlaySettings(kp=(20.0,) * len(types), kd=(1.0,) * len(types), rate=250.0)
     head = recording_header(joints, registers, settings, "swing.csv")
     labels = [f"j{j}" for j in range(len(joints))]
-    how = Aside(threaded=False), Centring(settings.period), None, overwrite
-    return MeasurementRecorder(path, head, labels, *how)
+    arguments = Aside(threaded=False), Centring(settings.period), None, overwrite
+    return MeasurementRecorder(path, head, labels, *arguments)
 
 
 @st.composite
@@ -100,21 +100,21 @@ def test_every_frame_can_be_told_back_from_the_recording(data, tmp_path_factory)
             "temp_mos": raw[:, 6],
             "temp_rotor": raw[:, 7],
         }
-        for what, code in codes.items():
+        for column, code in codes.items():
             expected = np.where(answered, code, np.nan)
-            np.testing.assert_array_equal(recording.joint_values(what)[k], expected)
-        told = Feedback(
+            np.testing.assert_array_equal(recording.joint_values(column)[k], expected)
+        feedback = Feedback(
             raw[:, 0] & 0xF,
             raw[:, 0] >> 4,
             *(np.nan_to_num(values[w]) for w in ("pos", "vel", "tau")),
             raw[:, 6],
             raw[:, 7],
         )
-        again = encode_feedback(told, scaling)
-        np.testing.assert_array_equal(again[answered], raw[answered])
-        for row, what in enumerate(("cmd_pos", "cmd_vel", "cmd_tau")):
+        encoded = encode_feedback(feedback, scaling)
+        np.testing.assert_array_equal(encoded[answered], raw[answered])
+        for row, column in enumerate(("cmd_pos", "cmd_vel", "cmd_tau")):
             np.testing.assert_allclose(
-                recording.joint_values(what)[k], command[row], atol=6e-7
+                recording.joint_values(column)[k], command[row], atol=6e-7
             )
 
 
@@ -126,14 +126,17 @@ def test_the_identification_reads_it_directly(tmp_path):
             stamps = 0.004 * k + np.array([0.0001, 0.0002])
             recorder.write(0.004 * k, 0.0, replace(replies, time=stamps), acted)
     log = read_measurements(path, ("first", "second"))
-    found = (
+    recorded = (
         log.columns.position,
         log.columns.velocity,
         log.columns.torque,
         log.columns.joint_time,
     )
-    for what, signals in zip(("pos", "vel", "tau", "time"), found):
-        assert [signal.title for signal in signals] == [f"j0_{what}", f"j1_{what}"]
+    for quantity, signals in zip(("pos", "vel", "tau", "time"), recorded):
+        assert [signal.title for signal in signals] == [
+            f"j0_{quantity}",
+            f"j1_{quantity}",
+        ]
     assert log.columns.time.title == "time"
 
 
@@ -179,9 +182,9 @@ def test_rows_of_joints_that_are_played_are_in_the_file_before_the_run_ends(tmp_
     recorder = recorder_for(path)
     recorder.write(*one_cycle(3))
     recorder.end_cycle()
-    found = read_recording(path)
-    assert len(found.columns["time"]) == 1 and found.ending == "cut short"
-    assert list(found.columns)[-1] == "j0_temp_rotor"
+    recording = read_recording(path)
+    assert len(recording.columns["time"]) == 1 and recording.ending == "cut short"
+    assert list(recording.columns)[-1] == "j0_temp_rotor"
     recorder.__exit__(None, None, None)
 
 
@@ -195,11 +198,11 @@ def test_an_error_is_written_at_the_end(tmp_path):
 def test_frames_are_written_beside_the_recording_or_where_that_was_asked_for():
     row = Path("a/m.csv")
     raw = Path("r.asc")
-    found = [
-        RecordingOptions(*given).frames
-        for given in ((), (row,), (None, raw), (row, raw))
+    frame_logs = [
+        RecordingOptions(*paths).frames
+        for paths in ((), (row,), (None, raw), (row, raw))
     ]
-    assert found == [None, Path("a/m.log"), raw, raw]
+    assert frame_logs == [None, Path("a/m.log"), raw, raw]
 
 
 def test_neither_what_is_there_nor_what_the_run_reads_is_written_to(
@@ -216,12 +219,12 @@ def test_neither_what_is_there_nor_what_the_run_reads_is_written_to(
             options.require_free(Path("other.csv"), read)
     with pytest.raises(InputError, match="m.log is needed for something else"):
         RecordingOptions(record=tmp_path / "m.log", overwrite=True).require_free()
-    for there in (tmp_path / "m.csv", tmp_path / "m.log"):
-        there.write_text("precious")
-        with pytest.raises(InputError, match=f"{there.name} exists; .* --overwrite"):
+    for existing in (tmp_path / "m.csv", tmp_path / "m.log"):
+        existing.write_text("precious")
+        with pytest.raises(InputError, match=f"{existing.name} exists; .* --overwrite"):
             RecordingOptions(record=tmp_path / "m.csv").require_free()
         options.require_free()
-        there.unlink()
+        existing.unlink()
 
 
 # --- centring -----------------------------------------------------------------------------------
@@ -241,16 +244,18 @@ def test_a_centred_torque_is_the_mean_of_both_sides_of_the_step(
     q = np.array([q])
     qd = np.array([qd])
     code = np.array([1])
-    before, after = (command.motor_torque(q, qd) for command in (acted, sent))
-    feedback = Feedback(code, code, q, qd, before, code, code)
+    torque_before, torque_after = (
+        command.motor_torque(q, qd) for command in (acted, sent)
+    )
+    feedback = Feedback(code, code, q, qd, torque_before, code, code)
     replies = Replies(code > 0, np.zeros(1), feedback, code > 0, sent)
     path = tmp_path_factory.mktemp("rec") / "measured.csv"
     with recorder_for(path) as recorder:
         recorder.write(0.0, 0.0, replies, acted)
     recorded = {k: v[0] for k, v in read_recording(path).columns.items()}
     # Six decimals are printed.
-    assert abs(recorded["j0_tau"] - 0.5 * (before + after)[0]) < 1e-6
-    assert abs(recorded["j0_cmd_step"] - (after - before)[0]) < 1e-6
+    assert abs(recorded["j0_tau"] - 0.5 * (torque_before + torque_after)[0]) < 1e-6
+    assert abs(recorded["j0_cmd_step"] - (torque_after - torque_before)[0]) < 1e-6
 
 
 @pytest.mark.parametrize("threaded", [False, True])

@@ -25,9 +25,9 @@ def test_the_sampler_interpolates_and_scales_velocity_with_speed(tmp_path, speed
     sampler = trajectory_reference(trajectory_file(tmp_path, (time, q, qd, tau)), speed)
     for moment in np.append(np.arange(0.0, 2.0 / speed, 0.137), 9.0):
         reference = sampler(moment)
-        for got, wanted in zip(reference, (q, speed * qd, tau)):
-            expected = [np.interp(moment * speed, time, column) for column in wanted.T]
-            np.testing.assert_allclose(got, expected, rtol=0, atol=6e-5)
+        for actual, signal in zip(reference, (q, speed * qd, tau)):
+            expected = [np.interp(moment * speed, time, column) for column in signal.T]
+            np.testing.assert_allclose(actual, expected, rtol=0, atol=6e-5)
 
 
 @given(
@@ -50,10 +50,10 @@ def test_an_approach_goes_from_rest_to_rest_within_its_speed(
     path, duration = transfer_reference(*ends, speed, shortest, order, np.sin)
     assert duration >= shortest
     for moment, end in ((-1.0, 0), (0.0, 0), (duration, 1), (duration + 1.0, 1)):
-        for said, wanted in zip(path(moment), ends[end]):
-            np.testing.assert_allclose(said, wanted, atol=1e-9)
+        for actual, expected in zip(path(moment), ends[end]):
+            np.testing.assert_allclose(actual, expected, atol=1e-9)
     times = np.linspace(0.0, duration, 401)
-    q, qd, tau = (np.array(part) for part in zip(*map(path, times)))
+    q, qd, tau = (np.array(signal) for signal in zip(*map(path, times)))
     assert np.max(np.abs(qd)) <= speed * (1 + 1e-9)
     if order != ORDERS[0]:
         assert np.max(np.count_nonzero(qd, axis=1)) <= 1

@@ -63,18 +63,18 @@ def test_gains_and_feed_forward_torque_rise_together_in_a_fifth_of_the_ramp(rig)
     q = np.full((50, 1), 0.5)
     motion = np.arange(50) / 250, q, 0 * q, 0 * q + GRAVITY * np.sin(0.5)
     run = rig(1, motion=motion, start=[0.5], ramp_time=0.3, **USUAL)
-    told = []
+    gains = []
     exchange = MotorSession.exchange
 
-    def watched(self, command, *rest, **options):
-        told.append((command.kp[0], command.torque[0]))
-        return exchange(self, command, *rest, **options)
+    def watched(self, command, *arguments, **options):
+        gains.append((command.kp[0], command.torque[0]))
+        return exchange(self, command, *arguments, **options)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(MotorSession, "exchange", watched)
         run.run()
     assert run.error is None
-    kp, torque = np.array(told[:76]).T
+    kp, torque = np.array(gains[:76]).T
     share = np.minimum(np.arange(1, 77) / 15, 1.0)
     np.testing.assert_allclose(kp, 180.0 * share, atol=1e-9)
     np.testing.assert_allclose(torque, GRAVITY * np.sin(0.5) * share, atol=1e-3)
@@ -120,15 +120,15 @@ def test_a_short_stall_skips_cycles_and_never_replays_them(rig):
 @pytest.mark.parametrize("opcode", [0x33, 0x55])
 def test_a_missing_watchdog_is_set_for_the_run_and_put_back(rig, opcode):
     run = rig(watchdog=0.0, permissions=Permissions(watchdog=0.1))
-    for each in run.motors:
-        answering_writes_with(opcode, each)
-    seen = []
+    for simulated in run.motors:
+        answering_writes_with(opcode, simulated)
+    registers = []
     timeout = protocol.TIMEOUT
     run.during(
-        "playing", 0.1, lambda r: seen.append(r.motors[1].registers[timeout])
+        "playing", 0.1, lambda r: registers.append(r.motors[1].registers[timeout])
     ).run()
     assert run.error is None and run.states() == [DISABLED] * 2
-    assert seen == [2000.0]
+    assert registers == [2000.0]
     assert [m.registers[timeout] for m in run.motors] == [0.0, 0.0]
 
 
@@ -167,12 +167,12 @@ def test_the_frames_in_the_manual_are_those_of_a_run(tmp_path):
     run = Rig(tmp_path, 1, motion=motion, watchdog=0.0, permissions=permissions)
     run.arm.mechanism.timestep = 2e-3
     run.run()
-    said = iter(
+    lines = iter(
         f"{'->' if sent else '<-'} {frame.id:03X} {frame.data.hex(' ').upper()}"
         for frame, sent in run.wire.frames
     )
     for line in block.splitlines():
-        assert line[:30] in said, line
+        assert line[:30] in lines, line
 
 
 # --- refused before anything moves --------------------------------------------------------------
@@ -209,11 +209,13 @@ def test_every_motor_that_is_not_as_expected_is_named_with_what_is_wrong(rig):
     run.motors[11].registers[protocol.TIMEOUT] = 6e4
     run.states_before = run.states()
     run.run()
-    said = stops(run.checks)
-    for number, (_, words) in enumerate(WRONG, start=1):
-        (found,) = [text for text in said if words in text]
-        assert f"motor {number} " in found or f"motor {number}'s" in found, found
-    assert len(said) == len(WRONG)
+    texts = stops(run.checks)
+    for number, (_, message) in enumerate(WRONG, start=1):
+        (matching,) = [text for text in texts if message in text]
+        assert f"motor {number} " in matching or f"motor {number}'s" in matching, (
+            matching
+        )
+    assert len(texts) == len(WRONG)
     assert str(run.error).startswith("not played: ") and isinstance(
         run.error, HardwareAbort
     )
@@ -235,7 +237,7 @@ def extra(*joint):
 
 
 @pytest.mark.parametrize(
-    ("options", "change", "words"),
+    ("options", "change", "message"),
     [
         (extra("DM4340", 2, 0x12), None, "2 motors answer to the id of motor 2"),
         (
@@ -265,13 +267,13 @@ def extra(*joint):
     ],
 )
 def test_a_bus_or_an_arm_that_is_not_as_it_should_be_is_refused(
-    rig, options, change, words
+    rig, options, change, message
 ):
     run = rig(**options)
     if change:
         change(run)
     run.run()
-    assert isinstance(run.error, HardwareAbort) and words in str(run.error), run.error
+    assert isinstance(run.error, HardwareAbort) and message in str(run.error), run.error
     run.assert_never_moved()
     if change is answers_in_fd:
         assert any("use --fd" in check.text for check in run.checks)
@@ -309,7 +311,7 @@ COLUMN = "but the positions change by"
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         (moving, "starts or ends at 0.06 rad/s"),
         (strong, "exceeds the peak torque"),
@@ -318,9 +320,9 @@ COLUMN = "but the positions change by"
         (jumping, f"of motor 1, {COLUMN}"),
     ],
 )
-def test_a_trajectory_that_no_motor_can_follow_is_refused(rig, change, words):
+def test_a_trajectory_that_no_motor_can_follow_is_refused(rig, change, message):
     run = rig(motion=changed(change)).run()
-    assert words in str(run.error)
+    assert message in str(run.error)
     run.assert_never_moved()
 
 
@@ -337,7 +339,7 @@ def lifted(q, qd, tau):
 
 
 @pytest.mark.parametrize(
-    ("change", "options", "words"),
+    ("change", "options", "message"),
     [
         (pushed, {}, "motor 1 is"),
         (
@@ -348,10 +350,10 @@ def lifted(q, qd, tau):
     ],
 )
 def test_what_cannot_be_known_before_is_stopped_before_it_plays(
-    tmp_path, change, options, words
+    tmp_path, change, options, message
 ):
     run = Rig(tmp_path, motion=changed(change), **options).run()
-    assert words in str(run.error) and run.states() == [DISABLED] * 2
+    assert message in str(run.error) and run.states() == [DISABLED] * 2
     assert not any(sentence.startswith("playing") for sentence in run.phases)
     assert np.max(np.abs(run.arm.mechanism.qd)) < 1.0
 
@@ -373,7 +375,7 @@ def mirrored(run):
 
 
 @pytest.mark.parametrize(
-    ("change", "mount", "words"),
+    ("change", "mount", "message"),
     [
         (negated, None, "drives it off; a motor turns the other way"),
         (lambda q, qd, tau: tau.fill(0.0), None, "its torque lacks gravity"),
@@ -385,7 +387,7 @@ def mirrored(run):
     ],
 )
 def test_a_torque_that_does_not_carry_the_arm_is_named_before_it_runs_away(
-    rig, change, mount, words, monkeypatch
+    rig, change, mount, message, monkeypatch
 ):
     monkeypatch.setattr("tests.support.damiao_rig.GRAVITY", 8.0)
     motion = changed(lambda *signals: (raised(*signals), change(*signals)))
@@ -401,7 +403,7 @@ def test_a_torque_that_does_not_carry_the_arm_is_named_before_it_runs_away(
 
     run.arm.mechanism.step = watched
     run.run(settle=0.0)
-    assert words in str(run.error), run.error
+    assert message in str(run.error), run.error
     assert not any(sentence.startswith("moving") for sentence in run.phases)
     assert max(farthest) < 0.12
 
@@ -458,7 +460,7 @@ def disk_full(rig):
     )
 
 
-def driver_fails(kind, seconds):
+def driver_fails(error, seconds):
     """The driver raises something of its own for a while."""
 
     def cause(rig):
@@ -470,7 +472,7 @@ def driver_fails(kind, seconds):
             def wrapped(*arguments):
                 rig.clock.sleep_until(rig.clock.now() + 1e-4)
                 if rig.clock.now() < until:
-                    raise kind
+                    raise error
                 return call(*arguments)
 
             return wrapped
@@ -503,12 +505,22 @@ def slow_adapter(rig):
 
 @dataclass(frozen=True)
 class Line:
-    """A line of the table; ``phase`` and ``begins`` say when [s]."""
+    """A fault that stops a run.
+
+    Attributes:
+        fault: its name.
+        cause: begins the fault in a rig.
+        states: of the motors after the stop.
+        message: text of the error.
+        options: of the rig.
+        phase: in which the fault begins.
+        begins: how long after the phase's beginning [s].
+    """
 
     fault: str
     cause: Callable[[Any], object]
     states: str
-    said: str
+    message: str
     options: dict[str, Any] = field(default_factory=dict)
     phase: str = "playing"
     begins: float = 0.15
@@ -573,13 +585,13 @@ def states(rig):
 def test_while_it_moves(rig, line, monkeypatch, heard):
     run = rig(**line.options)
     began = []
-    seen = []
+    registers = []
     run.patch = monkeypatch
 
     def cause(rig):
         began.append(rig.clock.now())
         for later in AFTER:
-            rig.clock.at(rig.clock.now() + later, lambda: seen.append(states(rig)))
+            rig.clock.at(rig.clock.now() + later, lambda: registers.append(states(rig)))
         line.cause(rig)
 
     with run.stop.on_signals():
@@ -591,10 +603,10 @@ def test_while_it_moves(rig, line, monkeypatch, heard):
         "adapter turns slow",
     ):  # what is not recorded, by its nature
         monkeypatch.setattr(run, "assert_nothing_lost", lambda: None)
-    assert line.said in str(run.error), run.error
-    run.assert_stopped(line.said, last)
+    assert line.message in str(run.error), run.error
+    run.assert_stopped(line.message, last)
     if line.phase != "enabling":
-        assert " ".join(seen) == line.states
+        assert " ".join(registers) == line.states
         assert "stopping" in run.phases
     enabled = [
         frame.data[7] for frame in run.wire.sent if is_special(frame.data)
@@ -687,12 +699,12 @@ def test_what_a_slow_adapter_delivers_is_never_paired_with_another_command(rig, 
         patch.setattr(MotorSession, "exchange", watched)
         run.during("playing", 0.1, slow).run()
     assert len(answered) > 100
-    assert [got for got, _ in answered] == [told for _, told in answered]
+    assert [got for got, _ in answered] == [command for _, command in answered]
 
 
-@pytest.mark.parametrize("after", [0.005, 0.02, 0.05])
+@pytest.mark.parametrize("delay", [0.005, 0.02, 0.05])
 def test_an_arm_that_is_stopped_while_its_gains_rise_is_carried(
-    rig, after, monkeypatch
+    rig, delay, monkeypatch
 ):
     """What has been fed forward by then is only a part of what carries it."""
     monkeypatch.setattr("tests.support.damiao_rig.GRAVITY", 8.0)
@@ -708,6 +720,6 @@ def test_an_arm_that_is_stopped_while_its_gains_rise_is_carried(
             farthest.append(np.max(np.abs(run.arm.mechanism.q - 0.8)))
 
     run.arm.mechanism.step = watched
-    run.during("raising", after, lambda r: r.stop("stopped by SIGTERM")).run(settle=0.0)
+    run.during("raising", delay, lambda r: r.stop("stopped by SIGTERM")).run(settle=0.0)
     assert str(run.error) == "stopped by SIGTERM"
     assert max(farthest) < 0.03

@@ -35,10 +35,10 @@ def answer(frame):
 def test_frames_come_through_in_whatever_pieces(frames, size):
     line = b"".join(map(answer, frames))
     reader = PacketReader()
-    found = []
+    frames_read = []
     for start in range(0, len(line), size):
-        found += reader.take(line[start : start + size])
-    assert found == frames
+        frames_read += reader.take(line[start : start + size])
+    assert frames_read == frames
 
 
 def test_other_packets_and_broken_ones_are_passed_over():
@@ -46,10 +46,10 @@ def test_other_packets_and_broken_ones_are_passed_over():
     status = b"\xaa\x01" + bytes(13) + b"\x55"
     torn = answer(one)[:9]
     # A torn packet swallows at most what looks like its own rest.
-    found = list(
+    frames_read = list(
         PacketReader().take(status + answer(one) + torn + answer(one) + answer(one))
     )
-    assert found.count(one) >= 2 and set(found) == {one}
+    assert frames_read.count(one) >= 2 and set(frames_read) == {one}
 
 
 NEEDS_TERMINALS = pytest.mark.skipif(
@@ -62,37 +62,37 @@ def line():
     """(link, our end of its serial line)."""
     import tty
 
-    near, far = os.openpty()
+    port, far = os.openpty()
     tty.setraw(far)
     address = BusAddress("damiao", (os.ttyname(far),), ("write_timeout=5",))
     link = open_bus(address, BusTiming(), SystemClock())
-    yield link, near
+    yield link, port
     link.close()
-    for end in (near, far):
+    for end in (port, far):
         os.close(end)
 
 
 @NEEDS_TERMINALS
 def test_thirty_bytes_go_out_per_frame(line):
     """Typed from the maker's description."""
-    link, near = line
+    link, port = line
     link.send(disable_frame(Address(0, 3)))
-    assert os.read(near, 100) == bytes.fromhex(
+    assert os.read(port, 100) == bytes.fromhex(
         "55aa1e03 01000000 0a000000 00 03000000 00 08 00 00 ffffffffffffff fd 00"
     )
 
 
 @NEEDS_TERMINALS
 def test_sixteen_bytes_come_in_per_frame(line):
-    link, near = line
+    link, port = line
     clock = SystemClock()
     sent = bytes.fromhex("aa1108 13000000 138b217d3866231f 55")
-    os.write(near, b"\x00\x55" + sent + sent[:7])
+    os.write(port, b"\x00\x55" + sent + sent[:7])
     frame = link.receive(clock.now() + 1.0)
     assert (frame.id, frame.data.hex(), frame.echo) == (0x13, "138b217d3866231f", False)
     assert abs(frame.time - clock.now()) < 0.5
     assert link.receive(clock.now() + 0.01) is None
-    os.write(near, sent[7:])
+    os.write(port, sent[7:])
     assert link.receive(clock.now() + 1.0).data == frame.data
 
 

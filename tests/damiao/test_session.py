@@ -25,13 +25,13 @@ from tests.support.motor_bench import Bench
 
 def test_inspection_reads_everything_and_changes_nothing():
     bench = Bench()
-    before = [dict(m.registers) for m in bench.motors]
-    found = inspect_bus(bench.link)
-    assert sorted(found.motors) == [(0, 1), (0, 2)]
-    assert set(found.motors[0, 1].registers) == set(protocol.LOGGED)
-    assert found.motors[0, 2].limits == (12.5, 10.0, 28.0)
-    assert found.motors[0, 2].feedback.temperature_mos[0] == 31
-    assert [m.registers for m in bench.motors] == before
+    registers_before = [dict(m.registers) for m in bench.motors]
+    inspection = inspect_bus(bench.link)
+    assert sorted(inspection.motors) == [(0, 1), (0, 2)]
+    assert set(inspection.motors[0, 1].registers) == set(protocol.LOGGED)
+    assert inspection.motors[0, 2].limits == (12.5, 10.0, 28.0)
+    assert inspection.motors[0, 2].feedback.temperature_mos[0] == 31
+    assert [m.registers for m in bench.motors] == registers_before
     assert [m.status for m in bench.motors] == [DISABLED] * 2
     assert {frame.id for frame in bench.bus.sent} == {REGISTER_ID}
 
@@ -200,11 +200,11 @@ def test_a_damaged_answer_while_enabling_is_asked_again():
     damaged = []
 
     def once(*arguments):
-        said = answer(*arguments)
+        reply = answer(*arguments)
         if bench.motors[1].status == ENABLED and not damaged:
-            damaged.append(said)
-            said = said[:1] + bytes([said[1] ^ 0x20]) + said[2:]
-        return said
+            damaged.append(reply)
+            reply = reply[:1] + bytes([reply[1] ^ 0x20]) + reply[2:]
+        return reply
 
     bench.motors[1]._feedback = once
     with bench.session as session:
@@ -250,15 +250,15 @@ def test_no_answer_is_taken_for_that_to_another_command(delays):
     underway = []
     for cycle in range(4 * len(delays) + 8):
         # What came too late for the cycle before is found at the beginning of this one.
-        for _ in [each for each in underway if each[1] < cycle]:
+        for _ in [answer for answer in underway if answer[1] < cycle]:
             books.take_answer(0)
-        underway = [each for each in underway if each[1] >= cycle]
+        underway = [answer for answer in underway if answer[1] >= cycle]
         if books.may_be_commanded(ONE)[0]:
             delay = delays.pop(0) if delays else 0
             underway += [] if delay is None else [(cycle, cycle + delay)]
-        for asked, _ in [each for each in underway if each[1] == cycle]:
-            assert books.take_answer(0) == (asked == cycle)
-        underway = [each for each in underway if each[1] > cycle]
+        for requested, _ in [answer for answer in underway if answer[1] == cycle]:
+            assert books.take_answer(0) == (requested == cycle)
+        underway = [answer for answer in underway if answer[1] > cycle]
 
 
 def test_one_lost_answer_costs_the_pause_and_no_more():

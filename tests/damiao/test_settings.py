@@ -31,21 +31,23 @@ KD = st.floats(0.01, KD_MAX)
 
 @given(specs=SPECS, timing=TIMINGS)
 def test_what_is_left_open_suits_motors_and_bus(specs, timing):
-    chosen = PlaySettings().for_motors(specs, timing)
-    for spec, kp, kd, push in zip(specs, chosen.kp, chosen.kd, chosen.max_torque_error):
+    settings = PlaySettings().for_motors(specs, timing)
+    for spec, kp, kd, push in zip(
+        specs, settings.kp, settings.kd, settings.max_torque_error
+    ):
         # A twentieth of a radian asks for rated torque, where a frame can carry that stiffness.
         assert kp == min(20.0 * spec.rated_torque, KP_MAX)
         assert kd == pytest.approx(min(max(kp / 40.0, 0.05), KD_MAX), rel=1e-12)
         assert push == pytest.approx(2 / 3 * spec.peak_torque)
-    assert chosen.rate == default_rate(len(specs), timing)
-    assert bus_load(len(specs), chosen.rate, timing) <= PLANNING_LIMIT
+    assert settings.rate == default_rate(len(specs), timing)
+    assert bus_load(len(specs), settings.rate, timing) <= PLANNING_LIMIT
     zero = np.zeros(len(specs))
-    command = MitCommand(zero, zero, np.array(chosen.kp), np.array(chosen.kd), zero)
+    command = MitCommand(zero, zero, np.array(settings.kp), np.array(settings.kd), zero)
     assert encode_mit(command, Scaling([s.limits for s in specs])).shape == (
         len(specs),
         8,
     )
-    assert chosen.for_motors(specs, timing) == chosen
+    assert settings.for_motors(specs, timing) == settings
 
 
 @given(specs=SPECS, timing=TIMINGS, data=st.data())
@@ -53,11 +55,11 @@ def test_what_was_asked_for_is_kept(specs, timing, data):
     kp = tuple(data.draw(KP) for _ in specs)
     kd = data.draw(KD)
     rate = data.draw(st.floats(1.0, 1000.0))
-    chosen = PlaySettings(kp=kp, kd=(kd,), rate=rate, speed=0.3).for_motors(
+    settings = PlaySettings(kp=kp, kd=(kd,), rate=rate, speed=0.3).for_motors(
         specs, timing
     )
-    assert (chosen.kp, chosen.kd) == (kp, (kd,) * len(specs))
-    assert (chosen.rate, chosen.period, chosen.speed) == (rate, 1.0 / rate, 0.3)
+    assert (settings.kp, settings.kd) == (kp, (kd,) * len(specs))
+    assert (settings.rate, settings.period, settings.speed) == (rate, 1.0 / rate, 0.3)
 
 
 def test_another_number_of_gains_is_refused():
@@ -68,19 +70,19 @@ def test_another_number_of_gains_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("name", "bad"),
+    ("name", "setting"),
     [
         (n, -1.0)
-        for n, each in options_of(PlaySettings).items()
-        if each.check and not each.takes_many
+        for n, field in options_of(PlaySettings).items()
+        if field.check and not field.takes_many
     ]
-    + [("kp", (1.0, bad)) for bad in (-1.0, 500.1, np.nan)]
-    + [("kd", (1.0, bad)) for bad in (0.0, 5e-4, 5.1, np.nan)],
+    + [("kp", (1.0, setting)) for setting in (-1.0, 500.1, np.nan)]
+    + [("kd", (1.0, setting)) for setting in (0.0, 5e-4, 5.1, np.nan)],
 )
-def test_settings_that_are_no_sensible_numbers_are_refused(name, bad):
+def test_settings_that_are_no_sensible_numbers_are_refused(name, setting):
     flag = options_of(PlaySettings)[name].flag
     with pytest.raises(InputError, match=rf"^{flag} must be"):
-        PlaySettings(**{name: bad})
+        PlaySettings(**{name: setting})
 
 
 def test_a_motor_may_start_no_warmer_than_it_may_get():
@@ -91,13 +93,13 @@ def test_a_motor_may_start_no_warmer_than_it_may_get():
 @given(specs=SPECS, timing=TIMINGS, data=st.data())
 def test_a_light_joint_is_damped_less(specs, timing, data):
     inertia = np.array([data.draw(st.floats(1e-4, 10.0)) for _ in specs])
-    usual, chosen = (
+    plain, light = (
         PlaySettings().for_motors(specs, timing, i) for i in (None, inertia)
     )
-    assert chosen.kp == usual.kp
-    for i, kd, kp in zip(inertia, chosen.kd, usual.kp):
+    assert light.kp == plain.kp
+    for i, kd, kp in zip(inertia, light.kd, plain.kp):
         # Never less than 40 %: models often lack the rotors' inertia.
         least = max(0.4 * kp / 40.0, 0.05)
         assert kd == pytest.approx(
-            np.clip(min(kp / 40.0, i * chosen.rate), least, KD_MAX)
+            np.clip(min(kp / 40.0, i * light.rate), least, KD_MAX)
         )

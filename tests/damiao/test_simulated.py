@@ -93,8 +93,10 @@ def test_a_motor_keeps_its_command_until_it_is_disabled():
 def test_each_frame_is_answered_when_it_comes_and_an_echo_is_no_question():
     clock = SimulatedClock()
     arm = two_motor_arm()
-    asked = [(0.1 * i, refresh_frame(Address(0, i))) for i in (1, 2, 3)]
-    far = FarEnd(clock, *asked, (0.4, enable_frame(Address(0, 1))._replace(echo=True)))
+    requests = [(0.1 * i, refresh_frame(Address(0, i))) for i in (1, 2, 3)]
+    far = FarEnd(
+        clock, *requests, (0.4, enable_frame(Address(0, 1))._replace(echo=True))
+    )
     assert served(clock, far, arm, 1.0).left_out == 0.0
     assert far.answers == [(0.1, 17), (0.2, 18)] and not arm.motors[0].driving
     # It lives in whole steps, and is asked for the last time a tick before the end.
@@ -153,9 +155,9 @@ def adapter():
     bus = can.Bus(
         interface="slcan", channel=device, bitrate=1000000, sleep_after_open=0
     )
-    near = BusLink([bus], clock)
-    yield far, near, device
-    near.close()
+    near_link = BusLink([bus], clock)
+    yield far, near_link, device
+    near_link.close()
     far.close()
 
 
@@ -164,14 +166,14 @@ def test_frames_pass_through_the_adapter_both_ways_whatever_else_is_on_the_line(
     adapter,
 ):
     """A client that was killed leaves half a line."""
-    far, near, device = adapter
+    far, near_link, device = adapter
     clock = SystemClock()
     for number in range(1, 10):
-        near.send(Frame(number, bytes([number])))
-        asked = far.receive(clock.now() + PATIENCE)
-        assert (asked.id, asked.data) == (number, bytes([number]))
+        near_link.send(Frame(number, bytes([number])))
+        received = far.receive(clock.now() + PATIENCE)
+        assert (received.id, received.data) == (number, bytes([number]))
         far.send(Frame(0x100 + number, bytes(8)))
-        answer = near.receive(clock.now() + PATIENCE)
+        answer = near_link.receive(clock.now() + PATIENCE)
         assert (answer.id, answer.data) == (0x100 + number, bytes(8))
         # Half a frame, then the line that opens an adapter; what is none of either.
         line = os.open(device, os.O_WRONLY | os.O_NOCTTY)

@@ -40,8 +40,8 @@ def exported(chunks, types, **options):
 
 
 def reread(path):
-    found = read_damiao_trajectory(path)
-    return found.time, found.q, found.qd, found.tau
+    result = read_damiao_trajectory(path)
+    return result.time, result.q, result.qd, result.tau
 
 
 def test_the_file_looks_as_specified():
@@ -68,25 +68,25 @@ def test_what_is_written_is_read_back_within_the_printed_digits(data, tmp_path_f
     rate = data.draw(st.sampled_from([1000.0, 500.0, 300.0, 250.0, 123.4, 4000.0]))
     limits = np.array([MOTORS[t].limits for t in types]).T
     share = hnp.arrays(float, (3, samples, len(types)), elements=st.floats(-1.3, 1.3))
-    wanted = data.draw(share) * limits[:, None, :]
+    values = data.draw(share) * limits[:, None, :]
     time = np.arange(samples) / rate
     path = tmp_path_factory.mktemp("csv") / "damiao_trajectory.csv"
-    report = export_damiao_trajectory([(time, *wanted)], types, path)
-    inside = np.clip(wanted, -limits[:, None, :], limits[:, None, :])
+    report = export_damiao_trajectory([(time, *values)], types, path)
+    inside = np.clip(values, -limits[:, None, :], limits[:, None, :])
     got_time, *got = reread(path)
     np.testing.assert_allclose(got_time, time, rtol=0, atol=5.1e-7)
     np.testing.assert_allclose(got, inside, rtol=0, atol=5.1e-5)
     assert np.all(np.abs(got) <= limits[:, None, :])
-    changed = np.any(wanted != inside, axis=0).mean(axis=0) * 100
+    changed = np.any(values != inside, axis=0).mean(axis=0) * 100
     np.testing.assert_allclose(report.clamped_percent, changed, rtol=0, atol=1e-9)
 
 
 @given(cuts=st.lists(st.integers(1, 39), max_size=5))
 def test_the_chunk_size_changes_nothing(cuts):
-    whole = motion(40)
+    motion_chunk = motion(40)
     edges = [0, *sorted(set(cuts)), 40]
-    pieces = (tuple(x[a:b] for x in whole) for a, b in zip(edges, edges[1:]))
-    one = exported([whole], ["DM4340"] * 2)[1]
+    pieces = (tuple(x[a:b] for x in motion_chunk) for a, b in zip(edges, edges[1:]))
+    one = exported([motion_chunk], ["DM4340"] * 2)[1]
     assert exported(pieces, ["DM4340"] * 2)[1] == one
 
 
@@ -106,7 +106,7 @@ def test_ids_are_written_read_and_default_to_an_offset_of_sixteen(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
         ({"can_ids": [1, 1]}, "CAN id 0x01 is used by more than one motor"),
         ({"can_ids": [0, 1]}, "CAN id 0 is outside 1 to 15"),
@@ -120,8 +120,8 @@ def test_ids_are_written_read_and_default_to_an_offset_of_sixteen(tmp_path):
         ({"master_ids": [0x800, 0x12]}, "outside 0 to 0x7fe"),
     ],
 )
-def test_ids_that_cannot_share_a_bus_are_refused(options, words):
-    with pytest.raises(InputError, match=words):
+def test_ids_that_cannot_share_a_bus_are_refused(options, message):
+    with pytest.raises(InputError, match=message):
         exported([motion()], ["DM4340"] * 2, **options)
 
 
@@ -162,7 +162,7 @@ GOOD = "# motor_type=DM4340,can_id=1,mode=MIT\ntime,j0_pos,j0_vel,j0_tau\n"
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("", "no column line"),
         ("time,j0_pos,j0_vel,j0_tau\n0,0,0,0\n", "no '# motor_type=...' lines"),
@@ -181,10 +181,10 @@ GOOD = "# motor_type=DM4340,can_id=1,mode=MIT\ntime,j0_pos,j0_vel,j0_tau\n"
         (GOOD + "0,0,0,0\n0,0,0,0\n", "line 4: time does not increase"),
     ],
 )
-def test_bad_files_are_refused_with_the_line(text, words, tmp_path):
+def test_bad_files_are_refused_with_the_line(text, message, tmp_path):
     path = tmp_path / "bad.csv"
     path.write_text(text)
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=message):
         read_damiao_trajectory(path)
 
 
@@ -223,10 +223,10 @@ def mismatch(time, q, qd):
     return velocity_mismatch(time, np.round(q, 4), np.round(qd, 4))
 
 
-def differences(time, q, how):
+def differences(time, q, method):
     slope = np.diff(q, axis=0) / np.diff(time)[:, None]
-    still = np.zeros((1, q.shape[1]))
-    return np.vstack([slope, still] if how == "forward" else [still, slope])
+    zero = np.zeros((1, q.shape[1]))
+    return np.vstack([slope, zero] if method == "forward" else [zero, slope])
 
 
 @given(rate=RATES, seed=st.integers(0, 10**6), gap=st.booleans())
@@ -253,13 +253,13 @@ def test_another_scale_or_sign_is_found(rate, seed, factor):
     assert mismatch(time, q, qd).joint == 1
 
 
-@given(rate=RATES, seed=st.integers(0, 10**6), place=st.floats(0.2, 0.8))
-def test_a_jump_of_the_positions_is_found(rate, seed, place):
+@given(rate=RATES, seed=st.integers(0, 10**6), share=st.floats(0.2, 0.8))
+def test_a_jump_of_the_positions_is_found(rate, seed, share):
     time, q, qd = smooth_motion(rate, seed)
-    row = round(place * len(time))
+    row = round(share * len(time))
     q[row:, 0] += 0.02 if rate > 200.0 else 0.15
-    found = mismatch(time, q, qd)
-    assert found.joint == 0 and abs(found.row - row) <= 0.2 * rate + 8
+    result = mismatch(time, q, qd)
+    assert result.joint == 0 and abs(result.row - row) <= 0.2 * rate + 8
 
 
 def test_velocities_of_a_joint_that_stands_are_found_with_their_row():
@@ -267,8 +267,8 @@ def test_velocities_of_a_joint_that_stands_are_found_with_their_row():
     q = np.zeros((400, 1))
     qd = np.zeros((400, 1))
     qd[100:200] = 9.0
-    found = mismatch(time, q, qd)
-    assert (found.row, found.joint, found.stated, found.slope) == (100, 0, 9.0, 0.0)
+    result = mismatch(time, q, qd)
+    assert (result.row, result.joint, result.stated, result.slope) == (100, 0, 9.0, 0.0)
 
 
 @pytest.mark.parametrize("start", [0.0, 0.5, 0.1233])
@@ -314,8 +314,10 @@ def test_limits_that_are_asked_for_hold_joint_by_joint_at_the_speed_that_is_play
         *(("--max-acceleration", j) for j in (0, 1) if shaken[j] > top + 0.01),
         *(("--max-torque", j) for j in (0, 1) if share[2 + j] > 1.0),
     ]
-    said = [text.split() for text in limit_excesses(swinging, speed, limits)]
-    assert [(words[-2], int(words[1].rstrip(":")) - 1) for words in said] == due
+    findings = [text.split() for text in limit_excesses(swinging, speed, limits)]
+    assert [
+        (finding[-2], int(finding[1].rstrip(":")) - 1) for finding in findings
+    ] == due
     assert list(limit_excesses(swinging, speed, NO_LIMITS)) == []
 
 
@@ -337,18 +339,20 @@ def test_a_shaken_joint_is_refused_without_a_model_unless_it_is_fed_its_torque(
     wave = 2 * np.pi * 10
     q[:, 1] += amplitude * (1 - np.cos(wave * time))
     qd[:, 1] += amplitude * wave * np.sin(wave * time)
-    most = 0.0158 * speed**2 * amplitude * wave**2
-    for own in (0.0, inertia):
-        fed = tau + own * amplitude * wave**2 * np.cos(wave * time)[:, None] * [0, 1]
+    rotor_torque = 0.0158 * speed**2 * amplitude * wave**2
+    for inertia_of_rotor in (0.0, inertia):
+        fed = tau + inertia_of_rotor * amplitude * wave**2 * np.cos(wave * time)[
+            :, None
+        ] * [0, 1]
         file = trajectory_file(
             tmp_path_factory.mktemp("shake"), (time, q, qd, fed), "DM8009"
         )
-        said = [*rotor_problems(file, speed, torque_doubt(file.joints))]
-        if own == 0.0 and most > 1.1 * 2.4:
-            (why,) = said
+        problems = [*rotor_problems(file, speed, torque_doubt(file.joints))]
+        if inertia_of_rotor == 0.0 and rotor_torque > 1.1 * 2.4:
+            (why,) = problems
             assert (
                 "motor 2: at" in why
                 and "the torque of another motion; it cannot" in why
             )
-        elif own > 0.0 or most < 0.9 * 2.4:
-            assert said == []
+        elif inertia_of_rotor > 0.0 or rotor_torque < 0.9 * 2.4:
+            assert problems == []

@@ -73,7 +73,7 @@ class AbsurdLink:
 PAYLOADS = (
     st.binary(min_size=8, max_size=8)
     | st.builds(
-        lambda j, rest: bytes([0x10 | j]) + rest,
+        lambda j, tail: bytes([0x10 | j]) + tail,
         st.integers(1, 2),
         st.binary(min_size=7, max_size=7),
     )
@@ -102,18 +102,18 @@ def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
     position_step, velocity_step, torque_step = session.steps
     for position, velocity, torque, braking, pause in requests:
         clock.sleep_until(clock.now() + pause)
-        before = len(link.sent)
+        n_sent_before = len(link.sent)
         believed, _ = session.believed_motion
-        asked = MitCommand(
+        requested = MitCommand(
             np.array(position), np.array(velocity), np.array([180.0, 60.0]),
             np.array([4.5, 1.5]), np.array(torque),
         )  # fmt: skip
         try:
-            session.exchange(asked, clock.now() + 0.004, braking=braking)
+            session.exchange(requested, clock.now() + 0.004, braking=braking)
         except SysidError:
-            assert len(link.sent) == before and not braking
+            assert len(link.sent) == n_sent_before and not braking
             continue
-        for moment, frame in link.sent[before:]:
+        for moment, frame in link.sent[n_sent_before:]:
             j = frame.id - 1
             raw = np.frombuffer(frame.data, dtype=np.uint8)[None]
             one = Scaling([JOINTS[j].spec.limits])
@@ -122,8 +122,10 @@ def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
             )
             # A late cycle's share may be used by the next one, and no more than 20 ms of it.
             reach = SPEED[j] * (min(moment - sent_at[j], 0.2) + 0.02)
-            whole = SPEED[j] * (moment - enabled_at + 0.02)
-            assert abs(p - start[j]) <= whole + 2.0 * position_step[j] * len(requests)
+            total_reach = SPEED[j] * (moment - enabled_at + 0.02)
+            assert abs(p - start[j]) <= total_reach + 2.0 * position_step[j] * len(
+                requests
+            )
             assert lower[j] - position_step[j] <= p <= upper[j] + position_step[j]
             assert abs(p - last[j]) <= reach + 2.0 * position_step[j]
             assert abs(v) <= SPEED[j] + 2.0 * velocity_step[j]
@@ -154,7 +156,7 @@ def command(position=0.0, velocity=0.0, torque=0.0, kp=100.0):
 
 
 @pytest.mark.parametrize(
-    ("asked", "error_type", "words"),
+    ("requested", "error_type", "message"),
     [
         (command(position=0.03), BeyondBounds, "would be sent to 0.030 rad"),
         (command(position=float("nan")), BeyondBounds, "would be sent to nan"),
@@ -167,17 +169,19 @@ def command(position=0.0, velocity=0.0, torque=0.0, kp=100.0):
         (command(position=0.01, torque=6.5), Overload, "would be asked for 7.5 N m"),
     ],
 )
-def test_what_is_asked_too_much_is_named(asked, error_type, words):
-    with pytest.raises(BeyondBounds, match=f"^second {words}") as error:
-        BOUNDS.require(LABELS, asked, *STANDING)
+def test_what_is_asked_too_much_is_named(requested, error_type, message):
+    with pytest.raises(BeyondBounds, match=f"^second {message}") as error:
+        BOUNDS.require(LABELS, requested, *STANDING)
     assert error.type is error_type
-    BOUNDS.require(LABELS, BOUNDS.confine(asked, *STANDING), *STANDING)
+    BOUNDS.require(LABELS, BOUNDS.confine(requested, *STANDING), *STANDING)
 
 
 def test_what_is_within_the_bounds_is_left_as_it_is():
-    asked = command(position=0.019, velocity=1.9, torque=5.0)
-    BOUNDS.require(LABELS, asked, *STANDING)
-    np.testing.assert_allclose(BOUNDS.confine(asked, *STANDING), asked, atol=1e-12)
+    requested = command(position=0.019, velocity=1.9, torque=5.0)
+    BOUNDS.require(LABELS, requested, *STANDING)
+    np.testing.assert_allclose(
+        BOUNDS.confine(requested, *STANDING), requested, atol=1e-12
+    )
 
 
 def test_a_range_wider_than_frames_can_say_is_cut_to_what_they_can():

@@ -53,8 +53,10 @@ def weak(joint, share):
 @pytest.mark.parametrize("holding", [MODEL, FILE], ids=["model", "file"])
 @pytest.mark.parametrize("joint", [0, 1])
 def test_a_weak_motor_shows_in_its_own_joint(holding, joint):
-    words = named(holding, weak(joint, 0.5))
-    assert words.startswith(f"motor {joint + 1} makes 0.50 times") and "weak" in words
+    message = named(holding, weak(joint, 0.5))
+    assert (
+        message.startswith(f"motor {joint + 1} makes 0.50 times") and "weak" in message
+    )
 
 
 def test_a_load_shows_in_all_joints():
@@ -64,10 +66,10 @@ def test_a_load_shows_in_all_joints():
 @pytest.mark.parametrize("joint", [0, 1])
 def test_a_zero_that_has_moved_shows_in_all_joints_beyond(joint):
     shifted = Q + 0.3 * np.eye(4)[joint]
-    words = named(MODEL, gravity(shifted))
+    message = named(MODEL, gravity(shifted))
     # A joint that turns all links beyond it alike is told from its neighbour by those between.
-    assert "has moved by 0." in words or "weak" in words
-    assert f"motor {joint + 1}" in words
+    assert "has moved by 0." in message or "weak" in message
+    assert f"motor {joint + 1}" in message
 
 
 def test_what_is_over_was_a_push_or_a_moment_of_weakness():

@@ -47,9 +47,9 @@ def observer(**settings):
 
 def sample(time=0.0, q=0.0, qd=0.0, tau=0.0, status=1, mos=30, rotor=30, answered=True):
     """What two joints answer: the first as it should, the second these values."""
-    two = [np.array([usual, odd]) for usual, odd in ((0, q), (0, qd), (0, tau))]
+    two = [np.array([normal, odd]) for normal, odd in ((0, q), (0, qd), (0, tau))]
     codes = [
-        np.array([usual, odd]) for usual, odd in ((1, status), (30, mos), (30, rotor))
+        np.array([normal, odd]) for normal, odd in ((1, status), (30, mos), (30, rotor))
     ]
     if not answered:
         for values in two:
@@ -60,14 +60,14 @@ def sample(time=0.0, q=0.0, qd=0.0, tau=0.0, status=1, mos=30, rotor=30, answere
     return Replies(np.array([True, answered]), stamps, feedback, np.ones(2, bool))
 
 
-def stop_words(*samples, asked=(0.0, 0.0, 0.0), how=(), **settings):
+def stop_words(*samples, reference=(0.0, 0.0, 0.0), flags=(), **settings):
     """What an observer says to samples under one command of the second joint, or None."""
     watched = observer(**settings)
-    p, v, t = (np.array([0.0, value]) for value in asked)
+    p, v, t = (np.array([0.0, value]) for value in reference)
     try:
         for replies in samples:
             watched.update(replies)
-            watched.check(replies, MitCommand(p, v, 0 * p, 0 * p, t), *how)
+            watched.check(replies, MitCommand(p, v, 0 * p, 0 * p, t), *flags)
     except HardwareAbort as stopped:
         return str(stopped)
     return None
@@ -77,9 +77,9 @@ def test_while_gains_rise_a_new_load_is_judged_by_how_far_the_arm_sinks():
     """It swings about where it will settle; a rated 9 N m sink it by 0.05 rad, two stop it."""
     swings = sample(q=-0.09, tau=20.0)
     sinks = sample(q=-0.11, tau=5.0)
-    assert stop_words(swings, how=(True, True)) is None
-    assert "N m off its torque, limit 7" in stop_words(swings, swings, how=(True,))
-    assert "-0.110 rad off" in stop_words(sinks, how=(True, True))
+    assert stop_words(swings, flags=(True, True)) is None
+    assert "N m off its torque, limit 7" in stop_words(swings, swings, flags=(True,))
+    assert "-0.110 rad off" in stop_words(sinks, flags=(True, True))
 
 
 WITHIN = 1.0 - 1e-6
@@ -126,36 +126,36 @@ LIMITS = (
 )
 
 
-@pytest.mark.parametrize(("case", "words"), LIMITS)
-def test_each_limit_holds_to_a_millionth(case, words):
+@pytest.mark.parametrize(("case", "message"), LIMITS)
+def test_each_limit_holds_to_a_millionth(case, message):
     for share in (WITHIN, BEYOND):
-        samples, asked = case(share)
+        samples, reference = case(share)
         # Speeds and torques count when two samples in a row agree.
-        said = stop_words(*samples, *samples, asked=asked)
-        assert (said is None) == (share < 1.0), said
-    assert words in said
-    assert said.startswith("motor 2")
+        finding = stop_words(*samples, *samples, reference=reference)
+        assert (finding is None) == (share < 1.0), finding
+    assert message in finding
+    assert finding.startswith("motor 2")
 
 
 @pytest.mark.parametrize(
-    ("asked", "cycles", "words"),
+    ("requested", "cycles", "message"),
     [
         (True, 3, "motor 2 did not answer in time for 3 cycles"),
         (False, 6, "in time for 6 cycles"),
     ],
 )
-def test_a_motor_may_be_silent_for_so_long_and_no_longer(asked, cycles, words):
+def test_a_motor_may_be_silent_for_so_long_and_no_longer(requested, cycles, message):
     """Three commands without an answer, or six cycles where it was not commanded."""
     gap = sample(answered=False)
-    gap = Replies(gap.answered, gap.time, gap.feedback, np.array([True, asked]))
+    gap = Replies(gap.answered, gap.time, gap.feedback, np.array([True, requested]))
     assert stop_words(*[gap] * (cycles - 1)) is None
     assert stop_words(*[gap] * (cycles - 1), sample(), *[gap] * (cycles - 1)) is None
-    assert words in stop_words(*[gap] * cycles)
+    assert message in stop_words(*[gap] * cycles)
 
 
 def test_what_a_run_was_like_is_counted():
     watched = observer()
-    still = MitCommand(*[np.zeros(2)] * 5)
+    zero_command = MitCommand(*[np.zeros(2)] * 5)
     for replies in (
         sample(q=0.1),
         sample(1, 0.095),
@@ -164,7 +164,7 @@ def test_what_a_run_was_like_is_counted():
     ):
         watched.update(replies)
         if replies.feedback.status[1] != 0xA:
-            watched.check(replies, still)
+            watched.check(replies, zero_command)
     np.testing.assert_allclose(watched.worst_tracking, [0.0, 0.1])
     assert watched.total_missed.tolist() == [0, 1] and watched.failed.tolist() == [
         False,
@@ -204,10 +204,10 @@ def motion(cycles, change=lambda k, signals: None):
             np.full(2, 4.5),
             fed,
         )
-        made = command.motor_torque(
+        commanded = command.motor_torque(
             np.array([0.0, signals["q"]]), np.array([0.0, signals["qd"]])
         )
-        tau = made[1] if signals["tau"] is None else signals["tau"](made[1])
+        tau = commanded[1] if signals["tau"] is None else signals["tau"](commanded[1])
         replies = sample(time, signals["q"], signals["qd"], tau)
         replies.feedback.torque[0] = 8.0
         yield replace(replies, **signals["extra"]), command
@@ -255,14 +255,14 @@ def slip(speed):
 
 
 DISAGREE = (
-    (after(tau=lambda k, s: lambda made: -made), "its sign is reversed", 5),
+    (after(tau=lambda k, s: lambda commanded: -commanded), "its sign is reversed", 5),
     (
-        after(tau=lambda k, s: lambda made: 0.4 * made, t=lambda k, s: 9.0),
+        after(tau=lambda k, s: lambda commanded: 0.4 * commanded, t=lambda k, s: 9.0),
         "makes 0.40 times",
         5,
     ),
     (
-        after(tau=lambda k, s: lambda made: made + (-9.0) ** (k % 2)),
+        after(tau=lambda k, s: lambda commanded: commanded + (-9.0) ** (k % 2)),
         "does not do what it is commanded",
         8,
     ),
@@ -270,7 +270,9 @@ DISAGREE = (
     (slip(0.4), "rad/s beside the velocity", 80),
     (
         after(
-            q=lambda k, s: STILL, qd=lambda k, s: 0.1, tau=lambda k, s: lambda made: 2.0
+            q=lambda k, s: STILL,
+            qd=lambda k, s: 0.1,
+            tau=lambda k, s: lambda commanded: 2.0,
         ),
         "repeats the same answer",
         15,
@@ -288,11 +290,11 @@ DISAGREE = (
 
 
 @pytest.mark.parametrize(
-    ("change", "words", "cycles"), DISAGREE, ids=[w for _, w, _ in DISAGREE]
+    ("change", "message", "cycles"), DISAGREE, ids=[w for _, w, _ in DISAGREE]
 )
-def test_what_disagrees_stops_the_run_soon_and_names_the_joint(change, words, cycles):
+def test_what_disagrees_stops_the_run_soon_and_names_the_joint(change, message, cycles):
     k, stopped, _ = stop_of(change)
-    assert stopped is not None and words in str(stopped), stopped
+    assert stopped is not None and message in str(stopped), stopped
     assert str(stopped).startswith("motor 2 ")
     assert BEGIN <= k <= BEGIN + cycles
 

@@ -130,7 +130,7 @@ def test_garbage_collection_and_the_switch_interval_are_put_back():
 
 @LINUX
 def test_the_system_itself_gives_and_takes_it():
-    before = os.sched_getscheduler(0)
+    policy_before = os.sched_getscheduler(0)
     with undisturbed_processor() as is_granted:
         assert (os.sched_getscheduler(0) == os.SCHED_FIFO) == is_granted
-    assert os.sched_getscheduler(0) == before
+    assert os.sched_getscheduler(0) == policy_before

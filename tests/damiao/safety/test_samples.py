@@ -30,12 +30,12 @@ def answer(k, q=None, qd=None, tau=None, status=1, heat=30):
     command = MitCommand(*(np.array([x]) for x in (p, v, KP, 4.5, 3.0)))
     q = p if q is None else q
     qd = v if qd is None else qd
-    made = command.motor_torque(np.array([q]), np.array([qd]))[0]
-    fields = (np.array([float(x)]) for x in (q, qd, made if tau is None else tau))
+    commanded = command.motor_torque(np.array([q]), np.array([qd]))[0]
+    fields = (np.array([float(x)]) for x in (q, qd, commanded if tau is None else tau))
     codes = (np.array([x]) for x in (heat, 30))
     feedback = Feedback(np.array([1]), np.array([status]), *fields, *codes)
-    seen = np.ones(1, bool)
-    return Replies(seen, np.array([k * CYCLE]), feedback, seen), command
+    answered = np.ones(1, bool)
+    return Replies(answered, np.array([k * CYCLE]), feedback, answered), command
 
 
 def believed(*changes):
@@ -64,20 +64,24 @@ OFF = {
 }
 
 
-@pytest.mark.parametrize("kind", OFF)
-def test_one_damaged_answer_is_set_aside_and_the_next_good_one_believed(kind):
-    assert believed(OFF[kind](11), {}, {}) == [False, True, True]
+@pytest.mark.parametrize("offset", OFF)
+def test_one_damaged_answer_is_set_aside_and_the_next_good_one_believed(offset):
+    assert believed(OFF[offset](11), {}, {}) == [False, True, True]
 
 
-@pytest.mark.parametrize("kind", ["velocity", "torque", "status", "disabled", "heat"])
-def test_two_that_agree_are_believed(kind):
-    assert believed(OFF[kind](11), OFF[kind](12), OFF[kind](13)) == [False, True, True]
+@pytest.mark.parametrize("offset", ["velocity", "torque", "status", "disabled", "heat"])
+def test_two_that_agree_are_believed(offset):
+    assert believed(OFF[offset](11), OFF[offset](12), OFF[offset](13)) == [
+        False,
+        True,
+        True,
+    ]
 
 
 def test_a_position_that_the_torque_contradicts_is_never_believed():
     """Its motor holds the joint where it was: what reports is wrong, and not where it is."""
-    kind = OFF["position"]
-    assert believed(*(kind(k) for k in range(11, 17))) == [False] * 6
+    offset = OFF["position"]
+    assert believed(*(offset(k) for k in range(11, 17))) == [False] * 6
 
 
 def test_an_encoder_that_jumps_with_its_motor_is_a_finding():
@@ -101,9 +105,9 @@ def test_a_motor_that_goes_off_does_not_jump():
 def test_missing_answers_change_nothing():
     judge = SampleFilter(np.array([PEAK]), np.array([STEP]))
     judge.start(0.0, np.zeros(1))
-    good, command = answer(1)
-    judge.believe(good, command)
-    missing = replace(good, answered=np.zeros(1, bool), time=np.full(1, np.nan))
+    replies, command = answer(1)
+    judge.believe(replies, command)
+    missing = replace(replies, answered=np.zeros(1, bool), time=np.full(1, np.nan))
     for _ in range(3):
         assert not judge.believe(missing, command).doubted[0]
     assert judge.believe(*answer(5)).answered[0]

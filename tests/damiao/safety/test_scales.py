@@ -56,9 +56,9 @@ def test_a_joint_that_slows_down_within_a_cycle_is_not_taken_for_one_of_another_
     for n in range(600):
         speed = 1.0 + 0.5 * np.sin(0.02 * n)
         target += speed * cycle
-        rest = target + speed * cycle / fades
-        away = step @ [(p - rest) / cycle, v]
-        p = rest + away[0] * cycle
+        last_speed = target + speed * cycle / fades
+        away = step @ [(p - last_speed) / cycle, v]
+        p = last_speed + away[0] * cycle
         v = away[1]
         check.add(np.full(1, n * cycle), np.full(1, p), np.full(1, v))
     assert check.worst() is None
@@ -69,16 +69,16 @@ def test_a_motor_that_reports_another_torque_than_it_was_told_to_make_is_found(r
     """By more than 15 %, from what it does slowly, and not before it is clear."""
     peak = np.array([27.0, 27.0])
     check = TorqueScalingCheck(0.01 * peak / 27, peak)
-    wrong = abs(ratio - 1.0) > 0.15
+    is_wrong = abs(ratio - 1.0) > 0.15
     for k in range(30):
         tau = np.array([2.0, 5.0 + 0.1 * k])
         check.add(tau, tau * [1.0, ratio], np.zeros(2))
         # Fast, or beyond what the motor can do: says nothing.
         check.add(tau, 9 * tau, np.full(2, 0.11))
         check.add(20 * tau, tau, np.zeros(2))
-        found = check.worst()
-        assert (found is not None) == (wrong and k >= 24)
-    assert found is None or (found[0] == 1 and found[1] == pytest.approx(ratio))
+        worst = check.worst()
+        assert (worst is not None) == (is_wrong and k >= 24)
+    assert worst is None or (worst[0] == 1 and worst[1] == pytest.approx(ratio))
 
 
 @pytest.mark.parametrize("speed", [-0.3, 0.3])

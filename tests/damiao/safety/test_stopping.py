@@ -63,9 +63,14 @@ def test_a_joint_that_was_slower_brakes_from_its_own_speed():
 
 
 def test_it_stays_within_the_range():
-    near = CommandRange(np.full(2, -1.0), np.full(2, 1.0), np.full(2, 9.0))
+    narrow_range = CommandRange(np.full(2, -1.0), np.full(2, 1.0), np.full(2, 9.0))
     path = stop(
-        (0.9, 0.0), (2.0, 0.0), (0.0, 0.0), (0.9, 0.0), (2.0, 0.0), command_range=near
+        (0.9, 0.0),
+        (2.0, 0.0),
+        (0.0, 0.0),
+        (0.9, 0.0),
+        (2.0, 0.0),
+        command_range=narrow_range,
     )
     assert path(path.duration).position[0] == 1.0
 
@@ -95,9 +100,9 @@ def test_what_a_sagging_joint_needs_is_kept():
     """It begins to sink as soon as a part of its torque is given back."""
     q = (0.0, -0.05)
     path = stop((0.0, 0.0), (0.0, 0.0), (2.0, 3.0), q, (0.0, 0.0))
-    before = pull(step_by_step(path, q, 0.1), q)[1]
+    pull_before = pull(step_by_step(path, q, 0.1), q)[1]
     sunk = (0.0, -0.062)
-    assert pull(step_by_step(path, sunk, 3.0), sunk)[1] > before
+    assert pull(step_by_step(path, sunk, 3.0), sunk)[1] > pull_before
 
 
 def test_a_joint_that_stands_against_its_motor_is_pushed_no_more_at_once():

@@ -54,9 +54,9 @@ def finding(robot, run):
     """When a run is found wrong [s], the joint, and the words; None where it never is."""
     check = MovedZeroCheck(robot, JOINTS)
     for time, q, qd, tau in zip(run.time, run.q, run.qd, run.tau):
-        found = check(time, q, qd, tau)
-        if found is not None:
-            return time, *found
+        finding_now = check(time, q, qd, tau)
+        if finding_now is not None:
+            return time, *finding_now
     return None
 
 
@@ -82,16 +82,16 @@ def mounted_arm():
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("angle", [-0.3, 0.3])
 def test_a_moved_zero_is_named(arm, seed, angle):
-    _, joint, words = finding(arm, played(arm, seed, 0.15, shift=angle))
-    assert joint == 1 and "its zero has moved since its map was made" in words
+    _, joint, message = finding(arm, played(arm, seed, 0.15, shift=angle))
+    assert joint == 1 and "its zero has moved since its map was made" in message
 
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("speed", [-0.3, 0.3])
 def test_a_gear_that_slips_is_named_while_it_slips(mounted_arm, seed, speed):
     run = played(mounted_arm, seed, 0.15, slip=speed, since=4.0)
-    time, joint, words = finding(mounted_arm, run)
-    assert 4.0 < time < 6.5 and joint == 1 and "its gear slips" in words
+    time, joint, message = finding(mounted_arm, run)
+    assert 4.0 < time < 6.5 and joint == 1 and "its gear slips" in message
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -118,8 +118,8 @@ def test_cycles_without_an_answer_are_left_out(arm):
     check = MovedZeroCheck(arm, JOINTS)
     silent = np.full(3, np.nan)
     for cycle, (time, q, qd, tau) in enumerate(zip(run.time, run.q, run.qd, run.tau)):
-        found = check(time, silent if cycle % 7 == 0 else q, qd, tau)
-    assert found is not None and found[0] == 1
+        finding_now = check(time, silent if cycle % 7 == 0 else q, qd, tau)
+    assert finding_now is not None and finding_now[0] == 1
 
 
 def test_a_link_without_mass_has_no_errors_to_compete(arm):
