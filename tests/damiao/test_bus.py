@@ -1,329 +1,142 @@
-"""The same arm behind python-can, several buses behind one link, and the log of all frames."""
+"""Real-time priority of a control loop, and the guard of the bus."""
 
 from __future__ import annotations
 
-import errno
-import subprocess
+import contextlib
+import gc
+import os
 import sys
 import threading
-import time
 
-import can
-import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from robot_sysid.damiao.adapters import (
-    INTERFACES,
-    SERIAL_ADAPTER,
-    BusAddress,
-    BusLink,
-    DriverWatch,
-    open_bus,
-)
-from robot_sysid.damiao.bus import (
-    GuardedLink,
-    LinkError,
-    SimulatedClock,
-    SystemClock,
-    inspect_bus,
-)
-from robot_sysid.damiao.protocol import BusTiming, Frame
-from robot_sysid.damiao.recorder import RawFrameLog
-from robot_sysid.errors import InputError, SysidError
-from tests.support.damiao_rig import two_motor_arm
+from robot_sysid.damiao.bus import PRIORITY, lacks_priority, undisturbed_processor
+from robot_sysid.damiao.protocol import Frame
+from robot_sysid.errors import SysidError
 from tests.support.motor_bench import Bench
 
-WALL = 1.7e9
-FRAMES = st.builds(
-    lambda identifier, data, fd: Frame(identifier, data, fd=fd),
-    *(st.integers(0, 0x7FF), st.binary(max_size=8), st.booleans()),
-)
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's scheduling")
 
 
-def virtual(channel):
-    return BusAddress("virtual", (channel,))
+class Scheduler:
+    """Stands for the system's scheduler; ``policies`` and ``priorities`` are by thread."""
+
+    def __init__(self, monkeypatch, is_allowed=True, policy=0):
+        self.is_allowed = is_allowed
+        self.schedules = {}
+        self.first_policy = policy
+        monkeypatch.setattr(os, "sched_getscheduler", self.policy)
+        monkeypatch.setattr(os, "sched_setscheduler", self.schedule)
+
+    def policy(self, thread_id):
+        return self.schedules.get(thread_id, (self.first_policy, 0))[0]
+
+    def schedule(self, thread_id, policy, parameters):
+        if not self.is_allowed:
+            raise PermissionError(1, "Operation not permitted")
+        self.schedules[thread_id] = policy, parameters.sched_priority
 
 
-class ArmBus:
-    """What BusLink needs of a python-can bus, with a simulated arm on it, in simulated time."""
-
-    def __init__(self, clock, arm=None):
-        self._clock = clock
-        self._arm = arm
-        self.waiting = []
-
-    def send(self, message, timeout):
-        frame = Frame(message.arbitration_id, bytes(message.data), fd=message.is_fd)
-        for reply in self._arm.handle(frame, self._clock.now()):
-            self.waiting.append(self.message(reply.id, reply.data))
-
-    def message(self, identifier=1, data=b"", age=0.0, **fields):
-        stamp = WALL + self._clock.now() - age
-        fields = {"is_extended_id": False, **fields}
-        return can.Message(
-            timestamp=stamp, arbitration_id=identifier, data=data, **fields
-        )
-
-    def recv(self, timeout):
-        if self.waiting:
-            return self.waiting.pop(0)
-        self._clock.sleep_until(self._clock.now() + timeout)
-        return None
+@contextlib.contextmanager
+def waiting_thread():
+    """A thread that waits for the end of the block; yields its number."""
+    leave = threading.Event()
+    thread = threading.Thread(target=leave.wait)
+    thread.start()
+    try:
+        yield thread.native_id
+    finally:
+        leave.set()
+        thread.join()
 
 
-@pytest.fixture
-def clock(monkeypatch):
-    """A simulated clock that the wall clock follows."""
-    simulated = SimulatedClock()
-    monkeypatch.setattr(time, "time", lambda: WALL + simulated.now())
-    return simulated
+@LINUX
+def test_the_loop_goes_before_the_other_threads_and_these_before_other_programs(
+    monkeypatch,
+):
+    scheduler = Scheduler(monkeypatch)
+    with waiting_thread() as other, undisturbed_processor() as is_granted:
+        assert is_granted
+        assert not lacks_priority()
+        assert scheduler.schedules[0] == (os.SCHED_FIFO, PRIORITY)
+        policy, priority = scheduler.schedules[other]
+        assert policy == os.SCHED_FIFO
+        assert 0 < priority < PRIORITY
 
 
-def test_an_arm_behind_pythons_messages_answers(clock):
-    link = GuardedLink(BusLink([ArmBus(clock, two_motor_arm())], clock), clock)
-    inspection = inspect_bus(link)
-    assert sorted(inspection.motors) == [(0, 1), (0, 2)]
-    assert inspection.motors[0, 1].limits == (12.5, 10.0, 28.0)
-    assert inspection.motors[0, 2].feedback.temperature_rotor[0] == 29
+@LINUX
+@pytest.mark.parametrize("error", [None, ValueError, KeyboardInterrupt, SystemExit])
+def test_priority_is_given_back_on_every_way_out(monkeypatch, error):
+    scheduler = Scheduler(monkeypatch)
+    expected = pytest.raises(error) if error else contextlib.nullcontext()
+    with contextlib.ExitStack() as stack:
+        earlier = stack.enter_context(waiting_thread())
+        with expected, undisturbed_processor():
+            # It inherits the loop's priority.
+            later = stack.enter_context(waiting_thread())
+            if error:
+                raise error
+        for thread_id in (0, earlier, later):
+            assert scheduler.schedules[thread_id] == (os.SCHED_OTHER, 0)
 
 
+@LINUX
 @pytest.mark.parametrize(
-    ("age", "taken_back"),
-    [(0.0, 0.0), (0.3, 0.3), (0.999, 0.999), (-0.1, 0.0), (1.5, 0.0)],
+    ("policy", "is_granted"), [("SCHED_RR", True), ("SCHED_BATCH", False)]
 )
-def test_stamps_are_in_our_clock_unless_they_are_of_another_one(clock, age, taken_back):
-    bus = ArmBus(clock)
-    clock.sleep_until(5.0)
-    bus.waiting = [bus.message(age=age)]
-    # The wall clock counts in quarters of a microsecond.
-    assert BusLink([bus], clock).receive(6.0).time == pytest.approx(
-        5.0 - taken_back, abs=1e-6
-    )
+def test_a_policy_that_somebody_has_chosen_stays(monkeypatch, policy, is_granted):
+    scheduler = Scheduler(monkeypatch, policy=getattr(os, policy))
+    with undisturbed_processor() as has_priority:
+        assert has_priority == is_granted
+    assert scheduler.schedules == {}
 
 
-def test_extended_frames_are_passed_over_and_echoes_marked(clock):
-    bus = ArmBus(clock)
-    bus.waiting = [
-        bus.message(7, is_extended_id=True),
-        bus.message(1, is_rx=False),
-        bus.message(2, is_error_frame=True),
-        bus.message(3),
-    ]
-    link = BusLink([bus], clock)
-    frames = [link.receive(1.0) for _ in range(3)]
-    assert [(f.id, f.echo, f.error) for f in frames] == [
-        (1, True, False),
-        (2, False, True),
-        (3, False, False),
-    ]
-    assert link.receive(1.0) is None and clock.now() == 1.0
+@LINUX
+def test_a_user_without_the_right_goes_on_without(monkeypatch):
+    scheduler = Scheduler(monkeypatch, is_allowed=False)
+    with undisturbed_processor() as is_granted:
+        assert not is_granted
+        assert lacks_priority()
+        assert not gc.isenabled()
+    assert gc.isenabled()
+    assert scheduler.schedules == {}
 
 
-def test_a_bus_that_breaks_raises_our_error():
-    clock = SystemClock()
-    link = open_bus(virtual("broken"), BusTiming(), clock)
-    link.close()
-    with pytest.raises(LinkError, match="does not take frames"):
-        link.send(Frame(1, b""))
-    with pytest.raises(LinkError, match="cannot be read"):
-        link.receive(clock.now())
+@pytest.mark.parametrize("platform", ["darwin", "win32"])
+def test_a_system_that_knows_no_such_priority_goes_on_without(monkeypatch, platform):
+    monkeypatch.setattr(sys, "platform", platform)
+    for name in ("sched_getscheduler", "sched_setscheduler", "SCHED_FIFO", "SCHED_RR"):
+        monkeypatch.delattr(os, name, raising=False)
+    with undisturbed_processor() as is_granted:
+        assert not is_granted
+        assert not lacks_priority()
 
 
-class Broken:
-    """A driver that raises something, whatever it is asked."""
-
-    def __init__(self, error_type):
-        self._kind = error_type
-
-    def send(self, *_, timeout=None):
-        raise self._kind(7)
-
-    recv = shutdown = send
+@LINUX
+def test_simulated_time_takes_no_priority(monkeypatch):
+    """It never waits, and would keep a processor for itself."""
+    scheduler = Scheduler(monkeypatch)
+    with undisturbed_processor(live=False) as is_granted:
+        assert not is_granted
+    assert scheduler.schedules == {}
 
 
-@pytest.mark.parametrize("error_type", [can.CanError, ValueError, SystemExit])
-def test_whatever_a_driver_raises_is_our_error(clock, error_type):
-    link = BusLink([Broken(error_type)], clock)
-    for call in (lambda: link.send(Frame(1, b"")), lambda: link.receive(0.1)):
-        with pytest.raises(LinkError, match="7"):
-            call()
-    for broken_link in (link, BusLink([Broken(KeyboardInterrupt)], clock)):
-        broken_link.close()
+def test_garbage_collection_and_the_switch_interval_are_put_back():
+    interval = sys.getswitchinterval()
+    with pytest.raises(ValueError), undisturbed_processor():
+        assert not gc.isenabled()
+        assert sys.getswitchinterval() < 1e-3
+        raise ValueError
+    assert gc.isenabled()
+    assert sys.getswitchinterval() == interval
 
 
-def test_a_garbled_line_is_a_lost_frame_and_several_within_a_second_are_an_error(clock):
-    class Garbled(ArmBus):
-        def recv(self, timeout):
-            message = super().recv(timeout)
-            if message is not None and message.arbitration_id == 99:
-                raise ValueError("invalid literal")
-            return message
-
-    bus = Garbled(clock)
-    link = BusLink([bus], clock)
-    for _ in range(5):
-        bus.waiting = [bus.message(99), bus.message(99), bus.message(3)]
-        assert link.receive(clock.now() + 0.1).id == 3
-        assert link.receive(clock.now() + 1.0) is None
-    bus.waiting = [bus.message(99)] * 3
-    with pytest.raises(LinkError, match="3 lines within a second.*invalid literal"):
-        link.receive(clock.now() + 0.1)
-
-
-def test_a_driver_that_does_not_return_is_told_and_a_busy_one_is_not(monkeypatch):
-    monkeypatch.setattr("robot_sysid.damiao.adapters._LOOK", 1e-3)
-    reports = []
-    ended = threading.Event()
-
-    def tell(message, last):
-        reports.append((message, last))
-        if last:
-            ended.set()
-
-    class Hanging(Broken):
-        def send(self, *_, timeout=None):
-            assert ended.wait(20.0)
-
-    watch = DriverWatch(tell)
-    clock = SystemClock()
-    busy = BusLink([ArmBus(clock, two_motor_arm())], clock, watch)
-    until = clock.now() + 0.2
-    while clock.now() < until:
-        busy.receive(clock.now() + 2e-3)
-    assert reports == []
-    BusLink([Hanging(None)], clock, watch).send(Frame(1, b""))
-    assert [last for _, last in reports] == [False, True]
-    assert "nothing can be sent meanwhile" in reports[0][0]
-
-
-# Older releases of python-can trip over a bus they have only half built.
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize(
-    ("interface", "channel", "message"),
-    [
-        ("udp_multicast", "239.0.0.1", "--interface 'udp_multicast': choose one of"),
-        ("socketcan", "no-such-bus", "cannot open socketcan channel no-such-bus"),
-    ],
-)
-def test_a_bus_that_cannot_be_opened_is_said(interface, channel, message):
-    with pytest.raises(InputError, match=message):
-        open_bus(BusAddress(interface, (channel,)), BusTiming(), SystemClock())
-
-
-def test_no_interface_reaches_a_network():
-    assert not {"udp_multicast", "socketcand", "remote"} & set(INTERFACES)
-    assert set(INTERFACES) - {SERIAL_ADAPTER} <= set(can.VALID_INTERFACES)
-
-
-def test_everything_but_the_bus_works_without_python_can():
-    """With python-can out of reach, all modules import, and opening a bus says what to install."""
-    script = """
-import pkgutil, sys
-sys.modules["can"] = None
-import robot_sysid.damiao
-for module in pkgutil.walk_packages(robot_sysid.damiao.__path__, "robot_sysid.damiao."):
-    __import__(module.name)
-from robot_sysid.cli import main
-sys.exit(main(["motors", "check", "--channel", "can0"]))
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True
-    )
-    assert done.returncode == 2
-    assert done.stderr.strip().endswith('pip install "robot-sysid[can]"')
-    assert len(done.stderr.strip().splitlines()) == 1
-
-
-class OneBus(ArmBus):
-    """Remembers what is sent, and delivers messages (time, data) at their times."""
-
-    def __init__(self, clock, *messages):
-        super().__init__(clock)
-        self._messages = list(messages)
-        self.sent = []
-        self.closed = False
-
-    def send(self, message, timeout):
-        self.sent.append(bytes(message.data))
-
-    def recv(self, timeout):
-        if self._messages and self._messages[0][0] <= self._clock.now():
-            self.waiting.append(self.message(17, self._messages.pop(0)[1]))
-        return super().recv(timeout)
-
-    def shutdown(self):
-        self.closed = True
-
-
-def test_frames_go_to_their_bus_and_come_back_with_its_number(clock):
-    buses = [OneBus(clock, (0.2, b"a")), OneBus(clock, (0.1, b"b"))]
-    several = BusLink(buses, clock)
-    for bus in (0, 1, 1):
-        several.send(Frame(1, bytes([bus]), bus=bus))
-    assert [bus.sent for bus in buses] == [[b"\0"], [b"\1", b"\1"]]
-    received = [several.receive(1.0) for _ in range(2)]
-    assert [(frame.bus, frame.data) for frame in received] == [(1, b"b"), (0, b"a")]
-    assert clock.now() == pytest.approx(0.2, abs=2e-4)
-    assert several.receive(0.5) is None and clock.now() == 0.5
-    several.close()
-    assert all(bus.closed for bus in buses)
-
-
-@given(st.lists(st.tuples(FRAMES, st.booleans()), min_size=1, max_size=20))
-def test_the_frame_log_is_lossless(tmp_path_factory, frames):
-    path = tmp_path_factory.mktemp("raw") / "measured.log"
-    clock = SimulatedClock()
-    with RawFrameLog(path, GuardedLink(None, clock, channels=["can0"])) as log:
-        # In whatever order they come, they are written in that of their times.
-        for k, (frame, sent) in reversed(list(enumerate(frames))):
-            log(frame._replace(time=0.001 * k), sent)
-        log.write(log.take_frames())
-        with can.LogReader(path) as reader:
-            messages = list(reader)
-    assert len(messages) == len(frames)
-    for message, (frame, sent) in zip(messages, frames):
-        assert message.arbitration_id == frame.id and bytes(message.data) == frame.data
-        assert message.is_fd == frame.fd and message.is_rx == (not sent)
-    stamps = np.array([message.timestamp for message in messages])
-    np.testing.assert_allclose(np.diff(stamps), 0.001, atol=2e-6)
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [("x.unknown", "cannot log frames"), ("no/folder.log", "cannot write")],
-)
-def test_a_frame_log_that_cannot_be_made_is_said(tmp_path, name, message):
-    with pytest.raises(InputError, match=message):
-        RawFrameLog(tmp_path / name, GuardedLink(None, SimulatedClock()))
-
-
-# --- a full queue, and what is never sent -------------------------------------------------------
-
-
-def test_a_full_queue_is_tried_again_within_the_cycle(clock):
-    """One "no buffer space" costs nothing; a bus that stays full is said to lack power."""
-
-    class Queue:
-        def __init__(self, full):
-            self.full = full
-            self.calls = []
-
-        def send(self, message, timeout):
-            self.calls.append(clock.now())
-            if len(self.calls) <= self.full:
-                raise can.CanOperationError("Failed to transmit", errno.ENOBUFS)
-
-    once = Queue(1)
-    always = Queue(10**9)
-    BusLink([once], clock).send(Frame(1, bytes(8)))
-    assert len(once.calls) == 2 and once.calls[1] - once.calls[0] < 1e-3
-    with pytest.raises(
-        LinkError, match="check the motors' power, the wiring and the termination"
-    ):
-        BusLink([always], clock).send(Frame(1, bytes(8)))
-    assert always.calls[-1] - always.calls[0] < 4e-3
+@LINUX
+def test_the_system_itself_gives_and_takes_it():
+    policy_before = os.sched_getscheduler(0)
+    with undisturbed_processor() as is_granted:
+        assert (os.sched_getscheduler(0) == os.SCHED_FIFO) == is_granted
+    assert os.sched_getscheduler(0) == policy_before
 
 
 def test_a_refused_frame_does_not_reach_the_bus():

@@ -1,4 +1,4 @@
-"""Laws of the Damiao frame codec."""
+"""Frames of Damiao motors: commands and feedback, refused frames, registers, rates and status."""
 
 from __future__ import annotations
 
@@ -9,20 +9,33 @@ from hypothesis import strategies as st
 
 from robot_sysid.damiao.joints import MOTORS
 from robot_sysid.damiao.protocol import (
+    INTEGERS,
     KD_MAX,
     KP_MAX,
+    NAMES,
+    REGISTER_ID,
+    BusTiming,
     Feedback,
+    Frame,
     MitCommand,
     Scaling,
+    bus_load,
+    bytes_from_value,
     decode_feedback,
     decode_mit,
+    default_rate,
     encode_feedback,
     encode_mit,
+    is_fault,
+    refuse_harmful,
+    status_text,
+    suggested_rate,
+    value_from_bytes,
 )
-from robot_sysid.errors import InputError
+from robot_sysid.errors import InputError, SysidError
 
 TYPES = sorted(MOTORS)
-NAMES = st.lists(st.sampled_from(TYPES), min_size=1, max_size=6)
+TYPE_LISTS = st.lists(st.sampled_from(TYPES), min_size=1, max_size=6)
 SEEDS = st.integers(0, 2**32 - 1)
 FIELDS = ("position", "velocity", "kp", "kd", "torque")
 KP_STEP = KP_MAX / 4095
@@ -76,7 +89,7 @@ def test_known_feedback_has_known_values(limits, p, v, t):
     assert (feedback.temperature_mos[0], feedback.temperature_rotor[0]) == (35, 31)
 
 
-@given(names=NAMES, seed=SEEDS, shape=st.lists(st.integers(0, 3), max_size=2))
+@given(names=TYPE_LISTS, seed=SEEDS, shape=st.lists(st.integers(0, 3), max_size=2))
 def test_many_joints_and_samples_survive_within_half_a_step(names, seed, shape):
     """As a whole trajectory or one by one, each joint in the scaling of its own type."""
     rng = np.random.default_rng(seed)
@@ -113,7 +126,7 @@ def test_decoding_and_encoding_a_command_gives_its_bytes_back(name, raw):
         assert encode_mit(decoded, scaling).tobytes() == raw
 
 
-@given(names=NAMES, seed=SEEDS)
+@given(names=TYPE_LISTS, seed=SEEDS)
 def test_feedback_survives_within_a_step_and_half_a_step_centred(names, seed):
     """A motor drops the fraction, and says its limit where the truth is beyond it."""
     rng = np.random.default_rng(seed)
@@ -215,3 +228,69 @@ def test_a_motor_is_pulled_towards_where_and_how_fast_it_should_be(values, kp, k
     off_reference = request.motor_torque(np.array([p + q]), np.array([v + qd]))[0]
     assert at_reference == pytest.approx(t, abs=1e-12)
     assert off_reference - at_reference == pytest.approx(-kp * q - kd * qd, abs=1e-12)
+
+
+# Typed from the maker's protocol description.
+SET_ZERO = 0xFE
+CLEAR_ERROR = 0xFB
+STORE = 0xAA
+
+
+@pytest.mark.parametrize("code", [SET_ZERO, CLEAR_ERROR, 0x00, 0xFF])
+def test_harmful_special_frames_are_refused(code):
+    with pytest.raises(SysidError, match="refused to send"):
+        refuse_harmful(Frame(1, b"\xff" * 7 + bytes([code])))
+
+
+@pytest.mark.parametrize("operation", [STORE, 0x00, 0xFF])
+def test_harmful_register_operations_are_refused(operation):
+    with pytest.raises(SysidError, match="refused to send"):
+        refuse_harmful(Frame(REGISTER_ID, bytes([1, 0, operation, 1, 0, 0, 0, 0])))
+
+
+CLASSIC = BusTiming()
+FD = BusTiming(fd=True)
+
+
+@pytest.mark.parametrize(
+    ("motors", "classic", "fast"),
+    [(4, 648, 1546), (6, 432, 1031), (7, 370, 883), (14, 185, 442)],
+)
+def test_rates_at_seventy_percent_are_those_of_the_manual(motors, classic, fast):
+    assert bus_load(motors, classic, CLASSIC) == pytest.approx(0.7, abs=1e-3)
+    assert bus_load(motors, fast, FD) == pytest.approx(0.7, abs=1e-3)
+
+
+def test_frame_times():
+    assert CLASSIC.frame_time == pytest.approx(135e-6)
+    assert FD.frame_time == pytest.approx(56.6e-6)
+    assert BusTiming(True, 1e6, 2e6).frame_time == pytest.approx(90.5e-6)
+    assert BusTiming(True, 1e6, 1e6).frame_time == pytest.approx(147e-6)
+
+
+def test_defaults_fit_the_bus():
+    assert default_rate(7, CLASSIC) == 250.0
+    assert default_rate(7, FD) == 500.0
+    for motors in range(1, 16):
+        for timing in (CLASSIC, FD):
+            assert bus_load(motors, default_rate(motors, timing), timing) <= 0.7
+            assert bus_load(motors, suggested_rate(motors, timing), timing) <= 0.7
+
+
+@given(number=st.sampled_from(sorted(NAMES)), data=st.data())
+def test_register_values_survive_their_four_bytes(number, data):
+    is_integer = number in INTEGERS
+    values = (
+        st.integers(0, 2**32 - 1)
+        if is_integer
+        else st.floats(width=32, allow_nan=False)
+    )
+    value = data.draw(values)
+    assert value_from_bytes(number, bytes_from_value(number, value)) == value
+
+
+def test_every_code_has_words_and_all_but_two_are_faults():
+    assert [
+        status_text(code).startswith(f"status {code:X}: ") for code in range(16)
+    ] == [True] * 16
+    assert [code for code in range(16) if not is_fault(code)] == [0, 1]

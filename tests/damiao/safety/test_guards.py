@@ -1,0 +1,430 @@
+"""Which answers are believed, which scales are found wrong, and which commands are refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.damiao import protocol
+from robot_sysid.damiao.bus import GuardedLink
+from robot_sysid.damiao.joints import damiao_joints
+from robot_sysid.damiao.protocol import (
+    REGISTER_ID,
+    Feedback,
+    Frame,
+    MitCommand,
+    Scaling,
+    is_special,
+)
+from robot_sysid.damiao.safety.guards import (
+    BeyondBounds,
+    CommandBounds,
+    CommandRange,
+    Overload,
+    Replies,
+    SampleFilter,
+    TorqueScalingCheck,
+    VelocityScalingCheck,
+)
+from robot_sysid.damiao.session import MotorSession
+from robot_sysid.errors import SysidError
+from tests.support.clocks import ScriptedClock
+
+PEAK = 27.0
+STEP = 0.005
+CYCLE = 0.004
+KP = 180.0
+
+
+def swing(k):
+    """Position and velocity of a joint that swings, at a cycle."""
+    time = k * CYCLE
+    return 0.5 * np.sin(2.0 * time), np.cos(2.0 * time)
+
+
+def answer(k, q=None, qd=None, tau=None, status=1, heat=30):
+    """What one joint answers in a cycle in which it follows its command, or says something else."""
+    p, v = swing(k)
+    command = MitCommand(*(np.array([x]) for x in (p, v, KP, 4.5, 3.0)))
+    q = p if q is None else q
+    qd = v if qd is None else qd
+    commanded = command.motor_torque(np.array([q]), np.array([qd]))[0]
+    fields = (np.array([float(x)]) for x in (q, qd, commanded if tau is None else tau))
+    codes = (np.array([x]) for x in (heat, 30))
+    feedback = Feedback(np.array([1]), np.array([status]), *fields, *codes)
+    answered = np.ones(1, bool)
+    return Replies(answered, np.array([k * CYCLE]), feedback, answered), command
+
+
+def believed(*changes):
+    """Return for each of some answers, after ten good ones, whether it is believed."""
+    judge = SampleFilter(np.array([PEAK]), np.array([STEP]))
+    judge.start(0.0, np.zeros(1))
+    verdicts = []
+    for k in range(1, 11 + len(changes)):
+        change = changes[k - 11] if k > 10 else {}
+        replies = judge.believe(*answer(k, **change))
+        verdicts.append(bool(replies.answered[0]))
+        assert replies.doubted[0] == (not replies.answered[0])
+        assert np.isfinite(replies.feedback.position[0]) == replies.answered[0]
+    assert all(verdicts[:10])
+    return verdicts[10:]
+
+
+OFF = {
+    "position": lambda k: {"q": swing(k)[0] + 0.78, "tau": 3.0},
+    "position, near": lambda k: {"q": swing(k)[0] - 0.06, "tau": 3.0},
+    "velocity": lambda k: {"qd": swing(k)[1] - 2.5, "tau": 3.0},
+    "torque": lambda k: {"tau": 3.0 + 9.0},
+    "status": lambda k: {"status": 9},
+    "disabled": lambda k: {"status": 0},
+    "heat": lambda k: {"heat": 94},
+}
+
+
+@pytest.mark.parametrize("offset", OFF)
+def test_one_damaged_answer_is_set_aside_and_the_next_good_one_believed(offset):
+    assert believed(OFF[offset](11), {}, {}) == [False, True, True]
+
+
+@pytest.mark.parametrize("offset", ["velocity", "torque", "status", "disabled", "heat"])
+def test_two_that_agree_are_believed(offset):
+    assert believed(OFF[offset](11), OFF[offset](12), OFF[offset](13)) == [
+        False,
+        True,
+        True,
+    ]
+
+
+def test_a_position_that_the_torque_contradicts_is_never_believed():
+    """Its motor holds the joint where it was: what reports is wrong, and not where it is."""
+    offset = OFF["position"]
+    assert believed(*(offset(k) for k in range(11, 17))) == [False] * 6
+
+
+def test_an_encoder_that_jumps_with_its_motor_is_a_finding():
+    """A motor whose encoder jumps pulls its joint after it, and its torque shows that."""
+    judge = SampleFilter(np.array([PEAK]), np.array([STEP]))
+    judge.start(0.0, np.zeros(1))
+    jumps = []
+    for k in range(1, 14):
+        shift = 0.15 if k > 10 else 0.0
+        jumps.append(float(judge.believe(*answer(k, q=swing(k)[0] + shift)).jump[0]))
+    assert jumps[:11] == [0.0] * 11 and jumps[12] == 0.0
+    assert jumps[11] == pytest.approx(0.15, abs=0.01)
+
+
+def test_a_motor_that_goes_off_does_not_jump():
+    """A second motor of the same id that is disabled says so from where it stands itself."""
+    other = {"status": 0, "q": 1.3, "qd": 0.0, "tau": 0.0}
+    assert believed(*[other] * 4) == [False] * 4
+
+
+def test_missing_answers_change_nothing():
+    judge = SampleFilter(np.array([PEAK]), np.array([STEP]))
+    judge.start(0.0, np.zeros(1))
+    replies, command = answer(1)
+    judge.believe(replies, command)
+    missing = replace(replies, answered=np.zeros(1, bool), time=np.full(1, np.nan))
+    for _ in range(3):
+        assert not judge.believe(missing, command).doubted[0]
+    assert judge.believe(*answer(5)).answered[0]
+
+
+SAMPLES = st.lists(
+    st.tuples(
+        st.floats(-12.5, 12.5),
+        st.floats(-10.0, 10.0),
+        st.floats(-28.0, 28.0),
+        st.booleans(),
+    ),
+    max_size=30,
+)
+
+
+@given(SAMPLES)
+def test_no_history_moves_what_is_believed_farther_than_a_joint_can_go(samples):
+    """Unless its own torque says that it was there."""
+    judge = SampleFilter(np.array([PEAK]), np.array([STEP]))
+    judge.start(0.0, np.zeros(1))
+    last = 0.0
+    for k, (q, qd, tau, is_enabled) in enumerate(samples, 1):
+        replies = judge.believe(*answer(k, q, qd, tau, int(is_enabled)))
+        if replies.answered[0] and replies.jump[0] == 0.0:
+            assert (
+                abs(q - last) < 0.05 + 1.5 * 10.0 * CYCLE * k + 100.0 * (CYCLE * k) ** 2
+            )
+            last = q
+        elif replies.answered[0]:
+            last = q
+
+
+def watched_swing(factor, noise=0.0, step=0.005, gone=0.0, fades=1e-6):
+    """A check that has seen two joints swing for six seconds, with velocities of another scale."""
+    rng = np.random.default_rng(0)
+    check = VelocityScalingCheck(np.full(2, step), np.full(2, fades))
+    for t in np.arange(0.0, 6.0, 0.004):
+        time = t + np.array([0.0, 1e-4])
+        time[:] = np.nan if t > 0.1 and rng.uniform() < gone else time
+        qd = np.floor(2 * np.cos(2 * time) * factor / step) * step + 0.5 * step
+        check.add(time, np.sin(2 * time), qd + noise * rng.uniform(-1, 1, 2))
+    return check
+
+
+@pytest.mark.parametrize("factor", [0.8, 0.95, 1.05, 1.25])
+def test_a_wrong_velocity_scale_is_found(factor):
+    joint, slope = watched_swing(factor).worst()
+    assert slope == pytest.approx(1.0 / factor, abs=2e-3) and joint in (0, 1)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        *({"factor": factor, "noise": 0.02} for factor in (0.98, 1.0, 1.02)),
+        {"factor": 1.0, "gone": 0.2},
+        # Steps of 1 rad/s, as one motor type has them, at a peak speed of 2 rad/s.
+        {"factor": 0.9, "step": 1.0},
+    ],
+)
+def test_a_right_one_or_one_that_is_too_coarse_to_judge_is_left_alone(options):
+    assert watched_swing(**options).worst() is None
+
+
+@pytest.mark.parametrize("fades", [0.05, 0.2, 0.8, 1.5])
+@pytest.mark.parametrize("lag", [0.02, 0.1, 0.5, 3.0])
+def test_a_joint_that_slows_down_within_a_cycle_is_not_taken_for_one_of_another_scale(
+    fades, lag
+):
+    """One that is held to commands: dv/dt = (v_des + k (p_des - p) - v) / lag, seen at the end."""
+    cycle = 0.01
+    p = 0.0
+    v = 0.0
+    target = 0.0
+    check = VelocityScalingCheck(np.full(1, 1e-4), np.array([fades]))
+    # Position and velocity behind the command after one cycle, by the exponential of the equation.
+    rates = np.array([[0.0, 1.0], [-fades / lag, -1.0 / lag]]) / 400
+    step = np.linalg.matrix_power(np.eye(2) + rates + rates @ rates / 2, 400)
+    for n in range(600):
+        speed = 1.0 + 0.5 * np.sin(0.02 * n)
+        target += speed * cycle
+        last_speed = target + speed * cycle / fades
+        away = step @ [(p - last_speed) / cycle, v]
+        p = last_speed + away[0] * cycle
+        v = away[1]
+        check.add(np.full(1, n * cycle), np.full(1, p), np.full(1, v))
+    assert check.worst() is None
+
+
+@pytest.mark.parametrize("ratio", [0.8, 0.87, 1.13, 1.2, -1.0])
+def test_a_motor_that_reports_another_torque_than_it_was_told_to_make_is_found(ratio):
+    """By more than 15 %, from what it does slowly, and not before it is clear."""
+    peak = np.array([27.0, 27.0])
+    check = TorqueScalingCheck(0.01 * peak / 27, peak)
+    is_wrong = abs(ratio - 1.0) > 0.15
+    for k in range(30):
+        tau = np.array([2.0, 5.0 + 0.1 * k])
+        check.add(tau, tau * [1.0, ratio], np.zeros(2))
+        # Fast, or beyond what the motor can do: says nothing.
+        check.add(tau, 9 * tau, np.full(2, 0.11))
+        check.add(20 * tau, tau, np.zeros(2))
+        worst = check.worst()
+        assert (worst is not None) == (is_wrong and k >= 24)
+    assert worst is None or (worst[0] == 1 and worst[1] == pytest.approx(ratio))
+
+
+@pytest.mark.parametrize("speed", [-0.3, 0.3])
+@pytest.mark.parametrize("fades", [1e-6, 0.05])
+def test_a_joint_that_slips_is_found_within_two_windows(speed, fades):
+    check = VelocityScalingCheck(np.full(2, 0.005), np.full(2, fades))
+    slips = []
+    for t in np.arange(0.0, 0.4, 0.004):
+        q = np.sin(2.0 * t) + np.array([0.0, speed * t])
+        slips.append(check.add(np.full(2, t), q, np.full(2, 2.0 * np.cos(2.0 * t))))
+    slip = next(slip for slip in slips if slip is not None)
+    assert slip.joint == 1
+    assert slip.speed == pytest.approx(speed, rel=0.3 if fades < 0.1 else 0.8)
+
+
+JOINTS = damiao_joints(["DM4340", "DM4310"], 2)
+SCALING = Scaling([joint.spec.limits for joint in JOINTS])
+LOWER = np.array([-0.5, -1.0])
+UPPER = np.array([0.7, 1.0])
+SPEED = np.array([1.0, 2.0])
+ANY = st.floats(allow_nan=True, allow_infinity=True)
+NUMBERS = st.floats(-30.0, 30.0) | ANY
+PAIRS = st.tuples(NUMBERS, NUMBERS)
+
+
+class AbsurdLink:
+    """Motors that answer each frame with what they are given, right for enabling at first."""
+
+    def __init__(self, clock, answers):
+        self.clock = clock
+        self.answers = answers
+        self.sent = []
+        self._waiting = []
+
+    def send(self, frame):
+        self.sent.append((self.clock.now(), frame))
+        j = (frame.data[0] if frame.id == REGISTER_ID else frame.id) - 1
+        if len(self.sent) <= 4 or is_special(frame.data) or not self.answers:
+            status = 1 if frame.data[7:] == b"\xfc" else 0
+            payload = bytes(
+                [status << 4 | (j + 1), 0x80, 0x00, 0x80, 0x08, 0x00, 30, 30]
+            )
+        else:
+            payload = self.answers.pop(0)
+        if payload is not None:
+            self._waiting.append(Frame(0x11 + j, payload, self.clock.now()))
+
+    def receive(self, until):
+        if self._waiting:
+            return self._waiting.pop(0)
+        self.clock.sleep_until(until)
+        return None
+
+    def close(self):
+        pass
+
+
+# Anything at all, or a frame that at least names its sender and says that it is enabled.
+PAYLOADS = (
+    st.binary(min_size=8, max_size=8)
+    | st.builds(
+        lambda j, tail: bytes([0x10 | j]) + tail,
+        st.integers(1, 2),
+        st.binary(min_size=7, max_size=7),
+    )
+    | st.none()
+)
+REQUESTS = st.lists(
+    st.tuples(PAIRS, PAIRS, PAIRS, st.booleans(), st.floats(0.0, 0.05)),
+    min_size=1,
+    max_size=25,
+)
+
+
+@given(requests=REQUESTS, answers=st.lists(PAYLOADS, max_size=60))
+def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
+    clock = ScriptedClock()
+    link = AbsurdLink(clock, list(answers))
+    session = MotorSession(
+        GuardedLink(link, clock), JOINTS, SCALING, CommandRange(LOWER, UPPER, SPEED)
+    )
+    start = session.enable()
+    last = start.copy()
+    enabled_at = clock.now()
+    sent_at = np.full(2, clock.now())
+    lower = np.minimum(LOWER, start)
+    upper = np.maximum(UPPER, start)
+    position_step, velocity_step, torque_step = session.steps
+    for position, velocity, torque, braking, pause in requests:
+        clock.sleep_until(clock.now() + pause)
+        n_sent_before = len(link.sent)
+        believed, _ = session.believed_motion
+        requested = MitCommand(
+            np.array(position), np.array(velocity), np.array([180.0, 60.0]),
+            np.array([4.5, 1.5]), np.array(torque),
+        )  # fmt: skip
+        try:
+            session.exchange(requested, clock.now() + 0.004, braking=braking)
+        except SysidError:
+            assert len(link.sent) == n_sent_before and not braking
+            continue
+        for moment, frame in link.sent[n_sent_before:]:
+            j = frame.id - 1
+            raw = np.frombuffer(frame.data, dtype=np.uint8)[None]
+            one = Scaling([JOINTS[j].spec.limits])
+            p, v, kp, _, t = (
+                float(value[0]) for value in protocol.decode_mit(raw, one)
+            )
+            # A late cycle's share may be used by the next one, and no more than 20 ms of it.
+            reach = SPEED[j] * (min(moment - sent_at[j], 0.2) + 0.02)
+            total_reach = SPEED[j] * (moment - enabled_at + 0.02)
+            assert abs(p - start[j]) <= total_reach + 2.0 * position_step[j] * len(
+                requests
+            )
+            assert lower[j] - position_step[j] <= p <= upper[j] + position_step[j]
+            assert abs(p - last[j]) <= reach + 2.0 * position_step[j]
+            assert abs(v) <= SPEED[j] + 2.0 * velocity_step[j]
+            asked_torque = abs(kp * (p - believed[j]) + t)
+            available = JOINTS[j].spec.peak_torque + 2.0 * torque_step[j]
+            available += (kp + 0.13) * position_step[j] + 0.13 * abs(p - believed[j])
+            assert asked_torque <= available
+            last[j] = p
+            sent_at[j] = moment
+
+
+BOUNDS = CommandBounds(
+    CommandRange(LOWER, UPPER, SPEED),
+    np.array([27.0, 7.0]),
+    *(np.full(2, 1e-4) for _ in range(3)),
+)
+
+
+LABELS = "first", "second"
+# Where both joints were sent last, how long ago, and where they are.
+STANDING = np.zeros(2), np.full(2, 0.01), np.zeros(2)
+
+
+def command(position=0.0, velocity=0.0, torque=0.0, kp=100.0):
+    """A command to both joints, out of bounds for the second one at most."""
+    fields = (np.array([0.0, value]) for value in (position, velocity, kp, 1.0, torque))
+    return MitCommand(*fields)
+
+
+@pytest.mark.parametrize(
+    ("requested", "error_type", "message"),
+    [
+        (command(position=0.03), BeyondBounds, "would be sent to 0.030 rad"),
+        (command(position=float("nan")), BeyondBounds, "would be sent to nan"),
+        (command(velocity=2.1), BeyondBounds, "would be told 2.10 rad/s, limit 2.00"),
+        (
+            command(torque=7.2),
+            Overload,
+            "would be asked for 7.2 N m and makes 7.0 at most",
+        ),
+        (command(position=0.01, torque=6.5), Overload, "would be asked for 7.5 N m"),
+    ],
+)
+def test_what_is_asked_too_much_is_named(requested, error_type, message):
+    with pytest.raises(BeyondBounds, match=f"^second {message}") as error:
+        BOUNDS.require(LABELS, requested, *STANDING)
+    assert error.type is error_type
+    BOUNDS.require(LABELS, BOUNDS.confine(requested, *STANDING), *STANDING)
+
+
+def test_what_is_within_the_bounds_is_left_as_it_is():
+    requested = command(position=0.019, velocity=1.9, torque=5.0)
+    BOUNDS.require(LABELS, requested, *STANDING)
+    np.testing.assert_allclose(
+        BOUNDS.confine(requested, *STANDING), requested, atol=1e-12
+    )
+
+
+def test_a_range_wider_than_frames_can_say_is_cut_to_what_they_can():
+    """In a stop a command beyond the frames' scale would be an error, and nothing be sent."""
+    clock = ScriptedClock()
+    link = AbsurdLink(clock, [])
+    wide = CommandRange(np.full(2, -99.0), np.full(2, 99.0), np.full(2, 5e3))
+    session = MotorSession(GuardedLink(link, clock), JOINTS, SCALING, wide)
+    session.enable()
+    n_sent = len(link.sent)
+    clock.sleep_until(clock.now() + 0.1)
+    far = MitCommand(
+        np.full(2, 90.0), np.full(2, 90.0), np.zeros(2), np.ones(2), np.zeros(2)
+    )
+    session.exchange(far, clock.now() + 0.004, braking=True)
+    assert len(link.sent) == n_sent + 2
+    np.testing.assert_array_equal(session.command_range.upper, SCALING.limits[:, 0])
+    np.testing.assert_array_equal(session.command_range.speed, SCALING.limits[:, 1])
+
+
+def test_where_an_arm_stands_is_within_its_range():
+    wider = BOUNDS.including(np.array([-0.6, np.nan]))
+    np.testing.assert_array_equal(wider.command_range.lower, [-0.6, -1.0])
+    np.testing.assert_array_equal(wider.command_range.upper, UPPER)
