@@ -457,10 +457,9 @@ def _arrow_array(name: str, column: Any) -> Array:
     if "list" not in str(combined.type):
         return _arrow_numbers(combined)
     present = combined.drop_null()
-    if hasattr(present, "offsets"):
-        widths = np.unique(np.diff(present.offsets)).tolist()
-    else:
-        widths = [present.type.list_size]
+    is_fixed = not hasattr(present, "offsets")
+    sizes = [present.type.list_size] if is_fixed else np.diff(present.offsets)
+    widths = np.unique(sizes).tolist()
     if len(widths) > 1:
         fault = f"column {name} holds lists of {widths[0]} to {widths[-1]} numbers"
         raise ValueError(f"{fault}; write as many in each row, or leave the column out")

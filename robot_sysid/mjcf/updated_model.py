@@ -63,7 +63,7 @@ class JointChange:
         armature: rotor inertia seen at the joint [kg m^2 or kg]; a URDF cannot hold it.
         damping, frictionloss: viscous and Coulomb friction [N m s/rad, N m or N s/m, N].
         polynomial: damping beyond the linear one, of qd abs(qd) and of qd^3; MuJoCo 3.7 and later.
-        words: text for the comment of the joint's body.
+        comment: text for the comment of the joint's body.
     """
 
     label: str
@@ -71,7 +71,7 @@ class JointChange:
     damping: float | None = None
     frictionloss: float | None = None
     polynomial: tuple[float, float] | None = None
-    words: str = ""
+    comment: str = ""
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -93,14 +93,14 @@ class TendonChange:
         is_new: whether the file has no such tendon yet.
         coefficients: joint name to speed of the tendon per speed of that joint.
         numbers: new ones, by their name in MJCF: "armature", "damping", "frictionloss".
-        words: text for its comment.
+        comment: text for its comment.
     """
 
     tendon: int
     is_new: bool
     coefficients: Mapping[str, float]
     numbers: Mapping[str, float]
-    words: str = ""
+    comment: str = ""
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class WeldedBody:
     Attributes:
         rotation, translation: pose of its frame in the carrier's, (3, 3) and (3,) [m].
         theta: (10,) in its own frame.
-        words: text for its comment.
+        comment: text for its comment.
     """
 
     name: str
@@ -127,7 +127,7 @@ class WeldedBody:
     rotation: Array
     translation: Array
     theta: Array
-    words: str = ""
+    comment: str = ""
 
 
 @dataclass(frozen=True)
@@ -230,7 +230,7 @@ def _write_welded_body(edits: Edits, body: WeldedBody, change: ModelChange) -> N
             f"{document.path}: the new body cannot be called '{body.name}', because that name is "
             f"empty or taken; bodies of the model: {', '.join(sorted(bodies))}"
         )
-    comment = _comment(f"body '{body.name}'", change.rmse, body.words)
+    comment = _comment(f"body '{body.name}'", change.rmse, body.comment)
     inertial = _inertial(document, body.theta, change.principal)
     name = attribute_text({"name": body.name})
     position = format_numbers(body.translation)
@@ -327,7 +327,7 @@ def _write_tendon(edits: Edits, change: TendonChange, rmse: float) -> None:
     subject = f"motor that turns {' and '.join(joints)}"
     _require_resistance(f"the {subject}", change.numbers)
     texts = {name: format_number(value) for name, value in change.numbers.items()}
-    comment = _comment(subject, rmse, change.words)
+    comment = _comment(subject, rmse, change.comment)
     if not change.is_new:
         node = _section_child(document, "tendon", change.tendon)
         if node is None or node.tag != "fixed":

@@ -118,12 +118,10 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
             f"a locale that has {point!r} for a decimal point spoils OBJ meshes; {remedy}"
         )
     refuse_hazards(document, mesh_dir)
-    kind = "mjcf"
     notes: tuple[str, ...] = ()
     speeds: Mapping[str, float] = {}
     with captured_warnings() as warnings:
         if document.is_urdf:
-            kind = "urdf"
             mj_model, notes = _compile_urdf(document, mesh_dir)
             speeds = velocity_limits(document)
         else:
@@ -133,7 +131,8 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
         mujoco.MjModel.from_xml_string("<mujoco/>")
     _check_values(mj_model, document)
     notes += tuple(f"MuJoCo warns: {text}" for text in dict.fromkeys(warnings))
-    return CompiledModel(mj_model, notes, document.sha256, kind, speeds)
+    language = "urdf" if document.is_urdf else "mjcf"
+    return CompiledModel(mj_model, notes, document.sha256, language, speeds)
 
 
 _CACHE = mujoco.mj_getCache() if hasattr(mujoco, "mj_getCache") else None

@@ -189,7 +189,9 @@ def _joint_changes(
             values.setdefault("viscous", model_viscous)
         numbers = {name: values.get(term) for term, name in _MJCF_ATTRIBUTES.items()}
         text = _terms_text(terms)
-        changes.append(JointChange(joint, **numbers, polynomial=polynomial, words=text))
+        changes.append(
+            JointChange(joint, **numbers, polynomial=polynomial, comment=text)
+        )
     return tuple(changes)
 
 
@@ -213,7 +215,7 @@ def _tendon_changes(robot: RobotModel, file: ModelFile) -> Iterator[TendonChange
             is_new=motor.tendon is None,
             coefficients={joint: ratio for joint, ratio in ratios if ratio != 0.0},
             numbers={_MJCF_ATTRIBUTES[term]: terms[term].value for term in terms},
-            words=_terms_text(terms),
+            comment=_terms_text(terms),
         )
 
 
@@ -227,7 +229,7 @@ def _changes_of_kind(
     for title, field in _NOT_IN_URDF.items():
         if any(np.any(getattr(change, field) or 0.0) for change in changes):
             lost.append(title)
-    possible = [replace(c, armature=None, polynomial=None, words="") for c in changes]
+    possible = [replace(c, armature=None, polynomial=None, comment="") for c in changes]
     note = f"a URDF cannot hold {' or '.join(lost)}, so the written model lacks it"
     return tuple(possible), (note,) if lost else ()
 
@@ -293,7 +295,7 @@ def _link_comments(
     link_by_body = {robot.links[k].body_id: k for k in written_links}
     comments: list[list[str]] = [[] for _ in robot.links]
     for change in joints:
-        text = change.words or ", ".join(change.numbers)
+        text = change.comment or ", ".join(change.numbers)
         if text and change.label in robot.joint_names:
             moved = robot.links[robot.joint_names.index(change.label)]
             link_index = link_by_body.get(moved.body_id, -1)
