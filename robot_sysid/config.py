@@ -1,6 +1,6 @@
-"""What a run was asked to do: one frozen record of the stages' records, checked once.
+"""All options of a run: frozen records that hold those of the stages and check them together.
 
-One record for an identification, another for finding a payload.
+``SysidConfig`` is that of an identification or a plan, ``PayloadConfig`` that of a payload.
 """
 
 from __future__ import annotations
@@ -29,8 +29,9 @@ from robot_sysid.simulation import SimulatedArmOptions
 
 AnyConfig = TypeVar("AnyConfig", bound="Config")
 EMPTY = "A"
+"""Letter of ``--order`` for a recording without the payload."""
 LOADED = "B"
-"""Letters of ``--order``."""
+"""Letter of ``--order`` for a recording with the payload."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ _ID: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class MotorOptions(OptionRecord):
-    """The trajectory as a file for Damiao motors."""
+    """Whether the trajectory is written for Damiao motors, and which they are."""
 
     export_damiao: bool = option(False, "also write the trajectory for Damiao motors")
     motor_type: tuple[str, ...] = option(
@@ -101,19 +102,34 @@ class MotorOptions(OptionRecord):
             )
 
 
-def _given(
-    *records: Any, only: tuple[str, ...] = (), but: tuple[str, ...] = ()
+def _set_options(
+    *records: Any, only: tuple[str, ...] = (), leave_out: tuple[str, ...] = ()
 ) -> list[Option]:
-    """Return the options of records that were given: of some keys, or of all but some."""
-    given = [each for record in records for each in option_fields.given_options(record)]
-    return [
-        each for each in given if each.key not in but and (not only or each.key in only)
-    ]
+    """Return the options of records that are not at their default.
+
+    Args:
+        only: keys of the options to return; empty for all.
+        leave_out: keys of options not to return.
+    """
+    set_options = []
+    for record in records:
+        for set_option in option_fields.given_options(record):
+            key = set_option.key
+            if key not in leave_out and (not only or key in only):
+                set_options.append(set_option)
+    return set_options
 
 
 @dataclass(frozen=True)
 class Config:
-    """What an identification and finding a payload are both asked."""
+    """Options that an identification of an arm and one of a payload share, checked together.
+
+    Attributes:
+        model: the model file.
+        log: the recordings, and how they are read.
+        estimation: how the parameters are estimated.
+        output: files to write.
+    """
 
     model: ModelOptions
     log: LogOptions = LogOptions()
@@ -122,71 +138,80 @@ class Config:
 
     @classmethod
     def of(cls: type[AnyConfig], path: Path, **values: Any) -> AnyConfig:
-        """Return the configuration of a run on a model file: ``cutoff=8.0`` for an option.
+        """Return the configuration of a run on a model file from options by key.
 
-        InputError where one is unknown, its value cannot be used, or it does not go with another.
+        Raises:
+            InputError: an option is unknown, its value cannot be used, or it does not go with
+                another one.
         """
-        records = get_type_hints(cls)
-        option_fields.refuse_unknown(values, option_fields.keys_of(*records.values()))
-        made = {
-            name: option_fields.record_from(record, values)
-            for name, record in records.items()
-        }
-        return cls(**{**made, "model": replace(made["model"], path=Path(path))})
+        record_types = get_type_hints(cls)
+        known_keys = option_fields.keys_of(*record_types.values())
+        option_fields.refuse_unknown(values, known_keys)
+        records: dict[str, Any] = {}
+        for name, record_type in record_types.items():
+            records[name] = option_fields.record_from(record_type, values)
+        records["model"] = replace(records["model"], path=Path(path))
+        return cls(**records)
 
     def __post_init__(self) -> None:
-        for both, first, second in self._pairs():
-            if both:
+        for are_both_set, first, second in self._exclusive_options():
+            if are_both_set:
                 raise InputError(f"{first} and {second} exclude each other; choose one")
-        file_access.refuse_overwriting(self.read_files(), self._written())
-        for needed, why, useless in self._groups():
-            if not needed and useless:
-                raise InputError(f"{useless[0].flag} {why}")
+        file_access.refuse_overwriting(self.input_files(), self._output_files())
+        for is_used, reason, set_options in self._option_uses():
+            if not is_used and set_options:
+                raise InputError(f"{set_options[0].flag} {reason}")
 
-    def _pairs(self) -> Iterator[tuple[bool, str, str]]:
-        """Yield (whether both were given, one option, another that excludes it)."""
+    def _exclusive_options(self) -> Iterator[tuple[bool, str, str]]:
+        """Yield (whether both are set, an option, another option that excludes it)."""
         yield from ()
 
-    def _groups(self) -> Iterator[tuple[bool, str, list[Option]]]:
-        """Yield (whether this run uses a group, why it does not, what was given of the group)."""
+    def _option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
+        """Yield (whether this run uses some options, why it does not, those that are set)."""
         yield from ()
 
-    def calibrated(self: AnyConfig, joint_names: Sequence[str]) -> AnyConfig:
-        """Return the configuration with torque scales as sure as the file that they come from says.
+    def with_scale_uncertainty(
+        self: AnyConfig, joint_names: Sequence[str]
+    ) -> AnyConfig:
+        """Return the configuration with the scale uncertainty that a torque scale file states.
 
-        What the user says of them counts before that.
+        An uncertainty that the user sets, and a file without errors, change nothing.
         """
-        given = self.log.torque_scale
-        if not isinstance(given, Path):
+        path = self.log.torque_scale
+        if not isinstance(path, Path):
             return self
-        scale, error = joint_factors(given, joint_names, SCALE)
-        own = tuple((100.0 * error / scale).tolist())
-        if self.estimation.scale_uncertainty is not None or not all(map(isfinite, own)):
+        scale, error = joint_factors(path, joint_names, SCALE)
+        percentages = tuple((100.0 * error / scale).tolist())
+        is_set = self.estimation.scale_uncertainty is not None
+        if is_set or not all(map(isfinite, percentages)):
             return self
-        return replace(self, estimation=replace(self.estimation, scale_uncertainty=own))
+        estimation = replace(self.estimation, scale_uncertainty=percentages)
+        return replace(self, estimation=estimation)
 
-    def read_files(self) -> tuple[Path | None, ...]:
-        """Return the files that a run reads and must not write over."""
+    def input_files(self) -> tuple[Path | None, ...]:
+        """Return the files that a run reads and must not write over; None stands for no file."""
         log = self.log
-        factors = (log.torque_scale, log.torque_constants)
-        files = (each for each in factors if isinstance(each, Path))
-        models = (self.output.config, self.model.path)
+        scale_files = []
+        for factors in (log.torque_scale, log.torque_constants):
+            if isinstance(factors, Path):
+                scale_files.append(factors)
         return (
-            *models,
+            self.output.config,
+            self.model.path,
             *log.measurements,
             log.validation_measurements,
             log.columns,
-            *files,
+            *scale_files,
         )
 
-    def _written(self) -> Iterator[tuple[str, Path]]:
-        """Yield the files that a run writes, each with the option that names it."""
-        results = file_access.PARAMS_NAME, file_access.SERVO_NAME
-        for name in (*results, *file_access.MODEL_NAMES.values()):
+    def _output_files(self) -> Iterator[tuple[str, Path]]:
+        """Yield the files that a run writes, each after the option that names it."""
+        names = (file_access.PARAMS_NAME, file_access.SERVO_NAME)
+        for name in (*names, *file_access.MODEL_NAMES.values()):
             yield "--output-dir", self.output.output_dir / name
 
 
-OF_TORQUE = (
+TORQUE_KEYS = (
     "report",
     "plots",
     "keep",
@@ -195,7 +220,7 @@ OF_TORQUE = (
     "torque_constants",
     "save_measurements",
 )
-"""Keys of options that mean nothing where no torque was measured."""
+"""Keys of options that have no effect where no torque was measured."""
 PREDICTED = (
     "torques",
     "noise_torque",
@@ -206,14 +231,14 @@ PREDICTED = (
     "delay_uncertainty",
     "friction_uncertainty",
 )
-"""Keys of the estimate's options from which a plan says what it promises."""
+"""Keys of the options from which a plan predicts the errors of an estimate."""
 PLANNED = {"excitation": "optimal", "plan_only": True}
-"""What a plan does where a user does not say otherwise."""
+"""Defaults of a plan's options, by key."""
 
 
 @dataclass(frozen=True)
 class SysidConfig(Config):
-    """Options of one identification; defaults are those of the command line."""
+    """Options of one identification or plan; defaults are those of the command line."""
 
     trajectory: TrajectoryOptions = TrajectoryOptions()
     excitation: ExcitationOptions = ExcitationOptions()
@@ -224,10 +249,10 @@ class SysidConfig(Config):
 
     @classmethod
     def of_plan(cls, path: Path, **values: Any) -> SysidConfig:
-        """Return the configuration of a plan; where no motion is given, one is designed."""
-        rests = values.get("static") or values.get("for_") == "friction"
-        usual = {} if values.get("trajectory") or rests else PLANNED
-        return cls.of(path, **{**usual, **values, "plan_only": True})
+        """Return the configuration of a plan; a motion is designed unless the options fix it."""
+        sets_poses = values.get("static") or values.get("for_") == "friction"
+        defaults = {} if values.get("trajectory") or sets_poses else PLANNED
+        return cls.of(path, **{**defaults, **values, "plan_only": True})
 
     @property
     def is_measured(self) -> bool:
@@ -236,121 +261,149 @@ class SysidConfig(Config):
 
     @property
     def plan_file(self) -> Path | None:
-        """Where the trajectory is written, or None."""
-        usual = self.output.output_dir / file_access.PLAN_NAME
-        return self.trajectory.save or (usual if self.trajectory.plan_only else None)
+        """The file that the trajectory is written to, or None."""
+        if self.trajectory.save or not self.trajectory.plan_only:
+            return self.trajectory.save
+        return self.output.output_dir / file_access.PLAN_NAME
 
-    @property
-    def words(self) -> tuple[list[str], list[str]]:
-        """Words of a command line: which arm it is, and limits that its motors have to keep."""
+    def command_words(self) -> tuple[list[str], list[str]]:
+        """Return words of another command line: the model's, and those of its motors' limits."""
         from robot_sysid.damiao.trajectory import LIMITS
 
-        model = self.model
-        limits = self.limits
-        given = {each.key for each in option_fields.given_options(limits)}.intersection(
-            LIMITS
-        )
-        kept = option_fields.command_arguments(
-            {key: getattr(limits, key) for key in given}, limits
-        )
-        return [
-            str(model.path),
-            *option_fields.command_arguments(vars(model), model),
-        ], kept
+        model_options = option_fields.command_arguments(vars(self.model), self.model)
+        limit_values = {}
+        for limit in option_fields.given_options(self.limits):
+            if limit.key in LIMITS:
+                limit_values[limit.key] = getattr(self.limits, limit.key)
+        limit_words = option_fields.command_arguments(limit_values, self.limits)
+        return [str(self.model.path), *model_options], limit_words
 
-    def seeded(self) -> SysidConfig:
-        """Return the configuration with a seed, where something is random."""
-        if self.trajectory.seed is not None or not self._is_drawn():
+    def with_seed(self) -> SysidConfig:
+        """Return the configuration with a seed, drawn where the run needs one and none is set."""
+        if self.trajectory.seed is not None or not self._is_random():
             return self
         import secrets
 
-        return replace(
-            self, trajectory=replace(self.trajectory, seed=secrets.randbelow(2**31))
-        )
+        trajectory = replace(self.trajectory, seed=secrets.randbelow(2**31))
+        return replace(self, trajectory=trajectory)
 
-    def _pairs(self) -> Iterator[tuple[bool, str, str]]:
+    def _is_random(self) -> bool:
+        """Tell whether the run draws a motion or noise."""
+        is_fixed = self.trajectory.file is not None or self.poses.purpose == "friction"
+        is_noisy = self.arm.plant_model is not None and self.arm.is_noisy
+        return not self.log.measurements and (is_noisy or not is_fixed)
+
+    def _exclusive_options(self) -> Iterator[tuple[bool, str, str]]:
         plan = self.trajectory
         logs = self.log.measurements
-        torques = self.estimation.torques
         has_plant = self.arm.plant_model is not None
-        copied = self.arm.save_measurements is not None
         yield bool(logs) and has_plant, "--measurements", "--plant-model"
-        optimal = self.excitation.kind == "optimal"
+        is_designed = self.excitation.kind == "optimal"
         is_from_file = plan.file is not None
         has_duration = plan.duration != TrajectoryOptions.duration
-        poses = "--static" if self.poses.static else "--for friction"
-        fixed = "--trajectory, --duration and --excitation optimal"
-        timed = is_from_file or has_duration or optimal
-        yield self.poses.sets_its_time and timed, poses, fixed
-        played = self.log.verify_rollout and bool(logs)
-        yield played and torques == "terminal", "--verify-rollout", "--torques terminal"
-        yield copied and len(logs) > 1, "--save-measurements", "several --measurements"
-        kept = "friction" in self.output.keep
-        unsought = self.estimation.no_friction
-        yield kept and unsought, "--keep friction", "--no-friction"
-        yield is_from_file and optimal, "--trajectory", "--excitation optimal"
+        yield (
+            self.poses.sets_its_time and (is_from_file or has_duration or is_designed),
+            "--static" if self.poses.static else "--for friction",
+            "--trajectory, --duration and --excitation optimal",
+        )
+        plays_logs = self.log.verify_rollout and bool(logs)
+        is_terminal = self.estimation.torques == "terminal"
+        yield plays_logs and is_terminal, "--verify-rollout", "--torques terminal"
+        saves = self.arm.save_measurements is not None
+        yield saves and len(logs) > 1, "--save-measurements", "several --measurements"
+        keeps_friction = "friction" in self.output.keep
+        no_friction = self.estimation.no_friction
+        yield keeps_friction and no_friction, "--keep friction", "--no-friction"
+        yield is_from_file and is_designed, "--trajectory", "--excitation optimal"
         yield is_from_file and has_duration, "--trajectory", "--duration"
 
-    def _groups(self) -> Iterator[tuple[bool, str, list[Option]]]:
-        log = bool(self.log.measurements)
-        plan = self.trajectory.plan_only
-        motion = (self.trajectory, self.excitation, self.limits, self.motors)
-        yield not log, "is about a motion; a log brings its own", _given(*motion)
-        about_log = [*_given(self.log), *_given(self.estimation, only=("torque_from",))]
-        yield log, "describes a log; add --measurements LOG.csv", about_log
-        estimate = "is about an estimate; a plan stops before it"
-        of_torque = _given(self.estimation, only=("no_friction",))
-        files = ("bundle", "report", "plots", "plant_model", "save_measurements")
-        of_files = _given(self.output, self.arm, only=files)
-        yield not plan, estimate, [*of_torque, *of_files]
-        plant = "belongs to a simulated plant; add --plant-model (the model file itself will do)"
-        simulated = self.arm.plant_model is not None
+    def _option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
+        has_log = bool(self.log.measurements)
+        is_plan = self.trajectory.plan_only
+        is_designed = self.excitation.kind == "optimal"
+        has_plant = self.arm.plant_model is not None
         yield (
-            simulated,
-            plant,
-            _given(self.arm, but=("save_measurements", "noise_torque")),
+            not has_log,
+            "is about a motion; a log brings its own",
+            _set_options(self.trajectory, self.excitation, self.limits, self.motors),
+        )
+        yield (
+            has_log,
+            "describes a log; add --measurements LOG.csv",
+            [
+                *_set_options(self.log),
+                *_set_options(self.estimation, only=("torque_from",)),
+            ],
+        )
+        result_keys = ("bundle", "report", "plots", "plant_model", "save_measurements")
+        yield (
+            not is_plan,
+            "is about an estimate; a plan stops before it",
+            [
+                *_set_options(self.estimation, only=("no_friction",)),
+                *_set_options(self.output, self.arm, only=result_keys),
+            ],
+        )
+        needs_plant = (
+            "belongs to a simulated plant; add --plant-model (the model file itself "
+            "will do)"
+        )
+        yield (
+            has_plant,
+            needs_plant,
+            _set_options(self.arm, leave_out=("save_measurements", "noise_torque")),
         )
         # A motion is judged for this noise.
-        judged = simulated or plan or self.excitation.kind == "optimal"
-        yield judged, plant, _given(self.arm, only=("noise_torque",))
-        measured = "is about measured torques; add --measurements or --plant-model"
-        kept = _given(self.output, only=("keep", "links"))
-        # These two count for simulated torques of the model itself as well.
-        fitted = _given(self.estimation, but=("torques", "no_friction"))
-        yield self.is_measured, measured, [*fitted, *kept]
-        servos = self.estimation.torque_from is not None
-        torque = _given(self.output, self.log, self.arm, only=OF_TORQUE)
         yield (
-            not servos,
+            has_plant or is_plan or is_designed,
+            needs_plant,
+            _set_options(self.arm, only=("noise_torque",)),
+        )
+        # The two that are left out count for simulated torques of the model itself as well.
+        yield (
+            self.is_measured,
+            "is about measured torques; add --measurements or --plant-model",
+            [
+                *_set_options(self.estimation, leave_out=("torques", "no_friction")),
+                *_set_options(self.output, only=("keep", "links")),
+            ],
+        )
+        yield (
+            self.estimation.torque_from is None,
             "is about measured torques; leave it off with --torque-from",
-            torque,
+            _set_options(self.output, self.log, self.arm, only=TORQUE_KEYS),
         )
-        yield plan, "says what a plan is for; use robot-sysid plan", _given(self.poses)
-        resting = self.poses.static and self.poses.purpose == "payload"
-        rests = "is about resting poses; add --for payload and --static"
-        yield resting, rests, _given(self.poses, but=("for_",))
-        motors = "is only used together with --export-damiao; add it"
-        yield self.motors.export_damiao, motors, _given(self.motors)
-        designed = self.excitation.kind == "optimal"
         yield (
-            designed,
-            "is about a design; add --excitation optimal",
-            _given(self.excitation),
+            is_plan,
+            "says what a plan is for; use robot-sysid plan",
+            _set_options(self.poses),
         )
-        fixed = "has nothing to draw: the motion is given, and no noise is simulated"
-        yield self._is_drawn(), fixed, _given(self.trajectory, only=("seed",))
+        yield (
+            self.poses.static and self.poses.purpose == "payload",
+            "is about resting poses; add --for payload and --static",
+            _set_options(self.poses, leave_out=("for_",)),
+        )
+        yield (
+            self.motors.export_damiao,
+            "is only used together with --export-damiao; add it",
+            _set_options(self.motors),
+        )
+        yield (
+            is_designed,
+            "is about a design; add --excitation optimal",
+            _set_options(self.excitation),
+        )
+        yield (
+            self._is_random(),
+            "has nothing to draw: the motion is given, and no noise is simulated",
+            _set_options(self.trajectory, only=("seed",)),
+        )
 
-    def _is_drawn(self) -> bool:
-        """Tell whether anything of the run is random."""
-        fixed = self.trajectory.file is not None or self.poses.purpose == "friction"
-        noisy = self.arm.plant_model is not None and self.arm.is_noisy
-        return not self.log.measurements and (noisy or not fixed)
-
-    def read_files(self) -> tuple[Path | None, ...]:
+    def input_files(self) -> tuple[Path | None, ...]:
         """Return the files that a run reads and must not write over."""
-        return (*super().read_files(), self.arm.plant_model, self.trajectory.file)
+        return (*super().input_files(), self.arm.plant_model, self.trajectory.file)
 
-    def _written(self) -> Iterator[tuple[str, Path]]:
+    def _output_files(self) -> Iterator[tuple[str, Path]]:
         if self.arm.save_measurements is not None:
             yield "--save-measurements", self.arm.save_measurements
         if self.plan_file is not None:
@@ -362,12 +415,12 @@ class SysidConfig(Config):
         if self.motors.export_damiao:
             yield "--output-dir", self.output.output_dir / file_access.DAMIAO_NAME
         if not self.trajectory.plan_only:
-            yield from super()._written()
+            yield from super()._output_files()
 
 
 @dataclass(frozen=True)
 class PayloadOptions(OptionRecord):
-    """Which recordings are empty and which are loaded, and what is wanted of the payload."""
+    """Recordings without and with a payload, and what is estimated and written of it."""
 
     empty: tuple[Path, ...] = option(
         (), "logs of the arm without the payload", "LOG", takes_many=True
@@ -415,11 +468,11 @@ class PayloadOptions(OptionRecord):
                 f"{missing} is missing: a payload is found from the difference between logs "
                 "without and with it"
             )
-        wanted = EMPTY * len(self.empty) + LOADED * len(self.loaded)
-        if self.order is not None and sorted(self.order) != sorted(wanted):
+        letters = EMPTY * len(self.empty) + LOADED * len(self.loaded)
+        if self.order is not None and sorted(self.order) != sorted(letters):
             raise InputError(
                 f"--order {self.order}: needs {len(self.empty)} times A (the empty logs) and "
-                f"{len(self.loaded)} times B (the loaded ones), such as {wanted}"
+                f"{len(self.loaded)} times B (the loaded ones), such as {letters}"
             )
         if self.save_torque_scale is not None and self.known_mass is None:
             raise InputError(
@@ -435,34 +488,32 @@ class PayloadConfig(Config):
 
     payload: PayloadOptions = field(default_factory=PayloadOptions)
 
-    def _pairs(self) -> Iterator[tuple[bool, str, str]]:
-        exact = self.estimation.scale_uncertainty in (0.0, (0.0,))
+    def _exclusive_options(self) -> Iterator[tuple[bool, str, str]]:
+        is_exact = self.estimation.scale_uncertainty in (0.0, (0.0,))
         yield (
-            self.payload.known_mass is not None and exact,
+            self.payload.known_mass is not None and is_exact,
             "--known-mass",
             "--scale-uncertainty 0",
         )
 
-    def _groups(self) -> Iterator[tuple[bool, str, list[Option]]]:
-        file = "is about a written model; --known-mass writes none"
+    def _option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
         yield (
             self.payload.known_mass is None,
-            file,
-            _given(self.output, only=("bundle", "keep")),
+            "is about a written model; --known-mass writes none",
+            _set_options(self.output, only=("bundle", "keep")),
         )
-        moving = _given(self.estimation, only=("cutoff", "friction_model"))
         yield (
             not self.payload.static,
             "is about motion; --static uses poses at rest",
-            moving,
+            _set_options(self.estimation, only=("cutoff", "friction_model")),
         )
 
-    def read_files(self) -> tuple[Path | None, ...]:
+    def input_files(self) -> tuple[Path | None, ...]:
         """Return the files that a run reads and must not write over."""
-        return (*super().read_files(), *self.payload.empty, *self.payload.loaded)
+        return (*super().input_files(), *self.payload.empty, *self.payload.loaded)
 
-    def _written(self) -> Iterator[tuple[str, Path]]:
+    def _output_files(self) -> Iterator[tuple[str, Path]]:
         yield "--output-dir", self.output.output_dir / file_access.CARD_NAME
         if self.payload.save_torque_scale is not None:
             yield "--save-torque-scale", self.payload.save_torque_scale
-        yield from super()._written()
+        yield from super()._output_files()

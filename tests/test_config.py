@@ -123,7 +123,7 @@ def test_scales_are_as_sure_as_their_file_says_unless_the_user_says(tmp_path):
 
     def sure(**values):
         made = PayloadConfig.of(MODEL, **EMPTY_AND_LOADED, **values)
-        return made.calibrated(("one", "two")).estimation.scale_uncertainty
+        return made.with_scale_uncertainty(("one", "two")).estimation.scale_uncertainty
 
     assert sure(torque_scale=path) == pytest.approx((0.5, 1.0))
     assert sure(torque_scale=path, scale_uncertainty=2.0) == 2.0

@@ -259,7 +259,7 @@ def information(
     config = SysidConfig(
         ModelOptions(path_of(model)), log=log_options, estimation=estimation
     )
-    config = config.calibrated(robot.joint_names)
+    config = config.with_scale_uncertainty(robot.joint_names)
     records = []
     with _quietly() as notes:
         for source in log_options.measurements:

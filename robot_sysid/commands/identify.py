@@ -263,7 +263,7 @@ def run_command(config: Config, console: Console, preview: PreviewOptions) -> No
 
     config = replace(config, output=replace(config.output, config=console.config))
     if isinstance(config, SysidConfig):
-        config = config.seeded()
+        config = config.with_seed()
     output = config.output
     with warnings_as_notes(console):
         outcome = run(config, console)

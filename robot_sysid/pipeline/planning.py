@@ -40,7 +40,7 @@ def design_motion(
     config: SysidConfig, robot: RobotModel, progress: Progress
 ) -> tuple[CheckedPlan, int]:
     """Return the motion of a run with its limit check, and the seed it was drawn with."""
-    seed = config.seeded().trajectory.seed or 0
+    seed = config.with_seed().trajectory.seed or 0
     limits = _limits_with_motors(config.limits, config.motors, robot.n_joints)
     estimation = config.estimation
     request = MotionRequest(
@@ -148,7 +148,7 @@ def write_plan(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> 
                 with files.open(paths[-1]) as file:
                     report = motor_file(file)
                 lines += clamping_lines(report, robot.joint_names)
-    arm_words, limit_words = config.words
+    arm_words, limit_words = config.command_words()
     shortfalls, command = _shortfalls(config, checked, prediction)
     verdict = plan_verdict(
         arm_words,
@@ -183,7 +183,7 @@ def _shortfalls(
     options = prediction.improvement_options()
     if not options:
         return shortfalls, ""
-    arm_words, limit_words = config.words
+    arm_words, limit_words = config.command_words()
     source = [*arm_words, *limit_words]
     # The settings of a motion from a file ask for that motion again.
     if config.trajectory.file is None:

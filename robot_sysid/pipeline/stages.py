@@ -63,7 +63,7 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
                 config.output.output_dir,
                 config.model.mesh_dir,
                 progress,
-                config.read_files(),
+                config.input_files(),
             )
     with locked_folder(config.output.output_dir, progress):
         max_velocity = LimitOptions.max_velocity
@@ -102,7 +102,7 @@ def load_arm(
 
 def identify(config: Config, robot: RobotModel, progress: Progress) -> Identification:
     """Identify an arm or a payload from logs or a simulation; no result file is written."""
-    config = config.calibrated(robot.joint_names)
+    config = config.with_scale_uncertainty(robot.joint_names)
     if isinstance(config, PayloadConfig):
         from robot_sysid.pipeline.payload import identify_payload
 
@@ -175,7 +175,7 @@ def write_results(
         as_body=as_body,
         motor_file=motor_file,
         refused=refusal,
-        inputs=[Path(path) for path in config.read_files() if path is not None],
+        inputs=[Path(path) for path in config.input_files() if path is not None],
     )
     if scale_path is not None and saved.failure is None and result.payload:
         write_torque_scale(scale_path, result.payload.torque_scale)
