@@ -1,17 +1,27 @@
-"""Writing the results: params.json, model, payload card, motor trajectory, all together.
+"""Writing results: params.json, model, payload card and motor trajectory, all together.
 
-What an earlier run left in the folder, whatever command wrote it, never stays beside them.
+Files that an earlier run of any command left in the folder never stay beside them.
+
+params.json is strict JSON in full precision: numbers that are not finite become null. Inertia is
+about the body ORIGIN in ``inertia_tensor`` and about the centre of mass in ``inertia_about_com``,
+in the frame of the body; of a payload in the flange frame. The torque that friction takes is the
+sum of all terms' values times ``friction_formulas``, with ``qd`` the joint's speed and ``load`` the
+torque its gear transmits (that of the links alone).
+
+``bam`` holds a joint's numbers under the names of BAM ("better actuator models", Duclusaud,
+Passault, Padois, Ly, "Extended friction models for the physics simulation of servo actuators",
+ICRA 2025), its models m1 to m4. BAM takes the sum of motor and external torque for the load, which
+at rest is twice what the gear transmits, so that its loss per load is half of ours. It also wants
+the name of an actuator, which says how voltage makes torque and is not identified here.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
-import math
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, is_dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -24,10 +34,8 @@ from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import WriteBack
 from robot_sysid.mjcf.updated_model import BodyChange, ModelChange, changed_model_text
 from robot_sysid.model.compilation import warnings_as_notes
-from robot_sysid.records import InertialParameters, Motion, PriorConflict, file_access
-from robot_sysid.records.file_access import write_atomically
+from robot_sysid.records import InertialParameters, Motion, file_access
 from robot_sysid.records.messages import Progress, with_error
-from robot_sysid.results import record
 from robot_sysid.results.cards import (
     ERROR_NAMES,
     INERTIA,
@@ -39,11 +47,13 @@ from robot_sysid.results.cards import (
 from robot_sysid.results.record import (
     BodyEstimate,
     JointEstimate,
+    ModelFile,
     ModelTarget,
     Payload,
     Quantity,
     Result,
-    RolloutTest,
+    json_text,
+    rollout_entry,
 )
 from robot_sysid.results.verdict import PRIOR_SHARE, limitations, refusal, verdict_lines
 from robot_sysid.results.written_model import versions, write_model
@@ -51,8 +61,8 @@ from robot_sysid.results.written_model import versions, write_model
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
 
-_BESIDE = ("report_data.npz", file_access.RUN_NAME)
-"""What a command writes once the results are in their places."""
+_LATER_NAMES = ("report_data.npz", file_access.RUN_NAME)
+"""Files that a command writes after the results."""
 RESULT_NAMES = (
     file_access.PARAMS_NAME,
     file_access.SERVO_NAME,
@@ -61,21 +71,21 @@ RESULT_NAMES = (
     file_access.DAMIAO_NAME,
     "report.html",
 )
-"""What a run leaves, whichever command and release it was; a planned motion is no result."""
+"""Result files of all commands and releases; a planned motion is no result."""
 MotorFile = Callable[[TextIO], "DamiaoExportReport"]
-"""Writes the motor trajectory into an open file."""
+"""Writes the motor trajectory into an open file and returns a report on it."""
 
 
 @dataclass(frozen=True)
 class Saved:
-    """What was written.
+    """The files of a result, written.
 
     Attributes:
         files: their paths.
-        notes: what writing had to say, one sentence each.
-        damiao: report of the Damiao export, where one was asked for.
-        failure: why there is no model, or None where there is one or none was to be.
-        result_hash: of params.json.
+        notes: for the user, one sentence each.
+        damiao: report of the Damiao export; None where there is none.
+        failure: why there is no model; None where there is one or none was to be written.
+        result_hash: SHA-256 of params.json.
     """
 
     files: tuple[Path, ...]
@@ -87,7 +97,8 @@ class Saved:
 
 @contextlib.contextmanager
 def locked_folder(folder: Path, progress: Progress) -> Iterator[None]:
-    """Keep an output folder to one run, and tell at its end what MuJoCo warned of meanwhile;
+    """Keep other runs out of an output folder, and note MuJoCo's warnings when the block ends.
+
     InputError where the folder cannot be written to, or another run has it.
     """
     file_access.require_writable(folder)
@@ -146,16 +157,18 @@ def save(
     Raises:
         InputError: the folder cannot be written to.
     """
-    # A known mass weighed the torques: there is nothing to write of such a payload.
-    calibrates = result.payload is not None and result.payload.known_mass is not None
+    # Of a known mass the torques are calibrated: there is nothing to write of such a payload.
+    is_calibration = (
+        result.payload is not None and result.payload.known_mass is not None
+    )
     failure = refusal(result) or refused
     report = None
     cards: tuple[Card, ...] = ()
     written: list[Path] = []
     notes: tuple[str, ...] = ()
     with file_access.atomic_files() as files:
-        if failure is None and not calibrates:
-            # Drafted first, it takes its place last: what the other files say then holds for it.
+        if failure is None and not is_calibration:
+            # Drafted first, the model appears last: what the other files say then holds for it.
             target = ModelTarget(
                 files, folder, checkpoints, result.estimate.rmse, mesh_dir
             )
@@ -176,37 +189,31 @@ def save(
         text = params_json_text(result, cards, notes, failure)
         written.append(folder / file_access.PARAMS_NAME)
         files.write(written[-1], text)
-        read = (
-            *inputs,
-            *(file.path for file in read_document(result.robot.path).files),
-        )
-        notes += remove_earlier(files, folder, written, read)
-    return Saved(
-        tuple(written),
-        notes,
-        report,
-        failure,
-        hashlib.sha256(text.encode()).hexdigest(),
-    )
+        model_files = [file.path for file in read_document(result.robot.path).files]
+        notes += remove_earlier(files, folder, written, (*inputs, *model_files))
+    result_hash = hashlib.sha256(text.encode()).hexdigest()
+    return Saved(tuple(written), notes, report, failure, result_hash)
 
 
 def _write_models(
     result: Result, target: ModelTarget, as_body: str | None
 ) -> tuple[list[Path], tuple[str, ...]]:
-    """Write a model into a folder, where that is an MJCF for a URDF's arm a URDF too; return their
-    paths and notes. Either none is written, or all.
+    """Write the model into the folder ``target.path``, with a URDF beside an MJCF of a URDF's arm.
+
+    Returns their paths and notes. Where one cannot be written, ExportError is raised and the drafts
+    of all are withdrawn.
     """
-    written = []
+    results = [result]
+    if result.file is not None and result.file.urdf_file is not None:
+        results.append(replace(result, file=result.file.urdf_file))
+    written: list[Path] = []
     notes: tuple[str, ...] = ()
-    beside = None if result.file is None else result.file.urdf_file
     try:
-        for model in (
-            result,
-            *([] if beside is None else [replace(result, file=beside)]),
-        ):
-            path = target.path / file_access.MODEL_NAMES[model.model_kind]
-            notes += write_model(model, replace(target, path=path), as_body)
-            written.append(path)
+        for model_result in results:
+            name = file_access.MODEL_NAMES[model_result.model_kind]
+            model_target = replace(target, path=target.path / name)
+            notes += write_model(model_result, model_target, as_body)
+            written.append(model_target.path)
     except ExportError:
         for path in written:
             target.files.withdraw(path)
@@ -220,22 +227,30 @@ def remove_earlier(
     written: Collection[Path],
     read: Collection[Path],
 ) -> tuple[str, ...]:
-    """Have results of an earlier run removed once this run's are in place; returns notes.
+    """Have result files of an earlier run removed once those of this run are in place.
 
-    What this run writes, and what it reads, stays.
+    Args:
+        files: which removes them when it commits.
+        folder: the output folder.
+        written: files of this run; they stay.
+        read: files that this run reads; they stay, too.
+
+    Returns:
+        A note per removed result.
     """
-    kept = {os.path.realpath(path) for path in (*written, *read)}
-    there = [
-        folder / name for name in (*RESULT_NAMES, *_BESIDE) if (folder / name).is_file()
-    ]
-    stale = [path for path in there if os.path.realpath(path) not in kept]
-    for path in stale:
-        files.remove(path)
-    told = [path for path in stale if path.name not in _BESIDE]
-    return tuple(f"{path} of an earlier run was removed" for path in told)
+    used = {os.path.realpath(path) for path in (*written, *read)}
+    notes = []
+    for name in (*RESULT_NAMES, *_LATER_NAMES):
+        path = folder / name
+        if path.is_file() and os.path.realpath(path) not in used:
+            files.remove(path)
+            if name not in _LATER_NAMES:
+                notes.append(f"{path} of an earlier run was removed")
+    return tuple(notes)
 
 
 def _card_file(result: Result, payload: Payload) -> tuple[tuple[Card, ...], str]:
+    """Return the cards of a payload and the text of their file."""
     cards = payload_cards(payload.body, payload.flange)
     recordings = payload.recordings
     mass = with_error(payload.body.inertial.mass, float(payload.body.errors[0]), "kg")
@@ -261,23 +276,20 @@ FORMULAS = {
     "cubic": "qd**3",
     "sigmoid": "tanh(qd / sigmoid_speed)",
 }
-_SURE = 1.96
-"""Standard errors on each side of a value that hold 95 % of a bell curve."""
-_WHEN = ("before", "after")
-_OF_PAYLOAD = ("recordings", "scatter", "known_mass", "torque_scale")
-_OF_RUN = ("delay", "tilt", "cutoff", "friction_model")
-_IN_BAM = {
+"""Friction term to its torque per unit of its coefficient."""
+_BAM_NAMES = {
     "viscous": ("friction_viscous", 1.0),
     "stribeck": ("friction_stribeck", 1.0),
     "stribeck_speed": ("dtheta_stribeck", 1.0),
     "load": ("load_friction_base", 0.5),
     "armature": ("armature", 1.0),
 }
+"""Friction term to its name in BAM, and the factor from our coefficient to that of BAM."""
 
 
 def export_params_json(result: Result, path: Path, notes: Sequence[str] = ()) -> None:
-    """Write params.json, or raise InputError; ``notes``, a sentence each, join the result's."""
-    write_atomically(path, params_json_text(result, notes=notes))
+    """Write params.json with further notes, one sentence each, or raise InputError."""
+    file_access.write_atomically(path, params_json_text(result, notes=notes))
 
 
 def params_json_text(
@@ -286,67 +298,72 @@ def params_json_text(
     notes: Sequence[str] = (),
     failure: str | None = None,
 ) -> str:
-    """Return the text of params.json, with the payload's cards, notes of one sentence each, and why
-    nothing may be used of a result that may be used for itself, or None.
+    """Return the text of params.json.
+
+    Args:
+        result: of the identification.
+        cards: of the payload.
+        notes: added to those of the result, one sentence each.
+        failure: why a result that is usable in itself must not be used, or None.
     """
-    found = replace(result, notes=(*result.notes, *notes))
+    joints = {name: _joint_entry(result, name) for name in result.joints}
+    couplings = {}
+    for name, motor in result.couplings.items():
+        written_terms = _written_terms(result, name)
+        couplings[name] = {"terms": motor.terms, "in_the_file": written_terms}
     content = {
         "schema_version": SCHEMA_VERSION,
-        **_asked(found),
+        **_terminal_link_entries(result),
         "verdict": verdict_lines(result, failure),
-        "file": _file(found.file),
-        "payload": _payload(found.payload, cards),
-        "links": [_link(found, body) for body in found.links],
-        "joints": {
-            name: _joint(found, name, each) for name, each in found.joints.items()
-        },
-        "couplings": {
-            name: {"terms": each.terms, "in_the_file": _written_terms(found, name)}
-            for name, each in found.couplings.items()
-        },
+        "file": _file_entry(result.file),
+        "payload": _payload_entry(result.payload, cards),
+        "links": [_link_entry(result, body) for body in result.links],
+        "joints": joints,
+        "couplings": couplings,
         "friction_formulas": FORMULAS,
-        "sensors": found.sensors,
-        **_fit(found),
-        **_beside(found),
+        "sensors": result.sensors,
+        **_fit_entries(result),
+        **_run_entries(replace(result, notes=(*result.notes, *notes))),
     }
     return json_text(content)
 
 
-def json_text(content: Mapping[str, Any]) -> str:
-    """Return strict JSON: arrays as lists, numbers that are not finite as null."""
-    return json.dumps(_strict(content), indent=2, allow_nan=False) + "\n"
-
-
-def inertial_entries(inertial: InertialParameters) -> dict[str, Any]:
-    """Return the ten parameters and what follows from them as JSON entries."""
+def inertial_entries(inertial: InertialParameters | None) -> dict[str, Any] | None:
+    """Return the ten parameters and the numbers that follow from them as JSON entries."""
+    if inertial is None:
+        return None
+    about_com = spatial.six_from_symmetric(inertial.inertia_com)
     return {
         "mass": inertial.mass,
         "center_of_mass_moment": inertial.first_moment,
         "inertia_tensor": dict(zip(INERTIA, inertial.theta[4:])),
         "center_of_mass": inertial.com,
-        "inertia_about_com": dict(
-            zip(INERTIA, spatial.six_from_symmetric(inertial.inertia_com))
-        ),
+        "inertia_about_com": dict(zip(INERTIA, about_com)),
         "principal_moments": inertial.principal_moments,
     }
 
 
-def _asked(result: Result) -> dict[str, Any]:
+def _terminal_link_entries(result: Result) -> dict[str, Any]:
+    """Return the entries on the terminal link, with the payload if there is one, and the status."""
     estimate = result.estimate
+    identifiability = estimate.identifiability
     joint = result.robot.terminal_joint
-    payload = result.payload
-    entries = inertial_entries(
-        (estimate if payload is None else payload.total).inertial
-    )
-    seen = not estimate.identifiability.unidentifiable
+    inertial = estimate.inertial
+    is_identified = not identifiability.unidentifiable
+    if result.payload is not None:
+        inertial = result.payload.total.inertial
+        is_identified = bool(np.all(result.payload.body.is_determined))
+    entries = inertial_entries(inertial) or {}
     return {
         "joint_name": joint,
-        **{key: entries.pop(key) for key in list(entries)[:3]},
+        "mass": entries.pop("mass"),
+        "center_of_mass_moment": entries.pop("center_of_mass_moment"),
+        "inertia_tensor": entries.pop("inertia_tensor"),
         "coulomb_friction": estimate.value(f"coulomb[{joint}]"),
         "viscous_friction": estimate.value(f"viscous[{joint}]"),
         "rmse": estimate.rmse,
-        "condition_number": estimate.identifiability.condition_number,
-        "n_base_params": estimate.identifiability.rank,
+        "condition_number": identifiability.condition_number,
+        "n_base_params": identifiability.rank,
         "question": result.question,
         "body_name": result.robot.body_name,
         **entries,
@@ -356,39 +373,42 @@ def _asked(result: Result) -> dict[str, Any]:
         "known_to": result.relative_mass_error,
         "valid": {
             "physically_consistent": result.body.inertial.is_consistent,
-            "all_identified": seen
-            if payload is None
-            else bool(np.all(payload.body.is_determined)),
+            "all_identified": is_identified,
             "trustworthy": result.verdict.is_trustworthy,
         },
     }
 
 
-def _file(file: record.ModelFile | None) -> dict[str, Any] | None:
+def _file_entry(file: ModelFile | None) -> dict[str, Any] | None:
+    """Return the errors of the written model and the parts that it keeps."""
     if file is None:
         return None
-    pairs = [
-        dict(zip(_WHEN, tests))
-        for tests in (
-            (file.validation_before, file.validation_after),
-            *file.other_validations,
-        )
-    ]
+    before = file.validation_before
+    after = file.validation_after
     return {
         "torque_error": {
-            when: test and test.relative_error for when, test in pairs[0].items()
+            "before": before.relative_error,
+            "after": after and after.relative_error,
         },
-        **pairs[0],
-        "others": pairs[1:],
+        "before": before,
+        "after": after,
+        "others": [{"before": b, "after": a} for b, a in file.other_validations],
         "gravity": file.gravity,
         "kept": file.unchanged,
     }
 
 
-def _payload(found: Payload | None, cards: Sequence[Card]) -> dict[str, Any] | None:
-    if found is None:
+def _payload_entry(
+    payload: Payload | None, cards: Sequence[Card]
+) -> dict[str, Any] | None:
+    """Return flange, bodies, recordings and cards of a payload."""
+    if payload is None:
         return None
-    flange = found.flange
+    flange = payload.flange
+    card_entries = {}
+    for card in cards:
+        card_entries[card.name] = vars(card).copy()
+        del card_entries[card.name]["name"]
     return {
         "flange": {
             "name": flange.name,
@@ -396,118 +416,133 @@ def _payload(found: Payload | None, cards: Sequence[Card]) -> dict[str, Any] | N
             "translation": flange.translation,
             "rotation": flange.rotation,
         },
-        **{name: _body(getattr(found, name)) for name in ("body", "link", "total")},
-        **{name: getattr(found, name) for name in _OF_PAYLOAD},
-        "cards": {
-            card.name: {k: v for k, v in vars(card).items() if k != "name"}
-            for card in cards
-        },
+        "body": _body_entry(payload.body),
+        "link": _body_entry(payload.link),
+        "total": _body_entry(payload.total),
+        "recordings": payload.recordings,
+        "scatter": payload.scatter,
+        "known_mass": payload.known_mass,
+        "torque_scale": payload.torque_scale,
+        "cards": card_entries,
     }
 
 
-def _body(body: BodyEstimate) -> dict[str, Any]:
-    def named(values: Any) -> dict[str, Any]:
+def _body_entry(body: BodyEstimate) -> dict[str, Any]:
+    """Return the parameters of a body, in the model, too, with their errors by cause."""
+
+    def by_name(values: Any) -> dict[str, Any]:
         return dict(zip(PARAMETER_NAMES, values))
 
     from_data = body.is_determined & (body.data_share >= PRIOR_SHARE)
+    source = np.where(from_data, "identified", "from_model").tolist()
+    load_entries = dict(zip(ERROR_NAMES, load_errors(body)))
+    noise = by_name(body.noise_errors)
+    causes = {cause: by_name(errors) for cause, errors in body.budget.items()}
     return {
         "name": body.name,
-        **inertial_entries(body.inertial),
-        "model": None if body.prior is None else inertial_entries(body.prior),
-        "standard_errors": {
-            **named(body.errors),
-            **dict(zip(ERROR_NAMES, load_errors(body))),
-        },
-        "standard_errors_noise": named(body.noise_errors),
-        "error_budget": {
-            "noise": named(body.noise_errors),
-            **{cause: named(part) for cause, part in body.budget.items()},
-        },
-        "data_share": named(body.data_share),
-        "source": named(np.where(from_data, "identified", "from_model").tolist()),
+        **(inertial_entries(body.inertial) or {}),
+        "model": inertial_entries(body.prior),
+        "standard_errors": {**by_name(body.errors), **load_entries},
+        "standard_errors_noise": noise,
+        "error_budget": {"noise": noise, **causes},
+        "data_share": by_name(body.data_share),
+        "source": by_name(source),
     }
 
 
-def _link(result: Result, body: BodyEstimate) -> dict[str, Any]:
+def _link_entry(result: Result, body: BodyEstimate) -> dict[str, Any]:
+    """Return the entry of a link, with the parameters that the written model has."""
     written = None
     if result.file is not None and body.joint is not None:
         theta = result.file.thetas[result.robot.joint_names.index(body.joint)]
-        written = inertial_entries(InertialParameters(theta)) if np.any(theta) else None
-    return {
-        "name": body.name,
-        "joint": body.joint,
-        **_body(body),
-        "in_the_file": written,
-    }
+        written = InertialParameters(theta) if np.any(theta) else None
+    entry = {"name": body.name, "joint": body.joint, **_body_entry(body)}
+    return {**entry, "in_the_file": inertial_entries(written)}
 
 
-def _joint(result: Result, name: str, joint: JointEstimate) -> dict[str, Any]:
-    written = _written_terms(result, name)
-    ways = joint.directional_coulomb
+def _joint_entry(result: Result, name: str) -> dict[str, Any]:
+    """Return friction and rotor inertia of a joint: identified, in the model, written, for BAM."""
+    joint = result.joints[name]
+    written_terms = _written_terms(result, name)
+    directional = joint.directional_coulomb
     return {
         "friction_model": joint.friction_model,
         "terms": joint.terms,
         "model": joint.model_terms,
-        "in_the_file": written,
+        "in_the_file": written_terms,
         "held_out_rmse_by_friction_model": joint.candidates,
-        "two_ways": ways and dict(zip(("forward", "backward"), ways)),
+        "two_ways": directional and dict(zip(("forward", "backward"), directional)),
         "logs": joint.logs,
         "another_day": joint.other_day_terms,
         "torque_noise": joint.noise,
-        "bam": _bam(joint, written),
+        "bam": _bam_entry(joint, written_terms),
     }
 
 
 def _written_terms(result: Result, name: str) -> Mapping[str, Quantity]:
-    """Return what the written model has of a joint's friction, or of a shared motor's."""
+    """Return the friction terms that the written model has of a joint, or of a shared motor."""
     return {} if result.file is None else result.file.joints.get(name, {})
 
 
-def _bam(
-    joint: JointEstimate, written: Mapping[str, Quantity]
+def _bam_entry(
+    joint: JointEstimate, written_terms: Mapping[str, Quantity]
 ) -> dict[str, Any] | None:
-    """Return what BAM's load_model_from_dict reads, but for the actuator's name."""
-    terms = set(joint.friction_model.split("-")) - {"none"}
-    figures = joint.terms
-    if terms - {"coulomb", "viscous", "offset", "armature", "stribeck", "load"}:
-        # BAM has no such curve: the nearest Coulomb and viscous friction, as in the file.
-        terms = {"coulomb", "viscous", "armature"}
-        figures = written
-    if "coulomb" not in figures:
+    """Return the arguments of BAM's load_model_from_dict, but for the actuator's name.
+
+    None without Coulomb friction. Where BAM lacks a term, Coulomb and viscous friction as written
+    to the model take the place of all terms.
+    """
+    names = set(joint.friction_model.split("-")) - {"none"}
+    terms = joint.terms
+    if names - {"coulomb", "viscous", "offset", "armature", "stribeck", "load"}:
+        names = {"coulomb", "viscous", "armature"}
+        terms = written_terms
+    if "coulomb" not in terms:
         return None
-    number = 1 + ("stribeck" in terms) + 2 * ("load" in terms)
-    known = {
-        n: share * figures[t].value for t, (n, share) in _IN_BAM.items() if t in figures
-    }
-    return {
+    number = 1 + ("stribeck" in names) + 2 * ("load" in names)
+    entry: dict[str, Any] = {
         "model": f"m{number}",
-        "friction_base": figures["coulomb"].value,
+        "friction_base": terms["coulomb"].value,
         "friction_viscous": 0.0,
-        **known,
-        **({"alpha": 2.0} if "stribeck" in terms else {}),
-        **({"load_friction_stribeck": 0.0} if number == 4 else {}),
     }
+    for term, (bam_name, factor) in _BAM_NAMES.items():
+        if term in terms:
+            entry[bam_name] = factor * terms[term].value
+    if "stribeck" in names:
+        entry["alpha"] = 2.0
+    if number == 4:
+        entry["load_friction_stribeck"] = 0.0
+    return entry
 
 
-def _fit(result: Result) -> dict[str, Any]:
+def _fit_entries(result: Result) -> dict[str, Any]:
+    """Return the entries on the fit: method, identifiability, errors, priors, samples."""
     estimate = result.estimate
-    errors = result.estimate.standard_errors
-    seen = estimate.identifiability
-    words = {True: "identified", False: "from_model"}
+    identifiability = estimate.identifiability
+    sources = np.where(identifiability.identified, "identified", "from_model").tolist()
+    errors = estimate.standard_errors
+    conflicts = []
+    for conflict in result.conflicts:
+        conflicts.append(
+            {
+                "cause": conflict.cause,
+                "members": conflict.members,
+                "asked": conflict.deviation,
+                "scale": conflict.scale,
+            }
+        )
     return {
         "method": estimate.method,
         "torques": result.torques,
-        "parameter_source": {
-            n: words[bool(k)] for n, k in zip(estimate.names, seen.identified)
-        },
-        "unidentifiable_combinations": seen.unidentifiable,
+        "parameter_source": dict(zip(estimate.names, sources)),
+        "unidentifiable_combinations": identifiability.unidentifiable,
         "rmse_per_joint": estimate.rmse_per_joint,
-        "condition_number_scaled": seen.scaled_condition_number,
+        "condition_number_scaled": identifiability.scaled_condition_number,
         "constrained": estimate.constrained,
         "standard_errors": None
         if errors is None
         else dict(zip(estimate.names, errors)),
-        "prior_conflicts": [_prior_conflict(conflict) for conflict in result.conflicts],
+        "prior_conflicts": conflicts,
         "link_scales": result.link_scales,
         "wrong_links": result.wrong_links,
         "noise_per_joint": estimate.noise_per_joint,
@@ -516,90 +551,33 @@ def _fit(result: Result) -> dict[str, Any]:
     }
 
 
-def _prior_conflict(conflict: PriorConflict) -> dict[str, Any]:
-    return {
-        "cause": conflict.cause,
-        "members": conflict.members,
-        "asked": conflict.deviation,
-        "scale": conflict.scale,
-    }
-
-
-def _beside(result: Result) -> dict[str, Any]:
+def _run_entries(result: Result) -> dict[str, Any]:
+    """Return the entries on base parameters, validation and notes, and on data, model, versions."""
     base = result.base
     data = result.data
     robot = result.robot
-    rows = None
+    combinations = None
     if base is not None:
-        names = ("combination", "value", "standard_error", "essential")
+        keys = ("combination", "value", "standard_error", "essential")
         columns = (base.combinations, base.values, base.standard_errors, base.essential)
-        rows = [dict(zip(names, row)) for row in zip(*columns)]
+        combinations = [dict(zip(keys, row)) for row in zip(*columns)]
     return {
-        "base_parameters": rows,
+        "base_parameters": combinations,
         "structural_rank": None if base is None else base.structural_rank,
         "validation": result.validation,
         "rollout": rollout_entry(result.rollout),
-        **{name: getattr(result, name) for name in _OF_RUN},
+        "delay": result.delay,
+        "tilt": result.tilt,
+        "cutoff": result.cutoff,
+        "friction_model": result.friction_model,
         "limitations": limitations(result),
         "notes": result.notes,
         "source": data.description,
         "logs": data.files,
         "model": {"path": str(robot.path), "sha256": robot.sha256},
         "joint_names": robot.joint_names,
-        **{name: getattr(data, name) for name in ("seed", "duration", "sample_rate")},
+        "seed": data.seed,
+        "duration": data.duration,
+        "sample_rate": data.sample_rate,
         "versions": versions(),
-    }
-
-
-def _strict(value: Any) -> Any:
-    """Return what strict JSON can hold: a figure gets its 95 % interval, a record its names."""
-    if isinstance(value, Quantity):
-        found = value.value
-        reach = _SURE * value.error
-        interval = [found - reach, found + reach]
-        return _strict(
-            {"value": found, "standard_error": value.error, "interval": interval}
-        )
-    if is_dataclass(value) and not isinstance(value, type):
-        return _strict(asdict(value))
-    if isinstance(value, Mapping):
-        return {str(key): _strict(item) for key, item in value.items()}
-    if isinstance(value, (np.ndarray, np.generic)):
-        return _strict(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [_strict(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def rollout_entry(test: RolloutTest | None) -> dict[str, Any] | None:
-    """Return the entry of params.json; None where nothing was played."""
-    if test is None:
-        return None
-
-    def figures(before: float, after: float) -> dict[str, float | None]:
-        ratio = after / before if before > 0.0 else None
-        return {"before": before, "after": after, "ratio": ratio}
-
-    return {
-        "held_out": test.held_out,
-        "closed_loop_is": test.servo,
-        **{name: getattr(test, name) for name in ("is_better", "score")},
-        "errors": [
-            {
-                **{
-                    name: getattr(error, name)
-                    for name in ("loop", "horizon", "windows")
-                },
-                "diverged": dict(zip(("before", "after"), error.diverged)),
-                "overall": figures(*error.overall),
-                "joints": dict(
-                    zip(
-                        test.joint_names,
-                        map(figures, error.errors_before, error.errors_after),
-                    )
-                ),
-            }
-            for error in test.errors
-        ],
-        "notes": list(test.notes),
     }

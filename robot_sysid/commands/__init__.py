@@ -175,7 +175,7 @@ class Console(ConsoleOptions, Progress):
     def result(self, content: Mapping[str, Any] | str) -> None:
         """Print the result of a command where JSON is wanted; a text is JSON already."""
         if self.json:
-            from robot_sysid.export import json_text
+            from robot_sysid.results.record import json_text
 
             text = content if isinstance(content, str) else json_text(content)
             print_text(text, sys.stdout)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, is_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -471,3 +473,68 @@ class ModelTarget:
     checkpoints: Motion
     rmse: float
     mesh_dir: Path | None = None
+
+
+_INTERVAL_ERRORS = 1.96
+"""Standard errors on each side of a value within which 95 % of a normal distribution lie."""
+
+
+def json_text(content: Mapping[str, Any]) -> str:
+    """Return strict JSON text: arrays as lists, numbers that are not finite as null."""
+    return json.dumps(_strict(content), indent=2, allow_nan=False) + "\n"
+
+
+def _strict(value: Any) -> Any:
+    """Return a value as strict JSON can hold it: records as dicts, quantities with an interval.
+
+    Numbers that are not finite become None.
+    """
+    if isinstance(value, Quantity):
+        reach = _INTERVAL_ERRORS * value.error
+        entry = {
+            "value": value.value,
+            "standard_error": value.error,
+            "interval": [value.value - reach, value.value + reach],
+        }
+        return _strict(entry)
+    if is_dataclass(value) and not isinstance(value, type):
+        return _strict(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(key): _strict(item) for key, item in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _strict(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_strict(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def rollout_entry(test: RolloutTest | None) -> dict[str, Any] | None:
+    """Return a rollout test as an entry of params.json or servo.json; None where there was none."""
+    if test is None:
+        return None
+
+    def ratio_entry(before: float, after: float) -> dict[str, float | None]:
+        ratio = after / before if before > 0.0 else None
+        return {"before": before, "after": after, "ratio": ratio}
+
+    errors = []
+    for error in test.errors:
+        joint_entries = map(ratio_entry, error.errors_before, error.errors_after)
+        errors.append(
+            {
+                "loop": error.loop,
+                "horizon": error.horizon,
+                "windows": error.windows,
+                "diverged": dict(zip(("before", "after"), error.diverged)),
+                "overall": ratio_entry(*error.overall),
+                "joints": dict(zip(test.joint_names, joint_entries)),
+            }
+        )
+    return {
+        "held_out": test.held_out,
+        "closed_loop_is": test.servo,
+        "is_better": test.is_better,
+        "score": test.score,
+        "errors": errors,
+        "notes": list(test.notes),
+    }

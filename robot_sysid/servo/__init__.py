@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import ExportError, InputError
-from robot_sysid.export import json_text, locked_folder, remove_earlier, rollout_entry
+from robot_sysid.export import locked_folder, remove_earlier
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
 from robot_sysid.mjcf.documents import read_document
@@ -29,7 +29,14 @@ from robot_sysid.records import (
     file_access,
 )
 from robot_sysid.records.messages import Progress
-from robot_sysid.results.record import CLOSED, ModelTarget, RolloutError, RolloutTest
+from robot_sysid.results.record import (
+    CLOSED,
+    ModelTarget,
+    RolloutError,
+    RolloutTest,
+    json_text,
+    rollout_entry,
+)
 from robot_sysid.results.result_lines import folder_text, rollout_lines
 from robot_sysid.results.verdict import two_lines
 from robot_sysid.results.verification import HORIZONS, LAST_FIFTH, rollout_refusal
