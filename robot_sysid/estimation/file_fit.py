@@ -48,8 +48,8 @@ class FileFit:
 
     Attributes:
         fit: its parameters.
-        before, after: held-out error of the model as it was and of the file, each joint's sensor
-            offset subtracted.
+        before: held-out error of the model as it was, sensor offsets subtracted.
+        after: held-out error of the file, sensor offsets subtracted.
         errors: of its parameters.
         urdf: the best URDF, where the model is a URDF and this file is an MJCF.
     """
@@ -138,7 +138,8 @@ def _fit_kind(
             final_question = level
             start = point
             rounds = 1
-    del judge, fit  # its Gram matrices take as much memory as the rows
+    # Gram matrices and rows go before others are made: each takes most of the memory.
+    del judge, fit
     fit = replace(fitter.fit(final_question, choice, start, rounds), question=question)
     judge = held_out(fit, fit.unknowns)
     validation = judge.validation(judge.consistent_squared_errors(fit.unknowns))
@@ -160,7 +161,7 @@ def _friction(
 ) -> tuple[FrictionModel, ...]:
     """Return each joint's terms of a named friction model that are unknown in a file.
 
-    Kept parts are left out, and the rotors of joints whose inertia is known (``rotors``).
+    Parts of the file that stay as they are have no terms, nor have rotors of known inertia.
     """
     excluded: set[str] = set()
     if FILE_FRICTION in question.unchanged_parts:

@@ -74,10 +74,11 @@ def low_pass_recordings(
     """
     resampled = [LogPiece.of(piece.samples) for piece in pieces]
     cutoffs = []
-    pairs = []
     for piece, log in zip(pieces, resampled):
         with prefix_input_errors(piece.name):
             cutoffs.append(options.cutoff or log.choice[0])
+    low_passed = []
+    notes: dict[str, tuple[str, ...]] = {}
     for piece, log, required in zip(pieces, resampled, cutoffs):
         cutoff = options.cutoff
         reason = "as given"
@@ -86,16 +87,10 @@ def low_pass_recordings(
             reason = "as another recording asks for"
         with prefix_input_errors(piece.name):
             signals = process(log, robot.joint_names, cutoff, reason)
-            pairs.append((piece, signals))
-    datasets = []
-    for piece, signals in pairs:
-        dataset = Dataset(piece.name, signals, piece.is_loaded, piece.order)
-        datasets.append(without_standing(robot, dataset, options))
-    notes: dict[str, tuple[str, ...]] = {}
-    for piece, signals in pairs:
-        notes[piece.name] = tuple(
-            dict.fromkeys((*notes.get(piece.name, ()), *signals.notes))
-        )
+        low_passed.append(Dataset(piece.name, signals, piece.is_loaded, piece.order))
+        piece_notes = (*notes.get(piece.name, ()), *signals.notes)
+        notes[piece.name] = tuple(dict.fromkeys(piece_notes))
+    datasets = [without_standing(robot, dataset, options) for dataset in low_passed]
     return datasets, tuple(shared_notes(notes))
 
 
@@ -227,7 +222,7 @@ def refit(
 
 
 def _passes(progress: Progress) -> Callable[[], None]:
-    """Return a function that reports progress, to be called before each pass."""
+    """Return the function that reports progress, which a fitter calls before each pass."""
     done = itertools.count()
 
     def report() -> None:
@@ -369,7 +364,7 @@ def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[RecordingPayload, .
 def contradiction(fit: Fit, flange: Flange) -> str:
     """Return a sentence on recordings of one kind that contradict each other; "" where they agree.
 
-    Bodies are in the flange's frame. Torque scales of the fit may have been bent to explain a
+    Bodies are in the flange's frame. Torque scales of the fit may have been adapted to a
     recording of the wrong kind, so that a difference has to show in a second linearisation, around
     the model's own values, too.
     """

@@ -64,14 +64,14 @@ MOST_NOTES = 20
 
 
 @dataclass(frozen=True)
-class Settled:
-    """Settings that have to be the same in all records that are added.
+class CommonSettings:
+    """Settings that are equal in all records that are added.
 
     Attributes:
         model: hash of the model's files.
         joint: the terminal joint.
         around: hash of the first round's sum, at whose estimate the equations are linearised; "" in
-            that round itself.
+            the first round.
         estimation: all options of the estimate.
     """
 
@@ -80,7 +80,7 @@ class Settled:
     around: str
     estimation: EstimationOptions
 
-    def differences(self, other: Settled) -> list[str]:
+    def differences(self, other: CommonSettings) -> list[str]:
         """Return the settings that differ, in words."""
         labels = {
             "model": "the model",
@@ -102,7 +102,7 @@ class LogInformation:
     """Information of any number of logs of any length; ``+`` combines two records.
 
     Attributes:
-        settled: settings that have to be the same in all records that are added.
+        settled: settings that are equal in all records that are added.
         evidence: triangles of all joints' equations, in blocks.
         residuals: per joint, sums over lags of the first round's residuals; empty in that round.
         pull: (joints, p) of ``errors.filtering_bias``, which gives the error due to the low-pass.
@@ -115,7 +115,7 @@ class LogInformation:
         notes: the first ``MOST_NOTES`` notes of the logs, one sentence each.
     """
 
-    settled: Settled
+    settled: CommonSettings
     evidence: Evidence
     residuals: tuple[JointResiduals, ...]
     pull: Array
@@ -280,7 +280,7 @@ def log_information(
     Raises:
         InputError: a log does not fit the arm, or the first round was settled differently.
     """
-    settled = Settled(robot.sha256, robot.terminal_joint, "", options)
+    settled = CommonSettings(robot.sha256, robot.terminal_joint, "", options)
     if around is not None:
         differences = settled.differences(replace(around.settled, around=""))
         if differences:

@@ -32,7 +32,7 @@ HARMLESS = 0.02
 UNUSUAL = 0.035
 """Share of all torque that neither model nor noise explains, above which a note is added."""
 UNEXPLAINED = 0.05
-"""The share above which a result is not trustworthy: logs of right models have 0.4 to 3 %."""
+"""That share above which a result is not trustworthy: logs of right models have 0.4 to 3 %."""
 ODD_JOINT = 10.0
 """Noise over torque of a joint, in medians of the other joints', above which it is a misfit."""
 ODD_NOISE = 0.3
@@ -46,7 +46,8 @@ COM_BEYOND = 0.3
 """Distance of the centre of mass beyond the model's link that is accepted, as a share of the arm's
 reach: a tool that the model does not have may be bolted to it."""
 GYRATION_BEYOND = 0.1
-"""The same for the radius of gyration."""
+"""Excess of the radius of gyration over the model's link that is accepted, as a share of the
+arm's reach."""
 MOVED_UNSEEN = 2.0
 """Largest factor between the model's mass and a mass that the data does not identify."""
 COARSE = 0.2
@@ -82,7 +83,7 @@ Judgement = tuple[Verdict, str]
 def first(
     findings: Iterable[Judgement], otherwise: Verdict
 ) -> tuple[Verdict, tuple[str, ...]]:
-    """Return (verdict of the first finding, else the given one; reasons of all findings)."""
+    """Return (verdict of the first finding, ``otherwise`` without findings; reasons of all)."""
     judged = list(findings)
     return (judged[0][0] if judged else otherwise), tuple(
         reason for _, reason in judged

@@ -25,8 +25,9 @@ from robot_sysid.records import Array, JointInformation, SquareRootInformation
 _MOST_ROUNDS = 30
 # Relative change of the noise at which it has converged: it moves no printed digit.
 _SETTLED = 1e-6
-# Shares of the root mean square torque, see ``noise_floor``.
+# Smallest noise without a prior, as a share of the root mean square torque.
 _NOISE_FLOOR = 1e-9
+# Smallest noise with a prior.
 _NOISE_FLOOR_WITH_PRIOR = 1e-4
 # Least pivot of a scaled matrix, whose diagonal is 1: rounding makes pivots up to 1e-14 of zeros,
 # and exact data of arms with priors has 1e-12 (measured).
@@ -35,16 +36,18 @@ _LEAST_PIVOT = 1e-13
 _ROUNDING = 1e-14
 # Ratio to its floor up to which noise is at the floor.
 _AT_FLOOR = 1.01
-# Floor of ``lower_floor``, as a share of the usual one, and its rounds.
+# Floor of ``lower_floor``, as a share of ``noise_floor``.
 _LOWER_FLOOR = 0.01
+# Rounds of ``lower_floor``.
 _LOWER_ROUNDS = 2
 Solve = Callable[[Array], tuple[Array, Array]]
+"""Function of weights (joints,) that returns (values (p,), leverage (joints,)): see ``solver``."""
 Block = tuple[NDArray[np.int64], Array]
-"""Indices of the columns of rows [A b] among all, right-hand sides last, and the rows."""
+"""Rows [A b] (m, k + 1), preceded by the indices (k + 1,) of their columns among all columns."""
 
 
 def ordinary(information: SquareRootInformation, solve: Solve) -> Array:
-    """Return the noise (joints,), equal for all joints, from all residuals [N m]."""
+    """Return one noise for all joints (joints,), from the residuals of all of them [N m]."""
     ones = np.ones(len(information.joints))
     common = 1.0
     for _ in range(_MOST_ROUNDS):
@@ -158,11 +161,10 @@ class _Normal:
             return None
         values, root = solution
         spread = np.pad(root @ root.T, (0, 1))
-        leverage = [
-            square
-            * sum(np.einsum("ij,ij", gram[i], spread[target]) for i, target in runs)
-            for (gram, runs), square in zip(self._squares, squares[:-1])
-        ]
+        leverage = []
+        for (gram, runs), square in zip(self._squares, squares[:-1]):
+            traces = [np.einsum("ij,ij", gram[i], spread[j]) for i, j in runs]
+            leverage.append(square * sum(traces))
         return values[self._indices[:-1]], np.array(leverage)
 
 
@@ -262,10 +264,10 @@ def _solve_by_decomposition(
     """Return (x, leverage) of ``solver``, by a decomposition."""
     matrix, right_side = information.equations(weights)
     values, root = solve_rows(np.column_stack((matrix, right_side - matrix @ prior)))
-    pairs = zip(information.joints, weights)
-    leverage = [
-        w**2 * np.sum((j.triangle[:, :-1] @ root[j.columns]) ** 2) for j, w in pairs
-    ]
+    leverage = []
+    for joint, weight in zip(information.joints, weights):
+        rows = joint.triangle[:, :-1] @ root[joint.columns]
+        leverage.append(weight**2 * np.sum(rows**2))
     return prior + values, np.array(leverage)
 
 
@@ -314,8 +316,9 @@ class InformationAccumulator:
 
 
 def update_triangle(triangle: Array, rows: Array) -> Array:
-    """Return the triangle (k, k) of all rows so far and the new ones (N, k); fewer than k non-zero
-    rows are returned unchanged.
+    """Return the triangle (k, k) of a previous one and new rows (N, k) together.
+
+    Fewer than k non-zero rows are returned unchanged.
     """
     stacked = np.vstack((triangle, rows)) if len(triangle) else rows
     is_used = np.any(stacked != 0.0, axis=1)
@@ -391,25 +394,22 @@ def combine(blocks: Sequence[SquareRootInformation]) -> SquareRootInformation:
     """
     if len(blocks) == 1:
         return blocks[0]
-    joints = tuple(
-        JointInformation(
-            same[0].joint,
-            same[0].columns,
-            update_triangle(
-                same[0].triangle[:0], np.vstack([j.triangle for j in same])
-            ),
-            sum(j.n_samples for j in same),
-        )
-        for same in zip(*(block.joints for block in blocks))
-    )
-    return SquareRootInformation(blocks[0].names, joints, blocks[0].prior)
+    joints = []
+    for joint_blocks in zip(*[block.joints for block in blocks]):
+        first = joint_blocks[0]
+        rows = np.vstack([block.triangle for block in joint_blocks])
+        triangle = update_triangle(first.triangle[:0], rows)
+        count = sum(block.n_samples for block in joint_blocks)
+        joints.append(replace(first, triangle=triangle, n_samples=count))
+    return SquareRootInformation(blocks[0].names, tuple(joints), blocks[0].prior)
 
 
 def parts_of(
     total: SquareRootInformation, blocks: Sequence[SquareRootInformation]
 ) -> Iterator[SquareRootInformation]:
-    """Yield the blocks of which a total is the sum, with the rows that it contains unchanged as
-    views of it, which halves the memory.
+    """Yield the blocks of a total, as views of the total where it contains their rows unchanged.
+
+    Views halve the memory. The total is ``combine`` of the blocks.
     """
     counts = np.array(
         [[len(joint.triangle) for joint in block.joints] for block in blocks]
@@ -421,15 +421,13 @@ def parts_of(
         for count, (rows, width) in zip(np.sum(counts, axis=0), sizes)
     ]
     for block, ends, sizes_of_block in zip(blocks, np.cumsum(counts, axis=0), counts):
-        joints = tuple(
-            replace(joint, triangle=every.triangle[end - count : end])
-            if is_shared
-            else joint
-            for joint, every, is_shared, end, count in zip(
-                block.joints, total.joints, shared, ends, sizes_of_block
-            )
-        )
-        yield replace(block, joints=joints)
+        joints = []
+        for k, joint in enumerate(block.joints):
+            if shared[k]:
+                rows = total.joints[k].triangle[ends[k] - sizes_of_block[k] : ends[k]]
+                joint = replace(joint, triangle=rows)
+            joints.append(joint)
+        yield replace(block, joints=tuple(joints))
 
 
 def restrict(

@@ -93,6 +93,7 @@ class LinkScales:
 
 
 AS_STATED = LinkScales()
+"""Scales of a prior as stated."""
 
 
 @dataclass(frozen=True)
@@ -246,9 +247,11 @@ def widened_groups(
     groups: Sequence[NuisanceGroup],
     least: float = 1.0,
 ) -> tuple[NuisanceGroup, ...]:
-    """Return the groups with the widths that data with torque noise (joints,) [N m] calls for.
+    """Return the groups with the factors alpha on their standard deviations that the data implies.
 
-    No group becomes narrower than ``least`` times its prior.
+    Args:
+        noise: (joints,) standard deviation of the torque noise [N m].
+        least: smallest factor; below one, groups that may not widen get factors as well.
     """
     widened = tuple(groups)
     if least >= 1.0 and not any(group.may_widen for group in widened):
@@ -256,29 +259,20 @@ def widened_groups(
     problem = WithPriors(information, noise)
     for _ in range(_ROUNDS if widened else 0):
         values, covariance, _ = problem.solve(widened)
-        previous = widened
-        widened = tuple(
-            replace(
-                group,
-                widened=max(
-                    _widening(
-                        group,
-                        np.eye(len(group.names)),
-                        problem.names,
-                        values,
-                        covariance,
-                    )[0],
-                    least,
-                ),
-            )
-            if group.may_widen or least < 1.0
-            else group
-            for group in previous
-        )
-        if all(
-            abs(a.widened / b.widened - 1.0) < _SETTLED
-            for a, b in zip(widened, previous)
-        ):
+        next_groups = []
+        largest_change = 0.0
+        for group in widened:
+            factor = group.widened
+            if group.may_widen or least < 1.0:
+                identity = np.eye(len(group.names))
+                names = problem.names
+                alpha, _ = _widening(group, identity, names, values, covariance)
+                factor = max(alpha, least)
+            change = abs(factor / group.widened - 1.0)
+            largest_change = max(largest_change, change)
+            next_groups.append(replace(group, widened=factor))
+        widened = tuple(next_groups)
+        if largest_change < _SETTLED:
             break
     return widened
 
@@ -363,12 +357,13 @@ def misfits(
     """Return the causes whose priors the data contradicts significantly.
 
     A cause is contradicted where holding it at its mean increases the misfit by more than
-    chi-square allows for any cause. Its width is then that of its worst aspect: links of another
-    density contradict the prior in their masses alone, which ten parameters per link would hide.
+    chi-square allows for any cause. The factor on its prior is then that of its worst aspect: links
+    of another density contradict the prior in their masses alone, which an average over ten
+    parameters per link would hide.
 
     Args:
-        noise: (joints,) [N m].
-        groups: with the widths of the estimate.
+        noise: (joints,) standard deviation of the torque noise [N m].
+        groups: priors with the factors of the estimate.
     """
     problem = WithPriors(information, noise)
     values, covariance, with_all = problem.solve(groups)
@@ -387,15 +382,18 @@ def misfits(
                 wide_groups = widened_groups(information, noise, groups, _NARROWEST)
                 wide_solution = problem.solve(wide_groups)[:2]
             worst = _worst_members(group, group.deviations(problem.names, values))
-            pairs = [
-                _widening(wide_groups[index], aspect, problem.names, *wide_solution)
-                for aspect in (identity, *group.aspects())
-            ]
-            # Significant if the prior were right.
-            clear = [
-                a for a, free in pairs if is_no_chance(a**2 * free, free, 1.0 - SURE)
-            ]
-            factor = max(clear, default=min(pairs[0][0], 1.0))
+            wide_group = wide_groups[index]
+            significant = []
+            for aspect in group.aspects():
+                alpha, free = _widening(
+                    wide_group, aspect, problem.names, *wide_solution
+                )
+                if is_no_chance(alpha**2 * free, free, 1.0 - SURE):
+                    significant.append(alpha)
+            alpha, free = _widening(wide_group, identity, problem.names, *wide_solution)
+            if is_no_chance(alpha**2 * free, free, 1.0 - SURE):
+                significant.append(alpha)
+            factor = max(significant, default=min(alpha, 1.0))
             conflicts.append(PriorConflict(group.cause, worst, factor, group.widened))
     return tuple(conflicts)
 
@@ -422,13 +420,17 @@ def _worst_members(group: NuisanceGroup, off: Array) -> tuple[str, ...]:
 MASS_SCALES = (2.0, 4.0, 8.0)
 """Multiples of the stated share that masses may be off by, each as likely: 10, 20, 40 % of 5 %."""
 COM_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+"""Multiples of the stated share that centres of mass may be off by."""
 INERTIA_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+"""Multiples of the stated share that inertias may be off by."""
 USUAL_COM_SCALE = 1.5
+"""Median of the log-normal prior of the scale of centres of mass; its deviation is one octave."""
 USUAL_INERTIA_SCALE = 2.0
-"""Medians of the log-normal priors of these scales, whose standard deviation is one octave."""
+"""Median of the log-normal prior of the scale of inertias; its deviation is one octave."""
 EXPECTED = LinkScales(4.0, USUAL_COM_SCALE, USUAL_INERTIA_SCALE)
 """Expected scales before any recording."""
 LINK_KINDS = ("mass", "centre_of_mass", "inertia")
+"""Fields of ``LinkScales`` that are estimated."""
 
 
 @dataclass(frozen=True)
