@@ -28,7 +28,13 @@ from tests.estimation.conftest import SIGMA
 from tests.support import arms
 from tests.support.core_fits import BASIC, ORIGIN, filter_logs, fit_recordings
 from tests.support.measured_logs import log_of
-from tests.support.payload_logs import PAYLOAD, TrueArm, four_joint_arm
+from tests.support.payload_logs import (
+    PAYLOAD,
+    TrueArm,
+    add_noise,
+    four_joint_arm,
+    wide_motion,
+)
 
 FLANGE = Flange("here", np.eye(3), np.array([0.0, 0.0, 0.05]))
 
@@ -179,3 +185,18 @@ def test_clear_differences_between_like_recordings_are_named(
         centres = sorted([float(x) for x in text.split(",")] for text in texts)
         # In the flange frame, 5 cm further out [mm].
         assert_allclose(centres, [[-30, 20, 30], [30, -20, 30]], atol=5.0)
+
+
+@pytest.mark.parametrize(("factor", "message"), [(1.0, ""), (1.06, "log4 differs from ")])
+def test_three_recordings_of_a_kind_are_compared_with_their_mean(factor, message):
+    """One of three loaded recordings carries 6 % more than the mean of the two others."""
+    robot = four_joint_arm()
+    recordings = []
+    for k in range(6):
+        payload = PAYLOAD * (factor if k == 4 else 1.0)
+        arm = TrueArm(robot, 7, model_error=0.03, payload=payload)
+        recording = arm.recording(wide_motion([7, k]), k >= 3, 0.4 * k, f"log{k}")
+        recordings.append(add_noise(recording, 0.01, [7, k]))
+    contradiction = find_contradiction(recordings)
+    assert contradiction.startswith(message) and bool(contradiction) == bool(message)
+    assert "log3, log5 in mass" in contradiction or not message
