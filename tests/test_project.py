@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.metadata
 import os
 import re
@@ -216,3 +217,18 @@ def test_a_run_starts_without_what_it_does_not_need_and_in_one_thread(tmp_path):
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, env=free)
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+MUTABLE = {"SourceFile", "Node", "SimulatedMotor", "ServiceReport", "Closest", "Fitter"}
+"""Records with a state: nodes of XML files, simulated motors, searches and caches."""
+
+
+def test_records_cannot_be_changed():
+    mutable = set()
+    for path in (ROOT / "robot_sysid").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            for decorator in getattr(node, "decorator_list", ()):
+                text = ast.unparse(decorator)
+                if text.startswith("dataclass") and "frozen=True" not in text:
+                    mutable.add(node.name)
+    assert mutable == MUTABLE

@@ -14,6 +14,7 @@ from robot_sysid.damiao.protocol import (
     KP_MAX,
     NAMES,
     REGISTER_ID,
+    Address,
     BusTiming,
     Feedback,
     Frame,
@@ -27,6 +28,7 @@ from robot_sysid.damiao.protocol import (
     encode_feedback,
     encode_mit,
     is_fault,
+    read_frame,
     refuse_harmful,
     status_text,
     suggested_rate,
@@ -294,3 +296,8 @@ def test_every_code_has_words_and_all_but_two_are_faults():
         status_text(code).startswith(f"status {code:X}: ") for code in range(16)
     ] == [True] * 16
     assert [code for code in range(16) if not is_fault(code)] == [0, 1]
+
+
+def test_a_request_holds_both_bytes_of_the_motors_number():
+    frame = read_frame(Address(1, 0x123), register=7)
+    assert frame == Frame(REGISTER_ID, bytes([0x23, 0x01, 0x33, 7, 0, 0, 0, 0]), bus=1)

@@ -7,16 +7,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.references import (
     ORDERS,
     CarriedStop,
+    HoldingCheck,
     Lowering,
     Reference,
     StopStart,
+    torque_doubt,
     trajectory_reference,
     transfer_reference,
 )
 from robot_sysid.damiao.safety.guards import CommandRange
+from robot_sysid.errors import HardwareAbort
 from tests.support.damiao_rig import swing, trajectory_file
 
 ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7)
@@ -275,3 +279,20 @@ def thrown_energy(motor_inertia, link_inertia, spring, cycles_late, step=1e-4):
             q = q + step * qd
             link_q = link_q + step * link_qd
     return np.array(energy)
+
+
+@pytest.mark.parametrize(("loads", "is_judged"), [(1.8, False), (2.2, True)])
+def test_a_load_is_judged_from_twice_the_torque_that_friction_hides(loads, is_judged):
+    """In units of that torque: below, a joint that carries nothing is no fault."""
+    joints = (DamiaoJoint("DM4310", 1, 0x11, "elbow"),)
+    torque = loads * torque_doubt(joints)
+    check = HoldingCheck(joints, lambda q: torque, 0.0, "the model needs")
+    q = np.zeros(1)
+    assert check.unverified_joints(q) == ([] if is_judged else list(joints))
+    check(q, torque)
+    check(q, 0.6 * torque_doubt(joints))
+    if is_judged:
+        with pytest.raises(HardwareAbort, match="elbow.* holds the arm with 0.0 N m"):
+            check(q, 0.0 * torque)
+    else:
+        check(q, 0.0 * torque)

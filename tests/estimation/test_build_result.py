@@ -220,6 +220,9 @@ def test_a_payload_is_given_in_the_flange_frame_with_its_errors(recordings):
     theta = body.inertial.theta
     assert np.max(np.abs(theta - FLANGE.to_flange(PAYLOAD)) / body.errors) < 4.0
     assert body.errors[0] < 0.02 and result.body.inertial is body.inertial
+    causes = body.mass_causes
+    assert causes["noise"] == body.noise_errors[0]
+    assert np.linalg.norm([*causes.values()]) == pytest.approx(body.errors[0])
     difference = payload.total.inertial.theta - payload.link.inertial.theta
     assert_allclose(FLANGE.to_flange(difference), theta, atol=1e-12)
     names = {"empty": ("log0", "log3"), "loaded": ("log1", "log2")}

@@ -187,7 +187,9 @@ def test_clear_differences_between_like_recordings_are_named(
         assert_allclose(centres, [[-30, 20, 30], [30, -20, 30]], atol=5.0)
 
 
-@pytest.mark.parametrize(("factor", "message"), [(1.0, ""), (1.06, "log4 differs from ")])
+@pytest.mark.parametrize(
+    ("factor", "message"), [(1.0, ""), (1.06, "log4 differs from ")]
+)
 def test_three_recordings_of_a_kind_are_compared_with_their_mean(factor, message):
     """One of three loaded recordings carries 6 % more than the mean of the two others."""
     robot = four_joint_arm()

@@ -7,10 +7,13 @@ import pytest
 
 from robot_sysid.pipeline.payload import (
     RawRecording,
+    _moving_datasets,
     is_drift_identifiable,
     order_positions,
 )
 from robot_sysid.records import Measurement
+from tests.support.core_fits import filter_logs
+from tests.support.measured_logs import log_of, true_arm
 
 
 def recording(is_loaded: bool, start: float) -> RawRecording:
@@ -50,3 +53,16 @@ def test_a_drift_needs_recordings_of_a_kind_at_several_times(order, is_identifia
     positions = order_positions(recordings, order)
     assert positions is not None
     assert is_drift_identifiable(recordings, positions) == is_identifiable
+
+
+def test_parts_of_a_log_with_a_long_hole_are_numbered_and_others_are_not():
+    arm = true_arm()
+    log = log_of(arm, noise_torque=0.1)
+    _, options = filter_logs(arm, log)
+    recordings = [
+        RawRecording("cut", log, False, pieces=(log, log)),
+        RawRecording("complete", log, True, pieces=(log,)),
+    ]
+    datasets, _ = _moving_datasets(arm, recordings, np.array([-1.0, 1.0]), options)
+    names = [dataset.name for dataset in datasets]
+    assert names == ["cut (part 1)", "cut (part 2)", "complete"]

@@ -77,6 +77,22 @@ def test_zero_torque_gives_finite_covariances(duration):
     assert all(np.isfinite(list(estimate.effective_samples.values())))
 
 
+def test_the_unit_of_torque_changes_no_standard_error():
+    rng = np.random.default_rng(3)
+    arm = SmoothArm(rng, rate=100.0, duration=3.0)
+    torques = arm.torques(arm.noise(rng, 0.3, 0.1))
+    rescaled = [
+        (j, 100.0 * rows, 100.0 * torques[j]) for j, rows in enumerate(arm.rows)
+    ]
+    estimate, other = (
+        identify(information_of_samples(arm, samples), arm.truth, "wls", samples)
+        for samples in (samples_of(arm, torques), rescaled)
+    )
+    assert_allclose(other.standard_errors, estimate.standard_errors, rtol=1e-6)
+    counts = list(estimate.effective_samples.values())
+    assert_allclose(list(other.effective_samples.values()), counts, rtol=1e-6)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("memory", [0.0, 0.1])
 def test_intervals_cover_under_white_and_under_autocorrelated_noise(memory):
