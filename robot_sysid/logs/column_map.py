@@ -433,9 +433,8 @@ class _ColumnFinder:
         listed = "none"
         if candidates:
             listed = f"{len(candidates)} ({', '.join(candidates)})"
-        commands = [
-            t.text for t in titles if t.is_commanded and t.override != "command"
-        ]
+        others = [t for t in titles if t.override != "command"]
+        commands = [t.text for t in others if t.is_commanded]
         currents = [t.text for t in titles if t.is_current and t.override is None]
         hint = ""
         if commands:

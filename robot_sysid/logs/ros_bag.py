@@ -168,10 +168,8 @@ def _blocks(
             cells = np.full((len(batch), 1 + len(keys)), np.nan)
             for row, (time, sample) in zip(cells, batch):
                 row[0] = time
-                sent = [key for key in sample if key in column_of_key]
-                row[[column_of_key[key] for key in sent]] = [
-                    sample[key] for key in sent
-                ]
+                for key in sample.keys() & column_of_key.keys():
+                    row[column_of_key[key]] = sample[key]
             lines = np.arange(count, count + len(batch)) + 1
             count += len(batch)
             yield Block(lines, cells[:, list(columns)], share_read=count / total)

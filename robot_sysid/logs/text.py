@@ -354,13 +354,10 @@ def write_measurement_csv(
         attributes: dict[str, str] = {}
         for chunk in chunks:
             if not attributes:
-                attributes = {
-                    quantity: attribute
-                    for quantity, attribute in _ATTRIBUTES.items()
-                    if getattr(chunk, attribute) is not None
-                }
-                pairs = product(attributes, joint_names)
-                titles = [f"{joint}_{quantity}" for quantity, joint in pairs]
+                pairs = _ATTRIBUTES.items()
+                attributes = {q: a for q, a in pairs if getattr(chunk, a) is not None}
+                columns = product(attributes, joint_names)
+                titles = [f"{joint}_{quantity}" for quantity, joint in columns]
                 one_line = [re.sub(r"[\r\n]", " ", title) for title in titles]
                 writer.writerow(["time", *one_line])
             values = [getattr(chunk, name) for name in attributes.values()]

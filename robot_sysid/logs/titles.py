@@ -395,6 +395,5 @@ def _order_from_names(
         if title.tokens and title.tokens[-1] in ("name", "names"):
             start = title.numbers[0] if title.numbers else 0
             names.update(enumerate(re.findall(r"[^\s,'\"\[\]()]+", cell), start))
-    return {
-        number: joint_names.index(n) for number, n in names.items() if n in joint_names
-    }
+    pairs = names.items()
+    return {k: joint_names.index(n) for k, n in pairs if n in joint_names}

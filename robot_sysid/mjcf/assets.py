@@ -212,7 +212,7 @@ def _needs_folder(file: SourceFile) -> bool:
     if not file.is_utf8 or file.includes:
         return True
     compilers = [node for node in file.elements if node.tag == "compiler"]
-    return any(node.get(name) for node in compilers for name in _FOLDER_SETTINGS)
+    return any(any(map(node.get, _FOLDER_SETTINGS)) for node in compilers)
 
 
 def bundled_text(document: ModelDocument, names: Mapping[Path, str]) -> bytes:

@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import islice, takewhile
+from itertools import chain, islice, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -404,7 +404,8 @@ def find_element(document: ModelDocument, element: str, label: str) -> Node:
         index = int(number[1]) - (element == "body")
         countable = list(takewhile(lambda node: node.tag not in _MULTIPLIERS, nodes))
         matches = countable[index : index + 1] if index >= 0 else []
-    repeated = (node for top in document.walk(*_MULTIPLIERS) for node in top.walk())
+    multipliers = document.walk(*_MULTIPLIERS)
+    repeated = chain.from_iterable(top.walk() for top in multipliers)
     if not matches or matches[0] in repeated:
         raise ExportError(
             f"{document.path}: {element} '{label}' is not written out in the file (it comes from "

@@ -191,11 +191,10 @@ def resolve_joint(mj_model: Any, name: str) -> int:
 
     ModelError where there is none (lists those there are) or it cannot be terminal.
     """
-    labels = [joint_label(mj_model, joint) for joint in range(mj_model.njnt)]
+    joints = range(mj_model.njnt)
+    labels = [joint_label(mj_model, joint) for joint in joints]
     if name not in labels:
-        usable = [
-            labels[j] for j in range(len(labels)) if is_hinge_or_slide(mj_model, j)
-        ]
+        usable = [labels[j] for j in joints if is_hinge_or_slide(mj_model, j)]
         listed = ", ".join(usable) or "none"
         raise ModelError(f"--joint {name}: no such joint; the model has: {listed}")
     joint = len(labels) - 1 - labels[::-1].index(name)
