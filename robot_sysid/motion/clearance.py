@@ -34,7 +34,7 @@ from robot_sysid.motion.solids import HalfSpaces
 from robot_sysid.records import Array, RobotModel
 
 HORIZON = 0.05
-"""How much farther than the clearance a pair is still seen [m]."""
+"""How much farther than the clearance a pair is still reported [m]."""
 KEPT_SHARE = 0.5
 """Share of its distance at rest that a pair nearer than the clearance must keep."""
 DEEPEST_TOUCH = 1e-3
@@ -43,20 +43,24 @@ deeper they collide, and no motion may start there."""
 _TOUCH_ROOM = 1e-4
 """How much deeper than at rest a touching pair may get: how well depths are known [m]."""
 _NEIGHBOUR_POSTURES = 181
-_FINER = 41
-"""How many positions of a joint tell whether its neighbours are harmless; more where nearest."""
+"""Positions of a joint at which the distance of its neighbours is computed."""
+_FINE_POSTURES = 41
+"""Positions around the one at which neighbours are nearest."""
 MOST_GROUPS = 31
-"""Bits there are for groups of geoms."""
+"""Bits that MuJoCo has for groups of geoms."""
 _UNLIMITED_TRAVEL = 1.0
 """Travel assumed for a slide joint without limits [m]."""
 
 
 @dataclass
 class Closest:
-    """The tightest pair of one configuration: between what, and when along a motion [s].
+    """The tightest pair of bodies in one configuration.
 
-    The slack is the distance minus the one that must be kept [m], negative where it is not kept;
-    the distance [m] is infinite where nothing is near.
+    Attributes:
+        slack: distance minus the distance that must be kept [m]; negative where it is not kept.
+        distance: of the pair [m]; infinite where nothing is near.
+        label: names of the two bodies.
+        time: of the configuration along a motion [s].
     """
 
     slack: float
@@ -66,8 +70,15 @@ class Closest:
 
 
 class _Nearest:
-    """The tightest pair of each of N configurations, at most the horizon away: in which direction
-    and where (N, 3), bodies (N, 2), the world and one where a half-space is near, which (N,) or -1.
+    """The tightest pair of each of N configurations, at most the horizon away; filled step by step.
+
+    Attributes:
+        slack: (N,) of the pair [m].
+        distance: (N,) of the pair [m].
+        normal: (N, 3) direction from one body to the other.
+        point: (N, 3) where they are nearest [m].
+        bodies: (N, 2) ids; the world and a body where a half-space is near.
+        space: (N,) number of that half-space, or -1.
     """
 
     def __init__(self, count: int) -> None:
@@ -89,99 +100,99 @@ class Clearance:
     """Distances of one arm: what it must not touch, itself included.
 
     Args:
-        rest: (n,) configuration in which the motion starts.
+        robot: the arm.
+        start: (n,) configuration in which the motion starts.
         clearance: distance to keep between bodies that are apart at rest [m].
+        half_spaces: that bodies have to stay in.
 
     Attributes:
         is_solid: whether the model has collision geometry.
         rates: approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most.
-        at_rest: pairs of bodies that need words, each with its distance in the starting
-            configuration: "ignored" are neighbours inside each other, which are not looked at;
-            "deep" others inside each other, collisions; "touching" others that touch and never get
-            deeper; "near" those so near that they keep half that distance, not the clearance.
-        neighbours: the least distance of links next to each other that keep theirs whatever the
-            arm does, and so are not looked at any more.
-        left_at_rest: (half-space, body, how far outside [m]) of what is outside already at rest.
+        at_rest: descriptions of pairs of bodies by their state in the starting configuration:
+            "ignored" are neighbours inside each other, which are not tested; "deep" others inside
+            each other, collisions; "touching" others that touch and never get deeper; "near" those
+            so near that they keep half that distance, not the clearance.
+        neighbours: the nearest of the pairs of links next to each other that keep their distance
+            whatever the arm does, and so are not tested.
+        outside_at_rest: (half-space, body, distance outside [m]) of bodies outside at rest.
     """
 
     def __init__(
         self,
         robot: RobotModel,
-        rest: Array,
+        start: Array,
         clearance: float,
         half_spaces: Sequence[HalfSpace],
     ) -> None:
-        self._arguments = (robot, rest, clearance, tuple(half_spaces))
+        self._arguments = (robot, start, clearance, tuple(half_spaces))
         self._robot = robot
         self._model = model = _with_margin(robot.mj_model, clearance + HORIZON)
         self._data = data_at_pose(model, robot.reference_qpos)
         self._joints = model.dof_jntid[robot.dof_index]
         self._body_of_geom = np.array(model.geom_bodyid)
         self._required = np.full((model.nbody, model.nbody), clearance)
-        self._place(rest)
-        self._part = part = count_moving_joints(robot)
+        self._set_configuration(start)
+        self._link_of_body = link_of_body = count_moving_joints(robot)
         self.is_solid = bool(
             np.any(model.geom_contype | model.geom_conaffinity) or model.npair
         )
         # Where nothing is in the way, no motion uses up any of its room.
-        self.rates = approach_rates(robot, self._data, part) * (
+        self.rates = approach_rates(robot, self._data, link_of_body) * (
             self.is_solid or bool(half_spaces)
         )
-        self._rows = part[:, None] * (robot.n_joints + 1) + part
+        self._rows = link_of_body[:, None] * (robot.n_joints + 1) + link_of_body
         self._free = np.append(np.full(len(self.rates) - 1, np.inf), HORIZON)
-        self.at_rest = self._learn_pairs(clearance)
-        self.neighbours = self._settle_neighbours(rest)
-        drop_pairs(model, part, np.isneginf(self._required))
-        self._place(rest)
+        self.at_rest = self._set_required_distances(clearance)
+        self.neighbours = self._ignore_harmless_neighbours(start)
+        drop_pairs(model, link_of_body, np.isneginf(self._required))
+        self._set_configuration(start)
         self._spaces = HalfSpaces(model, half_spaces) if half_spaces else None
-        self.left_at_rest = (
-            [] if self._spaces is None else self._settle_spaces(self._spaces)
-        )
+        self.outside_at_rest = []
+        if self._spaces is not None:
+            self.outside_at_rest = self._set_required_heights(self._spaces)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Travel to another process as what it was made from: MuJoCo data is made anew there."""
+        """Pickle the arguments of the constructor: another process makes its own MuJoCo data."""
         return type(self), self._arguments
 
     def slack(self, q: Array) -> Slack:
         """Return the slack at positions q (N, n)."""
         frames = np.empty((2, len(q), self._model.njnt, 3))
-        near = self._nearest(q, frames=frames)
+        nearest = self._nearest(q, frames=frames)
         # Component first, (3, N, n): a cross product by hand costs a tenth of numpy's.
-        axes, anchors = (each[:, self._joints].transpose(2, 0, 1) for each in frames)
-        normal = near.normal.T[:, :, None]
-        point = near.point.T[:, :, None]
+        axes, anchors = frames[:, :, self._joints].transpose(0, 3, 1, 2)
+        normal = nearest.normal.T[:, :, None]
+        point = nearest.point.T[:, :, None]
         lever = np.where(self._robot.is_slide, normal, cross(point - anchors, normal))
         rates = np.sum(axes * lever, axis=0)
         # A joint changes the distance only if it moves one body and not the other.
-        part = self._part[near.bodies]
+        links = self._link_of_body[nearest.bodies]
         joint = np.arange(q.shape[1])
-        side = (joint < part[:, 1:]).astype(float) - (joint < part[:, :1])
-        return Slack(near.slack, side * rates)
+        side = (joint < links[:, 1:]).astype(float) - (joint < links[:, :1])
+        return Slack(nearest.slack, side * rates)
 
     def slack_at(self, q: Array) -> tuple[float, Array]:
-        """Return the slack at one configuration q (n,) [m], and what each pair of parts has.
-
-        The second is (P,), the smallest slack among the pairs of each row of ``rates``, infinite
-        where a row has no pair within the horizon.
+        """Return the slack at one configuration q (n,) [m], and the slack (P,) of each row of
+        ``rates``: the smallest among its pairs, infinite where none is within the horizon.
         """
         budget = self._free.copy()
         return float(self._nearest(q[None], budget).slack[0]), budget
 
     def closest(self, q: Array) -> Closest:
         """Return the tightest distance at one configuration q (n,)."""
-        near = self._nearest(q[None])
+        nearest = self._nearest(q[None])
         label = ""
-        first, second = near.bodies[0].tolist()
-        if near.space[0] >= 0 and self._spaces is not None:
-            space = self._spaces.spaces[near.space[0]]
+        first, second = nearest.bodies[0].tolist()
+        if nearest.space[0] >= 0 and self._spaces is not None:
+            space = self._spaces.spaces[nearest.space[0]]
             label = f"{body_label(self._model, second)} and {space.label}"
-        elif np.isfinite(near.distance[0]):
+        elif np.isfinite(nearest.distance[0]):
             label = self._label(first, second)
-        return Closest(float(near.slack[0]), float(near.distance[0]), label)
+        return Closest(float(nearest.slack[0]), float(nearest.distance[0]), label)
 
     @property
     def distances(self) -> Clearance:
-        """The same arm, with each slack the whole distance of a pair, and without half-spaces."""
+        """A copy without half-spaces whose slack is the distance itself."""
         other = copy.copy(self)
         other._required = np.where(np.isneginf(self._required), -np.inf, 0.0)
         other._spaces = None
@@ -189,16 +200,18 @@ class Clearance:
         return other
 
     def _label(self, first: int, second: int) -> str:
+        """Return the names of two bodies with these ids."""
         return f"{body_label(self._model, first)} and {body_label(self._model, second)}"
 
-    def _place(self, q: Array) -> None:
+    def _set_configuration(self, q: Array) -> None:
+        """Compute frames and contacts at q (n,) in ``self._data``."""
         self._data.qpos[self._robot.qpos_index] = q
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_collision(self._model, self._data)
 
     def _contact_bodies(self) -> tuple[Array, Any]:
-        """Return distances (C,) and bodies (C, 2) of the contacts."""
+        """Return distances (C,) [m] and body ids (C, 2) of the contacts that MuJoCo has found."""
         contact = self._data.contact
         bodies = self._body_of_geom[contact.geom.reshape(-1, 2)]
         if not self._model.nflex:
@@ -206,159 +219,173 @@ class Clearance:
         # Deformable bodies have no geoms; they are infinitely far away.
         return np.where(np.all(contact.geom >= 0, axis=1), contact.dist, np.inf), bodies
 
-    def _learn_pairs(self, clearance: float) -> Mapping[str, Sequence[str]]:
-        """Settle the distance each pair has to keep, from what it has at rest, where the arm is."""
+    def _set_required_distances(self, clearance: float) -> Mapping[str, Sequence[str]]:
+        """Set the distance that each pair has to keep, from its distance in the configuration that
+        ``self._data`` has; return ``at_rest``.
+        """
         distances = dict[tuple[int, int], float]()
-        part = self._part
+        link = self._link_of_body
         for distance, (a, b) in zip(*self._contact_bodies()):
-            if part[a] != part[b]:  # else they do not move against each other
+            if link[a] != link[b]:  # else they do not move against each other
                 pair = (min(int(a), int(b)), max(int(a), int(b)))
                 distances[pair] = min(distances.get(pair, np.inf), float(distance))
         touching = [pair for pair, distance in distances.items() if distance <= 0.0]
-        by_design = (
-            ContactFinder(self._robot).by_design(touching) if touching else set()
-        )
-        self._required[part[:, None] == part] = -np.inf
-        found: dict[str, list[str]] = {
-            kind: [] for kind in ("ignored", "deep", "touching", "near")
-        }
+        by_design = set()
+        if touching:
+            by_design = ContactFinder(self._robot).by_design(touching)
+        self._required[link[:, None] == link] = -np.inf
+        states = ("ignored", "deep", "touching", "near")
+        pairs: dict[str, list[str]] = {state: [] for state in states}
         for (a, b), distance in distances.items():
-            kind, required = _settled(distance, clearance, (a, b) in by_design)
+            is_by_design = (a, b) in by_design
+            state, required = _required_distance(distance, clearance, is_by_design)
             self._required[a, b] = self._required[b, a] = required
-            if kind:
-                apart = "apart" if distance > 0.0 else "deep"
-                found[kind].append(
-                    f"{self._label(a, b)} ({1e3 * abs(distance):.2g} mm {apart})"
-                )
-        return found
+            if state:
+                side = "apart" if distance > 0.0 else "deep"
+                millimetres = f"{1e3 * abs(distance):.2g} mm {side}"
+                pairs[state].append(f"{self._label(a, b)} ({millimetres})")
+        return pairs
 
-    def _settle_spaces(self, spaces: HalfSpaces) -> list[tuple[HalfSpace, str, float]]:
-        """Let what is near a boundary at rest keep half that distance; return what is beyond."""
-        left = []
-        for each, _, (height,), _ in spaces.heights(
-            self._data.xpos[None], self._data.xmat[None]
-        ):
-            required = spaces.required[each]
-            body = spaces.solids[each].body
-            for k in np.flatnonzero((height <= 0.0) & np.isfinite(required)).tolist():
-                left.append(
-                    (spaces.spaces[k], body_label(self._model, body), -float(height[k]))
-                )
+    def _set_required_heights(
+        self, spaces: HalfSpaces
+    ) -> list[tuple[HalfSpace, str, float]]:
+        """Let bodies near a boundary at rest keep half of it; return ``outside_at_rest``."""
+        outside = []
+        frames = self._data.xpos[None], self._data.xmat[None]
+        for number, _, (height,), _ in spaces.heights(*frames):
+            required = spaces.required[number]
+            name = body_label(self._model, spaces.solids[number].body)
+            is_outside = (height <= 0.0) & np.isfinite(required)
+            for k in np.flatnonzero(is_outside).tolist():
+                outside.append((spaces.spaces[k], name, -float(height[k])))
             required[:] = np.minimum(required, np.maximum(0.0, KEPT_SHARE * height))
-        return left
+        return outside
 
-    def _settle_neighbours(self, rest: Array) -> Closest:
-        """Drop pairs that keep their distance over all of the joint between; return the least."""
+    def _ignore_harmless_neighbours(self, start: Array) -> Closest:
+        """Ignore pairs of neighbours that keep their distance over the entire range of the joint
+        between them; return the nearest of these pairs.
+        """
         # Links next to each other are always near; to know that this is harmless saves most tests.
         least = np.full_like(self._required, np.inf)
         for joint, (low, high) in enumerate(zip(*joint_ranges(self._robot))):
-            nearest = self._sweep(
-                rest, joint, np.linspace(low, high, _NEIGHBOUR_POSTURES), least
-            )
-            about = (high - low) / _NEIGHBOUR_POSTURES * np.linspace(-1.0, 1.0, _FINER)
-            self._sweep(rest, joint, np.clip(nearest + about, low, high), least)
-        harmless = (
-            np.isfinite(least) & (least >= self._required) & np.isfinite(self._required)
-        )
-        pair = divmod(int(np.argmin(np.where(harmless, least, np.inf))), len(least))
-        apart = float(np.min(least[harmless], initial=np.inf))
-        self._required[harmless | harmless.T] = -np.inf
-        label = self._label(*pair) if np.any(harmless) else ""
-        return Closest(min(apart, HORIZON), apart, label)
+            positions = np.linspace(low, high, _NEIGHBOUR_POSTURES)
+            nearest = self._sweep(start, joint, positions, least)
+            step = (high - low) / _NEIGHBOUR_POSTURES
+            around = nearest + step * np.linspace(-1.0, 1.0, _FINE_POSTURES)
+            self._sweep(start, joint, np.clip(around, low, high), least)
+        is_harmless = np.isfinite(least) & np.isfinite(self._required)
+        is_harmless &= least >= self._required
+        closest = int(np.argmin(np.where(is_harmless, least, np.inf)))
+        distance = float(np.min(least[is_harmless], initial=np.inf))
+        self._required[is_harmless | is_harmless.T] = -np.inf
+        label = ""
+        if np.any(is_harmless):
+            label = self._label(*divmod(closest, len(least)))
+        return Closest(min(distance, HORIZON), distance, label)
 
-    def _sweep(self, rest: Array, joint: int, positions: Array, least: Array) -> float:
-        """Note the least distances (nbody, nbody) of pairs with just this joint between them, and
-        return the position in which one of them is nearest.
+    def _sweep(self, start: Array, joint: int, positions: Array, least: Array) -> float:
+        """Return the position of a joint, of ``positions`` (K,), at which the bodies on its two
+        sides are nearest; the other joints stay at ``start`` (n,).
+
+        Lowers ``least`` (nbody, nbody), in place, to the distances of these bodies.
         """
-        q = rest.copy()
-        nearest = np.inf
-        at = float(rest[joint])
+        q = start.copy()
+        smallest = np.inf
+        nearest = float(start[joint])
         for q[joint] in positions:
-            self._place(q)
+            self._set_configuration(q)
             distance, bodies = self._contact_bodies()
-            part = np.sort(self._part[bodies], axis=1)
-            ours = (part[:, 0] == joint) & (part[:, 1] == joint + 1)
-            first, second = np.sort(bodies[ours], axis=1).T
-            np.minimum.at(least, (first, second), distance[ours])
-            here = float(np.min(distance[ours], initial=np.inf))
-            nearest, at = (here, float(q[joint])) if here < nearest else (nearest, at)
-        return at
+            links = np.sort(self._link_of_body[bodies], axis=1)
+            is_neighbour = (links[:, 0] == joint) & (links[:, 1] == joint + 1)
+            first, second = np.sort(bodies[is_neighbour], axis=1).T
+            np.minimum.at(least, (first, second), distance[is_neighbour])
+            least_distance = float(np.min(distance[is_neighbour], initial=np.inf))
+            if least_distance < smallest:
+                smallest = least_distance
+                nearest = float(q[joint])
+        return nearest
 
     def _nearest(
         self, q: Array, budget: Array | None = None, frames: Array | None = None
     ) -> _Nearest:
-        """Return what is nearest, among contacts and half-spaces, at configurations q (N, n).
+        """Return the tightest pair, among contacts and half-spaces, at configurations q (N, n).
 
-        Lowers the budget (P,) of each row of ``rates`` to the least slack of its pairs, and tells
-        the joints' frames, axes and anchors (2, N, joints of the model, 3), where there is room.
+        Args:
+            q: the configurations.
+            budget: (P,) is lowered, in place, to the least slack of the pairs of each row of
+                ``rates``.
+            frames: (2, N, joints of the model, 3) is filled with the joints' axes and anchors.
         """
-        near = _Nearest(len(q))
+        nearest = _Nearest(len(q))
         spaces = self._spaces
         data = self._data
-        places, turns = (
-            np.empty((len(q), self._model.nbody, width)) for width in (3, 9)
-        )
-        for k, position in enumerate(q):
-            self._place(position)
+        positions = np.empty((len(q), self._model.nbody, 3))
+        rotations = np.empty((len(q), self._model.nbody, 9))
+        for k, configuration in enumerate(q):
+            self._set_configuration(configuration)
             if data.ncon:
-                self._note_contact(near, k, budget)
-            # Whole arrays: choosing from each posture's takes ten times as long.
+                self._note_contact(nearest, k, budget)
+            # Entire arrays: choosing bodies in each posture takes ten times as long.
             if spaces is not None:
-                places[k] = data.xpos
-                turns[k] = data.xmat
+                positions[k] = data.xpos
+                rotations[k] = data.xmat
             if frames is not None:
                 frames[:, k] = data.xaxis, data.xanchor
         if spaces is not None:
-            self._note_spaces(spaces, places, turns, near, budget)
-        return near
+            self._note_spaces(spaces, positions, rotations, nearest, budget)
+        return nearest
 
-    def _note_contact(self, near: _Nearest, at: int, budget: Array | None) -> None:
-        """Note the tightest contact of MuJoCo's present configuration, which is number ``at``."""
+    def _note_contact(
+        self, nearest: _Nearest, index: int, budget: Array | None
+    ) -> None:
+        """Enter the tightest contact of ``self._data`` as that of the configuration of an index."""
         distance, bodies = self._contact_bodies()
         first, second = bodies.T
         slack = distance - self._required[first, second]
         if budget is not None:
             np.minimum.at(budget, self._rows[first, second], slack)
         k = int(slack.argmin())
-        if slack[k] < near.slack[at]:
+        if slack[k] < nearest.slack[index]:
             contact = self._data.contact[k]
-            near.slack[at] = slack[k]
-            near.distance[at] = distance[k]
-            near.bodies[at] = bodies[k]
-            near.normal[at] = contact.frame[:3]
-            near.point[at] = contact.pos
+            nearest.slack[index] = slack[k]
+            nearest.distance[index] = distance[k]
+            nearest.bodies[index] = bodies[k]
+            nearest.normal[index] = contact.frame[:3]
+            nearest.point[index] = contact.pos
 
     def _note_spaces(
         self,
         spaces: HalfSpaces,
-        places: Array,
-        turns: Array,
-        near: _Nearest,
+        positions: Array,
+        rotations: Array,
+        nearest: _Nearest,
         budget: Array | None,
     ) -> None:
-        """Note the half-spaces that are nearest, where one is; frames of all bodies as MuJoCo's."""
-        for each, at, height, lowest in spaces.heights(places, turns, HORIZON):
-            body = spaces.solids[each].body
-            slack = height - spaces.required[each]
-            which = np.argmin(slack, axis=1)
-            least = slack[np.arange(len(at)), which]
+        """Enter the half-spaces that are nearer than the contacts, from MuJoCo's frames of all
+        bodies: positions (N, nbody, 3) and rotations (N, nbody, 9).
+        """
+        heights = spaces.heights(positions, rotations, HORIZON)
+        for number, postures, height, lowest in heights:
+            body = spaces.solids[number].body
+            slack = height - spaces.required[number]
+            tightest = np.argmin(slack, axis=1)
+            least = slack[np.arange(len(postures)), tightest]
             if budget is not None:
-                budget[self._rows[0, body]] = min(
-                    budget[self._rows[0, body]], np.min(least)
-                )
-            own = np.flatnonzero(least < near.slack[at])
-            to = at[own]
-            by = which[own]
-            near.slack[to] = least[own]
-            near.distance[to] = height[own, by]
-            near.space[to] = by
-            near.normal[to] = spaces.normals[by]
-            near.point[to] = lowest[own, by]
-            near.bodies[to] = 0, body
+                row = self._rows[0, body]
+                budget[row] = min(budget[row], np.min(least))
+            nearer = np.flatnonzero(least < nearest.slack[postures])
+            index = postures[nearer]
+            space = tightest[nearer]
+            nearest.slack[index] = least[nearer]
+            nearest.distance[index] = height[nearer, space]
+            nearest.space[index] = space
+            nearest.normal[index] = spaces.normals[space]
+            nearest.point[index] = lowest[nearer, space]
+            nearest.bodies[index] = 0, body
 
 
 def _with_margin(mj_model: Any, margin: float) -> Any:
-    """Return a copy in which pairs of geoms are reported up to a distance [m]."""
+    """Return a copy of a model in which contacts are reported up to a distance [m]."""
     model = copy.copy(mj_model)
     model.geom_margin[:] = margin
     model.geom_gap[:] = 0.0
@@ -371,57 +398,66 @@ def _with_margin(mj_model: Any, margin: float) -> Any:
     return model
 
 
-def _settled(distance: float, clearance: float, by_design: bool) -> tuple[str, float]:
-    """Return what a pair with this distance at rest is called, and the distance it has to keep."""
+def _required_distance(
+    distance: float, clearance: float, is_by_design: bool
+) -> tuple[str, float]:
+    """Return (state, distance that a pair has to keep [m]) for its distance at rest [m].
+
+    States are those of ``Clearance.at_rest``, or "" for a pair that keeps the clearance.
+    """
     if distance > 0.0:
-        kept = KEPT_SHARE * distance
-        return ("near" if kept < clearance else ""), min(clearance, kept)
-    if by_design:
+        required = KEPT_SHARE * distance
+        return ("near" if required < clearance else ""), min(clearance, required)
+    if is_by_design:
         return "ignored", -np.inf
     if distance < -DEEPEST_TOUCH:
         return "deep", clearance
     return "touching", distance - _TOUCH_ROOM
 
 
-def drop_pairs(mj_model: Any, part: Any, ignored: Any) -> None:
+def drop_pairs(mj_model: Any, link_of_body: Any, ignored: Any) -> None:
     """Change a model's collision filter, in place, so that only pairs that matter are tested.
 
     MuJoCo tests two geoms if a bit of one's ``contype`` is set in the other's ``conaffinity``.
     Geoms that behave alike form a group with a bit of its own; the affinities then say for every
     two groups whether they are tested. Explicit contact pairs of the model are tested as before.
-    A model with too many groups is left as it is. Bodies with equal numbers in ``part`` (nbody,)
-    do not move against each other; distances of ``ignored`` pairs (nbody, nbody) do not matter.
+    A model with too many groups is left as it is. Bodies with equal numbers in
+    ``link_of_body`` (nbody,) do not move against each other; distances of ``ignored`` pairs (nbody,
+    nbody) do not matter.
     """
     body = mj_model.geom_bodyid
     keys = np.stack(
-        (part[body], mj_model.geom_contype, mj_model.geom_conaffinity), axis=1
+        (link_of_body[body], mj_model.geom_contype, mj_model.geom_conaffinity), axis=1
     )
     groups, member = np.unique(keys, axis=0, return_inverse=True)
     if len(groups) > MOST_GROUPS:
         return
-    one_way = (groups[:, 1:2] & groups[:, 2]) != 0
-    belongs = (np.arange(len(groups))[:, None] == np.ravel(member)).astype(float)
-    matters = belongs @ (~ignored[np.ix_(body, body)]).astype(float) @ belongs.T > 0.0
-    tested = (one_way | one_way.T) & (groups[:, :1] != groups[:, 0]) & matters
+    is_tested = (groups[:, 1:2] & groups[:, 2]) != 0
+    is_member = (np.arange(len(groups))[:, None] == np.ravel(member)).astype(float)
+    matters = ~ignored[np.ix_(body, body)]
+    is_relevant = is_member @ matters.astype(float) @ is_member.T > 0.0
+    is_tested = (is_tested | is_tested.T) & (groups[:, :1] != groups[:, 0])
+    is_tested &= is_relevant
     bit = 1 << np.arange(len(groups))
-    for name, value in (("contype", bit), ("conaffinity", tested @ bit)):
-        value = value[np.ravel(member)]
-        getattr(mj_model, f"geom_{name}")[:] = value
+    for name, value in (("contype", bit), ("conaffinity", is_tested @ bit)):
+        bits = value[np.ravel(member)]
+        getattr(mj_model, f"geom_{name}")[:] = bits
         # Bodies have all bits of their geoms, in releases that test them first.
         of_bodies = getattr(mj_model, f"body_{name}", None)
         if of_bodies is not None:
             of_bodies[:] = 0
-            np.bitwise_or.at(of_bodies, body, value.astype(of_bodies.dtype))
+            np.bitwise_or.at(of_bodies, body, bits.astype(of_bodies.dtype))
 
 
-def approach_rates(robot: RobotModel, data: Any, part: Any) -> Array:
-    """Return how fast the parts (nbody,) of one arm can approach each other, (P, n).
+def approach_rates(robot: RobotModel, data: Any, link_of_body: Any) -> Array:
+    """Return how fast the links of one arm can approach each other, (P, n).
 
-    Row a (n + 1) + b bounds the approach of parts a and b [m/s] as rates @ abs(qd); the last row
-    holds for all pairs.
+    Row a (n + 1) + b bounds the approach of links a and b [m/s] as rates @ abs(qd); the last row
+    holds for all pairs. ``data`` has the frames of the model, ``link_of_body`` (nbody,) the number
+    of the link that each body belongs to, 0 for bodies that do not move.
     """
     n = robot.n_joints
-    reach = _reach(robot, data, part)
+    reach = _reach(robot, data, link_of_body)
     joint = np.arange(n)
     pairs = []
     for low, high in map(sorted, np.ndindex(n + 1, n + 1)):
@@ -429,8 +465,8 @@ def approach_rates(robot: RobotModel, data: Any, part: Any) -> Array:
     return np.vstack((pairs, np.max(pairs, axis=0)))
 
 
-def _reach(robot: RobotModel, data: Any, part: Any) -> Array:
-    """Return (n, n + 1): how far part l can get from the axis of joint j; 1 for a slide's rate."""
+def _reach(robot: RobotModel, data: Any, link_of_body: Any) -> Array:
+    """Return (n, n + 1) how far link l gets from the axis of joint j [m]; 1 for a slide's rate."""
     n = robot.n_joints
     mj_model = robot.mj_model
     anchors = data.xanchor[mj_model.dof_jntid[robot.dof_index]]
@@ -439,8 +475,8 @@ def _reach(robot: RobotModel, data: Any, part: Any) -> Array:
     links = np.linalg.norm(np.diff(anchors, axis=0), axis=1) + travel[1:]
     reach = np.zeros((n, n + 1))
     for outer in range(1, n + 1):
-        # How far from its joint the geoms and origins of this part reach.
-        bodies = part == outer
+        # How far from its joint the geoms and origins of this link reach.
+        bodies = link_of_body == outer
         anchor = anchors[outer - 1]
         geoms = np.flatnonzero(bodies[mj_model.geom_bodyid])
         centers = np.linalg.norm(data.geom_xpos[geoms] - anchor, axis=1)

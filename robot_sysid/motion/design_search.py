@@ -48,7 +48,7 @@ CHECK_TIME = 2.0
 """Time that is left for the last check [s]: as long as it takes for a seven-joint arm and 15 s."""
 LEAST_GAIN = 0.01
 """Gain of a round in the mean standard deviation below which a search ends: what another minute
-gains is then at most 5 % (docs/excitation.md)."""
+gains is then at most 5 % on most public arms."""
 LARGEST_LEAD = 0.05
 """How much better a motion that breaks limits may then be than the best that keeps them."""
 _STOP_NOTES: Mapping[str, tuple[str, ...]] = {

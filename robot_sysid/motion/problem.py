@@ -431,8 +431,8 @@ def _obstacles(
         none = (
             "the model has no collision geometry; nothing keeps the arm from touching itself",
         )
-    if clearance.left_at_rest:
-        space, body, depth = max(clearance.left_at_rest, key=lambda entry: entry[2])
+    if clearance.outside_at_rest:
+        space, body, depth = max(clearance.outside_at_rest, key=lambda entry: entry[2])
         raise InputError(
             f"no trajectory is feasible: at rest, body {body} is {1000 * depth:.0f} mm beyond "
             f"{space.label}; move that limit, or change the model's reference configuration"
