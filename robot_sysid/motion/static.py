@@ -31,20 +31,21 @@ from robot_sysid.motion.trajectories import LineTrajectory, straight_way
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.trajectory import TORQUE_MARGIN
 
-STARTS = 1000
-PARENTS = 50
+N_POSES = 1000
+"""Poses that are tried as a start at a time."""
+N_PARENTS = 50
+"""Poses with the least torque that get others near them."""
 SPREADS = (0.1, 0.05, 0.02, 0.01, 0.005)
-"""Poses that are tried at a time; how many of the lightest get others near them, and how near one
-after the other, as share of the joints' ranges."""
+"""How near these are, one spread after the other, as share of the joints' ranges."""
 EASY_SHARE = 0.8
-"""Share of the torque limits up to which moving off leaves room for a motion."""
+"""Share of the torque limits up to which moving off leaves enough torque for a motion."""
 CREEP = 1e-3
 """Speed at which there is dry friction and hardly anything else [rad/s or m/s]."""
-MOST_WAYS = 50
-"""Poses of which the way there is looked at, in the hope of a free one."""
+MOST_STARTS = 50
+"""Poses of which the straight line there is checked, in search of a free one."""
 
 FEWEST_POSES = 5
-"""Poses that tell a payload's mass and centre of mass, with something left to check them by."""
+"""Poses that identify a payload's mass and centre of mass, with something left to check them by."""
 APPROACH = 0.05
 """From how far a pose is approached [rad or m]."""
 GENTLE = 0.6
@@ -52,50 +53,59 @@ GENTLE = 0.6
 UNSURE_SHARE = 0.5
 """Share of the torque limits that weighing uses: the arm may need twice what its model says."""
 SHORTEST_MOVE = 0.6
+"""Shortest time between two points [s]."""
 RESERVE = 1.05
-"""Shortest way between two points [s], and how much longer than needed each takes."""
+"""How many times as long as its limits need each move takes."""
 CANDIDATES = 3000
-PLACES_ON_A_WAY = 24
+"""Random poses among which the informative ones are chosen."""
+LINE_POINTS = 24
+"""Points of a straight line between poses at which clearances are checked."""
 _MOST_SLOWER = 12
+"""How often a motion through poses that breaks a limit is slowed down."""
 _SLOWER = 1.25
-"""How often a motion that breaks a limit is slowed down, and by how much: 15 times in all."""
+"""By how much it is slowed down each time: 15 times in all."""
 _TINY = 1e-6
 """Information before the first pose, whose own is singular: a millionth of what noise leaves."""
 
 SLOWEST = 0.02
+"""Speed of the first sweep [rad/s]."""
 FASTEST = 1.0
-"""Speeds of the first and the last sweep [rad/s]; the last is lower where limits ask for it."""
+"""Speed of the fastest sweep [rad/s]; lower where limits ask for it."""
 SPEEDS = 6
+"""Number of speeds of a joint's sweeps."""
 CRUISE = 0.8
-"""How many speeds, and how long each is held at a time [s] where the joint has room."""
+"""How long each speed is held at a time [s] where the joint's range allows it."""
 SHARE = 0.8
 """Share of the limits of speed and acceleration that sweeps use."""
 SHORTEST_RAMP = 0.15
 """Time in which a sweep's speed rises [s]: 30 samples at the 200 Hz of ``expected_errors``."""
 WIDEST = 1.0
-LEAST_ROOM = 0.02
-"""Farthest that a joint leaves its rest position, and way below which it is not swept [rad]."""
+"""Farthest that a joint leaves its rest position [rad]."""
+LEAST_RANGE = 0.02
+"""Range below which a joint is not swept [rad]."""
 _STEP = 0.01
+"""Step with which a joint's free range is searched [rad]."""
 _MOST_SMALLER = 8
+"""How often sweeps that break a limit are made smaller: to 6 %."""
 _SMALLER = 0.7
-"""Step of looking for room [rad]; how often sweeps that break a limit are made smaller: to 6 %."""
+"""By which factor sweeps are made smaller each time."""
 
 
 def startable(problem: ExcitationProblem) -> ExcitationProblem:
     """Return the problem with a start where the arm touches nothing and its motors can hold it.
 
-    The model's own pose where that will do, else one near it, which a note then says; InputError
-    that names bodies or joint where no pose is free of collisions and held.
+    That is the model's own pose if possible, else one near it, which a note then says.
+
+    Raises:
+        InputError: no pose is free of collisions and held; names the bodies or the joint.
     """
     collisions = problem.obstacles.at_rest["deep"]
-    still, share = (
-        _needed(problem, problem.rest[None], speed)[0] for speed in (0.0, CREEP)
-    )
-    worst = int(np.argmax(share))
-    if share[worst] < 1.0 and not collisions:
+    pose = problem.rest[None]
+    hold_share = _torque_share(problem, pose, 0.0)[0]
+    creep_share = _torque_share(problem, pose, CREEP)[0]
+    worst = int(np.argmax(creep_share))
+    if creep_share[worst] < 1.0 and not collisions:
         return problem
-    joint = problem.joint_names[worst]
-    allowed = problem.limits.torque[worst]
     if collisions:
         reason = f"at rest the model is in a collision: {'; '.join(collisions)}"
         remedy = (
@@ -103,42 +113,51 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
             "body2=> under its <contact> if these parts cannot meet"
         )
     else:
-        is_held = still[worst] < 1.0
-        what = (
-            "moving off against gravity and dry friction"
-            if is_held
-            else "holding still"
-        )
-        unit = "N" if problem.robot.is_slide[worst] else "N·m"
-        reserved = ""
-        if problem.has_torque_reserve:
-            pose = Motion(
-                np.zeros(1), problem.rest[None], *np.zeros((2, 1, problem.n_joints))
-            )
-            reserve = problem.torque_reserve(pose)[0, worst]
-            reserved = (
-                f" ({reserve:.2g} of it for errors of the links, --link-uncertainty)"
-            )
-        reason = (
-            f"{what} takes {(share if is_held else still)[worst] * allowed:.3g} {unit}{reserved} "
-            f"at joint {joint}, more than {100.0 * TORQUE_MARGIN:.0f} % of its "
-            f"torque limit of {allowed / TORQUE_MARGIN:g}"
-        )
+        is_held = bool(hold_share[worst] < 1.0)
+        share = creep_share if is_held else hold_share
+        reason = _overload(problem, worst, float(share[worst]), is_held)
         remedy = (
-            f"raise the torque limit of {joint} in the model if the joint can carry it"
+            f"raise the torque limit of {problem.joint_names[worst]} in the model if the joint can "
+            "carry it"
         )
-    # One that is held and touches nothing, if possible with a free way there.
-    found = list(islice(_held(problem), MOST_WAYS))
-    free = (pose for pose in found if contact_on_the_way(problem, pose) is None)
-    start = next(free, found[0] if found else None)
+    # A pose that is held and touches nothing, if possible with a free straight line there.
+    poses = list(islice(_held_poses(problem), MOST_STARTS))
+    free = (pose for pose in poses if contact_on_the_way(problem, pose) is None)
+    start = next(free, poses[0] if poses else None)
     if start is None:
-        tried = STARTS * (1 + len(SPREADS))
+        n_tried = N_POSES * (1 + len(SPREADS))
         raise InputError(
-            f"no trajectory is feasible: {reason}, and none of {tried} other poses within the "
+            f"no trajectory is feasible: {reason}, and none of {n_tried} other poses within the "
             f"limits is held by all joints and touches nothing; {remedy}"
         )
     note = f"{reason}; the motion starts and ends at another pose"
     return replace(problem, rest=start, notes=(*problem.notes, note))
+
+
+def _overload(
+    problem: ExcitationProblem, joint: int, share: float, is_held: bool
+) -> str:
+    """Return in words that a joint needs more than its torque limit at the start, by a share:
+    to hold still or, where it is held, to move off.
+    """
+    limit = problem.limits.torque[joint]
+    task = "holding still"
+    if is_held:
+        task = "moving off against gravity and dry friction"
+    unit = "N" if problem.robot.is_slide[joint] else "N·m"
+    reserve_note = ""
+    if problem.has_torque_reserve:
+        still = np.zeros((2, 1, problem.n_joints))
+        pose = Motion(np.zeros(1), problem.rest[None], *still)
+        reserve = problem.torque_reserve(pose)[0, joint]
+        reserve_note = (
+            f" ({reserve:.2g} of it for errors of the links, --link-uncertainty)"
+        )
+    return (
+        f"{task} takes {share * limit:.3g} {unit}{reserve_note} at joint "
+        f"{problem.joint_names[joint]}, more than {100.0 * TORQUE_MARGIN:.0f} % of its "
+        f"torque limit of {limit / TORQUE_MARGIN:g}"
+    )
 
 
 def gentle_problem(problem: ExcitationProblem) -> ExcitationProblem:
@@ -155,51 +174,57 @@ def gentle_problem(problem: ExcitationProblem) -> ExcitationProblem:
 
 
 def contact_on_the_way(problem: ExcitationProblem, start: Array) -> str | None:
-    """Say between what a clearance is not kept on the straight way in joint space from the model's
-    pose to ``start`` (n,); None where it is free.
+    """Return the names of two bodies that come too near each other on the straight line in joint
+    space from the model's pose to ``start`` (n,); None where none do.
     """
-    touched = first_contact(problem, straight_way(problem.robot.reference, start))
-    return None if touched is None else touched.label
+    contact = first_contact(problem, straight_way(problem.robot.reference, start))
+    return None if contact is None else contact.label
 
 
-def _needed(problem: ExcitationProblem, poses: Array, creep: float = CREEP) -> Array:
-    """Return the share (N, n) of torque limits to hold poses (N, n), or to creep off either way."""
-    torque = np.abs([problem.torque_at(poses, speed) for speed in {0.0, creep, -creep}])
+def _torque_share(
+    problem: ExcitationProblem, poses: Array, creep: float = CREEP
+) -> Array:
+    """Return the share (N, n) of the torque limits to hold poses (N, n), and to move off either way
+    at a speed ``creep``.
+    """
+    speeds = {0.0, creep, -creep}
+    torque = np.abs([problem.torque_at(poses, speed) for speed in speeds])
     return np.asarray(np.max(torque, axis=0) / problem.limits.torque)
 
 
-def _held(problem: ExcitationProblem) -> Iterator[Array]:
+def _held_poses(problem: ExcitationProblem) -> Iterator[Array]:
     """Yield poses (n,) that keep torque limits and clearances: easy ones first, then near ones."""
     # From near the model's to anywhere, more of them where holding is easy; the random numbers are
     # fixed, so that the start does not depend on any seed.
     lower = problem.limits.lower
     upper = problem.limits.upper
     rng = np.random.default_rng(0)
-    anywhere = rng.uniform(lower, upper, (STARTS, problem.n_joints))
-    nearness = np.linspace(1.0 / STARTS, 1.0, STARTS)[:, None]
+    anywhere = rng.uniform(lower, upper, (N_POSES, problem.n_joints))
+    nearness = np.linspace(1.0 / N_POSES, 1.0, N_POSES)[:, None]
     poses = problem.rest + nearness * (anywhere - problem.rest)
     for spread in SPREADS:
-        lightest = np.argsort(np.max(_needed(problem, poses), axis=1))[:PARENTS]
-        moved = rng.normal(size=(STARTS, problem.n_joints)) * spread * (upper - lower)
-        near = np.repeat(poses[lightest], STARTS // PARENTS, axis=0) + moved
-        poses = np.vstack((poses, np.clip(near, lower, upper)))
-    share = np.max(_needed(problem, poses), axis=1)
-    far = np.max(np.abs(poses - problem.rest) / (upper - lower), axis=1)
-    for k in np.lexsort((far, share > EASY_SHARE)):
-        if share[k] < 1.0 and problem.obstacles.slack_at(poses[k])[0] >= 0.0:
+        load = np.max(_torque_share(problem, poses), axis=1)
+        parents = poses[np.argsort(load)[:N_PARENTS]]
+        step = rng.normal(size=(N_POSES, problem.n_joints)) * spread * (upper - lower)
+        children = np.repeat(parents, N_POSES // N_PARENTS, axis=0) + step
+        poses = np.vstack((poses, np.clip(children, lower, upper)))
+    load = np.max(_torque_share(problem, poses), axis=1)
+    distance = np.max(np.abs(poses - problem.rest) / (upper - lower), axis=1)
+    for k in np.lexsort((distance, load > EASY_SHARE)):
+        if load[k] < 1.0 and problem.obstacles.slack_at(poses[k])[0] >= 0.0:
             yield poses[k]
 
 
-def _fits(problem: ExcitationProblem, poses: Array) -> Array:
-    """Tell of poses (N, n) whether at rest there nothing is touched or overloaded (N,)."""
-    held = np.all(np.abs(problem.torque_at(poses)) <= problem.limits.torque, axis=1)
-    return held & (np.asarray(problem.obstacles.slack(poses).value) >= 0.0)
+def _is_feasible(problem: ExcitationProblem, poses: Array) -> Array:
+    """Return of poses (N, n) whether an arm at rest there touches and overloads nothing (N,)."""
+    is_held = np.all(np.abs(problem.torque_at(poses)) <= problem.limits.torque, axis=1)
+    return is_held & (np.asarray(problem.obstacles.slack(poses).value) >= 0.0)
 
 
 def design_poses(
     problem: ExcitationProblem, options: PoseOptions, rng: np.random.Generator
 ) -> LineTrajectory:
-    """Return a motion through informative poses within all limits, or raise InputError: too few."""
+    """Return a motion through informative poses within all limits; InputError where too few are."""
     # Random poses that leave room to approach them from both sides.
     lower = problem.limits.lower + 2.0 * APPROACH
     upper = problem.limits.upper - 2.0 * APPROACH
@@ -207,69 +232,79 @@ def design_poses(
     upper = np.maximum(upper, problem.rest)
     poses = lower + rng.uniform(size=(CANDIDATES, problem.n_joints)) * (upper - lower)
     sides = (-APPROACH, 0.0, APPROACH)
-    poses = poses[np.all([_fits(problem, poses + side) for side in sides], axis=0)]
-    chosen = _chosen(problem, poses, _gravity_rows(problem, poses), options.poses)
-    if len(chosen) < FEWEST_POSES:
+    poses = poses[
+        np.all([_is_feasible(problem, poses + side) for side in sides], axis=0)
+    ]
+    rows = _gravity_rows(problem, poses)
+    selected = _select_poses(problem, poses, rows, options.poses)
+    if len(selected) < FEWEST_POSES:
         raise InputError(
-            f"only {len(chosen)} of {len(poses)} poses within the limits can be reached in "
+            f"only {len(selected)} of {len(poses)} poses within the limits can be reached in "
             f"straight lines, --static needs {FEWEST_POSES}; widen --workspace or the limits"
         )
     for slower in _SLOWER ** np.arange(_MOST_SLOWER):
-        plan = _through(problem, chosen, options.dwell, slower)
+        plan = _motion_through(problem, selected, options.dwell, slower)
         if keeps_limits(problem, plan):
             break
     return plan
 
 
 def _gravity_rows(problem: ExcitationProblem, poses: Array) -> Array:
-    """Return (K, n, 4) torques per [m, hx, hy, hz] of a payload at rest, scaled by noise."""
+    """Return (K, n, 4) torques per [m, hx, hy, hz] of a payload in poses (K, n), over the noise;
+    zero for joints whose torque is not used.
+    """
     still = np.zeros_like(poses)
-    every = (
-        LinkDynamics(problem.robot)
-        .motion(poses, still, still)
-        .columns((problem.n_joints - 1,))
-    )
+    motion = LinkDynamics(problem.robot).motion(poses, still, still)
+    columns = motion.columns((problem.n_joints - 1,))
     length = problem.scale[1] / problem.scale[0]
     sigma = np.full(problem.n_joints, np.inf)
     sigma[list(problem.rows)] = problem.sigma
-    return every[:, :, :4] / sigma[:, None] * np.array([1.0, length, length, length])
+    return columns[:, :, :4] / sigma[:, None] * np.array([1.0, length, length, length])
 
 
-def _chosen(
+def _select_poses(
     problem: ExcitationProblem, poses: Array, rows: Array, count: int
 ) -> list[Array]:
-    """Return poses in the order of visiting, each next to the one before by a free way."""
+    """Return up to ``count`` informative poses in the order of visiting, of poses (K, n) with rows
+    (K, n, 4); the straight lines between them, and back to the start, are free.
+    """
     information = _TINY * np.eye(4)
-    left = np.ones(len(poses), dtype=bool)
-    picked: list[Array] = []
-    here = problem.rest
+    is_left = np.ones(len(poses), dtype=bool)
+    selected: list[Array] = []
+    position = problem.rest
     normal = np.einsum("kja,kjb->kab", rows, rows)
-    while len(picked) < count and np.any(left):
-        gain = np.where(left, np.linalg.slogdet(information + normal)[1], -np.inf)
-        best = int(np.argmax(gain))
-        left[best] = False
-        if _is_free(problem, here, poses[best]):
-            picked.append(poses[best])
+    while len(selected) < count and np.any(is_left):
+        determinants = np.linalg.slogdet(information + normal)[1]
+        best = int(np.argmax(np.where(is_left, determinants, -np.inf)))
+        is_left[best] = False
+        if _is_free(problem, position, poses[best]):
+            selected.append(poses[best])
             information = information + normal[best]
-            here = poses[best]
-    while picked and not _is_free(problem, picked[-1], problem.rest):
-        picked.pop()
-    return picked
+            position = poses[best]
+    while selected and not _is_free(problem, selected[-1], problem.rest):
+        selected.pop()
+    return selected
 
 
 def _is_free(problem: ExcitationProblem, start: Array, end: Array) -> bool:
-    """Tell whether the ways to both sides of a pose keep the clearances."""
-    share = np.linspace(0.0, 1.0, PLACES_ON_A_WAY)[:, None]
-    way = start + share * (end - APPROACH - start)
+    """Return whether the straight line from a pose (n,) to another one (n,), and the approaches of
+    the other one from both sides, keep the clearances.
+    """
+    share = np.linspace(0.0, 1.0, LINE_POINTS)[:, None]
+    line = start + share * (end - APPROACH - start)
     around = end + np.linspace(-APPROACH, APPROACH, 3)[:, None]
-    slack = problem.obstacles.slack(np.concatenate((way, around))).value
+    slack = problem.obstacles.slack(np.concatenate((line, around))).value
     return bool(np.min(slack) >= 0.0)
 
 
-def _through(
+def _motion_through(
     problem: ExcitationProblem, poses: list[Array], dwell: float, slower: float
 ) -> LineTrajectory:
-    """Return the motion: to below a pose, rest in it, to above it, rest in it again, and on."""
+    """Return the motion to below each pose (n,), to rest in it, to above it, to rest in it again,
+    and back to the start.
+
+    It takes ``slower`` times as long as its limits need, and rests for ``dwell`` [s] each time.
+    """
     points = [problem.rest]
     dwells = [0.0]
     for pose in poses:
@@ -290,7 +325,7 @@ def _through(
 
 
 def pose_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
-    """Return what the poses promise of a payload's mass, from noise alone."""
+    """Return in lines the standard error of a payload's mass from these poses, by noise alone."""
     assert isinstance(plan, LineTrajectory)
     rests = plan.points[plan.dwells > 0.0][::2]
     rows = _gravity_rows(problem, rests).reshape(-1, 4)
@@ -305,11 +340,12 @@ def pose_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
 
 
 def design_sweeps(problem: ExcitationProblem) -> LineTrajectory:
-    """Return a motion that sweeps every joint that has room, or raise InputError if none has."""
-    wide = np.array([_free_way(problem, joint) for joint in range(problem.n_joints)])
+    """Return a motion that sweeps every joint with a free range; InputError if none has one."""
+    joints = range(problem.n_joints)
+    ranges = np.array([_free_range(problem, joint) for joint in joints])
     share = 1.0
     for _ in range(_MOST_SMALLER):
-        plan = _swept(problem, share * wide, share)
+        plan = _sweep_joints(problem, share * ranges, share)
         if keeps_limits(problem, plan):
             break
         share *= _SMALLER
@@ -317,54 +353,61 @@ def design_sweeps(problem: ExcitationProblem) -> LineTrajectory:
 
 
 def sweep_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
-    """Return which joints are swept how fast, and which have no room."""
+    """Return which joints are swept, how fast, and which are not swept, in lines."""
     assert isinstance(plan, LineTrajectory)
     fastest = np.max(np.abs(plan.speeds), axis=0)
     names = problem.joint_names
-    swept = [
-        f"{name} {speed:.2g}" for name, speed in zip(names, fastest) if speed > 0.0
-    ]
-    still = [name for name, speed in zip(names, fastest) if speed == 0.0]
+    swept = []
+    unswept = []
+    for name, speed in zip(names, fastest):
+        if speed > 0.0:
+            swept.append(f"{name} {speed:.2g}")
+        else:
+            unswept.append(name)
     lines = [
         f"{len(swept)} joints swept at constant speeds, in {plan.duration:.0f} s; fastest in "
         f"rad/s: {', '.join(swept)}."
     ]
-    if still:
+    if unswept:
         lines.append(
-            f"No room to sweep {', '.join(still)}: nothing is learnt of their friction."
+            f"No room to sweep {', '.join(unswept)}: nothing is learnt of their friction."
         )
     return lines
 
 
-def _free_way(problem: ExcitationProblem, joint: int) -> Array:
-    """Return how far (2,) a joint may go down (negative) and up from rest, the others resting."""
-    found = np.zeros(2)
+def _free_range(problem: ExcitationProblem, joint: int) -> Array:
+    """Return how far (2,) a joint may move down (negative) and up while the others rest [rad]."""
+    free_range = np.zeros(2)
     ends = (problem.limits.lower[joint], problem.limits.upper[joint])
     for side, (sign, end) in enumerate(zip((-1.0, 1.0), ends)):
-        room = min(abs(end - problem.rest[joint]), WIDEST)
-        steps = np.arange(0.0, max(room, _STEP), _STEP)
-        at = np.tile(problem.rest, (len(steps), 1))
-        at[:, joint] += sign * steps
-        free = int(np.argmin(np.append(_fits(problem, at), False)))
-        found[side] = sign * max(free - 1, 0) * _STEP
-    return found
+        farthest = min(abs(end - problem.rest[joint]), WIDEST)
+        steps = np.arange(0.0, max(farthest, _STEP), _STEP)
+        poses = np.tile(problem.rest, (len(steps), 1))
+        poses[:, joint] += sign * steps
+        n_free = int(np.argmin(np.append(_is_feasible(problem, poses), False)))
+        free_range[side] = sign * max(n_free - 1, 0) * _STEP
+    return free_range
 
 
-def _swept(problem: ExcitationProblem, wide: Array, share: float) -> LineTrajectory:
-    """Return the sweeps of all joints; ``wide`` (n, 2) is how far each may go."""
+def _sweep_joints(
+    problem: ExcitationProblem, ranges: Array, share: float
+) -> LineTrajectory:
+    """Return the sweeps of all joints within ranges (n, 2) around the start [rad], at a share of
+    the full speed and acceleration.
+    """
     points = [problem.rest]
     speeds = [0.0]
-    for joint, (down, up) in enumerate(wide):
-        if up - down < LEAST_ROOM:
+    for joint, (down, up) in enumerate(ranges):
+        if up - down < LEAST_RANGE:
             continue
-        along = np.eye(problem.n_joints)[joint]
+        direction = np.eye(problem.n_joints)[joint]
         fastest = SHARE * share * min(problem.limits.velocity[joint], FASTEST / SHARE)
         rising = np.geomspace(min(SLOWEST, 0.5 * fastest), fastest, SPEEDS)
         for speed in (*rising, *rising[::-1]):
             half = 0.5 * min(speed * CRUISE, up - down)
             middle = np.clip(0.0, down + half, up - half)
             ends = (middle - half, middle + half, middle - half)
-            points += [problem.rest + end * along for end in ends]
+            points += [problem.rest + end * direction for end in ends]
             speeds += [speed] * len(ends)
         points.append(problem.rest)
         speeds.append(fastest)
@@ -373,22 +416,27 @@ def _swept(problem: ExcitationProblem, wide: Array, share: float) -> LineTraject
             "no joint has room to be swept at rest; widen the limits, or choose another rest "
             "position with --keyframe"
         )
-    return _timed(problem, np.array(points), np.array(speeds[1:]), share)
+    return _time_lines(problem, np.array(points), np.array(speeds[1:]), share)
 
 
-def _timed(
+def _time_lines(
     problem: ExcitationProblem, points: Array, speeds: Array, share: float
 ) -> LineTrajectory:
-    """Return the motion along lines at speeds (P - 1,), shorter ways at what is needed for them."""
-    ways = np.diff(points, axis=0)
-    kept = np.any(ways != 0.0, axis=1)
-    points = points[np.append(True, kept)]
-    ways = ways[kept]
-    speeds = speeds[kept]
-    joint = np.argmax(np.abs(ways), axis=1)
-    length = np.max(np.abs(ways), axis=1)
-    hardest = SHARE * share * problem.limits.acceleration[joint]
-    ramps = np.maximum(trajectories.PEAK_OF_RAMP * speeds / hardest, SHORTEST_RAMP)
-    # Speed v over a way s takes s / v + ramp; where ramps do not fit, the way is ramps alone.
+    """Return the motion along lines between points (P, n) at speeds (P - 1,) [rad/s]; a line that
+    is too short for its speed takes the time of its ramps.
+
+    Lines without length are left out; ``share`` is that of the full acceleration.
+    """
+    lines = np.diff(points, axis=0)
+    has_length = np.any(lines != 0.0, axis=1)
+    points = points[np.append(True, has_length)]
+    lines = lines[has_length]
+    speeds = speeds[has_length]
+    joint = np.argmax(np.abs(lines), axis=1)
+    length = np.max(np.abs(lines), axis=1)
+    acceleration = SHARE * share * problem.limits.acceleration[joint]
+    ramps = trajectories.PEAK_OF_RAMP * speeds / acceleration
+    ramps = np.maximum(ramps, SHORTEST_RAMP)
+    # Speed v over a length s takes s / v + ramp; where ramps do not fit, the line is ramps alone.
     moves = np.maximum(length / speeds + ramps, 2.0 * ramps)
     return LineTrajectory(points, moves, np.zeros(len(points)), ramps)
