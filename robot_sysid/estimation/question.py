@@ -7,10 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_sysid.dynamics.friction import Coupling, FrictionModel
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.priors import AS_STATED, LinkScales
-from robot_sysid.records import Array
 from robot_sysid.records.option_fields import (
     OptionRecord,
     PerJoint,
@@ -19,7 +16,9 @@ from robot_sysid.records.option_fields import (
 )
 
 if TYPE_CHECKING:
-    from robot_sysid.dynamics.friction import FrictionModel
+    from robot_sysid.dynamics.friction import Coupling, FrictionModel
+    from robot_sysid.estimation.algebra.priors import LinkScales
+    from robot_sysid.records import Array
 
 
 TORQUE_CHOICES = ("chain", "terminal")
@@ -169,6 +168,13 @@ class Question:
     resting: bool = False
 
 
+def _stated_scales() -> LinkScales:
+    # Commands read these options before numpy is needed.
+    from robot_sysid.estimation.algebra.priors import AS_STATED
+
+    return AS_STATED
+
+
 @dataclass(frozen=True)
 class Choice:
     """What the recordings themselves decide.
@@ -191,7 +197,7 @@ class Choice:
 
     friction: tuple[FrictionModel, ...]
     couplings: tuple[Coupling, ...] = ()
-    link_scales: LinkScales = AS_STATED
+    link_scales: LinkScales = field(default_factory=_stated_scales)
     common_scale: float = 0.0
     offsets: Mapping[str, float] = field(default_factory=dict)
     rotors: Mapping[str, float] = field(default_factory=dict)

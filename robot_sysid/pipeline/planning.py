@@ -140,14 +140,8 @@ def write_plan(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> 
     if failure:
         failure = f"{failure}; nothing was written"
     else:
-        with atomic_files() as files:
-            paths = draft_plan(files, config.plan_file, robot, checked.plan, rate)
-            motor_file = motor_writer(config.motors, robot, checked.plan, rate)
-            if motor_file is not None:
-                paths = (*paths, config.output.output_dir / DAMIAO_NAME)
-                with files.open(paths[-1]) as file:
-                    report = motor_file(file)
-                lines += clamping_lines(report, robot.joint_names)
+        paths, clamping = _write_motion(config, robot, checked.plan)
+        lines += clamping
     arm_words, limit_words = config.command_words()
     shortfalls, command = _shortfalls(config, checked, prediction)
     verdict = plan_verdict(
@@ -160,6 +154,22 @@ def write_plan(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> 
         command,
     )
     return Outcome(tuple(lines), verdict, failure, paths, checked=checked)
+
+
+def _write_motion(
+    config: SysidConfig, robot: RobotModel, plan: MotionPlan
+) -> tuple[tuple[Path, ...], list[str]]:
+    """Write all files of a planned motion; return their paths, and lines on clamped torques."""
+    rate = config.trajectory.sample_rate
+    motor_file = motor_writer(config.motors, robot, plan, rate)
+    with atomic_files() as files:
+        paths = draft_plan(files, config.plan_file, robot, plan, rate)
+        if motor_file is None:
+            return paths, []
+        motor_path = config.output.output_dir / DAMIAO_NAME
+        with files.open(motor_path) as file:
+            report = motor_file(file)
+    return (*paths, motor_path), list(clamping_lines(report, robot.joint_names))
 
 
 def _shortfalls(
