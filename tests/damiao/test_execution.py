@@ -20,10 +20,10 @@ from tests.support.damiao_rig import swing, trajectory_file
 def test_an_arm_that_needs_more_than_its_motors_is_to_be_weighed(
     tmp_path, monkeypatch, heard, arm_file, error_type, has_remedy
 ):
-    def stopped(*arguments):
+    def raise_overload(*arguments):
         raise error_type("motor 1 stops")
 
-    monkeypatch.setattr(execution, "run", stopped)
+    monkeypatch.setattr(execution, "run", raise_overload)
     trajectory = trajectory_file(tmp_path, swing(3, duration=1.0))
     values = {"trajectory": trajectory.path, "model": arm_file(THREE)}
     motors = execution.MotorRun(values, lambda text, last: None)

@@ -48,17 +48,17 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("model_check")
 
 
-def written(folder, motion):
+def write_trajectory(folder, motion):
     return trajectory_file(folder, motion, MOTOR)
 
 
-def limited(arm, share, peaks):
+def limited_robot(arm, share, peaks):
     """The arm with limits (3, n) that peaks of position, velocity and torque are a share of."""
     position, velocity, torque = np.array(peaks) / share
     return replace(arm, limits=JointLimits(-position, position, velocity, torque))
 
 
-def checked(played, speed, robot, park=None, limits=NO_LIMITS):
+def check_trajectory(played, speed, robot, park=None, limits=NO_LIMITS):
     """What a model says to a motion played at a share of its speed."""
     plan = Plan(
         played, PlaySettings(speed=speed, park=park and str(park)), limits=limits
@@ -66,7 +66,7 @@ def checked(played, speed, robot, park=None, limits=NO_LIMITS):
     return list(model_checks(plan, Contacts([robot], limits)))
 
 
-def exceeded(checks):
+def limit_findings(checks):
     """(joint, limit) of each stop; one ok and nothing else where there is none."""
     checks = list(checks)
     # Behind the semicolon stands a command.
@@ -101,9 +101,12 @@ def test_every_row_counts_however_short_its_peak(
     qd, tau = rng.uniform(-5.0, 5.0, (2, rows, 3))
     motion = np.arange(rows) / rate, q, qd, tau
     position, velocity, torque = peaks_of(motion)
-    robot = limited(arm, share, (position, speed * velocity, torque))
+    robot = limited_robot(arm, share, (position, speed * velocity, torque))
     expected = {(JOINTS[j], WHAT[i]) for i, j in np.argwhere(share > 1.0)}
-    assert exceeded(checked(written(folder, motion), speed, robot)) == expected
+    assert (
+        limit_findings(check_trajectory(write_trajectory(folder, motion), speed, robot))
+        == expected
+    )
 
 
 @given(speed=SPEEDS, share=SHARES, rate=st.sampled_from([100.0, 250.0, 1000.0]))
@@ -115,7 +118,9 @@ def test_what_the_positions_do_counts_also_where_the_file_states_no_velocity(
     steepest = (np.abs(np.diff(q, axis=0)).max(axis=0) - 1e-4) * rate * speed
     free = np.full(3, np.inf)
     robot = replace(arm, limits=JointLimits(-free, free, steepest / share, free))
-    excesses = exceeded(checked(written(folder, (time, q, 0 * qd, tau)), speed, robot))
+    excesses = limit_findings(
+        check_trajectory(write_trajectory(folder, (time, q, 0 * qd, tau)), speed, robot)
+    )
     assert excesses == (
         {(joint, "velocity") for joint in JOINTS} if share > 1.0 else set()
     )
@@ -131,7 +136,10 @@ def test_printed_digits_of_positions_do_not_count_as_speed(arm, folder, rate=100
         arm, limits=JointLimits(-free, free, np.full(3, velocity + 1e-4), free)
     )
     motion = time, q, np.full_like(q, velocity), 0 * q
-    assert exceeded(checked(written(folder, motion), 1.0, robot)) == set()
+    assert (
+        limit_findings(check_trajectory(write_trajectory(folder, motion), 1.0, robot))
+        == set()
+    )
 
 
 def test_a_message_tells_joint_limit_value_and_moment(arm, folder):
@@ -139,7 +147,9 @@ def test_a_message_tells_joint_limit_value_and_moment(arm, folder):
     free = np.full(3, np.inf)
     narrow = np.array([0.3, 2.0, 2.0])
     robot = replace(arm, limits=JointLimits(-narrow, narrow, free, free))
-    (check,) = checked(written(folder, (time, -q, -qd, tau)), 0.5, robot)
+    (check,) = check_trajectory(
+        write_trajectory(folder, (time, -q, -qd, tau)), 0.5, robot
+    )
     assert check.severity == STOP
     assert check.text.startswith(
         "joint joint0: position -0.98 rad is beyond the model's limit -0.3, at 1.00 s; export a "
@@ -158,7 +168,7 @@ def with_its_torque(arm, seed, factor=1.0):
     return time, q + scale, qd, factor * ArmTorque(arm)(motion)
 
 
-def refused(folder, arm, motion, **settings):
+def refusals(folder, arm, motion, **settings):
     played = trajectory_file(folder, motion)
     settings = PlaySettings(**settings).for_motors(
         [j.spec for j in played.joints], BusTiming()
@@ -170,7 +180,7 @@ def refused(folder, arm, motion, **settings):
 def test_the_torque_of_the_motion_is_let_pass_also_where_the_load_is_another(
     arm, folder, seed, speed, factor
 ):
-    assert refused(folder, arm, with_its_torque(arm, seed, factor), speed=speed) == []
+    assert refusals(folder, arm, with_its_torque(arm, seed, factor), speed=speed) == []
 
 
 @pytest.mark.parametrize(
@@ -187,7 +197,7 @@ def test_another_torque_than_the_motion_needs_is_refused_and_named(
     motion = with_its_torque(arm, 0)
     loaded = int(np.argmax(np.abs(motion[3]).mean(axis=0)))
     motion[3][:, loaded] *= factor
-    (texts,) = refused(folder, arm, motion)
+    (texts,) = refusals(folder, arm, motion)
     assert f"motor {loaded + 1}: " in texts and message in texts
 
 
@@ -204,7 +214,7 @@ def test_a_ripple_that_no_motor_follows_is_refused(arm, folder, amplitude, messa
     wave = 2 * np.pi * 10
     q[:, 0] += amplitude * (1 - np.cos(wave * time))
     qd[:, 0] += amplitude * wave * np.sin(wave * time)
-    first = refused(folder, arm, (time, q, qd, tau))[0]
+    first = refusals(folder, arm, (time, q, qd, tau))[0]
     assert message in first and "it cannot follow" in first
 
 
@@ -230,7 +240,7 @@ def test_a_wall_on_the_way_is_found_even_where_the_file_states_no_velocity(
 ):
     """The wall stands at a right angle; ball and box touch within 0.1 rad of it."""
     robot = arms.robot_of(WALL, max_velocity=np.inf)
-    (check,) = checked(written(folder, turn(angle)), speed, robot)
+    (check,) = check_trajectory(write_trajectory(folder, turn(angle)), speed, robot)
     if angle > np.pi / 2:
         assert check.severity == STOP and "wall" in check.text and "arm" in check.text
     else:
@@ -243,7 +253,10 @@ def test_where_the_arm_is_parked_and_each_way_are_compared_too(folder, angle):
     robot = arms.robot_of(WALL, max_velocity=np.inf)
     (folder / "pose").write_text(f"{angle}")
     texts = [
-        c.text for c in checked(written(folder, turn(0.5)), 1.0, robot, folder / "pose")
+        c.text
+        for c in check_trajectory(
+            write_trajectory(folder, turn(0.5)), 1.0, robot, folder / "pose"
+        )
     ]
     assert any(
         "outside the model's -3 to 3; choose another" in text for text in texts
@@ -277,9 +290,13 @@ def test_planes_and_boxes_hold_for_what_is_played_approached_and_parked(folder):
             workspace=(-1.0, 1.0, -1.0, 0.3, -1.0, 1.0), clearance=0.0, below_base=True
         ),
     ):
-        (fits,) = checked(written(folder, low), 1.0, robot, None, limits)
+        (fits,) = check_trajectory(
+            write_trajectory(folder, low), 1.0, robot, None, limits
+        )
         assert fits.severity == OK
-        (beyond,) = checked(written(folder, high), 1.0, robot, None, limits)
+        (beyond,) = check_trajectory(
+            write_trajectory(folder, high), 1.0, robot, None, limits
+        )
         assert beyond.severity == STOP and "0.3 m" in beyond.text
         order, touching = Contacts([robot], limits).order(np.zeros(1), np.ones(1))
         assert order == "" and "0.3 m" in touching
@@ -330,7 +347,7 @@ def heavy_motion(arm):
 def test_an_arm_that_needs_more_than_its_motors_make_is_to_be_weighed_first(
     arm, tmp_path
 ):
-    first = refused(tmp_path, arm, heavy_motion(arm))[0]
+    first = refusals(tmp_path, arm, heavy_motion(arm))[0]
     command = first.partition("with a smaller motion first: ")[2]
     assert command.startswith(
         "robot-sysid plan inline.xml --joint joint2 --export-damiao "
@@ -338,11 +355,11 @@ def test_an_arm_that_needs_more_than_its_motors_make_is_to_be_weighed_first(
     assert command.count("--motor-type DM4340") == 3
     assert command.endswith(f"--for weight --output-dir {tmp_path / 'weighing'}")
     settings_file(tmp_path, "guess.xml")
-    first = refused(tmp_path, arm, heavy_motion(arm))[0]
+    first = refusals(tmp_path, arm, heavy_motion(arm))[0]
     message = f"--config {tmp_path / 'trajectory.toml'} --for weight --output-dir"
     assert first.endswith(f" first: robot-sysid plan {message} {tmp_path / 'weighing'}")
     settings_file(tmp_path, "guess.xml", for_="weight")
-    assert " --max-torque " in refused(tmp_path, arm, heavy_motion(arm))[0]
+    assert " --max-torque " in refusals(tmp_path, arm, heavy_motion(arm))[0]
 
 
 LIGHT = arms.THREE

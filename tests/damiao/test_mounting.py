@@ -29,7 +29,7 @@ def rig(folder, **options):
     )
 
 
-def lifted():
+def lift_motion():
     time, q, qd, tau = swing(2, duration=0.8)
     return time, q + STANDING, qd, tau + GRAVITY * (np.sin(q + STANDING) - np.sin(q))
 
@@ -135,7 +135,7 @@ def fastest_after(run, phase):
 
 @pytest.mark.slow
 def test_an_arm_is_lowered_until_nothing_pulls(tmp_path):
-    run = rig(tmp_path, motion=lifted(), start=[STANDING] * 2, park="rest")
+    run = rig(tmp_path, motion=lift_motion(), start=[STANDING] * 2, park="rest")
     speeds = fastest_after(run, "lowering")
     run.run(settle=1.0)
     assert run.error is None and run.states() == [DISABLED] * 2
@@ -145,7 +145,7 @@ def test_an_arm_is_lowered_until_nothing_pulls(tmp_path):
 
 @pytest.mark.slow
 def test_an_arm_that_is_stopped_is_lowered_too(tmp_path):
-    run = rig(tmp_path, motion=lifted(), start=[STANDING] * 2, park="start")
+    run = rig(tmp_path, motion=lift_motion(), start=[STANDING] * 2, park="start")
     run.during("playing", 0.3, lambda r: r.stop("stopped by SIGTERM"))
     run.run(settle=0.0)
     assert str(run.error) == "stopped by SIGTERM"
@@ -164,7 +164,7 @@ def test_an_arm_is_parked_slowly(tmp_path, where, target):
     if where != "start":
         park = tmp_path / "pose.csv"
         park.write_text(where)
-    run = rig(tmp_path, motion=lifted(), start=[0.6, 0.8], park=str(park))
+    run = rig(tmp_path, motion=lift_motion(), start=[0.6, 0.8], park=str(park))
     speeds = fastest_after(run, "parking")
     run.run(settle=0.0)
     assert run.error is None

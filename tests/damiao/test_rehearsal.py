@@ -12,7 +12,7 @@ WORST = 2.5
 
 
 @pytest.fixture(scope="module", params=["kinova", "openarm", "wxai"])
-def planned(request, tmp_path_factory):
+def planned_files(request, tmp_path_factory):
     """An arm, its trajectory and a folder for its recordings."""
     arm = ARMS[request.param]
     if not arm.model.exists():
@@ -23,8 +23,8 @@ def planned(request, tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate", [100.0, 250.0, 500.0])
-def test_identification_returns_what_a_rehearsal_simulates(planned, rate):
-    arm, trajectory, folder = planned
+def test_identification_returns_what_a_rehearsal_simulates(planned_files, rate):
+    arm, trajectory, folder = planned_files
     estimates = rehearse(arm, trajectory, rate, folder)
     errors = np.abs([estimate.stated_errors for estimate in estimates])
     assert np.max(errors) < WORST

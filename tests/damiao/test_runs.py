@@ -66,12 +66,12 @@ def test_gains_and_feed_forward_torque_rise_together_in_a_fifth_of_the_ramp(rig)
     gains = []
     exchange = MotorSession.exchange
 
-    def watched(self, command, *arguments, **options):
+    def watch_call(self, command, *arguments, **options):
         gains.append((command.kp[0], command.torque[0]))
         return exchange(self, command, *arguments, **options)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(MotorSession, "exchange", watched)
+        patch.setattr(MotorSession, "exchange", watch_call)
         run.run()
     assert run.error is None
     kp, torque = np.array(gains[:76]).T
@@ -279,7 +279,7 @@ def test_a_bus_or_an_arm_that_is_not_as_it_should_be_is_refused(
         assert any("use --fd" in check.text for check in run.checks)
 
 
-def changed(change):
+def changed_swing(change):
     time, q, qd, tau = (x.copy() for x in swing(2, duration=1.0))
     change(q, qd, tau)
     return time, q, qd, tau
@@ -299,7 +299,7 @@ def drifting(q, qd, tau):
     qd[[0, -1], 0] = 0.0
 
 
-def flipped(q, qd, tau):
+def reverse_velocity(q, qd, tau):
     qd[:, 1] *= -1.0
 
 
@@ -316,24 +316,24 @@ COLUMN = "but the positions change by"
         (moving, "starts or ends at 0.06 rad/s"),
         (strong, "exceeds the peak torque"),
         (drifting, f"line 5: velocity 9 rad/s of motor 1, {COLUMN} 0 "),
-        (flipped, f"of motor 2, {COLUMN}"),
+        (reverse_velocity, f"of motor 2, {COLUMN}"),
         (jumping, f"of motor 1, {COLUMN}"),
     ],
 )
 def test_a_trajectory_that_no_motor_can_follow_is_refused(rig, change, message):
-    run = rig(motion=changed(change)).run()
+    run = rig(motion=changed_swing(change)).run()
     assert message in str(run.error)
     run.assert_never_moved()
 
 
-def pushed(q, qd, tau):
+def feed_near_peak(q, qd, tau):
     """Constant feed-forward torque just below what the motor can do, on a joint that stands."""
     q[:, 0] = qd[:, 0] = 0.0
     tau[:, 0] = 26.9
 
 
-def lifted(q, qd, tau):
-    """The whole motion where gravity pulls."""
+def lift_motion(q, qd, tau):
+    """Shift the motion by 0.8 rad, with the torque of gravity there."""
     tau += GRAVITY * (np.sin(q + 0.8) - np.sin(q))
     q += 0.8
 
@@ -341,9 +341,9 @@ def lifted(q, qd, tau):
 @pytest.mark.parametrize(
     ("change", "options", "message"),
     [
-        (pushed, {}, "motor 1 is"),
+        (feed_near_peak, {}, "motor 1 is"),
         (
-            lifted,
+            lift_motion,
             {"faults": [fault("torque_factor", 1, 5 / 3)], "start": [0.8, 0.8]},
             "motor 2 reports 1.6",
         ),
@@ -352,23 +352,23 @@ def lifted(q, qd, tau):
 def test_what_cannot_be_known_before_is_stopped_before_it_plays(
     tmp_path, change, options, message
 ):
-    run = Rig(tmp_path, motion=changed(change), **options).run()
+    run = Rig(tmp_path, motion=changed_swing(change), **options).run()
     assert message in str(run.error) and run.states() == [DISABLED] * 2
     assert not any(sentence.startswith("playing") for sentence in run.phases)
     assert np.max(np.abs(run.arm.mechanism.qd)) < 1.0
 
 
-def raised(q, qd, tau):
+def shift_pose(q, qd, tau):
     """The whole motion where gravity pulls with 6 of 8 N m."""
     tau += 8.0 * np.sin(q + 0.8) - GRAVITY * np.sin(q)
     q += 0.8
 
 
-def negated(q, qd, tau):
+def negate_torque(q, qd, tau):
     tau[:, 1] *= -1.0
 
 
-def mirrored(run):
+def mirror_joint(run):
     """The second motor turns the other way, and shows the right position where it stands."""
     run.motors[1].joint = replace(run.motors[1].joint, direction=-1, offset=1.6)
     run.bus.arm = run.arm = SimulatedArm(run.arm.mechanism, run.arm.motors)
@@ -377,11 +377,11 @@ def mirrored(run):
 @pytest.mark.parametrize(
     ("change", "mount", "message"),
     [
-        (negated, None, "drives it off; a motor turns the other way"),
+        (negate_torque, None, "drives it off; a motor turns the other way"),
         (lambda q, qd, tau: tau.fill(0.0), None, "its torque lacks gravity"),
         (
             lambda q, qd, tau: None,
-            mirrored,
+            mirror_joint,
             "drives it off; a motor turns the other way",
         ),
     ],
@@ -390,18 +390,18 @@ def test_a_torque_that_does_not_carry_the_arm_is_named_before_it_runs_away(
     rig, change, mount, message, monkeypatch
 ):
     monkeypatch.setattr("tests.support.damiao_rig.GRAVITY", 8.0)
-    motion = changed(lambda *signals: (raised(*signals), change(*signals)))
+    motion = changed_swing(lambda *signals: (shift_pose(*signals), change(*signals)))
     run = rig(motion=motion, start=[0.8, 0.8], ramp_time=0.3, **USUAL)
     if mount:
         mount(run)
     farthest = []
     step = run.arm.mechanism.step
 
-    def watched(*arguments):
+    def watch_call(*arguments):
         step(*arguments)
         farthest.append(np.max(np.abs(run.arm.mechanism.q - 0.8)))
 
-    run.arm.mechanism.step = watched
+    run.arm.mechanism.step = watch_call
     run.run(settle=0.0)
     assert message in str(run.error), run.error
     assert not any(sentence.startswith("moving") for sentence in run.phases)
@@ -438,19 +438,19 @@ def hung_up(rig):
     rig.clock.at(rig.clock.now() + 0.01, lambda: rig.stop("stopped by SIGHUP"))
 
 
-def terminated(rig):
+def send_sigterm(rig):
     """Nobody reads our output any more, and the system asks us to end."""
     rig.console = raising(BrokenPipeError(errno.EPIPE, "Broken pipe"))
     rig.stop("stopped by SIGTERM")
 
 
-def insisted(rig):
+def insist_on_stop(rig):
     """Ctrl-C, and again while the motors brake."""
     rig.stop("stopped by SIGINT")
     rig.clock.at(rig.clock.now() + 0.02, lambda: rig.stop("again", insist=True))
 
 
-def signalled(name):
+def send_signal(name):
     return lambda rig: signal.raise_signal(getattr(signal, name))
 
 
@@ -469,13 +469,13 @@ def driver_fails(error, seconds):
         receive = rig.bus.receive
 
         def failing(call):
-            def wrapped(*arguments):
+            def failing_call(*arguments):
                 rig.clock.sleep_until(rig.clock.now() + 1e-4)
                 if rig.clock.now() < until:
                     raise error
                 return call(*arguments)
 
-            return wrapped
+            return failing_call
 
         rig.bus.send = failing(send)
         rig.bus.receive = failing(receive)
@@ -487,7 +487,7 @@ def both(*causes):
     return lambda rig: [cause(rig) for cause in causes]
 
 
-def then(first, seconds, second):
+def after_stop(first, seconds, second):
     """One cause, and another one while the first one's stop is under way."""
 
     def cause(rig):
@@ -536,10 +536,13 @@ WAY = "moving to the first point"
 FIRST = {"start": [0.3, -0.3]}
 TABLE = (
     Line("terminal closed", hung_up, BRAKES, "stopped by SIGHUP"),
-    Line("output closed, SIGTERM", terminated, BRAKES, "stopped by SIGTERM"),
-    Line("Ctrl-C", signalled("SIGINT"), BRAKES, "stopped by SIGINT"),
-    *(Line(n, signalled(n), BRAKES, f"stopped by {n}") for n in ("SIGTERM", "SIGQUIT", "SIGUSR1")),
-    Line("Ctrl-C twice", insisted, DROPS, "stopped by SIGINT"),
+    Line("output closed, SIGTERM", send_sigterm, BRAKES, "stopped by SIGTERM"),
+    Line("Ctrl-C", send_signal("SIGINT"), BRAKES, "stopped by SIGINT"),
+    *(
+        Line(name, send_signal(name), BRAKES, f"stopped by {name}")
+        for name in ("SIGTERM", "SIGQUIT", "SIGUSR1")
+    ),
+    Line("Ctrl-C twice", insist_on_stop, DROPS, "stopped by SIGINT"),
     Line("disk full", disk_full, BRAKES, "cannot record: No space left on device"),
     Line("a defect", raising(RuntimeError("unforeseen")), BRAKES, "RuntimeError: unforeseen"),
     Line("driver raises, 20 ms", driver_fails(RuntimeError("usb"), 0.02), BRAKES, "usb"),
@@ -556,7 +559,7 @@ TABLE = (
     Line("all fail", both(fault("status", 0, 9), fault("status", 1, 9)), "99 99 99", "status 9"),
     Line(
         "a second one fails while it brakes",
-        then(fault("status", 0, 0xA), 0.02, fault("status", 1, 0xB)),
+        after_stop(fault("status", 0, 0xA), 0.02, fault("status", 1, 0xB)),
         *("AB AB AB", "motor 1 reports status A"),
     ),
     Line("watchdog set for the run", fault("silent", 1), "1D 0D 0D", "motor 2. Cut", KEPT),
@@ -618,11 +621,13 @@ def test_while_it_moves(rig, line, monkeypatch, heard):
 
 
 def test_a_value_that_no_frame_carries_stops_the_run(rig, monkeypatch):
-    def spoiled(played, speed):
+    def spoil_reference(played, speed):
         played.tau[60, 0] = 30.0
         return trajectory_reference(played, speed)
 
-    monkeypatch.setattr("robot_sysid.damiao.execution.trajectory_reference", spoiled)
+    monkeypatch.setattr(
+        "robot_sysid.damiao.execution.trajectory_reference", spoil_reference
+    )
     rig().run().assert_stopped("motor 1 would be asked for")
 
 
@@ -631,12 +636,12 @@ def test_the_other_motors_come_to_rest_before_they_are_disabled(rig):
     speeds = []
     send = run.bus.send
 
-    def watched(frame):
+    def watch_call(frame):
         if frame.data == b"\xff" * 7 + b"\xfd" and not speeds:
             speeds.extend(abs(run.arm.mechanism.qd[[0, 2]]))
         send(frame)
 
-    run.bus.send = watched
+    run.bus.send = watch_call
     run.during("playing", 0.15, fault("status", 1, 0xA)).run()
     run.assert_stopped("status A", {1: 0xA})
     assert max(speeds) < 0.05
@@ -678,13 +683,13 @@ def test_what_a_slow_adapter_delivers_is_never_paired_with_another_command(rig, 
     answer = hit._command_answer
     exchange = MotorSession.exchange
 
-    def numbered(data, time):
+    def number_commands(data, time):
         """Let the winding's temperature say how many commands the motor has had."""
         commands.append(data)
         hit.temperature_rotor = len(commands) % 60
         return answer(data, time)
 
-    def watched(self, *arguments, **options):
+    def watch_call(self, *arguments, **options):
         replies = exchange(self, *arguments, **options)
         if replies.answered[0] and not options:
             answered.append((replies.feedback.temperature_rotor[0], len(commands) % 60))
@@ -694,9 +699,9 @@ def test_what_a_slow_adapter_delivers_is_never_paired_with_another_command(rig, 
         delays = np.random.default_rng(seed).uniform(5e-3, 16e-3, 10**5)
         rig.adapter.delay = iter(delays).__next__
 
-    hit._command_answer = numbered
+    hit._command_answer = number_commands
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(MotorSession, "exchange", watched)
+        patch.setattr(MotorSession, "exchange", watch_call)
         run.during("playing", 0.1, slow).run()
     assert len(answered) > 100
     assert [got for got, _ in answered] == [command for _, command in answered]
@@ -708,18 +713,18 @@ def test_an_arm_that_is_stopped_while_its_gains_rise_is_carried(
 ):
     """What has been fed forward by then is only a part of what carries it."""
     monkeypatch.setattr("tests.support.damiao_rig.GRAVITY", 8.0)
-    motion = changed(raised)
+    motion = changed_swing(shift_pose)
     run = rig(motion=motion, start=[0.8, 0.8], ramp_time=0.3, rest_time=0.3, **USUAL)
     farthest = []
     step = run.arm.mechanism.step
 
-    def watched(*arguments):
+    def watch_call(*arguments):
         step(*arguments)
         driven = [motor.status == ENABLED for motor in run.motors]
         if all(driven):
             farthest.append(np.max(np.abs(run.arm.mechanism.q - 0.8)))
 
-    run.arm.mechanism.step = watched
+    run.arm.mechanism.step = watch_call
     run.during("raising", delay, lambda r: r.stop("stopped by SIGTERM")).run(settle=0.0)
     assert str(run.error) == "stopped by SIGTERM"
     assert max(farthest) < 0.03

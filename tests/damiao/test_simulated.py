@@ -47,7 +47,7 @@ class FarEnd:
         self.answers.append((self._clock.now(), frame.id))
 
 
-def served(clock, far, arm, seconds):
+def serve_frames(clock, far, arm, seconds):
     return serve(arm, far, clock, lambda: clock.now() < seconds)
 
 
@@ -97,7 +97,7 @@ def test_each_frame_is_answered_when_it_comes_and_an_echo_is_no_question():
     far = FarEnd(
         clock, *requests, (0.4, enable_frame(Address(0, 1))._replace(echo=True))
     )
-    assert served(clock, far, arm, 1.0).left_out == 0.0
+    assert serve_frames(clock, far, arm, 1.0).left_out == 0.0
     assert far.answers == [(0.1, 17), (0.2, 18)] and not arm.motors[0].driving
     # It lives in whole steps, and is asked for the last time a tick before the end.
     assert -1e-9 < 1.0 - arm.time < arm.mechanism.timestep + 1e-3
@@ -109,9 +109,9 @@ def test_watchdogs_expire_while_nobody_talks():
     far = FarEnd(
         clock, (0.1, enable_frame(Address(0, 1))), (0.3, disable_frame(Address(0, 2)))
     )
-    served(clock, far, arm, 0.15)
+    serve_frames(clock, far, arm, 0.15)
     assert arm.motors[0].driving
-    served(clock, far, arm, 0.3)
+    serve_frames(clock, far, arm, 0.3)
     assert not arm.motors[0].driving
 
 
@@ -124,13 +124,13 @@ def test_a_computer_that_falls_behind_leaves_time_out_instead_of_catching_up():
     step = arm.mechanism.step
     arm.mechanism.step = lambda *law: steps.append(law[-1]) or step(*law)
 
-    def paused(until):
+    def pause_clock(until):
         if 0.3 < clock.now() < 0.4:
             clock.sleep_until(5.0)
         return ordinary(until)
 
-    far.receive = paused
-    report = served(clock, far, arm, 5.3)
+    far.receive = pause_clock
+    report = serve_frames(clock, far, arm, 5.3)
     assert report.left_out == pytest.approx(5.0 - 0.3, abs=5e-3)
     assert report.longest_delay == pytest.approx(5.0 - 0.3, abs=5e-3)
     assert arm.time == pytest.approx(5.3, abs=3e-3)

@@ -33,7 +33,7 @@ def motion(samples=5, joints=2, dt=0.001, scale=1.0):
     return time, scale * np.sin(phase), scale * np.cos(phase), scale * np.sin(2 * phase)
 
 
-def exported(chunks, types, **options):
+def export_motion(chunks, types, **options):
     text = io.StringIO()
     report = export_damiao_trajectory(chunks, types, text, **options)
     return report, text.getvalue()
@@ -49,7 +49,7 @@ def test_the_file_looks_as_specified():
     q = np.array([[0.0, 0.0], [0.0012, 0.0008], [0.0024, 0.0016]])
     qd = np.array([[0.0, 0.0], [0.31, 0.22], [0.315, 0.225]])
     tau = np.array([[0.0, -0.00001], [0.05, 0.03], [0.051, 0.0305]])
-    report, text = exported([(time, q, qd, tau)], ["DM4340", "DM4340"])
+    report, text = export_motion([(time, q, qd, tau)], ["DM4340", "DM4340"])
     assert text == (
         "# motor_type=DM4340,can_id=1,mode=MIT\n"
         "# motor_type=DM4340,can_id=2,mode=MIT\n"
@@ -86,8 +86,8 @@ def test_the_chunk_size_changes_nothing(cuts):
     motion_chunk = motion(40)
     edges = [0, *sorted(set(cuts)), 40]
     pieces = (tuple(x[a:b] for x in motion_chunk) for a, b in zip(edges, edges[1:]))
-    one = exported([motion_chunk], ["DM4340"] * 2)[1]
-    assert exported(pieces, ["DM4340"] * 2)[1] == one
+    one = export_motion([motion_chunk], ["DM4340"] * 2)[1]
+    assert export_motion(pieces, ["DM4340"] * 2)[1] == one
 
 
 def test_ids_are_written_read_and_default_to_an_offset_of_sixteen(tmp_path):
@@ -122,13 +122,15 @@ def test_ids_are_written_read_and_default_to_an_offset_of_sixteen(tmp_path):
 )
 def test_ids_that_cannot_share_a_bus_are_refused(options, message):
     with pytest.raises(InputError, match=message):
-        exported([motion()], ["DM4340"] * 2, **options)
+        export_motion([motion()], ["DM4340"] * 2, **options)
 
 
 def test_what_is_told_is_what_was_asked_for_not_what_is_left_of_it():
     """Some types can be told no more than their peak torque; that must not hide the excess."""
     time, q, qd, tau = motion(4, 1)
-    report, _ = exported([(time, q, qd, np.array([[40.0], [0], [0], [0]]))], ["DM4340"])
+    report, _ = export_motion(
+        [(time, q, qd, np.array([[40.0], [0], [0], [0]]))], ["DM4340"]
+    )
     clamped, rating = report.warnings
     assert clamped.startswith("motor 1: 25.00 % of the samples were clamped")
     assert rating.startswith(
@@ -291,9 +293,9 @@ def test_what_is_wrong_in_one_of_two_files_is_found_whenever_its_time_begins(
 
 
 def test_a_rate_the_bus_cannot_carry_comes_with_one_that_it_can():
-    (warning,) = exported([motion(10, 7)], ["DM4340"] * 7)[0].warnings
+    (warning,) = export_motion([motion(10, 7)], ["DM4340"] * 7)[0].warnings
     assert "189 % of a classic CAN bus" in warning and "--sample-rate 250" in warning
-    assert exported([motion(10, 7, 0.004)], ["DM4340"] * 7)[0].warnings == ()
+    assert export_motion([motion(10, 7, 0.004)], ["DM4340"] * 7)[0].warnings == ()
 
 
 @given(share=st.lists(st.floats(0.1, 0.95) | st.floats(1.05, 5.0), min_size=5, max_size=5),

@@ -80,9 +80,9 @@ class FaultyMotor(SimulatedMotor):
         true = self.velocity, self.torque
         self.velocity = true[0] * self.velocity_factor
         self.torque = true[1] * self.torque_factor
-        said = super()._feedback()
+        reply = super()._feedback()
         self.velocity, self.torque = true
-        return said
+        return reply
 
 
 def motor(joint, watchdog=0.1):
@@ -93,21 +93,21 @@ def motor(joint, watchdog=0.1):
 REGISTERS = {"tmax": protocol.TMAX, "vmax": protocol.VMAX, "mode": protocol.CTRL_MODE}
 
 
-def fault(kind, joint, value=1):
+def fault(name, joint, value=1):
     """Function: let something go wrong with a motor of a rig, or of the motors in a list."""
 
     def cause(rig):
         hit = (rig if isinstance(rig, list) else rig.motors)[joint]
-        if kind == "status":
+        if name == "status":
             hit.fail(int(value))
-        elif kind == "watchdog":
+        elif name == "watchdog":
             hit.registers[protocol.TIMEOUT] = round(value / protocol.TIMEOUT_UNIT)
-        elif kind in REGISTERS:
-            hit.registers[REGISTERS[kind]] = float(value)
-        elif kind == "jammed":
+        elif name in REGISTERS:
+            hit.registers[REGISTERS[name]] = float(value)
+        elif name == "jammed":
             rig.arm.mechanism.jammed[joint] = True
         else:
-            setattr(hit, kind, value)
+            setattr(hit, name, value)
 
     return cause
 
@@ -143,8 +143,8 @@ def trajectory_file(folder, motion, motor_type="DM4340"):
 
 def with_coarse_physics(monkeypatch):
     """Let simulated arms of models take steps of 4 ms; a step of the usual size takes as long."""
-    usual = MotorRun.simulated_arm
-    coarse = lambda run, plan, *_: usual(run, plan, DEFAULT_WATCHDOG, 4e-3)  # noqa: E731
+    simulated_arm = MotorRun.simulated_arm
+    coarse = lambda run, plan, *_: simulated_arm(run, plan, DEFAULT_WATCHDOG, 4e-3)  # noqa: E731
     monkeypatch.setattr(MotorRun, "simulated_arm", coarse)
 
 
@@ -195,10 +195,10 @@ class Rig:
         self.wire = RememberingLink(self.adapter, self.clock)
         self.link = GuardedLink(self.wire, self.clock, timing.fd)
         self.record_path = folder / f"{name}.csv"
-        usual = {"ramp_time": 0.3, "approach_time": 0.3, "rest_time": 0.1}
+        quick = {"ramp_time": 0.3, "approach_time": 0.3, "rest_time": 0.1}
         self.plan = Plan(
             trajectory,
-            PlaySettings(**{**usual, **settings}),
+            PlaySettings(**{**quick, **settings}),
             timing,
             permissions or Permissions(),
             RecordingOptions(self.record_path),
@@ -210,14 +210,14 @@ class Rig:
         self.last_played = None
         self.error = self.report = None
 
-    def mount(self, j, can_id=None, master_id=None, **how):
+    def mount(self, j, can_id=None, master_id=None, **mounting):
         """Mount a motor in another way, and let the plan know it."""
         joints = list(self.plan.trajectory.joints)
         ids = {
             "can_id": can_id or joints[j].can_id,
             "master_id": master_id or joints[j].master_id,
         }
-        self.motors[j].joint = joints[j] = replace(joints[j], **ids, **how)
+        self.motors[j].joint = joints[j] = replace(joints[j], **ids, **mounting)
         held = self.motors[j].registers
         held[protocol.ESC_ID] = ids["can_id"]
         held[protocol.MST_ID] = ids["master_id"]
@@ -244,16 +244,16 @@ class Rig:
         elif self.first_played is not None and self.last_played is None:
             self.last_played = len(self.wire.frames)
         self.phase_times.append((sentence, self.clock.now()))
-        for words, hook in self.hooks.items():
-            if sentence.startswith(words):
+        for beginning, hook in self.hooks.items():
+            if sentence.startswith(beginning):
                 hook(self)
         self.console(sentence)
 
-    def during(self, phase, after, action):
+    def during(self, phase, delay, action):
         """Call action(rig) some seconds after a phase has begun."""
 
         def hang(rig):
-            rig.clock.at(rig.clock.now() + after, lambda: action(rig))
+            rig.clock.at(rig.clock.now() + delay, lambda: action(rig))
 
         self.hooks[phase] = hang
         return self
@@ -261,12 +261,12 @@ class Rig:
     def run(self, settle=0.5):
         """Inspect, play, record; keep error or report; then let the arm be for a while."""
         inspection = inspect_bus(self.link)
-        told = self._phase, lambda time: None
+        callbacks = self._phase, lambda time: None
         try:
             self.checks = bus_checks(self.plan, inspection)
             self.plan.recording.require_free()
             self.report = run(
-                self.link, self.plan, inspection, self.stop, *told, *self.how
+                self.link, self.plan, inspection, self.stop, *callbacks, *self.how
             )
         except Exception as error:
             self.error = error
@@ -311,8 +311,8 @@ class Rig:
             arrived = [
                 f for f in self.play_frames if f.id == joint.master_id and not f.error
             ]
-            kept = np.count_nonzero(np.isfinite(positions[:, j]))
-            assert kept + np.nansum(recording.joint_values("doubted")[:, j]) == len(
-                arrived
-            )
+            n_recorded = np.count_nonzero(np.isfinite(positions[:, j]))
+            assert n_recorded + np.nansum(
+                recording.joint_values("doubted")[:, j]
+            ) == len(arrived)
         return recording

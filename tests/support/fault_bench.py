@@ -168,15 +168,15 @@ def believed_robot(arm_name, belief):
 
 def gravity_torque(robot, q):
     """Return the torques (N, n) that hold an arm still at positions (N, n) [N m]."""
-    still = np.zeros_like(q)
-    return np.asarray(ArmTorque(robot)(Motion(np.zeros(len(q)), q, still, still)))
+    zero = np.zeros_like(q)
+    return np.asarray(ArmTorque(robot)(Motion(np.zeros(len(q)), q, zero, zero)))
 
 
 @cache
 def loaded_poses(arm_name, count=5):
     """Return poses (count, n) in which gravity loads an arm's shoulder as its table says [rad]."""
     robot = true_robot(arm_name)
-    least, most = ARMS[arm_name].shoulder_load
+    least, greatest = ARMS[arm_name].shoulder_load
     lower = np.maximum(robot.limits.lower, -1.8) + 0.6
     upper = np.minimum(robot.limits.upper, 1.8) - 0.6
     middle = 0.5 * (
@@ -187,7 +187,7 @@ def loaded_poses(arm_name, count=5):
     upper = np.where(is_narrow, middle, upper)
     q = np.random.default_rng(7).uniform(lower, upper, (4000, robot.n_joints))
     load = np.max(np.abs(gravity_torque(robot, q)), axis=1)
-    return q[(load > least) & (load < most)][:count]
+    return q[(load > least) & (load < greatest)][:count]
 
 
 def loaded_joint(setup):
@@ -425,25 +425,25 @@ class BenchRun:
         if self.setup.model_is_given:
             robot = believed_robot(self.setup.arm, self.setup.belief)
             holding = gravity_check(robot, self.plan.trajectory.joints)
-        told = self._note_phase, lambda moment: None
+        callbacks = self._note_phase, lambda moment: None
         try:
             inspection = inspect_bus(guarded)
-            play_plan(guarded, self.plan, inspection, self.stop, *told, holding)
+            play_plan(guarded, self.plan, inspection, self.stop, *callbacks, holding)
         except SysidError as error:
             return str(error)
         except Exception as error:
             return f"DEFECT {type(error).__name__}: {error}"
         return ""
 
-    def _note_phase(self, words):
+    def _note_phase(self, name):
         now = self.clock.now()
-        self.phases.append((now, words))
-        if words.startswith("stopping") and self.stop_at is None and not self.was_ended:
+        self.phases.append((now, name))
+        if name.startswith("stopping") and self.stop_at is None and not self.was_ended:
             self.stop_at = now
             # Lowering an arm takes up to 20 s, of which nothing is measured.
             self.clock.at(now + OBSERVED + 0.2, self._insist)
         if self._case_number is None:
-            self._branch_in(words)
+            self._branch_in(name)
 
     def _end(self):
         if self.stop_at is None:
@@ -458,10 +458,10 @@ def outcomes_of(cases, jobs=2):
     """Yield the outcomes of cases, set-up by set-up."""
     setups = dict.fromkeys(case.setup for case in cases)
     for setup in setups:
-        chosen = [case for case in cases if case.setup == setup]
+        setup_cases = [case for case in cases if case.setup == setup]
         with tempfile.TemporaryDirectory() as folder:
-            clean, records = BenchRun(setup, chosen, Path(folder), jobs).play()
-        for number, case in enumerate(chosen):
+            clean, records = BenchRun(setup, setup_cases, Path(folder), jobs).play()
+        for number, case in enumerate(setup_cases):
             if number in records:
                 yield judged_outcome(case, records[number], clean)
             else:
@@ -552,7 +552,7 @@ class Outcome:
 
 
 def _phase_at(record, moment):
-    names = [words for begin, words in record.phases if begin <= moment]
+    names = [name for begin, name in record.phases if begin <= moment]
     return names[-1] if names else "before"
 
 
@@ -562,17 +562,17 @@ def _clean_span(record, clean, begin, end):
     A fault may make earlier phases longer, so time counts from the beginning of a phase; where the
     phase itself has another length, all of it counts.
     """
-    begun = [(moment, words) for moment, words in record.phases if moment <= begin]
+    begun = [(moment, name) for moment, name in record.phases if moment <= begin]
     phases = [
-        (moment, words) for moment, words in begun if not words.startswith("stopping")
+        (moment, name) for moment, name in begun if not name.startswith("stopping")
     ]
     if not phases:
         return begin, end
-    phase_begin, words = phases[-1]
-    name = words.split(" (")[0]
+    phase_begin, phase_text = phases[-1]
+    name = phase_text.split(" (")[0]
     moments = [moment for moment, _ in clean.phases] + [clean.time[-1]]
     for number, (moment, text) in enumerate(clean.phases):
-        if text == words:
+        if text == phase_text:
             return begin - phase_begin + moment, end - phase_begin + moment
         if text.startswith(name):
             return moment, moments[number + 1]
@@ -620,8 +620,8 @@ def judged_outcome(case, record, clean):
     until = last if stop_at is None else min(last, stop_at + OBSERVED)
     departure = _departures(record, clean, onset, until)
     worst = int(np.argmax(departure))
-    way, speed, later_speed, gain = _motion_after_stop(record, until)
-    is_other = np.arange(len(way)) != case.joint
+    distance, speed, later_speed, gain = _motion_after_stop(record, until)
+    is_other = np.arange(len(distance)) != case.joint
     return Outcome(
         name=case.name,
         setup=case.setup,
@@ -630,9 +630,9 @@ def judged_outcome(case, record, clean):
         departure=float(departure[worst]),
         departure_joint=worst,
         others_departure=float(departure[is_other].max()),
-        departure_after_stop=float(way.max()),
-        fall=float(way.max() if case.joint is None else way[case.joint]),
-        others_fall=float(way[is_other].max()),
+        departure_after_stop=float(distance.max()),
+        fall=float(distance.max() if case.joint is None else distance[case.joint]),
+        others_fall=float(distance[is_other].max()),
         others_speed=float(speed[is_other].max()),
         others_later_speed=float(later_speed[is_other].max()),
         top_speed=float(speed.max()),
@@ -656,12 +656,12 @@ def _motion_after_stop(record, until):
     if not np.any(inside):
         return np.zeros(n), np.zeros(n), np.zeros(n), 0.0
     q = record.q[inside]
-    way = np.abs(q - q[0]).max(axis=0)
+    distance = np.abs(q - q[0]).max(axis=0)
     speed = np.abs(record.qd[inside])
     later_speed = speed[record.time[inside] >= stop_at + LATER].max(axis=0, initial=0.0)
     times, kinetic, potential = record.energy.T
     total = (kinetic + potential)[(times >= stop_at - 0.02) & (times <= until)]
-    return way, speed.max(axis=0), later_speed, float(np.max(total) - total[0])
+    return distance, speed.max(axis=0), later_speed, float(np.max(total) - total[0])
 
 
 def _peak_kinetic(record, onset, until):

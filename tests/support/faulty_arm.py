@@ -208,11 +208,11 @@ class FaultyArm(SimulatedArm):
         velocity = np.where(is_frozen, 0.0, qd + slip)
         torque, damping = self._law(q)
         share = np.where(self.share_is_reported, self.torque_share, 1.0)
-        made = share * (torque - damping * qd)
+        delivered = share * (torque - damping * qd)
         for joint_index, motor in enumerate(self.motors[: self.mechanism.n_joints]):
             motor.position = position[joint_index]
             motor.velocity = velocity[joint_index]
-            motor.torque = made[joint_index] if motor.driving else 0.0
+            motor.torque = delivered[joint_index] if motor.driving else 0.0
 
     def grip(self, mass):
         """Add a mass [kg] at the terminal link's centre of mass, from now on."""

@@ -47,9 +47,9 @@ def answering_writes_with(opcode, motor):
     answer = motor.handle
 
     def handle(frame, time):
-        said = answer(frame, time)
-        if said is None or frame.id != REGISTER_ID or frame.data[2] != WRITE:
-            return said
-        return said._replace(data=said.data[:2] + bytes([opcode]) + said.data[3:])
+        reply = answer(frame, time)
+        if reply is None or frame.id != REGISTER_ID or frame.data[2] != WRITE:
+            return reply
+        return reply._replace(data=reply.data[:2] + bytes([opcode]) + reply.data[3:])
 
     motor.handle = handle

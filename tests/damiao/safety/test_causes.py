@@ -49,7 +49,7 @@ FILE = HoldingCheck(JOINTS, lambda q: gravity(Q), 0.0, "the trajectory feeds for
 BEFORE = np.array([1.0, -0.5, 0.2, 0.0])
 
 
-def named(holding, torque, at_once=None):
+def explanation(holding, torque, at_once=None):
     """What is named where this holds the arm."""
     at_once = torque - gravity(Q) if at_once is None else at_once
     change = EffortChange(1, BEFORE, at_once)
@@ -65,20 +65,20 @@ def weak(joint, share):
 @pytest.mark.parametrize("holding", [MODEL, FILE], ids=["model", "file"])
 @pytest.mark.parametrize("joint", [0, 1])
 def test_a_weak_motor_shows_in_its_own_joint(holding, joint):
-    message = named(holding, weak(joint, 0.5))
+    message = explanation(holding, weak(joint, 0.5))
     assert (
         message.startswith(f"motor {joint + 1} makes 0.50 times") and "weak" in message
     )
 
 
 def test_a_load_shows_in_all_joints():
-    assert "carries about 3.0 kg more" in named(MODEL, gravity(Q) + 3.0 * load(Q))
+    assert "carries about 3.0 kg more" in explanation(MODEL, gravity(Q) + 3.0 * load(Q))
 
 
 @pytest.mark.parametrize("joint", [0, 1])
 def test_a_zero_that_has_moved_shows_in_all_joints_beyond(joint):
     shifted = Q + 0.3 * np.eye(4)[joint]
-    message = named(MODEL, gravity(shifted))
+    message = explanation(MODEL, gravity(shifted))
     # A joint that turns all links beyond it alike is told from its neighbour by those between.
     assert "has moved by 0." in message or "weak" in message
     assert f"motor {joint + 1}" in message
@@ -86,21 +86,21 @@ def test_a_zero_that_has_moved_shows_in_all_joints_beyond(joint):
 
 def test_what_is_over_was_a_push_or_a_moment_of_weakness():
     pushed = BEFORE + np.array([9.0, 8.0, 6.0, 2.0])
-    assert named(MODEL, gravity(Q), pushed) == "something pushed it for a moment"
+    assert explanation(MODEL, gravity(Q), pushed) == "something pushed it for a moment"
     alone = BEFORE + np.array([0.0, 9.0, 0.0, 0.0])
-    assert "motor 2 was held back for a moment" in named(MODEL, gravity(Q), alone)
+    assert "motor 2 was held back for a moment" in explanation(MODEL, gravity(Q), alone)
 
 
 def test_what_nothing_explains_gets_no_name():
     strange = gravity(Q) + np.array([9.0, -9.0, 9.0, -3.0])
-    assert "something pushes it or holds it back" in named(MODEL, strange)
+    assert "something pushes it or holds it back" in explanation(MODEL, strange)
 
 
 ZERO_JOINTS = damiao_joints(["DM4340", "DM4340", "DM4310"], 3)
 PERIOD = 0.02
 
 
-def played(
+def play_motion(
     robot, seed, links=0.0, load=0.0, shift=0.0, slip=0.0, since=0.0, seconds=8.0
 ):
     """What a run of an arm shows whose links are off by a share.
@@ -162,14 +162,14 @@ def mounted_arm():
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("angle", [-0.3, 0.3])
 def test_a_moved_zero_is_named(arm, seed, angle):
-    _, joint, message = finding(arm, played(arm, seed, 0.15, shift=angle))
+    _, joint, message = finding(arm, play_motion(arm, seed, 0.15, shift=angle))
     assert joint == 1 and "its zero has moved since its map was made" in message
 
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("speed", [-0.3, 0.3])
 def test_a_gear_that_slips_is_named_while_it_slips(mounted_arm, seed, speed):
-    run = played(mounted_arm, seed, 0.15, slip=speed, since=4.0)
+    run = play_motion(mounted_arm, seed, 0.15, slip=speed, since=4.0)
     time, joint, message = finding(mounted_arm, run)
     assert 4.0 < time < 6.5 and joint == 1 and "its gear slips" in message
 
@@ -177,16 +177,16 @@ def test_a_gear_that_slips_is_named_while_it_slips(mounted_arm, seed, speed):
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize(("load", "since"), [(0.0, 0.0), (2.0, 0.0), (2.0, 4.0)])
 def test_links_and_loads_that_are_off_are_no_moved_zero(arm, seed, load, since):
-    assert finding(arm, played(arm, seed, 0.2, load, since=since)) is None
+    assert finding(arm, play_motion(arm, seed, 0.2, load, since=since)) is None
 
 
 def test_a_short_run_says_nothing(arm):
-    assert finding(arm, played(arm, 0, shift=0.5, seconds=1.5)) is None
+    assert finding(arm, play_motion(arm, 0, shift=0.5, seconds=1.5)) is None
 
 
 def test_an_arm_that_stands_says_nothing(arm):
     """Dry friction holds it, with any torque."""
-    run = played(arm, 0, shift=0.5)
+    run = play_motion(arm, 0, shift=0.5)
     stands = Measurement(
         run.time, run.q[:1] + 0.0 * run.q, 0.0 * run.qd, run.tau[:1] + 0.0 * run.q
     )
@@ -194,7 +194,7 @@ def test_an_arm_that_stands_says_nothing(arm):
 
 
 def test_cycles_without_an_answer_are_left_out(arm):
-    run = played(arm, 0, 0.15, shift=0.3)
+    run = play_motion(arm, 0, 0.15, shift=0.3)
     check = MovedZeroCheck(arm, ZERO_JOINTS)
     silent = np.full(3, np.nan)
     for cycle, (time, q, qd, tau) in enumerate(zip(run.time, run.q, run.qd, run.tau)):
@@ -205,7 +205,7 @@ def test_cycles_without_an_answer_are_left_out(arm):
 def test_a_link_without_mass_has_no_errors_to_compete(arm):
     light = replace(arm.links[0], theta=0.0 * arm.links[0].theta)
     robot = replace(arm, links=(light, *arm.links[1:]))
-    assert finding(robot, played(robot, 0, 0.15)) is None
+    assert finding(robot, play_motion(robot, 0, 0.15)) is None
 
 
 LWR4_PEAK = (176.0, 176.0, 100.0, 100.0, 100.0, 38.0, 38.0)

@@ -60,7 +60,7 @@ def answer(k, q=None, qd=None, tau=None, status=1, heat=30):
     return Replies(answered, np.array([k * CYCLE]), feedback, answered), command
 
 
-def believed(*changes):
+def believe_answers(*changes):
     """Return for each of some answers, after ten good ones, whether it is believed."""
     judge = SampleFilter(np.array([PEAK]), np.array([STEP]))
     judge.start(0.0, np.zeros(1))
@@ -88,12 +88,12 @@ OFF = {
 
 @pytest.mark.parametrize("offset", OFF)
 def test_one_damaged_answer_is_set_aside_and_the_next_good_one_believed(offset):
-    assert believed(OFF[offset](11), {}, {}) == [False, True, True]
+    assert believe_answers(OFF[offset](11), {}, {}) == [False, True, True]
 
 
 @pytest.mark.parametrize("offset", ["velocity", "torque", "status", "disabled", "heat"])
 def test_two_that_agree_are_believed(offset):
-    assert believed(OFF[offset](11), OFF[offset](12), OFF[offset](13)) == [
+    assert believe_answers(OFF[offset](11), OFF[offset](12), OFF[offset](13)) == [
         False,
         True,
         True,
@@ -103,7 +103,7 @@ def test_two_that_agree_are_believed(offset):
 def test_a_position_that_the_torque_contradicts_is_never_believed():
     """Its motor holds the joint where it was: what reports is wrong, and not where it is."""
     offset = OFF["position"]
-    assert believed(*(offset(k) for k in range(11, 17))) == [False] * 6
+    assert believe_answers(*(offset(k) for k in range(11, 17))) == [False] * 6
 
 
 def test_an_encoder_that_jumps_with_its_motor_is_a_finding():
@@ -121,7 +121,7 @@ def test_an_encoder_that_jumps_with_its_motor_is_a_finding():
 def test_a_motor_that_goes_off_does_not_jump():
     """A second motor of the same id that is disabled says so from where it stands itself."""
     other = {"status": 0, "q": 1.3, "qd": 0.0, "tau": 0.0}
-    assert believed(*[other] * 4) == [False] * 4
+    assert believe_answers(*[other] * 4) == [False] * 4
 
 
 def test_missing_answers_change_nothing():
@@ -325,7 +325,7 @@ def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
     for position, velocity, torque, braking, pause in requests:
         clock.sleep_until(clock.now() + pause)
         n_sent_before = len(link.sent)
-        believed, _ = session.believed_motion
+        believe_answers, _ = session.believed_motion
         requested = MitCommand(
             np.array(position), np.array(velocity), np.array([180.0, 60.0]),
             np.array([4.5, 1.5]), np.array(torque),
@@ -351,9 +351,11 @@ def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
             assert lower[j] - position_step[j] <= p <= upper[j] + position_step[j]
             assert abs(p - last[j]) <= reach + 2.0 * position_step[j]
             assert abs(v) <= SPEED[j] + 2.0 * velocity_step[j]
-            asked_torque = abs(kp * (p - believed[j]) + t)
+            asked_torque = abs(kp * (p - believe_answers[j]) + t)
             available = JOINTS[j].spec.peak_torque + 2.0 * torque_step[j]
-            available += (kp + 0.13) * position_step[j] + 0.13 * abs(p - believed[j])
+            available += (kp + 0.13) * position_step[j] + 0.13 * abs(
+                p - believe_answers[j]
+            )
             assert asked_torque <= available
             last[j] = p
             sent_at[j] = moment

@@ -228,7 +228,7 @@ def stop_of(change, cycles=500):
 BEGIN = 250
 
 
-def after(**changes):
+def change_after(**changes):
     """A change of signals from the moment ``BEGIN`` on; functions of the signals."""
 
     def change(k, signals):
@@ -251,25 +251,35 @@ def slip(speed):
     def away(k, signals):
         return signals["p"] + speed * CYCLE * (k - BEGIN)
 
-    return after(q=away, p=away)
+    return change_after(q=away, p=away)
 
 
 DISAGREE = (
-    (after(tau=lambda k, s: lambda commanded: -commanded), "its sign is reversed", 5),
     (
-        after(tau=lambda k, s: lambda commanded: 0.4 * commanded, t=lambda k, s: 9.0),
+        change_after(tau=lambda k, s: lambda commanded: -commanded),
+        "its sign is reversed",
+        5,
+    ),
+    (
+        change_after(
+            tau=lambda k, s: lambda commanded: 0.4 * commanded, t=lambda k, s: 9.0
+        ),
         "makes 0.40 times",
         5,
     ),
     (
-        after(tau=lambda k, s: lambda commanded: commanded + (-9.0) ** (k % 2)),
+        change_after(tau=lambda k, s: lambda commanded: commanded + (-9.0) ** (k % 2)),
         "does not do what it is commanded",
         8,
     ),
-    (after(qd=lambda k, s: -s["qd"]), "moves against the velocity that it reports", 60),
+    (
+        change_after(qd=lambda k, s: -s["qd"]),
+        "moves against the velocity that it reports",
+        60,
+    ),
     (slip(0.4), "rad/s beside the velocity", 80),
     (
-        after(
+        change_after(
             q=lambda k, s: STILL,
             qd=lambda k, s: 0.1,
             tau=lambda k, s: lambda commanded: 2.0,
@@ -277,15 +287,23 @@ DISAGREE = (
         "repeats the same answer",
         15,
     ),
-    (after(q=lambda k, s: STILL, qd=lambda k, s: 0.0), "its encoder is frozen", 25),
-    (after(extra=lambda k, s: {"surplus": one(1)}), "a second motor has its id", 3),
     (
-        after(extra=lambda k, s: {"foreign": one(1)}),
+        change_after(q=lambda k, s: STILL, qd=lambda k, s: 0.0),
+        "its encoder is frozen",
+        25,
+    ),
+    (
+        change_after(extra=lambda k, s: {"surplus": one(1)}),
+        "a second motor has its id",
+        3,
+    ),
+    (
+        change_after(extra=lambda k, s: {"foreign": one(1)}),
         "gets commands of another program",
         3,
     ),
-    (after(extra=lambda k, s: {"jump": one(0.2)}), "jumped by 0.200 rad", 1),
-    (after(q=lambda k, s: s["p"] - 0.01 * (k - BEGIN)), "suddenly needs", 8),
+    (change_after(extra=lambda k, s: {"jump": one(0.2)}), "jumped by 0.200 rad", 1),
+    (change_after(q=lambda k, s: s["p"] - 0.01 * (k - BEGIN)), "suddenly needs", 8),
 )
 
 
@@ -327,18 +345,18 @@ def test_a_joint_that_carries_the_arm_the_other_way_is_another_joint():
 
 
 def test_a_frozen_encoders_motor_is_to_be_switched_off():
-    *_, watched = stop_of(after(q=lambda k, s: STILL, qd=lambda k, s: 0.0))
+    *_, watched = stop_of(change_after(q=lambda k, s: STILL, qd=lambda k, s: 0.0))
     assert watched.to_switch_off.tolist() == [False, True]
 
 
 def test_answers_of_two_motors_are_no_fault_of_one():
     """A second motor that is disabled answers "disabled" for the first."""
 
-    def doubled(k, signals):
+    def with_second_motor(k, signals):
         if k >= BEGIN:
             signals["extra"] = {"surplus": one(1)}
 
-    k, stopped, watched = stop_of(doubled)
+    k, stopped, watched = stop_of(with_second_motor)
     assert "second motor" in str(stopped) and not watched.failed.any()
     for _ in range(3):
         watched.update(sample(status=0))
