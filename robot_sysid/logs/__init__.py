@@ -1,4 +1,7 @@
-"""Which logs are read: apart from the reader, which a run without logs does not wait for."""
+"""Recordings of real arms, read into Measurement records; here the options of reading them.
+
+The options stand apart from ``logs.reader``, whose import a run without logs does not wait for.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,11 @@ CHECKS = {
 
 @dataclass(frozen=True)
 class LogOptions(OptionRecord):
-    """Which logs of the real arm, and what their columns are."""
+    """Which logs of the real arm are read, and how their columns are declared.
+
+    ``commanded`` is no option of a command: whether commanded positions are read in place of
+    torques, as the identification of servos needs them.
+    """
 
     measurements: tuple[Path, ...] = option(
         (),

@@ -2,9 +2,8 @@
 Parquet, Feather, and LeRobot data sets, which are folders with meta/info.json and Parquet files.
 
 Each form has a guard of its own against a file that unpacks to more than ``table.unpacked_limit``,
-because each states in its own place how much that is. One process with a memory limit in place of
-the guards would work on Linux alone and report no size; .mat files, at which the library may end
-its process, are read in one.
+because each states in its own place how much that is; a process with a memory limit would work on
+Linux alone and report no size. Only .mat files, at which SciPy may end its process, have one.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import chain
+from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
@@ -300,6 +299,7 @@ def _list_datasets(
     count = 0
 
     def visit(name: str, member: Any) -> None:
+        """Note a data set, or the external links of a group."""
         nonlocal count
         refuse_many_arrays(path, count)
         count += 1
@@ -352,6 +352,7 @@ def _find_member(h5py: Any, file: Any, member_path: str) -> Any:
 
 
 def _link_text(name: str, link: Any) -> str:
+    """Return a description of an HDF5 link of this name to another file."""
     return f"{name} is a link to another file, {link.filename}"
 
 
@@ -396,9 +397,8 @@ def _aloha_table(path: Path, arrays: Mapping[str, Any]) -> LogTable:
     width = arrays["qpos"].shape[1]
     names = {len(_ALOHA_JOINTS): _ALOHA_JOINTS, len(sides): sides}
     joints = names.get(width) or [f"joint{k}" for k in range(width)]
-    titles: list[str] = []
-    for quantity in arrays:
-        titles += [f"{joint} {quantity}" for joint in joints]
+    columns = product(arrays, joints)
+    titles = [f"{joint} {quantity}" for quantity, joint in columns]
     layout = f"ALOHA HDF5, without time stamps: rows taken to be {ALOHA_RATE:g} Hz"
     table = recordings_table(path, layout, titles, [list(arrays.values())])
     return replace(table, choices=ColumnChoices(rate=ALOHA_RATE))

@@ -120,6 +120,7 @@ def check_log(
     faults = list[str]()
 
     def passes(check: Check) -> bool:
+        """Run a check, add its notes or its fault to the lists, and return whether it passed."""
         count = len(faults)
         with collect_errors(faults):
             notes.extend(check(rows, robot) or ())
@@ -306,7 +307,10 @@ def _offset_turns(q: Array, limit: Array, is_far: Mask) -> Array:
 
 
 def _are_often_fast(q: Array, step: Array) -> Mask:
-    """Return (n,) whether joints at q (N, n) are often fast, over time steps (R,) of N - R rows."""
+    """Return (n,) whether joints at positions q (N, n) are often faster than _FAST.
+
+    Speeds are taken over N - R rows; ``step`` (R,) is the time that so many rows take [s].
+    """
     n_rows = len(q) - len(step)
     is_fast = np.abs(q[n_rows:] - q[:-n_rows]) > _FAST * step[:, None]
     return np.asarray(np.mean(is_fast, axis=0) > _OFTEN)

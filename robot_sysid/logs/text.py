@@ -137,6 +137,7 @@ def read_dialect(path: Path, first_bytes: bytes) -> Dialect:
 
 
 def _find_separator(line: str) -> str:
+    """Return the first separator of the table that a line holds, else a blank."""
     return next((mark for mark in _SEPARATORS if mark in line), " ")
 
 
@@ -172,6 +173,7 @@ def _parse_cell(cell: str, start: str = "") -> float:
 
 @functools.lru_cache(maxsize=1)
 def _start_of_time(cell: str) -> int:
+    """Return the date in a cell [ns since 1970], 0 where it holds none."""
     return nanoseconds(cell) if DATE.fullmatch(cell) else 0
 
 
@@ -218,6 +220,7 @@ def _read_beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str
 
 
 def _is_comment(line: str) -> bool:
+    """Return whether a line begins with # or %."""
     return line.lstrip().startswith(("#", "%"))
 
 
@@ -244,6 +247,7 @@ def _drop_last_empty(cells: Sequence[str]) -> tuple[str, ...]:
 
 
 def _is_mostly_numbers(cells: Sequence[str]) -> bool:
+    """Return whether cells are a row of data, not a header."""
     # A row of data may carry a joint's name or a frame, a header may have a title like "1".
     return 2 * sum(map(is_number, cells)) > len(cells)
 

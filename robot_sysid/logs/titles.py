@@ -29,6 +29,7 @@ T = TypeVar("T")
 
 
 def _token_set(text: str) -> frozenset[str]:
+    """Return the tokens of a text, separated by blanks."""
     return frozenset(text.split())
 
 

@@ -289,6 +289,7 @@ def _parse(file: SourceFile, max_elements: int) -> None:
     parents = list[Node]()
 
     def start_element(name: str, attributes: dict[str, str]) -> None:
+        """Add an element to the file and to its parent."""
         start = parser.CurrentByteIndex
         tag = _START_TAG.match(text, start)
         if tag is None or len(parents) == _MAX_ELEMENT_DEPTH:
@@ -310,6 +311,7 @@ def _parse(file: SourceFile, max_elements: int) -> None:
         parents.append(node)
 
     def end_element(name: str) -> None:
+        """Note where the innermost open element ends."""
         node = parents.pop()
         closing = parser.CurrentByteIndex
         if not text.endswith(b"/>", node.start, node.inner_start):
@@ -568,4 +570,5 @@ def _indentation(node: Node) -> bytes:
 
 
 def _line_break(text: bytes) -> bytes:
+    """Return the line ending that a text uses."""
     return b"\r\n" if b"\r\n" in text else b"\n"

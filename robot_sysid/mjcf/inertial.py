@@ -81,6 +81,7 @@ def plan_write_back(
     mass = float(composite[0])
 
     def admissible(theta: Array) -> Array | None:
+        """Return theta (10,) as it can be written, or None where it is no possible body."""
         return possible_body(theta, mass, least_moment, max_inflation)
 
     emptied: tuple[SubtreeBody, ...] = ()
@@ -109,6 +110,7 @@ def plan_write_back(
 
 
 def _sum_theta(bodies: Sequence[SubtreeBody]) -> Array:
+    """Return the sum of the bodies' theta (10,); zeros for no bodies."""
     return np.sum([np.zeros(10), *(body.theta for body in bodies)], axis=0)
 
 

@@ -101,6 +101,7 @@ def _is_readable(mesh: Asset) -> bool:
 
 
 def _set_paths(edits: Edits, meshes: Sequence[Asset]) -> None:
+    """Write the absolute paths of meshes that were found."""
     for mesh in meshes:
         edits.set(mesh.node, "filename", str(mesh.path))
 

@@ -1,4 +1,7 @@
-"""Which model, and which arm of it."""
+"""Models as MuJoCo compiles them, and the arm in them; here the options that choose both.
+
+The options stand apart from the other modules, which import MuJoCo.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from robot_sysid.records.option_fields import OptionRecord, option
 
 @dataclass(frozen=True)
 class ModelOptions(OptionRecord):
-    """Which arm, of an MJCF or URDF file, and which of its joints is the terminal one."""
+    """Options that choose a model file (``path``, MJCF or URDF) and the arm in it."""
 
     path: Path = Path()
     mesh_dir: Path | None = option(

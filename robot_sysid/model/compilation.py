@@ -84,6 +84,7 @@ def captured_warnings() -> Iterator[list[str]]:
     previous = mujoco.get_mju_user_warning()
 
     def collect(message: object) -> None:
+        """Take a warning from MuJoCo, on one line."""
         messages.append(" ".join(str(message).split()))
 
     mujoco.set_mju_user_warning(collect)
@@ -293,6 +294,7 @@ def is_in_memory(model: Any) -> bool:
 
 
 def _is_spec(model: Any) -> bool:
+    """Return whether an object is an ``MjSpec``."""
     # Releases before 3.2 have none.
     return isinstance(model, getattr(mujoco, "MjSpec", ()))
 

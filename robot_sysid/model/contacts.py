@@ -147,6 +147,7 @@ def find_new_contacts(robot: RobotModel, motions: Iterable[Motion]) -> tuple[str
                 first_time.setdefault(pair, float(time))
 
     def contact(pair: tuple[int, int]) -> str:
+        """Return a sentence on two bodies (ids), without the time."""
         first, second = (body_label(robot.mj_model, body) for body in pair)
         return f"{first} and {second} touch"
 

@@ -59,6 +59,7 @@ def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
 
 
 def _list_names(flanges: Sequence[Flange]) -> str:
+    """Return the names of frames, separated by commas."""
     return ", ".join(flange.name for flange in flanges)
 
 
@@ -87,6 +88,7 @@ def _fixed_frames(robot: RobotModel) -> tuple[_Frames, _Frames]:
     fixed = {body.body_id: body.name for body in robot.bodies if body.welded}
 
     def frame(label: str, carrier: int, xmat: Array, xpos: Array) -> Flange:
+        """Return a frame, at world axes (9,) and position (3,), relative to the terminal body."""
         rotation = axes.T @ xmat.reshape(3, 3)
         translation = axes.T @ (xpos - origin)
         return Flange(label, rotation, translation, robot.body_name, carrier)
