@@ -158,7 +158,7 @@ def _orders(names: Sequence[str]) -> Iterator[tuple[str, list[int]]]:
     plain = list(range(len(names)))
     for first, second in combinations(plain, 2):
         order = plain.copy()
-        order[first], order[second] = second, first
+        order[first], order[second] = order[second], order[first]
         yield f"joints {names[first]} and {names[second]} are exchanged", order
     if len(names) > 2:
         yield "the order of the joints is reversed", plain[::-1]

@@ -117,7 +117,7 @@ class Answer:
             name=name,
             inertial=InertialParameters(theta),
             covariance=covariance,
-            is_determined=self.errors.shown(change),
+            is_determined=self.errors.are_identified(change),
             noise_errors=noise,
             budget=budget,
             data_share=np.clip(share, 0.0, 1.0),
@@ -291,7 +291,7 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
             )
     notes = [
         *([] if FILE_FRICTION in unchanged_parts else notes),
-        *_offset_notes(file_answer, file.after),
+        *_offset_notes(file_answer, file.validation_after),
     ]
     turned = fit.next_point.gravity if fit.unknowns.increments else None
     if turned is not None and np.array_equal(turned, gravity_vector(robot)):
@@ -301,8 +301,8 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
         spread,
         joints,
         turned,
-        file.before,
-        file.after,
+        file.validation_before,
+        file.validation_after,
         unchanged=tuple(sorted(unchanged_parts)),
         motors=fit.choice.couplings,
     )

@@ -132,7 +132,11 @@ def _file_verdict(answer: Answer) -> Judgement | None:
     """Return the verdict on the written file against the given model; None without a file."""
     if answer.file is None:
         return None
-    return judge_file(answer.file.before, answer.file.after, noise_share(answer.fit))
+    return judge_file(
+        answer.file.validation_before,
+        answer.file.validation_after,
+        noise_share(answer.fit),
+    )
 
 
 def _common(answer: Answer, data: DataOrigin) -> Result:

@@ -473,8 +473,8 @@ class Columns:
             fields = zip(*[vars(motions[index]).values() for index in batch])
             motion = Motion(*map(np.concatenate, fields))
             batch_ends = np.cumsum([len(motions[index].time) for index in batch])
-            made = make(self.thetas(point.values, is_loaded), motion)
-            columns.update(zip(batch, np.split(made, batch_ends[:-1])))
+            batch_columns = make(self.thetas(point.values, is_loaded), motion)
+            columns.update(zip(batch, np.split(batch_columns, batch_ends[:-1])))
         return [columns[index] for index in range(len(delayed))]
 
     def _by_links(

@@ -94,7 +94,7 @@ class FitErrors:
             (covariance (m, m), standard errors (m,) due to noise, cause to standard errors (m,)),
             standard errors infinite where a combination is not identified.
         """
-        is_hidden = ~self.shown(change)
+        is_hidden = ~self.are_identified(change)
         used = np.flatnonzero(np.any(change != 0.0, axis=0))
         change_used = change[:, used]
         block = np.ix_(used, used)
@@ -114,7 +114,7 @@ class FitErrors:
             budget[SCALES] = np.hypot(budget[SCALES], self.common * np.abs(theta))
         return covariance, standard_errors(noise * change_used), budget
 
-    def shown(self, change: Array) -> NDArray[np.bool_]:
+    def are_identified(self, change: Array) -> NDArray[np.bool_]:
         """Return (m,) whether combinations (m, k) contain identified parameters alone."""
         hidden = np.isinf(self.total.standard_errors)
         return np.asarray(

@@ -48,15 +48,15 @@ class FileFit:
 
     Attributes:
         fit: its parameters.
-        before: held-out error of the model as it was, sensor offsets subtracted.
-        after: held-out error of the file, sensor offsets subtracted.
+        validation_before: held-out error of the model as it was, sensor offsets subtracted.
+        validation_after: held-out error of the file, sensor offsets subtracted.
         errors: of its parameters.
         urdf: the best URDF, where the model is a URDF and this file is an MJCF.
     """
 
     fit: Fit
-    before: Validation
-    after: Validation
+    validation_before: Validation
+    validation_after: Validation
     errors: FitErrors
     urdf: FileFit | None = None
 
@@ -119,7 +119,7 @@ def _fit_kind(
         if name.partition("[")[0] in prefixes or "[" not in name:
             values[index] = fitter.columns.model_values[index]
     point = replace(fitter.columns.start(), values=values, in_file=True)
-    before = _validate_model(fitter, question, choice, point)
+    model_validation = _validate_model(fitter, question, choice, point)
     fit = fitter.fit(question, choice, point, rounds=1)
     judge = held_out(fit)
     choice = replace(choice, friction=_polynomials(judge, fit, question, choice))
@@ -144,7 +144,7 @@ def _fit_kind(
     judge = held_out(fit, fit.unknowns)
     validation = judge.validation(judge.consistent_squared_errors(fit.unknowns))
     del judge
-    return FileFit(fit, before, validation, fit_errors(fit, (), pull))
+    return FileFit(fit, model_validation, validation, fit_errors(fit, (), pull))
 
 
 def _holds_rotors(question: Question) -> bool:

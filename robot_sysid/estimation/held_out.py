@@ -362,6 +362,6 @@ def _prediction_variance(
         change = np.zeros((len(joint.triangle), len(indices)))
         columns = np.searchsorted(indices, joint.columns[is_free])
         change[:, columns] = joint.triangle[:, :-1][:, is_free]
-        is_identified = fitted.n_samples > 0 and np.all(errors.shown(change))
+        is_identified = fitted.n_samples > 0 and np.all(errors.are_identified(change))
         variances[row] = np.trace(errors.of(change)[0]) if is_identified else np.inf
     return variances

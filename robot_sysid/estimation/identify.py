@@ -38,7 +38,7 @@ from robot_sysid.signals.process import LogPiece, process
 from robot_sysid.signals.repetition import find_visits
 
 AT_REST = FrictionModel(("offset",))
-"""Friction terms at rest, where poses were approached from both sides."""
+"""Friction terms of poses at rest, which were approached from both sides."""
 _PASSES = 18
 """Passes over the recordings in an identification: 15 to 18 with three real arms and an example."""
 
@@ -211,7 +211,12 @@ def answer_payload(
 def refit(
     answer: Answer, used: Sequence[Mask], unchanged_parts: tuple[str, ...]
 ) -> Answer:
-    """Return the answer from the used rows of its recordings, with all choices made again."""
+    """Return the answer from a part of its recordings' rows, with all choices made again.
+
+    Args:
+        used: (K,) rows of each recording to use.
+        unchanged_parts: parts of the model file that stay as they are.
+    """
     fit = answer.fit
     datasets = [
         replace(dataset, used=mask) for dataset, mask in zip(fit.columns.datasets, used)

@@ -92,7 +92,7 @@ def estimate_alone(
     weights = 1.0 / (noise * np.sqrt(memories))
     space = visible_space(information.equations(weights)[0])
     inverse = space.inverse()
-    identified = space.identified
+    identified = space.is_identified
     noise_root = plain.equations(weights)[0] @ inverse
     covariance = np.where(np.outer(identified, identified), inverse, np.inf)
     return solved(weights)[0], noise_root.T @ noise_root, covariance
@@ -471,7 +471,14 @@ def _helmert(count: int) -> Array:
 def _spread(
     contrasts: Array, noise: Array, sizes: Array, kinds: NDArray[np.int64]
 ) -> Array:
-    """Return standard deviations (f,) from log to log, of contrasts (L - 1, f) of their noise."""
+    """Return the standard deviation (f,) of each number from log to log, beyond noise.
+
+    Args:
+        contrasts: (L - 1, f) orthonormal contrasts of the logs.
+        noise: (L - 1, f, L - 1, f) their covariance by noise.
+        sizes: (f,) typical sizes of the numbers.
+        kinds: (f,) the kind of each number, as an integer.
+    """
     # In axes of its own, the noise of a number's contrasts is independent.
     variances, axes = np.linalg.eigh(np.einsum("ifjf->fij", noise))
     turned = np.einsum("fij,if->fj", axes, contrasts)

@@ -380,7 +380,7 @@ def answer_from(
     fit = _fit_sum(robot, information)
     options = information.settled.estimation
     residuals = [
-        joint.shorten() for joint in residuals_within(fit, information.residuals)
+        joint.limit_lags() for joint in residuals_within(fit, information.residuals)
     ]
     errors = fit_errors(fit, residuals, information.pull)
     fixed = _Fixed(robot, information, fit.point)

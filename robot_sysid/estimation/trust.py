@@ -77,7 +77,7 @@ _SURE = 2.0
 # A link's smallest size [m].
 _LEAST_SIZE = 0.02
 Judgement = tuple[Verdict, str]
-"""A verdict and its reason in words."""
+"""A verdict and the reason for it, one sentence without a full stop."""
 
 
 def first(

@@ -76,12 +76,16 @@ depends on it alone: motor currents of a UR10e read 3 % low to 5 % high."""
 COMMON_SCALE = 0.15
 """Standard deviation of an error that all torque scales share, where the logs show one and no
 option states it: constants of a motor's data sheet and losses of its gear are off by as much."""
-# Standard deviations of what is known exactly: of coefficients, and of a mass as a share.
+# Standard deviation of a coefficient that is known exactly.
 _EXACT = 1e-9
+# Standard deviation of a mass that is known exactly, as a share of it.
 _EXACT_MASS = 1e-6
+# Friction terms of either sign.
 _FREE_SIGN = ("offset", "sqrt")
 PER_CENT = 0.01
+"""One per cent."""
 MILLI = 1e-3
+"""One thousandth."""
 
 
 @dataclass(frozen=True)

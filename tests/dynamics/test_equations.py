@@ -78,7 +78,7 @@ class Fit:
 
     @property
     def identified(self):
-        return np.array(self.space.identified)
+        return np.array(self.space.is_identified)
 
     def error(self, truth):
         """Deviation of each parameter in units of its typical size, at least 1 in SI units."""

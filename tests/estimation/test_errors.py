@@ -215,7 +215,7 @@ def test_the_truth_lies_within_the_errors(payload_fit, errors, payload_rows):
     payload = payload_fit.values[payload_fit.columns.indices(PAYLOAD_NAMES)]
     stated = np.sqrt(np.diag(errors.of(payload_rows, payload)[0]))
     assert np.max(np.abs(payload - PAYLOAD) / stated) < WITHIN
-    assert np.all(errors.shown(payload_rows))
+    assert np.all(errors.are_identified(payload_rows))
     share = errors.share(payload_fit)
     assert np.all((share >= 0.0) & (share <= 1.0))
     names = payload_fit.unknowns.estimated_names
@@ -233,9 +233,9 @@ def test_parameters_that_no_torque_shows_have_infinite_errors():
     errors = fit_errors(fit)
     rows = np.eye(len(fit.unknowns.estimated))[:10]
     visible = [name in ("m", "hx", "hy", "Izz") for name in PARAMETER_NAMES]
-    assert_array_equal(errors.shown(rows), visible)
+    assert_array_equal(errors.are_identified(rows), visible)
     assert np.isinf(errors.of(rows[3:4])[1][0])
-    assert not errors.shown(rows[:1] + rows[3:4])[0]
+    assert not errors.are_identified(rows[:1] + rows[3:4])[0]
 
 
 # ---- more data

@@ -73,7 +73,7 @@ class VisibleSpace:
         return len(self.singular)
 
     @property
-    def identified(self) -> tuple[bool, ...]:
+    def is_identified(self) -> tuple[bool, ...]:
         """Per parameter, whether no invisible direction contains it."""
         return tuple(
             bool(h < _COMPONENT_TOLERANCE) for h in np.linalg.norm(self.null, axis=1)
@@ -168,7 +168,7 @@ def analyse_identifiability(information: SquareRootInformation) -> Identifiabili
         n_parameters=int(np.count_nonzero(interest)),
         condition_number=_condition(visible[:, interest]),
         scaled_condition_number=_condition((visible / length)[:, interest]),
-        identified=space.identified,
+        identified=space.is_identified,
         unidentifiable=describe(space.null, space.scale, information.names),
     )
 

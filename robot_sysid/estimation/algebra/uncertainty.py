@@ -118,7 +118,7 @@ def uncertainty(
     covariance = of_noise + of_prior.T @ of_prior
     covariance = 0.5 * (covariance + covariance.T)
     errors = np.where(
-        space.identified, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.inf
+        space.is_identified, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.inf
     )
     # The part of each parameter that lies in the visible directions.
     share = np.clip(1.0 - np.sum(space.null**2, axis=1), 0.0, 1.0)
@@ -270,7 +270,7 @@ class JointResiduals:
             pairs=pairs,
         )
 
-    def shorten(self) -> JointResiduals:
+    def limit_lags(self) -> JointResiduals:
         """Return the sums without lags and time constants above a tenth of the samples."""
         lags, kernels = _reach(self.count)
         first = slice(lags + 1)

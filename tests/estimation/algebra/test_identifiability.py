@@ -143,7 +143,7 @@ def test_units_do_not_decide_what_is_visible(seed, exponents):
         visible_space(SquareRootInformation(names, (information,)).equations()[0])
         for information in (joint, scaled)
     )
-    assert scaled_space.identified == space.identified
+    assert scaled_space.is_identified == space.is_identified
     condition = scaled_space.singular[0] / scaled_space.singular[-1]
     expected = space.singular[0] / space.singular[-1]
     assert condition == pytest.approx(expected, rel=1e-6)

@@ -148,7 +148,7 @@ def test_sums_kept_as_rows_equal_sums_in_the_parameters(seed):
     spread = 1e-3 * factor @ factor.T
     residual[7] = np.nan
     as_rows = residuals_of(rows, residual)
-    as_sums = residuals_of(rows, residual, True).shorten()
+    as_sums = residuals_of(rows, residual, True).limit_lags()
     kernels = rng.uniform(size=len(as_rows.sums))
     assert_allclose(as_rows.score(kernels), as_sums.score(kernels), atol=1e-10)
     shares = [
