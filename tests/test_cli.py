@@ -48,11 +48,11 @@ def test_a_log_that_is_not_understood_leaves_a_columns_file_and_never_over_anoth
     arm, command
 ):
     arm.with_name("run.csv").write_text("time,q0,q1,A,B\n" + "0,0,0,0,0\n" * 20)
-    said = command.run("log", "run.csv", arm, code=2).err
-    assert "run.csv: the log needs one torque column for each" in said
+    message = command.run("log", "run.csv", arm, code=2).err
+    assert "run.csv: the log needs one torque column for each" in message
     assert (
         "complete run_columns.txt, which was written for it, and add --columns run_col"
-        in said
+        in message
     )
     mine = arm.with_name("run_columns.txt")
     assert "torque = ?, ?" in mine.read_text()
@@ -125,9 +125,12 @@ def test_a_word_that_is_neither_model_nor_command_is_told_what_is_expected(comma
 
 
 def test_of_a_long_name_beginning_and_end_are_shown(command):
-    said = command.refused(f"begin{'n' * 100_000}end.xml")
+    message = command.refused(f"begin{'n' * 100_000}end.xml")
     assert (
-        "begin" in said and "[...]" in said and "end.xml" in said and len(said) < 2000
+        "begin" in message
+        and "[...]" in message
+        and "end.xml" in message
+        and len(message) < 2000
     )
 
 
@@ -151,7 +154,7 @@ def test_names_do_not_break_the_lines_of_what_is_written(arm, command):
 
     def lines(model, folder):
         log = f"{folder}/log.csv"
-        made = command.run(
+        outputs = command.run(
             model, *SHORT, "--save-measurements", log, "--output-dir", folder
         )
         texts = [
@@ -159,7 +162,8 @@ def test_names_do_not_break_the_lines_of_what_is_written(arm, command):
         ]
         text = [path.read_text(encoding="utf-8").strip() for path in texts]
         return [
-            len(each.splitlines()) for each in (*made, *command.run("log", log), *text)
+            len(text_part.splitlines())
+            for text_part in (*outputs, *command.run("log", log), *text)
         ]
 
     assert lines(odd, f"o{ends[1:]}ut") == lines(arm, "out")
@@ -202,10 +206,10 @@ def test_a_seed_repeats_a_run_to_the_last_bit_and_none_draws_another(arm, comman
     ]
     assert drawn[0] != drawn[1]
     params = (folder := arm.parent / "sysid_output") / "params.json"
-    kept = params.read_bytes()
+    content = params.read_bytes()
     params.unlink()
     command.run("--config", folder / "run.toml")
-    assert params.read_bytes() == kept
+    assert params.read_bytes() == content
 
 
 def test_debug_shows_the_traceback(arm, command):
@@ -216,9 +220,9 @@ def test_debug_shows_the_traceback(arm, command):
 def first(command, arm):
     """The files of a run, which are in the output folder."""
     command.run(arm, *SHORT, *EXPORT)
-    found = files_in(arm.parent / "sysid_output")
-    assert sorted(found) == WITH_OPTIONS
-    return found
+    files = files_in(arm.parent / "sysid_output")
+    assert sorted(files) == WITH_OPTIONS
+    return files
 
 
 def test_a_signal_waits_until_the_new_set_is_there_with_the_model_last(
@@ -227,13 +231,13 @@ def test_a_signal_waits_until_the_new_set_is_there_with_the_model_last(
     replace = os.replace
     order = []
 
-    def interrupted(source, target):
+    def replace_and_interrupt(source, target):
         replace(source, target)
         order.append(Path(target).name)
         signal.raise_signal(signal.SIGINT)
 
     with monkeypatch.context() as patch:
-        patch.setattr(os, "replace", interrupted)
+        patch.setattr(os, "replace", replace_and_interrupt)
         printed = command.run(arm, *SHORT[:4], "--seed", "2", *EXPORT, code=130)
     assert (
         printed.err == "robot-sysid: error: interrupted; no unfinished file is left\n"
@@ -264,8 +268,8 @@ def test_two_runs_do_not_write_into_one_folder(command, arm):
 
 
 def process(*arguments, cwd, **streams):
-    words = [sys.executable, "-m", "robot_sysid", *map(str, arguments)]
-    return subprocess.run(words, cwd=cwd, **{"stderr": subprocess.PIPE, **streams})
+    call = [sys.executable, "-m", "robot_sysid", *map(str, arguments)]
+    return subprocess.run(call, cwd=cwd, **{"stderr": subprocess.PIPE, **streams})
 
 
 def test_a_process_leaves_nothing_but_results_though_its_reader_goes_away(arm):
@@ -287,9 +291,9 @@ def test_a_signal_that_nohup_makes_the_process_ignore_stays_ignored(arm, monkeyp
         raise SysidError("stop here")
 
     monkeypatch.setattr("robot_sysid.pipeline.stages.run", run)
-    usual = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    old_handler = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         assert main([str(arm)]) == 1
         assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
-        signal.signal(signal.SIGHUP, usual)
+        signal.signal(signal.SIGHUP, old_handler)

@@ -28,7 +28,7 @@ MOTORS = {"export_damiao": True, "motor_type": ("DM4340",)}
 EMPTY_AND_LOADED = {"empty": (Path("a.csv"),), "loaded": (Path("b.csv"),)}
 
 
-def refused(make=SysidConfig.of, **values):
+def refusal(make=SysidConfig.of, **values):
     """The one line with which options are refused."""
     with pytest.raises(InputError) as caught:
         make(MODEL, **values)
@@ -42,8 +42,10 @@ def test_every_option_is_accepted_in_some_run_and_kept():
     samples = list(option_samples.samples())
     assert len({sample.option.key for sample in samples}) == len(samples)
     for sample in samples:
-        for there in ({}, OPTIMAL, STATIC, PLANT, LOG, SERVOS, MOTORS):
-            values = {"motor_type": ("DM4340",), **there} if there is MOTORS else there
+        for context in ({}, OPTIMAL, STATIC, PLANT, LOG, SERVOS, MOTORS):
+            values = (
+                {"motor_type": ("DM4340",), **context} if context is MOTORS else context
+            )
             try:
                 config = SysidConfig.of(
                     MODEL, **{**values, sample.option.key: sample.value}
@@ -112,7 +114,7 @@ def test_every_option_is_accepted_in_some_run_and_kept():
     ],
 )
 def test_an_option_that_does_not_count_is_refused(values, message):
-    assert refused(**values).startswith(message)
+    assert refusal(**values).startswith(message)
 
 
 def test_scales_are_as_sure_as_their_file_says_unless_the_user_says(tmp_path):
@@ -122,8 +124,10 @@ def test_scales_are_as_sure_as_their_file_says_unless_the_user_says(tmp_path):
     )
 
     def sure(**values):
-        made = PayloadConfig.of(MODEL, **EMPTY_AND_LOADED, **values)
-        return made.with_scale_uncertainty(("one", "two")).estimation.scale_uncertainty
+        config = PayloadConfig.of(MODEL, **EMPTY_AND_LOADED, **values)
+        return config.with_scale_uncertainty(
+            ("one", "two")
+        ).estimation.scale_uncertainty
 
     assert sure(torque_scale=path) == pytest.approx((0.5, 1.0))
     assert sure(torque_scale=path, scale_uncertainty=2.0) == 2.0
@@ -164,7 +168,7 @@ def test_scales_are_as_sure_as_their_file_says_unless_the_user_says(tmp_path):
     ],
 )
 def test_of_a_payload_as_well(values, message):
-    assert refused(PayloadConfig.of, **values).startswith(message)
+    assert refusal(PayloadConfig.of, **values).startswith(message)
 
 
 @pytest.mark.parametrize(
@@ -184,7 +188,7 @@ def test_of_a_payload_as_well(values, message):
     ids=str,
 )
 def test_options_that_exclude_each_other_are_refused(values):
-    assert "exclude each other" in refused(**values)
+    assert "exclude each other" in refusal(**values)
 
 
 def test_what_goes_together_is_accepted():
@@ -216,12 +220,12 @@ def test_what_goes_together_is_accepted():
     ids=str,
 )
 def test_no_file_is_written_over_another_one(values):
-    assert "would overwrite" in refused(**values)
+    assert "would overwrite" in refusal(**values)
 
 
 def test_an_unknown_key_names_the_nearest_or_lists_the_known_ones():
-    assert refused(cutof=0.5) == "unknown option 'cutof'; did you mean 'cutoff'?"
-    assert refused(zzz=0.5).startswith(
+    assert refusal(cutof=0.5) == "unknown option 'cutof'; did you mean 'cutoff'?"
+    assert refusal(zzz=0.5).startswith(
         "unknown option 'zzz'; valid: accept, below_base, bundle, "
     )
 
@@ -232,11 +236,11 @@ def test_any_duration_and_rate_with_two_samples_or_more_and_not_too_many_is_acce
 ):
     values = {"duration": duration, "sample_rate": rate}
     if duration * rate > MAX_SAMPLES:
-        assert "more than the 1e+09 a run can take" in refused(**values)
+        assert "more than the 1e+09 a run can take" in refusal(**values)
     elif duration * rate >= 1.0:
         assert SysidConfig.of(MODEL, **values).trajectory.duration == duration
     else:
-        assert "less than two samples" in refused(**values)
+        assert "less than two samples" in refusal(**values)
 
 
 @pytest.mark.parametrize(
@@ -261,7 +265,7 @@ def test_any_duration_and_rate_with_two_samples_or_more_and_not_too_many_is_acce
     ],
 )
 def test_values_that_mean_nothing_are_refused(values, message):
-    assert refused(**values).startswith(message)
+    assert refusal(**values).startswith(message)
 
 
 @pytest.mark.parametrize(

@@ -23,34 +23,34 @@ def other_thread():
     done = threading.Event()
     thread = threading.Thread(target=done.wait)
     thread.start()
-    taken, tells = socket.socketpair()
+    receiver, tells = socket.socketpair()
     tells.setblocking(False)
-    usual = signal.set_wakeup_fd(tells.fileno())
+    old_handlers = signal.set_wakeup_fd(tells.fileno())
 
     def take(number):
         signal.pthread_kill(thread.ident, number)
-        assert taken.recv(1) == bytes([number])
+        assert receiver.recv(1) == bytes([number])
 
     yield take
-    signal.set_wakeup_fd(usual)
+    signal.set_wakeup_fd(old_handlers)
     done.set()
     thread.join()
-    taken.close()
+    receiver.close()
     tells.close()
 
 
 @pytest.fixture
 def stops():
     """What reached the handlers, each of which stops the main thread."""
-    seen = []
+    numbers = []
 
     def stop(number, frame):
-        seen.append(number)
+        numbers.append(number)
         raise KeyboardInterrupt
 
-    usual = {number: signal.signal(number, stop) for number in STOP_SIGNALS}
-    yield seen
-    for number, handler in usual.items():
+    old_handlers = {number: signal.signal(number, stop) for number in STOP_SIGNALS}
+    yield numbers
+    for number, handler in old_handlers.items():
         signal.signal(number, handler)
 
 
@@ -70,31 +70,33 @@ def test_a_signal_waits_for_the_end_of_the_block(number, threads, stops, other_t
 
 
 def test_only_the_first_ctrl_c_counts():
-    usual = signal.getsignal(signal.SIGINT)
+    old_handlers = signal.getsignal(signal.SIGINT)
     with ignore_repeated_ctrl_c():
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
         with delay_signals():
             signal.raise_signal(signal.SIGINT)
-    assert signal.getsignal(signal.SIGINT) is usual
+    assert signal.getsignal(signal.SIGINT) is old_handlers
 
 
 def test_a_handler_that_stops_nothing_hears_every_request():
     heard = []
-    before = signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))
+    old_handler = signal.signal(
+        signal.SIGINT, lambda number, frame: heard.append(number)
+    )
     try:
         with ignore_repeated_ctrl_c():
             signal.raise_signal(signal.SIGINT)
             signal.raise_signal(signal.SIGINT)
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, old_handler)
     assert heard == 2 * [signal.SIGINT]
 
 
 def test_under_the_command_line_asking_twice_loses_nothing_either():
-    with _record_interrupts() as seen, ignore_repeated_ctrl_c():
+    with _record_interrupts() as numbers, ignore_repeated_ctrl_c():
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
-    assert seen == [signal.SIGINT]
+    assert numbers == [signal.SIGINT]

@@ -67,9 +67,9 @@ def test_friction_is_coulomb_and_viscous_with_the_models_coefficients(name, seed
         + robot.mj_model.dof_damping * motion.qd
     )
     assert np.max(np.abs(friction)) > 0.0
-    rest = simulated(robot, motion).tau - friction
+    zero = simulated(robot, motion).tau - friction
     np.testing.assert_allclose(
-        rest, smooth, rtol=0.0, atol=1e-13 * np.max(np.abs(smooth))
+        zero, smooth, rtol=0.0, atol=1e-13 * np.max(np.abs(smooth))
     )
 
 

@@ -15,7 +15,7 @@ from tests.support.links import RememberingLink
 
 
 @pytest.fixture
-def unpredicted(monkeypatch):
+def without_prediction(monkeypatch):
     """Plans say what they do beside their limits, not what an estimate will know: that is slow."""
 
     def plan_lines(checked, *settings):
@@ -44,7 +44,7 @@ class SimulatedBus:
         self.rates = []
         self.impossible = []
 
-    def open(self, address, timing, clock, tell):
+    def open_link(self, address, timing, clock, tell):
         self.rates.append(timing.bitrate)
         if timing.bitrate in self.impossible:
             raise InputError("cannot open slcan channel can0: Invalid bitrate")
@@ -61,22 +61,22 @@ class SimulatedBus:
 def person(monkeypatch):
     """(what a person at the keyboard says, callables are called; what was asked)."""
     answers = []
-    asked = []
+    prompts = []
 
     def say(prompt):
-        asked.append(prompt)
+        prompts.append(prompt)
         answer = answers.pop(0)
         return answer() or "" if callable(answer) else answer
 
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("builtins.input", say)
-    return answers, asked
+    return answers, prompts
 
 
 @pytest.fixture
 def bus(monkeypatch):
     simulated = SimulatedBus()
     monkeypatch.setattr(execution, "SystemClock", lambda: simulated.clock)
-    monkeypatch.setattr(execution, "open_bus", simulated.open)
+    monkeypatch.setattr(execution, "open_bus", simulated.open_link)
     with heard_signals():
         yield simulated

@@ -19,9 +19,9 @@ IDENTIFY = partial(build_parser, "identify")
 MODEL = Path("an 'arm'.xml")
 
 
-def file_text(kind, sample):
+def file_text(config_type, sample):
     """The settings file of a run with one option that is not at its default."""
-    record = get_type_hints(kind)[sample.record]
+    record = get_type_hints(config_type)[sample.record]
     # Its options are not checked, as one may need another.
     values = object.__new__(record)
     for name in options_of(record):
@@ -32,14 +32,15 @@ def file_text(kind, sample):
 
 @pytest.mark.parametrize("name", SPECS)
 def test_every_option_that_is_written_is_read_again(name, tmp_path):
-    kind = PayloadConfig if name == "payload" else SysidConfig
-    taken = option_samples.keys_of(build_parser(name))
+    config_type = PayloadConfig if name == "payload" else SysidConfig
+    option_keys = option_samples.keys_of(build_parser(name))
     file = tmp_path / "run.toml"
     logs = {"measurements": (Path("log.csv"),)} if name == "identify" else {}
-    for sample in option_samples.samples(kind):
-        if sample.option.key in taken:
+    for sample in option_samples.samples(config_type):
+        if sample.option.key in option_keys:
             file.write_text(
-                file_text(kind, sample) + 'measurements = ["log.csv"]\n' * len(logs)
+                file_text(config_type, sample)
+                + 'measurements = ["log.csv"]\n' * len(logs)
             )
             values, _ = parse_command(
                 partial(build_parser, name), ["--config", str(file)]
@@ -52,7 +53,7 @@ def test_what_is_typed_counts_before_the_file(tmp_path):
     file.write_text(
         'path = "arm.xml"\ncutoff = 8\nkeep = ["friction"]\nverbose = true\n'
     )
-    words = [
+    arguments = [
         "other.xml",
         "b.csv",
         f"--config={file}",
@@ -61,7 +62,7 @@ def test_what_is_typed_counts_before_the_file(tmp_path):
         "--keep",
         "links",
     ]
-    values, console = parse_command(IDENTIFY, words)
+    values, console = parse_command(IDENTIFY, arguments)
     assert values == {
         **{"path": Path("other.xml"), "measurements": (Path("b.csv"),)},
         **{"cutoff": 9.0, "keep": ("links",)},
@@ -70,7 +71,7 @@ def test_what_is_typed_counts_before_the_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (
             "cutoff = 'high'",
@@ -85,10 +86,10 @@ def test_what_is_typed_counts_before_the_file(tmp_path):
         (None, "mine.toml: No such file"),
     ],
 )
-def test_what_is_wrong_with_it_is_said_in_one_line(tmp_path, text, said):
+def test_what_is_wrong_with_it_is_said_in_one_line(tmp_path, text, message):
     file = tmp_path / "mine.toml"
     if text is not None:
         file.write_text(text)
     with pytest.raises(InputError) as error:
         parse_command(IDENTIFY, ["--config", str(file)])
-    assert said in str(error.value)
+    assert message in str(error.value)

@@ -15,14 +15,14 @@ from robot_sysid.commands import Console, print_line
 from robot_sysid.records.messages import Detail
 
 
-@pytest.mark.parametrize(("verbose", "shown"), [(False, 1), (True, 2)])
-def test_details_are_printed_where_they_are_asked_for_alone(capsys, verbose, shown):
+@pytest.mark.parametrize(("verbose", "count"), [(False, 1), (True, 2)])
+def test_details_are_printed_where_they_are_asked_for_alone(capsys, verbose, count):
     console = Console(verbose=verbose)
     for tell in (console.stage, console.note):
         tell("what is found")
         tell(Detail("how"))
     printed = capsys.readouterr()
-    assert len(printed.out.splitlines()) == len(printed.err.splitlines()) == shown
+    assert len(printed.out.splitlines()) == len(printed.err.splitlines()) == count
 
 
 class Terminal(io.StringIO):
@@ -99,10 +99,10 @@ def test_a_bar_tells_the_time_left_until_a_line_takes_its_place(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("quiet", "told"), [(False, ["Designing: 50 %, mass ± 1 kg"]), (True, [])]
+    ("quiet", "lines"), [(False, ["Designing: 50 %, mass ± 1 kg"]), (True, [])]
 )
 def test_a_log_file_is_told_now_and_then_that_something_long_lives(
-    monkeypatch, capsys, quiet, told
+    monkeypatch, capsys, quiet, lines
 ):
     console = Console(quiet=quiet)
     for done, now in enumerate((1.0, 10.9, 11.1, 12.0)):
@@ -110,4 +110,4 @@ def test_a_log_file_is_told_now_and_then_that_something_long_lives(
         console.advance("Designing", done, 4, "mass ± 1 kg")
         console.advance("Playing", done, 4, "")
     printed = capsys.readouterr()
-    assert (printed.out, printed.err.splitlines()) == ("", told)
+    assert (printed.out, printed.err.splitlines()) == ("", lines)

@@ -14,12 +14,12 @@ from tests.support.places import EXAMPLE, ROOT
 
 
 @pytest.fixture
-def unrecorded(monkeypatch):
+def without_recording(monkeypatch):
     """The logs of the true arm take a second each to simulate."""
 
-    def record(model, place):
+    def record(model, folder):
         for log in example.PLANTS:
-            (place / log).write_text("time\n")
+            (folder / log).write_text("time\n")
 
     monkeypatch.setattr(example, "_record_logs", record)
 
@@ -32,14 +32,17 @@ def printed_commands(out: str) -> list[list[str]]:
     ]
 
 
-@pytest.mark.usefixtures("unrecorded")
+@pytest.mark.usefixtures("without_recording")
 def test_it_copies_the_example_and_names_files_that_are_there(command, tmp_path):
     out = command.run("example", "kinova", "--output-dir", "a/b c").out
     commands = printed_commands(out)
     assert commands[0] == ["robot-sysid", "a/b c/model/kinova_fullinertia_guess.xml"]
-    assert [words[1] for words in commands[1:]] == ["identify", "payload"]
+    assert [arguments[1] for arguments in commands[1:]] == ["identify", "payload"]
     named = [
-        word for words in commands for word in words if re.search(r"\.(xml|csv)$", word)
+        word
+        for arguments in commands
+        for word in arguments
+        if re.search(r"\.(xml|csv)$", word)
     ]
     assert len(named) == 6 and all((tmp_path / name).is_file() for name in named)
     meshes = {path.name for path in (tmp_path / "a/b c/model/meshes").iterdir()}
@@ -47,7 +50,7 @@ def test_it_copies_the_example_and_names_files_that_are_there(command, tmp_path)
 
 
 def test_a_copy_that_ends_early_leaves_nothing(command, tmp_path, monkeypatch):
-    def fail(model, place):
+    def fail(model, folder):
         assert model.is_dir() and not (tmp_path / "kinova").exists()
         raise KeyboardInterrupt
 
@@ -81,15 +84,17 @@ def test_the_wheel_carries_every_file_of_the_model():
 
 @pytest.mark.slow
 def test_the_printed_commands_work_when_pasted(command):
-    found = []
-    for words in printed_commands(command.run("example", "kinova").out):
-        assert main(words[1:]) == 0
-        found.append(command._capsys.readouterr().out)
-    assert "Mass: 0.789 kg" in found[0]
+    outputs = []
+    for arguments in printed_commands(command.run("example", "kinova").out):
+        assert main(arguments[1:]) == 0
+        outputs.append(command._capsys.readouterr().out)
+    assert "Mass: 0.789 kg" in outputs[0]
     # The true arm's link weighs 1.517 kg, the block in its grip 0.306 kg.
     mass, error = map(
-        float, re.findall(r"  mass +[\d.]+ +([\d.]+) +([\d.]+)", found[1])[0]
+        float, re.findall(r"  mass +[\d.]+ +([\d.]+) +([\d.]+)", outputs[1])[0]
     )
     assert abs(mass - 1.517) < 3.0 * error and error < 0.1 * mass
-    mass, error = map(float, re.findall(r"  mass +([\d.]+) +([\d.]+)  kg", found[2])[0])
+    mass, error = map(
+        float, re.findall(r"  mass +([\d.]+) +([\d.]+)  kg", outputs[2])[0]
+    )
     assert abs(mass - 0.306) < 3.0 * error and error < 0.1 * mass

@@ -62,9 +62,9 @@ def heavy(tmp_path_factory):
 def first(heavy, logs):
     """The folder of a run on the first log."""
     folder = heavy.with_name("first")
-    words = ("identify", heavy, logs[0], *QUICK, "--output-dir", folder, "--quiet")
+    options = ("identify", heavy, logs[0], *QUICK, "--output-dir", folder, "--quiet")
     with one_thread():
-        assert main([str(word) for word in words]) == 0
+        assert main([str(word) for word in options]) == 0
     return folder
 
 
@@ -74,9 +74,9 @@ def test_the_same_log_asked_in_every_way_gives_the_same_files(
     """To the last bit."""
     with one_thread():
         command.run(heavy, "--measurements", logs[0], *QUICK, "--output-dir", "out")
-    found = rs.identify(heavy, logs[0], cutoff=8.0, friction_model=TERMS)
-    assert found.to_dict() == result_in(first)
-    found.save("saved")
+    result = rs.identify(heavy, logs[0], cutoff=8.0, friction_model=TERMS)
+    assert result.to_dict() == result_in(first)
+    result.save("saved")
     for name in ("params.json", "updated_model.xml"):
         for folder in ("out", "saved"):
             assert Path(folder, name).read_bytes() == (first / name).read_bytes()
@@ -84,7 +84,7 @@ def test_the_same_log_asked_in_every_way_gives_the_same_files(
 
 def test_every_link_is_written_and_printed(command, arm_file, logs, plant):
     first, second = logs
-    words = (
+    options = (
         arm_file(HEAVY),
         first,
         "--links",
@@ -92,7 +92,7 @@ def test_every_link_is_written_and_printed(command, arm_file, logs, plant):
         second,
         *QUICK,
     )
-    out = command.run("identify", *words).out
+    out = command.run("identify", *options).out
     folder = arm_file(HEAVY).parent / "sysid_output"
     content = result_in(folder)
     assert content["status"] == "BETTER" and content["reasons"] == []
@@ -128,9 +128,11 @@ def test_torques_that_do_not_follow_from_the_motion_change_nothing(
     )
     path = tmp_path / "noise.csv"
     np.savetxt(path, table, "%.9g", ",", header=titles, comments="")
-    words = ("identify", arm_file(HEAVY), path, *QUICK)
-    assert "% of the torque is explained by nothing" in command.refused(*words, code=1)
-    accepted = command.run(*words, "--accept", "model", "--output-dir", "out", code=1)
+    options = ("identify", arm_file(HEAVY), path, *QUICK)
+    assert "% of the torque is explained by nothing" in command.refused(
+        *options, code=1
+    )
+    accepted = command.run(*options, "--accept", "model", "--output-dir", "out", code=1)
     assert "no model was written" in accepted.err
     assert not Path("out", "updated_model.xml").exists()
 
@@ -139,12 +141,12 @@ def test_torques_that_do_not_follow_from_the_motion_change_nothing(
 def test_a_model_is_played_on_what_was_not_fitted_before_it_is_written(
     command, arm_file, logs, monkeypatch
 ):
-    def swapped(robot, written, *rest):
-        return compare(written, robot, *rest)
+    def swap_columns(robot, written, *other_options):
+        return compare(written, robot, *other_options)
 
-    words = ("identify", arm_file(SMOOTH), logs[0], "--verify-rollout", *QUICK)
+    options = ("identify", arm_file(SMOOTH), logs[0], "--verify-rollout", *QUICK)
     folder = arm_file(SMOOTH).parent / "sysid_output"
-    out = command.run(*words).out
+    out = command.run(*options).out
     entry = result_in(folder)["rollout"]
     assert entry["is_better"] and entry["score"] < 0.7
     assert (
@@ -154,13 +156,13 @@ def test_a_model_is_played_on_what_was_not_fitted_before_it_is_written(
         ("open loop", 0.1), ("closed loop", 1.0)
     }  # fmt: skip
     assert (folder / "updated_model.xml").exists()
-    monkeypatch.setattr("robot_sysid.results.verification.compare", swapped)
-    refused = command.run(*words, "--validation-measurements", logs[1], code=1).err
+    monkeypatch.setattr("robot_sysid.results.verification.compare", swap_columns)
+    refused = command.run(*options, "--validation-measurements", logs[1], code=1).err
     assert "not better than the old one" in refused and "--accept rollout" in refused
     assert (folder / "params.json").exists() and not (
         folder / "updated_model.xml"
     ).exists()
-    command.run(*words, "--validation-measurements", logs[1], "--accept", "rollout")
+    command.run(*options, "--validation-measurements", logs[1], "--accept", "rollout")
     assert (folder / "updated_model.xml").exists()
 
 
@@ -168,21 +170,23 @@ def test_what_is_kept_stays_as_it_was(command, arm_file, logs):
     path = arm_file(
         HEAVY.replace('armature=".05"', 'armature=".04" ').replace('".3"', '".2"')
     )
-    kept = ("friction", "rotors", "links")
-    words = [word for part in kept for word in ("--keep", part)]
-    command.run("identify", path, logs[0], *words, *QUICK)
+    keep = ("friction", "rotors", "links")
+    options = [word for text in keep for word in ("--keep", text)]
+    command.run("identify", path, logs[0], *options, *QUICK)
     folder = path.parent / "sysid_output"
-    assert result_in(folder)["file"]["kept"] == sorted(kept)
-    written, own = (
+    assert result_in(folder)["file"]["kept"] == sorted(keep)
+    written, original = (
         load_robot_model(p).mj_model for p in (folder / "updated_model.xml", path)
     )
     for name in ("dof_frictionloss", "dof_damping", "dof_armature"):
-        np.testing.assert_array_equal(getattr(written, name), getattr(own, name))
+        np.testing.assert_array_equal(getattr(written, name), getattr(original, name))
     for name in ("body_mass", "body_ipos", "body_inertia"):
         np.testing.assert_array_equal(
-            getattr(written, name)[:-1], getattr(own, name)[:-1]
+            getattr(written, name)[:-1], getattr(original, name)[:-1]
         )
-        assert not np.array_equal(getattr(written, name)[-1], getattr(own, name)[-1])
+        assert not np.array_equal(
+            getattr(written, name)[-1], getattr(original, name)[-1]
+        )
 
 
 # --- where no torque was measured ----------------------------------------------------------------
@@ -191,7 +195,7 @@ SERVOS = ("--torque-from", "position-error")
 
 
 @pytest.fixture(scope="module")
-def recorded():
+def log_with_commands():
     """(time, positions, commands) of the true arm."""
     time, command = servo_logs.commanded()
     return (
@@ -202,8 +206,8 @@ def recorded():
 
 
 @pytest.fixture
-def servo_log(recorded, tmp_path):
-    return servo_logs.write(tmp_path / "log.csv", *recorded)
+def servo_log(log_with_commands, tmp_path):
+    return servo_logs.write(tmp_path / "log.csv", *log_with_commands)
 
 
 @pytest.mark.slow
@@ -231,35 +235,39 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(
         content["notes"]
     )
     for term, values in terms.items():
-        found = content["joints"]["joint1"][term]
-        assert found["value"] == pytest.approx(values[1], rel=0.05)
+        number = content["joints"]["joint1"][term]
+        assert number["value"] == pytest.approx(values[1], rel=0.05)
         for k, joint in enumerate(("joint0", "joint1")):
-            each = content["joints"][joint][term]
-            assert abs(each["value"] - terms[term][k]) < 4.0 * each["standard_error"]
+            number = content["joints"][joint][term]
+            assert (
+                abs(number["value"] - terms[term][k]) < 4.0 * number["standard_error"]
+            )
     errors = content["rollout"]["errors"]
     assert {error["loop"] for error in errors} == {"closed loop"}
     assert all(3.0 * e["overall"]["after"] < e["overall"]["before"] for e in errors)
     written = mujoco.MjModel.from_xml_path(str(folder / "updated_model.xml"))
-    after = [
+    gains = [
         content["joints"][joint]["gain"]["value"] for joint in ("joint0", "joint1")
     ]
-    np.testing.assert_allclose(written.actuator_gainprm[:, 0], after, rtol=1e-6)
-    whole = written.dof_damping - written.actuator_biasprm[:, 2]
-    np.testing.assert_allclose(whole[1], truth.damping[1], rtol=0.05)
+    np.testing.assert_allclose(written.actuator_gainprm[:, 0], gains, rtol=1e-6)
+    damping = written.dof_damping - written.actuator_biasprm[:, 2]
+    np.testing.assert_allclose(damping[1], truth.damping[1], rtol=0.05)
     text = (folder / "updated_model.xml").read_text()
     assert text.count("<inertial") == servo_logs.XML.count("<inertial")
 
 
 def test_what_cannot_be_used_is_said_in_one_line(
-    command, arm_file, recorded, servo_log, tmp_path
+    command, arm_file, log_with_commands, servo_log, tmp_path
 ):
     path = arm_file(servo_logs.XML)
-    (time, q, asked) = recorded
-    said = command.run("identify", path, servo_log, code=2).err
-    assert "torque" in said and "identify --torque-from position-error" in said
-    still = servo_logs.write(tmp_path / "still.csv", time, 0.0 * q, asked)
-    assert "at rest" in command.refused("identify", path, still, *SERVOS)
-    one = servo_logs.write(tmp_path / "one.csv", time, q, asked)
+    (time, q, command_positions) = log_with_commands
+    message = command.run("identify", path, servo_log, code=2).err
+    assert "torque" in message and "identify --torque-from position-error" in message
+    still_log = servo_logs.write(
+        tmp_path / "still.csv", time, 0.0 * q, command_positions
+    )
+    assert "at rest" in command.refused("identify", path, still_log, *SERVOS)
+    one = servo_logs.write(tmp_path / "one.csv", time, q, command_positions)
     one.write_text(one.read_text().replace("action joint1.pos", "remark"))
-    said = command.run("identify", path, one, *SERVOS, code=2).err
-    assert "one command column for each" in said and "joint1" in said
+    message = command.run("identify", path, one, *SERVOS, code=2).err
+    assert "one command column for each" in message and "joint1" in message

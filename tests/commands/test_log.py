@@ -33,8 +33,10 @@ def folder(truth, tmp_path_factory):
     log = truth.log
     (folder / "arm.xml").write_text(ARM)
     logs = {"log": log, "wrong": replace(log, tau=1e3 * log.tau), "late": late(log)}
-    for name, each in logs.items():
-        write_measurement_csv(folder / f"{name}.csv", truth.robot.joint_names, [each])
+    for name, finding in logs.items():
+        write_measurement_csv(
+            folder / f"{name}.csv", truth.robot.joint_names, [finding]
+        )
     text = (folder / "log.csv").read_text()
     (folder / "odd.csv").write_text(
         text.replace("joint0_torque", "joint0_torque\x1b[2J")
@@ -57,22 +59,23 @@ def test_without_a_model_it_lists_the_columns(command):
 
 
 def test_a_wrong_log_is_refused_and_right_with_the_scale_that_was_named(command):
-    good = "nothing that stops an identification was found"
-    assert good in command.run("log", "log.csv", "arm.xml").out
-    told = json.loads(command.run("log", "late.csv", "arm.xml", "--json", code=1).out)
-    assert {each["level"] for each in told["findings"]} == {"warn"} and told[
+    success = "nothing that stops an identification was found"
+    assert success in command.run("log", "log.csv", "arm.xml").out
+    answer = json.loads(command.run("log", "late.csv", "arm.xml", "--json", code=1).out)
+    assert {finding["level"] for finding in answer["findings"]} == {"warn"} and answer[
         "samples"
     ] == 3000
-    said = command.refused("log", "wrong.csv", "arm.xml")
-    assert "as in mN·m" in said and "--torque-scale 1000" in said
+    message = command.refused("log", "wrong.csv", "arm.xml")
+    assert "as in mN·m" in message and "--torque-scale 1000" in message
     assert (
-        good in command.run("log", "wrong.csv", "arm.xml", "--torque-scale", "1000").out
+        success
+        in command.run("log", "wrong.csv", "arm.xml", "--torque-scale", "1000").out
     )
 
 
 def test_a_warning_stops_unless_it_is_accepted(command):
-    said = command.refused("log", "late.csv", "arm.xml", code=1)
-    assert "stands still for 2 s" in said and "--accept held" in said
+    message = command.refused("log", "late.csv", "arm.xml", code=1)
+    assert "stands still for 2 s" in message and "--accept held" in message
     printed = command.run(
         "log", "late.csv", "arm.xml", "--accept", "held", "--accept", "unexplained"
     )

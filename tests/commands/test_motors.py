@@ -46,10 +46,10 @@ AT_100 = ("--rate", "100")
 
 @pytest.fixture
 def trajectory(tmp_path):
-    return written(tmp_path, swing(2, duration=0.5, amplitude=0.05))
+    return write_trajectory(tmp_path, swing(2, duration=0.5, amplitude=0.05))
 
 
-def written(folder, motion):
+def write_trajectory(folder, motion):
     return trajectory_file(folder, motion).path
 
 
@@ -94,20 +94,29 @@ def test_what_is_said_is_the_result_as_json(capsys, bus, trajectory):
     limits = ["--max-velocity", "9", "--max-torque", "20,27"]
     assert main(["motors", "check", str(trajectory), *CAN0, "--json", *limits]) == 0
     printed = capsys.readouterr()
-    told = json.loads(printed.out)
-    assert (told["command"], told["exit_code"]) == ("check", 0)
+    answer = json.loads(printed.out)
+    assert (answer["command"], answer["exit_code"]) == ("check", 0)
     assert (
-        told["lines"] == printed.err.splitlines()
-        and told["lines"][-2:] == told["verdict"]
+        answer["lines"] == printed.err.splitlines()
+        and answer["lines"][-2:] == answer["verdict"]
     )
-    words = [*CAN0, "--speed", "0.3", "--record", "slow.csv", *limits]
-    following = ["Next:", "robot-sysid", "motors", "play", str(trajectory), *words]
-    assert told["verdict"][0] == "Usable: ready to play"
-    assert shlex.split(told["verdict"][1]) == following
+    command_options = [*CAN0, "--speed", "0.3", "--record", "slow.csv", *limits]
+    following = [
+        "Next:",
+        "robot-sysid",
+        "motors",
+        "play",
+        str(trajectory),
+        *command_options,
+    ]
+    assert answer["verdict"][0] == "Usable: ready to play"
+    assert shlex.split(answer["verdict"][1]) == following
     fault("mode", 0, 2)(bus)
     assert main(["motors", "play", str(trajectory), *CAN0, "--yes", "--json"]) == 3
-    told = json.loads(capsys.readouterr().out)
-    assert told["verdict"][0].startswith("Not usable: not played: motor 1 is in mode 2")
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["verdict"][0].startswith(
+        "Not usable: not played: motor 1 is in mode 2"
+    )
 
 
 def test_check_says_what_has_to_change(capsys, bus, trajectory):
@@ -163,14 +172,14 @@ def test_existing_recordings_are_kept_and_nobody_is_asked_first(
     capsys, bus, trajectory, tmp_path, person
 ):
     record = ("--record", tmp_path / "measured.csv")
-    for there in (tmp_path / "measured.csv", tmp_path / "measured.log"):
-        there.write_text("precious")
+    for existing in (tmp_path / "measured.csv", tmp_path / "measured.log"):
+        existing.write_text("precious")
         code, _, err = run(capsys, "play", trajectory, *CAN0, *record)
-        assert code == 2 and f"{there.name} exists" in err
-        assert there.read_text() == "precious"
-        assert sorted(tmp_path.iterdir()) == sorted([trajectory, there])
-        there.unlink()
-    there.write_text("precious")
+        assert code == 2 and f"{existing.name} exists" in err
+        assert existing.read_text() == "precious"
+        assert sorted(tmp_path.iterdir()) == sorted([trajectory, existing])
+        existing.unlink()
+    existing.write_text("precious")
     assert (
         run(
             capsys, "play", trajectory, *CAN0, *record, *AT_100, "--yes", "--overwrite"
@@ -224,7 +233,7 @@ def test_a_terminal_that_takes_nothing_does_not_keep_it_from_ending(monkeypatch)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "command_options"),
     [
         (["fly"], "unknown command 'fly'; valid: check, play, simulate, hold, setup"),
         (["check"], "check needs --channel"),
@@ -243,11 +252,11 @@ def test_a_terminal_that_takes_nothing_does_not_keep_it_from_ending(monkeypatch)
     ],
 )  # fmt: skip
 def test_bad_usage_is_one_line_and_exit_code_2(
-    capsys, trajectory, model, arguments, words
+    capsys, trajectory, model, arguments, command_options
 ):
     files = {"T": trajectory, "M": model}
     code, _, err = run(capsys, *(files.get(word, word) for word in arguments))
-    assert code == 2 and words in err, err
+    assert code == 2 and command_options in err, err
 
 
 # --- a model of the arm -------------------------------------------------------------------------
@@ -259,7 +268,7 @@ def refused_by(capsys, folder, trajectory, path):
     """What play and simulate refuse with, and check has to say: the same."""
     record = folder / "measured.csv"
     files = set(folder.iterdir())
-    said = []
+    message = []
     for arguments in (
         ("play", trajectory, "--model", path, "--dry-run"),
         ("play", trajectory, "--model", path, *CAN0, "--dry-run"),
@@ -269,7 +278,7 @@ def refused_by(capsys, folder, trajectory, path):
     ):
         code, out, err = run(capsys, *arguments)
         assert code == 3 and len(err.splitlines()) == 1
-        said.append(
+        message.append(
             err.partition(" played: ")[2] or err.partition("not rehearsed: ")[2]
         )
     code, out, _ = run(capsys, "check", trajectory, "--model", path, *CAN0)
@@ -278,14 +287,14 @@ def refused_by(capsys, folder, trajectory, path):
         line.partition("[STOP] ")[2] for line in out.splitlines() if "[STOP]" in line
     ]
     assert set(folder.iterdir()) == files
-    assert {text.strip() for text in said} == {stops[0]}
+    assert {text.strip() for text in message} == {stops[0]}
     return stops
 
 
 def test_a_trajectory_beyond_the_joint_ranges_is_refused(
     capsys, bus, tmp_path, arm_file
 ):
-    trajectory = written(tmp_path, swing(2, amplitude=0.98))
+    trajectory = write_trajectory(tmp_path, swing(2, amplitude=0.98))
     path = arm_file(arms.serial_arm((arms.Z, arms.Y), joint=NARROW))
     first, second, *_ = refused_by(capsys, tmp_path, trajectory, path)
     assert first.startswith(
@@ -351,7 +360,7 @@ def test_an_arm_is_held_where_it_stands_without_sagging(capsys, bus, leaning, tm
     ).torque(start)
     assert np.max(np.abs(load)) / 5.0 > 0.05
     record = tmp_path / "held.csv"
-    words = (
+    command_options = (
         "hold",
         "--model",
         model,
@@ -363,7 +372,7 @@ def test_an_arm_is_held_where_it_stands_without_sagging(capsys, bus, leaning, tm
         "--record",
         record,
     )
-    code, out, err = run(capsys, *words)
+    code, out, err = run(capsys, *command_options)
     assert (code, err) == (0, "") and "holding; Ctrl-C ends it" in out
     q = read_recording(record).joint_values("pos")
     assert len(q) == 51 and np.max(np.abs(q - start)) < 5e-3
@@ -373,14 +382,14 @@ def test_an_arm_is_held_where_it_stands_without_sagging(capsys, bus, leaning, tm
 def test_holding_ends_well_when_it_is_asked_to_and_badly_when_a_motor_fails(
     capsys, bus, leaning
 ):
-    words = ("hold", "--model", leaning[0], *CAN0, *SOFT, "--yes")
+    command_options = ("hold", "--model", leaning[0], *CAN0, *SOFT, "--yes")
     bus.clock.at(4.0, lambda: signal.raise_signal(signal.SIGINT))
-    code, out, err = run(capsys, *words)
+    code, out, err = run(capsys, *command_options)
     assert (code, err) == (0, "") and out.endswith(
         "Done: held, and all motors are disabled\n"
     )
     bus.clock.at(bus.clock.now() + 4.0, lambda: fault("status", 1, 0xA)(bus))
-    code, _, err = run(capsys, *words)
+    code, _, err = run(capsys, *command_options)
     assert code == 3 and "motor 2 (joint joint1) reports status A" in err
 
 
@@ -438,9 +447,20 @@ def test_a_simulated_arm_on_a_bus_says_how_to_reach_it(capsys, bus, trajectory, 
         capsys, "simulate", trajectory, *arm, *address, *fd, "--for", "2"
     )
     assert (code, err) == (0, "")
-    words = ["play", str(trajectory), *address, *fd, *arm, "--accept-directions"]
-    words += ["--record", "measured.csv"]
-    assert shlex.split(out.splitlines()[-1]) == ["robot-sysid", "motors", *words]
+    command_options = [
+        "play",
+        str(trajectory),
+        *address,
+        *fd,
+        *arm,
+        "--accept-directions",
+    ]
+    command_options += ["--record", "measured.csv"]
+    assert shlex.split(out.splitlines()[-1]) == [
+        "robot-sysid",
+        "motors",
+        *command_options,
+    ]
     assert bus.clock.now() == pytest.approx(2.0, abs=2e-3)
 
 
@@ -474,12 +494,14 @@ def both_arms(tmp_path):
     for name, duration in (("first", 0.5), ("second", 0.3)):
         (tmp_path / name).mkdir()
         time, q, qd, _ = swing(1, duration=duration, amplitude=0.05)
-        paths.append(written(tmp_path / name, (time, q, qd, 0.0 * q)))
+        paths.append(write_trajectory(tmp_path / name, (time, q, qd, 0.0 * q)))
 
-    def words(apart):
+    def command_options(distance):
         path = tmp_path / "two.xml"
-        ends = (("left", 0.5 * apart, 1), ("right", -0.5 * apart, -1))
-        bodies = "".join(SIDE.format(side=s, y=y, way=way) for s, y, way in ends)
+        ends = (("left", 0.5 * distance, 1), ("right", -0.5 * distance, -1))
+        bodies = "".join(
+            SIDE.format(side=s, y=y, way=direction) for s, y, direction in ends
+        )
         head = "<mujoco><compiler angle='radian'/><worldbody>"
         path.write_text(f"{head}{bodies}</worldbody></mujoco>")
         arms = ("--joint", "left_j", "--also", paths[1], "--also-joint", "right_j")
@@ -494,19 +516,19 @@ def both_arms(tmp_path):
             "--play",
         )
 
-    return words
+    return command_options
 
 
 def test_both_arms_of_a_model_are_played_in_one_run(
     capsys, both_arms, tmp_path, quickly
 ):
     record = tmp_path / "measured.csv"
-    words = both_arms(0.4)
+    command_options = both_arms(0.4)
     mirrored = map_line("left_j", "left", 1, 0x11, -1, 0.4)
     write_joint_map(
         tmp_path / "map.csv", [map_line("right_j", "right", 1, 0x11), mirrored]
     )
-    code, out, err = run(capsys, *words, "--verbose", "--record", record)
+    code, out, err = run(capsys, *command_options, "--verbose", "--record", record)
     assert (code, err) == (0, "") and "the limits of two.xml, and the arms apart" in out
     columns = read_recording(record).columns
     left = columns["left_j_pos"]
@@ -517,10 +539,10 @@ def test_both_arms_of_a_model_are_played_in_one_run(
 
 def test_arms_that_would_touch_are_not_played_together(capsys, both_arms):
     """Each alone passes: it moves by 20 mm, and the other one is 30 mm away."""
-    words = both_arms(0.11)
-    code, _, err = run(capsys, *words)
+    command_options = both_arms(0.11)
+    code, _, err = run(capsys, *command_options)
     assert code == 3 and "the arms touch while both move, at 0.1" in err
-    alone = [word for word in words[1:-1] if word not in words[4:8]]
+    alone = [word for word in command_options[1:-1] if word not in command_options[4:8]]
     assert run(capsys, "play", *alone, "--dry-run")[0] == 0
 
 
@@ -546,8 +568,11 @@ def test_arms_that_are_in_each_others_way_to_the_first_point_are_not_played(
         "--accept-directions",
     )
     code, out, err = run(capsys, "play", *both_arms(0.3)[1:-1], *buses)
-    said = "on the way to the first point the model's arms touch if it goes straight, and joint by"
-    assert code == 3 and said in err, out + err
+    message = (
+        "on the way to the first point the model's arms touch if it goes straight, and "
+        "joint by"
+    )
+    assert code == 3 and message in err, out + err
 
 
 def test_both_arms_are_held_in_one_run(capsys, both_arms, bus, tmp_path):
@@ -572,8 +597,8 @@ def test_both_arms_are_held_in_one_run(capsys, both_arms, bus, tmp_path):
     code, _, err = run(capsys, "hold", *both, *buses, "--record", record)
     assert (code, err) == (0, "")
     columns = read_recording(record).columns
-    for side, place in zip(("left", "right"), start):
-        assert np.max(np.abs(columns[f"{side}_j_pos"] - place)) < 5e-3
+    for side, angle in zip(("left", "right"), start):
+        assert np.max(np.abs(columns[f"{side}_j_pos"] - angle)) < 5e-3
     assert [m.status for m in bus.motors] == [DISABLED] * 2
     code, _, err = run(capsys, "hold", *both[:3], "left_j", *both[4:], *buses)
     assert (
@@ -604,10 +629,14 @@ def test_terminals_of_a_map_of_two_buses_have_its_names(
     arm = ("--model", model, "--joint-map", two_buses)
     code, out, err = run(capsys, "simulate", trajectory, *arm, "--for", "0.01")
     assert (code, err) == (0, "")
-    words = shlex.split(
+    command_options = shlex.split(
         next(line for line in out.splitlines() if line.startswith("robot-sysid"))
     )
-    channels = [word for before, word in zip(words, words[1:]) if before == "--channel"]
+    channels = [
+        word
+        for previous, word in zip(command_options, command_options[1:])
+        if previous == "--channel"
+    ]
     assert [name for name, _, _ in (c.partition("=/dev/") for c in channels)] == [
         "can0",
         "can1",
@@ -624,10 +653,10 @@ def test_a_map_names_the_joints_in_what_is_said_about_motors(
     fault("watchdog", 1, 0.0)(bus)
     code, out, _ = run(capsys, "check", trajectory, *CAN0, "--joint-map", table)
     assert code == 1 and "[STOP] motor 2 (joint knee) has no watchdog" in out
-    said = [
+    message = [
         line for line in out.splitlines() if line.startswith("[") and "motor 1" in line
     ]
-    assert said and all("motor 1 (joint hip)" in line for line in said)
+    assert message and all("motor 1 (joint hip)" in line for line in message)
 
 
 def test_a_simulated_arm_goes_on_until_it_is_interrupted(
@@ -695,7 +724,7 @@ def test_nothing_that_prints_or_records_stands_in_the_way_of_braking(
     model, tmp_path, trouble
 ):
     """The frames themselves show that each motor braked before it was disabled."""
-    trajectory = written(tmp_path, swing(2, duration=6.0, amplitude=0.4))
+    trajectory = write_trajectory(tmp_path, swing(2, duration=6.0, amplitude=0.4))
     record = tmp_path / "measured.csv"
     frames = tmp_path / "frames.log"
     with simulator(trajectory, model) as device:
@@ -723,12 +752,12 @@ def test_nothing_that_prints_or_records_stands_in_the_way_of_braking(
         finally:
             play.kill()
             play.stderr.close()
-    said = (
+    message = (
         b"cannot record: File too large"
         if trouble == "disk full"
         else b"stopped by SIGTERM"
     )
-    assert said in err
+    assert message in err
     if trouble != "disk full":
         assert read_recording(record).ending.startswith("stopped: stopped by SIGTERM")
         with can.LogReader(frames) as reader:

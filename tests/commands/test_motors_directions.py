@@ -24,7 +24,7 @@ START = np.array([0.4, 0.6])
 
 
 @pytest.fixture
-def words(bus, arm_file, tmp_path, monkeypatch):
+def arguments(bus, arm_file, tmp_path, monkeypatch):
     """What plays a swing on an arm with an upright first axis."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(mapping, "_PACE", (1.0, 0.4))
@@ -32,30 +32,34 @@ def words(bus, arm_file, tmp_path, monkeypatch):
     robot = load_robot_model(path)
     bus.arm.mechanism = ArmStepper(robot, START, 4e-3)
     time, q, qd, _ = swing(2, duration=1.0, amplitude=0.05)
-    still = Motion(time, q + START, 0 * qd, 0 * qd)
-    played = trajectory_file(tmp_path, (time, q + START, qd, ArmTorque(robot)(still)))
+    standing = Motion(time, q + START, 0 * qd, 0 * qd)
+    played = trajectory_file(
+        tmp_path, (time, q + START, qd, ArmTorque(robot)(standing))
+    )
     return ("play", played.path, *CAN0, "--model", path)
 
 
 def test_nothing_is_played_before_somebody_has_seen_which_way_joints_turn(
-    capsys, bus, words
+    capsys, bus, arguments
 ):
-    code, _, err = run(capsys, *words, "--yes")
+    code, _, err = run(capsys, *arguments, "--yes")
     assert code == 3 and "nobody has verified which way motor 1 (joint joint0)" in err
     assert only_asks(bus.wire.sent)
-    code, out, err = run(capsys, *words, "--yes", "--accept-directions")
+    code, out, err = run(capsys, *arguments, "--yes", "--accept-directions")
     assert (code, err) == (
         0,
         "",
     ) and "mirrored or swapped, they would be played like that" in out
     # Without a model it is said.
-    code, out, err = run(capsys, *words[:-2], "--yes")
+    code, out, err = run(capsys, *arguments[:-2], "--yes")
     assert (code, err) == (0, "") and "nobody has verified which way motor 1" in out
 
 
-def test_a_small_motion_verifies_a_set_up_once(capsys, bus, words, person, tmp_path):
+def test_a_small_motion_verifies_a_set_up_once(
+    capsys, bus, arguments, person, tmp_path
+):
     person[0][:] = ["yes"] * 3
-    code, out, err = run(capsys, *words, "--verify", "--park", "start")
+    code, out, err = run(capsys, *arguments, "--verify", "--park", "start")
     assert (code, err) == (0, ""), err
     assert (
         "motor 1 (joint joint0) is to turn so that" in out
@@ -64,14 +68,14 @@ def test_a_small_motion_verifies_a_set_up_once(capsys, bus, words, person, tmp_p
     assert np.max(np.abs(bus.arm.mechanism.q - START)[0]) < 0.02
     rows = read_joint_map(tmp_path / "joint_map.csv")
     assert [row.verified for row in rows] == ["motion"] * 2
-    code, out, err = run(capsys, *words, "--yes", "--joint-map", "joint_map.csv")
+    code, out, err = run(capsys, *arguments, "--yes", "--joint-map", "joint_map.csv")
     assert (code, err) == (0, ""), err
-    code, out, _ = run(capsys, *words, "--verify", "--joint-map", "joint_map.csv")
+    code, out, _ = run(capsys, *arguments, "--verify", "--joint-map", "joint_map.csv")
     assert code == 0 and "somebody has verified it" in out
 
 
 def test_what_is_seen_is_never_written_into_a_file_of_lerobots(
-    capsys, words, person, tmp_path, monkeypatch
+    capsys, arguments, person, tmp_path, monkeypatch
 ):
     entry = {"drive_mode": 0, "homing_offset": 0}
     text = json.dumps({f"joint_{k}": {**entry, "id": k + 1} for k in range(2)})
@@ -79,7 +83,7 @@ def test_what_is_seen_is_never_written_into_a_file_of_lerobots(
     theirs.write_text(text)
     monkeypatch.setattr(mapping, "_nudge_joints", lambda *_: ["up"] * 2)
     person[0][:] = ["yes"] * 3
-    code, _, err = run(capsys, *words, "--verify", "--joint-map", theirs)
+    code, _, err = run(capsys, *arguments, "--verify", "--joint-map", theirs)
     assert (code, err) == (0, "") and theirs.read_text() == text
     assert "motion" in [
         row.verified for row in read_joint_map(tmp_path / "joint_map.csv")
@@ -87,10 +91,10 @@ def test_what_is_seen_is_never_written_into_a_file_of_lerobots(
 
 
 def test_a_joint_that_went_another_way_leaves_nothing_written(
-    capsys, words, person, tmp_path
+    capsys, arguments, person, tmp_path
 ):
     person[0][:] = ["yes", "no"]
-    code, _, err = run(capsys, *words, "--verify")
+    code, _, err = run(capsys, *arguments, "--verify")
     assert code == 2 and "motor 1 (joint joint0) is not verified" in err
     assert (
         "Did motor 1 (joint joint0), and no other joint, turn so that" in person[1][-1]

@@ -40,7 +40,7 @@ def test_setup_alone_lists_the_motors_and_changes_nothing(capsys, bus):
 def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
     motor = bus.motors[0]
     motor.registers[protocol.CTRL_MODE] = 2.0
-    words = (
+    options = (
         "--motor",
         1,
         "--new-id",
@@ -51,14 +51,14 @@ def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
         "--watchdog",
         "0.2",
     )
-    code, out, err = run(capsys, "setup", *CAN0, *words, "--store")
+    code, out, err = run(capsys, "setup", *CAN0, *options, "--store")
     assert (code, err) == (0, "")
     assert (
         "motor 1: CTRL_MODE=2 is now CTRL_MODE=1" in out
         and "ESC_ID=1 is now ESC_ID=5" in out
     )
     assert "MST_ID=17 is now MST_ID=21" in out and "keeps its values" in out
-    found = [
+    values = [
         motor.registers[n]
         for n in (
             protocol.ESC_ID,
@@ -67,7 +67,7 @@ def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
             protocol.TIMEOUT,
         )
     ]
-    assert found == [5.0, 21.0, 1.0, 4000.0] and motor.stored == motor.registers
+    assert values == [5.0, 21.0, 1.0, 4000.0] and motor.stored == motor.registers
     assert bus.motors[1].stored == {} and drives_nothing(bus.wire.sent)
 
 
@@ -86,30 +86,30 @@ def test_nothing_is_stored_unless_asked_for(capsys, bus):
 def test_an_enabled_motor_is_never_changed(capsys, bus, person, change):
     bus.motors[0].status = ENABLED
     bus.motors[0].registers[protocol.TIMEOUT] = 0.0
-    before = dict(bus.motors[0].registers)
+    registers = dict(bus.motors[0].registers)
     code, _, err = run(capsys, "setup", *CAN0, "--motor", 1, *change)
     assert code == 3 and "motor 1 is enabled" in err
-    assert bus.motors[0].registers == before and only_asks(bus.wire.sent)
+    assert bus.motors[0].registers == registers and only_asks(bus.wire.sent)
 
 
 def test_a_zero_is_set_after_two_questions(capsys, bus, person):
-    waiting, asked = person
+    waiting, prompts = person
     bus.arm.mechanism.q[0] = 0.4
     waiting += ["yes", "no"]
     code, _, err = run(capsys, "setup", *CAN0, "--motor", 1, "--set-zero")
     assert code == 2 and "the zero is as it was" in err and only_asks(bus.wire.sent)
     waiting += ["yes", "yes"]
     code, out, _ = run(capsys, "setup", *CAN0, "--motor", 1, "--set-zero")
-    assert code == 0 and "motor 1: 0.4000 rad is now" in out and len(asked) == 4
+    assert code == 0 and "motor 1: 0.4000 rad is now" in out and len(prompts) == 4
     assert bus.motors[0].shift == pytest.approx(-0.4)
 
 
 def test_no_zero_is_set_where_the_angle_is_not_known(capsys, bus, person):
     motor = bus.motors[0]
-    asked = bytes([READ, protocol.PMAX])
+    request = bytes([READ, protocol.PMAX])
     answer = motor.handle
     motor.handle = lambda frame, time: (
-        None if frame.data[2:4] == asked else answer(frame, time)
+        None if frame.data[2:4] == request else answer(frame, time)
     )
     code, _, err = run(capsys, "setup", *CAN0, "--motor", 1, "--set-zero")
     assert code == 3 and "does not tell its PMAX" in err and only_asks(bus.wire.sent)
@@ -124,7 +124,7 @@ def test_an_error_is_cleared_by_name(capsys, bus):
 
 
 @pytest.mark.parametrize(
-    ("words", "said", "code"),
+    ("options", "message", "code"),
     [
         (("--mit",), "--motor says which motor", 2),
         (("--scan",), "the bit rate of socketcan is set outside", 2),
@@ -163,29 +163,29 @@ def test_an_error_is_cleared_by_name(capsys, bus):
         ),
     ],
 )
-def test_what_cannot_be_meant_is_refused(capsys, bus, words, said, code):
-    got, _, err = run(capsys, "setup", *CAN0, *words)
-    assert got == code and said in err
+def test_what_cannot_be_meant_is_refused(capsys, bus, options, message, code):
+    got, _, err = run(capsys, "setup", *CAN0, *options)
+    assert got == code and message in err
     assert bus.wire is None or only_asks(bus.wire.sent)
 
 
-@pytest.mark.parametrize("words", [("--new-master-id", "0x13"), ("--new-id", 3)])
+@pytest.mark.parametrize("options", [("--new-master-id", "0x13"), ("--new-id", 3)])
 def test_ids_of_motors_that_already_clash_can_be_put_right_one_by_one(
-    capsys, bus, words
+    capsys, bus, options
 ):
     """As they come from the factory: all answer on 0, and one's answers are another's commands."""
-    for each in bus.motors:
-        each.registers[protocol.MST_ID] = 0.0
+    for motor in bus.motors:
+        motor.registers[protocol.MST_ID] = 0.0
     bus.motors[1].registers[protocol.MST_ID] = 0x101
-    assert run(capsys, "setup", *CAN0, "--motor", 1, *words)[0] == 0
+    assert run(capsys, "setup", *CAN0, "--motor", 1, *options)[0] == 0
 
 
 def test_an_id_is_free_where_only_another_bus_has_it(capsys, bus):
     """Motor 2 on can1 becomes motor 1, and answers on what motor 1 on can0 answers on."""
     bus.arm.motors[1].joint = replace(bus.arm.motors[1].joint, bus=1)
     both = ("setup", *CAN0, "--channel", "can1")
-    words = ("--motor", 2, "--new-id", 1, "--new-master-id", "0x11")
-    assert run(capsys, *both, *words)[0] == 0
+    options = ("--motor", 2, "--new-id", 1, "--new-master-id", "0x11")
+    assert run(capsys, *both, *options)[0] == 0
     assert bus.motors[1].registers[protocol.ESC_ID] == 1.0
     code, _, err = run(capsys, *both, "--motor", 1, "--mit")
     assert (
@@ -213,26 +213,26 @@ def test_monitor_shows_the_motors_and_enables_nothing(capsys, bus):
 
 def test_a_map_is_made_by_hand(capsys, bus, person, tmp_path, arm_file):
     """The first joint has motor 2, mirrored; the second one motor 1."""
-    waiting, asked = person
+    waiting, prompts = person
     model = arm_file(arms.serial_arm((arms.Z, arms.Y)))
     output = tmp_path / "map.csv"
     q = bus.arm.mechanism.q
 
-    def turned(j, way):
+    def turn(j, angle):
         def move():
-            q[j] += way
+            q[j] += angle
 
         return move
 
     def home():
         q[:] = [0.3, -0.1]
 
-    waiting += [turned(1, 0.05), turned(1, -0.5), turned(0, 0.4), home]
+    waiting += [turn(1, 0.05), turn(1, -0.5), turn(0, 0.4), home]
     code, _, err = run(capsys, "map", *CAN0, "--model", model, "--output", output)
     assert (code, err) == (0, "")
     assert (
-        "move joint joint0 alone" in asked[0]
-        and "no motor turned far enough" in asked[1]
+        "move joint joint0 alone" in prompts[0]
+        and "no motor turned far enough" in prompts[1]
     )
     first, second = read_joint_map(output)
     assert (first.name, first.can_id, first.master_id, first.direction) == (
@@ -266,9 +266,9 @@ def test_the_model_says_which_way_is_positive(arm_file):
     from robot_sysid.parser import load_robot_model
 
     robot = load_robot_model(arm_file(arms.serial_arm((arms.Z, arms.Y))))
-    ways = movement_texts(robot)
-    assert [way.partition("seen from ")[2] for way in ways] == ["+z (up)", "+y"]
-    assert all("counter-clockwise" in way for way in ways)
+    texts = movement_texts(robot)
+    assert [text.partition("seen from ")[2] for text in texts] == ["+z (up)", "+y"]
+    assert all("counter-clockwise" in text for text in texts)
 
 
 def test_motors_are_looked_for_at_every_bit_rate_that_the_adapter_has(capsys, bus):

@@ -27,48 +27,50 @@ POSITIONAL = {"identify": ["arm.xml", "log.csv"], "log": ["log.csv", "arm.xml"]}
 @pytest.mark.parametrize("name", PARSERS)
 def test_every_option_arrives_as_the_value_that_was_typed(name):
     parser = PARSERS[name]
-    words = POSITIONAL.get(name, ["arm.xml"])
-    kind = PayloadConfig if name == "payload" else SysidConfig
-    samples = [*option_samples.samples(kind)]
-    taken = option_samples.keys_of(parser())
-    known = {sample.option.key for sample in samples}
-    assert taken - {"view", "video"} <= known - set(PYTHON_ONLY)
-    for sample in (sample for sample in samples if sample.option.key in taken):
-        values, _ = parse_command(parser, [*words, *sample.words])
+    positional = POSITIONAL.get(name, ["arm.xml"])
+    config_type = PayloadConfig if name == "payload" else SysidConfig
+    samples = [*option_samples.samples(config_type)]
+    option_keys = option_samples.keys_of(parser())
+    sample_keys = {sample.option.key for sample in samples}
+    assert option_keys - {"view", "video"} <= sample_keys - set(PYTHON_ONLY)
+    for sample in (sample for sample in samples if sample.option.key in option_keys):
+        values, _ = parse_command(parser, [*positional, *sample.words])
         assert values[sample.option.key] == sample.value
         assert set(values) <= {"path", "measurements", "log", sample.option.key}
 
 
 @pytest.fixture
-def asked(monkeypatch):
+def config_of(monkeypatch):
     """Function: the configuration that a command line asks for, without running it."""
-    seen = []
+    configs = []
     monkeypatch.setattr(
-        identify, "run_command", lambda config, *_: seen.append(config) or 0
+        identify, "run_command", lambda config, *_: configs.append(config) or 0
     )
 
     def ask(*arguments):
         assert main([*arguments]) == 0
-        return seen.pop()
+        return configs.pop()
 
     return ask
 
 
-def test_a_command_says_what_it_does_with_the_options(asked):
-    assert asked("arm.xml") == SysidConfig.of("arm.xml")
+def test_a_command_says_what_it_does_with_the_options(config_of):
+    assert config_of("arm.xml") == SysidConfig.of("arm.xml")
     logs = (Path("a.csv"), Path("b.csv"))
-    assert asked("identify", "arm.xml", "a.csv", "b.csv") == SysidConfig.of(
+    assert config_of("identify", "arm.xml", "a.csv", "b.csv") == SysidConfig.of(
         "arm.xml", measurements=logs
     )
-    assert asked("identify", "arm.xml", "a.csv", "--links") == SysidConfig.of(
+    assert config_of("identify", "arm.xml", "a.csv", "--links") == SysidConfig.of(
         "arm.xml", measurements=logs[:1], links=True
     )
-    assert asked("plan", "arm.xml") == SysidConfig.of(
+    assert config_of("plan", "arm.xml") == SysidConfig.of(
         "arm.xml", plan_only=True, excitation="optimal"
     )
-    saved = asked("plan", "arm.xml", "--trajectory", "p.json")
+    saved = config_of("plan", "arm.xml", "--trajectory", "p.json")
     assert saved == SysidConfig.of("arm.xml", plan_only=True, trajectory="p.json")
-    assert asked("plan", "arm.xml", "--excitation", "sines").excitation.kind == "sines"
+    assert (
+        config_of("plan", "arm.xml", "--excitation", "sines").excitation.kind == "sines"
+    )
 
 
 def help_lines(arguments, capsys):
@@ -92,18 +94,18 @@ def test_help_is_an_example_and_the_main_options_and_the_full_help_has_all(
         assert all(
             re.search(rf"{flag}\b", "\n".join(full)) for flag in action.option_strings
         )
-    shown = [
+    visible = [
         a for a in PARSERS[name](full=False)._actions if a.help != argparse.SUPPRESS
     ]
     main_options = identify.SPECS[name].main if name in identify.SPECS else ()
-    assert set(main_options) <= {action.dest for action in shown}
+    assert set(main_options) <= {action.dest for action in visible}
 
 
 def test_the_version_is_printed(capsys):
     assert main(["--version"]) == 0
-    said = capsys.readouterr().out.splitlines()
-    assert said == help_lines(["plan", "--quiet", "--version"], capsys)
-    assert said == [f"robot-sysid {__version__}"]
+    lines_printed = capsys.readouterr().out.splitlines()
+    assert lines_printed == help_lines(["plan", "--quiet", "--version"], capsys)
+    assert lines_printed == [f"robot-sysid {__version__}"]
 
 
 ASKED = {

@@ -37,7 +37,7 @@ def models(arm_file):
     return empty, loaded
 
 
-def recorded(models, swapped=False):
+def record_logs(models, swapped=False):
     """The words that ask for the payload in logs of both arms, recorded in the order ABBA."""
     empty, loaded = (
         load_robot_model(path) for path in (models[::-1] if swapped else models)
@@ -57,12 +57,12 @@ def recorded(models, swapped=False):
 
 @pytest.mark.slow
 def test_a_payload_is_found_and_written_into_the_model(command, models):
-    printed = command.run("payload", *recorded(models))
+    printed = command.run("payload", *record_logs(models))
     folder = models[0].parent / "sysid_output"
     schemas.check(folder / "params.json")
-    found = json.loads((folder / "params.json").read_text())
-    payload = found["payload"]["body"]
-    assert found["status"] == "OK" and found["valid"]["trustworthy"]
+    content = json.loads((folder / "params.json").read_text())
+    payload = content["payload"]["body"]
+    assert content["status"] == "OK" and content["valid"]["trustworthy"]
     assert payload["mass"] == pytest.approx(PAYLOAD[0], abs=0.02)
     off = np.subtract(payload["center_of_mass"], PAYLOAD[1:4] / PAYLOAD[0])
     assert np.max(np.abs(off)) < 0.005
@@ -70,23 +70,23 @@ def test_a_payload_is_found_and_written_into_the_model(command, models):
     row = re.search(r"^  mass +([\d.]+) +([\d.]+) +kg$", printed.out, re.MULTILINE)
     assert row is not None
     assert float(row[1]) == pytest.approx(payload["mass"], abs=0.5 * float(row[2]))
-    assert len(found["payload"]["scatter"]) == 4
+    assert len(content["payload"]["scatter"]) == 4
     card = (folder / "payload_card.txt").read_text()
     assert f"{payload['mass']:.6g}"[:6] in card
     written = compile_model(folder / "updated_model.xml").mj_model
     theta = composite_theta(written, written.qpos0, written.body("link3").id)
-    link = found["links"][-1]["in_the_file"]["mass"]
+    link = content["links"][-1]["in_the_file"]["mass"]
     assert theta[0] == pytest.approx(link + payload["mass"], rel=1e-9)
 
 
 @pytest.mark.slow
 def test_a_payload_can_be_a_body_of_its_own(command, models):
-    command.run("payload", *recorded(models), "--as-body", "gripper")
+    command.run("payload", *record_logs(models), "--as-body", "gripper")
     folder = models[0].parent / "sysid_output"
-    found = json.loads((folder / "params.json").read_text())
+    content = json.loads((folder / "params.json").read_text())
     body = compile_model(folder / "updated_model.xml").mj_model.body("gripper")
     assert float(body.mass[0]) == pytest.approx(
-        found["payload"]["body"]["mass"], rel=1e-9
+        content["payload"]["body"]["mass"], rel=1e-9
     )
 
 
@@ -94,20 +94,20 @@ def test_a_payload_can_be_a_body_of_its_own(command, models):
 def test_swapped_recordings_are_refused_and_nothing_is_written_as_if_it_were_good(
     command, models
 ):
-    printed = command.run("payload", *recorded(models, swapped=True), code=1)
+    printed = command.run("payload", *record_logs(models, swapped=True), code=1)
     assert "look swapped" in printed.err
     folder = models[0].parent / "sysid_output"
     left = sorted(path.name for path in folder.iterdir())
     assert left == ["params.json", "report_data.npz", "run.toml"]
-    found = json.loads((folder / "params.json").read_text())
-    assert found["status"] == "SWAPPED" and not found["valid"]["trustworthy"]
-    assert found["payload"]["cards"] == {}
+    content = json.loads((folder / "params.json").read_text())
+    assert content["status"] == "SWAPPED" and not content["valid"]["trustworthy"]
+    assert content["payload"]["cards"] == {}
 
 
 @pytest.mark.slow
 def test_a_known_mass_gives_a_file_of_torque_scales(command, models):
-    given = ("--known-mass", "1.2", "--save-torque-scale", "scale.json")
-    printed = command.run("payload", *recorded(models), *given)
+    options = ("--known-mass", "1.2", "--save-torque-scale", "scale.json")
+    printed = command.run("payload", *record_logs(models), *options)
     scales = json.loads((models[0].parent / "scale.json").read_text())["torque_scale"]
     assert list(scales) == ["joint0", "joint1", "joint2", "joint3"]
     # The third joint lifts the weight all the time.

@@ -66,7 +66,7 @@ def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(
     save = ("--save-trajectory", "plan.json", "--excitation-time-budget", "0.05")
     printed = command.run("plan", path, *SINES[2:], *save)
     assert "Designing excitation trajectory (3.0s, 100 Hz)..." in printed.out
-    again = command.run(
+    repeated = command.run(
         "plan", path, "--trajectory", "plan.json", "--sample-rate", "100", "-v"
     )
     # Only the limit on accelerations differs: a design has one of its own.
@@ -74,9 +74,9 @@ def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(
         printed.out.index("Keeps all") : printed.out.index("Stays loose")
     ]
     assert promise.splitlines() == [
-        each for each in again.out.splitlines() if each in promise
+        path for path in repeated.out.splitlines() if path in promise
     ]
-    assert "Peaks (share of limit):" in again.out
+    assert "Peaks (share of limit):" in repeated.out
     command.run("plan", path, "--trajectory", "plan.json", "--speed", "0.5", *export(3))
     rows = (
         (path.parent / "sysid_output" / "damiao_trajectory.csv")
@@ -86,21 +86,21 @@ def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(
     assert rows[-1].startswith("6.0")
 
 
-@pytest.mark.usefixtures("unpredicted")
+@pytest.mark.usefixtures("without_prediction")
 def test_ctrl_c_without_a_terminal_keeps_the_best_motion(
     command, arm_file, monkeypatch
 ):
     path = arm_file(arms.THREE)
-    told = []
+    lines = []
 
     def interrupt(console, line):
-        told.append(line)
+        lines.append(line)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Console, "_print_progress", interrupt)
     printed = command.run("plan", path, *SINES[2:])
-    assert len(told) == 1 and re.match(
-        "Designing the trajectory: .* %, mass ± .* kg", told[0]
+    assert len(lines) == 1 and re.match(
+        "Designing the trajectory: .* %, mass ± .* kg", lines[0]
     )
     assert "interrupted; this is the best trajectory" in printed.err
     assert load_trajectory(path.parent / "sysid_output" / "trajectory.json")
@@ -127,7 +127,7 @@ def export(joints):
     return ("--export-damiao", *(MOTOR * joints), "--sample-rate", "100")
 
 
-@pytest.mark.usefixtures("unpredicted")
+@pytest.mark.usefixtures("without_prediction")
 def test_what_breaks_a_limit_is_explained_and_leaves_no_file(command, arm_file):
     path = arm_file(arms.THREE.replace("<option ", '<option gravity="9.81 0 0" '))
     command.run("plan", path, *SINES, "--save-trajectory", "plan.json")
@@ -141,7 +141,7 @@ def test_what_breaks_a_limit_is_explained_and_leaves_no_file(command, arm_file):
     assert not (path.parent / "sysid_output").exists()
 
 
-@pytest.mark.usefixtures("unpredicted")
+@pytest.mark.usefixtures("without_prediction")
 def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(
     command, arm_file
 ):
@@ -167,7 +167,7 @@ def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(
     assert 0.0 < torque[1] <= 0.5
 
 
-@pytest.mark.usefixtures("unpredicted")
+@pytest.mark.usefixtures("without_prediction")
 def test_a_motor_file_that_cannot_be_made_leaves_no_trajectory(
     command, arm_file, monkeypatch
 ):
@@ -176,9 +176,9 @@ def test_a_motor_file_that_cannot_be_made_leaves_no_trajectory(
 
     path = arm_file(arms.THREE)
     monkeypatch.setattr("robot_sysid.damiao.trajectory.export_damiao_trajectory", fail)
-    before = files_in(path.parent)
+    written = files_in(path.parent)
     command.run("plan", path, *SINES, *export(3), code=2)
-    assert files_in(path.parent) == before
+    assert files_in(path.parent) == written
 
 
 @pytest.mark.slow
@@ -194,8 +194,8 @@ def test_motions_for_friction_and_for_an_arm_can_be_saved_exported_and_checked_a
     assert "Keeps all limits for " in printed.out
     folder = path.parent / "sysid_output"
     assert (folder / "damiao_trajectory.csv").exists()
-    again = ("--trajectory", folder / "trajectory.json", "--output-dir", "again")
+    repeated = ("--trajectory", folder / "trajectory.json", "--output-dir", "again")
     assert (
         "Trajectory saved"
-        in command.run("plan", path, *again, "--sample-rate", "100").out
+        in command.run("plan", path, *repeated, "--sample-rate", "100").out
     )

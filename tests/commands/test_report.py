@@ -22,9 +22,12 @@ def arm(arm_file):
 
 
 def without(monkeypatch, library):
-    found = importlib.util.find_spec
-    gone = lambda name, *rest: None if name == library else found(name, *rest)  # noqa: E731
-    monkeypatch.setattr(importlib.util, "find_spec", gone)
+    find_spec = importlib.util.find_spec
+
+    def find_others(name, *arguments):
+        return None if name == library else find_spec(name, *arguments)
+
+    monkeypatch.setattr(importlib.util, "find_spec", find_others)
 
 
 @pytest.mark.parametrize("library", ["matplotlib", "jinja2"])
@@ -39,11 +42,11 @@ def test_a_missing_library_is_said_before_the_run(command, arm, monkeypatch, lib
 def test_data_of_a_run_never_pass_for_those_of_another(command, arm, monkeypatch):
     """A second run that ends while the first still counts its residuals."""
     folder = arm.parent / "sysid_output"
-    kept = page.report_data
+    report_data = page.report_data
 
-    def slowly(*what):
+    def slowly(*arguments):
         (folder / "params.json").write_text((folder / "params.json").read_text() + "\n")
-        return kept(*what)
+        return report_data(*arguments)
 
     monkeypatch.setattr(page, "report_data", slowly)
     command.run(arm, "--plant-model", arm, *MEASURED)
@@ -55,10 +58,10 @@ def test_data_of_a_run_never_pass_for_those_of_another(command, arm, monkeypatch
 
 
 def test_a_report_that_fails_leaves_the_results(command, arm, monkeypatch):
-    def broken(*_, **__):
+    def break_result(*_, **__):
         raise RuntimeError("ink is out")
 
-    monkeypatch.setattr(page, "write_report", broken)
+    monkeypatch.setattr(page, "write_report", break_result)
     printed = command.run(arm, *RUN, "--report", code=1)
     assert "the results are written, but the report is not" in printed.err
     assert "ink is out" in printed.err and "Results saved" in printed.out
@@ -66,10 +69,10 @@ def test_a_report_that_fails_leaves_the_results(command, arm, monkeypatch):
 
 
 def test_data_that_cannot_be_left_is_only_noted(command, arm, monkeypatch):
-    def broken(*_):
+    def break_result(*_):
         raise OSError("disk full")
 
-    monkeypatch.setattr(page, "save_data", broken)
+    monkeypatch.setattr(page, "save_data", break_result)
     printed = command.run(arm, "--plant-model", arm, *MEASURED)
     assert (
         "nothing was left for a later report" in printed.err
@@ -97,9 +100,9 @@ def test_a_page_its_figures_and_a_comparison(command, arm):
     plots = sorted((folder / "plots").iterdir())
     assert {path.suffix for path in plots} == {".png", ".svg"} and len(plots) > 20
     assert all(b"<dc:date>" not in path.read_bytes() for path in plots)
-    before = (folder / "report.html").read_bytes()
+    html = (folder / "report.html").read_bytes()
     assert "Written" in command.run("report", folder).out
-    assert (folder / "report.html").read_bytes() == before
+    assert (folder / "report.html").read_bytes() == html
     command.run(arm, *RUN, "--output-dir", "second")
     printed = command.run(
         "report", folder, arm.parent / "second", "--output-dir", "both"

@@ -20,11 +20,11 @@ EXPORT = ("--export-damiao", *(("--motor-type", "DM4340") * 4))
 
 
 @pytest.fixture(scope="module")
-def planned(tmp_path_factory):
+def plan_text(tmp_path_factory):
     """A trajectory of that arm, within the limits it was made for."""
-    path = tmp_path_factory.mktemp("planned") / "plan.json"
+    path = tmp_path_factory.mktemp("plan_text") / "plan.json"
     path.with_name("arm.xml").write_text(TUBES)
-    words = (
+    options = (
         "--max-acceleration",
         "30",
         "--save-trajectory",
@@ -36,7 +36,7 @@ def planned(tmp_path_factory):
         main(
             [
                 str(word)
-                for word in (path.with_name("arm.xml"), *SHORT, "--quiet", *words)
+                for word in (path.with_name("arm.xml"), *SHORT, "--quiet", *options)
             ]
         )
         == 0
@@ -45,9 +45,9 @@ def planned(tmp_path_factory):
 
 
 @pytest.fixture
-def arm(arm_file, planned):
+def arm(arm_file, plan_text):
     """The arm, and its plan beside it."""
-    (path := arm_file(TUBES)).with_name("plan.json").write_text(planned)
+    (path := arm_file(TUBES)).with_name("plan.json").write_text(plan_text)
     return path
 
 
@@ -61,7 +61,7 @@ CHECKED = {
 }
 
 
-@pytest.mark.usefixtures("unpredicted")
+@pytest.mark.usefixtures("without_prediction")
 @pytest.mark.parametrize("case", CHECKED)
 def test_where_a_limit_is_broken_nothing_is_written_or_called_good(
     case, command, arm, monkeypatch
@@ -69,21 +69,21 @@ def test_where_a_limit_is_broken_nothing_is_written_or_called_good(
     monkeypatch.setattr(
         LimitCheck, "failure", property(lambda check: "it breaks the law")
     )
-    asked, code = (("plan", arm), 1) if case.startswith("planned") else ((arm,), 2)
-    assert "it breaks the law" in command.refused(*asked, *CHECKED[case], code=code)
+    arguments, code = (("plan", arm), 1) if case.startswith("planned") else ((arm,), 2)
+    assert "it breaks the law" in command.refused(*arguments, *CHECKED[case], code=code)
 
 
 def test_a_trajectory_file_beyond_a_limit_is_refused(command, arm):
-    words = (arm, "--trajectory", "plan.json", *RATE)
-    message = command.refused(*words, "--max-velocity", "0.3")
+    options = (arm, "--trajectory", "plan.json", *RATE)
+    message = command.refused(*options, "--max-velocity", "0.3")
     assert "must not be run: it breaks " in message
     assert "relax that limit, slow the motion down with --speed, or" in message
-    assert command.refused(*words, "--max-velocity", "0.3", *EXPORT) == message
+    assert command.refused(*options, "--max-velocity", "0.3", *EXPORT) == message
     plan = arm.with_name("plan.json")
     content = json.loads(plan.read_text())
     content["amplitude"][-1] = [100.0 * value for value in content["amplitude"][-1]]
     plan.write_text(json.dumps(content))
-    message = command.refused(*words, "--max-velocity", "1000")
+    message = command.refused(*options, "--max-velocity", "1000")
     assert "it breaks the position limit of joint joint3" in message
 
 
@@ -114,8 +114,8 @@ def test_an_exported_motion_obeys_what_was_asked_for(command, arm):
     command.run(arm, *SHORT, *limits, *EXPORT, "--save-trajectory", "new.json")
     robot = arms.robot_of(TUBES)
     saved = load_trajectory(arm.parent / "new.json").plan
-    found = witness.peaks(robot, saved)
-    assert 0.0 < np.max(found.velocity) <= 0.3 and np.max(found.acceleration) <= 1.0
+    peaks = witness.peaks(robot, saved)
+    assert 0.0 < np.max(peaks.velocity) <= 0.3 and np.max(peaks.acceleration) <= 1.0
     assert witness.distance_to_plane(robot, saved, plane, "link0") >= 0.0
     for axis, (low, high) in zip(np.eye(3), np.reshape(box, (3, 2))):
         assert witness.distance_to_plane(robot, saved, (*axis, low), "link3") >= 0.0
@@ -134,8 +134,8 @@ def test_more_samples_than_anybody_can_wait_for_are_refused_at_once(command, arm
     plan = arm.with_name("plan.json")
     started = time.monotonic()
     plan.write_text(json.dumps({**json.loads(plan.read_text()), "duration": 1e12}))
-    for words in (("--speed", "1e-12"), ("--trajectory", plan)):
-        message = command.refused(arm, *words)
+    for options in (("--speed", "1e-12"), ("--trajectory", plan)):
+        message = command.refused(arm, *options)
         assert "samples, more than the 1e+09 a run can take" in message
     assert time.monotonic() - started < 5.0
 

@@ -63,15 +63,17 @@ def is_path(action):
 def words_with(command, action, path):
     """The words of a command with one path in the place of its own, or beside it."""
     flag = next(iter(action.option_strings), "")
-    words = BESIDE.get((command, flag), BASES[command]).split()
-    if flag in words:
-        words[words.index(flag) + 1] = path
+    arguments = BESIDE.get((command, flag), BASES[command]).split()
+    if flag in arguments:
+        arguments[arguments.index(flag) + 1] = path
     elif flag:
-        words += [flag, path]
+        arguments += [flag, path]
     else:
-        places = [a.dest for a in PARSERS[command]._actions if not a.option_strings]
-        words[places.index(action.dest)] = path
-    return [*command.split(), *words]
+        positionals = [
+            a.dest for a in PARSERS[command]._actions if not a.option_strings
+        ]
+        arguments[positionals.index(action.dest)] = path
+    return [*command.split(), *arguments]
 
 
 CASES = [
@@ -91,18 +93,18 @@ def bounds(seconds, memory):
     def end(*_):
         raise TimeoutError(f"not done after {seconds} s")
 
-    usual = signal.signal(signal.SIGALRM, end)
+    old_handler = signal.signal(signal.SIGALRM, end)
     with open("/proc/self/statm") as file:
-        taken = int(file.read().split()[0]) * resource.getpagesize()
-    _, most = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (taken + memory, most))
+        used_memory = int(file.read().split()[0]) * resource.getpagesize()
+    _, hard_limit = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (used_memory + memory, hard_limit))
     signal.alarm(seconds)
     try:
         yield
     finally:
         signal.alarm(0)
-        signal.signal(signal.SIGALRM, usual)
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        signal.signal(signal.SIGALRM, old_handler)
+        resource.setrlimit(resource.RLIMIT_AS, (hard_limit, hard_limit))
 
 
 @pytest.fixture(scope="module")
@@ -130,8 +132,8 @@ def files(tmp_path_factory):
 def test_no_path_leads_to_a_pipe_or_a_device(
     files, tmp_path, monkeypatch, capsys, bus, command, action, name
 ):
-    words = words_with(command, action, name)
-    if "--video" in words:
+    arguments = words_with(command, action, name)
+    if "--video" in arguments:
         pytest.importorskip("imageio")
     for path in files.iterdir():
         (tmp_path / path.name).symlink_to(path)
@@ -139,7 +141,7 @@ def test_no_path_leads_to_a_pipe_or_a_device(
     os.symlink("/dev/zero", tmp_path / "endless")
     monkeypatch.chdir(tmp_path)
     with bounds(20, 2 * 10**9):
-        code = main(words)
+        code = main(arguments)
     assert os.path.islink("endless") and not os.path.isfile("pipe")
     error = capsys.readouterr().err.strip().splitlines()
     assert code == 2, error

@@ -220,7 +220,9 @@ def test_a_number_that_is_not_identified_is_as_in_the_model_where_that_has_one()
     mixed = servo_fit.keep_model_values(robot, TRUTH, keep).vector()
     expected = np.where(keep, in_model, TRUTH.vector())
     np.testing.assert_array_equal(mixed[:-1], expected[:-1])
-    kept = servo_fit.keep_model_values(bare, TRUTH)
-    np.testing.assert_array_equal(kept.stiffness, TRUTH.stiffness)
-    np.testing.assert_array_equal(kept.frictionloss, servos_in_model(bare).frictionloss)
-    assert mixed[-1] == kept.delay == TRUTH.delay
+    with_model_values = servo_fit.keep_model_values(bare, TRUTH)
+    np.testing.assert_array_equal(with_model_values.stiffness, TRUTH.stiffness)
+    np.testing.assert_array_equal(
+        with_model_values.frictionloss, servos_in_model(bare).frictionloss
+    )
+    assert mixed[-1] == with_model_values.delay == TRUTH.delay

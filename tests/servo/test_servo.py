@@ -62,8 +62,8 @@ class NoteRecorder(Progress):
 
 def run(robot, folder, monkeypatch, removal_notes=0, **options):
     """Write a given identification; return the notes, of which the last are about removed files."""
-    rest = np.zeros((3, robot.n_joints))
-    poses = Motion(np.arange(3.0), rest, rest, rest)
+    zero = np.zeros((3, robot.n_joints))
+    poses = Motion(np.arange(3.0), zero, zero, zero)
     monkeypatch.setattr(
         servo, "identify_servos", lambda *_: (identification(robot), poses)
     )
@@ -168,7 +168,7 @@ COPIED = ("repeat the measured", "no real commands")
 
 
 @pytest.mark.parametrize(
-    ("q", "command", "words"),
+    ("q", "command", "message_parts"),
     [
         (FOLLOWED, np.degrees(COMMAND), ("degrees", "--units", "0.01745")),
         (FOLLOWED, ENCODER_STEPS, ("steps of 4096", "--columns")),
@@ -181,7 +181,7 @@ COPIED = ("repeat the measured", "no real commands")
         (FOLLOWED, COMMAND + 1.0, ("same zero",)),
     ],
 )
-def test_implausible_commands_are_refused(q, command, words):
+def test_implausible_commands_are_refused(q, command, message_parts):
     # The commands of the other joint are plausible.
     commands = np.column_stack((COMMAND[:, 0], command[:, 1]))
     positions = np.column_stack((FOLLOWED[:, 0], q[:, 1]))
@@ -189,12 +189,12 @@ def test_implausible_commands_are_refused(q, command, words):
         servo.commanded_pieces([log(positions, commands)], NAMES)
     message = str(error.value)
     assert "log.csv" in message and "\n" not in message
-    assert all(word in message for word in words), message
+    assert all(word in message for word in message_parts), message
 
 
 def test_a_joint_that_stands_still_is_no_fault():
-    still = np.full(len(TIME), 0.3)
-    q = np.column_stack((FOLLOWED[:, 0], still))
-    command = np.column_stack((COMMAND[:, 0], still))
+    standing = np.full(len(TIME), 0.3)
+    q = np.column_stack((FOLLOWED[:, 0], standing))
+    command = np.column_stack((COMMAND[:, 0], standing))
     pieces = servo.commanded_pieces([log(q, command)], NAMES)
     assert servo.is_moving(pieces).tolist() == [True, False]

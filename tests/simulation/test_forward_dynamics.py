@@ -51,10 +51,10 @@ def test_the_acceleration_under_the_torque_of_a_motion_is_that_of_the_motion(xml
     plant = forward(robot)
     tau = plant.inverse(q, qd, qdd)
     plant.reset(q[0], qd[0])
-    found = plant.acceleration(tau[0])
+    result = plant.acceleration(tau[0])
     # MuJoCo's solver stops at 1e-12 of its own cost; the mass matrix of a random chain adds 1e4.
     scale = max(1.0, np.max(np.abs(qdd)))
-    np.testing.assert_allclose(found, qdd[0], rtol=0.0, atol=1e-6 * scale)
+    np.testing.assert_allclose(result, qdd[0], rtol=0.0, atol=1e-6 * scale)
     dry = ramp_torque(plant.ramp, qd, qdd)[0]
     np.testing.assert_allclose(plant.dry_friction(), dry, rtol=0.0, atol=1e-6 * scale)
 
@@ -64,13 +64,13 @@ def test_actuators_and_contacts_of_the_model_do_not_act():
     ball = '<geom type="sphere" size=".3" mass="0"/><joint name="joint'
     servo = '<actuator><position joint="joint2" kp="500" ctrlrange="-1 1"/></actuator></mujoco>'
     busy = plain.replace('<joint name="joint', ball).replace("</mujoco>", servo)
-    found = []
+    result = []
     for xml in (plain, busy):
         plant = forward(robot_of(xml))
         plant.reset(np.full(3, 0.3), np.ones(3))
-        found.append(plant.acceleration(np.zeros(3)))
+        result.append(plant.acceleration(np.zeros(3)))
     assert robot_of(busy).mj_model.nu == 1
-    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_array_equal(result[0], result[1])
 
 
 @pytest.mark.parametrize(
@@ -134,8 +134,8 @@ def test_above_the_ramp_speed_coulombs_law_is_exact(seed, scale):
     use = use_of(qd, qdd)
     faster = np.abs(qd) > use.ramp_speed
     law = ramps.coulomb * np.sign(qd)
-    found = ramp_torque(ramps, qd, qdd)
-    np.testing.assert_allclose(found[faster], law[faster], rtol=1e-5, atol=0.0)
+    result = ramp_torque(ramps, qd, qdd)
+    np.testing.assert_allclose(result[faster], law[faster], rtol=1e-5, atol=0.0)
 
 
 HINGE = (
@@ -176,10 +176,10 @@ def inverse_error(robot, timestep, seconds=0.2):
     )
     # Where a joint turns round, friction and acceleration jump within a step; where one sticks,
     # Coulomb's law does not tell the friction.
-    before = direction[:-2]
+    previous_direction = direction[:-2]
     now = direction[1:-1]
-    after = direction[2:]
-    steady = np.all((before == now) & (now == after), axis=1)
+    next_direction = direction[2:]
+    steady = np.all((previous_direction == now) & (now == next_direction), axis=1)
     error = np.abs(inverse.tau - acted)[1:-1]
     return np.max(error, where=steady[:, None] & (now != 0.0), initial=0.0)
 
@@ -230,16 +230,16 @@ def test_damping_adds_no_apparent_armature(damping):
 def test_steps_of_any_length_add_up():
     """A step cut in two where a motor is sampled leads to where one step leads, to third order."""
     robot = arms.robot_of(arms.MODELS["seven"])
-    whole = ArmStepper(robot, timestep=1e-3)
+    uncut = ArmStepper(robot, timestep=1e-3)
     cut = ArmStepper(robot, timestep=1e-3)
     torque = np.ones(robot.n_joints)
     damping = np.full(robot.n_joints, 0.5)
     for _ in range(50):
-        whole.step(torque, damping)
+        uncut.step(torque, damping)
         cut.step(torque, damping, 3e-4)
         cut.step(torque, damping, 7e-4)
     np.testing.assert_allclose(
-        cut.qd, whole.qd, rtol=0.0, atol=2e-3 * np.max(np.abs(whole.qd))
+        cut.qd, uncut.qd, rtol=0.0, atol=2e-3 * np.max(np.abs(uncut.qd))
     )
 
 
@@ -290,10 +290,10 @@ def test_fast_joints_have_the_dry_friction_that_mujoco_gives_them(name):
         pytest.skip("this MuJoCo does not know the attribute")
     q, _, _ = arms.random_motion(np.random.default_rng(0), 3, 20)
     qd = 200.0 * np.random.default_rng(1).choice([-1.0, 1.0], size=q.shape)
-    still = np.zeros_like(q)
+    zero = np.zeros_like(q)
     plant = ForwardPlant(robot, 1e-3, q[:1])
-    smooth = plant_without_dry_friction(robot, q).inverse(q, qd, still)
-    dry = plant.inverse(q, qd, still) - smooth
+    smooth = plant_without_dry_friction(robot, q).inverse(q, qd, zero)
+    dry = plant.inverse(q, qd, zero) - smooth
     np.testing.assert_allclose(dry, robot.friction.dry(qd), atol=1e-6)
 
 

@@ -105,19 +105,19 @@ def arm():
 
 
 @pytest.fixture(scope="module")
-def proven(arm):
+def proof_errors(arm):
     """Closed-loop run of a plant with armature and dry friction."""
     return proof.proof_run(arm, proof.excitation(arm, duration=8.0), 500.0)
 
 
-def test_mass_and_friction_come_back_from_positions_and_torques(proven):
-    errors, _, _ = proven
+def test_mass_and_friction_come_back_from_positions_and_torques(proof_errors):
+    errors, _, _ = proof_errors
     assert errors.mass < 0.002
     assert errors.coulomb < 0.02 and errors.viscous < 0.02 and errors.armature < 0.02
 
 
-def test_without_leaving_out_the_ramp_friction_would_be_wrong(arm, proven):
-    _, log, _ = proven
+def test_without_leaving_out_the_ramp_friction_would_be_wrong(arm, proof_errors):
+    _, log, _ = proof_errors
     plant = proof.plant_from(arm)
     assert proof.errors_of(proof.identify_log(arm, log, 0.0), plant).viscous > 0.2
 
@@ -251,7 +251,7 @@ def test_a_plant_may_have_other_things_around_the_arm(robot, arm_file):
 
 
 @pytest.mark.parametrize(
-    ("xml", "words"),
+    ("xml", "message"),
     [
         (
             SEVEN.replace("joint2", "j2"),
@@ -273,8 +273,10 @@ def test_a_plant_may_have_other_things_around_the_arm(robot, arm_file):
         ),
     ],
 )
-def test_a_plant_with_other_joints_is_refused_with_a_list(robot, arm_file, xml, words):
-    with pytest.raises(InputError, match=words):
+def test_a_plant_with_other_joints_is_refused_with_a_list(
+    robot, arm_file, xml, message
+):
+    with pytest.raises(InputError, match=message):
         load_plant(robot, arm_file(xml, "plant.xml"))
 
 

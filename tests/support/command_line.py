@@ -38,16 +38,16 @@ class CommandLine:
     def run(self, *arguments, code: int = 0):
         """Run and return what was printed (out, err); the exit code has to be ``code``."""
         self._capsys.readouterr()
-        found = main([str(word) for word in arguments])
+        exit_code = main([str(word) for word in arguments])
         printed = self._capsys.readouterr()
-        assert found == code, printed.err
+        assert exit_code == code, printed.err
         return printed
 
     def refused(self, *arguments, code: int = 2) -> str:
         """Return the one line of error of a run that must change nothing on disk."""
-        before = files_in(self._folder)
+        files = files_in(self._folder)
         printed = self.run(*arguments, code=code)
-        assert files_in(self._folder) == before
+        assert files_in(self._folder) == files
         errors = [
             line for line in printed.err.splitlines() if not line.startswith("note: ")
         ]

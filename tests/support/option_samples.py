@@ -50,13 +50,13 @@ class Sample:
             return [flag]
         if not self.option.repeats:
             return [flag, *map(str, value if isinstance(value, tuple) else (value,))]
-        each = [one if isinstance(one, tuple) else (one,) for one in value]
-        return [word for one in each for word in (flag, *map(str, one))]
+        groups = [one if isinstance(one, tuple) else (one,) for one in value]
+        return [word for one in groups for word in (flag, *map(str, one))]
 
 
-def samples(kind: type = SysidConfig) -> Iterator[Sample]:
+def samples(config_type: type = SysidConfig) -> Iterator[Sample]:
     """Yield a sample of every option of a run."""
-    for name, record in get_type_hints(kind).items():
+    for name, record in get_type_hints(config_type).items():
         for field, option in options_of(record).items():
             yield Sample(name, field, option, _value(option, default_of(record, field)))
 
@@ -80,6 +80,6 @@ def _value(option: Option, default: Any) -> Any:
 
 def keys_of(parser: argparse.ArgumentParser) -> set[str]:
     """Return the keys of the options that a parser takes, the console's left out."""
-    taken = {action.dest for action in parser._actions if action.option_strings}
-    console = {each.key for each in options_of(ConsoleOptions).values()}
-    return taken - console - {"help", "version", "help_all"}
+    keys = {action.dest for action in parser._actions if action.option_strings}
+    console = {option.key for option in options_of(ConsoleOptions).values()}
+    return keys - console - {"help", "version", "help_all"}

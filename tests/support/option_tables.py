@@ -59,7 +59,7 @@ def table(name: str) -> str:
             if option.key in PYTHON_ONLY or (name == "main" and option.key not in MAIN):
                 continue
             cells = (
-                _typed(option, default_of(record, field)),
+                _typed_form(option, default_of(record, field)),
                 _default(option, record, field),
             )
             rows.append(
@@ -68,13 +68,13 @@ def table(name: str) -> str:
     return "\n".join(rows) + "\n"
 
 
-def _typed(option: Option, default: object) -> str:
+def _typed_form(option: Option, default: object) -> str:
     choices = "{" + ",".join(option.choices) + "}" if option.choices else ""
     metavar = option.metavar or choices or option.key.upper()
-    words = metavar if isinstance(metavar, str) else " ".join(metavar)
-    words = "" if isinstance(default, bool) else words
+    text = metavar if isinstance(metavar, str) else " ".join(metavar)
+    text = "" if isinstance(default, bool) else text
     short = f", `{option.short}`" if option.short else ""
-    return f"`{f'{option.flag} {words}'.strip()}`{short}"
+    return f"`{f'{option.flag} {text}'.strip()}`{short}"
 
 
 def _default(option: Option, record: type, name: str) -> str:
@@ -89,12 +89,12 @@ def _meaning(option: Option) -> str:
 
 def with_tables(text: str) -> str:
     """Return a page with all its tables as the records say; an unknown name is a KeyError."""
-    return _PLACE.sub(lambda found: found[1] + table(found[2]) + found[4], text)
+    return _PLACE.sub(lambda match: match[1] + table(match[2]) + match[4], text)
 
 
 def tables_in(text: str) -> list[str]:
     """Return the names of the tables of a page, in their order."""
-    return [found[2] for found in _PLACE.finditer(text)]
+    return [match[2] for match in _PLACE.finditer(text)]
 
 
 def main() -> None:
