@@ -24,7 +24,7 @@ from robot_sysid.preview.film import Colour, Studio
 from robot_sysid.records import Array, Flange, RobotModel
 from robot_sysid.records.messages import PARAMETER_UNITS, percent, with_error
 from robot_sysid.report import drawing
-from robot_sysid.report.drawing import AFTER, Figure, Section, Table, drawn, table
+from robot_sysid.report.drawing import AFTER, Figure, Section, Table, draw_figure, table
 from robot_sysid.report.runs import Body, Run, number
 from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.verdict import PRIOR_SHARE
@@ -43,17 +43,17 @@ _LEAST_SPAN = 0.02
 def parameters(run: Run) -> Section:
     """Return the ten parameters of every body, before and after."""
     figures = []
-    for place, body in enumerate(run.bodies):
-        figures.append(_before_after(body, f"parameters-{place}"))
+    for body_index, body in enumerate(run.bodies):
+        figures.append(_before_after(body, f"parameters-{body_index}"))
         if body.budget:
-            figures.append(_causes(body, f"errors-{place}"))
-    words = (
+            figures.append(_causes(body, f"errors-{body_index}"))
+    explanation = (
         "m is the mass, h the first moment (mass times centre of mass), I the inertia about the "
         f"origin of the {'flange' if run.is_payload else 'body'}'s frame. Bars are ± one standard "
         "error, all causes together; a value without a bar has an error that is not known."
     )
     title = "The numbers" if run.is_payload else "Before and after"
-    return Section("parameters", title, (words,), (masses(run.bodies),), figures)
+    return Section("parameters", title, (explanation,), (masses(run.bodies),), figures)
 
 
 def masses(bodies: Sequence[Body]) -> Table:
@@ -71,26 +71,27 @@ def masses(bodies: Sequence[Body]) -> Table:
 def _mass_and_place(theta: Array, body: Body, identified: bool) -> Iterator[str]:
     mass, *errors = body.stated(body.central) if identified else [None] * 4
     yield with_error(float(theta[0]), mass)
-    for place, error in zip((theta[1:4] / theta[0] + 0.0).tolist(), errors):
-        yield f"{place:.4f}" if error is None else with_error(place, error)
+    for coordinate, error in zip((theta[1:4] / theta[0] + 0.0).tolist(), errors):
+        yield f"{coordinate:.4f}" if error is None else with_error(coordinate, error)
 
 
 def _before_after(body: Body, name: str) -> Figure:
-    told = body.thetas
+    thetas = body.thetas
     rows = [
         (
             f"{label} [{unit}]",
-            *(drawing.text(float(theta[k]), body.errors[k]) for theta in told.values()),
+            *(
+                drawing.text(float(theta[k]), body.errors[k])
+                for theta in thetas.values()
+            ),
             drawing.plus_minus(body.errors[k]),
         )
         for k, (label, unit) in enumerate(zip(PARAMETER_NAMES, PARAMETER_UNITS))
     ]
-    numbers = ("parameter", *told, "± standard error"), rows
-    against = " against the model's values before" if "before" in told else ""
-    known = " and the truth of the simulated arm" if "truth" in told else ""
-    caption = (
-        f"{body.title}: identified parameters{against}{known}, ± one standard error."
-    )
+    numbers = ("parameter", *thetas, "± standard error"), rows
+    model_text = " against the model's values before" if "before" in thetas else ""
+    truth_text = " and the truth of the simulated arm" if "truth" in thetas else ""
+    caption = f"{body.title}: identified parameters{model_text}{truth_text}, ± one standard error."
 
     def draw(canvas: Any) -> None:
         axes = canvas.subplots(
@@ -98,12 +99,16 @@ def _before_after(body: Body, name: str) -> Figure:
         )
         errors = np.where(np.isfinite(body.errors), body.errors, 0.0)
         for (start, end, title), ax in zip(_GROUPS, axes):
-            places = -np.arange(end - start, dtype=float)
-            part = slice(start, end)
-            for what, (shift, style) in _MARKS.items():
-                if what in told:
+            positions = -np.arange(end - start, dtype=float)
+            indices = slice(start, end)
+            for version, (shift, style) in _MARKS.items():
+                if version in thetas:
                     ax.plot(
-                        told[what][part], places + shift, label=what, ls="none", **style
+                        thetas[version][indices],
+                        positions + shift,
+                        label=version,
+                        ls="none",
+                        **style,
                     )
             bar: Any = {
                 "fmt": "o",
@@ -112,21 +117,23 @@ def _before_after(body: Body, name: str) -> Figure:
                 "capsize": 3,
                 "label": "after",
             }
-            ax.errorbar(body.after[part], places, xerr=errors[part], **bar)
-            ax.set_yticks(places, PARAMETER_NAMES[part])
+            ax.errorbar(body.after[indices], positions, xerr=errors[indices], **bar)
+            ax.set_yticks(positions, PARAMETER_NAMES[indices])
             ax.set(
-                ylim=(places[-1] - 0.6, 0.6),
+                ylim=(positions[-1] - 0.6, 0.6),
                 xlabel=f"{title} [{PARAMETER_UNITS[start]}]",
             )
             ax.margins(x=0.08)
             ax.locator_params(axis="x", nbins=6)
-            least = 0.5 * _LEAST_SPAN * float(np.max(np.abs(body.after[part]))) or 5e-7
+            least = (
+                0.5 * _LEAST_SPAN * float(np.max(np.abs(body.after[indices]))) or 5e-7
+            )
             low, high = ax.get_xlim()
             if high - low < 2.0 * least:
                 ax.set_xlim(0.5 * (low + high) - least, 0.5 * (low + high) + least)
         drawing.legend(canvas, axes[0], 4)
 
-    return drawn(name, caption, numbers, 4.6, draw)
+    return draw_figure(name, caption, numbers, 4.6, draw)
 
 
 def _causes(body: Body, name: str) -> Figure:
@@ -136,12 +143,16 @@ def _causes(body: Body, name: str) -> Figure:
     total = np.sum(squares, axis=0)
     shares = np.divide(squares, total, out=np.zeros_like(squares), where=total > 0.0)
     # As many as there are colours; what is least stands together.
-    most = np.argsort(-np.sum(shares, axis=1), kind="stable")[: len(drawing.SERIES) - 1]
-    shown = {causes[k]: shares[k] for k in sorted(most.tolist())}
-    shown["all others"] = np.sum(np.delete(shares, most, axis=0), axis=0)
+    largest = np.argsort(-np.sum(shares, axis=1), kind="stable")[
+        : len(drawing.SERIES) - 1
+    ]
+    drawn_shares = {causes[k]: shares[k] for k in sorted(largest.tolist())}
+    drawn_shares["all others"] = np.sum(np.delete(shares, largest, axis=0), axis=0)
     rows = [
-        (label, drawing.plus_minus(error), *map(percent, each))
-        for label, error, each in zip(PARAMETER_NAMES, body.errors, shares.T.tolist())
+        (label, drawing.plus_minus(error), *map(percent, parameter_shares))
+        for label, error, parameter_shares in zip(
+            PARAMETER_NAMES, body.errors, shares.T.tolist()
+        )
     ]
     caption = (
         f"{body.title}: what each parameter's error is made of, in shares of its variance. Where "
@@ -151,9 +162,9 @@ def _causes(body: Body, name: str) -> Figure:
     def draw(canvas: Any) -> None:
         ax = canvas.subplots()
         left = np.zeros(10)
-        places = -np.arange(10.0)
+        positions = -np.arange(10.0)
         for (cause, share), (colour, _), hatch in zip(
-            shown.items(), drawing.SERIES, drawing.HATCHES
+            drawn_shares.items(), drawing.SERIES, drawing.HATCHES
         ):
             style = {
                 "facecolor": colour,
@@ -161,14 +172,14 @@ def _causes(body: Body, name: str) -> Figure:
                 "alpha": 0.75,
                 "hatch": hatch,
             }
-            ax.barh(places, 100.0 * share, left=left, label=cause, **style)
+            ax.barh(positions, 100.0 * share, left=left, label=cause, **style)
             left = left + 100.0 * share
-        ax.set_yticks(places, PARAMETER_NAMES)
+        ax.set_yticks(positions, PARAMETER_NAMES)
         ax.set(xlabel="share of the error's variance [%]", xlim=(0.0, 100.0))
         drawing.legend(canvas, ax, 2)
 
     numbers = ("parameter", "± standard error", *causes), rows
-    return drawn(name, caption, numbers, 4.6, draw)
+    return draw_figure(name, caption, numbers, 4.6, draw)
 
 
 def visibility(run: Run) -> Section:
@@ -191,13 +202,15 @@ def visibility(run: Run) -> Section:
         header = ("combination", "value", "± standard error", "essential")
         essential = {True: "yes", False: "no"}
         rows = [
-            (words, *drawing.cells(*map(number, pair)), essential[kept])
-            for words, *pair, kept in map(dict.values, base)
+            (combination, *drawing.cells(*map(number, pair)), essential[is_essential])
+            for combination, *pair, is_essential in map(dict.values, base)
         ]
         tables.append(table(header, rows))
     if sensors:
-        found = [(name, with_error(*each)) for name, each in sensors.items()]
-        tables.append(table(("sensor", "found beside them"), found))
+        sensor_rows = [
+            (name, with_error(*quantity)) for name, quantity in sensors.items()
+        ]
+        tables.append(table(("sensor", "found beside them"), sensor_rows))
     hidden = list(content["unidentifiable_combinations"])
     if not run.all_known:
         hidden.insert(0, "the payload's inertia (its ± does not tell it from zero)")
@@ -210,7 +223,7 @@ def visibility(run: Run) -> Section:
 
 
 def _source(body: Body, k: int, is_payload: bool) -> str:
-    if body.kept[k]:
+    if body.is_from_model[k]:
         return "not known" if is_payload else "the model (not visible)"
     if np.isfinite(body.share[k]) and body.share[k] < PRIOR_SHARE:
         return "more model than data"
@@ -227,7 +240,8 @@ def card(run: Run) -> Section | None:
     if payload is None:
         return None
     rows = [
-        (joint, with_error(*each)) for joint, each in payload["torque_scale"].items()
+        (joint, with_error(*quantity))
+        for joint, quantity in payload["torque_scale"].items()
     ]
     tables = [table(("joint", "torque scale"), rows)] if rows else []
     if not payload["cards"]:
@@ -236,7 +250,7 @@ def card(run: Run) -> Section | None:
             reason = "this run calibrated the torques; it writes no card"
         return Section("card", "Payload card", (), tables, missing=(reason,))
     flange = payload["flange"]
-    words = (
+    explanation = (
         f"In the frame of the flange {flange['name']} on body {flange['in_body']}. Check that the "
         "controller means the same frame."
     )
@@ -247,7 +261,7 @@ def card(run: Run) -> Section | None:
         )
         blocks.append((entry["title"], f"{comment}\n{entry['text']}"))
     return Section(
-        "card", "Payload card", (words,), tables, blocks=blocks, is_open=True
+        "card", "Payload card", (explanation,), tables, blocks=blocks, is_open=True
     )
 
 
@@ -258,19 +272,21 @@ def scatter(run: Run) -> Section | None:
         return None
     header = ("recording", "kind", "mass [kg]", "± noise alone [kg]", "± all [kg]")
     rows = []
-    for one in payload["scatter"]:
-        mass, noise, whole = (
-            number(one[key]) for key in ("mass", "noise_error", "error")
+    for recording in payload["scatter"]:
+        mass, noise, error = (
+            number(recording[key]) for key in ("mass", "noise_error", "error")
         )
         pair = drawing.cells(mass, noise)
-        kind = "loaded" if one["is_loaded"] else "empty"
-        rows.append((one["name"], kind, *pair, drawing.plus_minus(whole)))
-    words = (
+        side = "loaded" if recording["is_loaded"] else "empty"
+        rows.append((recording["name"], side, *pair, drawing.plus_minus(error)))
+    explanation = (
         "Mass of the payload according to each recording against all of the other kind. If one "
         "recording says something else than the others, it was made with another payload, or "
         "something was changed between them."
     )
-    return Section("scatter", "Each recording alone", (words,), (table(header, rows),))
+    return Section(
+        "scatter", "Each recording alone", (explanation,), (table(header, rows),)
+    )
 
 
 _SIZE = (800, 620)
@@ -299,21 +315,21 @@ def picture(run: Run, mesh_dir: Path | None = None) -> Section:
             raise SysidError(
                 f"no pictures of the arm: {path} has changed since the run"
             )
-        return _drawn(robot, list(_bodies(robot, run)))
+        return _ellipsoid_section(robot, list(_bodies(robot, run)))
     except SysidError as error:
         return Section("picture", _TITLE, missing=(str(error),))
 
 
-def _drawn(robot: RobotModel, bodies: Bodies) -> Section:
+def _ellipsoid_section(robot: RobotModel, bodies: Bodies) -> Section:
     from matplotlib.image import imsave
 
     facts: Any = {"Software": None}
     numbers = masses([body for _, body in bodies])
     figures = []
-    last = [each for each in bodies if each[0] == robot.body_id]
+    last = [body_pair for body_pair in bodies if body_pair[0] == robot.body_id]
     impossible: dict[str, None] = {}
     with Studio(robot, *_SIZE) as studio:
-        for name, on, shown in (
+        for name, subject, drawn_bodies in (
             ("arm", "the whole arm", bodies),
             ("close", "the last link", last),
         ):
@@ -323,25 +339,29 @@ def _drawn(robot: RobotModel, bodies: Bodies) -> Section:
             else:
                 # So far away that the largest ellipsoid fits into the picture.
                 thetas = [theta for _, body in bodies for theta in body.thetas.values()]
-                room = _ROOM * max(map(characteristic_length, thetas))
-                studio.camera.distance = max(_FARTHER * studio.camera.distance, room)
+                distance = _ROOM * max(map(characteristic_length, thetas))
+                studio.camera.distance = max(
+                    _FARTHER * studio.camera.distance, distance
+                )
             studio.pose(robot.reference)
             studio.make_transparent(0.35)
-            impossible.update(dict.fromkeys(_add_ellipsoids(studio, shown)))
-            caption = f"Ellipsoids of inertia on {on}, in its reference posture."
+            impossible.update(dict.fromkeys(_add_ellipsoids(studio, drawn_bodies)))
+            caption = f"Ellipsoids of inertia on {subject}, in its reference posture."
             pixels = np.ascontiguousarray(studio.render())
             buffer = io.BytesIO()
             imsave(buffer, pixels, format="png", metadata=facts)
             figures.append(
                 Figure(f"inertia-{name}", caption, numbers, png=buffer.getvalue())
             )
-    said = (
+    explanation = (
         "Each ellipsoid is the homogeneous body with the mass and inertia of a link; its dot is "
         "the centre of mass. Orange: before. Blue: after."
     )
-    told = "is no possible rigid body: only its centre of mass is drawn"
-    points = tuple(f"{name} {told}" for name in impossible)
-    return Section("picture", _TITLE, (said,), figures=tuple(figures), points=points)
+    impossible_text = "is no possible rigid body: only its centre of mass is drawn"
+    points = tuple(f"{name} {impossible_text}" for name in impossible)
+    return Section(
+        "picture", _TITLE, (explanation,), figures=tuple(figures), points=points
+    )
 
 
 def _add_ellipsoids(studio: Studio, bodies: Bodies) -> Iterator[str]:
@@ -381,8 +401,8 @@ def _go_near(studio: Studio, robot: RobotModel, body: Body) -> None:
     com = body.after[1:4] / body.after[0] if body.after[0] > 0.0 else np.zeros(3)
     reach = max(_reach(theta, com) for theta in body.thetas.values())
     turn = studio.data.xmat[robot.body_id].reshape(3, 3)
-    place = studio.data.xpos[robot.body_id] + turn @ com
-    studio.point_camera(place, max(0.4 * studio.camera.distance, _NEAREST * reach))
+    target = studio.data.xpos[robot.body_id] + turn @ com
+    studio.point_camera(target, max(0.4 * studio.camera.distance, _NEAREST * reach))
 
 
 def _reach(theta: Array, around: Array) -> float:

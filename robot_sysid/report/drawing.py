@@ -102,11 +102,17 @@ def table(
     header: Sequence[str], rows: Iterable[Sequence[Any]], note: str = ""
 ) -> Table:
     """Return a table of texts and numbers; with more than ``MOST_ROWS`` rows, some of them."""
-    texts = [tuple(c if isinstance(c, str) else text(c) for c in row) for row in rows]
+    texts = [
+        tuple(cell if isinstance(cell, str) else text(cell) for cell in row)
+        for row in rows
+    ]
     step = -(-len(texts) // MOST_ROWS)
     if step > 1:
-        said = f"every {step}th of {len(texts)} rows; report_data.npz holds all that is drawn"
-        note = f"{note} {said}".strip()
+        thinning_note = (
+            f"every {step}th of {len(texts)} rows; report_data.npz holds all that is "
+            "drawn"
+        )
+        note = f"{note} {thinning_note}".strip()
     return Table(tuple(header), tuple(texts[:: step or 1]), note)
 
 
@@ -176,7 +182,7 @@ def require_libraries() -> None:
 
 
 @contextlib.contextmanager
-def _styled(name: str) -> Iterator[None]:
+def _matplotlib_style(name: str) -> Iterator[None]:
     import matplotlib
 
     style: Any = {**_STYLE, "svg.hashsalt": name}
@@ -186,7 +192,7 @@ def _styled(name: str) -> Iterator[None]:
         yield
 
 
-def drawn(
+def draw_figure(
     name: str,
     caption: str,
     numbers: tuple[Sequence[str], Iterable[Sequence[Any]]],
@@ -196,7 +202,7 @@ def drawn(
     """Return a figure of a height [inch], with header and rows of its table."""
     from matplotlib.figure import Figure as Canvas
 
-    with _styled(name):
+    with _matplotlib_style(name):
         canvas = Canvas(figsize=(WIDTH, height), layout="constrained")
         draw(canvas)
     return Figure(name, caption, table(*numbers), canvas)
@@ -233,7 +239,7 @@ def curves(
 ) -> Figure:
     """Return curves in panels over one axis, ``across``, broken where that is NaN; with a table."""
     every = {
-        label: each for panel in panels for label, (each, _) in panel.curves.items()
+        label: values for panel in panels for label, (values, _) in panel.curves.items()
     }
 
     def draw(canvas: Any) -> None:
@@ -255,13 +261,13 @@ def curves(
             legend(canvas, axes[0, 0])
 
     rows = [row for row in zip(across[1], *every.values()) if np.isfinite(row[0])]
-    return drawn(name, caption, ((across[0], *every), rows), height, draw)
+    return draw_figure(name, caption, ((across[0], *every), rows), height, draw)
 
 
 def svg(figure: Figure) -> str:
     """Return a drawing as an SVG file; the same text for the same drawing."""
     buffer = io.StringIO()
-    with _styled(figure.name):
+    with _matplotlib_style(figure.name):
         figure.drawing.savefig(
             buffer, format="svg", metadata={"Date": None, "Creator": None}
         )
@@ -273,7 +279,7 @@ def png(figure: Figure) -> bytes:
     if figure.png:
         return figure.png
     buffer = io.BytesIO()
-    with _styled(figure.name):
+    with _matplotlib_style(figure.name):
         facts = {"Software": None}
         figure.drawing.savefig(
             buffer, format="png", dpi=_DPI, facecolor="w", metadata=facts
@@ -310,11 +316,11 @@ def legend(canvas: Any, axes: Any, columns: int = 3) -> None:
         canvas.legend(handles, labels, loc="outside upper center", ncols=columns)
 
 
-def dots(axes: Any, places: Array, values: Array) -> None:
+def dots(axes: Any, x: Array, values: Array) -> None:
     """Draw some of many values that are known as small dots."""
-    known = np.flatnonzero(np.isfinite(values))
-    known = known[:: max(1, len(known) // _SCATTERED)]
-    axes.plot(places[known], values[known], ".", color=MEASURED, ms=2.5, alpha=0.7)
+    indices = np.flatnonzero(np.isfinite(values))
+    indices = indices[:: max(1, len(indices) // _SCATTERED)]
+    axes.plot(x[indices], values[indices], ".", color=MEASURED, ms=2.5, alpha=0.7)
 
 
 def bars(
@@ -329,22 +335,24 @@ def bars(
     """
     axes = canvas.subplots()
     height = 0.8 / len(series)
-    places = -np.arange(len(groups), dtype=float)
-    for k, (name, lengths, colour) in enumerate(series):
+    positions = -np.arange(len(groups), dtype=float)
+    for index, (name, lengths, colour) in enumerate(series):
         style = {
             "facecolor": colour,
             "edgecolor": INK,
             "alpha": 0.8,
-            "hatch": HATCHES[k],
+            "hatch": HATCHES[index],
         }
         drawable = np.where(np.isfinite(lengths), lengths, 0.0)
-        at = places - height * (k - 0.5 * (len(series) - 1))
-        axes.barh(at, drawable, 0.92 * height, label=shortened(name, 40), **style)
-    axes.set_yticks(places, [shortened(name) for name in groups])
+        bar_positions = positions - height * (index - 0.5 * (len(series) - 1))
+        axes.barh(
+            bar_positions, drawable, 0.92 * height, label=shorten(name, 40), **style
+        )
+    axes.set_yticks(positions, [shorten(name) for name in groups])
     axes.set_xlabel(label)
     legend(canvas, axes, 1)
 
 
-def shortened(name: str, most: int = 22) -> str:
+def shorten(name: str, most: int = 22) -> str:
     """Return a name that leaves room for others."""
     return name if len(name) <= most else f"{name[: most - 1]}…"

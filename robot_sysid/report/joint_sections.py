@@ -27,48 +27,56 @@ _NEAR = 0.5
 
 def torques(run: Run) -> Section | None:
     """Return measured and predicted torque of each joint, the residual below."""
-    before = "the arm without the payload" if run.is_payload else "the model before"
-    words = (
-        f"Grey: measured. Blue: predicted by the result. Orange, dashed: predicted by {before}. "
+    reference = "the arm without the payload" if run.is_payload else "the model before"
+    explanation = (
+        f"Grey: measured. Blue: predicted by the result. Orange, dashed: predicted by {reference}. "
         "Below: measured minus predicted by the result. Gaps are samples that were not used, "
         "mostly because the joint hardly moved."
     )
-    if run.data is not None and run.data.drawn:
-        words += f" Long recording: {run.data.drawn}."
+    if run.data is not None and run.data.thinning_text:
+        explanation += f" Long recording: {run.data.thinning_text}."
     title = "Measured and predicted torque"
-    return _by_joint(run, "torques", title, words, partial(_torque, before=before))
+    return _by_joint(
+        run, "torques", title, explanation, partial(_torque, reference=reference)
+    )
 
 
 def _by_joint(
     run: Run,
     key: str,
     title: str,
-    words: str,
+    explanation: str,
     figure: Callable[[ReportData, int], Figure],
     *numbers: Callable[[ReportData], Table],
 ) -> Section | None:
     if (data := run.data) is None:
         return None
     figures = [figure(data, joint) for joint in range(len(data.joints))]
-    return Section(key, title, (words,), [each(data) for each in numbers], figures)
+    return Section(
+        key, title, (explanation,), [table_of(data) for table_of in numbers], figures
+    )
 
 
-def _torque(data: ReportData, joint: int, before: str) -> Figure:
+def _torque(data: ReportData, joint: int, reference: str) -> Figure:
     unit = torque_unit(data.is_slide[joint])
     name = data.joints[joint]
-    above = _before_after(data, joint)
-    measured, earlier, after = (values for values, _ in above.values())
-    left = measured - after
-    rms, whole, old = map(_rms, (left, measured, measured - earlier))
+    curves = _before_after(data, joint)
+    measured, prior_prediction, predicted = (values for values, _ in curves.values())
+    residual = measured - predicted
+    residual_rms, measured_rms, prior_rms = map(
+        _rms, (residual, measured, measured - prior_prediction)
+    )
     caption = (
         f"{name}: measured torque, predicted after and before, and the residual [{unit}]; "
-        f"root mean square {rms:.3g} {unit} of {whole:.3g} {unit} "
-        f"({before} leaves {old:.3g} {unit})."
+        f"root mean square {residual_rms:.3g} {unit} of {measured_rms:.3g} {unit} "
+        f"({reference} leaves {prior_rms:.3g} {unit})."
     )
-    below: Curves = {f"residual [{unit}]": (left, {"color": drawing.INK, "lw": 0.7})}
+    residual_curve: Curves = {
+        f"residual [{unit}]": (residual, {"color": drawing.INK, "lw": 0.7})
+    }
     panels = (
-        Panel(f"torque [{unit}]", above, height=2.5),
-        Panel(f"residual [{unit}]", below),
+        Panel(f"torque [{unit}]", curves, height=2.5),
+        Panel(f"residual [{unit}]", residual_curve),
     )
     return drawing.curves(
         f"torque-{joint}", caption, ("time [s]", data.time), panels, 3.6
@@ -79,18 +87,22 @@ def most_changed(run: Run) -> Figure:
     """Return measured and predicted torque of the joint whose error has changed most."""
     data = run.data
     assert data is not None
-    earlier, after = (
-        data.measured - each for each in (data.prior_prediction, data.predicted)
+    prior_residual, residual = (
+        data.measured - prediction
+        for prediction in (data.prior_prediction, data.predicted)
     )
-    falls = [_rms(old) - _rms(new) for old, new in zip(earlier.T, after.T)]
+    falls = [
+        _rms(prior_rms) - _rms(residual_rms)
+        for prior_rms, residual_rms in zip(prior_residual.T, residual.T)
+    ]
     joint = int(np.argmax(np.nan_to_num(np.abs(falls))))
     name = data.joints[joint]
     unit = torque_unit(data.is_slide[joint])
-    old = _rms(earlier[:, joint])
-    new = _rms(after[:, joint])
+    prior_rms = _rms(prior_residual[:, joint])
+    residual_rms = _rms(residual[:, joint])
     caption = (
         f"Torque of {name}, measured and predicted before and after: the prediction was off by "
-        f"{old:.3g} {unit}, and is by {new:.3g} {unit} (root mean square)."
+        f"{prior_rms:.3g} {unit}, and is by {residual_rms:.3g} {unit} (root mean square)."
     )
     panel = Panel(f"torque [{unit}]", _before_after(data, joint))
     return drawing.curves(
@@ -100,42 +112,45 @@ def most_changed(run: Run) -> Figure:
 
 def _before_after(data: ReportData, joint: int) -> Curves:
     unit = torque_unit(data.is_slide[joint])
-    measured, earlier, after = (
-        each[:, joint]
-        for each in (data.measured, data.prior_prediction, data.predicted)
+    measured, prior_prediction, predicted = (
+        torques[:, joint]
+        for torques in (data.measured, data.prior_prediction, data.predicted)
     )
     return {
         f"measured [{unit}]": (
             measured,
             {"color": drawing.MEASURED, "lw": 2.2, "alpha": 0.8},
         ),
-        f"before [{unit}]": (earlier, {"color": drawing.BEFORE, "ls": "--", "lw": 0.9}),
-        f"after [{unit}]": (after, {"color": drawing.AFTER}),
+        f"before [{unit}]": (
+            prior_prediction,
+            {"color": drawing.BEFORE, "ls": "--", "lw": 0.9},
+        ),
+        f"after [{unit}]": (predicted, {"color": drawing.AFTER}),
     }
 
 
 def _rms(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
 
 
 def residuals(run: Run) -> Section | None:
     """Return residuals against speed, their histogram and their autocorrelation."""
-    words = (
+    explanation = (
         "If only sensor noise is left over, the residual does not depend on speed, its histogram "
         "is the bell curve of the same width, and its autocorrelation stays within the grey band "
         "from the first lag on. A slope against speed is friction that the model does not have; a "
         "long tail in the autocorrelation means that the model, not noise, limits the result."
     )
-    return _by_joint(run, "residuals", "What is left over", words, _left_over)
+    return _by_joint(run, "residuals", "What is left over", explanation, _left_over)
 
 
 def _left_over(data: ReportData, joint: int) -> Figure:
-    left = f"residual [{torque_unit(data.is_slide[joint])}]"
-    speed = f"speed [{position_unit(data.is_slide[joint])}/s]"
-    known = np.isfinite(data.speed[joint])
+    residual_label = f"residual [{torque_unit(data.is_slide[joint])}]"
+    speed_label = f"speed [{position_unit(data.is_slide[joint])}/s]"
+    has_samples = np.isfinite(data.speed[joint])
     columns = (data.speed, data.residual_mean, data.residual_spread)
-    speeds, mean, spread = (each[joint, known] for each in columns)
+    speeds, mean, spread = (statistic[joint, has_samples] for statistic in columns)
     band = data.independent[joint]
     memories = data.correlation[joint]
     beyond = np.abs(memories[1:]) > band
@@ -148,14 +163,16 @@ def _left_over(data: ReportData, joint: int) -> Figure:
 
     def draw(canvas: Any) -> None:
         grid = canvas.add_gridspec(2, 2)
-        above = canvas.add_subplot(grid[0, :], xlabel=speed, ylabel=left)
+        above = canvas.add_subplot(
+            grid[0, :], xlabel=speed_label, ylabel=residual_label
+        )
         drawing.dots(
             above, data.qd[:, joint], (data.measured - data.predicted)[:, joint]
         )
         above.errorbar(
             speeds, mean, spread, color=drawing.AFTER, fmt="o-", ms=3, lw=1.0, capsize=2
         )
-        shape = canvas.add_subplot(grid[1, 0], xlabel=left, ylabel="samples")
+        shape = canvas.add_subplot(grid[1, 0], xlabel=residual_label, ylabel="samples")
         _histogram(shape, data.edges[joint], data.counts[joint])
         memory = canvas.add_subplot(
             grid[1, 1], xlabel="lag [s]", ylabel="autocorrelation"
@@ -165,10 +182,10 @@ def _left_over(data: ReportData, joint: int) -> Figure:
         memory.set_ylim(min(-0.3, float(np.min(memories)) - 0.05), 1.05)
 
     numbers = (
-        (speed, f"mean {left}", f"spread of the {left}"),
+        (speed_label, f"mean {residual_label}", f"spread of the {residual_label}"),
         zip(speeds, mean, spread),
     )
-    return drawing.drawn(f"residual-{joint}", caption, numbers, 3.9, draw)
+    return drawing.draw_figure(f"residual-{joint}", caption, numbers, 3.9, draw)
 
 
 def _histogram(ax: Any, edges: Array, counts: Array) -> None:
@@ -185,38 +202,44 @@ def friction(run: Run) -> Section:
     """Return friction coefficients, what the written model holds of them, and curves."""
     data = run.data
     slides = {} if data is None else dict(zip(data.joints, data.is_slide))
-    kinds = {
+    coefficient_sets = {
         "joint": run.friction(),
         "joint on another day": run.friction("another_day"),
         **run.friction_of_logs(),
         "joint in the written model": run.friction("in_the_file"),
     }
     tables = tuple(
-        _coefficients(what, found, slides) for what, found in kinds.items() if found
+        _coefficients(title, coefficients, slides)
+        for title, coefficients in coefficient_sets.items()
+        if coefficients
     )
-    words = (
+    explanation = (
         "Dots: what is left of the measured torque when all but friction is taken off. Circles: "
         "their mean in bins of speed. Blue: the identified friction in the same bins, with all its "
         f"terms ({run.content['friction_model'] or 'as listed'})."
     )
     if not tables or data is None:
-        words = "Curves need the torques." if tables else "No friction was estimated."
-        return Section("friction", "Friction", (words,), tables)
+        explanation = (
+            "Curves need the torques." if tables else "No friction was estimated."
+        )
+        return Section("friction", "Friction", (explanation,), tables)
     moved = [
         joint for joint in range(len(data.joints)) if np.any(data.friction[:, joint])
     ]
     figures = tuple(_curve(data, joint) for joint in moved)
-    return Section("friction", "Friction", (words,), tables, figures)
+    return Section("friction", "Friction", (explanation,), tables, figures)
 
 
 def _coefficients(
-    title: str, found: Mapping[tuple[str, str], Estimated], slides: Mapping[str, bool]
+    title: str,
+    coefficients: Mapping[tuple[str, str], Estimated],
+    slides: Mapping[str, bool],
 ) -> Table:
     """Return one row per joint, one column per term."""
-    owners, terms = (dict.fromkeys(key[k] for key in found) for k in (0, 1))
+    owners, terms = (dict.fromkeys(key[k] for key in coefficients) for k in (0, 1))
     slide = any(slides.values())
     header = (title, *(f"{name} [{term_unit(name, slide) or '1'}]" for name in terms))
-    cells = {key: with_error(*each) for key, each in found.items()}
+    cells = {key: with_error(*quantity) for key, quantity in coefficients.items()}
     rows = [
         (owner, *(cells.get((owner, name), "–") for name in terms)) for owner in owners
     ]
@@ -230,12 +253,12 @@ def _coefficients(
 def _curve(data: ReportData, joint: int) -> Figure:
     unit = torque_unit(data.is_slide[joint])
     speed = f"speed [{position_unit(data.is_slide[joint])}/s]"
-    known = np.isfinite(data.speed[joint])
+    has_samples = np.isfinite(data.speed[joint])
     columns = (data.speed, data.friction_measured, data.friction_predicted)
     # Dry friction jumps where the speed changes its sign: no line is drawn across.
-    turn = np.count_nonzero(data.speed[joint, known] < 0.0)
-    across, measured, identified = (
-        np.insert(e[joint, known], turn, np.nan) for e in columns
+    turn = np.count_nonzero(data.speed[joint, has_samples] < 0.0)
+    speeds, measured, identified = (
+        np.insert(statistic[joint, has_samples], turn, np.nan) for statistic in columns
     )
     caption = f"{data.joints[joint]}: friction torque [{unit}] against {speed}."
     lines: Curves = {
@@ -250,17 +273,17 @@ def _curve(data: ReportData, joint: int) -> Figure:
         (data.friction + data.measured - data.predicted)[:, joint],
     )
     panel = Panel(f"friction [{unit}]", lines, cloud=cloud)
-    return drawing.curves(f"friction-{joint}", caption, (speed, across), (panel,), 3.0)
+    return drawing.curves(f"friction-{joint}", caption, (speed, speeds), (panel,), 3.0)
 
 
 def excitation(run: Run) -> Section | None:
     """Return what share of its limits each joint used, and its motion."""
-    words = (
+    explanation = (
         "A motion that uses little of its limits tells little: the larger and faster it is, the "
         "smaller the errors. Speed limits are those that a motion of this program keeps, where the "
         "model has none of its own."
     )
-    return _by_joint(run, "excitation", "Excitation", words, _motion, _shares)
+    return _by_joint(run, "excitation", "Excitation", explanation, _motion, _shares)
 
 
 def _shares(data: ReportData) -> Table:
@@ -272,12 +295,18 @@ def _shares(data: ReportData) -> Table:
     }
     shares = [100.0 * used / limit for used, limit in limits.values()]
     rows = [
-        (joint, *(f"{each[j]:.0f}" if each[j] > 0.0 else "no limit" for each in shares))
+        (
+            joint,
+            *(
+                f"{joint_shares[j]:.0f}" if joint_shares[j] > 0.0 else "no limit"
+                for joint_shares in shares
+            ),
+        )
         for j, joint in enumerate(data.joints)
     ]
     note = "Over 100 % the recording went beyond what the model allows."
     return drawing.table(
-        ("joint", *(f"{what} [% of limit]" for what in limits)), rows, note
+        ("joint", *(f"{title} [% of limit]" for title in limits)), rows, note
     )
 
 
@@ -294,13 +323,17 @@ def _motion(data: ReportData, joint: int) -> Figure:
         f"(dashed where near): {limits}, ± {fast:.3g} {unit}/s."
     )
     panels = []
-    for label, values, colour, both in (
+    for label, values, colour, limit_pair in (
         (f"position [{unit}]", data.q[:, joint], drawing.AFTER, (low, high)),
         (f"speed [{unit}/s]", data.qd[:, joint], drawing.MEASURED, (-fast, fast)),
     ):
-        room = _NEAR * np.ptp(values)
-        near = [x for x in both if np.min(values) - room <= x <= np.max(values) + room]
-        panels.append(Panel(label, {label: (values, {"color": colour})}, near))
+        margin = _NEAR * np.ptp(values)
+        drawn_limits = [
+            x
+            for x in limit_pair
+            if np.min(values) - margin <= x <= np.max(values) + margin
+        ]
+        panels.append(Panel(label, {label: (values, {"color": colour})}, drawn_limits))
     return drawing.curves(
         f"motion-{joint}", caption, ("time [s]", data.time), panels, 3.0
     )
@@ -310,9 +343,9 @@ FITTED = "fitted"
 
 
 class ErrorSet(NamedTuple):
-    """Prediction errors on some data."""
+    """Prediction errors per joint on some data: description, errors, colour of their bars."""
 
-    words: str
+    description: str
     test: Validation
     colour: str
 
@@ -334,25 +367,30 @@ def errors(run: Run) -> Section:
         caption += f" The figure shows the first {len(drawing.HATCHES)} of {len(sets)}."
     header, rows = error_numbers(sets)
     bars = zip((row[3:] for row in rows), sets, drawing.HATCHES)
-    series = [(each.words, heights, each.colour) for heights, each, _ in bars]
+    series = [
+        (error_set.description, heights, error_set.colour)
+        for heights, error_set, _ in bars
+    ]
     joints = [name.rpartition(" [")[0] for name in header[3:]]
     draw = partial(drawing.bars, groups=joints, series=series, label="error [N·m]")
     height = 1.2 + 0.2 * len(series) + 0.12 * len(series) * len(joints)
-    figures = (drawing.drawn("errors", caption, (header, rows), height, draw),)
-    held_out = any(each.words != FITTED for each in sets)
-    told = (
+    figures = (drawing.draw_figure("errors", caption, (header, rows), height, draw),)
+    held_out = any(error_set.description != FITTED for error_set in sets)
+    sentences = (
         ()
         if held_out
         else ("Nothing was held out: other motion may be predicted worse.",)
     )
-    return Section("errors", title, told, figures=figures)
+    return Section("errors", title, sentences, figures=figures)
 
 
 def error_numbers(
     sets: Sequence[ErrorSet],
 ) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
     """Return header and rows: data, error [N m], its share of the torque, error of each joint."""
-    joints = dict.fromkeys(joint for each in sets for joint in each.test.rmse_per_joint)
+    joints = dict.fromkeys(
+        joint for error_set in sets for joint in error_set.test.rmse_per_joint
+    )
     header = (
         "data",
         "all joints [N·m]",
@@ -360,10 +398,10 @@ def error_numbers(
         *(f"{j} [N·m or N]" for j in joints),
     )
     rows: list[tuple[Any, ...]] = []
-    for words, test, _ in sets:
+    for description, test, _ in sets:
         share = "–" if test.relative_error is None else percent(test.relative_error)
-        alone = (number(test.rmse_per_joint.get(joint)) for joint in joints)
-        rows.append((words, number(test.rmse), share, *alone))
+        joint_errors = (number(test.rmse_per_joint.get(joint)) for joint in joints)
+        rows.append((description, number(test.rmse), share, *joint_errors))
     return header, rows
 
 
@@ -383,36 +421,36 @@ def error_sets(run: Run) -> Iterator[ErrorSet]:
         for pair in pairs:
             tests.append(("model before", pair.get("before"), drawing.BEFORE))
             tests.append(("written model", pair.get("after"), drawing.AFTER))
-    for words, test, colour in tests:
+    for description, test, colour in tests:
         if test is not None and test.rmse_per_joint:
-            yield ErrorSet(f"{words}: {test.source}", test, colour)
+            yield ErrorSet(f"{description}: {test.source}", test, colour)
 
 
 def rollout(run: Run) -> Section | None:
     """Return how far the model moves away from the arm when it is played, or None."""
-    found = run.content["rollout"]
-    if found is None:
+    entry = run.content["rollout"]
+    if entry is None:
         return None
-    words = f"Both models were played on {found['held_out']}; in closed loop with"
-    said = [
-        f"{words} {found['closed_loop_is']}.",
+    opening = f"Both models were played on {entry['held_out']}; in closed loop with"
+    sentences = [
+        f"{opening} {entry['closed_loop_is']}.",
         "Root mean square position error of the model before -> after [rad, m for slides]:",
     ]
-    score = found["score"]
+    score = entry["score"]
     if score is not None:
         better = "smaller" if score < 1.0 else "not smaller"
-        said.insert(
+        sentences.insert(
             1, f"Errors are {better} than before: {score:.3g} times, all together."
         )
     rows = []
-    for test in found["errors"]:
+    for test in entry["errors"]:
         both = [(test["overall"]), *test["joints"].values()]
         cells = (
             f"{drawing.text(e['before'])} -> {drawing.text(e['after'])}" for e in both
         )
         rows.append((f"{test['loop']}, {drawing.text(test['horizon'])} s", *cells))
-    joints = found["errors"][0]["joints"] if rows else ()
+    joints = entry["errors"][0]["joints"] if rows else ()
     tables = (drawing.table(("played", "all", *joints), rows),) if rows else ()
     return Section(
-        "rollout", "Played in the simulator", said, tables, (), found["notes"]
+        "rollout", "Played in the simulator", sentences, tables, (), entry["notes"]
     )

@@ -52,7 +52,7 @@ def sections_of(
 
     InputError where a result file holds something odd.
     """
-    alone: tuple[Callable[[Run], Section | None], ...] = (
+    makers: tuple[Callable[[Run], Section | None], ...] = (
         verdict,
         card,
         scatter,
@@ -66,16 +66,16 @@ def sections_of(
         joint_sections.rollout,
         partial(picture, mesh_dir=mesh_dir),
     )
-    found: list[Section | None] = []
+    sections: list[Section | None] = []
     try:
         if len(runs) > 1:
             return [maker(runs) for maker in COMPARISON]
-        for maker in alone:
+        for maker in makers:
             (progress or Progress()).advance(
-                "Drawing the report", len(found), len(alone), ""
+                "Drawing the report", len(sections), len(makers), ""
             )
-            found.append(maker(runs[0]))
-        return [section for section in found if section is not None]
+            sections.append(maker(runs[0]))
+        return [section for section in sections if section is not None]
     except _ODD as error:
         cause = f"{type(error).__name__}: {error}"
         raise InputError(
@@ -142,7 +142,7 @@ def write_report(
             files.write(destination / name, html(f"robot-sysid: {about}", sections))
             written.append(destination / name)
         for figure in (
-            each for section in sections for each in section.figures if plots
+            figure for section in sections for figure in section.figures if plots
         ):
             kinds = {".png": png(figure)}
             if figure.drawing is not None:
@@ -157,7 +157,7 @@ def write_report(
 def verdict(run: Run) -> Section:
     """Return the verdict as the console says it, the torque error, and one figure of a torque."""
     content = run.content
-    good = run.content["valid"]["trustworthy"]
+    is_usable = run.content["valid"]["trustworthy"]
     of_itself = str(content["source"]).startswith(Source.ITSELF.value)
     return Section(
         "verdict",
@@ -167,7 +167,7 @@ def verdict(run: Run) -> Section:
         points=tuple(_other_models(run)),
         figures=() if of_itself or run.data is None else (most_changed(run),),
         missing=run.missing,
-        verdict="bad" if not good else "good" if run.all_known else "part",
+        verdict="bad" if not is_usable else "good" if run.all_known else "part",
         details=(
             ("What was identified", (*_masses(run), *_origin(run))),
             ("What limits it", (*content["reasons"], *content["limitations"])),
@@ -180,11 +180,11 @@ def _headline(run: Run) -> str:
     """Return "torque error 27 % → 0.3 %", of a payload its mass before it; "" where neither is."""
     file = run.content["file"]
     errors = [] if file is None else file["torque_error"].values()
-    told = ["not known" if each is None else percent(each) for each in errors]
-    better = [f"torque error {' → '.join(told)}"] if told else []
+    shares = ["not known" if error is None else percent(error) for error in errors]
+    texts = [f"torque error {' → '.join(shares)}"] if shares else []
     body = run.bodies[0]
     mass = with_error(float(body.after[0]), body.stated(body.errors)[0], "kg")
-    return ", ".join([f"payload {mass}", *better] if run.is_payload else better)
+    return ", ".join([f"payload {mass}", *texts] if run.is_payload else texts)
 
 
 def _masses(run: Run) -> Iterator[str]:
@@ -201,11 +201,12 @@ def _masses(run: Run) -> Iterator[str]:
 def _origin(run: Run) -> Iterator[str]:
     content = run.content
     payload = run.content["payload"]
-    kind = "the terminal link, with the other links around it"
+    question = "the terminal link, with the other links around it"
     if payload is not None:
-        kind = "a payload, from recordings without and with it"
+        question = "a payload, from recordings without and with it"
     yield (
-        f"Identified: {kind}, joint {content['joint_name']}. Model: {content['model']['path']}. "
+        f"Identified: {question}, joint {content['joint_name']}. "
+        f"Model: {content['model']['path']}. "
         f"Data: {content['source']}, {content['duration']:.3g} s."
     )
     if content["rmse"] is not None:
@@ -224,18 +225,18 @@ def _other_models(run: Run) -> Iterator[str]:
 def verdicts(runs: Sequence[Run]) -> Section:
     """Return each run's verdict."""
     rows = []
-    told = []
+    missing_lines = []
     for name, run in names(runs).items():
         content = run.content
         rows.append(
             (name, content["question"], content["verdict"][0], content["model"]["path"])
         )
-        told += [f"{name}: {line}" for line in run.missing]
+        missing_lines += [f"{name}: {line}" for line in run.missing]
     header = ("run", "what", "verdict", "model")
     models = {run.content["model"]["sha256"] for run in runs}
     warned = ("The runs are of different model files.",) if len(models) > 1 else ()
     tables = (table(header, rows),)
-    missing = tuple(told)
+    missing = tuple(missing_lines)
     return Section(
         "verdicts", "Verdicts", warned, tables, missing=missing, is_open=True
     )
@@ -249,51 +250,70 @@ def names(runs: Sequence[Run]) -> dict[str, Run]:
     }
 
 
-def compared(runs: Sequence[Run]) -> Section:
+def compare_bodies(runs: Sequence[Run]) -> Section:
     """Return the parameters of the bodies that all runs have, beside each other."""
     bodies = {
         name: {b.title: b for b in run.bodies} for name, run in names(runs).items()
     }
     first, *others = bodies.values()
-    both = [title for title in first if all(title in each for each in others)]
-    words = "Values ± one standard error. Runs whose ranges do not meet contradict each other."
-    if not both:
-        words = "These runs have no body in common, so there are no numbers to compare."
+    common_titles = [
+        title
+        for title in first
+        if all(title in bodies_of_run for bodies_of_run in others)
+    ]
+    explanation = (
+        "Values ± one standard error. Runs whose ranges do not meet contradict each "
+        "other."
+    )
+    if not common_titles:
+        explanation = (
+            "These runs have no body in common, so there are no numbers to compare."
+        )
     tables = []
-    for title in both:
-        same = [each[title] for each in bodies.values()]
+    for title in common_titles:
+        same = [bodies_of_run[title] for bodies_of_run in bodies.values()]
         columns = [
-            map(with_error, each.after, each.stated(each.errors)) for each in same
+            map(
+                with_error,
+                bodies_of_run.after,
+                bodies_of_run.stated(bodies_of_run.errors),
+            )
+            for bodies_of_run in same
         ]
         labels = (
             f"{label} [{unit}]" for label, unit in zip(PARAMETER_NAMES, PARAMETER_UNITS)
         )
         tables.append(table((title, *bodies), list(zip(labels, *columns))))
-    return Section("compared", "Parameters", (words,), tables, is_open=True)
+    return Section("compared", "Parameters", (explanation,), tables, is_open=True)
 
 
-def predicted(runs: Sequence[Run]) -> Section:
+def compare_errors(runs: Sequence[Run]) -> Section:
     """Return the torque errors of each run, of each joint where its file holds them."""
     sets = [
-        each._replace(words=f"{name}: {each.words}")
+        error_set._replace(description=f"{name}: {error_set.description}")
         for name, run in names(runs).items()
-        for each in error_sets(run)
+        for error_set in error_sets(run)
     ]
     return Section("predicted", "Prediction errors", (), (table(*error_numbers(sets)),))
 
 
 def friction_beside(runs: Sequence[Run]) -> Section:
     """Return the friction of each run."""
-    found = {
-        name: {key: with_error(*each) for key, each in run.friction().items()}
+    friction_by_run = {
+        name: {key: with_error(*terms) for key, terms in run.friction().items()}
         for name, run in names(runs).items()
     }
-    keys = dict.fromkeys(key for each in found.values() for key in each)
-    rows = [(*key, *(each.get(key, "–") for each in found.values())) for key in keys]
+    keys = dict.fromkeys(key for terms in friction_by_run.values() for key in terms)
+    rows = [
+        (*key, *(terms.get(key, "–") for terms in friction_by_run.values()))
+        for key in keys
+    ]
     return Section(
-        "friction", "Friction", tables=(table(("joint", "term", *found), rows),)
+        "friction",
+        "Friction",
+        tables=(table(("joint", "term", *friction_by_run), rows),),
     )
 
 
-COMPARISON = verdicts, compared, friction_beside, predicted
+COMPARISON = verdicts, compare_bodies, friction_beside, compare_errors
 """What a page about several runs consists of."""

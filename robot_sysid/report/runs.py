@@ -61,7 +61,7 @@ class ReportData(Signals):
         residual_mean, residual_spread: (n, S) of the residual in each bin [N m].
         friction_measured, friction_predicted: (n, S) mean friction torque in each bin [N m].
         lower, upper, velocity, torque: (n,) limits; infinite where there is none.
-        truth: (10,) what a simulated arm's link really is; empty where nobody knows.
+        truth: (10,) parameters of a simulated arm's terminal link; empty for a real arm.
         result: hash of the JSON file that this belongs to.
     """
 
@@ -84,8 +84,8 @@ class ReportData(Signals):
     result: str = ""
 
     @property
-    def drawn(self) -> str:
-        """What of the data is drawn, in words; empty where it is all."""
+    def thinning_text(self) -> str:
+        """Sentence on how many of the instants are drawn; "" where all are."""
         if len(self.time) >= self.n_samples:
             return ""
         return f"drawn: {len(self.time)} of {self.n_samples} instants; statistics are of all"
@@ -94,18 +94,19 @@ class ReportData(Signals):
 def report_data(traces: Traces, result: str = "") -> ReportData:
     """Return what a report draws of some traces; ``result`` is the hash of their JSON file."""
     count = len(traces.time)
-    kept = np.unique(np.linspace(0, count - 1, min(count, MOST)).round().astype(int))
+    indices = np.unique(np.linspace(0, count - 1, min(count, MOST)).round().astype(int))
     residual = traces.residual
     # The logs one after the other, a second apart.
     steps = np.diff(traces.time, prepend=traces.time[:1])
     time = np.cumsum(np.where(steps < 0.0, 1.0, steps))
     drawn: dict[str, Any] = {
-        n: np.asarray(getattr(traces, n)[kept], np.float32) for n in SIGNAL_NAMES
+        name: np.asarray(getattr(traces, name)[indices], np.float32)
+        for name in SIGNAL_NAMES
     }
     return ReportData(
         joints=traces.joints,
         is_slide=traces.is_slide,
-        time=time[kept],
+        time=time[indices],
         **drawn,
         n_samples=count,
         **histogram(residual),
@@ -119,7 +120,10 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
 
 def data_bytes(data: ReportData) -> bytes:
     """Return the content of report_data.npz; the same for the same data."""
-    arrays = {each.name: np.asarray(getattr(data, each.name)) for each in fields(data)}
+    arrays = {
+        data_field.name: np.asarray(getattr(data, data_field.name))
+        for data_field in fields(data)
+    }
     arrays["before"] = arrays.pop("prior_prediction")
     buffer = io.BytesIO()
     np.savez_compressed(buffer, version=np.array(_VERSION), **arrays)  # type: ignore[arg-type]
@@ -128,10 +132,10 @@ def data_bytes(data: ReportData) -> bytes:
 
 def load_data(path: Path) -> ReportData:
     """Return what was saved; InputError where there is nothing, or nothing of this program."""
-    kinds: dict[str, Callable[[Array], Any]] = {
+    converters: dict[str, Callable[[Array], Any]] = {
         **{
-            each.name: lambda a: np.asarray(a, dtype=float)
-            for each in fields(ReportData)
+            data_field.name: lambda a: np.asarray(a, dtype=float)
+            for data_field in fields(ReportData)
         },
         "n_samples": int,
         "result": str,
@@ -145,7 +149,9 @@ def load_data(path: Path) -> ReportData:
         if content.pop("version", None) != _VERSION:
             raise InputError(f"{path} was written by another version")
         content["prior_prediction"] = content.pop("before")
-        return ReportData(**{name: kind(content[name]) for name, kind in kinds.items()})
+        return ReportData(
+            **{name: convert(content[name]) for name, convert in converters.items()}
+        )
     except InputError as error:
         cause = str(error)
     except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -161,10 +167,10 @@ def histogram(residual: Array) -> dict[str, Array]:
     edges = []
     counts = []
     for column in residual.T:
-        known = column[np.isfinite(column)]
-        reach = _WIDE * float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
+        finite = column[np.isfinite(column)]
+        reach = _WIDE * float(np.sqrt(np.mean(finite**2))) if len(finite) else 0.0
         edges.append(np.linspace(-(reach or 1.0), reach or 1.0, BINS + 1))
-        counts.append(np.histogram(np.clip(known, *edges[-1][[0, -1]]), edges[-1])[0])
+        counts.append(np.histogram(np.clip(finite, *edges[-1][[0, -1]]), edges[-1])[0])
     return {"edges": np.array(edges), "counts": np.array(counts, dtype=float)}
 
 
@@ -180,8 +186,10 @@ def autocorrelation(time: Array, residual: Array) -> dict[str, Array]:
     shifts = np.unique(
         np.linspace(0, last, min(last, _MOST_LAGS) + 1).round().astype(int)
     )
-    found = [autocovariance(column, last)[0] for column in residual.T]
-    correlation = np.array([(each / (each[0] or 1.0))[shifts] for each in found])
+    covariances = [autocovariance(column, last)[0] for column in residual.T]
+    correlation = np.array(
+        [(covariance / (covariance[0] or 1.0))[shifts] for covariance in covariances]
+    )
     independent = 1.96 / np.sqrt(np.maximum(np.sum(np.isfinite(residual), axis=0), 1))
     return {
         "lags": shifts * step,
@@ -196,24 +204,30 @@ def by_speed(qd: Array, residual: Array, friction: Array) -> dict[str, Array]:
     Speeds, residuals and friction are (K, n), the residual NaN where a sample was not used. A bin
     with hardly any samples is NaN.
     """
-    found = np.full((len(BY_SPEED), qd.shape[1], SPEED_BINS), np.nan)
+    statistics = np.full((len(BY_SPEED), qd.shape[1], SPEED_BINS), np.nan)
     for joint in range(qd.shape[1]):
         used = np.isfinite(residual[:, joint])
-        speed, left, predicted = (
-            each[used, joint] for each in (qd, residual, friction)
+        speed, residuals, frictions = (
+            samples[used, joint] for samples in (qd, residual, friction)
         )
         fastest = float(np.max(np.abs(speed), initial=0.0)) or 1.0
         edges = np.linspace(-fastest, fastest, SPEED_BINS + 1)
-        place = np.clip(np.digitize(speed, edges) - 1, 0, SPEED_BINS - 1)
+        bins = np.clip(np.digitize(speed, edges) - 1, 0, SPEED_BINS - 1)
         for k in np.flatnonzero(
-            np.bincount(place, minlength=SPEED_BINS) >= _LEAST_IN_BIN
+            np.bincount(bins, minlength=SPEED_BINS) >= _LEAST_IN_BIN
         ):
-            here = place == k
-            middle, mean, own = (
-                np.mean(each[here]) for each in (speed, left, predicted)
+            in_bin = bins == k
+            middle, mean, mean_friction = (
+                np.mean(samples[in_bin]) for samples in (speed, residuals, frictions)
             )
-            found[:, joint, k] = middle, mean, np.std(left[here]), mean + own, own
-    return dict(zip(BY_SPEED, found))
+            statistics[:, joint, k] = (
+                middle,
+                mean,
+                np.std(residuals[in_bin]),
+                mean + mean_friction,
+                mean_friction,
+            )
+    return dict(zip(BY_SPEED, statistics))
 
 
 @dataclass(frozen=True)
@@ -227,7 +241,7 @@ class Body:
         budget: cause to the part (10,) of the errors that it explains.
         central: (4,) standard errors of mass and centre of mass; NaN where they are not known.
         share: (10,) how much of each value comes from the data; NaN where nothing is known.
-        kept: (10,) whether a value was kept from the model.
+        is_from_model: (10,) whether the value of a parameter was kept from the model.
     """
 
     title: str
@@ -236,7 +250,7 @@ class Body:
     budget: Mapping[str, Array]
     central: Array
     share: Array
-    kept: Sequence[bool]
+    is_from_model: Sequence[bool]
 
     @property
     def after(self) -> Array:
@@ -280,16 +294,16 @@ class Run:
         """Whether all of a payload is known; of a link, the model has what is not."""
         return bool(self.content["valid"]["all_identified"]) or not self.is_payload
 
-    def friction(self, kind: str = "terms") -> dict[tuple[str, str], Quantity]:
+    def friction(self, key: str = "terms") -> dict[tuple[str, str], Quantity]:
         """Return (joint, term) to its figure; ``kind`` "in_the_file" is for the written model's,
         "another_day" for another log than those of the run.
         """
         owners = {**self.content["joints"], **self.content["couplings"]}
-        terms = [(owner, entry.get(kind, {})) for owner, entry in owners.items()]
+        term_maps = [(owner, entry.get(key, {})) for owner, entry in owners.items()]
         return {
-            (owner, name): each
-            for owner, found in terms
-            for name, each in found.items()
+            (owner, name): quantity
+            for owner, entries in term_maps
+            for name, quantity in entries.items()
         }
 
     def friction_of_logs(self) -> dict[str, dict[tuple[str, str], Quantity]]:
@@ -297,8 +311,8 @@ class Run:
         tables: dict[str, dict[tuple[str, str], Quantity]] = {}
         for joint, entry in self.content["joints"].items():
             for log, terms in entry.get("logs", {}).items():
-                own = tables.setdefault(f"joint in {log}", {})
-                own.update({(joint, term): figure for term, figure in terms.items()})
+                table = tables.setdefault(f"joint in {log}", {})
+                table.update({(joint, term): figure for term, figure in terms.items()})
         return tables
 
 
@@ -328,9 +342,9 @@ def load_run(folder: Path) -> Run:
         raise InputError(f"{path} is no result of this program; {_REMEDY}")
     version = content.get("schema_version")
     if version != SCHEMA_VERSION:
-        wanted = f"and this program reads {SCHEMA_VERSION}"
+        expectation = f"and this program reads {SCHEMA_VERSION}"
         raise InputError(
-            f"{path} has schema_version {version!r:.20}, {wanted}; {_REMEDY}"
+            f"{path} has schema_version {version!r:.20}, {expectation}; {_REMEDY}"
         )
     missing: tuple[str, ...] = ()
     try:
@@ -341,7 +355,7 @@ def load_run(folder: Path) -> Run:
         data = None
         missing = (f"measured and predicted torques cannot be drawn: {error}",)
     try:
-        content = {key: _restored(value) for key, value in content.items()}
+        content = {key: _restore_records(value) for key, value in content.items()}
         bodies = _bodies(
             content, None if data is None or not len(data.truth) else data.truth
         )
@@ -353,13 +367,13 @@ def load_run(folder: Path) -> Run:
     return Run(folder, content, bodies, data, missing)
 
 
-def _restored(value: Any) -> Any:
+def _restore_records(value: Any) -> Any:
     """Return part of a JSON file with the records in it: figures, validations, bodies, inertia."""
     if isinstance(value, list):
-        return [_restored(each) for each in value]
+        return [_restore_records(item) for item in value]
     if not isinstance(value, dict):
         return value
-    entries = {key: _restored(each) for key, each in value.items()}
+    entries = {key: _restore_records(item) for key, item in value.items()}
     if entries.keys() == {"value", "standard_error", "interval"}:
         return Quantity(number(entries["value"]), number(entries["standard_error"]))
     if "relative_error_per_joint" in entries:
@@ -377,16 +391,16 @@ def _bodies(content: Mapping[str, Any], truth: Array | None) -> list[Body]:
             "total": "link with payload",
         }
         return [
-            replace(content["payload"][key], title=words)
-            for key, words in titles.items()
+            replace(content["payload"][key], title=title)
+            for key, title in titles.items()
         ]
-    alone = {
+    terminal_entries = {
         **content,
         "name": content["body_name"],
         "source": content["parameter_source"],
     }
     links = list(content["links"]) or [
-        _body({**alone, "error_budget": {}, "model": None})
+        _body({**terminal_entries, "error_budget": {}, "model": None})
     ]
     if truth is not None:
         links[-1] = replace(links[-1], thetas={**links[-1].thetas, "truth": truth})
@@ -410,19 +424,24 @@ def _body(entries: Mapping[str, Any]) -> Body:
         "after": _theta(entries),
         "in the file": entries.get("in_the_file"),
     }
-    kept = entries["source"]
+    sources = entries["source"]
     return Body(
         title=str(entries["name"]),
-        thetas={what: theta for what, theta in thetas.items() if theta is not None},
-        errors=_ten(entries["standard_errors"]),
-        budget={cause: _ten(part) for cause, part in entries["error_budget"].items()},
-        central=_ten(entries["standard_errors"], ERROR_NAMES[:4]),
-        share=_ten(entries.get("data_share")),
-        kept=[kept.get(name) == "from_model" for name in PARAMETER_NAMES],
+        thetas={
+            version: theta for version, theta in thetas.items() if theta is not None
+        },
+        errors=_parameter_array(entries["standard_errors"]),
+        budget={
+            cause: _parameter_array(cause_errors)
+            for cause, cause_errors in entries["error_budget"].items()
+        },
+        central=_parameter_array(entries["standard_errors"], ERROR_NAMES[:4]),
+        share=_parameter_array(entries.get("data_share")),
+        is_from_model=[sources.get(name) == "from_model" for name in PARAMETER_NAMES],
     )
 
 
-def _ten(
+def _parameter_array(
     named: Mapping[str, Any] | None, names: Sequence[str] = PARAMETER_NAMES
 ) -> Array:
     """Return the values of the ten parameters (10,), or of other names; NaN for null."""

@@ -403,7 +403,7 @@ def plain(value: float) -> str:
     return "0.0" if float(text) == 0.0 else text
 
 
-def listed(values: Sequence[float]) -> str:
+def join_numbers(values: Sequence[float]) -> str:
     """Return numbers without exponent, separated by commas."""
     return ", ".join(plain(value) for value in values)
 
@@ -427,7 +427,7 @@ def _value_texts(values: Mapping[str, Any]) -> Iterator[str]:
         if isinstance(value, dict):
             yield from _value_texts(value)
         else:
-            yield listed(value if isinstance(value, list) else [value])
+            yield join_numbers(value if isinstance(value, list) else [value])
 
 
 def _plain_card(
@@ -457,14 +457,16 @@ def _plain_card(
         "inertia_about_com": groups["upper"],
         "standard_errors": dict(zip(ERROR_NAMES, finite_errors)),
     }
+    origin_text = join_numbers(round_group(origin))
+    quaternion_text = join_numbers(round_group(quaternion))
     text = "\n".join(
         (
-            f"frame           {flange.name}: origin at {listed(round_group(origin))} m, turned by "
-            f"the quaternion w x y z {listed(round_group(quaternion))}, both in the frame of body "
+            f"frame           {flange.name}: origin at {origin_text} m, turned by "
+            f"the quaternion w x y z {quaternion_text}, both in the frame of body "
             f"'{flange.terminal}'",
             f"mass            {plain(groups['kg'])} kg",
-            f"centre of mass  {listed(groups['com_m'])} m",
-            f"inertia         {listed(groups['six'])} kg m^2 (xx yy zz xy xz yz)",
+            f"centre of mass  {join_numbers(groups['com_m'])} m",
+            f"inertia         {join_numbers(groups['six'])} kg m^2 (xx yy zz xy xz yz)",
         )
     )
     explanation = (

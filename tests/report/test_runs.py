@@ -20,7 +20,7 @@ from robot_sysid.records import JointLimits
 from robot_sysid.records.data import Traces
 from robot_sysid.report.body_sections import card, visibility
 from robot_sysid.report.joint_sections import errors, rollout
-from robot_sysid.report.page import compared, predicted, sections_of, verdict
+from robot_sysid.report.page import compare_bodies, compare_errors, sections_of, verdict
 from robot_sysid.report.runs import (
     DATA_NAME,
     MOST,
@@ -71,10 +71,10 @@ def test_what_is_written_is_read(tmp_path):
 def test_a_huge_log_is_thinned_and_says_so():
     made = report_data(traces(20_000))
     assert len(made.time) == MOST and made.n_samples == 20_000
-    assert made.drawn.startswith(f"drawn: {MOST} of 20000 instants")
+    assert made.thinning_text.startswith(f"drawn: {MOST} of 20000 instants")
     assert np.all(np.sum(made.counts, axis=1) == 19_999)
     assert len(data_bytes(made)) < 500_000
-    assert report_data(traces(500)).drawn == ""
+    assert report_data(traces(500)).thinning_text == ""
 
 
 def test_logs_follow_one_another():
@@ -180,7 +180,8 @@ def test_a_run_is_read_as_it_was_written(link_run):
     )
     assert thetas["in the file"][0] == pytest.approx(0.9 * body.after[0])
     assert body.errors[0] == written["standard_errors"]["m"]
-    assert {"noise", "links"} == set(body.budget) and body.kept[8] and not body.kept[0]
+    assert {"noise", "links"} == set(body.budget)
+    assert body.is_from_model[8] and not body.is_from_model[0]
     assert run.friction("in_the_file")["j5", "coulomb"] == (0.45, 0.01)
     assert run.friction("another_day")["j5", "coulomb"] == (0.5, 0.08)
     assert run.friction_of_logs()["joint in b.csv"]["j5", "coulomb"] == (0.55, 0.01)
@@ -320,7 +321,7 @@ def test_a_payload_whose_inertia_is_not_known_is_not_all_good(link_run, tmp_path
 def test_errors_of_every_joint_stand_beside_each_other(link_run):
     run = load_run(link_run)
     runs = [replace(run, folder=run.folder.parent / f"run{k}") for k in range(5)]
-    (table,) = predicted(runs).tables
+    (table,) = compare_errors(runs).tables
     alone = errors(run).figures[0].table
     assert table.header == alone.header and len(table.rows) == 5 * len(alone.rows)
     for k, row in enumerate(table.rows):
@@ -332,10 +333,10 @@ def test_runs_are_compared_in_the_bodies_that_they_share(link_run):
     """Whatever comes first in each: the terminal link of another joint is another body."""
     run = load_run(link_run)
     other = replace(run, folder=run.folder.parent / "other", bodies=run.bodies[::-1])
-    tables = compared([run, other]).tables
+    tables = compare_bodies([run, other]).tables
     assert [table.header[0] for table in tables] == ["link6", "link5"]
     for table in tables:
         assert all(one == another for _, one, another in table.rows)
     alone = replace(other, bodies=[replace(run.bodies[0], title="tool")])
-    part = compared([run, alone])
+    part = compare_bodies([run, alone])
     assert not part.tables and "no body in common" in part.sentences[0]
