@@ -33,33 +33,38 @@ from robot_sysid.records import Array, JointLimits, Motion, MotionPlan, RobotMod
 from robot_sysid.trajectory import SineTrajectory, sample_times
 
 LEAST_RATE_HZ = 1000.0
+"""Lowest rate at which a motion is checked."""
 FEW_RATE_HZ = 100.0
-"""How densely a motion is checked, and by how few samples most that break a limit are told."""
+"""Rate at which most motions that break a limit show it."""
 CLEARANCE_RESOLUTION = 1e-3
+"""Largest error of the slack of the tightest pair [m]."""
 DISTANCE_RESOLUTION = 1e-4
-"""How exactly the clearance that is told is that of the tightest moment; the least distance [m]."""
+"""Largest error of the least distance [m]."""
 EXACT_UP_TO = 15.0
+"""Duration up to which these resolutions hold [s]; they are coarser for longer motions."""
 LEAST_EXACT = 3e-3
-"""Duration up to which it is that exact [s]; less where longer, but never less than this [m]."""
+"""Coarsest resolution of a long motion [m]."""
 TOUCH = 1e-6
 """How far a clearance may be missed [m]: MuJoCo's tolerance for distances of convex shapes. How far
 approaching takes is rounded, so that two ways of looking find a motion that just keeps it 1e-9 m
 apart."""
 SMALLEST = 2.0**-9
+"""Share of a random motion below which it is not made smaller."""
 BISECTIONS = 4
-"""Share of a random motion below which it is not made smaller; halvings of the last factor of 2."""
+"""Bisections of the last factor of 2."""
 RESERVE = 1e-4
 """Share of speed and acceleration limits that is left for peaks between samples: of a 0.6 Hz motion
 at 1 kHz 1 - cos(pi 0.6 / 1000) = 2e-6 is missed; a window bends ten times more."""
 FINEST_RATE_HZ = 4000.0
 """How densely clearance is tested where it is tight: 0.5 mm at 2 m/s."""
 MOST_TOGETHER = 64
+"""Most samples tested together: each of them takes a quarter of the time then."""
 WORTH_SKIPPING = 4
-"""Samples that are looked at together where the arm may move too fast to leave out more than some:
-each of them takes a quarter of the time then."""
+"""Samples that a test has to skip for the next ones to be tested one by one."""
 WHOLE = 1e-9
+"""How near the samples of a period must be to a whole number."""
 SHORTEST_PERIOD = 1.0
-"""How near a number of samples must be to a whole one; a period with enough of them [s]."""
+"""Shortest period of which one is checked for all [s]."""
 
 
 @dataclass(frozen=True)
@@ -138,8 +143,8 @@ def check_limits(
     peaks = _peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate), tool=True)
     coarser = max(1.0, checked_time(plan) / EXACT_UP_TO) ** 2
     resolution = min(LEAST_EXACT, coarser * DISTANCE_RESOLUTION)
-    room = min(LEAST_EXACT, coarser * CLEARANCE_RESOLUTION)
-    closest = _tightest(problem.obstacles, plan, room)
+    clearance_resolution = min(LEAST_EXACT, coarser * CLEARANCE_RESOLUTION)
+    closest = _tightest(problem.obstacles, plan, clearance_resolution)
     nearest = _tightest(problem.obstacles.distances, plan, resolution)
     excesses = list(_excesses(problem, peaks))
     if closest.slack < -TOUCH:
@@ -227,14 +232,16 @@ def _peaks(
     problem: ExcitationProblem, plan: MotionPlan, rate: float, tool: bool = False
 ) -> Peaks:
     """Return the peaks at a rate [Hz]; the tool's speed where it has a limit, or on demand."""
-    each = np.arange(4 * problem.n_joints + 1)
-    largest, time = np.zeros((2, len(each)))
+    columns = np.arange(4 * problem.n_joints + 1)
+    largest, time = np.zeros((2, len(columns)))
     lowest, highest = np.full((2, problem.n_joints), np.inf) * [[1.0], [-1.0]]
     for motion in _motions(plan, rate, _spans(plan, rate)):
-        sizes = np.abs(problem.signals(motion, torque=True, tool=tool))
-        at = np.argmax(sizes, axis=0)
-        time = np.where(sizes[at, each] > largest, motion.time[at], time)
-        largest = np.maximum(largest, sizes[at, each])
+        magnitudes = np.abs(problem.signals(motion, torque=True, tool=tool))
+        peak_samples = np.argmax(magnitudes, axis=0)
+        time = np.where(
+            magnitudes[peak_samples, columns] > largest, motion.time[peak_samples], time
+        )
+        largest = np.maximum(largest, magnitudes[peak_samples, columns])
         lowest = np.minimum(lowest, np.min(motion.q, axis=0))
         highest = np.maximum(highest, np.max(motion.q, axis=0))
     return Peaks(largest, time, lowest, highest)
@@ -260,53 +267,61 @@ def _tightest(
     of the tests.
     """
     best = np.inf
-    when = 0.0
-    at_q = plan.evaluate(np.zeros(1)).q[0]
+    best_time = 0.0
+    best_q = plan.evaluate(np.zeros(1)).q[0]
     # What is known to be tight lets the search pass quickly by all that is not.
     for motion in (
         _motions(plan, FEW_RATE_HZ, _spans(plan)) if resolution < np.inf else ()
     ):
         slacks = obstacles.slack(motion.q).value
-        at = int(np.argmin(slacks))
-        if slacks[at] < best:
-            best = float(slacks[at])
-            when = float(motion.time[at])
-            at_q = motion.q[at]
+        sample = int(np.argmin(slacks))
+        if slacks[sample] < best:
+            best = float(slacks[sample])
+            best_time = float(motion.time[sample])
+            best_q = motion.q[sample]
     budget = {-1: -np.inf}
     known_until = 0.0
     for motion in _motions(plan, FINEST_RATE_HZ, _spans(plan)):
         approach = _Approach(np.abs(motion.qd), obstacles.rates)
-        has_jumped = motion.time[0] > known_until + 2.0 / FINEST_RATE_HZ
-        at = 0 if has_jumped else approach.used_up(budget)
-        ahead = 1
-        while at < len(motion.time) and best >= stop_below:
-            some = motion.q[at : at + ahead]
-            slacks = obstacles.slack(some).value if ahead > 1 else np.zeros(1)
-            first = at
-            at = first + len(slacks) - 1
-            slacks[-1], room = obstacles.slack_at(motion.q[at])
-            least = first + int(np.argmin(slacks))
-            if slacks[least - first] < best:
-                best = float(slacks[least - first])
-                when = float(motion.time[least])
-                at_q = motion.q[least]
+        is_new_span = motion.time[0] > known_until + 2.0 / FINEST_RATE_HZ
+        sample = 0 if is_new_span else approach.used_up(budget)
+        batch = 1
+        while sample < len(motion.time) and best >= stop_below:
+            postures = motion.q[sample : sample + batch]
+            slacks = obstacles.slack(postures).value if batch > 1 else np.zeros(1)
+            batch_start = sample
+            sample = batch_start + len(slacks) - 1
+            slacks[-1], row_slacks = obstacles.slack_at(motion.q[sample])
+            least = batch_start + int(np.argmin(slacks))
+            if slacks[least - batch_start] < best:
+                best = float(slacks[least - batch_start])
+                best_time = float(motion.time[least])
+                best_q = motion.q[least]
             # What can neither be missed nor lower than the lowest need not be looked at.
             floor = (
                 best - resolution if best < -TOUCH else max(-TOUCH, best - resolution)
             )
-            near = np.flatnonzero(np.isfinite(room))
-            left = zip(near.tolist(), np.maximum(0.0, room[near] - floor).tolist())
-            budget = {row: float(approach.path(row)[at]) + more for row, more in left}
-            before = at
-            at = max(before + 1, approach.used_up(budget))
-            ahead = (
-                min(2 * ahead, MOST_TOGETHER) if at - before <= WORTH_SKIPPING else 1
+            near_rows = np.flatnonzero(np.isfinite(row_slacks))
+            margins = zip(
+                near_rows.tolist(),
+                np.maximum(0.0, row_slacks[near_rows] - floor).tolist(),
+            )
+            budget = {
+                row: float(approach.path(row)[sample]) + more for row, more in margins
+            }
+            previous = sample
+            sample = max(previous + 1, approach.used_up(budget))
+            batch = (
+                min(2 * batch, MOST_TOGETHER)
+                if sample - previous <= WORTH_SKIPPING
+                else 1
             )
         budget = {
-            row: left - float(approach.path(row)[-1]) for row, left in budget.items()
+            row: margins - float(approach.path(row)[-1])
+            for row, margins in budget.items()
         }
         known_until = motion.time[-1]
-    return replace(obstacles.closest(at_q), time=when)
+    return replace(obstacles.closest(best_q), time=best_time)
 
 
 class _Approach:
@@ -321,16 +336,16 @@ class _Approach:
         """Return how much a row's pairs may have approached (N,) [m] since just before."""
         if row not in self._paths:
             speed = self._speed @ self._rates[row]
-            before = np.concatenate((speed[:1], speed[:-1]))
-            self._paths[row] = np.cumsum(np.maximum(speed, before)) / FINEST_RATE_HZ
+            previous = np.concatenate((speed[:1], speed[:-1]))
+            self._paths[row] = np.cumsum(np.maximum(speed, previous)) / FINEST_RATE_HZ
         return self._paths[row]
 
     def used_up(self, budget: Mapping[int, float]) -> int:
         """Return the first sample at which a row may have used up its slack [m]; N if none."""
-        found = (
-            int(np.searchsorted(self.path(row), left)) for row, left in budget.items()
+        samples = (
+            int(np.searchsorted(self.path(row), slack)) for row, slack in budget.items()
         )
-        return min(found, default=len(self._speed))
+        return min(samples, default=len(self._speed))
 
 
 # Farther than this is as good as any distance, and nearer than that counts as a touch [m].
@@ -401,16 +416,18 @@ class BetweenArms:
 
         Arms that touch at rest are not told apart.
         """
-        room = 0.0
+        slack = 0.0
         for time in (
             sample_times(motion.duration, LEAST_RATE_HZ) if self._least > 0.0 else ()
         ):
             chunk = motion.evaluate(time)
-            for k, way in enumerate(np.abs(chunk.qd) @ self._rates / LEAST_RATE_HZ):
-                room -= way
-                if room > 0.0:
+            for k, approach in enumerate(
+                np.abs(chunk.qd) @ self._rates / LEAST_RATE_HZ
+            ):
+                slack -= approach
+                if slack > 0.0:
                     continue
-                room = self.distance(chunk.q[k])
-                if room < self._least:
+                slack = self.distance(chunk.q[k])
+                if slack < self._least:
                     return float(time[k])
         return None

@@ -44,22 +44,28 @@ DEFAULT_NOISE_TORQUE = 0.3
 RESERVED_DEVIATIONS = 2.0
 """Standard deviations of a joint's torque, as the links' errors make it, that a motion leaves."""
 RESERVE_WORDS = ", with the reserve for errors of the links"
-"""What the name of a torque limit ends with that a reserve is kept of."""
+"""End of the name of a torque limit of which a reserve is kept."""
 _LEVEL = 0.9
-"""Cosine of the slope up to which a plane that is asked for says where the ground is."""
+"""Cosine of the slope up to which a keep-out plane counts as the ground."""
 MODEL = "the model"
+"""Origin of a limit that the model states."""
 ASKED = "the options"
+"""Origin of a limit that an option states."""
 ASSUMED = "an assumption"
+"""Origin of a limit that this program assumes."""
 NONE = "nothing"
-"""Where a limit may come from."""
+"""Origin of a limit that does not exist."""
 
 
 @dataclass(frozen=True)
 class MotionLimits(JointLimits):
-    """What the motion must obey, each (n,) [rad or m, s, N m or N]; infinite without a limit.
+    """Limits of a motion, (n,) each; infinite where there is none, but for positions.
 
-    Positions are finite, with the margin already taken off. The speed is that of the tool's fastest
-    point [m/s].
+    Attributes:
+        acceleration: largest absolute acceleration of each joint [rad/s^2 or m/s^2].
+        tool_speed: of the tool's fastest point [m/s].
+
+    Positions are finite, with the margin already subtracted.
     """
 
     acceleration: Array
@@ -93,7 +99,7 @@ class MotionLimits(JointLimits):
 
 @dataclass(frozen=True)
 class Tool:
-    """The terminal body and all it carries, by its outermost points.
+    """Shape of the terminal body and all it carries: its outermost points.
 
     A point p of the body moves at v + w x p, so its speed is a convex function of p and the fastest
     point is a corner of the body, or in the ball that stands for what is round about one.
@@ -110,9 +116,12 @@ class Tool:
     def tip(self) -> Array:
         """The point (3,) farthest from the last joint's body origin [m]."""
         distance = np.linalg.norm(self.points, axis=1)
-        far = int(np.argmax(distance + self.radius))
-        along = self.points[far] / distance[far] if distance[far] > 0.0 else np.zeros(3)
-        return np.asarray(self.points[far] + self.radius[far] * along)
+        farthest = int(np.argmax(distance + self.radius))
+        point = self.points[farthest]
+        direction = np.zeros(3)
+        if distance[farthest] > 0.0:
+            direction = point / distance[farthest]
+        return np.asarray(point + self.radius[farthest] * direction)
 
     def speed(self, twist: Array) -> Array:
         """Return the speed (N,) of the fastest point at twists (6, N) of the body [m/s]."""
@@ -121,12 +130,12 @@ class Tool:
     def speed_vjp(self, twist: Array, weight: Array) -> Array:
         """Return the gradient (6, N) of sum(weight * speed) with respect to the twists."""
         speeds, velocity = self._speeds(twist)
-        at = np.argmax(speeds, axis=0)
-        each = np.arange(twist.shape[1])
-        along = _unit(velocity[:, at, each])
-        point = self.points[at].T
-        turning = _unit(twist[:3]) * self.radius[at]
-        return weight * np.concatenate((spatial.cross(point, along) + turning, along))
+        fastest = np.argmax(speeds, axis=0)
+        samples = np.arange(twist.shape[1])
+        direction = _unit(velocity[:, fastest, samples])
+        spin = _unit(twist[:3]) * self.radius[fastest]
+        by_omega = spatial.cross(self.points[fastest].T, direction) + spin
+        return weight * np.concatenate((by_omega, direction))
 
     def _speeds(self, twist: Array) -> tuple[Array, Array]:
         """Return the largest speed about each corner (P, N), and its own velocity (3, P, N)."""
@@ -137,6 +146,7 @@ class Tool:
 
 
 def _unit(vectors: Array) -> Array:
+    """Return vectors (3, ...) divided by their lengths; zero vectors as they are."""
     length = np.linalg.norm(vectors, axis=0)
     return vectors / np.where(length > 0.0, length, 1.0)
 
@@ -146,7 +156,9 @@ class ExcitationProblem:
     """One arm, ready for the search.
 
     Attributes:
-        rest: (n,) where the motion starts and ends [rad].
+        robot: the arm.
+        rest: (n,) configuration in which the motion starts and ends [rad].
+        limits: of joints and of the tool.
         links: numbers (L,) of links with mass, the terminal one first; they descend, so that a
             joint's equations have the first ones alone.
         dynamics: motion of all links.
@@ -158,6 +170,7 @@ class ExcitationProblem:
         rows: chain joints whose torque will be used.
         sigma: (len(rows),) standard deviation of their noise [N m].
         origins: per family in ``LIMIT_NAMES`` where the limit of each joint (n,) comes from.
+        obstacles: distances between bodies that have to be kept.
         notes: what the reader should know about these limits.
         has_floor: whether anything keeps the arm above the ground.
     """
@@ -189,10 +202,10 @@ class ExcitationProblem:
         return self.robot.n_joints
 
     def torque(self, motion: Motion) -> Array:
-        """Return the torques (N, n) that have to be kept within limits [N m].
+        """Return the torques (N, n) that are compared with the limits [N m].
 
-        Each is the larger one of without and with the load that is reserved, and farther from zero
-        by the reserve for the links' errors.
+        Each is the larger one of the torques without and with the reserved load, increased by the
+        reserve for the links' errors.
         """
         torque = self.arm_torque(motion)
         if self.reserve > 0.0:
@@ -208,19 +221,19 @@ class ExcitationProblem:
         )
 
     def torque_reserve(self, motion: Motion) -> Array:
-        """Return the torques (N, n) that are left for what the links may be off [N m]: two standard
-        deviations of each torque; zero at joints without a torque limit.
+        """Return the torques (N, n) reserved for errors of the links [N m]: two standard deviations
+        of each torque; zero at joints without a torque limit.
         """
         if not self.has_torque_reserve:
             return np.zeros_like(motion.q)
         deviations = []
         rates = motion.q, motion.qd, motion.qdd
-        # The regressor and its product with the errors are held at a time.
-        for part in split_motion(2 * self.n_joints * len(self.link_errors), *rates):
-            regressor = self.dynamics.motion(*part).columns(self.links)
+        # The regressor and its product with the errors are in memory at a time.
+        for chunk in split_motion(2 * self.n_joints * len(self.link_errors), *rates):
+            regressor = self.dynamics.motion(*chunk).columns(self.links)
             deviations.append(np.linalg.norm(regressor @ self.link_errors, axis=2))
-        limited = np.isfinite(self.limits.torque)
-        return RESERVED_DEVIATIONS * limited * np.concatenate(deviations)
+        is_limited = np.isfinite(self.limits.torque)
+        return RESERVED_DEVIATIONS * is_limited * np.concatenate(deviations)
 
     def torque_per_kilogram(self, motion: Motion) -> Array:
         """Return the torques (N, n) that a load at the tool's tip adds, per kilogram [N m/kg]."""
@@ -229,60 +242,61 @@ class ExcitationProblem:
         return self.dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
 
     def load_left(self, motion: Motion) -> tuple[float, int]:
-        """Return the heaviest load [kg] that keeps all torque limits, and the joint that ends it.
+        """Return the heaviest load [kg] at the tool's tip within all torque limits, and the index
+        of the joint whose limit it reaches.
 
         Infinite where no torque is limited, negative where the arm alone is beyond a limit.
         """
         torque = self.arm_torque(motion)
-        more = self.torque_per_kilogram(motion)
+        per_kilogram = self.torque_per_kilogram(motion)
         limit = self.limits.torque - self.torque_reserve(motion)
-        room = np.where(more >= 0.0, limit - torque, limit + torque)
-        room = np.where(np.abs(torque) > limit, limit - np.abs(torque), room)
-        share = (
-            np.abs(more) > 1e-12
-        )  # More than rounding leaves of a load that a joint carries.
-        left = np.where(share, room / np.where(share, np.abs(more), 1.0), np.inf)
-        least = np.min(left, axis=0)
-        return float(np.min(least)), int(np.argmin(least))
+        margin = np.where(per_kilogram >= 0.0, limit - torque, limit + torque)
+        margin = np.where(np.abs(torque) > limit, limit - np.abs(torque), margin)
+        # More than rounding leaves where a joint does not carry the load.
+        is_loaded = np.abs(per_kilogram) > 1e-12
+        divisor = np.where(is_loaded, np.abs(per_kilogram), 1.0)
+        load = np.min(np.where(is_loaded, margin / divisor, np.inf), axis=0)
+        return float(np.min(load)), int(np.argmin(load))
 
     def torque_at(
         self, q: Array, qd: Array | float = 0.0, qdd: Array | float = 0.0
     ) -> Array:
-        """Return the torques (N, n) at positions (N, n), at rest if nothing else is said [N m]."""
-        still = np.zeros_like(q)
-        return self.torque(Motion(np.arange(float(len(q))), q, still + qd, still + qdd))
+        """Return ``torque`` (N, n) at positions (N, n) [N m]; velocities (N, n) and accelerations
+        (N, n) are zero by default.
+        """
+        zero = np.zeros_like(q)
+        return self.torque(Motion(np.arange(float(len(q))), q, zero + qd, zero + qdd))
 
     @property
     def signal_names(self) -> tuple[str, ...]:
-        """What the columns of ``signals`` are limited by, in words."""
-        names = [
-            f"{kind} limit of joint {j}"
-            for kind in LIMIT_NAMES
-            for j in self.joint_names
-        ]
-        if self.has_torque_reserve:
-            torques = [f"{name}{RESERVE_WORDS}" for name in names[-self.n_joints :]]
-            names = [*names[: -self.n_joints], *torques]
+        """Names (4 n + 1,) of the limits of the columns of ``signals``."""
+        names = []
+        for family in LIMIT_NAMES:
+            ending = ""
+            if family == "torque" and self.has_torque_reserve:
+                ending = RESERVE_WORDS
+            for joint in self.joint_names:
+                names.append(f"{family} limit of joint {joint}{ending}")
         return (*names, "speed limit of the tool")
 
     def signals(
         self, motion: Motion, torque: bool = False, tool: bool = False
     ) -> Array:
-        """Return what has limits (N, 4 n + 1): for each joint, and for the tool.
+        """Return the quantities that have limits (N, 4 n + 1).
 
         Distance from the middle of the range, speed, acceleration and torque of all joints, and the
-        speed of the tool's fastest point. The torques and the speed of the tool are zero where
-        nothing limits them, unless they are asked for.
+        speed of the tool's fastest point. Torques and the tool's speed are zero where nothing
+        limits them, unless ``torque`` and ``tool`` ask for them.
         """
-        needed = np.zeros_like(motion.q)
+        joint_torque = np.zeros_like(motion.q)
         fastest = np.zeros(len(motion.q))
         if torque or np.any(np.isfinite(self.limits.torque)):
-            needed = self.torque(motion)
+            joint_torque = self.torque(motion)
         if tool or np.isfinite(self.limits.tool_speed):
             links = self.dynamics.motion(motion.q, motion.qd, motion.qdd)
             fastest = self.tool.speed(links.velocity[-1])
-        place = motion.q - self.limits.center
-        return np.column_stack((place, motion.qd, motion.qdd, needed, fastest))
+        offset = motion.q - self.limits.center
+        return np.column_stack((offset, motion.qd, motion.qdd, joint_torque, fastest))
 
     @property
     def scale(self) -> Array:
@@ -304,7 +318,8 @@ def build_problem(
     """Collect what a search or a limit check needs to know about an arm.
 
     Args:
-        robot, limits: the arm, and what its motion has to obey.
+        robot: the arm.
+        limits: options that limit its motion.
         torques: "chain" or "terminal": which joint torques will be used.
         noise_torque: standard deviation of the torque noise [N m], one number or one per joint.
         top_frequency_hz: where no acceleration limit is given, the one that full speed at this
@@ -317,14 +332,18 @@ def build_problem(
     """
     motion_limits, origins = _limits(robot, limits, top_frequency_hz)
     rest = np.clip(robot.reference, motion_limits.lower, motion_limits.upper)
-    names = zip(robot.joint_names, rest, robot.reference)
-    moved = [
-        f"{name} at {q:.3f} instead of {own:.3f}" for name, q, own in names if q != own
-    ]
-    words = "the reference configuration is at or beyond a position limit; the motion starts and"
-    notes = (f"{words} ends with {', '.join(moved)}",) if moved else ()
-    base = _above_base(robot, limits, rest)
-    obstacles, more = _obstacles(robot, limits, rest, base)
+    moved = []
+    for name, q, reference in zip(robot.joint_names, rest, robot.reference):
+        if q != reference:
+            moved.append(f"{name} at {q:.3f} instead of {reference:.3f}")
+    notes: tuple[str, ...] = ()
+    if moved:
+        notes = (
+            "the reference configuration is at or beyond a position limit; the motion starts and "
+            f"ends with {', '.join(moved)}",
+        )
+    base = _space_above_base(robot, limits, rest)
+    obstacles, obstacle_notes = _obstacles(robot, limits, rest, base)
     links = (robot.n_joints - 1, *reversed(other_links(robot)))
     rows = tuple(range(robot.n_joints)) if torques == "chain" else (robot.n_joints - 1,)
     return ExcitationProblem(
@@ -341,7 +360,7 @@ def build_problem(
         rows=rows,
         sigma=joint_values(noise_torque, robot.n_joints, "--noise-torque")[list(rows)],
         origins=origins,
-        notes=notes + more,
+        notes=notes + obstacle_notes,
         has_floor=bool(base or limits.keep_out or limits.workspace) or has_floor(robot),
     )
 
@@ -367,52 +386,59 @@ def _limits(
     robot: RobotModel, options: LimitOptions, top_frequency_hz: float | None
 ) -> tuple[MotionLimits, Mapping[str, NDArray[np.str_]]]:
     """Return the limits, and per family in ``LIMIT_NAMES`` where that of each joint comes from."""
-    own = robot.limits
-    slide = robot.is_slide
-    asked = options.max_acceleration
-    top = (
-        np.inf if top_frequency_hz is None else min(top_frequency_hz, TOP_FREQUENCY_HZ)
-    )
-    natural = 2.0 * np.pi * top * own.velocity
+    model_limits = robot.limits
+    is_slide = robot.is_slide
+    acceleration = options.max_acceleration
+    top = np.inf
+    if top_frequency_hz is not None:
+        top = min(top_frequency_hz, TOP_FREQUENCY_HZ)
+    natural = 2.0 * np.pi * top * model_limits.velocity
     lower, upper = _position_limits(robot)
     strongest = np.inf if options.max_torque is None else options.max_torque
-    most = joint_values(strongest, robot.n_joints, "--max-torque")
+    torque = joint_values(strongest, robot.n_joints, "--max-torque")
+    tool_speed = np.inf if options.max_tool_speed is None else options.max_tool_speed
     limits = MotionLimits(
         lower=lower,
         upper=upper,
-        velocity=own.velocity,
-        acceleration=natural if asked is None else np.where(slide, natural, asked),
-        torque=TORQUE_MARGIN * np.minimum(own.torque, most),
-        tool_speed=np.inf if options.max_tool_speed is None else options.max_tool_speed,
+        velocity=model_limits.velocity,
+        acceleration=(
+            natural
+            if acceleration is None
+            else np.where(is_slide, natural, acceleration)
+        ),
+        torque=TORQUE_MARGIN * np.minimum(model_limits.torque, torque),
+        tool_speed=tool_speed,
     )
     speed = joint_values(options.max_velocity, robot.n_joints, "--max-velocity")
-    usual = np.where(slide, np.minimum(DEFAULT_SLIDE_VELOCITY, speed), speed)
-    by_default = slide | (speed == DEFAULT_MAX_VELOCITY)
-    ranged = np.isfinite(own.lower) & np.isfinite(own.upper)
-    shaken = np.isfinite(limits.acceleration)
-    as_strong = limits.torque >= TORQUE_MARGIN * own.torque
+    default_speed = np.where(is_slide, np.minimum(DEFAULT_SLIDE_VELOCITY, speed), speed)
+    is_default = is_slide | (speed == DEFAULT_MAX_VELOCITY)
+    speed_origin = np.where(is_default, ASSUMED, ASKED)
+    has_range = np.isfinite(model_limits.lower) & np.isfinite(model_limits.upper)
+    acceleration_origin = np.where(is_slide | (acceleration is None), ASSUMED, ASKED)
+    has_acceleration = np.isfinite(limits.acceleration)
+    is_model_torque = limits.torque >= TORQUE_MARGIN * model_limits.torque
+    is_model_speed = model_limits.velocity < default_speed
     origins = {
-        "position": np.where(ranged, MODEL, ASSUMED),
-        "velocity": np.where(
-            own.velocity < usual, MODEL, np.where(by_default, ASSUMED, ASKED)
-        ),
-        "acceleration": np.where(
-            shaken, np.where(slide | (asked is None), ASSUMED, ASKED), NONE
-        ),
-        "torque": np.where(as_strong, MODEL, ASKED),
+        "position": np.where(has_range, MODEL, ASSUMED),
+        "velocity": np.where(is_model_speed, MODEL, speed_origin),
+        "acceleration": np.where(has_acceleration, acceleration_origin, NONE),
+        "torque": np.where(is_model_torque, MODEL, ASKED),
     }
     origins["torque"][~np.isfinite(limits.torque)] = NONE
     return limits, origins
 
 
-def _above_base(
+def _space_above_base(
     robot: RobotModel, options: LimitOptions, rest: Array
 ) -> tuple[HalfSpace, ...]:
-    """Return the space above what carries the arm, where nothing else says how low it may get."""
-    found = mounting_height(robot, rest)
-    if options.below_base or has_floor(robot) or found is None:
+    """Return the half-space above the body that carries the arm.
+
+    () where an option allows to go below it, the model has a floor, or a keep-out plane is one.
+    """
+    mounting = mounting_height(robot, rest)
+    if options.below_base or has_floor(robot) or mounting is None:
         return ()
-    up, height, bodies = found
+    up, height, bodies = mounting
     if any(space.normal @ up > _LEVEL for space in options.half_spaces(bodies)):
         return ()
     label = f"the plane that the arm is mounted on, at {height + 0.0:.3g} m (--below-base lifts it)"
@@ -422,14 +448,19 @@ def _above_base(
 def _obstacles(
     robot: RobotModel, options: LimitOptions, rest: Array, base: tuple[HalfSpace, ...]
 ) -> tuple[Clearance, tuple[str, ...]]:
+    """Return the distances that have to be kept, half-spaces included, and notes on them.
+
+    Raises:
+        InputError: a body is outside a half-space at rest.
+    """
     model = robot.mj_model
     moving = subtree(model, int(model.jnt_bodyid[model.dof_jntid[robot.dof_index[0]]]))
     spaces = (*options.half_spaces(moving, subtree(model, robot.body_id)), *base)
     clearance = Clearance(robot, rest, options.clearance, spaces)
-    none: tuple[str, ...] = ()
+    notes = []
     if not clearance.is_solid:
-        none = (
-            "the model has no collision geometry; nothing keeps the arm from touching itself",
+        notes.append(
+            "the model has no collision geometry; nothing keeps the arm from touching itself"
         )
     if clearance.outside_at_rest:
         space, body, depth = max(clearance.outside_at_rest, key=lambda entry: entry[2])
@@ -437,12 +468,17 @@ def _obstacles(
             f"no trajectory is feasible: at rest, body {body} is {1000 * depth:.0f} mm beyond "
             f"{space.label}; move that limit, or change the model's reference configuration"
         )
-    pairs = clearance.at_rest
-    said = (
-        "links that overlap by design, next to each other or in every position, are not looked at",
-        "touching already at rest, and never to get deeper",
-        "so near at rest that they keep half that distance, less than elsewhere",
-    )
-    listed = ("; ".join(pairs[kind]) for kind in ("ignored", "touching", "near"))
-    told = (Detail(f"{words}: {which}") for words, which in zip(said, listed) if which)
-    return clearance, (*none, *told)
+    for state, description in _STATE_NOTES.items():
+        pairs = "; ".join(clearance.at_rest[state])
+        if pairs:
+            notes.append(Detail(f"{description}: {pairs}"))
+    return clearance, tuple(notes)
+
+
+_STATE_NOTES = {
+    "ignored": "links that overlap by design, next to each other or in every position, are not "
+    "looked at",
+    "touching": "touching already at rest, and never to get deeper",
+    "near": "so near at rest that they keep half that distance, less than elsewhere",
+}
+"""State of pairs of bodies at rest, see ``Clearance.at_rest``, to a note on them."""

@@ -27,7 +27,7 @@ _CORNERS = np.array(
 )
 _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
 _AXES = np.vstack((np.eye(3), -np.eye(3)))
-_MANY = 60
+_HULL_POINTS = 60
 """Corners beyond which a convex hull takes less time than it saves."""
 _AT_ONCE = 256
 """Postures looked at in one product: as much memory as fits into a processor's cache."""
@@ -46,11 +46,11 @@ class Solid:
         self.body = body
         geoms = np.flatnonzero(mj_model.geom_bodyid == body)
         solid = mj_model.geom_contype[geoms] | mj_model.geom_conaffinity[geoms]
-        chosen = geoms[solid != 0] if np.any(solid) else geoms
-        origin = int(len(chosen) == 0)
+        shape_geoms = geoms[solid != 0] if np.any(solid) else geoms
+        origin = int(len(shape_geoms) == 0)
         points = [np.zeros((origin, 3))]
         spread = [np.zeros((origin, 3, 3))]
-        for geom in chosen:
+        for geom in shape_geoms:
             corners, axes = _shape(mj_model, int(geom))
             matrix = np.zeros(9)
             mujoco.mju_quat2Mat(matrix, mj_model.geom_quat[geom])
@@ -60,10 +60,10 @@ class Solid:
         self.points = np.concatenate(points)
         self.spread = np.concatenate(spread)
         self.radius = np.max(np.linalg.norm(self.spread, axis=1), axis=1)
-        kept = _on_the_hull(self.points, self.radius)
-        self.points = self.points[kept]
-        self.spread = self.spread[kept]
-        self.radius = self.radius[kept]
+        on_hull = _on_the_hull(self.points, self.radius)
+        self.points = self.points[on_hull]
+        self.spread = self.spread[on_hull]
+        self.radius = self.radius[on_hull]
         self._round = np.flatnonzero(self.radius)
         self._spreads = self.spread[self._round].transpose(1, 0, 2).reshape(3, -1)
         empty = len(self.points) == 0
@@ -95,25 +95,25 @@ class Solid:
 
 def solids_of(mj_model: Any, bodies: Sequence[int]) -> list[Solid]:
     """Return bodies with an extent of their own: MuJoCo's planes have none."""
-    found = (Solid(mj_model, int(body)) for body in bodies)
-    return [solid for solid in found if len(solid.points)]
+    solids = (Solid(mj_model, int(body)) for body in bodies)
+    return [solid for solid in solids if len(solid.points)]
 
 
 def _shape(mj_model: Any, geom: int) -> tuple[Array, Array]:
     """Return corners (P, 3) of a geom, and half axes (3,) of what is round about each [m]."""
-    kind = int(mj_model.geom_type[geom])
+    geom_type = int(mj_model.geom_type[geom])
     size = mj_model.geom_size[geom]
     axes = np.zeros(3)
-    if kind == _TYPES.mjGEOM_PLANE:
+    if geom_type == _TYPES.mjGEOM_PLANE:
         return np.zeros((0, 3)), axes
-    if kind in (_TYPES.mjGEOM_MESH, _TYPES.mjGEOM_SDF):
+    if geom_type in (_TYPES.mjGEOM_MESH, _TYPES.mjGEOM_SDF):
         return _hull_vertices(mj_model, int(mj_model.geom_dataid[geom])), axes
-    if kind == _TYPES.mjGEOM_BOX:
+    if geom_type == _TYPES.mjGEOM_BOX:
         return size * _CORNERS, axes
-    axes[:] = size if kind == _TYPES.mjGEOM_ELLIPSOID else size[0]
-    if kind == _TYPES.mjGEOM_CYLINDER:
+    axes[:] = size if geom_type == _TYPES.mjGEOM_ELLIPSOID else size[0]
+    if geom_type == _TYPES.mjGEOM_CYLINDER:
         axes[2] = 0.0
-    is_long = kind in (_TYPES.mjGEOM_CAPSULE, _TYPES.mjGEOM_CYLINDER)
+    is_long = geom_type in (_TYPES.mjGEOM_CAPSULE, _TYPES.mjGEOM_CYLINDER)
     return size[1] * _ENDS if is_long else np.zeros((1, 3)), axes
 
 
@@ -153,27 +153,33 @@ class HalfSpaces:
         )
 
     def heights(
-        self, places: Array, turns: Array, near: float = np.inf
+        self, positions: Array, rotations: Array, margin: float = np.inf
     ) -> Iterator[tuple[int, NDArray[np.intp], Array, Array]]:
-        """Yield (index of a body, of M postures, heights (M, K), lowest points (M, K, 3)) above the
-        boundaries.
+        """Yield per body its index, the indices (M,) of postures, and its heights (M, K) above
+        the boundaries there and its lowest points (M, K, 3) [m].
 
         Args:
-            places, turns: (N, nbody, 3) [m], (N, nbody, 9) MuJoCo's frames in N postures.
-            near: those are left out that surely have so much more height than they need [m].
+            positions: (N, nbody, 3) of the bodies in N postures, MuJoCo's xpos [m].
+            rotations: (N, nbody, 9) of the bodies, MuJoCo's xmat.
+            margin: postures are left out that surely have more height than required by this [m].
         """
-        places = places[:, self._bodies]
-        turns = turns[:, self._bodies].reshape(*places.shape, 3)
-        middle = places + (turns @ self._centers[:, :, None])[..., 0]
-        surely = middle @ self.normals.T - self._offsets - self._bounds
-        is_near = np.any(surely - self.required < near, axis=2)
+        positions = positions[:, self._bodies]
+        rotations = rotations[:, self._bodies].reshape(*positions.shape, 3)
+        middle = positions + (rotations @ self._centers[:, :, None])[..., 0]
+        least_height = middle @ self.normals.T - self._offsets - self._bounds
+        is_near = np.any(least_height - self.required < margin, axis=2)
         for k in np.flatnonzero(np.any(is_near, axis=0)).tolist():
-            at = np.flatnonzero(is_near[:, k])
-            turn = turns[at, k]
+            postures = np.flatnonzero(is_near[:, k])
+            turn = rotations[postures, k]
             directions = (-self.normals @ turn).reshape(-1, 3)
-            corner = self.solids[k].farthest(directions).reshape(len(at), -1, 3)
-            lowest = places[at, k, None] + corner @ turn.transpose(0, 2, 1)
-            yield k, at, np.sum(lowest * self.normals, axis=2) - self._offsets, lowest
+            corner = self.solids[k].farthest(directions).reshape(len(postures), -1, 3)
+            lowest = positions[postures, k, None] + corner @ turn.transpose(0, 2, 1)
+            yield (
+                k,
+                postures,
+                np.sum(lowest * self.normals, axis=2) - self._offsets,
+                lowest,
+            )
 
 
 def swept_space(robot: RobotModel, q: Array) -> tuple[Array, Array, str]:
@@ -186,9 +192,9 @@ def swept_space(robot: RobotModel, q: Array) -> tuple[Array, Array, str]:
     solids = solids_of(model, np.flatnonzero(count_moving_joints(robot)).tolist())
     bodies = [solid.body for solid in solids]
     reach = np.full((len(solids), 6), -np.inf)
-    for part in np.array_split(q, 1 + len(q) // _AT_ONCE):
-        frames = np.empty((len(part), len(bodies), 4, 3))
-        for posture, frame in zip(part, frames):
+    for chunk in np.array_split(q, 1 + len(q) // _AT_ONCE):
+        frames = np.empty((len(chunk), len(bodies), 4, 3))
+        for posture, frame in zip(chunk, frames):
             data.qpos[robot.qpos_index] = posture
             mujoco.mj_kinematics(model, data)
             frame[:, 0] = data.xpos[bodies]
@@ -218,7 +224,7 @@ def mounting_height(
     (n,): such an arm hangs, or stands at an edge.
     """
     model = robot.mj_model
-    parts = count_moving_joints(robot)
+    link_of_body = count_moving_joints(robot)
     down = np.array(model.opt.gravity, dtype=float)
     if not np.any(down):
         return None
@@ -226,9 +232,9 @@ def mounting_height(
     qpos = robot.reference_qpos.copy()
     qpos[robot.qpos_index] = rest
     data = data_at_pose(model, qpos)
-    carrier = int(model.body_parentid[np.flatnonzero(parts)[0]])
+    carrier = int(model.body_parentid[np.flatnonzero(link_of_body)[0]])
     fixed = np.flatnonzero(model.body_weldid == model.body_weldid[carrier])
-    shown = np.flatnonzero(
+    meshes = np.flatnonzero(
         np.isin(model.geom_bodyid, fixed) & (model.geom_type == _TYPES.mjGEOM_MESH)
     )
 
@@ -239,25 +245,28 @@ def mounting_height(
         )
 
     feet = [lowest(solid) for solid in solids_of(model, fixed.tolist())]
-    if len(shown):
-        places = [
+    if len(meshes):
+        corners = [
             data.geom_xpos[geom]
             + _shape(model, geom)[0] @ data.geom_xmat[geom].reshape(3, 3).T
-            for geom in shown.tolist()
+            for geom in meshes.tolist()
         ]
-        feet = [float(np.min(np.concatenate(places) @ up))]
+        feet = [float(np.min(np.concatenate(corners) @ up))]
     height = min(float(up @ data.xpos[carrier]), *feet, np.inf)
     heights = {
-        s.body: lowest(s) for s in solids_of(model, np.flatnonzero(parts).tolist())
+        s.body: lowest(s)
+        for s in solids_of(model, np.flatnonzero(link_of_body).tolist())
     }
-    low = [body for body, own in heights.items() if own <= height]
-    if any(parts[body] > 1 for body in low):
+    low_bodies = [
+        body for body, body_height in heights.items() if body_height <= height
+    ]
+    if any(link_of_body[body] > 1 for body in low_bodies):
         return None
-    return up, height, [body for body in heights if body not in low]
+    return up, height, [body for body in heights if body not in low_bodies]
 
 
 def has_floor(robot: RobotModel) -> bool:
-    """Tell whether the model has a level plane, or ground of any form, that the arm can touch."""
+    """Return whether the model has a level plane, or ground of any form, that the arm can touch."""
     model = robot.mj_model
     fixed = model.body_weldid[model.geom_bodyid] == 0
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
@@ -279,21 +288,21 @@ def outermost_points(robot: RobotModel) -> tuple[Array, Array]:
     points = [np.zeros((0, 3))]
     radius = [np.zeros(0)]
     for solid in solids:
-        place = (
+        corners = (
             data.xpos[solid.body] + solid.points @ data.xmat[solid.body].reshape(3, 3).T
         )
-        points.append((place - data.xpos[body]) @ axes)
+        points.append((corners - data.xpos[body]) @ axes)
         radius.append(solid.radius)
     all_points = np.vstack(points)
     all_radius = np.concatenate(radius)
-    kept = _on_the_hull(all_points, all_radius)
-    return all_points[kept], all_radius[kept]
+    on_hull = _on_the_hull(all_points, all_radius)
+    return all_points[on_hull], all_radius[on_hull]
 
 
 def _on_the_hull(points: Array, radius: Array) -> Any:
     """Return which points have a radius, or are no points inside the convex hull of the others."""
     sharp = np.flatnonzero(radius == 0.0)
-    if len(sharp) <= _MANY:
+    if len(sharp) <= _HULL_POINTS:
         return np.arange(len(points))
     from scipy.spatial import ConvexHull, QhullError
 

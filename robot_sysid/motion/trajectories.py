@@ -35,8 +35,9 @@ from robot_sysid.trajectory import (
 )
 
 PEAK_SPEED = 2.1875
+"""Largest first derivative of a smooth step from 0 to 1 in unit time."""
 PEAK_ACCELERATION = 7.5132
-"""Largest first and second derivative of a smooth step from 0 to 1 in unit time (its maxima)."""
+"""Largest second derivative of a smooth step from 0 to 1 in unit time."""
 PEAK_OF_RAMP = 1.875
 """Largest derivative of the rise of a sweep's speed from 0 to 1 in unit time: 30 / 16."""
 REST_TOLERANCE = 1e-6
@@ -178,25 +179,25 @@ class LineTrajectory:
     def evaluate(self, time: Array) -> Motion:
         """Return the motion at times (N,) [s]; exact derivatives."""
         time = np.asarray(time, dtype=float)
-        at = np.clip(
+        line = np.clip(
             np.searchsorted(self.arrivals, time, side="right") - 1,
             0,
             len(self.moves) - 1,
         )
-        length = self.moves[at]
-        gone = np.clip(time - self.arrivals[at] - self.dwells[at], 0.0, length)
+        length = self.moves[line]
+        elapsed = np.clip(time - self.arrivals[line] - self.dwells[line], 0.0, length)
         if self.ramps is None:
-            step = np.diff(self.points, axis=0)[at]
-            w, dw, ddw = smooth_step(gone / length)
+            step = np.diff(self.points, axis=0)[line]
+            w, dw, ddw = smooth_step(elapsed / length)
             dw = dw / length
             ddw = ddw / length**2
         else:
-            step = self.speeds[at]
-            w, dw, ddw = _cruise(gone, length, self.ramps[at])
+            step = self.speeds[line]
+            w, dw, ddw = _cruise(elapsed, length, self.ramps[line])
         w = w[:, None]
         dw = dw[:, None]
         ddw = ddw[:, None]
-        return Motion(time, self.points[at] + w * step, dw * step, ddw * step)
+        return Motion(time, self.points[line] + w * step, dw * step, ddw * step)
 
 
 def straight_way(begin: Array, end: Array) -> LineTrajectory:
@@ -205,22 +206,26 @@ def straight_way(begin: Array, end: Array) -> LineTrajectory:
     return LineTrajectory(np.stack((begin, end)), np.array([seconds]), np.zeros(2))
 
 
-def _cruise(gone: Array, length: Array, ramp: Array) -> Series:
-    """Return way [s], speed and its change [1/s] (N,) at unit speed, ``gone`` [s] after the start.
+def _cruise(elapsed: Array, length: Array, ramp: Array) -> Series:
+    """Return distance [s], speed and its derivative [1/s], (N,) each, along lines at unit speed.
 
-    A way takes ``length`` [s], rising and falling ``ramp`` [s] each; ramps count half. The speed
-    rises as 10 x^3 - 15 x^4 + 6 x^5 does from 0 to 1.
+    The speed rises as 10 x^3 - 15 x^4 + 6 x^5 does from 0 to 1, and falls likewise at the end.
+
+    Args:
+        elapsed: (N,) time since the start of each line [s].
+        length: (N,) time that the line takes [s].
+        ramp: (N,) time in which the speed rises, and in which it falls [s].
     """
-    near = np.minimum(gone, length - gone)
-    x = np.minimum(near / ramp, 1.0)
-    falls = gone > near
-    way = ramp * x**4 * (2.5 + x * (x - 3.0)) + np.maximum(near - ramp, 0.0)
+    from_end = np.minimum(elapsed, length - elapsed)
+    x = np.minimum(from_end / ramp, 1.0)
+    is_falling = elapsed > from_end
+    distance = ramp * x**4 * (2.5 + x * (x - 3.0)) + np.maximum(from_end - ramp, 0.0)
     speed = x**3 * (10.0 + x * (6.0 * x - 15.0))
-    bend = 30.0 * (x * (1.0 - x)) ** 2
+    slope = 30.0 * (x * (1.0 - x)) ** 2
     return (
-        np.where(falls, length - ramp - way, way),
+        np.where(is_falling, length - ramp - distance, distance),
         speed,
-        np.where(falls, -bend, bend) / ramp,
+        np.where(is_falling, -slope, slope) / ramp,
     )
 
 
@@ -233,34 +238,38 @@ _KINDS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
     "poses": (LineTrajectory, ("points", "moves", "dwells")),
     "sweeps": (LineTrajectory, ("points", "moves", "ramps")),
 }
-"""Each kind of trajectory, and what makes it; that of a Fourier series is its basis too."""
+"""Type of a trajectory in files to its class and the names of the numbers that define it; a Fourier
+series is defined by its basis too."""
 _BASIS = ("duration", "base_frequency_hz", "harmonics", "fade")
 _TIMES = ("duration", "fade", "moves", "dwells", "ramps")
-"""What takes longer where a trajectory is slowed down; frequencies fall."""
+"""Numbers that grow where a trajectory is slowed down; frequencies fall."""
 _Plan = TypeVar("_Plan", bound=MotionPlan)
 
 
-def _parts(plan: MotionPlan) -> tuple[str, dict[str, Any]]:
-    """Return a trajectory's kind and the numbers that make it."""
-    for kind, (made, names) in reversed(list(_KINDS.items())):
-        if isinstance(plan, made) and getattr(plan, names[-1]) is not None:
+def _coefficients(plan: MotionPlan) -> tuple[str, dict[str, Any]]:
+    """Return a trajectory's type, a key of ``_KINDS``, and the numbers that define it by name."""
+    for plan_type, (trajectory_class, names) in reversed(list(_KINDS.items())):
+        if isinstance(plan, trajectory_class) and getattr(plan, names[-1]) is not None:
             basis = vars(plan.basis) if isinstance(plan, FourierTrajectory) else {}
-            return kind, {**basis, **{name: getattr(plan, name) for name in names}}
+            numbers = {name: getattr(plan, name) for name in names}
+            return plan_type, {**basis, **numbers}
     raise InputError(f"a {type(plan).__name__} has no coefficients to save")
 
 
-def _built(kind: str, parts: Mapping[str, Any]) -> Any:
-    """Return the trajectory that is made of some numbers."""
-    made, names = _KINDS[kind]
-    given: dict[str, Any] = {name: np.array(parts[name], dtype=float) for name in names}
-    if kind == "sines":
-        given |= {name: float(parts[name]) for name in ("duration", "fade")}
-    elif kind == "fourier":
-        duration, base, harmonics, fade = (float(parts[name]) for name in _BASIS)
-        given["basis"] = FourierBasis(duration, base, int(harmonics), fade)
-    elif kind == "sweeps":
-        given["dwells"] = np.zeros(len(given["points"]))
-    return made(**given)
+def _build_trajectory(plan_type: str, numbers: Mapping[str, Any]) -> Any:
+    """Return the trajectory of a type, a key of ``_KINDS``, that is defined by numbers by name."""
+    trajectory_class, names = _KINDS[plan_type]
+    arguments: dict[str, Any] = {
+        name: np.array(numbers[name], dtype=float) for name in names
+    }
+    if plan_type == "sines":
+        arguments |= {name: float(numbers[name]) for name in ("duration", "fade")}
+    elif plan_type == "fourier":
+        duration, base, harmonics, fade = (float(numbers[name]) for name in _BASIS)
+        arguments["basis"] = FourierBasis(duration, base, int(harmonics), fade)
+    elif plan_type == "sweeps":
+        arguments["dwells"] = np.zeros(len(arguments["points"]))
+    return trajectory_class(**arguments)
 
 
 def at_speed(plan: _Plan, speed: float) -> _Plan:
@@ -274,13 +283,13 @@ def at_speed(plan: _Plan, speed: float) -> _Plan:
         )
     if speed == 1.0:
         return plan
-    kind, parts = _parts(plan)
-    for name in parts:
+    plan_type, numbers = _coefficients(plan)
+    for name in numbers:
         if name in _TIMES:
-            parts[name] = parts[name] / speed
+            numbers[name] = numbers[name] / speed
         elif name.endswith("frequency_hz"):
-            parts[name] = parts[name] * speed
-    slowed: _Plan = _built(kind, parts)
+            numbers[name] = numbers[name] * speed
+    slowed: _Plan = _build_trajectory(plan_type, numbers)
     return slowed
 
 
@@ -334,11 +343,11 @@ def save_trajectory(
     }
     if sha256:
         content["model_sha256"] = sha256
-    kind, parts = _parts(plan)
+    plan_type, coefficients = _coefficients(plan)
     # The repr of a float is exact.
-    numbers = {name: np.asarray(value).tolist() for name, value in parts.items()}
+    numbers = {name: np.asarray(value).tolist() for name, value in coefficients.items()}
     with atomic_file(path) as file:
-        json.dump({**content, "kind": kind, **numbers}, file, indent=1)
+        json.dump({**content, "kind": plan_type, **numbers}, file, indent=1)
         file.write("\n")
 
 
@@ -359,12 +368,13 @@ def load_trajectory(path: Path) -> SavedTrajectory:
             f"version {VERSION}; save it again with the program it came from"
         )
     try:
-        kind = content["kind"]
-        if kind not in _KINDS:
+        plan_type = content["kind"]
+        if plan_type not in _KINDS:
             raise InputError(
-                f"{path}: unknown kind of trajectory {kind!r}; valid: {', '.join(_KINDS)}"
+                f"{path}: unknown kind of trajectory {plan_type!r}; valid: {', '.join(_KINDS)}"
             )
-        plan = at_speed(_built(kind, content), float(content.get("speed", 1.0)))
+        plan = _build_trajectory(plan_type, content)
+        plan = at_speed(plan, float(content.get("speed", 1.0)))
         names = tuple(str(name) for name in content["joints"])
         return SavedTrajectory(plan, names, str(content.get("model_sha256", "")))
     except KeyError as error:

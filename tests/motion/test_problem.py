@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.motion.plan_options import TOP_FREQUENCY_HZ, LimitOptions
-from robot_sysid.motion.problem import Tool, _above_base, build_problem
+from robot_sysid.motion.problem import Tool, _space_above_base, build_problem
 from robot_sysid.records import JointLimits, Motion
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms
@@ -225,7 +225,7 @@ FLOOR = '<geom type="plane" size="2 2 .1" pos="0 0 -.5"/>'
 )
 def test_parts_stay_above_what_carries_the_arm_unless_it_hangs(model, limits, lowest):
     some = robot(model)
-    found = _above_base(some, LimitOptions(**limits), some.reference)
+    found = _space_above_base(some, LimitOptions(**limits), some.reference)
     assert [each.offset for each in found] == (
         [] if lowest is None else [pytest.approx(lowest)]
     )

@@ -113,7 +113,7 @@ def test_each_half_space_binds_its_own_bodies():
     assert np.array_equal(spaces.required, [[0.01, -np.inf], [0.01, 0.0]])
     assert np.allclose(ball[3][0, :, 2], [0.9, 1.1])
     assert np.allclose(block[3][0, :, 2], [1.7, 2.3])
-    assert [body for body, *_ in spaces.heights(*frames, near=0.5)] == [0]
+    assert [body for body, *_ in spaces.heights(*frames, margin=0.5)] == [0]
 
 
 @given(SEEDS)
