@@ -171,9 +171,7 @@ def line(path, joint, seeds, budget):
         f"{name} {ratio:5.1f} ({100.0 * f:3.0f} %)" for name, ratio, f in pairs
     )
     text = f"{path.parent.name}/{path.stem:24s} {ratio_text}  stated {1e3 * stated:6.1f} mm"
-    text += (
-        f"  real {1e3 * real:6.1f} mm  tool {check.tool_speed:4.2f} m/s  {spent:4.1f} s"
-    )
+    text += f"  real {1e3 * real:6.1f} mm  tool {check.largest[-1]:4.2f} m/s  {spent:4.1f} s"
     if budget is None:
         return text
     design_module.clock = time.process_time

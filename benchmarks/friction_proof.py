@@ -24,6 +24,7 @@ from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation
+from robot_sysid.motion.expected_errors import prior_knowledge
 from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.static import design_sweeps
@@ -107,7 +108,8 @@ def plans(robot):
     """Return the designed motions: the slow one for friction, then sines."""
     problem = build_problem(robot, LimitOptions(max_velocity=FASTEST))
     options = ExcitationOptions(kind="optimal", draws=DRAWS)
-    design = Design(problem, options, TrajectoryOptions(duration=30.0), for_arm=True)
+    knowledge = prior_knowledge(problem, EstimationOptions(), "arm")
+    design = Design(problem, options, TrajectoryOptions(duration=30.0), knowledge)
     sines = [design_excitation(design, np.random.default_rng(seed)) for seed in SINES]
     return [design_sweeps(problem), *(result.trajectory for result in sines)]
 
