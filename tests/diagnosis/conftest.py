@@ -1,4 +1,4 @@
-"""One arm with a right log, which the tests of all checks spoil."""
+"""One arm with a correct log, which the tests of all checks spoil."""
 
 from __future__ import annotations
 
@@ -19,5 +19,6 @@ def truth():
 
 
 @pytest.fixture(scope="session")
-def right(truth):
+def contest(truth):
+    """Return the contest of explanations of the correct log."""
     return Contest(truth.robot, low_pass([truth.log], None), EstimationOptions())

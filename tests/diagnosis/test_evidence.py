@@ -1,0 +1,47 @@
+"""The evidence of a log under its priors, against dense covariances."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+
+def test_the_evidence_is_that_of_a_normal_distribution(contest):
+    """Against the dense covariance of all rows of one joint after another."""
+    base = contest.base
+    noise = contest.posterior.noise
+    n_rows = len(base.right_sides)
+    matrix = np.zeros((base.right_sides.size, len(base.prior.estimated)))
+    for joint in range(5):
+        columns, rows = base.equations(joint)
+        matrix[joint * n_rows : (joint + 1) * n_rows, columns] = rows
+    share_used = np.repeat(base.count / n_rows, n_rows)
+    variance = noise.T.ravel()
+    right_side = base.right_sides.T.ravel()
+    log_likelihoods = []
+    for precision in base.prior.precisions:
+        prior_covariance = matrix @ np.linalg.solve(precision, matrix.T)
+        covariance = prior_covariance + np.diag(variance)
+        exponent = right_side @ np.linalg.solve(covariance, right_side)
+        log_determinant = np.linalg.slogdet(covariance)[1] - np.sum(np.log(variance))
+        log_determinant += np.sum(share_used * np.log(2.0 * np.pi * variance))
+        log_likelihoods.append(-0.5 * (exponent + log_determinant))
+    expected = np.logaddexp.reduce(log_likelihoods) - np.log(len(log_likelihoods))
+    assert base.at_noise(noise).log_evidence == pytest.approx(expected, abs=1e-3)
+
+
+def test_the_transform_keeps_the_norm_of_the_used_rows(contest):
+    rows = np.random.default_rng(0).normal(size=(len(contest.log.torque), 2))
+    for joint in range(5):
+        transformed = contest.base.transform.of_joint(joint, rows)
+        used = rows[contest.log.used[:, joint]]
+        squares = np.sum(transformed**2, axis=0)
+        assert_allclose(squares, np.sum(used**2, axis=0))
+
+
+def test_zero_columns_do_not_change_the_evidence(contest):
+    columns = [np.zeros((len(contest.base.right_sides), 2))] * 5
+    posterior = contest.base.with_columns(columns).at_noise(contest.posterior.noise)
+    expected = contest.posterior.log_evidence
+    assert posterior.log_evidence == pytest.approx(expected, abs=1e-6)

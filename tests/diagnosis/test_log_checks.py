@@ -1,0 +1,307 @@
+"""Checks of logs: length, clock, sensors, velocities, and the findings that stop."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import butter, sosfiltfilt
+
+from benchmarks.real_arms import ARMS, DEVIATIONS, draw_arm
+from robot_sysid.diagnosis import Finding, Level
+from robot_sysid.diagnosis.log_checks import (
+    check_against_model,
+    check_log,
+    clock_findings,
+    require_acceptable,
+    sensor_findings,
+    velocity_findings,
+)
+from robot_sysid.errors import InputError, SysidError
+from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.logs import CHECKS
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records import Measurement
+from robot_sysid.records.messages import Progress
+from robot_sysid.simulator import ArmTorque
+from robot_sysid.trajectory import motion_chunks
+from tests.support import arms
+from tests.support.closed_loop_proof import excitation
+from tests.support.log_files import JOINTS, motion, read_measurements
+from tests.support.places import DATA as real_logs
+from tests.support.places import MODELS as public_models
+from tests.support.wrong_logs import truth_of
+
+SAMPLES = motion(2000)
+NOISY = replace(
+    SAMPLES,
+    tau=SAMPLES.tau + 0.01 * np.random.default_rng(1).normal(size=SAMPLES.tau.shape),
+)
+
+
+def test_a_correct_log_has_no_findings():
+    assert list(clock_findings([NOISY])) == []
+    assert list(sensor_findings([NOISY], JOINTS)) == []
+
+
+@given(st.integers(0, 2**32), st.floats(0.04, 0.2))
+def test_lost_samples_behind_a_counted_time_are_refused(seed, share):
+    received = np.flatnonzero(np.random.default_rng(seed).random(len(SAMPLES)) > share)
+    log = Measurement(
+        SAMPLES.time[: len(received)], SAMPLES.q[received], None, SAMPLES.tau[received]
+    )
+    (finding,) = clock_findings([log])
+    assert finding.level is Level.REFUSE and "lost samples" in finding.text
+    honest = replace(log, time=SAMPLES.time[received])
+    assert list(clock_findings([honest])) == []
+
+
+@given(st.integers(100, 1900), st.floats(0.05, 0.4))
+def test_a_jump_of_the_clock_is_told_from_a_hole(at, jump):
+    time = SAMPLES.time.copy()
+    time[at:] += jump
+    (finding,) = clock_findings([replace(SAMPLES, time=time)])
+    assert "jumps ahead 1 times" in finding.text
+
+
+@given(st.floats(0.8, 1.3))
+def test_a_stretched_time_contradicts_recorded_velocities(factor):
+    qd = np.gradient(SAMPLES.q, SAMPLES.time, axis=0)
+    findings = list(
+        velocity_findings([replace(SAMPLES, time=factor * SAMPLES.time, qd=qd)], JOINTS)
+    )
+    if abs(factor - 1.0) > 0.035:
+        scale = re.search(r"time = ([0-9.]+) \* TITLE", findings[0].text)
+        assert float(scale[1]) == pytest.approx(1.0 / factor, rel=0.01)
+    elif abs(factor - 1.0) < 0.025:
+        assert findings == []
+    assert (
+        list(
+            velocity_findings(
+                [replace(SAMPLES, time=factor * SAMPLES.time, qd=None)], JOINTS
+            )
+        )
+        == []
+    )
+
+
+@pytest.mark.parametrize(
+    ("recorded", "name", "message"),
+    [
+        (lambda qd: -qd, "sign", " -1 times that"),
+        (
+            lambda qd: qd * [1.0, -1.0, *[1.0] * (len(JOINTS) - 2)],
+            "sign",
+            f"({JOINTS[1]} -1 times",
+        ),
+        (np.degrees, "angle-unit", " 57.3 times that"),
+        (lambda qd: qd[:, ::-1], "order", f"({JOINTS[0]} another motion"),
+        (lambda qd: np.roll(np.round(qd, 2), 10, axis=0) + 0.2, None, ""),
+        (
+            lambda qd: sosfiltfilt(butter(2, 3.0, fs=200.0, output="sos"), qd, 0),
+            None,
+            "",
+        ),
+    ],
+)
+def test_velocities_of_another_motion_are_named_late_and_smooth_ones_are_not(
+    recorded, name, message
+):
+    qd = recorded(np.gradient(SAMPLES.q, SAMPLES.time, axis=0))
+    findings = list(velocity_findings([replace(SAMPLES, qd=qd)], JOINTS))
+    assert [finding.name for finding in findings] == [name] * (name is not None)
+    assert all(
+        message in finding.text and finding.level is Level.NOTE for finding in findings
+    )
+
+
+def test_repeated_samples_are_found():
+    q = SAMPLES.q.copy()
+    q[1::10] = q[0:-1:10]
+    assert any(
+        "repeat the position" in f.text for f in clock_findings([replace(SAMPLES, q=q)])
+    )
+
+
+@given(st.integers(0, 2), st.floats(0.2, 0.7))
+def test_a_sensor_at_its_end_is_found(joint, share):
+    tau = NOISY.tau.copy()
+    low = tau[:, joint].min()
+    high = tau[:, joint].max()
+    tau[:, joint] = np.minimum(tau[:, joint], low + share * (high - low))
+    names = [f.name for f in sensor_findings([replace(NOISY, tau=tau)], JOINTS)]
+    assert "saturated" in names
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_a_channel_that_holds_is_found_and_named(joint):
+    tau = NOISY.tau.copy()
+    tau[500:800, joint] = tau[500, joint]
+    (finding,) = sensor_findings([replace(NOISY, tau=tau)], JOINTS)
+    assert (
+        finding.name == "held"
+        and f"joint {JOINTS[joint]} stands still for 1.5 s" in finding.text
+    )
+
+
+def test_a_channel_that_holds_while_the_arm_goes_and_comes_back_is_found():
+    time = np.arange(2000) / 200.0
+    back = np.sin(2.0 * np.pi * time[:, None] / 3.0) * np.ones(3)
+    tau = np.random.default_rng(0).normal(size=back.shape)
+    tau[600:1201, 1] = tau[600, 1]
+    (finding,) = sensor_findings([Measurement(time, back, None, tau)], JOINTS)
+    assert finding.name == "held" and "stands still for 3 s" in finding.text
+
+
+def test_a_torque_in_coarse_steps_is_no_fault():
+    steps = replace(NOISY, tau=np.round(NOISY.tau / 0.01) * 0.01)
+    assert list(sensor_findings([steps], JOINTS)) == []
+
+
+# ---- against the model
+
+
+AXES = (arms.Z, arms.Y, arms.Y, arms.X)
+JOINT = 'range="-2.5 2.5" frictionloss=".4" damping=".2"'
+ROBOT = arms.robot_of(arms.serial_arm(AXES, joint=JOINT))
+
+
+@pytest.fixture(scope="module")
+def four_joints():
+    """Return a correct log of an arm of four joints and its truth."""
+    return truth_of(ROBOT, 4)
+
+
+def test_a_log_that_is_too_short_for_anything_is_called_that(four_joints):
+    log = four_joints.log
+    is_short = log.time - log.time[0] < 0.6
+    short = Measurement(log.time[is_short], log.q[is_short], None, log.tau[is_short])
+    first = check_against_model(ROBOT, [short])[0]
+    assert first.level is Level.REFUSE
+    assert re.match(r"the log is 0\.(59|6)\d* s long, too short; record", first.text)
+
+
+def test_a_note_is_printed_without_a_second_prefix(four_joints, monkeypatch):
+    """A console puts "note: " before what it is progress."""
+    notes = []
+    progress = Progress()
+    finding = Finding("delay", Level.NOTE, "it lags")
+    monkeypatch.setattr(progress, "note", notes.append)
+    log = SimpleNamespace(
+        path="log.csv", pieces=(four_joints.log,), notes=(), torque_scale=None
+    )
+    monkeypatch.setattr(
+        "robot_sysid.diagnosis.log_checks.check_against_model", lambda *_: (finding,)
+    )
+    check_log(ROBOT, log, (), progress)
+    assert notes == ["it lags [delay]"] and finding.line() == "note: it lags [delay]"
+
+
+def test_a_log_that_cannot_be_checked_is_named(four_joints):
+    log = SimpleNamespace(
+        path="log.csv", pieces=(four_joints.log,), notes=(), torque_scale=None
+    )
+    with pytest.raises(
+        InputError,
+        match=r"^log\.csv: the log's 12 s are too short for a cut-off of 0.001 Hz",
+    ):
+        check_log(ROBOT, log, (), Progress(), EstimationOptions(cutoff=1e-3))
+
+
+# ---- correct logs
+
+
+@pytest.mark.parametrize("axes", [arms.SEVEN_AXES[:5], AXES])
+def test_correct_logs_draw_no_alarm(axes):
+    robot = arms.robot_of(arms.serial_arm(axes, joint='range="-2 2" armature=".02"'))
+    findings = check_against_model(robot, [truth_of(robot, 103).log])
+    assert [finding for finding in findings if finding.level is not Level.NOTE] == []
+
+
+@pytest.mark.parametrize("axes", [AXES, (arms.Y,), (arms.Z, arms.Y), (arms.Y, arms.X)])
+def test_dry_friction_at_rest_is_no_contact_and_a_short_arm_no_odd_one(axes):
+    """A light arm with much dry friction, which acts until the very end of its creep to rest."""
+    robot = arms.robot_of(arms.serial_arm(axes, joint=JOINT))
+    motion = next(motion_chunks(excitation(robot, 0, 12.0), 200.0))
+    noise = np.random.default_rng(0).normal(0.0, 0.05, motion.q.shape)
+    log = Measurement(
+        motion.time, np.round(motion.q, 5), None, ArmTorque(robot)(motion) + noise
+    )
+    assert check_against_model(robot, [log]) == ()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    not public_models.exists(), reason="the models of public arms are not here"
+)
+@pytest.mark.parametrize(
+    ("arm_name", "deviations", "duration", "seed"),
+    [
+        # Rounded positions make most of the noise, and that of accelerations is no delay.
+        *(("xarm7", deviation, 60.0, 50) for deviation in DEVIATIONS),
+        *(("ur5e", deviation, 60.0, 50) for deviation in DEVIATIONS),
+        # Of a joint that links hardly load, all but friction and its rotor fits with either sign.
+        ("ur5e", "exact", 6.0, 4),
+        ("xarm7", "exact", 8.0, 3),
+    ],
+)
+def test_correct_logs_of_public_arms_draw_no_alarm(
+    arm_name, deviations, duration, seed
+):
+    robot = load_robot_model(public_models / ARMS[arm_name])
+    log = draw_arm(robot, deviations, False, duration, seed % 2 == 0, seed).log
+    assert check_against_model(robot, [log]) == ()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not real_logs.exists(), reason="the logs of real arms are not here")
+@pytest.mark.parametrize(
+    ("model", "log"),
+    [
+        *(
+            ("kuka_lwr4/kuka_lwr4.urdf", f"kuka_lwr4/lwr4_hw{run}_200Hz.csv")
+            for run in (1, 2, 3)
+        ),
+        ("tx40/tx40.urdf", "tx40/tx40_500Hz.csv"),
+    ],
+)
+def test_logs_of_real_arms_draw_no_alarm(model, log):
+    robot = load_robot_model(real_logs / model)
+    pieces = read_measurements(real_logs / log, robot.joint_names).pieces
+    levels = {finding.level for finding in check_against_model(robot, pieces)}
+    assert levels <= {Level.NOTE}
+
+
+# ---- findings that stop an identification
+
+
+FINDINGS = st.lists(
+    st.builds(
+        Finding,
+        st.sampled_from(sorted(CHECKS)),
+        st.sampled_from(Level),
+        st.just("words"),
+    ),
+    max_size=6,
+)
+
+
+@given(FINDINGS, st.sets(st.sampled_from(sorted(CHECKS))))
+def test_refusals_and_warnings_that_nobody_accepts_stop(findings, accepted):
+    refused = any(f.level is Level.REFUSE for f in findings)
+    warned = any(f.level is Level.WARN and f.name not in accepted for f in findings)
+    if not refused and not warned:
+        require_acceptable("log.csv", findings, accepted)
+        return
+    with pytest.raises(SysidError) as caught:
+        require_acceptable("log.csv", findings, accepted)
+    assert isinstance(caught.value, InputError) == refused
+    assert str(caught.value).startswith("log.csv: words")
+    if not refused:
+        names = {f.name for f in findings if f.level is Level.WARN} - accepted
+        assert all(f"--accept {name}" in str(caught.value) for name in names)

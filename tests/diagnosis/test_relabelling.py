@@ -1,0 +1,40 @@
+"""Wrong titles, signs and scales of torques: each is its own inverse, and scales are found."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from robot_sysid.diagnosis.contest import MARGIN
+from robot_sysid.diagnosis.evidence import Hypotheses
+from robot_sysid.diagnosis.relabelling import relabellings, torque_scales
+from robot_sysid.estimation.question import EstimationOptions
+
+OPTIONS = EstimationOptions()
+
+
+def test_every_relabelling_of_torque_is_its_own_inverse_and_less_likely(truth, contest):
+    log = contest.log
+    mistakes = [m for m in relabellings(truth.robot) if m.motion is None]
+    for mistake in mistakes[::3]:
+        spoilt = log.with_torque(mistake.torque(log.torque))
+        restored = spoilt.with_torque(mistake.torque(spoilt.torque))
+        assert_allclose(restored.right_sides, log.right_sides, atol=1e-9)
+        hypotheses = Hypotheses(log, contest.prior).with_torque_of(spoilt)
+        log_evidence = hypotheses.posterior().log_evidence
+        assert log_evidence < contest.posterior.log_evidence - MARGIN
+
+
+def test_estimated_scales_are_proportional_to_the_torques(contest):
+    scales = torque_scales(contest.log, OPTIONS)
+    scaled = torque_scales(contest.log.with_torque(300.0 * contest.log.torque), OPTIONS)
+    assert_allclose(scaled.scale, 300.0 * scales.scale, rtol=0.02)
+
+
+def test_scales_of_single_joints_are_found_within_their_errors(contest):
+    truth = np.array([1.3, 1.9, 1.5, 1.7, 1.2])
+    log = contest.log.with_torque(truth * contest.log.torque)
+    scales = torque_scales(log, OPTIONS)
+    error = np.log(scales.scale / truth)[scales.identified]
+    assert len(error) > 2
+    assert error @ np.linalg.solve(scales.covariance, error) < 3.0 * len(error)
