@@ -312,11 +312,11 @@ def complete() -> None:
 
     typed = os.environ["COMP_LINE"][: int(os.environ["COMP_POINT"])]
     # The last word is the one to complete; the first one is the program.
-    words = f"{typed}|".split()[1:-1]
-    parser, name_length = _completion_parser(words)
+    typed_words = f"{typed}|".split()[1:-1]
+    parser, name_length = _completion_parser(typed_words)
 
     def complete_files_and_commands(prefix: str, **_: Any) -> list[str]:
-        return [*(() if words else COMMANDS), *FilesCompleter()(prefix)]
+        return [*(() if typed_words else COMMANDS), *FilesCompleter()(prefix)]
 
     # A subcommand is completed as a program of its own, whose name has so many words.
     os.environ["_ARGCOMPLETE"] = str(name_length)
@@ -324,14 +324,16 @@ def complete() -> None:
     autocomplete(parser, default_completer=completer)
 
 
-def _completion_parser(words: Sequence[str]) -> tuple[argparse.ArgumentParser, int]:
+def _completion_parser(
+    typed_words: Sequence[str],
+) -> tuple[argparse.ArgumentParser, int]:
     """Return the parser for the complete words of a line, and how many name the command."""
-    name = words[0] if words and words[0] in COMMANDS else ""
+    name = typed_words[0] if typed_words and typed_words[0] in COMMANDS else ""
     module_name = COMMANDS.get(name, COMMANDS["identify"])
     module = importlib.import_module(f"robot_sysid.commands.{module_name}")
     if name == "motors":
-        if len(words) > 1 and words[1] in module.COMMANDS:
-            return module.build_parser(words[1]), 3
+        if len(typed_words) > 1 and typed_words[1] in module.COMMANDS:
+            return module.build_parser(typed_words[1]), 3
         parser = argparse.ArgumentParser()
         parser.add_argument("command", choices=module.COMMANDS)
         return parser, 2

@@ -71,9 +71,9 @@ def renderer_library() -> str | None:
     Each is tried in a process of its own, which may crash. Where MUJOCO_GL names one, no other is
     tried. The result is cached.
     """
-    chosen = os.environ.get("MUJOCO_GL", "").lower().replace("disable", "")
+    library = os.environ.get("MUJOCO_GL", "").lower().replace("disable", "")
     names = ("egl", "osmesa", "glfw") if sys.platform.startswith("linux") else ("glfw",)
-    for name in (chosen,) if chosen else names:
+    for name in (library,) if library else names:
         call = [sys.executable, "-c", _PROBE, name]
         try:
             probe = subprocess.run(call, capture_output=True, timeout=60.0)

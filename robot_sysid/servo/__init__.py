@@ -231,12 +231,12 @@ class ServoIdentification:
         A number is a dict of "before" (NaN where the model has none), "value", "standard_error" and
         "source" ("identified" or "from_model").
         """
-        before = servos_in_model(self.robot).vector()
+        model_value = servos_in_model(self.robot).vector()
         value = self.fit.servos.vector()
         error = self.fit.errors.vector()
-        is_identified = self.fit.is_identified | (value != before)
+        is_identified = self.fit.is_identified | (value != model_value)
         source = np.where(is_identified, "identified", "from_model")
-        columns = [column.tolist() for column in (before, value, error, source)]
+        columns = [column.tolist() for column in (model_value, value, error, source)]
         numbers = [dict(zip(_KEYS, row)) for row in zip(*columns)]
         names = self.robot.joint_names
         by_joint = {}
@@ -319,9 +319,9 @@ def servo_lines(result: ServoIdentification) -> list[str]:
 
 def _number_text(name: str, number: dict[str, Any]) -> str:
     """Return one identified number of a joint with its unit, as printed."""
-    before, value, error, source = number.values()
+    model_value, value, error, source = number.values()
     in_model = source == "from_model"
-    old = "" if np.isnan(before) or in_model else f"{before:.3g} -> "
+    old = "" if np.isnan(model_value) or in_model else f"{model_value:.3g} -> "
     doubt = " (not seen: as in the model)" if in_model else ""
     return f"{name} {old}{value:.3g} ± {error:.1g} {UNITS[name]}{doubt}"
 
@@ -457,8 +457,8 @@ def identify_servos(
         start_servos = servo_fit.keep_model_values(robot, servos, ~is_identified)
         shown_numbers = replace(shown_numbers, start=start_servos)
         servos = servo_fit.search_servos(derivatives, shown_numbers, progress)
-    before = servo_fit.keep_model_values(robot, servos)
-    rollout = play_servos(rollouts, held_out, (before, servos), held_out_text)
+    old_servos = servo_fit.keep_model_values(robot, servos)
+    rollout = play_servos(rollouts, held_out, (old_servos, servos), held_out_text)
     if validation_path is None:
         # The held-out ends have done their work; the numbers come from the whole logs.
         derivatives = ErrorDerivatives(servo_fit.make_problem(rollouts, pieces))

@@ -107,16 +107,16 @@ class Session(MotorRun):
         for key in leave_out:
             if key not in changes:
                 values.pop(key, None)
-        words = [PROGRAM, "motors", name]
+        arguments = [PROGRAM, "motors", name]
         if values.get("trajectory"):
-            words.append(str(values["trajectory"]))
-        words += command_arguments(values, *_BUS_RECORDS)
+            arguments.append(str(values["trajectory"]))
+        arguments += command_arguments(values, *_BUS_RECORDS)
         for key in ("model", "joint_map"):
             if values.get(key):
-                words += [f"--{key.replace('_', '-')}", str(values[key])]
+                arguments += [f"--{key.replace('_', '-')}", str(values[key])]
         limits = {key: values[key] for key in LIMITS if key in values}
-        words += command_arguments(values, *_RUN_RECORDS)
-        return [*words, *command_arguments(limits, LimitOptions)]
+        arguments += command_arguments(values, *_RUN_RECORDS)
+        return [*arguments, *command_arguments(limits, LimitOptions)]
 
     def play_command(self) -> list[str]:
         """Return the words of the command that plays the checked motion, slowly at first."""
