@@ -170,7 +170,7 @@ def add_held_motors(
     """Return a reference of n + m joints: behind n others it holds m at ``positions`` [rad]."""
     zero = np.zeros_like(positions)
 
-    def extended(time: float) -> Reference:
+    def extended_reference(time: float) -> Reference:
         position, velocity, torque = reference(time)
         return Reference(
             np.append(position, positions),
@@ -178,7 +178,7 @@ def add_held_motors(
             np.append(torque, zero),
         )
 
-    return extended
+    return extended_reference
 
 
 # Share of the peak torque at which a joint yields with full speed; less load, less speed. A
