@@ -1,7 +1,4 @@
-"""Before -> after, what each number's error is made of, what does not show; payloads as cards.
-
-Several runs beside each other are last.
-"""
+"""Sections of the report on bodies: parameters, errors by cause, cards, ellipsoids of inertia."""
 
 from __future__ import annotations
 

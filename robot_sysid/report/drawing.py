@@ -1,4 +1,4 @@
-"""What a page is made of, how figures look, and what becomes of them: SVG inside it, files beside.
+"""Tables, figures and sections of a page, and the style of figures as SVG or PNG.
 
 Colours are told apart by every kind of colour vision (after Okabe and Ito, "Color universal
 design", 2008), and each goes with a marker or a line of its own. Inside a page they are variables,
@@ -317,7 +317,7 @@ def legend(canvas: Any, axes: Any, columns: int = 3) -> None:
 
 
 def dots(axes: Any, x: Array, values: Array) -> None:
-    """Draw some of many values that are known as small dots."""
+    """Draw finite values over places, both (K,), as small dots; at most about 400 of them."""
     indices = np.flatnonzero(np.isfinite(values))
     indices = indices[:: max(1, len(indices) // _SCATTERED)]
     axes.plot(x[indices], values[indices], ".", color=MEASURED, ms=2.5, alpha=0.7)
@@ -354,5 +354,5 @@ def bars(
 
 
 def shorten(name: str, most: int = 22) -> str:
-    """Return a name that leaves room for others."""
+    """Return a name, cut to at most some characters with an ellipsis at its end."""
     return name if len(name) <= most else f"{name[: most - 1]}…"

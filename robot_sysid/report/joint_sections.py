@@ -1,4 +1,4 @@
-"""What was recorded, joint by joint: torques, friction and motion; how well it is predicted."""
+"""Sections of the report on joints: torques, residuals, friction, motion, prediction errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page: which parts in which order, their HTML, and the files of a report.
+"""The page: its sections in order, the verdict, comparisons of runs, HTML and files of a report.
 
 Names from models and logs are text that somebody else wrote: all of it is escaped, and the page
 itself forbids scripts and anything from elsewhere.
