@@ -151,9 +151,9 @@ def npz_arrays(path: Path) -> dict[str, Any]:
             refuse_bomb(path, sum(member.file_size for member in members), size)
             refuse_many_arrays(path, len(names))
             if not any(name.endswith(".npy") for name in names):
-                remedy = "unpack it, and give the log in it"
-                if "[Content_Types].xml" in names:  # a spreadsheet
-                    remedy = "export it as CSV"
+                is_spreadsheet = "[Content_Types].xml" in names
+                unpack = "unpack it, and give the log in it"
+                remedy = "export it as CSV" if is_spreadsheet else unpack
                 listed = ", ".join(names[:3]) or "nothing"
                 raise InputError(
                     f"{path} is no recording but an archive of {listed}; {remedy}"

@@ -168,8 +168,9 @@ def _blocks(
             cells = np.full((len(batch), 1 + len(keys)), np.nan)
             for row, (time, sample) in zip(cells, batch):
                 row[0] = time
-                for key in sample.keys() & column_of_key.keys():
-                    row[column_of_key[key]] = sample[key]
+                sent = [key for key in sample if key in column_of_key]
+                indices = [column_of_key[key] for key in sent]
+                row[indices] = [sample[key] for key in sent]
             lines = np.arange(count, count + len(batch)) + 1
             count += len(batch)
             yield Block(lines, cells[:, list(columns)], share_read=count / total)

@@ -267,11 +267,7 @@ def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
         cells = _read_with_numpy(dialect, columns, texts)
         complaint = ""
         if cells is None:
-            cells = np.full((len(rows), len(columns)), np.inf)
-            for (number, line), row in zip(rows, cells):
-                fault = _read_row(dialect, columns, line, row)
-                if fault and not complaint:
-                    complaint = f"line {number}{fault}"
+            cells, complaint = _read_rows(dialect, columns, rows)
         yield Block(np.array([n for n, _ in rows]), cells, complaint, share_read=share)
 
 
@@ -316,6 +312,21 @@ def _with_seconds(
         seconds = _parse_cell(cells[column].strip(), first_row[column])
         cells[column] = repr(seconds)
     return (separator or " ").join(cells)
+
+
+def _read_rows(
+    dialect: Dialect, columns: Sequence[int], rows: Sequence[tuple[int, str]]
+) -> tuple[Array, str]:
+    """Return the cells (R, C) of (line number, line) each, and what is wrong with the first row
+    that is not numbers, "" for none; such a row is infinite.
+    """
+    cells = np.full((len(rows), len(columns)), np.inf)
+    complaint = ""
+    for (number, line), row in zip(rows, cells):
+        fault = _read_row(dialect, columns, line, row)
+        if fault and not complaint:
+            complaint = f"line {number}{fault}"
+    return cells, complaint
 
 
 def _read_row(dialect: Dialect, columns: Sequence[int], line: str, row: Array) -> str:
