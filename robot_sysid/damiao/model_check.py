@@ -27,7 +27,7 @@ from robot_sysid.damiao.references import (
     poses_between,
     torque_doubt,
 )
-from robot_sysid.damiao.safety.causes import MovedZeroCheck
+from robot_sysid.damiao.safety.moved_zeros import MovedZeroCheck
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.trajectory import (
     CANNOT_FOLLOW,
