@@ -246,10 +246,10 @@ def random_motion(rng, joints, samples, speed=2.0):
 def rows_and_rest(robot, motion):
     """Rows (N, n, 10) of the terminal link and the torque (N, n) of the rest of the arm."""
     equations = Equations(robot, "chain", [NO_FRICTION] * robot.n_joints)
-    each = np.stack(
+    bodies = np.stack(
         [*equations.bodies(Motion(np.arange(len(motion[0])), *motion))], axis=1
     )
-    return each[..., :-1], each[..., -1]
+    return bodies[..., :-1], bodies[..., -1]
 
 
 def random_rotation(rng):
@@ -277,16 +277,16 @@ def _vector(values):
     return " ".join(f"{value:.17g}" for value in values)
 
 
-def _random_axis(rng, kind):
-    if kind == "parallel":
+def _random_axis(rng, axis_law):
+    if axis_law == "parallel":
         return np.array([0.0, 0.0, 1.0])
-    if kind == "nearly parallel":
+    if axis_law == "nearly parallel":
         return np.array([0.0, 0.0, 1.0]) + 1e-6 * rng.normal(size=3)
     return rng.normal(size=3)
 
 
-def _random_joint(rng, kind, slide):
-    axis = _vector(_random_axis(rng, kind))
+def _random_joint(rng, axis_law, slide):
+    axis = _vector(_random_axis(rng, axis_law))
     origin = _vector(0.2 * rng.normal(size=3) * rng.integers(0, 2))
     return (
         f'<joint type="{"slide" if slide else "hinge"}" axis="{axis}" pos="{origin}"/>'
@@ -308,7 +308,7 @@ def _random_inertial(rng):
 def random_chain(draw, axes=("any", "any", "parallel", "nearly parallel")):
     """XML of a serial arm: any axes, hinges and slides, several joints per body, any gravity."""
     rng = np.random.default_rng(draw(SEEDS))
-    kind = draw(st.sampled_from(axes))
+    axis_law = draw(st.sampled_from(axes))
     bodies = draw(
         st.lists(
             st.lists(st.booleans(), min_size=1, max_size=3), min_size=1, max_size=5
@@ -320,7 +320,9 @@ def random_chain(draw, axes=("any", "any", "parallel", "nearly parallel")):
     for joints in reversed(bodies):
         pos = _vector(0.3 * rng.normal(size=3))
         quat = _vector(rng.normal(size=4))
-        inner = "".join(_random_joint(rng, kind, slide) for slide in joints) + content
+        inner = (
+            "".join(_random_joint(rng, axis_law, slide) for slide in joints) + content
+        )
         content = (
             f'<body pos="{pos}" quat="{quat}">{_random_inertial(rng)}{inner}</body>'
         )

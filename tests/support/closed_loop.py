@@ -75,10 +75,10 @@ class ForwardPlant:
 
     def times_mass(self, acceleration: Array) -> Array:
         """Return the mass matrix, as of the last step, times accelerations (n,)."""
-        wanted = np.zeros(self.model.nv)
+        full_acceleration = np.zeros(self.model.nv)
         product = np.empty(self.model.nv)
-        wanted[self._plant.dof_index] = acceleration
-        mujoco.mj_mulM(self.model, self.data, product, wanted)
+        full_acceleration[self._plant.dof_index] = acceleration
+        mujoco.mj_mulM(self.model, self.data, product, full_acceleration)
         return product[self._plant.dof_index]
 
     def acceleration(self, tau: Array) -> Array:
@@ -111,9 +111,9 @@ class ForwardPlant:
         """Return which constraint rows are dry friction, they never change, and the ramps."""
         # Read off MuJoCo's own constraint at unit velocities.
         self.reset(self._plant.reference, np.ones(self._plant.n_joints))
-        kind = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
+        constraint_type = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
         # Nothing outside the chain has any, and MuJoCo goes from the base outwards as the chain.
-        rows = np.flatnonzero(self.data.efc_type == kind)
+        rows = np.flatnonzero(self.data.efc_type == constraint_type)
         inertia = np.zeros(self._plant.n_joints)
         rate = np.zeros(self._plant.n_joints)
         inertia[self._has_friction] = self.data.efc_D[rows]
@@ -228,13 +228,15 @@ class ClosedLoop:
         for time in sample_times(self._plan.duration, self._sample_rate):
             ticks = time[0] + self.period * np.arange(len(time) * self._periods)
             # Half a period later for the feed-forward.
-            held, ahead = (
+            motion, motion_ahead = (
                 self._plan.evaluate(np.minimum(ticks + later, self._plan.duration))
                 for later in (0.0, 0.5 * self.period)
             )
             with captured_warnings():
-                feed_forward = self._arm.inverse(ahead.q, ahead.qd, ahead.qdd)
-                measurement = self._chunk(time, held, feed_forward)
+                feed_forward = self._arm.inverse(
+                    motion_ahead.q, motion_ahead.qd, motion_ahead.qdd
+                )
+                measurement = self._chunk(time, motion, feed_forward)
             yield measurement
 
     def _chunk(self, time: Array, motion: Motion, feed_forward: Array) -> Measurement:
@@ -260,5 +262,7 @@ class ClosedLoop:
         assert np.all(np.abs(error) < LOST_TRACKING), (
             f"off the trajectory at {motion.time[k]:.3f} s"
         )
-        wanted = self._bandwidth * (self._bandwidth * error + 2.0 * (motion.qd[k] - qd))
-        return np.asarray(feed_forward + self._arm.times_mass(wanted))
+        acceleration = self._bandwidth * (
+            self._bandwidth * error + 2.0 * (motion.qd[k] - qd)
+        )
+        return np.asarray(feed_forward + self._arm.times_mass(acceleration))

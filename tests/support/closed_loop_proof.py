@@ -75,8 +75,10 @@ def differentiate_log(log, sample_rate):
     windows = [log.q[i : i + inner] for i in range(9)]
     qd = sample_rate * sum(c * w for c, w in zip(FIRST, windows))
     qdd = sample_rate**2 * sum(c * w for c, w in zip(SECOND, windows))
-    kept = slice(4, -4)
-    return Measurement(log.time[kept], log.q[kept], qd, log.tau[kept], qdd)
+    inner_rows = slice(4, -4)
+    return Measurement(
+        log.time[inner_rows], log.q[inner_rows], qd, log.tau[inner_rows], qdd
+    )
 
 
 def identify_log(robot, log, deadband, terms=TERMS):

@@ -101,15 +101,22 @@ class ImperfectArm:
         """What its sensors say along a plan with a payload (10,) on the terminal body."""
         off = self.off
         time = np.arange(0.0, plan.duration, 1.0 / RATE)
-        seen = plan.evaluate(time)
-        late = plan.evaluate(np.clip(time - off.lag, 0.0, plan.duration))
+        motion = plan.evaluate(time)
+        delayed_motion = plan.evaluate(np.clip(time - off.lag, 0.0, plan.duration))
         thetas = self.thetas.copy()
         thetas[-1] += payload
-        rigid = self.dynamics.motion(late.q, late.qd, late.qdd).torque(thetas)
+        rigid = self.dynamics.motion(
+            delayed_motion.q, delayed_motion.qd, delayed_motion.qdd
+        ).torque(thetas)
         dry = self.coulomb + self.load * np.abs(rigid)
-        friction = dry * np.sign(late.qd) + self.viscous * late.qd
-        tau = self.scale * rigid + friction + self.rotor * late.qdd + self.offset
-        q = np.round((seen.q + self.zero) / off.step) * off.step
+        friction = dry * np.sign(delayed_motion.qd) + self.viscous * delayed_motion.qd
+        tau = (
+            self.scale * rigid
+            + friction
+            + self.rotor * delayed_motion.qdd
+            + self.offset
+        )
+        q = np.round((motion.q + self.zero) / off.step) * off.step
         return Measurement(time, q, None, tau + self._noise(tau.shape, rng))
 
     def _noise(self, shape, rng):

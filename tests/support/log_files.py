@@ -51,12 +51,16 @@ def limits(reach: float = 2.0, count: int = 3) -> JointLimits:
 
 
 def arm_of(
-    names: Sequence[str], most: JointLimits | None = None, is_slide: Sequence[bool] = ()
+    names: Sequence[str],
+    joint_limits: JointLimits | None = None,
+    is_slide: Sequence[bool] = (),
 ) -> Any:
     """What a log asks of an arm; hinges without limits where nothing else is said."""
     slides = np.array(is_slide or [False] * len(names))
-    most = most or limits(np.inf, len(names))
-    return SimpleNamespace(joint_names=tuple(names), limits=most, is_slide=slides)
+    joint_limits = joint_limits or limits(np.inf, len(names))
+    return SimpleNamespace(
+        joint_names=tuple(names), limits=joint_limits, is_slide=slides
+    )
 
 
 def _text(cell: object) -> str:

@@ -67,15 +67,17 @@ _RATE = "200"
 def blocks(page: Path) -> list[tuple[str, str]]:
     """Return (language, text) of a page's blocks that can be run, in their order."""
     return [
-        (found[1], found[2])
-        for found in _BLOCK.finditer(page.read_text(encoding="utf-8"))
+        (match[1], match[2])
+        for match in _BLOCK.finditer(page.read_text(encoding="utf-8"))
     ]
 
 
 def command_lines(block: str) -> list[list[str]]:
     """Return the words of each line of a block, continued lines joined, comments gone."""
     lines = block.replace("\\\n", " ").splitlines()
-    return [words for line in lines if (words := shlex.split(line, comments=True))]
+    return [
+        arguments for line in lines if (arguments := shlex.split(line, comments=True))
+    ]
 
 
 def printed(page: Path) -> list[str]:
@@ -84,12 +86,12 @@ def printed(page: Path) -> list[str]:
     return [line for block in _PRINTED.findall(text) for line in block.splitlines()]
 
 
-def is_said(line: str, said: str) -> bool:
+def is_said(line: str, page: str) -> bool:
     """Tell whether a text has a line with the same words and, up to a few per cent, numbers."""
-    words, numbers = _parts(line)
+    line_words, numbers = _parts(line)
     return any(
-        parts[0] == words and np.allclose(parts[1], numbers, rtol=0.03)
-        for parts in map(_parts, said.splitlines())
+        candidate[0] == line_words and np.allclose(candidate[1], numbers, rtol=0.03)
+        for candidate in map(_parts, page.splitlines())
     )
 
 
@@ -114,8 +116,8 @@ def make_workshop(folder: Path) -> None:
         path.rename(folder / path.name)
     joints = read_damiao_trajectory(folder / "damiao_trajectory.csv").joints
     named = [
-        replace(each, name=f"joint{k}", verified="hand")
-        for k, each in enumerate(joints)
+        replace(joint, name=f"joint{k}", verified="hand")
+        for k, joint in enumerate(joints)
     ]
     write_joint_map(folder / "joint_map.csv", named)
 
@@ -202,5 +204,5 @@ def _recorded_poses(folder: Path) -> None:
         _run(folder, "my_arm.xml", *motion, *sensors)
 
 
-def _run(folder: Path, *words: str) -> None:
-    assert main([*words, "--quiet"]) in (0, 1), words
+def _run(folder: Path, *arguments: str) -> None:
+    assert main([*arguments, "--quiet"]) in (0, 1), arguments

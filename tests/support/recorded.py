@@ -37,11 +37,13 @@ def typestore(ros1: bool = False):
 
 def header(types, time: float):
     """A time in 2023, with nanoseconds that a float of seconds does not hold."""
-    whole, part = divmod(round(1e9 * time), 10**9)
-    stamp = types["builtin_interfaces/msg/Time"](1_700_000_000 + whole, part)
-    kind = types["std_msgs/msg/Header"]
+    seconds, nanoseconds = divmod(round(1e9 * time), 10**9)
+    stamp = types["builtin_interfaces/msg/Time"](1_700_000_000 + seconds, nanoseconds)
+    header_type = types["std_msgs/msg/Header"]
     return (
-        kind(0, stamp, "base") if "seq" in kind.__annotations__ else kind(stamp, "base")
+        header_type(0, stamp, "base")
+        if "seq" in header_type.__annotations__
+        else header_type(stamp, "base")
     )
 
 
@@ -90,11 +92,11 @@ def write_bag1(path: Path, topics, store, compression=None) -> Path:
 
 def _written(path: Path, writer, topics, store, serialize) -> Path:
     with writer:
-        for topic, kind, messages in topics:
-            connection = writer.add_connection(topic, kind, typestore=store)
+        for topic, message_type, messages in topics:
+            connection = writer.add_connection(topic, message_type, typestore=store)
             for count, message in enumerate(messages):
                 writer.write(
-                    connection, 10**9 + count * 10**6, serialize(message, kind)
+                    connection, 10**9 + count * 10**6, serialize(message, message_type)
                 )
     return path
 

@@ -39,12 +39,15 @@ def on_arm(result, path):
 
 def link_result(path):
     """A result about every link of the arm in a file."""
-    found = made.whole()
-    first, last = found.links
+    result = made.whole()
+    first, last = result.links
     last = replace(last, data_share=np.array([1.0] * 8 + [0.4, 0.9]))
-    odd = tuple(replace(each, source=ODD) for each in found.file.other_validations[0])
-    file = replace(found.file, other_validations=(odd,))
-    return on_arm(replace(found, links=(first, last), file=file), path)
+    odd = tuple(
+        replace(validation, source=ODD)
+        for validation in result.file.other_validations[0]
+    )
+    file = replace(result.file, other_validations=(odd,))
+    return on_arm(replace(result, links=(first, last), file=file), path)
 
 
 def payload_result(path, verdict=Verdict.OK):

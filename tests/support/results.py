@@ -74,12 +74,12 @@ MODEL_FRICTION = {
 def estimate(**changes) -> Estimate:
     """An estimate without any fault: white noise, small errors, all from the data."""
     size = len(NAMES)
-    seen = Identifiability(12, 12, 50.0, 5.0, (True,) * size, ())
+    identifiability_record = Identifiability(12, 12, 50.0, 5.0, (True,) * size, ())
     errors = 1e-3 * np.maximum(np.abs(VALUES), 1e-2)
     fields = {
         "names": NAMES,
         "values": VALUES,
-        "identifiability": seen,
+        "identifiability": identifiability_record,
         "rmse": 0.03,
         "rmse_per_joint": {"j5": 0.03, "j6": 0.03},
         "method": "wls",

@@ -14,10 +14,10 @@ SCHEMAS = ROOT / "robot_sysid" / "schemas"
 
 def schema(name: str) -> dict:
     """Return a schema: params or servo."""
-    found: dict = json.loads(
+    content: dict = json.loads(
         (SCHEMAS / f"{name}.schema.json").read_text(encoding="utf-8")
     )
-    return found
+    return content
 
 
 def check(path: Path) -> None:

@@ -45,10 +45,12 @@ class SmoothArm:
             speed = self._pair(rng, 1, 0.7)[0][:, 0]
             screw = self._screw(rng)
             inertial = np.einsum("ni,nik->nk", screw, wrench)
-            own = np.column_stack((np.sign(speed), speed, np.ones(self.count)))
+            friction_rows = np.column_stack(
+                (np.sign(speed), speed, np.ones(self.count))
+            )
             self.columns.append(np.append(np.arange(10), len(names) + np.arange(3)))
-            names += [f"{kind}[joint{j}]" for kind in ("coulomb", "viscous", "offset")]
-            self.rows.append(np.hstack((inertial, own)))
+            names += [f"{term}[joint{j}]" for term in ("coulomb", "viscous", "offset")]
+            self.rows.append(np.hstack((inertial, friction_rows)))
         self.names = tuple(names)
         nuisance = rng.uniform(0.1, 1.0, 3 * N_JOINTS)
         self.truth = np.concatenate((random_body(rng), nuisance))

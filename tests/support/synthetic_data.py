@@ -128,7 +128,9 @@ def terminal_information(rng, truth, axis=Z, offset=ORIGIN, count=80, noise=0.0)
 def _solved(problem, tolerance):
     import cvxpy
 
-    options = {f"tol_{kind}": tolerance for kind in ("gap_abs", "gap_rel", "feas")}
+    options = {
+        f"tol_{criterion}": tolerance for criterion in ("gap_abs", "gap_rel", "feas")
+    }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -138,12 +140,12 @@ def _solved(problem, tolerance):
     return problem.status == "optimal"
 
 
-def sdp_least_squares(matrix, right):
+def sdp_least_squares(matrix, right_side):
     """Least ||A x - b||^2 with x[:10] a possible body, by cvxpy and clarabel, well scaled."""
     import cvxpy
 
     triangle = np.linalg.qr(
-        np.column_stack((matrix[:, 10:], matrix[:, :10], right)), mode="r"
+        np.column_stack((matrix[:, 10:], matrix[:, :10], right_side)), mode="r"
     )
     inner = triangle[matrix.shape[1] - 10 :, matrix.shape[1] - 10 :]
     inverse = np.linalg.inv(inner[:10, :10])

@@ -72,7 +72,7 @@ def distance_to_plane(robot, plan, plane, first_body, rate=500.0):
     """
     model = robot.mj_model
     data = mujoco.MjData(model)
-    parts = _capsules(model, model.body(first_body).id)
+    capsules = _capsules(model, model.body(first_body).id)
     length = np.linalg.norm(plane[:3])
     normal = np.array(plane[:3]) / length
     offset = plane[3] / length
@@ -82,7 +82,7 @@ def distance_to_plane(robot, plan, plane, first_body, rate=500.0):
             data.qpos[:] = robot.reference_qpos
             data.qpos[robot.qpos_index] = q
             mujoco.mj_kinematics(model, data)
-            for geom in parts:
+            for geom in capsules:
                 radius, half = model.geom_size[geom, :2]
                 axis = half * data.geom_xmat[geom].reshape(3, 3)[:, 2]
                 ends = data.geom_xpos[geom] + np.array([axis, -axis])
@@ -110,18 +110,20 @@ def fastest_point(robot, plan, body, rate=500.0):
     surface = np.vstack(
         [radius * np.array(ball) + [0.0, 0.0, s * half] for s in (-1.0, 1.0)]
     )
-    before = None
+    previous = None
     fastest = 0.0
     for motion in motion_chunks(plan, rate):
         for q in motion.q:
             data.qpos[robot.qpos_index] = q
             mujoco.mj_kinematics(model, data)
-            here = data.geom_xpos[geom] + surface @ data.geom_xmat[geom].reshape(3, 3).T
-            if before is not None:
+            current = (
+                data.geom_xpos[geom] + surface @ data.geom_xmat[geom].reshape(3, 3).T
+            )
+            if previous is not None:
                 fastest = max(
-                    fastest, rate * np.max(np.linalg.norm(here - before, axis=1))
+                    fastest, rate * np.max(np.linalg.norm(current - previous, axis=1))
                 )
-            before = here
+            previous = current
     return float(fastest)
 
 
@@ -145,10 +147,10 @@ def nearest(robot, plan, rate=500.0):
         for q in motion.q:
             data.qpos[robot.qpos_index] = q
             mujoco.mj_kinematics(model, data)
-            apart = (
+            distances = (
                 mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a, b in pairs
             )
-            least = min(least, *apart)
+            least = min(least, *distances)
     return float(least)
 
 
@@ -165,14 +167,14 @@ def _joints_above(model, body):
 
 def _capsules(model, body):
     carried = [b for b in range(model.nbody) if body in _ancestors(model, b)]
-    parts = [g for g in range(model.ngeom) if model.geom_bodyid[g] in carried]
-    assert all(model.geom_type[g] == mujoco.mjtGeom.mjGEOM_CAPSULE for g in parts)
-    return parts
+    geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in carried]
+    assert all(model.geom_type[g] == mujoco.mjtGeom.mjGEOM_CAPSULE for g in geoms)
+    return geoms
 
 
 def _ancestors(model, body):
-    found = [body]
+    ancestors = [body]
     while body:
         body = int(model.body_parentid[body])
-        found.append(body)
-    return found
+        ancestors.append(body)
+    return ancestors

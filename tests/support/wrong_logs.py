@@ -78,9 +78,9 @@ def truth_of(robot: RobotModel, seed: int, wrong_links: float = 0.02) -> Truth:
 
 def _friction(rng, rigid, qd):
     """Coulomb, viscous and Stribeck friction of about a tenth of what a joint carries."""
-    usual = np.sqrt(np.mean(rigid**2, axis=0))
-    usual = np.maximum(usual, 0.03 * usual.max())
-    coulomb = usual * rng.uniform(0.02, 0.1, len(usual))
+    typical_torque = np.sqrt(np.mean(rigid**2, axis=0))
+    typical_torque = np.maximum(typical_torque, 0.03 * typical_torque.max())
+    coulomb = typical_torque * rng.uniform(0.02, 0.1, len(typical_torque))
     stribeck = 0.5 * coulomb * np.exp(-((qd / 0.1) ** 2))
     speed = np.sqrt(np.mean(qd**2, axis=0))
-    return np.sign(qd) * (coulomb + stribeck) + 0.05 * usual / speed * qd
+    return np.sign(qd) * (coulomb + stribeck) + 0.05 * typical_torque / speed * qd
