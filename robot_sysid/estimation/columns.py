@@ -379,9 +379,8 @@ class Columns:
             stated = self._is_stated[indices]
             scaled = np.where(stated, self.model_values[indices], coefficients)
             linear = block[:, bodies] @ scaled[bodies]
-            scale, drift = point.values[
-                self.indices((self._scales[row], self._drifts[row]))
-            ]
+            scale_drift = self.indices((self._scales[row], self._drifts[row]))
+            scale, drift = point.values[scale_drift]
             exact = self._loaded * scale
             gear = linear + base.measured[row] - base.tau[row]
 

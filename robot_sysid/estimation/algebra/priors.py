@@ -382,20 +382,28 @@ def misfits(
                 wide_groups = widened_groups(information, noise, groups, _NARROWEST)
                 wide_solution = problem.solve(wide_groups)[:2]
             worst = _worst_members(group, group.deviations(problem.names, values))
-            wide_group = wide_groups[index]
-            significant = []
-            for aspect in group.aspects():
-                alpha, free = _widening(
-                    wide_group, aspect, problem.names, *wide_solution
-                )
-                if is_no_chance(alpha**2 * free, free, 1.0 - SURE):
-                    significant.append(alpha)
-            alpha, free = _widening(wide_group, identity, problem.names, *wide_solution)
-            if is_no_chance(alpha**2 * free, free, 1.0 - SURE):
-                significant.append(alpha)
-            factor = max(significant, default=min(alpha, 1.0))
+            factor = _contradicted_factor(
+                wide_groups[index], problem.names, *wide_solution
+            )
             conflicts.append(PriorConflict(group.cause, worst, factor, group.widened))
     return tuple(conflicts)
+
+
+def _contradicted_factor(
+    group: NuisanceGroup, names: Sequence[str], values: Array, covariance: Array
+) -> float:
+    """Return the largest significant factor alpha of a group's aspects and of all its parameters.
+
+    Without a significant one, it is that of all parameters, at most one.
+    """
+    factors = []
+    identity = np.eye(len(group.names))
+    for aspect in (*group.aspects(), identity):
+        alpha, free = _widening(group, aspect, names, values, covariance)
+        # Significant if the prior were right.
+        if is_no_chance(alpha**2 * free, free, 1.0 - SURE):
+            factors.append(alpha)
+    return max(factors, default=min(alpha, 1.0))
 
 
 def is_no_chance(squared: float, freedom: float, chance: float) -> bool:
