@@ -394,15 +394,20 @@ def write_bundle(model: Path, folder: Path) -> Path:
             copied_model = verification.compiled_again(copy).mj_model
             original = compile_model(model).mj_model
             verification.require_same_model(original, copied_model, {})
-            with delay_signals():
-                if os.path.lexists(bundle):
-                    os.replace(bundle, trash / BUNDLE_NAME)
-                os.replace(draft, bundle)
+            _replace_folder(bundle, draft, trash / BUNDLE_NAME)
     except OSError as error:
         raise InputError(
             f"--bundle: cannot write {bundle}: {error.strerror or error}"
         ) from None
     return bundle / model.name
+
+
+def _replace_folder(folder: Path, new: Path, trash: Path) -> None:
+    """Move a new folder to the path of a folder, and what stands there, if anything, to a third."""
+    with delay_signals():
+        if os.path.lexists(folder):
+            os.replace(folder, trash)
+        os.replace(new, folder)
 
 
 def model_in_memory(model: Path) -> Any:
