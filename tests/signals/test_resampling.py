@@ -113,7 +113,7 @@ def test_rows_lost_from_coarse_time_stamps_leave_a_hole(seed, missing, resolutio
     np.testing.assert_allclose(
         uniform.gap, np.where(keep, 0.0, 1e-3 * (missing + 1)), atol=1e-9
     )
-    assert "resample_uniformly to a uniform 1000 Hz" in uniform.notes[0]
+    assert "resampled to a uniform 1000 Hz" in uniform.notes[0]
 
 
 @given(st.integers(0, 2**32), st.floats(999.0, 999.99))
