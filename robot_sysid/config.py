@@ -318,6 +318,11 @@ class SysidConfig(Config):
         yield is_from_file and has_duration, "--trajectory", "--duration"
 
     def _option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
+        yield from self._data_option_uses()
+        yield from self._motion_option_uses()
+
+    def _data_option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
+        """Yield the uses of options on logs, simulated plants, the estimate and its results."""
         has_log = bool(self.log.measurements)
         is_plan = self.trajectory.plan_only
         is_designed = self.excitation.kind == "optimal"
@@ -373,8 +378,11 @@ class SysidConfig(Config):
             "is about measured torques; leave it off with --torque-from",
             _set_options(self.output, self.log, self.arm, only=TORQUE_KEYS),
         )
+
+    def _motion_option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
+        """Yield the uses of options on a motion: its purpose, motors, design and seed."""
         yield (
-            is_plan,
+            self.trajectory.plan_only,
             "says what a plan is for; use robot-sysid plan",
             _set_options(self.poses),
         )
@@ -389,7 +397,7 @@ class SysidConfig(Config):
             _set_options(self.motors),
         )
         yield (
-            is_designed,
+            self.excitation.kind == "optimal",
             "is about a design; add --excitation optimal",
             _set_options(self.excitation),
         )

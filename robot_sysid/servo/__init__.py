@@ -98,10 +98,11 @@ def commanded_pieces(
     """
     for log in logs:
         for joint in np.flatnonzero(is_moving(log.pieces)).tolist():
-            pairs = []
-            for piece in log.pieces:
-                if piece.command is not None:
-                    pairs.append((piece.q[:, joint], piece.command[:, joint]))
+            pairs = [
+                (piece.q[:, joint], piece.command[:, joint])
+                for piece in log.pieces
+                if piece.command is not None
+            ]
             for fault in _command_faults(pairs):
                 raise InputError(
                     f"{log.path}: the commands of joint {joint_names[joint]} {fault}"
