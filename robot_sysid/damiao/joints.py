@@ -1,39 +1,41 @@
 """Motor types, which motor drives which joint, whether ids can share a bus, and mountings.
 
-A type's scaling limits PMAX, VMAX, TMAX only say how numbers are packed into frames; what a motor
-can deliver is in its ratings. The limits are stored in each motor and can be changed there, so the
-table of types serves the export and the comparison with the registers; on a bus the register values
-are used.
+A motor type's scaling limits PMAX [rad], VMAX [rad/s] and TMAX [N m] only define how quantities are
+packed into CAN frames; the torque that a motor can deliver is in its ratings. Each motor stores its
+limits in registers, where they can be changed. So the table ``MOTORS`` serves the export and the
+comparison with the registers; on a bus the register values are used.
 
-A motor may turn the other way than its joint in the model, have its zero elsewhere, and deliver
-another torque than it believes:
+A motor may turn opposite to its joint in the model, have another zero position than the joint, and
+deliver a torque that differs by a factor from the torque that it reports:
 
     motor position = direction * joint position + offset
     motor velocity = direction * joint velocity
     joint torque   = direction * torque ratio * motor torque
 
-Stiffness and damping ask for motor torque, so they are divided by the ratio. Everything above the
-frames is in joint space; only here and in the frames are motors' own numbers.
+Stiffness and damping produce motor torque, so a joint's gains are divided by the torque ratio.
+Quantities of motors appear only in this module and in frames; all other code is in joint space.
 
-A joint map is a small table in a file; only ``joint``, ``can_id`` and ``direction`` have to be
-there::
+A joint map is a small CSV file; only the columns ``joint``, ``can_id`` and ``direction`` are
+required::
 
     joint,bus,can_id,master_id,direction,offset,torque_ratio,verified
     shoulder,can0,1,0x11,+1,0.0,1.0,hand
     elbow,can0,2,0x12,-1,0.785,1.0,
 
-``verified`` is how somebody saw that this motor turns this joint this way, if anybody has.
+``verified`` records how it was verified that this motor turns this joint in this direction: see
+``VERIFIED``.
 
-LeRobot's files are joint maps too, a robot's configuration or a calibration::
+A file of LeRobot is accepted as a joint map, either a robot's configuration or its calibration::
 
     {"motor_config": {"joint_1": [1, 17, "dm8009"], ...}, "port": "can0", ...}      configuration
     {"joint_1": {"id": 1, "drive_mode": 0, "homing_offset": 0, ...}, ...}             calibration
 
-A configuration may have one such part per arm, ``left_arm_config`` and ``right_arm_config``; the
-names of its motors begin with left_ and right_ then, as in LeRobot's own recordings.
+A configuration of two arms has the sections ``left_arm_config`` and ``right_arm_config``; their
+motors' names then get the prefix left_ or right_, as in LeRobot's own recordings.
 
-LeRobot uses what Damiao motors report as it is, in degrees: it writes a zero into the motor when it
-calibrates, and applies neither drive_mode nor homing_offset. So a motor turns as its joint does.
+LeRobot uses the positions that Damiao motors report unchanged, in degrees: its calibration stores a
+new zero in the motor and applies neither drive_mode nor homing_offset. So the joint of a motor in a
+LeRobot file has direction 1 and offset 0.
 """
 
 from __future__ import annotations
@@ -60,8 +62,11 @@ from robot_sysid.records.file_access import (
 
 RPM = 2.0 * pi / 60.0
 """One revolution per minute [rad/s]."""
-# Relative; PMAX of two types is 12.5 and 12.566, five times as far apart.
 _AGREEMENT = 1e-3
+"""Relative difference up to which two scaling limits count as equal.
+
+The closest limits of two motor types, PMAX of 12.5 and 12.566 rad, differ by five times as much.
+"""
 
 
 @dataclass(frozen=True)
@@ -69,15 +74,15 @@ class MotorSpec:
     """One motor type, from the maker's data sheets; all quantities are at the output shaft.
 
     Attributes:
-        name: by which trajectory files call it.
-        limits: PMAX [rad], VMAX [rad/s], TMAX [N m].
-        rated_torque: torque the motor can hold for good [N m].
-        peak_torque: torque it reaches for a short time [N m].
-        gear_ratio: motor turns per output turn.
-        supply: supply voltage the type is usually run at [V].
-        no_load_rpm: its speed without load at that voltage [rev/min], None where unknown.
-        rotor: inertia of its rotor times the gear ratio squared [kg m^2], 0 where unknown.
-        note: warning that is printed for plans with this type, or "".
+        name: name of the type in trajectory files and options, such as "DM4310".
+        limits: scaling limits PMAX [rad], VMAX [rad/s], TMAX [N m] of the factory setting.
+        rated_torque: torque that the motor can hold continuously [N m].
+        peak_torque: torque that the motor can deliver for a short time [N m].
+        gear_ratio: rotor turns per turn of the output shaft.
+        supply: usual supply voltage [V].
+        no_load_rpm: output speed without load at ``supply`` [rev/min]; None where unknown.
+        rotor: rotor inertia times the gear ratio squared [kg m^2]; 0 where unknown.
+        note: warning that is printed for plans with this type; "" for none.
     """
 
     name: str
@@ -116,11 +121,11 @@ _SPECS = (
     MotorSpec("DMG6220", (12.5, 45.0, 10.0), 1.3, 2.7, 1.0),
 )
 MOTORS = {spec.name: spec for spec in _SPECS}
-"""Motor type by name."""
+"""Data of every supported motor type, by its name."""
 
 
 def motor_spec(name: str) -> MotorSpec:
-    """Return the type called ``name``, or raise InputError listing the valid ones."""
+    """Return the data of the motor type called ``name``; InputError lists the valid names."""
     try:
         return MOTORS[name]
     except KeyError:
@@ -131,7 +136,11 @@ def motor_spec(name: str) -> MotorSpec:
 
 
 def matching_types(limits: tuple[float, float, float]) -> tuple[str, ...]:
-    """Return the names of the motor types with these (PMAX, VMAX, TMAX) [rad, rad/s, N m]."""
+    """Return the names of the motor types whose factory limits agree with given limits.
+
+    Args:
+        limits: PMAX [rad], VMAX [rad/s] and TMAX [N m], as read from a motor's registers.
+    """
     return tuple(spec.name for spec in _SPECS if limits_agree(spec.limits, limits))
 
 
@@ -143,27 +152,30 @@ def limits_agree(
 
 
 MASTER_ID_OFFSET = 0x10
+"""Default difference between a motor's master id (of its replies) and its CAN id."""
 BY_HAND = "hand"
+"""``DamiaoJoint.verified`` of a joint that somebody turned by hand while its motor was read."""
 BY_MOTION = "motion"
+"""``DamiaoJoint.verified`` of a joint whose motor made a small motion that somebody watched."""
 VERIFIED = ("", BY_HAND, BY_MOTION)
-"""How somebody verified which joint a motor turns, and which way: not, by hand, by a motion."""
+"""Valid values of ``DamiaoJoint.verified``; "" where the mounting is not verified."""
 
 
 @dataclass(frozen=True)
 class DamiaoJoint:
-    """One joint of an arm: the motor that drives it, and how this is mounted.
+    """One joint of an arm: the motor that drives it, and how this motor is mounted.
 
     Attributes:
         motor_type: a name of ``MOTORS``; "" in a row of a joint map, which states no type.
-        can_id: id that the motor listens to.
-        master_id: id on which the motor answers.
-        name: the joint's name in the model, or "".
-        bus: number of the bus, from 0.
+        can_id: CAN id of frames to the motor, 1 to 15.
+        master_id: CAN id of frames from the motor.
+        name: name of the joint in the model, or "".
+        bus: index of the bus among the open buses, from 0.
         channel: name of the bus where there are several, else "".
-        direction: 1, or -1 where the motor turns the other way than the joint.
+        direction: 1, or -1 where the motor turns opposite to the joint.
         offset: position of the motor where the joint is at zero [rad].
-        torque_ratio: torque that the motor delivers over the torque that it reports.
-        verified: one of ``VERIFIED``.
+        torque_ratio: torque that the motor delivers divided by the torque that it reports.
+        verified: one of ``VERIFIED``: how the mounting was verified.
     """
 
     motor_type: str
@@ -184,7 +196,7 @@ class DamiaoJoint:
 
     @property
     def label(self) -> str:
-        """What messages call the joint: its motor, with bus and joint name where they are known."""
+        """Text for messages: "motor", its CAN id, and the names of bus and joint if not empty."""
         channel = f" on {self.channel}" if self.channel else ""
         name = f" (joint {self.name})" if self.name else ""
         return f"motor {self.can_id}{channel}{name}"
@@ -207,9 +219,9 @@ def damiao_joints(
     Args:
         motor_types: a name of ``MOTORS`` per joint.
         n_joints: number of joints of the chain.
-        can_ids: 1 to 15 per joint; 1, 2, 3, ... by default.
-        master_ids: ids of the replies; by default 0x10 above the CAN ids.
-        names: the joints' names in the model; their blanks become underscores.
+        can_ids: CAN id per joint, 1 to 15; by default 1, 2, 3, ...
+        master_ids: id of the motor's replies per joint; by default the CAN id plus 0x10.
+        names: name of each joint in the model, or nothing; blanks become underscores.
 
     Raises:
         InputError: wrong number of types or ids, unknown type, or ids that clash on one bus.
@@ -240,10 +252,13 @@ def damiao_joints(
 
 
 def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:
-    """Yield a sentence for each clash of the ids of motors (bus, CAN id, master id).
+    """Yield a sentence for each CAN or master id that is invalid or clashes with another motor's.
 
-    A motor compares the low eight bits of every frame's id, replies of other motors included, and
-    a reply carries only the low four bits of the sender's id.
+    A motor takes every frame whose id has its own low eight bits, replies of other motors included,
+    and a reply carries only the low four bits of the sender's CAN id.
+
+    Args:
+        motors: (bus, CAN id, master id) per motor; the bus is an index or a name.
     """
     for column, name in ((1, "CAN"), (2, "master")):
         ids = [(motor[0], motor[column]) for motor in motors]
@@ -266,12 +281,12 @@ def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class JointSpace:
-    """Mounting of n motors, by which quantities of joints and of motors are converted.
+    """Mounting of n motors, which converts quantities between joints and motors.
 
     Attributes:
-        direction: 1, or -1 where the motor turns the other way than its joint (n,).
+        direction: 1, or -1 where the motor turns opposite to its joint (n,).
         offset: position of the motor where its joint is at zero (n,) [rad].
-        ratio: torque that the motor delivers over the torque that it reports (n,).
+        ratio: torque that the motor delivers divided by the torque that it reports (n,).
     """
 
     direction: Array
@@ -280,14 +295,17 @@ class JointSpace:
 
     @classmethod
     def of(cls, joints: Sequence[DamiaoJoint]) -> JointSpace:
-        """Return the mounting of n joints' motors."""
+        """Return the mounting of the motors of n joints, in the order of ``joints``."""
         rows = [(joint.direction, joint.offset, joint.torque_ratio) for joint in joints]
         return cls(*np.array(rows, dtype=float).reshape(-1, 3).T)
 
     def to_motors(
         self, position: Array, velocity: Array, torque: Array
     ) -> tuple[Array, ...]:
-        """Return motors' position, velocity, torque for joints' (n,) [rad, rad/s, N m]."""
+        """Return motor position, velocity and torque of joint position, velocity and torque.
+
+        All arguments and results are (n,) [rad, rad/s, N m].
+        """
         sign = self.direction
         return (
             sign * position + self.offset,
@@ -298,7 +316,10 @@ class JointSpace:
     def to_joints(
         self, position: Array, velocity: Array, torque: Array
     ) -> tuple[Array, ...]:
-        """Return joints' position, velocity, torque for motors' (n,) [rad, rad/s, N m]."""
+        """Return joint position, velocity and torque of motor position, velocity and torque.
+
+        All arguments and results are (..., n) [rad, rad/s, N m].
+        """
         sign = self.direction
         return (
             sign * (position - self.offset),
@@ -307,13 +328,13 @@ class JointSpace:
         )
 
     def command_to_motors(self, command: MitCommand) -> MitCommand:
-        """Return the command for motors that stands for a command of their joints."""
+        """Return the command to send to the motors for a command of their joints, fields (n,)."""
         position, velocity, kp, kd, torque = command
         p, v, t = self.to_motors(position, velocity, torque)
         return MitCommand(p, v, kp / self.ratio, kd / self.ratio, t)
 
     def command_to_joints(self, command: MitCommand) -> MitCommand:
-        """Return the command of joints that a command for their motors stands for."""
+        """Return the command in joint space that equals a command of the motors, fields (n,)."""
         position, velocity, kp, kd, torque = command
         p, v, t = self.to_joints(position, velocity, torque)
         return MitCommand(p, v, kp * self.ratio, kd * self.ratio, t)
@@ -333,14 +354,22 @@ _COLUMNS = [
     "torque_ratio",
     "verified",
 ]
-_NEEDED = ("joint", "can_id", "direction")
+"""All columns of a joint map file, in the order in which they are written."""
+_REQUIRED_COLUMNS = ("joint", "can_id", "direction")
+"""Columns without which a joint map file is refused."""
 
 
 def read_joint_map(path: Path, names: Sequence[str] = ()) -> tuple[DamiaoJoint, ...]:
-    """Return the rows of a joint map file, one joint each; InputError names a wrong row.
+    """Return the joints in a joint map file, in the order of its rows.
 
-    A motor in one of LeRobot's files, .json, takes the name of the one joint out of a model's
-    ``names`` that ends with its own, its signs left out: joint_1 becomes openarm_left_joint1.
+    Args:
+        path: file in the CSV format of this module, or a .json file of LeRobot.
+        names: joint names of the model, used for LeRobot files only: a motor gets the name of the
+            only joint whose letters and digits end with the motor's, so that joint_1 becomes
+            openarm_left_joint1.
+
+    Raises:
+        InputError: the file is unreadable, a row is wrong, or names or ids clash.
     """
     if path.suffix == ".json":
         return _read_lerobot_map(path, names)
@@ -354,9 +383,10 @@ def read_joint_map(path: Path, names: Sequence[str] = ()) -> tuple[DamiaoJoint, 
         raise InputError(f"{path} is not text: it has zero bytes")
     table = csv.DictReader(lines, skipinitialspace=True)
     titles = [title.strip() for title in table.fieldnames or ()]
-    if not set(_NEEDED) <= set(titles) <= set(_COLUMNS):
+    if not set(_REQUIRED_COLUMNS) <= set(titles) <= set(_COLUMNS):
         raise InputError(
-            f"{path}: expected the columns {', '.join(_COLUMNS)} (at least {', '.join(_NEEDED)})"
+            f"{path}: expected the columns {', '.join(_COLUMNS)} "
+            f"(at least {', '.join(_REQUIRED_COLUMNS)})"
         )
     rows = [_parse_row(row, f"{path}, row {k}") for k, row in enumerate(table, start=1)]
     return _require_distinct(path, rows)
@@ -365,7 +395,10 @@ def read_joint_map(path: Path, names: Sequence[str] = ()) -> tuple[DamiaoJoint, 
 def _require_distinct(
     path: Path, rows: Sequence[DamiaoJoint]
 ) -> tuple[DamiaoJoint, ...]:
-    """Return the rows of a joint map; InputError where names repeat or ids clash on a bus."""
+    """Return ``rows`` as a tuple; InputError if empty, names repeat or ids clash on a bus.
+
+    ``path`` is only for the messages.
+    """
     if not rows:
         raise InputError(f"{path} has no lines")
     names = [row.name for row in rows]
@@ -379,7 +412,7 @@ def _require_distinct(
 
 
 def write_joint_map(path: Path, rows: Iterable[DamiaoJoint]) -> None:
-    """Write joints to a joint map file, one row each."""
+    """Write joints to a joint map file in the CSV format of this module, one row per joint."""
     lines = [",".join(_COLUMNS)]
     for row in rows:
         ids = f"{row.name},{row.channel},{row.can_id},{row.master_id:#x}"
@@ -394,13 +427,13 @@ def map_joints(
     channels: Sequence[str],
     names: Sequence[str] = (),
 ) -> tuple[DamiaoJoint, ...]:
-    """Return the joints of a trajectory, base to terminal, mounted as a joint map's rows say.
+    """Return the joints of a trajectory, base to terminal, with ids and mounting of a joint map.
 
     Args:
-        joints: of the trajectory; only their motor types are used.
-        rows: of the joint map; more than joints only where the model's ``names`` are known.
-        channels: names of the open buses; a joint's bus is its number among them.
-        names: joint names of the model, base to terminal, which choose the rows.
+        joints: joints of the trajectory, base to terminal; only their motor types are used.
+        rows: joints of the map; without ``names`` one per joint, in the order of ``joints``.
+        channels: names of the open buses; a joint's ``bus`` is an index into them.
+        names: joint names of the model, base to terminal, which select rows of the map by name.
 
     Raises:
         InputError: the map does not cover the joints, or names a bus that is not open.
@@ -417,7 +450,8 @@ def map_joints(
             f"the joint map has {len(selected)} joints but the trajectory {len(joints)}: give one "
             "line per joint, base to terminal, or --model to choose them by name"
         )
-    # An adapter may have got another name; but never play one arm's motion on the other arm.
+    # With one bus, the name in the map is ignored, because the system may have renamed the adapter;
+    # with several it must match, so that the motion of one arm is never played on the other.
     several = len(channels) > 1 or len({row.channel for row in rows}) > 1
     mounted = []
     for joint, row in zip(joints, selected):
@@ -434,7 +468,12 @@ def map_joints(
 
 
 def _parse_row(row: Mapping[str, str | None], where: str) -> DamiaoJoint:
-    """Return the joint in a row (column to cell) of a joint map; errors begin with ``where``."""
+    """Return the joint in one row of a joint map file, checked.
+
+    Args:
+        row: text of the cell by column title.
+        where: file and row number, with which the message of an InputError begins.
+    """
     cells = {key.strip(): (cell or "").strip() for key, cell in row.items() if key}
     try:
         can_id = int(cells["can_id"], 0)
@@ -465,10 +504,11 @@ def _parse_row(row: Mapping[str, str | None], where: str) -> DamiaoJoint:
 
 
 _SIDES = {f"{side}_arm_config": f"{side}_" for side in ("left", "right")}
+"""Section of one arm in a two-arm LeRobot configuration, to the prefix of its motors' names."""
 
 
 def _read_lerobot_map(path: Path, names: Sequence[str]) -> tuple[DamiaoJoint, ...]:
-    """Return the joints of a LeRobot file, called by the model's ``names`` where one matches."""
+    """Return the joints of a LeRobot file, renamed to the model's ``names`` where one matches."""
     remedy = "give LeRobot's calibration, or a configuration with motor_config"
     content = read_json(path, remedy)
     try:
@@ -485,9 +525,11 @@ def _read_lerobot_map(path: Path, names: Sequence[str]) -> tuple[DamiaoJoint, ..
 def _lerobot_joints(
     content: Mapping[str, Any], prefix: str = ""
 ) -> Iterator[DamiaoJoint]:
-    """Yield the joints of a LeRobot configuration, its arms' sections, or a calibration.
+    """Yield the joints in the content of a LeRobot configuration or calibration.
 
-    ``prefix`` is put before the names of a configuration's motors.
+    Args:
+        content: the parsed file, or one section of a configuration.
+        prefix: text before the names of the motors in a configuration, such as "left_".
     """
     keys = (*_SIDES, "robot")
     sections = {key: section for key, section in content.items() if key in keys}
@@ -505,7 +547,10 @@ def _lerobot_joints(
 
 
 def _calibrated_joint(name: str, motor: Mapping[str, Any]) -> DamiaoJoint:
-    """Return the joint of a motor in a LeRobot calibration; ValueError unless it is mounted 1:1."""
+    """Return the joint of one motor in a LeRobot calibration.
+
+    ValueError if drive_mode or homing_offset is not 0: LeRobot applies neither to Damiao motors.
+    """
     for key in ("drive_mode", "homing_offset"):
         if motor[key] != 0:
             raise ValueError(f"{key} of {name} is {motor[key]}, 0 for Damiao motors")
@@ -514,11 +559,15 @@ def _calibrated_joint(name: str, motor: Mapping[str, Any]) -> DamiaoJoint:
 
 
 def _matching_name(name: str, names: Sequence[str]) -> str:
-    """Return the only one of ``names`` that ends with a name, signs and case left out; or it."""
+    """Return the only one of ``names`` that ends with ``name``, or ``name`` if not exactly one.
+
+    Only letters and digits are compared, without case.
+    """
     ending = _letters_and_digits(name)
     matches = [other for other in names if _letters_and_digits(other).endswith(ending)]
     return matches[0] if len(matches) == 1 else name
 
 
 def _letters_and_digits(name: str) -> str:
+    """Return a name in lower case without any character but ASCII letters and digits."""
     return re.sub(r"[^a-z0-9]", "", name.lower())

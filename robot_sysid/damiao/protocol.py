@@ -6,9 +6,9 @@ Feedback: status 4, id 4, position 16, velocity 12, torque 12, two temperature b
 Arrays are (..., n): any leading shape, n joints last; frames are (..., n, 8) bytes.
 
 Every control cycle puts two frames of eight bytes on the bus per motor: the command and its reply.
-An 8-byte standard frame has 44 + 64 bits of frame and 3 bits of gap, and at worst one stuff bit for
-every four of the 34 + 64 bits that are stuffed. CAN-FD sends the arbitration part at the nominal
-and the rest at the data bit rate.
+An 8-byte standard frame has 44 + 64 bits and is followed by a gap of 3 bits; at worst there is one
+stuff bit for every four of the 34 + 64 bits that are subject to bit stuffing. CAN-FD sends the
+arbitration part at the nominal bit rate and the rest of the frame at the data bit rate.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ from robot_sysid.records import Array
 from robot_sysid.records.option_fields import OptionRecord, option
 
 Bytes = NDArray[np.uint8]
+"""Frames as an array (..., n, 8)."""
 Codes = NDArray[np.int64]
+"""Unsigned integers of the bit fields of frames."""
 
 KP_MAX = 500.0
 """The greatest stiffness that a command frame can carry [N m/rad]."""
@@ -36,19 +38,23 @@ KD_MAX = 5.0
 """The greatest damping that a command frame can carry [N m s/rad]."""
 KD_STEP = KD_MAX / 0xFFF
 """The least damping above zero that a command frame can carry [N m s/rad]."""
-# A register holds float32: 12.566 comes back as 12.5659999..., which must not refuse 12.566.
 _FLOAT32_SLACK = 1e-6
-# Lower ends of a command's five ranges, as multiples of the upper ends: gains have no sign.
+"""Share of a range by which a value may lie outside it.
+
+A register holds float32: a limit of 12.566 comes back as 12.5659999..., and a command of 12.566
+must still be accepted.
+"""
 _LOWER_ENDS = np.array([-1.0, -1.0, 0.0, 0.0, -1.0])
-# Position, velocity and torque among the fields of a command.
+"""Lower end of the range of each of a command's five fields, as a multiple of the upper end."""
 _MEASURED = [0, 1, 4]
+"""Indices of position, velocity and torque among the five fields of a command."""
 
 
 class _Layout:
-    """Bit fields of a 64-bit frame, F of them, the most significant first.
+    """Layout of a 64-bit frame with F bit fields, the most significant first.
 
     Args:
-        bits: number of bits of each field; 64 in all.
+        bits: number of bits of each field; their sum is 64.
 
     Attributes:
         max_codes: the largest integer (F,) that each field can hold.
@@ -73,18 +79,20 @@ class _Layout:
 
 
 _COMMAND = _Layout(16, 12, 12, 12, 12)
+"""Layout of a command: position, velocity, kp, kd, torque."""
 _FEEDBACK = _Layout(4, 4, 16, 12, 12, 8, 8)
+"""Layout of feedback: status, CAN id, position, velocity, torque, two temperatures."""
 
 
 class Scaling:
-    """Ranges of the quantities in the frames of n joints, by which integers become numbers.
+    """Ranges of the quantities in the frames of n motors, which convert integers and numbers.
 
     Args:
-        limits: PMAX [rad], VMAX [rad/s] and TMAX [N m] of each joint; InputError unless all are
+        limits: PMAX [rad], VMAX [rad/s] and TMAX [N m] of each motor; InputError unless all are
             positive.
 
     Attributes:
-        limits: the limits as an array (n, 3).
+        limits: the limits as an array (n, 3) [rad, rad/s, N m].
     """
 
     def __init__(self, limits: Iterable[Sequence[float]]) -> None:
@@ -106,9 +114,14 @@ class Scaling:
         return position, velocity, torque
 
     def _codes(self, values: Array, offset: float, fields: Any = slice(None)) -> Codes:
-        """Return the saturated integers floor(code + offset) of values (..., n, F).
+        """Return integers (..., n, F), saturated at the ranges' ends, that encode quantities.
 
-        ``fields`` selects which F of the command's five fields the values are of.
+        Args:
+            values: quantities (..., n, F) in the units of ``MitCommand``.
+            offset: added to the exact code before it is rounded down: 0.5 rounds to the nearest
+                code, 0.0 truncates.
+            fields: index or slice that selects the F fields of ``values`` among the five fields of
+                a command; by default all.
         """
         low = self._low[:, fields]
         max_codes = _COMMAND.max_codes[fields]
@@ -117,13 +130,13 @@ class Scaling:
         return np.clip(np.floor(exact), 0, max_codes).astype(np.int64)
 
     def _values(self, codes: Any, fields: Any = slice(None)) -> Array:
-        """Return the values (F, ..., n) of codes (..., n, F) of selected command fields."""
+        """Return the quantities (F, ..., n) that integers (..., n, F) encode; see ``_codes``."""
         low = self._low[:, fields]
         steps = (self._high[:, fields] - low) / _COMMAND.max_codes[fields]
         return np.moveaxis(codes * steps + low, -1, 0)
 
     def _require_inside(self, values: Array) -> None:
-        """Raise InputError for the first of command values (..., n, 5) beyond its range."""
+        """Raise InputError for the first of command values (..., n, 5) outside its range."""
         slack = _FLOAT32_SLACK * self._high
         # Written so that a NaN counts as outside.
         inside = (values >= self._low - slack) & (values <= self._high + slack)
@@ -138,9 +151,16 @@ class Scaling:
 
 
 class MitCommand(NamedTuple):
-    """One MIT command of n joints: torque = kp (position - q) + kd (velocity - qd) + torque.
+    """One MIT command of n motors (or joints); each field is (..., n).
 
-    All are (..., n) [rad, rad/s, N m/rad, N m s/rad, N m]; kp is 0 to 500 and kd 0 to 5.
+    A motor at position q and velocity qd delivers kp (position - q) + kd (velocity - qd) + torque.
+
+    Attributes:
+        position: target position [rad].
+        velocity: target velocity [rad/s].
+        kp: stiffness [N m/rad], 0 to 500.
+        kd: damping [N m s/rad], 0 to 5.
+        torque: feed-forward torque [N m].
     """
 
     position: Array
@@ -150,17 +170,23 @@ class MitCommand(NamedTuple):
     torque: Array
 
     def motor_torque(self, q: Array, qd: Array) -> Array:
-        """Return the commanded torque (..., n) at positions and velocities (..., n) [N m]."""
+        """Return the commanded torque (..., n) [N m] at q (..., n) [rad], qd (..., n) [rad/s]."""
         position, velocity, kp, kd, torque = self
         return np.asarray(kp * (position - q) + kd * (velocity - qd) + torque)
 
 
 @dataclass(frozen=True)
 class Feedback:
-    """Feedback of n motors, each field (..., n); output-shaft quantities [rad, rad/s, N m].
+    """Feedback of n motors; each field is (..., n), quantities are at the output shaft.
 
-    ``can_id`` has the low four bits of the motor's id; ``status`` is a code of ``status_text``.
-    The temperatures are those of the power stage (MOS) and the winding (rotor) [deg C].
+    Attributes:
+        can_id: low four bits of the motor's CAN id.
+        status: 0 disabled, 1 enabled, else a fault; see ``status_text``.
+        position: measured position [rad].
+        velocity: measured velocity [rad/s].
+        torque: torque estimated from the motor current [N m].
+        temperature_mos: temperature of the power stage [deg C].
+        temperature_rotor: temperature of the winding [deg C].
     """
 
     can_id: Codes
@@ -173,7 +199,7 @@ class Feedback:
 
 
 def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
-    """Return the MIT frames (..., n, 8), each value rounded to the nearest code.
+    """Return the MIT command frames (..., n, 8), each value rounded to the nearest code.
 
     Raises:
         InputError: a value is not finite or outside its range (nothing is clamped), kp > 0 without
@@ -201,28 +227,33 @@ def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
 
 
 def decode_mit(frames: Bytes, scaling: Scaling) -> MitCommand:
-    """Return the command that a motor reads from MIT frames (..., n, 8); see ``encode_mit``."""
+    """Return the command, fields (..., n), that motors read from MIT frames (..., n, 8)."""
     return MitCommand(*scaling._values(_COMMAND.unpack(frames)))
 
 
 def encode_feedback(feedback: Feedback, scaling: Scaling) -> Bytes:
-    """Return feedback frames (..., n, 8) as a motor sends them: truncated and saturated."""
+    """Return feedback frames (..., n, 8) as motors send them: truncated and saturated."""
     measured = _stack_last(feedback.position, feedback.velocity, feedback.torque)
     codes = np.moveaxis(scaling._codes(measured, 0.0, _MEASURED), -1, 0)
-    heat = feedback.temperature_mos, feedback.temperature_rotor
-    return _FEEDBACK.pack(_stack_last(feedback.status, feedback.can_id, *codes, *heat))
+    temperatures = feedback.temperature_mos, feedback.temperature_rotor
+    fields = _stack_last(feedback.status, feedback.can_id, *codes, *temperatures)
+    return _FEEDBACK.pack(fields)
 
 
 def decode_feedback(
     frames: Bytes, scaling: Scaling, half_step: bool = False
 ) -> Feedback:
-    """Return the feedback in frames (..., n, 8).
+    """Return the feedback, fields (..., n), in frames (..., n, 8).
 
-    The motor drops the fraction when it packs a value, so what arrives is on average half a
-    quantisation step too low; ``half_step`` adds it to position, velocity and torque.
+    Args:
+        frames: data of the frames.
+        scaling: ranges of the n motors.
+        half_step: add half a quantisation step to position, velocity and torque. A motor truncates
+            when it packs a value, so that received values are half a step too low on average.
     """
     codes = _FEEDBACK.unpack(frames)
-    p, v, t = scaling._values(codes[..., 2:5] + (0.5 if half_step else 0.0), _MEASURED)
+    measured = codes[..., 2:5] + (0.5 if half_step else 0.0)
+    p, v, t = scaling._values(measured, _MEASURED)
     status, can_id, *_, mos, rotor = np.moveaxis(codes, -1, 0)
     return Feedback(can_id, status, p, v, t, mos, rotor)
 
@@ -238,15 +269,25 @@ def _first_motor(mask: Any) -> str:
 
 
 REGISTER_ID = 0x7FF
+"""Arbitration id of frames with a register operation; bytes 0 and 1 hold the motor's CAN id."""
 READ = 0x33
+"""Register operation: read a register."""
 WRITE = 0x55
+"""Register operation: write a register; lost at power-off."""
 REFRESH = 0xCC
+"""Register operation: ask for one feedback frame."""
 STORE = 0xAA
+"""Register operation: store all registers in flash."""
 ENABLE = 0xFC
+"""Special command: enable the motor, so that it follows commands."""
 DISABLE = 0xFD
+"""Special command: disable the motor."""
 CLEAR_ERROR = 0xFB
+"""Special command: leave a fault, to the disabled state."""
 SET_ZERO = 0xFE
+"""Special command: store the present position as zero."""
 _SPECIAL = b"\xff" * 7
+"""First seven bytes of a special frame; the eighth is the special command."""
 
 
 class Frame(NamedTuple):
@@ -255,11 +296,11 @@ class Frame(NamedTuple):
     Attributes:
         id: 11-bit arbitration id.
         data: up to 8 bytes; none in an error frame.
-        time: when it was on the bus, in the link's clock [s].
-        fd: whether it is a CAN-FD frame.
-        error: whether it is an error frame.
-        echo: whether it is a frame of this program, reported back when it was on the bus.
-        bus: number of the bus, from 0.
+        time: time at which the frame was on the bus, in the link's clock [s].
+        fd: whether this is a CAN-FD frame.
+        error: whether this is an error frame.
+        echo: whether this program sent the frame and the adapter reports that it was on the bus.
+        bus: index of the bus, from 0.
     """
 
     id: int
@@ -272,39 +313,53 @@ class Frame(NamedTuple):
 
 
 class Address(NamedTuple):
-    """Address of a motor: number of its bus, from 0, and the CAN id that it listens to."""
+    """Address of a motor: index of its bus, from 0, and its CAN id on that bus."""
 
     bus: int
     can_id: int
 
 
 def _special_frame(code: int, motor: Address) -> Frame:
-    """Return the frame that gives a motor a special command such as ENABLE."""
+    """Return the frame that sends a special command (code) such as ENABLE to a motor."""
     return Frame(motor.can_id, _SPECIAL + bytes([code]), bus=motor.bus)
 
 
 enable_frame = partial(_special_frame, ENABLE)
+"""Return the frame that enables a motor (Address), so that it follows commands."""
 disable_frame = partial(_special_frame, DISABLE)
+"""Return the frame that disables a motor (Address)."""
 clear_error_frame = partial(_special_frame, CLEAR_ERROR)
+"""Return the frame by which a motor (Address) leaves a fault, to the disabled state."""
 set_zero_frame = partial(_special_frame, SET_ZERO)
-"""Return the frame that stores a motor's present position as its zero, for good."""
+"""Return the frame that permanently stores a motor's (Address) present position as its zero."""
 
 
 def _request(
     operation: int, motor: Address, register: int, value: bytes = bytes(4)
 ) -> Frame:
-    """Return the frame that asks for an operation such as READ on a motor's register."""
+    """Return the frame that requests an operation on a motor's register.
+
+    Args:
+        operation: READ, WRITE, REFRESH or STORE.
+        motor: bus and CAN id of the motor.
+        register: number of the register.
+        value: four little-endian bytes to write; zeros for other operations.
+    """
     head = bytes([motor.can_id & 0xFF, motor.can_id >> 8, operation, register])
     return Frame(REGISTER_ID, head + value, bus=motor.bus)
 
 
 read_frame = partial(_request, READ)
+"""Return the frame that asks a motor (Address) for the value of a register (number)."""
 write_frame = partial(_request, WRITE)
-"""Return the frame that writes four bytes to a register; lost at power-off."""
+"""Return the frame that writes four bytes to a motor's register (number); lost at power-off.
+
+Arguments: motor (Address), register number, value (see ``bytes_from_value``).
+"""
 refresh_frame = partial(_request, REFRESH, register=0)
-"""Return the frame that asks for one feedback frame without any effect on the motor."""
+"""Return the frame that asks a motor (Address) for one feedback frame, without other effect."""
 store_frame = partial(_request, STORE, register=1)
-"""Return the frame by which a motor stores all registers, to keep them without power."""
+"""Return the frame by which a motor (Address) stores all its registers in flash."""
 
 
 def is_special(data: bytes) -> bool:
@@ -313,10 +368,10 @@ def is_special(data: bytes) -> bool:
 
 
 def refuse_harmful(frame: Frame) -> None:
-    """Raise SysidError for a frame that no run ever sends.
+    """Raise SysidError for a frame that must never be sent while an arm is played or checked.
 
-    That is: storing a new zero position, clearing an error (an operator has to find its cause
-    first), any other special frame but enable and disable, and storing registers to flash.
+    Harmful frames store a new zero position, clear an error (an operator has to find its cause
+    first), store registers in flash, or have an unknown special command or register operation.
     """
     if frame.id == REGISTER_ID:
         harmful = len(frame.data) < 4 or frame.data[2] not in (READ, WRITE, REFRESH)
@@ -327,7 +382,10 @@ def refuse_harmful(frame: Frame) -> None:
 
 
 def refuse_motion(frame: Frame) -> None:
-    """Raise SysidError for a frame that would drive a motor: setting one up never sends any."""
+    """Raise SysidError for a frame that would drive a motor: setting up a motor never sends one.
+
+    Allowed are register operations and all special commands except ENABLE.
+    """
     if frame.id != REGISTER_ID and not (
         is_special(frame.data) and frame.data[7] != ENABLE
     ):
@@ -335,23 +393,35 @@ def refuse_motion(frame: Frame) -> None:
 
 
 MST_ID = 7
+"""Register: master id, the arbitration id of the motor's replies."""
 ESC_ID = 8
+"""Register: CAN id of frames to the motor."""
 TIMEOUT = 9
+"""Register: time without a command after which the watchdog stops the motor, in TIMEOUT_UNIT."""
 CTRL_MODE = 10
+"""Register: control mode, a key of ``MODES``."""
 GR = 20
+"""Register: gear ratio."""
 PMAX = 21
+"""Register: scaling limit of position [rad]."""
 VMAX = 22
+"""Register: scaling limit of velocity [rad/s]."""
 TMAX = 23
+"""Register: scaling limit of torque [N m]."""
 CAN_BR = 35
+"""Register: code of the bit rate, a value of ``BIT_RATES``."""
 
 TIMEOUT_UNIT = 50e-6
-"""Seconds per unit of the watchdog register."""
+"""Seconds per unit of the watchdog register TIMEOUT."""
 MIT_MODE = 1
+"""Value of CTRL_MODE in which a motor follows MIT commands."""
 MODES = {1: "MIT", 2: "POS_VEL", 3: "VEL", 4: "POS_FORCE"}
+"""Name of each control mode, by the value of register CTRL_MODE."""
 FD_BITRATE_CODES_ABOVE = 4
+"""Codes of register CAN_BR above this one make the motor use CAN-FD."""
 _KBIT = (125, 200, 250, 500, 1000, 2000, 2500, 3200, 4000, 5000)
 BIT_RATES = {1000 * rate: code for code, rate in enumerate(_KBIT)}
-"""Bit rate [bit/s] to the code of register can_br; codes above 4 make the motor speak CAN-FD."""
+"""Code of register CAN_BR by bit rate [bit/s]."""
 
 
 NAMES = {
@@ -360,23 +430,29 @@ NAMES = {
     17: "Rs", 19: "Flux", GR: "Gr", PMAX: "PMAX", VMAX: "VMAX", TMAX: "TMAX", 29: "OV_Value",
     30: "GREF", CAN_BR: "can_br",
 }  # fmt: skip
+"""The maker's name of each register, by its number."""
 INTEGERS = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, 14, 16, CAN_BR)
 """Registers that hold an unsigned integer; the others hold a float."""
 SCALING = (PMAX, VMAX, TMAX)
+"""Registers of the scaling limits, in the order of ``Scaling.limits``."""
 REQUIRED = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, *SCALING)
 """Registers whose values have to be known before anything is played."""
 WRITABLE = (*REQUIRED, CAN_BR)
+"""Registers that a simulated motor allows to be written."""
 LOGGED = (*REQUIRED, GR, 2, 3, 0, 29, 1, 30, 11, 12, 14, 16, 17, 19)
 """Registers that are read before playing and written into the recording's header."""
 
 
 def value_from_bytes(number: int, raw: bytes) -> float:
-    """Return a register's value from its four little-endian bytes."""
+    """Return the value of register ``number`` from its four little-endian bytes ``raw``."""
     return float(struct.unpack("<I" if number in INTEGERS else "<f", raw)[0])
 
 
 def bytes_from_value(number: int, value: float) -> bytes:
-    """Return the four little-endian bytes of a register's value, or raise InputError."""
+    """Return the four little-endian bytes of a value of register ``number``.
+
+    InputError where the value does not fit into the register.
+    """
     try:
         if number in INTEGERS:
             return struct.pack("<I", int(value))
@@ -388,14 +464,17 @@ def bytes_from_value(number: int, value: float) -> bytes:
 
 
 def register_text(number: int, value: float) -> str:
-    """Return a register's NAME=value as written into a recording's header."""
+    """Return "NAME=value" of register ``number``, as written into a recording's header."""
     text = str(int(value)) if number in INTEGERS else f"{value:.9g}"
     return f"{NAMES[number]}={text}"
 
 
 DISABLED = 0
+"""Status code of a motor that follows no commands."""
 ENABLED = 1
+"""Status code of a motor that follows commands."""
 LOST_COMMUNICATION = 0xD
+"""Status code of a motor that its watchdog stopped because commands stayed away."""
 
 _MEANINGS = {
     DISABLED: "disabled",
@@ -417,31 +496,41 @@ _MEANINGS = {
 
 
 def status_text(code: int) -> str:
-    """Return a motor's status code with its meaning, for messages."""
+    """Return "status CODE: meaning" of a motor's status code, for messages."""
     return f"status {code:X}: {_MEANINGS.get(code, 'not documented')}"
 
 
 def is_fault(code: int) -> bool:
-    """Tell whether a code is a fault; every fault makes the motor leave the enabled state."""
+    """Return whether a status code is a fault; a motor with a fault is no longer enabled."""
     return code not in (DISABLED, ENABLED)
 
 
-# A judgement: room for error frames and for one frame in three that is sent again.
 PLANNING_LIMIT = 0.70
+"""Largest share of the bus that a plan may take (1 = full).
+
+A judgement: the rest is for error frames and for sending one frame in three again.
+"""
 HANDY_RATES = (1000.0, 500.0, 250.0, 200.0, 125.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0)
 """Cycle rates to propose [Hz], highest first."""
 _FRAMES_PER_CYCLE = 2
+"""Frames per motor and control cycle: the command and its reply."""
 _CLASSIC_BITS = 111 + 24
+"""Most bits of a classic 8-byte frame: frame and gap, and the stuff bits at worst."""
 _FD_NOMINAL_BITS = 30 + 4
+"""Most bits of an 8-byte CAN-FD frame at the nominal bit rate: unstuffed and stuff bits."""
 _FD_DATA_BITS = 96 + 17
+"""Most bits of an 8-byte CAN-FD frame at the data bit rate: unstuffed and stuff bits."""
 _CLASSIC_RATE_HZ = 250.0
+"""Highest default cycle rate on a classic bus [Hz]."""
 _FD_RATE_HZ = 500.0
+"""Highest default cycle rate on a CAN-FD bus [Hz]."""
 _BIT_RATE = "RATE [bit/s] > 0"
+"""Placeholder and condition of the bit rate options in the help text."""
 
 
 @dataclass(frozen=True)
 class BusTiming(OptionRecord):
-    """Bit rates of a bus."""
+    """Frame format and bit rates [bit/s] of a CAN bus."""
 
     fd: bool = option(False, "use CAN-FD frames")
     bitrate: float = option(1e6, "nominal bit rate", _BIT_RATE, default_text="1000000")
@@ -454,19 +543,28 @@ class BusTiming(OptionRecord):
 
     @property
     def frame_time(self) -> float:
-        """Longest time one 8-byte frame occupies the bus [s]."""
+        """Longest time for which one 8-byte frame occupies the bus [s]."""
         if not self.fd:
             return _CLASSIC_BITS / self.bitrate
         return _FD_NOMINAL_BITS / self.bitrate + _FD_DATA_BITS / self.data_bitrate
 
 
 def bus_load(n_motors: int, rate: float, timing: BusTiming) -> float:
-    """Return the worst-case share of the bus that n motors at ``rate`` [Hz] take (1 = full)."""
+    """Return the worst-case share of the bus (1 = full) that motors take.
+
+    Args:
+        n_motors: number of motors on the bus.
+        rate: control cycles per second [Hz].
+        timing: frame format and bit rates of the bus.
+    """
     return n_motors * _FRAMES_PER_CYCLE * timing.frame_time * rate
 
 
 def default_rate(n_motors: int, timing: BusTiming) -> float:
-    """Return the cycle rate to use [Hz]: 250 (classic) or 500 (FD), less where it does not fit."""
+    """Return the default cycle rate [Hz] of n motors on a bus.
+
+    It is 250 (classic) or 500 (FD), or less where that would load the bus to more than 70 %.
+    """
     max_rate = _FD_RATE_HZ if timing.fd else _CLASSIC_RATE_HZ
     return suggested_rate(n_motors, timing, max_rate)
 
@@ -474,9 +572,10 @@ def default_rate(n_motors: int, timing: BusTiming) -> float:
 def suggested_rate(
     n_motors: int, timing: BusTiming, max_rate: float = math.inf
 ) -> float:
-    """Return the highest of ``HANDY_RATES`` that loads the bus to 70 % or less [Hz].
+    """Return the highest cycle rate [Hz] of ``HANDY_RATES`` that loads the bus to 70 % or less.
 
-    It is at most ``max_rate`` [Hz]; where none is low enough, the rate that loads the bus to 70 %.
+    It is at most ``max_rate`` [Hz]. Where no handy rate is low enough, the rate that loads the bus
+    to exactly 70 % is returned.
     """
     full_rate = PLANNING_LIMIT / bus_load(n_motors, 1.0, timing)
     highest = min(full_rate, max_rate)
