@@ -20,6 +20,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
+from multiprocessing.process import BaseProcess
 from typing import Any, Callable
 
 import numpy as np
@@ -392,7 +393,7 @@ def _worker_pool(
     """
     pool = None
     earlier_children = multiprocessing.active_children()
-    # Without room for another process, for its pipes or its semaphores there is no pool.
+    # Without memory for another process, for its pipes or its semaphores there is no pool.
     with contextlib.suppress(OSError, RuntimeError, ImportError):
         if count > 1:
             context = multiprocessing.get_context("spawn")
@@ -401,12 +402,24 @@ def _worker_pool(
         yield partial(_run_jobs, shared, pool)
     finally:
         if pool is not None:
-            children = multiprocessing.active_children()
-            pool.shutdown(wait=False, cancel_futures=True)
-            # A job that nobody waits for any more would keep this program from ending.
-            for process in children:
-                if process not in earlier_children:
-                    process.terminate()
+            _end_workers(pool, earlier_children)
+
+
+def _end_workers(
+    pool: ProcessPoolExecutor, earlier_children: Sequence[BaseProcess]
+) -> None:
+    """Shut a pool down and end its processes at once, in the middle of a job too.
+
+    Args:
+        pool: of workers.
+        earlier_children: child processes from before the pool was made, which are left alone.
+    """
+    children = multiprocessing.active_children()
+    pool.shutdown(wait=False, cancel_futures=True)
+    # A job that nobody waits for any more would keep this program from ending.
+    for process in children:
+        if process not in earlier_children:
+            process.terminate()
 
 
 def _run_jobs(

@@ -14,7 +14,6 @@ from functools import partial
 
 import numpy as np
 
-from robot_sysid.dynamics.newton_euler import split_motion
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.consistent_bodies import (
@@ -56,8 +55,8 @@ from robot_sysid.motion.information import (
     Criterion,
     PriorKnowledge,
     design_criterion,
-    information_model,
     mass_and_centre_errors,
+    plan_information,
     random_information,
 )
 from robot_sysid.motion.prediction import (
@@ -86,12 +85,6 @@ FASTER = 1.5
 """How many times as fast the faster motion is that is suggested."""
 BETTER_LINKS = 0.5
 """Share of the links' uncertainty that remains in the suggestion to know them better."""
-_INSTANTS_HZ = 10.0
-"""Instants of a motion per second for which the errors of suggestions are computed."""
-_FEWEST_INSTANTS = 100
-"""Fewest of these instants."""
-_MOST_INSTANTS = 4000
-"""Most of these instants."""
 _NO_NOISE = 1e-4
 """Torque noise that makes no error beside that of the priors [N m]."""
 _WEIGHED_SHARE = 1.0 - 1e-6
@@ -243,7 +236,7 @@ def _bound_from_all_samples(
     not identifiable, and their variances are rounding.
     """
     criterion = design_criterion(problem, knowledge)
-    information = _information(problem, plan, recording.sample_rate, knowledge)
+    information = plan_information(problem, plan, recording.sample_rate, knowledge)
     covariance = criterion.covariance(information).copy()
     variance = np.diag(covariance)
     is_known = (variance > 0.0) & (variance < (_LARGEST_ERROR * size) ** 2)
@@ -467,27 +460,6 @@ def _invisible_combinations(
     return tuple(describe(space, problem.scale, PARAMETER_NAMES))
 
 
-def _information(
-    problem: ExcitationProblem,
-    plan: MotionPlan,
-    rate: float,
-    knowledge: PriorKnowledge,
-    speed: float = 1.0,
-) -> Array:
-    """Return the information (10 L, 10 L) of a motion recorded at a rate [Hz].
-
-    With ``speed`` s the path is passed s times as fast, over the same time.
-    """
-    n_instants = _INSTANTS_HZ * plan.duration
-    count = int(np.clip(n_instants, _FEWEST_INSTANTS, _MOST_INSTANTS))
-    motion = plan.evaluate((np.arange(count) + 0.5) * plan.duration / count)
-    sigma = problem.sigma * np.sqrt(count / (rate * plan.duration))
-    model = information_model(problem, sigma, knowledge)
-    series = motion.q, speed * motion.qd, speed**2 * motion.qdd
-    chunks = split_motion(10 * problem.n_joints**2, *series)
-    return np.asarray(sum(model.evaluate(*chunk).information for chunk in chunks))
-
-
 def _improvements(
     problem: ExcitationProblem,
     plan: MotionPlan,
@@ -506,9 +478,9 @@ def _improvements(
     theta = _PAYLOAD if recording.is_payload else problem.robot.prior.theta
     options = recording.options
     improve = partial(_improvement, problem, theta, options)
-    information_of = partial(_information, problem, plan, recording.sample_rate)
+    information_of = partial(plan_information, problem, plan, recording.sample_rate)
     information = information_of(knowledge)
-    fast_information = information_of(knowledge, speed=FASTER)
+    fast_information = information_of(knowledge, speed_factor=FASTER)
     improvements = [
         improve(
             f"a motion {LONGER:g} times as long",

@@ -27,9 +27,10 @@ from robot_sysid.dynamics.newton_euler import (
     LinkDynamics,
     LinksMotion,
     bracket_transposed,
+    split_motion,
 )
 from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.records import Array
+from robot_sysid.records import Array, MotionPlan
 from robot_sysid.regressor import wrench_regressor
 
 _RIDGE = 1e-10
@@ -43,6 +44,13 @@ JOINT_TERMS = ("coulomb", "viscous", "offset", "armature", "scale", "load", "sqr
 _N_TERMS = len(JOINT_TERMS)
 _RANDOM_SIZE = 400_000
 """Rows of random motion times joints: as many for 60 joints as fit into 50 MB."""
+
+_INSTANTS_HZ = 10.0
+"""Instants per second at which ``plan_information`` evaluates a motion [Hz]."""
+_FEWEST_INSTANTS = 100
+"""Fewest instants at which ``plan_information`` evaluates a motion, however short."""
+_MOST_INSTANTS = 4000
+"""Most instants at which ``plan_information`` evaluates a motion, however long."""
 
 Gradient = tuple[Array, Array, Array]
 """Gradient of a scalar with respect to q, qd and qdd, (N, n) each."""
@@ -403,3 +411,33 @@ def random_information(
     q = np.clip(problem.rest + 2.0 * q, problem.limits.lower, problem.limits.upper)
     sigma = np.full(len(problem.rows), noise)
     return information_model(problem, sigma, knowledge).evaluate(q, qd, qdd).information
+
+
+def plan_information(
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    rate: float,
+    knowledge: PriorKnowledge,
+    speed_factor: float = 1.0,
+) -> Array:
+    """Return the information (10 L, 10 L) that a recording of a planned motion will have about all
+    L links with mass, the terminal link first.
+
+    It is computed at fewer instants than are recorded; the noise of each is lowered to make up
+    for that.
+
+    Args:
+        problem: the arm, with the torque noise of one recorded sample.
+        plan: the motion.
+        rate: sample rate of the recording [Hz].
+        knowledge: of the estimate beforehand; decides which unknowns each joint has.
+        speed_factor: s: the path is passed s times as fast, over the same time.
+    """
+    n_instants = _INSTANTS_HZ * plan.duration
+    count = int(np.clip(n_instants, _FEWEST_INSTANTS, _MOST_INSTANTS))
+    motion = plan.evaluate((np.arange(count) + 0.5) * plan.duration / count)
+    sigma = problem.sigma * np.sqrt(count / (rate * plan.duration))
+    model = information_model(problem, sigma, knowledge)
+    series = motion.q, speed_factor * motion.qd, speed_factor**2 * motion.qdd
+    chunks = split_motion(10 * problem.n_joints**2, *series)
+    return np.asarray(sum(model.evaluate(*chunk).information for chunk in chunks))
