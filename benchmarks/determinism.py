@@ -49,10 +49,10 @@ def _search(path: Path, workers: int) -> None:
     from robot_sysid.api.results import one_thread
     from robot_sysid.motion.design_search import design_excitation
     from robot_sysid.motion.trajectories import save_trajectory
-    from tests.support.excitation_arms import TUBES_AND_POST, design
+    from tests.support.excitation_arms import TUBES_AND_POST, make_design
 
     few = {"draws": 30, "starts": 3, "rounds": 3, "iterations": 20}
-    problem = design(TUBES_AND_POST, workers=workers, **few)
+    problem = make_design(TUBES_AND_POST, workers=workers, **few)
     with one_thread():
         result = design_excitation(problem, np.random.default_rng(1))
     assert not result.stopped

@@ -52,7 +52,9 @@ def limited_arms(draw, torque=False):
         upper.append(np.inf if open_above else middle + 0.5 * width)
         velocity.append(draw(st.floats(0.01, 20.0)))
     force = [draw(st.floats(0.5, 100.0)) if torque else np.inf for _ in range(3)]
-    limits = JointLimits(*(np.array(part) for part in (lower, upper, velocity, force)))
+    limits = JointLimits(
+        *(np.array(bound) for bound in (lower, upper, velocity, force))
+    )
     reference = np.array(draw(st.lists(st.floats(-8.0, 8.0), min_size=3, max_size=3)))
     return replace(THREE, limits=limits, reference_qpos=reference)
 

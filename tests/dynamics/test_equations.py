@@ -77,7 +77,7 @@ class Fit:
     rmse: float
 
     @property
-    def identified(self):
+    def is_identified(self):
         return np.array(self.space.is_identified)
 
     def error(self, truth):
@@ -94,13 +94,13 @@ def identify(robot, measurements, torques="chain", friction=TERMINAL_FRICTION):
 
 
 def solve(information, prior):
-    matrix, right = information.equations()
+    matrix, rhs = information.equations()
     space = visible_space(matrix)
-    values = prior + space.solve(right - matrix @ prior)
+    values = prior + space.solve(rhs - matrix @ prior)
     squared = np.sum(information.squared_residuals(values))
     rmse = float(np.sqrt(squared / information.n_samples))
     return Fit(
-        information.names, values, prior, space, float(np.linalg.norm(right)), rmse
+        information.names, values, prior, space, float(np.linalg.norm(rhs)), rmse
     )
 
 
@@ -135,7 +135,7 @@ def test_on_any_chain_what_is_called_identified_is_right_and_the_rest_is_the_mod
     # Torques carry about 14 digits, of which weak columns and the condition number eat some.
     condition = space.singular[0] / space.singular[-1]
     digits = 1e-8 + 1e-14 * estimate.torque_size * condition * space.scale
-    assert np.all((estimate.error(truth) < digits)[estimate.identified])
+    assert np.all((estimate.error(truth) < digits)[estimate.is_identified])
     moved = (estimate.values - estimate.prior) / space.scale
     size = np.linalg.norm(moved) + np.linalg.norm(
         (truth - estimate.prior) / space.scale

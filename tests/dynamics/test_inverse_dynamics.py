@@ -38,7 +38,7 @@ def with_link(robot, theta):
 def assert_reproduces(robot, theta, motion):
     """tau_rest + Y theta' = inverse dynamics of the model with theta' written into it."""
     model, composite = with_link(robot, theta)
-    rows, rest = arms.rows_and_rest(robot, motion)
+    rows, other_torque = arms.rows_and_rest(robot, motion)
     link = rows @ composite
     actual = ArmDynamics(robot, model).torque(*motion)
     # 1e-9 of the link's own torque; beside it only the rounding errors of terms that cancel:
@@ -46,8 +46,8 @@ def assert_reproduces(robot, theta, motion):
     _, qd, qdd = motion
     metre_away = composite[0] * (10.0 + np.max(np.abs(qdd)) + np.max(qd**2))
     rounding = 1e-13 * (np.max(np.abs(actual)) + metre_away)
-    allowed = 1e-9 * np.max(np.abs(link)) + rounding
-    np.testing.assert_allclose(rest + link, actual, rtol=0.0, atol=allowed)
+    tolerance = 1e-9 * np.max(np.abs(link)) + rounding
+    np.testing.assert_allclose(other_torque + link, actual, rtol=0.0, atol=tolerance)
 
 
 @given(random_chain(), rigid_bodies(), SEEDS)
@@ -72,12 +72,13 @@ def test_rest_plus_link_is_mujocos_inverse_dynamics_on(name):
 
 def test_model_of_the_user_is_left_alone():
     robot = robot_of(arms.COUPLED_FINGERS)
-    before = robot.mj_model.body_mass.copy(), robot.mj_model.opt.disableflags
+    masses = robot.mj_model.body_mass.copy()
+    flags = robot.mj_model.opt.disableflags
     motion = random_motion(np.random.default_rng(0), robot.n_joints, 2)
     arms.rows_and_rest(robot, motion)
     ArmDynamics(robot).torque(*motion)
-    np.testing.assert_array_equal(robot.mj_model.body_mass, before[0])
-    assert robot.mj_model.opt.disableflags == before[1]
+    np.testing.assert_array_equal(robot.mj_model.body_mass, masses)
+    assert robot.mj_model.opt.disableflags == flags
 
 
 def plain_torque(xml, motion):
@@ -102,14 +103,23 @@ def test_torque_is_that_of_the_rigid_bodies_alone(name):
     )
 
 
-BESIDE_ARMATURE = [
-    f"{what}{kind}"
-    for what in ("jnt_stiffness", "dof_damping", "tendon_stiffness", "tendon_damping")
-    for kind in ("", "poly")
-] + ["tendon_armature", "actuator_armature", "actuator_damping", "actuator_dampingpoly"]
+FIELDS_BESIDE_ARMATURE = [
+    "jnt_stiffness",
+    "jnt_stiffnesspoly",
+    "dof_dampingpoly",
+    "tendon_stiffness",
+    "tendon_stiffnesspoly",
+    "tendon_damping",
+    "tendon_dampingpoly",
+    "tendon_armature",
+    "actuator_armature",
+    "actuator_damping",
+    "actuator_dampingpoly",
+]
+"""Fields of ``MjModel``: torques beside those of rigid bodies and of joints' armature."""
 
 
-@pytest.mark.parametrize("field", sorted({*BESIDE_ARMATURE} - {"dof_damping"}))
+@pytest.mark.parametrize("field", FIELDS_BESIDE_ARMATURE)
 def test_each_thing_beside_armature_alone_needs_the_full_dynamics(field):
     xml = arms.TENDON_SPRING.replace('stiffness="25" springlength=".2" damping="3"', "")
     motor = '<actuator><motor joint="joint2"/></actuator></mujoco>'
@@ -169,10 +179,10 @@ def assert_equals_mujoco(robot, motion):
     actual = ArmDynamics(robot).torque(*motion) - ArmDynamics(
         robot
     ).beyond_rigid_bodies(*motion)
-    allowed = 1e-11 * np.max(np.abs(actual)) + 1e-13
-    np.testing.assert_allclose(links.torque(thetas), actual, rtol=0.0, atol=allowed)
+    tolerance = 1e-11 * np.max(np.abs(actual)) + 1e-13
+    np.testing.assert_allclose(links.torque(thetas), actual, rtol=0.0, atol=tolerance)
     columns = links.columns(range(robot.n_joints)) @ thetas.ravel()
-    np.testing.assert_allclose(columns, actual, rtol=0.0, atol=allowed)
+    np.testing.assert_allclose(columns, actual, rtol=0.0, atol=tolerance)
 
 
 @given(random_chain(), SEEDS)

@@ -25,10 +25,10 @@ angle = st.floats(-0.3, 0.3)
 @given(SEEDS, angle, angle)
 def test_turning_keeps_the_strength_and_turns_by_the_angle(seed, first, second):
     down = 9.81 * np.random.default_rng(seed).normal(size=3)
-    after = turn_gravity(down, np.array([first, second]))
-    np.testing.assert_allclose(np.linalg.norm(after), np.linalg.norm(down), rtol=1e-12)
+    turned = turn_gravity(down, np.array([first, second]))
+    np.testing.assert_allclose(np.linalg.norm(turned), np.linalg.norm(down), rtol=1e-12)
     # Both axes are perpendicular to gravity, so the whole turn shows.
-    sine = np.linalg.norm(np.cross(down, after)) / (down @ down)
+    sine = np.linalg.norm(np.cross(down, turned)) / (down @ down)
     np.testing.assert_allclose(
         sine, np.sin(np.hypot(first, second)), rtol=0.0, atol=1e-12
     )
@@ -50,13 +50,13 @@ def test_axes_that_are_carried_along_stay_square_and_small_turns_add_up(
 ):
     level = 9.81 * np.random.default_rng(seed).normal(size=3)
     angles = np.array([first, second])
-    here = turn_gravity(level, angles)
-    axes = tilt_axes(level, here)
-    directions = np.array([*axes, here / np.linalg.norm(here)])
+    tilted = turn_gravity(level, angles)
+    axes = tilt_axes(level, tilted)
+    directions = np.array([*axes, tilted / np.linalg.norm(tilted)])
     np.testing.assert_allclose(directions @ directions.T, np.eye(3), atol=1e-9)
     # A small turn of a tilted arm adds to its tilt, but for the curvature of the sphere.
     small = 1e-4 * np.array([0.6, 0.8])
-    added = tilt_angles(level, turn_gravity(here, small, axes)) - angles
+    added = tilt_angles(level, turn_gravity(tilted, small, axes)) - angles
     curvature = (first**2 + second**2) / 3.0
     np.testing.assert_allclose(added, small, rtol=0.0, atol=1e-4 * (curvature + 1e-3))
     np.testing.assert_allclose(tilt_axes(level, level), tilt_axes(level), atol=1e-12)
@@ -75,25 +75,25 @@ def test_a_zero_changes_the_torque_as_differences_of_it_say(xml, seed):
     q, qd, qdd = random_motion(rng, robot.n_joints, 5)
     thetas = robot.thetas
     dynamics = LinkDynamics(robot)
-    own = step * np.eye(robot.n_joints)
+    offsets = step * np.eye(robot.n_joints)
     below, above = (
         np.stack(
             [dynamics.motion(q + at, qd, qdd).torque(thetas) for at in side], axis=-1
         )
-        for side in (-own, own)
+        for side in (-offsets, offsets)
     )
-    found = zero_columns(robot, thetas, Motion(np.arange(5.0), q, qd, qdd))
+    columns = zero_columns(robot, thetas, Motion(np.arange(5.0), q, qd, qdd))
     rounding = 1e-9 * np.max(np.abs(above), initial=1.0)
     np.testing.assert_allclose(
-        found, (below - above) / (2.0 * step), rtol=1e-6, atol=rounding
+        columns, (below - above) / (2.0 * step), rtol=1e-6, atol=rounding
     )
 
 
 @given(st.integers(0, 40), st.integers(0, 10**6))
 def test_a_motion_in_parts_is_the_motion_and_no_part_is_large(samples, width):
     motion = np.arange(3.0 * samples).reshape(-1, 3), np.arange(samples)
-    parts = list(split_motion(width, *motion))
-    for each, whole in zip(zip(*parts), motion):
-        np.testing.assert_array_equal(np.concatenate(each), whole)
+    chunks = list(split_motion(width, *motion))
+    for pieces, signal in zip(zip(*chunks), motion):
+        np.testing.assert_array_equal(np.concatenate(pieces), signal)
     # Up to one sample more, where they do not divide evenly.
-    assert all(width * (len(part) - 1) < 10**6 for part, _ in parts)
+    assert all(width * (len(chunk) - 1) < 10**6 for chunk, _ in chunks)

@@ -21,7 +21,7 @@ def random_frame(rng):
     return random_rotation(rng), rng.normal(size=3)
 
 
-def scaled(theta):
+def scale_theta(theta):
     return theta / spatial.parameter_scale(
         theta[0], spatial.characteristic_length(theta)
     )
@@ -81,7 +81,9 @@ def test_moving_the_frame_moves_the_points(seed):
 def test_origin_to_com_and_back_is_the_identity(seed, spread):
     theta = random_body(np.random.default_rng(seed), spread)
     back = spatial.theta_from_com(*spatial.com_from_theta(theta))
-    np.testing.assert_allclose(scaled(back), scaled(theta), rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(
+        scale_theta(back), scale_theta(theta), rtol=0.0, atol=1e-13
+    )
 
 
 @given(SEEDS, st.booleans())
@@ -133,19 +135,19 @@ def test_the_size_of_a_body_is_the_root_mean_square_distance_of_its_mass(seed):
     assert size == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_numbers_that_are_none_are_no_body(bad):
+@pytest.mark.parametrize("invalid", [np.nan, np.inf])
+def test_numbers_that_are_none_are_no_body(invalid):
     theta = spatial.theta_from_com(1.0, np.zeros(3), np.eye(3))
     assert spatial.is_consistent(theta)
-    theta[4] = bad
+    theta[4] = invalid
     assert spatial.is_consistent(theta) is False
 
 
-def turns(rng, kind):
+def draw_rotation(rng, family):
     """A rotation anywhere, at right angles, or so near a right pitch that roll and yaw mix."""
-    if kind == "any":
+    if family == "any":
         return random_rotation(rng)
-    if kind == "right angles":
+    if family == "right angles":
         return Rotation.from_euler(
             "ZYX", 90.0 * rng.integers(-2, 3, 3), degrees=True
         ).as_matrix()
@@ -155,12 +157,12 @@ def turns(rng, kind):
     ).as_matrix()
 
 
-KINDS = st.sampled_from(["any", "right angles", "nearly locked"])
+ROTATIONS = st.sampled_from(["any", "right angles", "nearly locked"])
 
 
-@given(SEEDS, KINDS)
-def test_angles_and_quaternions_turn_back_into_the_rotation(seed, kind):
-    rotation = turns(np.random.default_rng(seed), kind)
+@given(SEEDS, ROTATIONS)
+def test_angles_and_quaternions_turn_back_into_the_rotation(seed, family):
+    rotation = draw_rotation(np.random.default_rng(seed), family)
     roll, pitch, yaw = spatial.roll_pitch_yaw(rotation)
     back = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
     np.testing.assert_allclose(back, rotation, rtol=0.0, atol=3e-14)
@@ -175,13 +177,15 @@ def test_angles_and_quaternions_turn_back_into_the_rotation(seed, kind):
 @given(SEEDS, st.sampled_from([1.0, 1e-6, 1e-12, 0.0]))
 def test_principal_axes_give_the_inertia_back_and_turn_least(seed, spread):
     rng = np.random.default_rng(seed)
-    axes = random_rotation(rng)
-    inertia = axes @ np.diag(1.0 + spread * rng.uniform(0.0, 1.0, 3)) @ axes.T
-    moments, found = spatial.principal_axes(inertia)
-    np.testing.assert_allclose(
-        found @ np.diag(moments) @ found.T, inertia, rtol=0.0, atol=1e-14
+    drawn_axes = random_rotation(rng)
+    inertia = (
+        drawn_axes @ np.diag(1.0 + spread * rng.uniform(0.0, 1.0, 3)) @ drawn_axes.T
     )
-    np.testing.assert_allclose(found.T @ found, np.eye(3), rtol=0.0, atol=1e-14)
-    assert np.linalg.det(found) > 0.0
+    moments, axes = spatial.principal_axes(inertia)
+    np.testing.assert_allclose(
+        axes @ np.diag(moments) @ axes.T, inertia, rtol=0.0, atol=1e-14
+    )
+    np.testing.assert_allclose(axes.T @ axes, np.eye(3), rtol=0.0, atol=1e-14)
+    assert np.linalg.det(axes) > 0.0
     # No frame is further than 62.8 degrees from the nearest of its 24 turns.
-    assert np.trace(found) >= 1.0 + 2.0 * np.cos(np.radians(62.8))
+    assert np.trace(axes) >= 1.0 + 2.0 * np.cos(np.radians(62.8))

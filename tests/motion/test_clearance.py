@@ -60,11 +60,11 @@ def test_bodies_of_many_geoms_are_seen_from_afar(gap):
 
 @given(SEEDS)
 def test_gradient_equals_differences(seed):
-    found = clearance_of(TUBES_AND_POST, ((0.1, 0.2, 1.0, -0.2),))
+    clearance = clearance_of(TUBES_AND_POST, ((0.1, 0.2, 1.0, -0.2),))
     rng = np.random.default_rng(seed)
     q, direction = rng.uniform(-1.0, 1.0, size=(2, 4))
     step = 1e-6
-    three = found.slack(q + step * np.outer([-1.0, 0.0, 1.0], direction))
+    three = clearance.slack(q + step * np.outer([-1.0, 0.0, 1.0], direction))
     # Deep inside each other, MuJoCo's nearest points are approximate.
     assume(three.value[1] > -KEEP)
     one_sided = np.diff(three.value) / step
@@ -75,13 +75,13 @@ def test_gradient_equals_differences(seed):
 
 @given(SEEDS)
 def test_no_move_uses_up_more_slack_than_its_bound(seed):
-    found = clearance_of(TUBES_AND_POST, ((0.0, 0.0, 1.0, -0.2),))
+    clearance = clearance_of(TUBES_AND_POST, ((0.0, 0.0, 1.0, -0.2),))
     rng = np.random.default_rng(seed)
     start = rng.uniform(-2.0, 2.0, size=4)
     end = start + rng.uniform(0.01, 0.3) * rng.normal(size=4)
-    both = found.slack(np.vstack((start, end)))
-    moved = found.rates @ np.abs(end - start)
-    value, budget = found.slack_at(start)
+    both = clearance.slack(np.vstack((start, end)))
+    moved = clearance.rates @ np.abs(end - start)
+    value, budget = clearance.slack_at(start)
     assert value == both.value[0]
     assert both.value[1] >= np.min(budget - moved) - 1e-6
 
@@ -95,21 +95,23 @@ def test_links_that_overlap_whatever_the_joints_do_are_no_collision(
     tip = link(hinge("roll", X, 'range="-3 3"'), ball, "tip", pos="0 0 0")
     cross = link(hinge("bend", Y, 'range="-3 3"'), tip, "cross", pos="0 0 0")
     socket = '<geom size=".1" pos=".05 0 0"/>' + cross
-    found = clearance_of(world(link(hinge("turn", Z), socket, "socket", pos="0 0 0")))
-    assert len(found.at_rest["ignored"]) == is_by_design
-    assert len(found.at_rest["deep"]) == (not is_by_design)
+    clearance = clearance_of(
+        world(link(hinge("turn", Z), socket, "socket", pos="0 0 0"))
+    )
+    assert len(clearance.at_rest["ignored"]) == is_by_design
+    assert len(clearance.at_rest["deep"]) == (not is_by_design)
 
 
 def test_negative_slack_wherever_the_contact_finder_sees_a_contact():
     arm = robot(TUBES_AND_POST)
-    found = clearance_of(TUBES_AND_POST)
+    clearance = clearance_of(TUBES_AND_POST)
     finder = ContactFinder(arm)
     rng = np.random.default_rng(5)
     touching = 0
     for q in rng.uniform(-2.5, 2.5, size=(300, 4)):
         if finder.new_pairs(q):
             touching += 1
-            assert found.closest(q).slack <= -KEEP + 1e-9
+            assert clearance.closest(q).slack <= -KEEP + 1e-9
     assert touching > 10
 
 
@@ -119,26 +121,26 @@ def near_at_rest(gap):
 
 
 def test_a_pair_nearer_than_the_clearance_keeps_half_its_distance_at_rest():
-    found = clearance_of(near_at_rest(0.004))
-    closest = found.closest(np.zeros(2))
+    clearance = clearance_of(near_at_rest(0.004))
+    closest = clearance.closest(np.zeros(2))
     assert closest.distance == pytest.approx(0.004, abs=1e-6)
     assert closest.slack == pytest.approx(KEPT_SHARE * 0.004, abs=1e-6)
-    assert found.at_rest["near"] == ["#1 and ball (4 mm apart)"]
+    assert clearance.at_rest["near"] == ["#1 and ball (4 mm apart)"]
 
 
 def test_what_only_grazes_at_rest_never_gets_deeper():
     """A table 0.5 mm too high is not a reason to go through it."""
-    found = clearance_of(near_at_rest(-0.0005))
-    assert found.at_rest["touching"] == ["#1 and ball (0.5 mm deep)"]
-    assert found.slack(np.zeros((1, 2))).value[0] == pytest.approx(1e-4, abs=1e-6)
-    away, deeper = found.slack(np.array([[-0.02, 0.0], [0.001, 0.0]])).value
+    clearance = clearance_of(near_at_rest(-0.0005))
+    assert clearance.at_rest["touching"] == ["#1 and ball (0.5 mm deep)"]
+    assert clearance.slack(np.zeros((1, 2))).value[0] == pytest.approx(1e-4, abs=1e-6)
+    away, deeper = clearance.slack(np.array([[-0.02, 0.0], [0.001, 0.0]])).value
     assert away > 0.0 > deeper
 
 
 def test_bodies_deep_inside_each_other_at_rest_are_a_collision():
-    found = clearance_of(near_at_rest(-0.005))
-    assert found.at_rest["deep"] == ["#1 and ball (5 mm deep)"]
-    assert found.slack(np.zeros((1, 2))).value[0] == pytest.approx(
+    clearance = clearance_of(near_at_rest(-0.005))
+    assert clearance.at_rest["deep"] == ["#1 and ball (5 mm deep)"]
+    assert clearance.slack(np.zeros((1, 2))).value[0] == pytest.approx(
         -KEEP - 0.005, abs=1e-6
     )
 
@@ -152,10 +154,10 @@ def test_a_gap_is_no_smaller_for_where_the_arm_merely_could_be():
 
 
 def test_travels_to_another_process():
-    found = clearance_of(TUBES_AND_POST, ((0.0, 0.0, 1.0, -0.2),))
-    copied = pickle.loads(pickle.dumps(found))
+    clearance = clearance_of(TUBES_AND_POST, ((0.0, 0.0, 1.0, -0.2),))
+    copied = pickle.loads(pickle.dumps(clearance))
     q = np.random.default_rng(0).uniform(-1.0, 1.0, size=(20, 4))
-    assert np.array_equal(copied.slack(q).value, found.slack(q).value)
+    assert np.array_equal(copied.slack(q).value, clearance.slack(q).value)
 
 
 BODIES = 6
@@ -192,24 +194,27 @@ def contacts(model, seed):
     st.lists(st.integers(0, 2), min_size=BODIES, max_size=BODIES),
     SEEDS,
 )
-def test_keeps_exactly_the_pairs_that_matter(filters, parts, seed):
+def test_keeps_exactly_the_pairs_that_matter(filters, groups, seed):
     model = crowd(filters)
-    part = np.array([0, *parts])
+    body_groups = np.array([0, *groups])
     rng = np.random.default_rng(seed)
     ignored = rng.uniform(size=(BODIES + 1, BODIES + 1)) < 0.3
     ignored |= ignored.T
     decimated = copy.copy(model)
-    drop_pairs(decimated, part, ignored)
-    before = contacts(model, seed)
-    after = contacts(decimated, seed)
+    drop_pairs(decimated, body_groups, ignored)
+    all_contacts = contacts(model, seed)
+    decimated_contacts = contacts(decimated, seed)
     body = model.geom_bodyid
-    matter = {
+    relevant = {
         (a, b)
-        for a, b in before
-        if part[body[a]] != part[body[b]] and not ignored[body[a], body[b]]
+        for a, b in all_contacts
+        if body_groups[body[a]] != body_groups[body[b]]
+        and not ignored[body[a], body[b]]
     }
-    assert matter <= after <= before
-    assert not any(part[body[a]] == part[body[b]] for a, b in after)
+    assert relevant <= decimated_contacts <= all_contacts
+    assert not any(
+        body_groups[body[a]] == body_groups[body[b]] for a, b in decimated_contacts
+    )
 
 
 @pytest.mark.parametrize("name", ["geom_contype", "geom_conaffinity"])
@@ -232,11 +237,11 @@ def test_bounds_of_a_slide_hold_too():
         )
         + '<geom type="plane" size="1 1 .1"/>'
     )
-    found = clearance_of(xml)
+    clearance = clearance_of(xml)
     rng = np.random.default_rng(0)
     for _ in range(100):
         start = rng.uniform(-0.6, 0.6, size=2)
         step = 0.1 * rng.normal(size=2)
-        moved = found.rates @ np.abs(step)
-        (_, budget) = found.slack_at(start)
-        assert found.slack_at(start + step)[0] >= np.min(budget - moved) - 1e-6
+        moved = clearance.rates @ np.abs(step)
+        (_, budget) = clearance.slack_at(start)
+        assert clearance.slack_at(start + step)[0] >= np.min(budget - moved) - 1e-6

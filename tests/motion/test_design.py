@@ -21,98 +21,102 @@ from tests.support.arms import SEEDS
 from tests.support.excitation_arms import (
     TUBES_AND_POST,
     Design,
-    design,
-    problem,
+    make_design,
+    make_problem,
     random_x,
     slope,
 )
 
 
-def best_draw(some, seed=0):
-    return min(draw_trajectories(some, seed, range(4)), key=lambda d: d.score)
+def best_draw(design, seed=0):
+    return min(draw_trajectories(design, seed, range(4)), key=lambda d: d.score)
 
 
 def test_rounds_keep_the_best_that_keeps_all_limits():
     """Also where the start is beyond its limits."""
-    some = design(TUBES_AND_POST, iterations=8)
-    candidate = design_module.first_candidate(some, 1.5 * best_draw(some).x)
-    assert not keeps_limits(some.problem, some.trajectory(candidate.x))
+    design = make_design(TUBES_AND_POST, iterations=8)
+    candidate = design_module.first_candidate(design, 1.5 * best_draw(design).x)
+    assert not keeps_limits(design.problem, design.trajectory(candidate.x))
     assert np.linalg.norm(candidate.feasible_x) < np.linalg.norm(candidate.x)
     scores = [candidate.feasible_score]
     for _ in range(2):
-        candidate = design_module.improve(some, candidate)
+        candidate = design_module.improve(design, candidate)
         scores.append(candidate.feasible_score)
-        assert check_limits(some.problem, some.trajectory(candidate.feasible_x)).holds
+        assert check_limits(
+            design.problem, design.trajectory(candidate.feasible_x)
+        ).holds
     assert (
-        scores[0] >= scores[1] >= scores[2] == some.criterion_of(candidate.feasible_x)
+        scores[0] >= scores[1] >= scores[2] == design.criterion_of(candidate.feasible_x)
     )
     assert scores[2] < scores[0] - 0.1
 
 
-def objective_of(some, multipliers):
+def objective_of(design, multipliers):
     return partial(
         design_module.penalised_objective,
-        some,
+        design,
         design_module.Candidate(None, multipliers, 10.0),
     )
 
 
 @given(SEEDS)
 def test_gradient_equals_differences(seed):
-    some = design(arms.THREE)
+    design = make_design(arms.THREE)
     rng = np.random.default_rng(seed)
-    multipliers = rng.uniform(size=(len(some.grid), 14))
-    x = random_x(some, seed)
-    direction = random_x(some, seed + 1, 1.0)
-    objective = objective_of(some, multipliers)
+    multipliers = rng.uniform(size=(len(design.grid), 14))
+    x = random_x(design, seed)
+    direction = random_x(design, seed + 1, 1.0)
+    objective = objective_of(design, multipliers)
     exact = np.sum(objective(x)[1] * direction)
     value = slope(lambda at: objective(at)[0], x, direction)
     assert value == pytest.approx(exact, rel=1e-4, abs=1e-4 * (1.0 + np.abs(exact)))
 
 
-def deviations(some, plan, rate, smooth):
+def deviations(design, plan, rate, smooth):
     """Predicted standard deviations (10,) from samples at a rate."""
     time = (np.arange(int(plan.duration * rate)) + 0.5) / rate
     motion = plan.evaluate(time)
-    known = known_arm(some.problem)
-    sigma = some.problem.sigma * np.sqrt(len(time))
-    told = information_model(some.problem, sigma, known, 0.03 if smooth else 0.0)
-    found = told.evaluate(motion.q, motion.qd, motion.qdd).information
-    return np.sqrt(np.diag(some.criterion.covariance(found)))
+    prior = known_arm(design.problem)
+    sigma = design.problem.sigma * np.sqrt(len(time))
+    information = information_model(
+        design.problem, sigma, prior, 0.03 if smooth else 0.0
+    )
+    collected = information.evaluate(motion.q, motion.qd, motion.qdd).information
+    return np.sqrt(np.diag(design.criterion.covariance(collected)))
 
 
 @pytest.mark.parametrize("xml", [arms.SEVEN, arms.SLIDE_IN_CHAIN])
 def test_the_grid_is_fine_enough_for_the_band(xml):
     """On the search's grid, with rounded friction, no deviation is off by more than 3 %."""
-    some = design(xml, duration=15.0)
-    for draw in draw_trajectories(some, 2, range(4)):
-        plan = some.trajectory(draw.x)
-        fine = deviations(some, plan, 500.0, smooth=False)
+    design = make_design(xml, duration=15.0)
+    for draw in draw_trajectories(design, 2, range(4)):
+        plan = design.trajectory(draw.x)
+        fine = deviations(design, plan, 500.0, smooth=False)
         rate = (
             design_module.GRID_PER_CYCLE
             / design_module.INFORMATION_POINTS.step
-            * some.basis.top_frequency_hz
+            * design.basis.top_frequency_hz
         )
-        coarse = deviations(some, plan, rate, smooth=True)
+        coarse = deviations(design, plan, rate, smooth=True)
         assert np.max(np.abs(coarse / fine - 1.0)) < 0.03
 
 
 @given(SEEDS)
 def test_what_cannot_be_seen_stays_so_on_every_motion(seed):
-    some = design(arms.SEVEN, torques="terminal")
-    assert design(arms.SEVEN).criterion.visible.shape == (10, 10)
-    assert some.criterion.visible.shape == (10, 7)
-    scale = np.diag(some.problem.scale)
-    chosen = information_model(some.problem, np.ones(1), known_arm(some.problem))
+    design = make_design(arms.SEVEN, torques="terminal")
+    assert make_design(arms.SEVEN).criterion.visible.shape == (10, 10)
+    assert design.criterion.visible.shape == (10, 7)
+    scale = np.diag(design.problem.scale)
+    model = information_model(design.problem, np.ones(1), known_arm(design.problem))
     q, qd, qdd = np.random.default_rng(seed).normal(size=(3, 50, 7))
-    matrix = scale @ chosen.evaluate(q, qd, qdd).information[:10, :10] @ scale
-    seen = np.linalg.solve(scale, some.criterion.visible)
-    hidden = np.eye(10) - seen @ seen.T
+    matrix = scale @ model.evaluate(q, qd, qdd).information[:10, :10] @ scale
+    visible = np.linalg.solve(scale, design.criterion.visible)
+    hidden = np.eye(10) - visible @ visible.T
     assert np.max(np.abs(matrix @ hidden)) < 1e-6 * np.max(np.abs(matrix))
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "message"),
     [
         (
             {"sample_rate": 1.0},
@@ -124,10 +128,10 @@ def test_what_cannot_be_seen_stays_so_on_every_motion(seed):
         ),
     ],
 )
-def test_what_cannot_be_searched_is_refused_beforehand(changes, words):
+def test_what_cannot_be_searched_is_refused_beforehand(changes, message):
     motion = TrajectoryOptions(**{"duration": 15.0, **changes})
-    with pytest.raises(InputError, match=words):
-        Design(problem(arms.THREE), ExcitationOptions(workers=2), motion)
+    with pytest.raises(InputError, match=message):
+        Design(make_problem(arms.THREE), ExcitationOptions(workers=2), motion)
 
 
 STRONG_MOTORS = arms.DRY_FRICTION.replace(
@@ -145,7 +149,7 @@ LIMITED = ({}, {"max_tool_speed": 0.7}, {"payload_reserve": 2.0})
 @given(st.sampled_from(LIMITED), SEEDS)
 def test_the_gradient_of_constraints_equals_differences(limits, seed):
     constraints = partial(
-        design_module.constraints_of, problem(STRONG_MOTORS, **limits), share=0.99
+        design_module.constraints_of, make_problem(STRONG_MOTORS, **limits), share=0.99
     )
     rng = np.random.default_rng(seed)
     motion, direction = rng.normal(size=(2, 3, 3, 3))
@@ -158,28 +162,30 @@ def test_the_gradient_of_constraints_equals_differences(limits, seed):
         np.sum(weight * constraints(motion + step * direction).value)
         for step in (1e-6, -1e-6)
     )
-    here = np.sum(weight * cache.value)
+    middle = np.sum(weight * cache.value)
     # A coordinate that passes zero within the step has a kink there: two slopes.
-    slopes = np.array([ahead - here, here - behind]) / 1e-6
+    slopes = np.array([ahead - middle, middle - behind]) / 1e-6
     assert min(abs(slopes - exact)) < 1e-4 * size
 
 
 def test_gradient_of_the_clearance_equals_differences():
-    some = problem(TUBES_AND_POST)
+    problem = make_problem(TUBES_AND_POST)
     rng = np.random.default_rng(2)
     checked = 0
-    still = np.zeros((1, 4))
+    at_rest = np.zeros((1, 4))
     weight = np.eye(18)[-1:]
     while checked < 10:
         q, direction = rng.uniform(-1.5, 1.5, size=(2, 1, 4))
 
         def value(at):
-            return design_module.constraints_of(some, (at, still, still)).value[0, -1]
+            return design_module.constraints_of(problem, (at, at_rest, at_rest)).value[
+                0, -1
+            ]
 
         if value(q) <= -0.9:
             continue
         exact = np.sum(
-            design_module.constraints_of(some, (q, still, still)).vjp(weight)[0]
+            design_module.constraints_of(problem, (q, at_rest, at_rest)).vjp(weight)[0]
             * direction
         )
         if (
@@ -193,12 +199,12 @@ def test_gradient_of_the_clearance_equals_differences():
 
 
 def test_values_are_shares_of_the_limits_minus_one():
-    some = problem(arms.THREE, max_acceleration=5.0)
-    limits = some.limits
+    problem = make_problem(arms.THREE, max_acceleration=5.0)
+    limits = problem.limits
     q = np.vstack((limits.upper, limits.lower, 0.5 * (limits.lower + limits.upper)))
     qd = np.tile(limits.velocity, (3, 1))
     qdd = np.tile(-0.5 * limits.acceleration, (3, 1))
-    value = design_module.constraints_of(some, (q, qd, qdd)).value
+    value = design_module.constraints_of(problem, (q, qd, qdd)).value
     expected = np.full((3, 14), -1.0)
     expected[:2, :3] = 0.0
     expected[:, 3:6] = 0.0

@@ -34,14 +34,14 @@ from tests.support.excitation_arms import (
     TUBES,
     TUBES_AND_POST,
     TUBES_ON_FLOOR,
-    design,
+    make_design,
+    make_problem,
     options,
-    problem,
     robot,
 )
 from tests.support.places import ROOT
 
-USUAL = EstimationOptions()
+DEFAULTS = EstimationOptions()
 ARMS = (
     arms.SLIDE_IN_CHAIN,
     arms.UNLIMITED,
@@ -51,24 +51,22 @@ ARMS = (
 )
 
 
-def searched(some, seed, progress=None, clock=design_module.clock):
+def run_search(design, seed, progress=None, clock=design_module.clock):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(design_module, "clock", clock)
-        return design_excitation(some, np.random.default_rng(seed), progress)
+        return design_excitation(design, np.random.default_rng(seed), progress)
 
 
-def searched_of(some_problem, **changes):
+def search_problem(problem, **changes):
     """Search with limits that no option says."""
-    some = Design(
-        some_problem, options(**changes), TrajectoryOptions(duration=DURATION)
-    )
-    return design_excitation(some, np.random.default_rng(0))
+    design = Design(problem, options(**changes), TrajectoryOptions(duration=DURATION))
+    return design_excitation(design, np.random.default_rng(0))
 
 
 def assert_obeys(xml, seed, **changes):
     """Every limit at 500 Hz by the records of the arm itself, and no contact by MuJoCo."""
-    result = searched(design(xml, **changes), seed)
-    some = problem(xml)
+    result = run_search(make_design(xml, **changes), seed)
+    problem = make_problem(xml)
     arm = robot(xml)
     slack = 1.0 + ROUNDING
     for motion in motion_chunks(result.trajectory, 500.0):
@@ -76,8 +74,8 @@ def assert_obeys(xml, seed, **changes):
             motion.q <= arm.limits.upper
         )
         assert np.all(np.abs(motion.qd) <= arm.limits.velocity * slack)
-        assert np.all(np.abs(motion.qdd) <= some.limits.acceleration * slack)
-        assert np.all(np.abs(some.torque(motion)) <= some.limits.torque * slack)
+        assert np.all(np.abs(motion.qdd) <= problem.limits.acceleration * slack)
+        assert np.all(np.abs(problem.torque(motion)) <= problem.limits.torque * slack)
     assert find_new_contacts(arm, motion_chunks(result.trajectory, 500.0)) == ()
     ends = result.trajectory.evaluate(np.array([0.0, result.trajectory.duration]))
     assert max(np.max(np.abs(ends.qd)), np.max(np.abs(ends.qdd))) < 1e-9
@@ -97,9 +95,9 @@ def test_limits_hold_of_a_joint_that_slides_and_over_a_floor(xml):
 
 def test_the_seed_makes_the_trajectory_whatever_the_number_of_workers():
     alone, together = (
-        searched(design(arms.THREE, workers=w, starts=2), 1) for w in (1, 2)
+        run_search(make_design(arms.THREE, workers=w, starts=2), 1) for w in (1, 2)
     )
-    other = searched(design(arms.THREE, starts=2), 2)
+    other = run_search(make_design(arms.THREE, starts=2), 2)
     assert np.array_equal(
         alone.trajectory.coefficients, together.trajectory.coefficients
     )
@@ -109,7 +107,7 @@ def test_the_seed_makes_the_trajectory_whatever_the_number_of_workers():
     )
 
 
-class Told(Progress):
+class RecordedProgress(Progress):
     """Notes what it is told, and then does something."""
 
     def __init__(self, then=lambda done: None):
@@ -126,13 +124,17 @@ class Told(Progress):
 
 
 def test_rounds_make_it_better_and_progress_is_told():
-    seen = Told()
-    result = searched(design(arms.THREE, rounds=3, iterations=20), 3, seen)
+    progress = RecordedProgress()
+    result = run_search(make_design(arms.THREE, rounds=3, iterations=20), 3, progress)
     assert result.objective < 0.9 * result.start_objective
-    assert seen.done == sorted(seen.done) and seen.totals == {seen.done[-1]}
-    some = design(arms.THREE, rounds=3, iterations=20)
-    assert seen.texts[-1] == some.expected_errors(result.trajectory.coefficients)
-    assert seen.texts[-1].startswith("mass ± ") and seen.texts[-1].endswith(" mm")
+    assert progress.done == sorted(progress.done) and progress.totals == {
+        progress.done[-1]
+    }
+    design = make_design(arms.THREE, rounds=3, iterations=20)
+    assert progress.texts[-1] == design.expected_errors(result.trajectory.coefficients)
+    assert progress.texts[-1].startswith("mass ± ") and progress.texts[-1].endswith(
+        " mm"
+    )
 
 
 def test_the_best_start_goes_on_until_a_round_gains_next_to_nothing(monkeypatch):
@@ -144,42 +146,44 @@ def test_the_best_start_goes_on_until_a_round_gains_next_to_nothing(monkeypatch)
         ((-1.0, -1.0), (-1.2, -1.2), (-1.2, -1.6), (-1.5, -1.51), (-1.505, -1.52))
     )
 
-    def improved(shared, candidate, deadline):
-        best, own = next(scores)
+    def fake_improve(shared, candidate, deadline):
+        feasible_score, score = next(scores)
         return replace(
-            candidate, feasible_score=best, score=own, rounds=candidate.rounds + 1
+            candidate,
+            feasible_score=feasible_score,
+            score=score,
+            rounds=candidate.rounds + 1,
         )
 
     monkeypatch.setattr(
         search, "first_candidate", lambda shared, x: Candidate(x, np.zeros(0))
     )
-    monkeypatch.setattr(search, "improve", improved)
-    found = []
+    monkeypatch.setattr(search, "improve", fake_improve)
+    candidates = []
     run = partial(search._run_jobs, None, None)
-    told = list(
+    progress = list(
         search._improve_starts(
-            run, options(rounds=50), [np.zeros(1)] * 2, found, np.inf
+            run, options(rounds=50), [np.zeros(1)] * 2, candidates, np.inf
         )
     )
-    assert told == [1, 2, 3, 4, 5]
-    assert [(each.rounds, each.feasible_score) for each in found] == [
-        (1, -1.0),
-        (4, -1.505),
-    ]
+    assert progress == [1, 2, 3, 4, 5]
+    assert [
+        (candidate.rounds, candidate.feasible_score) for candidate in candidates
+    ] == [(1, -1.0), (4, -1.505)]
 
 
-def interrupted_at(count):
+def interrupt_after(count):
     def interrupt(done):
         if done >= count:
             raise KeyboardInterrupt
 
-    return Told(interrupt)
+    return RecordedProgress(interrupt)
 
 
 @pytest.mark.parametrize(("count", "drawn"), [(2, 6), (1, 5)])
 def test_ctrl_c_keeps_the_best_so_far(count, drawn):
     """In a round of improvement, or among the first draws."""
-    result = searched(design(arms.THREE, rounds=50), 3, interrupted_at(count))
+    result = run_search(make_design(arms.THREE, rounds=50), 3, interrupt_after(count))
     assert (result.stopped, result.n_drawn) == ("interrupted", drawn)
     assert any("interrupted" in note for note in result.notes)
     assert result.limit_check.holds
@@ -191,7 +195,7 @@ def test_ctrl_c_before_there_is_anything_is_an_interruption(monkeypatch):
 
     monkeypatch.setattr(search, "_shrink_to_limits", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        searched(design(arms.THREE), 3)
+        run_search(make_design(arms.THREE), 3)
 
 
 class Ticking:
@@ -210,8 +214,10 @@ class Ticking:
 def test_a_search_ends_in_the_middle_of_a_job(step, drawn):
     """Time is up after the first draw, or in the first round of improvement."""
     clock = Ticking(step)
-    some = design(arms.THREE, time_budget=0.5, draws=20, rounds=50, iterations=1000)
-    result = searched(some, 3, clock=clock)
+    design = make_design(
+        arms.THREE, time_budget=0.5, draws=20, rounds=50, iterations=1000
+    )
+    result = run_search(design, 3, clock=clock)
     assert (result.stopped, result.n_drawn) == ("time budget", drawn)
     assert any("--save-trajectory" in note for note in result.notes)
     assert result.limit_check.holds
@@ -220,65 +226,75 @@ def test_a_search_ends_in_the_middle_of_a_job(step, drawn):
 
 def test_where_nothing_is_feasible_the_limit_is_named():
     # However slow, moving takes at least the friction.
-    some = problem(arms.DRY_FRICTION)
-    weak = replace(some, limits=replace(some.limits, torque=np.full(3, 1e-3)))
+    problem = make_problem(arms.DRY_FRICTION)
+    weak_problem = replace(
+        problem, limits=replace(problem.limits, torque=np.full(3, 1e-3))
+    )
     with pytest.raises(
         InputError, match=r"6 of 6 .* torque limit of joint joint"
     ) as caught:
-        searched_of(weak)
+        search_problem(weak_problem)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.slow
 def test_the_tool_is_as_slow_as_asked_for_and_hardly_slower():
-    result = searched_of(problem(TUBES, max_tool_speed=0.3), iterations=20, rounds=2)
+    result = search_problem(
+        make_problem(TUBES, max_tool_speed=0.3), iterations=20, rounds=2
+    )
     assert result.limit_check.holds
     assert 0.2 < result.limit_check.largest[-1] <= 0.3 * (1.0 + ROUNDING)
 
 
 def test_a_load_within_the_reserve_breaks_no_torque_limit():
     """The load is reckoned by hand from what it adds to the arm's own torques."""
-    some, loaded = (
-        problem(arms.THREE, max_torque=8.0, payload_reserve=m) for m in (0.0, 3.0)
+    unloaded, loaded = (
+        make_problem(arms.THREE, max_torque=8.0, payload_reserve=m) for m in (0.0, 3.0)
     )
-    plan = searched_of(loaded, rounds=0).trajectory
+    plan = search_problem(loaded, rounds=0).trajectory
     motion = plan.evaluate(np.arange(600) / 100.0)
-    torque = some.torque(motion) + 3.0 * some.torque_per_kilogram(motion)
+    torque = unloaded.torque(motion) + 3.0 * unloaded.torque_per_kilogram(motion)
     assert np.max(np.abs(torque)) <= 0.95 * 8.0 * (1.0 + ROUNDING)
-    wide = searched_of(problem(arms.THREE), rounds=0).trajectory.evaluate(motion.time)
-    beyond = some.torque(wide) + 3.0 * some.torque_per_kilogram(wide)
+    wide = search_problem(make_problem(arms.THREE), rounds=0).trajectory.evaluate(
+        motion.time
+    )
+    beyond = unloaded.torque(wide) + 3.0 * unloaded.torque_per_kilogram(wide)
     assert np.max(np.abs(beyond)) > 8.0, "else the reserve has nothing to do"
 
 
-DESIGNS = [design(arms.THREE), design(TUBES_AND_POST), design(arms.SLIDE_IN_CHAIN)]
+DESIGNS = [
+    make_design(arms.THREE),
+    make_design(TUBES_AND_POST),
+    make_design(arms.SLIDE_IN_CHAIN),
+]
 
 
 @given(st.sampled_from(DESIGNS), SEEDS)
-def test_every_feasible_draw_keeps_all_limits_on_the_grid(some, seed):
+def test_every_feasible_draw_keeps_all_limits_on_the_grid(design, seed):
     """And is drawn from the seed and its own number alone."""
-    first, second = draw_trajectories(some, seed, [0, 1])
-    assert np.array_equal(draw_trajectories(some, seed, [1])[0].x, second.x)
+    first, second = draw_trajectories(design, seed, [0, 1])
+    assert np.array_equal(draw_trajectories(design, seed, [1])[0].x, second.x)
     assert not np.any(first.x) or not np.array_equal(first.x, second.x)
     if np.isfinite(first.score):
-        value = constraints_of(some.problem, some.motion(first.x)).value
+        value = constraints_of(design.problem, design.motion(first.x)).value
         assert np.max(value) <= ROUNDING
-        assert (first.score, first.obstacle) == (some.criterion_of(first.x), "")
+        assert (first.score, first.obstacle) == (design.criterion_of(first.x), "")
     else:
         assert not np.any(first.x) and first.obstacle
 
 
 def test_what_is_asked_for_decides_which_motion_is_found():
     """What is good for a link is made better for a payload, and worse for the link."""
-    arm = problem(arms.serial_arm((arms.Z, arms.Y, arms.X)))
+    arm = make_problem(arms.serial_arm((arms.Z, arms.Y, arms.X)))
     motion = TrajectoryOptions(duration=4.0, sample_rate=100.0)
     link, payload = (
         Design(
             arm,
             options(draws=5, rounds=4, iterations=30),
             motion,
-            prior_knowledge(arm, USUAL, asked),
+            prior_knowledge(arm, DEFAULTS, target),
         )
-        for asked in ("link", "payload")
+        for target in ("link", "payload")
     )
     x = design_excitation(link, np.random.default_rng(3)).trajectory.coefficients
     other = design_module.improve(
@@ -288,7 +304,7 @@ def test_what_is_asked_for_decides_which_motion_is_found():
     assert link.criterion_of(other) > link.criterion_of(x) + 0.005
 
 
-def elsewhere(parent, number):
+def die_in_worker(parent, number):
     """A job that kills any process but its parent, once that has seen its threads."""
     if os.getpid() != parent and number:
         os._exit(3)
@@ -299,10 +315,13 @@ def test_what_workers_that_die_leave_is_done_here(monkeypatch):
     """They use one thread each where the user says nothing."""
     monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
     with search._worker_pool(os.getpid(), 2) as run:
-        assert list(run([partial(elsewhere, number=0)])) == [(0, "1", False)]
-        found = list(run([partial(elsewhere, number=k) for k in range(1, 6)]))
-    assert [number for number, *_ in found] == [1, 2, 3, 4, 5]
-    assert all(here for *_, here in found) and "MKL_NUM_THREADS" not in os.environ
+        assert list(run([partial(die_in_worker, number=0)])) == [(0, "1", False)]
+        results = list(run([partial(die_in_worker, number=k) for k in range(1, 6)]))
+    assert [number for number, *_ in results] == [1, 2, 3, 4, 5]
+    assert (
+        all(is_parent for *_, is_parent in results)
+        and "MKL_NUM_THREADS" not in os.environ
+    )
 
 
 def number(shared):

@@ -30,9 +30,9 @@ from robot_sysid.records.messages import Progress
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
-from tests.motion.test_prediction import a_plan
+from tests.motion.test_prediction import best_plan
 from tests.support import arms
-from tests.support.excitation_arms import problem, robot
+from tests.support.excitation_arms import make_problem, robot
 
 RATE = 250.0
 SIGMA = 0.01
@@ -41,65 +41,73 @@ ARM = arms.serial_arm(
     (arms.Z, arms.Y, arms.Y, arms.X),
     joint='range="-2.5 2.5" frictionloss=".4" armature=".05" damping=".1"',
 )
-PLAN = a_plan(ARM, duration=10.0)
+PLAN = best_plan(ARM, duration=10.0)
 CAUSES = ("link", "scale", "zero", "gravity", "friction")
 KNOWN_ARM = EstimationOptions(**{f"{cause}_uncertainty": 0.0 for cause in CAUSES})
 
 
-def promised(options, **changes):
+def predict_errors(options, **changes):
     return predict(
-        problem(ARM, noise_torque=SIGMA, **changes), PLAN, RecordingPlan(RATE, options)
+        make_problem(ARM, noise_torque=SIGMA, **changes),
+        PLAN,
+        RecordingPlan(RATE, options),
     )
 
 
 @cache
-def answered(options, seed):
+def identify_recording(options, seed):
     """What one noisy recording answers, with friction as the promise has it."""
     exact = join_measurements(simulate_inverse(robot(ARM), motion_chunks(PLAN, RATE)))
     noise = SIGMA * np.random.default_rng([seed, 1]).normal(size=exact.tau.shape)
     recording = replace(exact, tau=exact.tau + noise, qd=None, qdd=None)
-    given = replace(options, friction_model=DEFAULT_MEASURED)
-    datasets, _ = low_pass_recordings(robot(ARM), [Piece("log", recording)], given)
-    return answer_link(robot(ARM), datasets, given, Progress(), None)
+    measured_options = replace(options, friction_model=DEFAULT_MEASURED)
+    datasets, _ = low_pass_recordings(
+        robot(ARM), [Piece("log", recording)], measured_options
+    )
+    return answer_link(robot(ARM), datasets, measured_options, Progress(), None)
 
 
-def delivered(options, seed):
-    return estimate_of(answered(options, seed))
+def estimate_errors(options, seed):
+    return estimate_of(identify_recording(options, seed))
 
 
 def test_of_a_known_arm_the_promise_is_the_error_that_identifications_report():
     # One short recording knows its own noise, and how white it is, to a tenth or so.
-    found = [delivered(KNOWN_ARM, seed).standard_errors[:10] for seed in range(4)]
-    ratio = np.mean(found, axis=0) / promised(KNOWN_ARM).standard_errors
+    standard_errors = [
+        estimate_errors(KNOWN_ARM, seed).standard_errors[:10] for seed in range(4)
+    ]
+    ratio = np.mean(standard_errors, axis=0) / predict_errors(KNOWN_ARM).standard_errors
     assert abs(np.median(ratio) - 1.0) < 0.2 and np.all(np.abs(ratio - 1.0) < 0.3)
 
 
 @pytest.mark.slow
 def test_of_a_known_arm_the_promise_is_the_spread_of_identifications():
     """Sixty runs know a spread to 9 %; ten parameters stay within three times that."""
-    found = np.array([delivered(KNOWN_ARM, seed).values[:10] for seed in range(60)])
-    ratio = found.std(axis=0, ddof=1) / promised(KNOWN_ARM).standard_errors
+    estimates = np.array(
+        [estimate_errors(KNOWN_ARM, seed).values[:10] for seed in range(60)]
+    )
+    ratio = estimates.std(axis=0, ddof=1) / predict_errors(KNOWN_ARM).standard_errors
     assert np.all(np.abs(ratio - 1.0) < 0.27)
     assert abs(np.median(ratio) - 1.0) < 0.1
 
 
 def test_of_an_arm_that_is_not_known_the_whole_error_is_promised():
     options = EstimationOptions()
-    expected = promised(options)
-    (*_, stated) = answered(options, 0).links()
+    expected = predict_errors(options)
+    (*_, stated) = identify_recording(options, 0).links()
     # This model is right, which a recording finds out and a plan cannot know.
     ratio = stated.errors / expected.standard_errors
     assert np.all((ratio > 0.3) & (ratio < 1.3))
-    assert np.all(expected.standard_errors > promised(KNOWN_ARM).standard_errors)
+    assert np.all(expected.standard_errors > predict_errors(KNOWN_ARM).standard_errors)
     for cause in (LINKS, SCALES):
-        part = np.sqrt(np.diag(expected.covariance_by_cause[cause]))
-        assert 0.6 < np.median(part / stated.budget[cause]) < 3.0
+        standard_errors = np.sqrt(np.diag(expected.covariance_by_cause[cause]))
+        assert 0.6 < np.median(standard_errors / stated.budget[cause]) < 3.0
 
 
 def test_the_causes_add_up_to_the_promise():
-    expected = promised(EstimationOptions())
-    whole = np.sum(list(expected.covariance_by_cause.values()), axis=0)
-    np.testing.assert_allclose(whole, expected.covariance, atol=1e-9 * np.max(whole))
+    expected = predict_errors(EstimationOptions())
+    total = np.sum(list(expected.covariance_by_cause.values()), axis=0)
+    np.testing.assert_allclose(total, expected.covariance, atol=1e-9 * np.max(total))
 
 
 @pytest.mark.parametrize(
@@ -107,91 +115,101 @@ def test_the_causes_add_up_to_the_promise():
 )
 def test_the_search_makes_small_what_is_promised(options):
     """It looks at all samples, the promise at a recording of them without its ends."""
-    some = problem(ARM, noise_torque=SIGMA)
-    known = prior_knowledge(some, options, "link")
+    problem = make_problem(ARM, noise_torque=SIGMA)
+    prior = prior_knowledge(problem, options, "link")
     motion = PLAN.evaluate((np.arange(2000) + 0.5) * PLAN.duration / 2000)
-    sigma = some.sigma * np.sqrt(2000 / (RATE * PLAN.duration))
-    told = information_model(some, sigma, known).evaluate(
+    sigma = problem.sigma * np.sqrt(2000 / (RATE * PLAN.duration))
+    evaluation = information_model(problem, sigma, prior).evaluate(
         motion.q, motion.qd, motion.qdd
     )
-    found = design_criterion(some, known).covariance(told.information)
-    found = projected_covariance(some.robot.prior.theta, found)
-    ratio = promised(options).standard_errors / np.sqrt(np.diag(found))
+    covariance = design_criterion(problem, prior).covariance(evaluation.information)
+    covariance = projected_covariance(problem.robot.prior.theta, covariance)
+    ratio = predict_errors(options).standard_errors / np.sqrt(np.diag(covariance))
     assert np.all((ratio > 0.99) & (ratio < 1.5)) and np.median(ratio) < 1.25
 
 
 def test_of_friction_what_identifications_report_is_promised():
     options = EstimationOptions()
-    stated = delivered(EstimationOptions(), 0)
-    errors = dict(zip(stated.names, stated.standard_errors))
-    lines = friction_lines(problem(ARM, noise_torque=SIGMA), PLAN, RATE, options)
+    estimate = estimate_errors(EstimationOptions(), 0)
+    errors = dict(zip(estimate.names, estimate.standard_errors))
+    lines = friction_lines(make_problem(ARM, noise_torque=SIGMA), PLAN, RATE, options)
     for term, line in zip(("coulomb", "viscous"), lines):
-        found = re.findall(r"(joint\d) ([\d.e-]+)", line)
-        ratio = [float(error) / errors[f"{term}[{joint}]"] for joint, error in found]
+        predictions = re.findall(r"(joint\d) ([\d.e-]+)", line)
+        ratio = [
+            float(error) / errors[f"{term}[{joint}]"] for joint, error in predictions
+        ]
         assert len(ratio) == 4 and np.all(np.abs(np.array(ratio) - 1.0) < 0.4)
 
 
 def test_a_payload_is_told_by_the_difference_of_two_recordings():
     """Of it alone, so that what the model knows of links, and noise of both recordings, count."""
     expected = predict(
-        problem(ARM, noise_torque=SIGMA),
+        make_problem(ARM, noise_torque=SIGMA),
         PLAN,
         RecordingPlan(RATE, EstimationOptions(), "payload"),
     )
-    link = promised(EstimationOptions())
+    link = predict_errors(EstimationOptions())
     assert 0.0 < expected.standard_errors[0] < 0.3 * link.standard_errors[0]
     assert expected.covariance_by_cause[NOISE][0, 0] > 0.5 * expected.covariance[0, 0]
     assert 0.01 < expected.scale_error < 0.03
 
 
 def test_scales_that_are_not_alike_are_averaged_as_the_estimate_does():
-    sure = EstimationOptions(scale_uncertainty=(1.0, 2.0, 4.0, 8.0))
-    recording = RecordingPlan(RATE, sure, "payload")
-    found = predict(problem(ARM, noise_torque=SIGMA), PLAN, recording).scale_error
-    assert found == pytest.approx(0.01 / np.linalg.norm([1.0, 0.5, 0.25, 0.125]))
+    options = EstimationOptions(scale_uncertainty=(1.0, 2.0, 4.0, 8.0))
+    recording = RecordingPlan(RATE, options, "payload")
+    scale_error = predict(
+        make_problem(ARM, noise_torque=SIGMA), PLAN, recording
+    ).scale_error
+    assert scale_error == pytest.approx(0.01 / np.linalg.norm([1.0, 0.5, 0.25, 0.125]))
 
 
 def test_a_payload_weighs_as_surely_as_torques_are_scaled_at_best():
-    found = promised(EstimationOptions(scale_uncertainty=6.0)).improvements
-    weighed = next(
-        each.mass_error for each in found if "by difference" in each.description
+    improvements = predict_errors(EstimationOptions(scale_uncertainty=6.0)).improvements
+    mass_error = next(
+        improvement.mass_error
+        for improvement in improvements
+        if "by difference" in improvement.description
     )
     mass = robot(ARM).prior.mass
     joints = robot(ARM).n_joints
-    assert 0.06 / np.sqrt(joints) * mass < weighed < 0.1 * mass
+    assert 0.06 / np.sqrt(joints) * mass < mass_error < 0.1 * mass
 
 
 def test_where_no_motion_tells_the_mass_it_is_said_beforehand_with_what_would():
     tip = '<inertial pos=".02 .03 .06" mass=".08" diaginertia=".0005 .0006 .0003"/>'
     light = ARM.replace(arms.TIP, tip)
-    some = problem(light, noise_torque=SIGMA)
-    said = identifiability_note(some, PLAN, RecordingPlan(RATE, EstimationOptions()))
-    floor = float(re.search(r"better than ± ([\d.]+) kg", said).group(1))
-    assert floor > 0.2 * some.robot.prior.mass and "payload by difference" in said
+    problem = make_problem(light, noise_torque=SIGMA)
+    note = identifiability_note(problem, PLAN, RecordingPlan(RATE, EstimationOptions()))
+    floor = float(re.search(r"better than ± ([\d.]+) kg", note).group(1))
+    assert floor > 0.2 * problem.robot.prior.mass and "payload by difference" in note
     longer = replace(EstimationOptions(), link_uncertainty=0.5)
-    assert identifiability_note(some, PLAN, RecordingPlan(RATE, longer)) == ""
-    promise = predict(some, PLAN, RecordingPlan(RATE, EstimationOptions()))
-    assert promise.standard_errors[0] > 0.99 * floor
+    assert identifiability_note(problem, PLAN, RecordingPlan(RATE, longer)) == ""
+    expected = predict(problem, PLAN, RecordingPlan(RATE, EstimationOptions()))
+    assert expected.standard_errors[0] > 0.99 * floor
 
 
 @pytest.mark.parametrize(
-    ("rate", "words"),
+    ("rate", "message"),
     [(4.0, "too few to choose a cut-off"), (1e9, "only motions up to")],
 )
 def test_what_cannot_be_processed_gets_the_bound_and_the_reason(
-    rate, words, monkeypatch
+    rate, message, monkeypatch
 ):
     monkeypatch.setattr("robot_sysid.motion.expected_errors.MOST_SAMPLES", 1999)
     monkeypatch.setattr(consistent_bodies, "_DRAWS", 24)
-    expected = predict(problem(ARM), PLAN, RecordingPlan(rate, EstimationOptions()))
-    assert words in expected.caveat and np.all(np.isfinite(expected.standard_errors))
+    expected = predict(
+        make_problem(ARM), PLAN, RecordingPlan(rate, EstimationOptions())
+    )
+    assert message in expected.caveat and np.all(np.isfinite(expected.standard_errors))
 
 
 def test_an_arm_at_rest_shows_nothing():
-    still = FourierTrajectory(
-        PLAN.basis, problem(ARM).rest, np.zeros_like(PLAN.coefficients)
+    resting = FourierTrajectory(
+        PLAN.basis, make_problem(ARM).rest, np.zeros_like(PLAN.coefficients)
     )
-    expected = predict(problem(ARM), still, RecordingPlan(RATE, EstimationOptions()))
+    expected = predict(
+        make_problem(ARM), resting, RecordingPlan(RATE, EstimationOptions())
+    )
     assert "moves faster" in expected.caveat and np.all(
         np.isinf(expected.standard_errors)
     )

@@ -22,18 +22,18 @@ FREE = FrictionModel(JOINT_TERMS[:4])
 SAMPLES = 60
 
 
-def predicted(robot, own, smoothing=0.0, rows=None):
+def make_model(robot, prior_deviations, smoothing=0.0, rows=None):
     n = robot.n_joints
     links = (n - 1, *reversed(other_links(robot)))
     rows = tuple(range(n)) if rows is None else rows
     theta = np.array([robot.links[link].theta for link in links])
-    own = np.tile(np.array(own)[:, None], len(rows))
+    prior_deviations = np.tile(np.array(prior_deviations)[:, None], len(rows))
     sigma = np.linspace(0.5, 2.0, len(rows))
     arm = LinkDynamics(robot), links, theta, rows
-    return InformationModel(*arm, sigma, np.full(n, smoothing), own)
+    return InformationModel(*arm, sigma, np.full(n, smoothing), prior_deviations)
 
 
-def eliminated_by_hand(robot, motion, torques, sigma, own):
+def schur_complement(robot, motion, torques, sigma, prior_deviations):
     """Information of all links, in descending order, from the tool's own equations and priors,
     nuisances removed.
     """
@@ -50,23 +50,28 @@ def eliminated_by_hand(robot, motion, torques, sigma, own):
         bodies = np.zeros((len(q), len(total)))
         first = np.flatnonzero(np.isin(columns, range(10)))
         bodies[:, :10] = rows[:, first]
-        beyond = 10 * sum(link >= joint for link in links)
-        bodies[:, len(total) - beyond :] = rows[:, rows.shape[1] - beyond :]
+        n_distal = 10 * sum(link >= joint for link in links)
+        bodies[:, len(total) - n_distal :] = rows[:, rows.shape[1] - n_distal :]
         torque = bodies @ theta
         lacking = [
             TERMS[name](qd[:, joint], qdd[:, joint], torque)
             for name in ("load", "sqrt")
         ]
         nuisance = np.column_stack((rows[:, 10:14], torque, *lacking))
-        sure = np.isfinite(own)
+        has_prior = np.isfinite(prior_deviations)
         nuisance = np.vstack(
-            (nuisance / s * np.where(sure, own, 1.0), np.diag(sure.astype(float)))
+            (
+                nuisance / s * np.where(has_prior, prior_deviations, 1.0),
+                np.diag(has_prior.astype(float)),
+            )
         )
-        seen = np.vstack((bodies / s, np.zeros((len(JOINT_TERMS), len(total)))))
-        left = seen - nuisance @ np.linalg.lstsq(nuisance, seen, rcond=None)[0]
-        total += left.T @ left
-    down = [*range(10), *np.arange(10, len(total)).reshape(-1, 10)[::-1].ravel()]
-    return total[np.ix_(down, down)]
+        body_rows = np.vstack((bodies / s, np.zeros((len(JOINT_TERMS), len(total)))))
+        residual = (
+            body_rows - nuisance @ np.linalg.lstsq(nuisance, body_rows, rcond=None)[0]
+        )
+        total += residual.T @ residual
+    link_order = [*range(10), *np.arange(10, len(total)).reshape(-1, 10)[::-1].ravel()]
+    return total[np.ix_(link_order, link_order)]
 
 
 PRIORS = {
@@ -75,34 +80,40 @@ PRIORS = {
 }
 
 
-@pytest.mark.parametrize("own", PRIORS.values(), ids=PRIORS)
+@pytest.mark.parametrize("prior_deviations", PRIORS.values(), ids=PRIORS)
 @pytest.mark.parametrize("torques", ["chain", "terminal"])
 @pytest.mark.parametrize("xml", [arms.SEVEN, arms.SLIDE_IN_CHAIN, arms.SHARED_BODIES])
-def test_equals_the_schur_complement_of_the_tools_equations(xml, torques, own):
+def test_equals_the_schur_complement_of_the_tools_equations(
+    xml, torques, prior_deviations
+):
     robot = robot_of(xml)
     motion = random_motion(np.random.default_rng(0), robot.n_joints, SAMPLES)
     rows = None if torques == "chain" else (robot.n_joints - 1,)
-    chosen = predicted(robot, own, rows=rows)
-    ours = chosen.evaluate(*motion).information
-    theirs = eliminated_by_hand(robot, motion, torques, chosen.sigma, np.array(own))
+    model = make_model(robot, prior_deviations, rows=rows)
+    ours = model.evaluate(*motion).information
+    theirs = schur_complement(
+        robot, motion, torques, model.sigma, np.array(prior_deviations)
+    )
     assert np.max(np.abs(ours - theirs)) < 1e-7 * np.max(np.abs(theirs))
 
 
-@pytest.mark.parametrize("asked", ["link", "arm", "payload"])
-@pytest.mark.parametrize("own", PRIORS.values(), ids=PRIORS)
-def test_the_gradient_of_what_is_asked_for_equals_differences(asked, own):
+@pytest.mark.parametrize("target", ["link", "arm", "payload"])
+@pytest.mark.parametrize("prior_deviations", PRIORS.values(), ids=PRIORS)
+def test_the_gradient_of_what_is_asked_for_equals_differences(target, prior_deviations):
     robot = robot_of(arms.THREE)
     rng = np.random.default_rng(0)
-    information = predicted(robot, own, 0.3)
-    factor = np.zeros((0, 0)) if asked == "payload" else 0.1 * rng.normal(size=(20, 20))
-    aim = Criterion(np.diag(rng.uniform(0.1, 1.0, 10)), factor, asked)
+    model = make_model(robot, prior_deviations, 0.3)
+    factor = (
+        np.zeros((0, 0)) if target == "payload" else 0.1 * rng.normal(size=(20, 20))
+    )
+    criterion = Criterion(np.diag(rng.uniform(0.1, 1.0, 10)), factor, target)
     motion, direction = rng.normal(size=(2, 3, 40, 3))
 
     def value(at):
-        return aim.evaluate(information.evaluate(*at).information)[0]
+        return criterion.evaluate(model.evaluate(*at).information)[0]
 
-    told = information.evaluate(*motion)
-    gradient = told.vjp(aim.evaluate(told.information)[1])
+    evaluation = model.evaluate(*motion)
+    gradient = evaluation.vjp(criterion.evaluate(evaluation.information)[1])
     exact = sum(np.sum(g * d) for g, d in zip(gradient, direction))
     assert slope(value, motion, direction, 1e-5) == pytest.approx(
         exact, rel=1e-4, abs=1e-6
@@ -114,27 +125,27 @@ def test_what_is_asked_for_is_the_volume_of_its_posterior_covariance():
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(60, 30))
     factor = 0.3 * rng.normal(size=(20, 20))
-    seen = np.diag(rng.uniform(0.1, 1.0, 10))
+    visible = np.diag(rng.uniform(0.1, 1.0, 10))
     prior = np.zeros((30, 30))
     prior[10:, 10:] = np.linalg.inv(factor @ factor.T)
-    whole = np.linalg.inv(rows.T @ rows + prior)
-    scale = np.linalg.inv(seen)
-    aim = Criterion(seen, factor, "link")
-    expected = 0.05 * np.linalg.slogdet(scale @ whole[:10, :10] @ scale)[1]
-    value = aim.evaluate(rows.T @ rows)[0]
+    covariance = np.linalg.inv(rows.T @ rows + prior)
+    scale = np.linalg.inv(visible)
+    criterion = Criterion(visible, factor, "link")
+    expected = 0.05 * np.linalg.slogdet(scale @ covariance[:10, :10] @ scale)[1]
+    value = criterion.evaluate(rows.T @ rows)[0]
     assert value == pytest.approx(expected, abs=1e-9)
     np.testing.assert_allclose(
-        aim.covariance(rows.T @ rows), whole[:10, :10], rtol=1e-8
+        criterion.covariance(rows.T @ rows), covariance[:10, :10], rtol=1e-8
     )
     more = np.vstack((rows, rng.normal(size=(1, 30))))
-    assert aim.evaluate(more.T @ more)[0] < value
-    assert Criterion(seen, 0.5 * factor, "link").evaluate(rows.T @ rows)[0] < value
-    every = Criterion(seen, factor, "arm").evaluate(rows.T @ rows)[0]
+    assert criterion.evaluate(more.T @ more)[0] < value
+    assert Criterion(visible, 0.5 * factor, "link").evaluate(rows.T @ rows)[0] < value
+    arm_value = Criterion(visible, factor, "arm").evaluate(rows.T @ rows)[0]
     units = np.linalg.inv(
-        np.block([[seen, np.zeros((10, 20))], [np.zeros((20, 10)), factor]])
+        np.block([[visible, np.zeros((10, 20))], [np.zeros((20, 10)), factor]])
     )
-    assert every == pytest.approx(
-        np.linalg.slogdet(units @ whole @ units.T)[1] / 60.0, abs=1e-9
+    assert arm_value == pytest.approx(
+        np.linalg.slogdet(units @ covariance @ units.T)[1] / 60.0, abs=1e-9
     )
 
 
@@ -189,6 +200,8 @@ def test_equals_mujoco(xml, seed):
     motion = random_motion(np.random.default_rng(seed), robot.n_joints, 5)
     ours = LinkDynamics(robot).motion(*motion)
     jacobian = np.einsum("nab,bin->nai", ours.to_links[-1], ours.joint_twists)
-    found = jacobian, ours.velocity[-1].T, ours.acceleration[-1].T
-    for mine, yours in zip(found, terminal_motion(robot, *motion)):
-        assert np.max(np.abs(mine - yours)) < 1e-10 * max(1.0, np.max(np.abs(yours)))
+    quantities = jacobian, ours.velocity[-1].T, ours.acceleration[-1].T
+    for actual, expected in zip(quantities, terminal_motion(robot, *motion)):
+        assert np.max(np.abs(actual - expected)) < 1e-10 * max(
+            1.0, np.max(np.abs(expected))
+        )

@@ -35,75 +35,75 @@ from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms
 from tests.support.arms import SEEDS
-from tests.support.excitation_arms import TUBES_AND_POST, problem, robot
+from tests.support.excitation_arms import TUBES_AND_POST, make_problem, robot
 
 BASIS = FourierBasis(4.0, 0.25, 3, 1.0)
 BRIEF = FourierBasis(0.4, 2.5, 3, 0.15)
 
 
-def plan_of(some, seed, size, basis=BRIEF):
+def plan_of(problem, seed, size, basis=BRIEF):
     rng = np.random.default_rng(seed)
     return FourierTrajectory(
-        basis, some.rest, size * rng.normal(size=(some.n_joints, 7))
+        basis, problem.rest, size * rng.normal(size=(problem.n_joints, 7))
     )
 
 
 @given(SEEDS, st.floats(0.02, 0.6))
 def test_peaks_are_those_of_the_samples(seed, size):
-    some = problem(arms.THREE)
-    plan = plan_of(some, seed, size)
-    check = check_limits(some, plan)
+    problem = make_problem(arms.THREE)
+    plan = plan_of(problem, seed, size)
+    check = check_limits(problem, plan)
     motion = plan.evaluate(np.arange(401) / 1000.0)
     assert np.allclose(check.lowest, motion.q.min(axis=0), atol=1e-12)
     assert np.allclose(check.highest, motion.q.max(axis=0), atol=1e-12)
     _, velocity, acceleration, torque = check.joints
     assert np.allclose(velocity, np.abs(motion.qd).max(axis=0), atol=1e-12)
     assert np.allclose(acceleration, np.abs(motion.qdd).max(axis=0), atol=1e-12)
-    assert np.allclose(torque, np.abs(some.torque(motion)).max(axis=0), atol=1e-9)
-    limits = some.limits
-    kept = (
+    assert np.allclose(torque, np.abs(problem.torque(motion)).max(axis=0), atol=1e-9)
+    limits = problem.limits
+    holds = (
         np.all((motion.q >= limits.lower) & (motion.q <= limits.upper))
         and np.all(np.abs(motion.qd) <= limits.velocity)
         and np.all(np.abs(motion.qdd) <= limits.acceleration)
     )
-    assert check.holds == kept == keeps_limits(some, plan)
+    assert check.holds == holds == keeps_limits(problem, plan)
 
 
 def test_a_torque_that_is_no_number_keeps_no_limit():
-    some = problem(arms.THREE)
+    problem = make_problem(arms.THREE)
     lost = dataclasses.replace(
-        some, arm_torque=lambda motion: np.full_like(motion.q, np.nan)
+        problem, arm_torque=lambda motion: np.full_like(motion.q, np.nan)
     )
-    plan = plan_of(some, 0, 1e-3)
-    assert keeps_limits(some, plan) and not keeps_limits(lost, plan)
+    plan = plan_of(problem, 0, 1e-3)
+    assert keeps_limits(problem, plan) and not keeps_limits(lost, plan)
     assert "torque limit of joint" in check_limits(lost, plan).failure
 
 
 @given(st.floats(-1.0, 1.0), st.floats(0.1, 1.0), st.floats(-2.0, 2.0))
-def test_position_limits_need_not_lie_around_zero(middle, reach, place):
-    assume(abs(abs(place - middle) - reach) > 1e-6)
-    some = problem(arms.THREE)
+def test_position_limits_need_not_lie_around_zero(middle, reach, position):
+    assume(abs(abs(position - middle) - reach) > 1e-6)
+    problem = make_problem(arms.THREE)
     lower = np.full(3, middle - reach)
     upper = np.full(3, middle + reach)
-    limits = dataclasses.replace(some.limits, lower=lower, upper=upper)
-    some = dataclasses.replace(some, limits=limits)
-    resting = FourierTrajectory(BRIEF, np.full(3, place), np.zeros((3, 7)))
-    assert keeps_limits(some, resting) == (abs(place - middle) <= reach)
+    limits = dataclasses.replace(problem.limits, lower=lower, upper=upper)
+    problem = dataclasses.replace(problem, limits=limits)
+    resting = FourierTrajectory(BRIEF, np.full(3, position), np.zeros((3, 7)))
+    assert keeps_limits(problem, resting) == (abs(position - middle) <= reach)
 
 
 @pytest.mark.slow
 @given(SEEDS, st.floats(0.02, 0.2))
 def test_clearance_is_that_of_testing_often(seed, size):
-    some = problem(TUBES_AND_POST)
-    plan = plan_of(some, seed, size)
+    problem = make_problem(TUBES_AND_POST)
+    plan = plan_of(problem, seed, size)
     often = plan.evaluate(np.arange(161) / 400.0)
-    least = np.min(some.obstacles.slack(often.q).value)
-    fastest = np.max(some.obstacles.rates @ np.max(np.abs(often.qd), axis=0))
-    check = check_limits(some, plan)
+    least = np.min(problem.obstacles.slack(often.q).value)
+    fastest = np.max(problem.obstacles.rates @ np.max(np.abs(often.qd), axis=0))
+    check = check_limits(problem, plan)
     assert check.closest.slack <= least + CLEARANCE_RESOLUTION + 1e-6
     # Between two of these samples nothing moves farther than this.
     assert check.closest.slack >= least - 0.0025 * fastest
-    assert (first_contact(some, plan) is not None) == (check.closest.slack < 0.0)
+    assert (first_contact(problem, plan) is not None) == (check.closest.slack < 0.0)
 
 
 class ThinWall:
@@ -131,31 +131,35 @@ class ThinWall:
 
 
 def test_finds_a_wall_that_samples_step_over():
-    some = dataclasses.replace(problem(arms.THREE), obstacles=ThinWall())
+    problem = dataclasses.replace(make_problem(arms.THREE), obstacles=ThinWall())
     coefficients = np.zeros((3, 7))
     coefficients[0, 0] = 0.4
-    plan = FourierTrajectory(BASIS, some.rest, coefficients)
-    sampled = some.obstacles.slack(plan.evaluate(np.arange(80) / 20.0 + 0.02).q).value
+    plan = FourierTrajectory(BASIS, problem.rest, coefficients)
+    sampled = problem.obstacles.slack(
+        plan.evaluate(np.arange(80) / 20.0 + 0.02).q
+    ).value
     assert np.min(sampled) > 0.0
-    check = check_limits(some, plan)
+    check = check_limits(problem, plan)
     assert not check.holds
     assert "clearance of arm and wall" in str(check.excesses[0])
-    assert first_contact(some, plan).time == pytest.approx(check.closest.time, abs=3.0)
+    assert first_contact(problem, plan).time == pytest.approx(
+        check.closest.time, abs=3.0
+    )
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_samples_that_are_looked_at_together_find_what_each_alone_does(
     seed, monkeypatch
 ):
-    some = problem(TUBES_AND_POST)
-    plan = plan_of(some, seed, 0.1)
-    found = []
+    problem = make_problem(TUBES_AND_POST)
+    plan = plan_of(problem, seed, 0.1)
+    checks = []
     for skipping in (0, 10**9):
         monkeypatch.setattr(limit_check, "WORTH_SKIPPING", skipping)
-        found.append(check_limits(some, plan))
-    alone, together = (check.closest.slack for check in found)
+        checks.append(check_limits(problem, plan))
+    alone, together = (check.closest.slack for check in checks)
     assert abs(together - alone) <= CLEARANCE_RESOLUTION
-    assert found[0].holds == found[1].holds
+    assert checks[0].holds == checks[1].holds
 
 
 class Stopping:
@@ -177,8 +181,8 @@ class Stopping:
 @pytest.mark.parametrize(("end", "touches"), [(0.1988, False), (0.19945, True)])
 def test_a_motion_that_stops_behind_a_wall_is_found(end, touches):
     """Between two samples it is as fast as at the start of the step."""
-    some = dataclasses.replace(problem(arms.THREE), obstacles=ThinWall())
-    assert (first_contact(some, Stopping(end)) is not None) == touches
+    problem = dataclasses.replace(make_problem(arms.THREE), obstacles=ThinWall())
+    assert (first_contact(problem, Stopping(end)) is not None) == touches
 
 
 class Unaware:
@@ -189,41 +193,46 @@ class Unaware:
         self.evaluate = plan.evaluate
 
 
-def checked_twice(some, seed, base, fade, speed):
+def check_with_and_without_period(problem, seed, base, fade, speed):
     """A motion that repeats itself, its check, and the check of all of it."""
     basis = FourierBasis(3.0, base, 4, fade)
     shape = 0.05 * np.random.default_rng(seed).normal(size=(3, 9))
-    plan = at_speed(FourierTrajectory(basis, some.rest, shape), speed)
-    return plan, check_limits(some, plan), check_limits(some, Unaware(plan))
+    plan = at_speed(FourierTrajectory(basis, problem.rest, shape), speed)
+    return plan, check_limits(problem, plan), check_limits(problem, Unaware(plan))
 
 
 @pytest.mark.slow
 @given(SEEDS, st.sampled_from([0.97, 1.0]), st.just(0.3), st.floats(0.5, 1.0))
 def test_one_period_and_both_ends_stand_for_all(seed, base, fade, speed):
     """Also slowed down, and where a period is no whole number of samples."""
-    plan, found, whole = checked_twice(problem(arms.THREE), seed, base, fade, speed)
+    plan, check, full_check = check_with_and_without_period(
+        make_problem(arms.THREE), seed, base, fade, speed
+    )
     assert checked_time(plan) < 0.6 * plan.duration
     for name in ("lowest", "highest", "largest"):
         np.testing.assert_allclose(
-            getattr(found, name), getattr(whole, name), rtol=1e-9
+            getattr(check, name), getattr(full_check, name), rtol=1e-9
         )
-    assert len(found.excesses) == len(whole.excesses)
+    assert len(check.excesses) == len(full_check.excesses)
 
 
 def test_the_failure_counts_the_limits_and_names_the_worst():
-    some = problem(arms.THREE)
+    problem = make_problem(arms.THREE)
     slow = FourierBasis(8.0, 0.125, 3, 4.0)
     coefficients = np.zeros((3, 7))
     assert (
-        check_limits(some, FourierTrajectory(slow, some.rest, coefficients)).failure
+        check_limits(
+            problem, FourierTrajectory(slow, problem.rest, coefficients)
+        ).failure
         is None
     )
-    coefficients[2, 0] = 1.05 * (some.limits.upper[2] - some.rest[2])
-    one = check_limits(some, FourierTrajectory(slow, some.rest, coefficients))
-    words = "this trajectory must not be run: it breaks the position limit of joint joint2 (5.0 % "
-    assert one.failure.startswith(words)
+    coefficients[2, 0] = 1.05 * (problem.limits.upper[2] - problem.rest[2])
+    one = check_limits(problem, FourierTrajectory(slow, problem.rest, coefficients))
+    assert one.failure.startswith(
+        "this trajectory must not be run: it breaks the position limit of joint joint2 (5.0 % "
+    )
     several = check_limits(
-        some, FourierTrajectory(BASIS, some.rest, coefficients + 3.0)
+        problem, FourierTrajectory(BASIS, problem.rest, coefficients + 3.0)
     )
     count = len(several.excesses)
     worst = several.excesses[0]
@@ -237,43 +246,48 @@ def test_a_joint_that_keeps_its_speeds_stays_as_it_is_the_others_just_keep_their
     seed, v, a
 ):
     """Without torque limits and obstacles nothing couples the joints."""
-    some = problem(arms.THREE)
-    free = np.full(3, np.inf)
+    problem = make_problem(arms.THREE)
+    unlimited = np.full(3, np.inf)
     limits = dataclasses.replace(
-        some.limits, velocity=np.full(3, v), acceleration=np.full(3, a), torque=free
+        problem.limits,
+        velocity=np.full(3, v),
+        acceleration=np.full(3, a),
+        torque=unlimited,
     )
-    some = dataclasses.replace(some, limits=limits)
+    problem = dataclasses.replace(problem, limits=limits)
     plan, _ = generate_excitation_trajectory(
         robot(arms.THREE), np.random.default_rng(seed), 1.0
     )
-    smaller, factors = scale_to_limits(some, plan, 0.0)
-    before = check_limits(some, plan)
-    after = check_limits(some, smaller)
-    share = np.maximum(before.joints[1] / v, before.joints[2] / a)
+    scaled, factors = scale_to_limits(problem, plan, 0.0)
+    check = check_limits(problem, plan)
+    scaled_check = check_limits(problem, scaled)
+    share = np.maximum(check.joints[1] / v, check.joints[2] / a)
     np.testing.assert_allclose(
         factors, np.minimum(1.0, (1.0 - RESERVE) / share), rtol=1e-9
     )
-    kept = np.maximum(after.joints[1] / v, after.joints[2] / a)
-    np.testing.assert_allclose(kept, np.minimum(1.0 - RESERVE, share), rtol=1e-9)
-    assert keeps_limits(some, smaller)
+    scaled_share = np.maximum(scaled_check.joints[1] / v, scaled_check.joints[2] / a)
+    np.testing.assert_allclose(
+        scaled_share, np.minimum(1.0 - RESERVE, share), rtol=1e-9
+    )
+    assert keeps_limits(problem, scaled)
 
 
 @pytest.mark.parametrize(
-    ("missed", "kept"), [(2e-9, True), (1e-7, True), (5e-6, False)]
+    ("shortfall", "holds"), [(2e-9, True), (1e-7, True), (5e-6, False)]
 )
-def test_a_clearance_may_be_missed_by_rounding_and_by_no_more(missed, kept):
+def test_a_clearance_may_be_missed_by_rounding_and_by_no_more(shortfall, holds):
     """On the way to a pose that is so much beyond what it has to keep [m]."""
-    some = problem(TUBES_AND_POST)
+    problem = make_problem(TUBES_AND_POST)
     low = 0.0
     high = 1.0
     towards = np.array([0.0, 1.2, 0.0, 0.0])
     while high - low > 1e-12:
         middle = 0.5 * (low + high)
-        slack = some.obstacles.slack_at(some.rest + middle * towards)[0]
-        low, high = (middle, high) if slack > -missed else (low, middle)
-    plan = straight_way(some.rest, some.rest + high * towards)
-    check = check_limits(some, plan)
-    assert any("clearance" in excess.limit for excess in check.excesses) != kept
+        slack = problem.obstacles.slack_at(problem.rest + middle * towards)[0]
+        low, high = (middle, high) if slack > -shortfall else (low, middle)
+    plan = straight_way(problem.rest, problem.rest + high * towards)
+    check = check_limits(problem, plan)
+    assert any("clearance" in excess.limit for excess in check.excesses) != holds
 
 
 LINK = """
@@ -301,11 +315,11 @@ def test_two_arms_as_one_need_the_torques_of_each(pair):
     both = as_one(*pair)
     rng = np.random.default_rng(0)
     assert both.joint_names == ("left_a", "left_b", "right_a", "right_b")
-    parts = rng.uniform(-1.0, 1.0, (3, 5, 4))
-    torque = ArmTorque(both)(Motion(np.arange(5.0), *parts))
-    for arm, own in zip(pair, (slice(0, 2), slice(2, 4))):
-        alone = ArmTorque(arm)(Motion(np.arange(5.0), *parts[:, :, own]))
-        np.testing.assert_allclose(torque[:, own], alone, atol=1e-12)
+    derivatives = rng.uniform(-1.0, 1.0, (3, 5, 4))
+    torque = ArmTorque(both)(Motion(np.arange(5.0), *derivatives))
+    for arm, joints in zip(pair, (slice(0, 2), slice(2, 4))):
+        alone = ArmTorque(arm)(Motion(np.arange(5.0), *derivatives[:, :, joints]))
+        np.testing.assert_allclose(torque[:, joints], alone, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -313,13 +327,13 @@ def test_two_arms_as_one_need_the_torques_of_each(pair):
 )
 def test_the_first_touch_is_that_of_a_dense_look(pair, end):
     between = BetweenArms(*pair)
-    way = straight_way(np.zeros(4), np.array(end))
-    time = np.linspace(0.0, way.duration, 2000)
-    near = [between.distance(q) < 2e-3 for q in way.evaluate(time).q]
-    found = between.touch_at(way)
-    assert (found is None) == (not any(near))
-    if found is not None:
-        assert found == pytest.approx(time[near.index(True)], abs=3e-3)
+    path = straight_way(np.zeros(4), np.array(end))
+    time = np.linspace(0.0, path.duration, 2000)
+    is_close = [between.distance(q) < 2e-3 for q in path.evaluate(time).q]
+    touch_time = between.touch_at(path)
+    assert (touch_time is None) == (not any(is_close))
+    if touch_time is not None:
+        assert touch_time == pytest.approx(time[is_close.index(True)], abs=3e-3)
 
 
 def test_what_is_for_a_serial_chain_refuses_both(pair):

@@ -26,7 +26,7 @@ class Listener(Progress):
         self.notes += messages
 
 
-def requested(trajectory=None, limits=None, excitation=None, played=False):
+def make_request(trajectory=None, limits=None, excitation=None, played=False):
     motion = TrajectoryOptions(
         **{"duration": 4.0, "sample_rate": 200.0, **(trajectory or {})}
     )
@@ -36,10 +36,10 @@ def requested(trajectory=None, limits=None, excitation=None, played=False):
     )
 
 
-def planned(xml, seed=1, listener=None, **request):
+def plan_motion(xml, seed=1, listener=None, **request):
     speed = request.get("limits", {}).get("max_velocity", 2.0)
     arm = arms.robot_of(xml, max_velocity=speed)
-    return make_plan(requested(**request), arm, seed, listener or Listener())
+    return make_plan(make_request(**request), arm, seed, listener or Listener())
 
 
 CHECKED = {
@@ -58,19 +58,19 @@ CHECKED = {
 
 
 def test_what_is_played_kept_or_bound_by_a_limit_is_checked():
-    assert all(requested(**case).is_checked for case in CHECKED.values())
-    assert not requested(limits={"max_velocity": 0.3}).is_checked
-    found = planned(arms.THREE, **CHECKED["designed"])
-    assert found.check.holds and found.failure is None
-    free = planned(arms.THREE)
-    assert (free.check, free.problem, free.failure) == (None, None, None)
+    assert all(make_request(**case).is_checked for case in CHECKED.values())
+    assert not make_request(limits={"max_velocity": 0.3}).is_checked
+    motion_plan = plan_motion(arms.THREE, **CHECKED["designed"])
+    assert motion_plan.check.holds and motion_plan.failure is None
+    unchecked = plan_motion(arms.THREE)
+    assert (unchecked.check, unchecked.problem, unchecked.failure) == (None, None, None)
 
 
-@pytest.mark.parametrize("kind", ["sines", "optimal"])
+@pytest.mark.parametrize("excitation", ["sines", "optimal"])
 @pytest.mark.parametrize("purpose", ["link", "weight"])
 @pytest.mark.parametrize("load", [0.0, 0.5])
 def test_a_planned_motion_leaves_torque_for_what_its_links_may_be_off(
-    kind, purpose, load
+    excitation, purpose, load
 ):
     """Two standard deviations of what errors of the links make, drawn: 2000 arms know them to 2 %.
 
@@ -78,29 +78,29 @@ def test_a_planned_motion_leaves_torque_for_what_its_links_may_be_off(
     """
     limit = 7.0
     arm = robot(arms.THREE)
-    request = requested(
+    request = make_request(
         {"plan_only": True},
         {"max_torque": limit, "payload_reserve": load},
-        options(kind=kind),
+        options(kind=excitation),
     )
     request = replace(
         request, poses=PoseOptions(purpose=purpose), link_uncertainty=10.0
     )
-    made = make_plan(request, arm, 1, Listener())
-    assert made.check.holds
-    some = made.problem
-    motion = made.plan.evaluate(np.linspace(0.0, made.plan.duration, 300))
-    links = some.dynamics.motion(motion.q, motion.qd, motion.qdd)
+    motion_plan = make_plan(request, arm, 1, Listener())
+    assert motion_plan.check.holds
+    problem = motion_plan.problem
+    motion = motion_plan.plan.evaluate(np.linspace(0.0, motion_plan.plan.duration, 300))
+    links = problem.dynamics.motion(motion.q, motion.qd, motion.qdd)
     rng = np.random.default_rng(0)
     torques = []
     for errors in (
-        rng.normal(size=(2000, some.link_errors.shape[1])) @ some.link_errors.T
+        rng.normal(size=(2000, problem.link_errors.shape[1])) @ problem.link_errors.T
     ):
-        thetas = np.zeros((some.n_joints, 10))
-        thetas[list(some.links)] = errors.reshape(-1, 10)
+        thetas = np.zeros((problem.n_joints, 10))
+        thetas[list(problem.links)] = errors.reshape(-1, 10)
         torques.append(links.torque(thetas))
-    loaded = some.arm_torque(motion) + load * some.torque_per_kilogram(motion)
-    needed = np.maximum(np.abs(some.arm_torque(motion)), np.abs(loaded))
+    loaded = problem.arm_torque(motion) + load * problem.torque_per_kilogram(motion)
+    needed = np.maximum(np.abs(problem.arm_torque(motion)), np.abs(loaded))
     share = 0.5 if purpose == "weight" else 1.0
     assert np.all(needed + 2.0 * np.std(torques, axis=0) <= 0.96 * share * limit)
     assert np.max(np.abs(motion.qd)) <= (0.6 if purpose == "weight" else 2.0)
@@ -118,20 +118,20 @@ def planes_of(box):
 
 def excess_over(limits, arm, plan):
     """By how much a plan breaks each limit that is asked for, from MuJoCo; negative where kept."""
-    found = witness.peaks(arm, plan, 200.0)
-    away = partial(witness.distance_to_plane, arm, plan, rate=200.0)
+    peaks = witness.peaks(arm, plan, 200.0)
+    distance = partial(witness.distance_to_plane, arm, plan, rate=200.0)
     measures = {
-        "max_velocity": lambda limit: np.max(found.velocity) - limit,
-        "max_acceleration": lambda limit: np.max(found.acceleration) - limit,
-        "max_torque": lambda limit: np.max(found.torque) - limit,
+        "max_velocity": lambda limit: np.max(peaks.velocity) - limit,
+        "max_acceleration": lambda limit: np.max(peaks.acceleration) - limit,
+        "max_torque": lambda limit: np.max(peaks.torque) - limit,
         "max_tool_speed": lambda limit: (
             witness.fastest_point(arm, plan, "link3", 200.0) - limit
         ),
         "workspace": lambda box: max(
-            -away(plane=side, first_body="link3") for side in planes_of(box)
+            -distance(plane=side, first_body="link3") for side in planes_of(box)
         ),
         "keep_out": lambda planes: max(
-            -away(plane=side, first_body="link0") for side in planes
+            -distance(plane=side, first_body="link0") for side in planes
         ),
     }
     return {name: measures[name](value) for name, value in limits.items()}
@@ -150,7 +150,7 @@ LIMITS = {
 @cache
 def free():
     """A motion that nothing but the model's own limits binds."""
-    return planned(TUBES).plan
+    return plan_motion(TUBES).plan
 
 
 @pytest.mark.parametrize("case", LIMITS)
@@ -158,21 +158,21 @@ def test_random_sinusoids_are_scaled_until_every_limit_holds(case):
     """Which they would exceed; and what somebody has chosen is used as it is or not at all."""
     limits = LIMITS[case]
     arm = robot(TUBES)
-    found = planned(TUBES, 1, limits=limits)
-    assert found.failure is None
-    assert max(excess_over(limits, arm, found.plan).values()) <= 1e-9
+    motion_plan = plan_motion(TUBES, 1, limits=limits)
+    assert motion_plan.failure is None
+    assert max(excess_over(limits, arm, motion_plan.plan).values()) <= 1e-9
     assert min(excess_over(limits, arm, free()).values()) > 0.0
-    moved = witness.peaks(arm, found.plan, 20.0)
-    assert np.all(moved.highest - moved.lowest > 0.0)
+    peaks = witness.peaks(arm, motion_plan.plan, 20.0)
+    assert np.all(peaks.highest - peaks.lowest > 0.0)
 
 
 @pytest.mark.parametrize("case", ["torque", "workspace"])
 def test_a_trajectory_from_a_file_that_breaks_a_limit_fails(case, tmp_path):
     path = tmp_path / "plan.json"
     save_trajectory(path, free(), robot(TUBES).joint_names)
-    found = planned(TUBES, trajectory={"file": path}, limits=LIMITS[case])
-    assert found.failure.startswith("this trajectory must not be run: it breaks ")
-    assert planned(TUBES, trajectory={"file": path}).failure is None
+    motion_plan = plan_motion(TUBES, trajectory={"file": path}, limits=LIMITS[case])
+    assert motion_plan.failure.startswith("this trajectory must not be run: it breaks ")
+    assert plan_motion(TUBES, trajectory={"file": path}).failure is None
 
 
 def test_a_trajectory_made_elsewhere_does_not_hit_what_stands_in_the_model(tmp_path):
@@ -180,10 +180,12 @@ def test_a_trajectory_made_elsewhere_does_not_hit_what_stands_in_the_model(tmp_p
     plan = free().scale_amplitudes((8.0, 4.0, 1.0, 1.0))
     save_trajectory(path, plan, robot(TUBES).joint_names)
     assert (
-        planned(TUBES, trajectory={"file": path}, limits={"max_velocity": 1e3}).failure
+        plan_motion(
+            TUBES, trajectory={"file": path}, limits={"max_velocity": 1e3}
+        ).failure
         is None
     )
-    post = planned(
+    post = plan_motion(
         TUBES_AND_POST, trajectory={"file": path}, limits={"max_velocity": 1e3}
     )
     assert "post" in post.failure
@@ -198,7 +200,7 @@ def test_other_joint_names_are_refused_another_model_of_the_same_joints_is_noted
     for sha256, noted in ((arm.sha256, False), ("0" * 64, True)):
         listener = Listener()
         save_trajectory(path, plan, arm.joint_names, sha256)
-        planned(TUBES, listener=listener, trajectory={"file": path})
+        plan_motion(TUBES, listener=listener, trajectory={"file": path})
         assert (
             any("was made for another model file" in n for n in listener.notes) == noted
         )
@@ -206,20 +208,20 @@ def test_other_joint_names_are_refused_another_model_of_the_same_joints_is_noted
     with pytest.raises(
         InputError, match="this arm has the 4 joints joint0, joint1, joint2, wr"
     ):
-        planned(renamed, trajectory={"file": path})
+        plan_motion(renamed, trajectory={"file": path})
 
 
 @pytest.mark.parametrize(
-    ("duration", "words"),
+    ("duration", "message"),
     [
         (1e12, "more than the 1e[+]09 a run can take"),
         (float("inf"), "finite duration above 0"),
     ],
 )
-def test_a_file_that_never_ends_is_refused(tmp_path, duration, words):
+def test_a_file_that_never_ends_is_refused(tmp_path, duration, message):
     path = tmp_path / "plan.json"
     save_trajectory(path, free(), robot(TUBES).joint_names)
     text = path.read_text().replace('"duration": 4.0', f'"duration": {duration}')
     path.write_text(text.replace("inf", "Infinity"))
-    with pytest.raises(InputError, match=words):
-        planned(TUBES, trajectory={"file": path})
+    with pytest.raises(InputError, match=message):
+        plan_motion(TUBES, trajectory={"file": path})

@@ -17,7 +17,7 @@ from robot_sysid.motion.plan_options import (
 
 
 @pytest.mark.parametrize(
-    ("record", "changes", "words"),
+    ("record", "changes", "message"),
     [
         (
             ExcitationOptions,
@@ -60,10 +60,10 @@ from robot_sysid.motion.plan_options import (
         (LimitOptions, {"keep_out": ((0, 0, 1, np.inf),)}, "normal that is not zero"),
     ],
 )
-def test_refuses_in_one_line(record, changes, words):
+def test_refuses_in_one_line(record, changes, message):
     with pytest.raises(InputError) as caught:
         record(**changes)
-    assert words in str(caught.value) and "\n" not in str(caught.value)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
 @given(st.floats(1.0, 600.0))
@@ -79,12 +79,12 @@ def test_the_band_ends_at_the_top_frequency(duration):
 
 
 def test_a_long_budget_is_worth_as_many_workers_as_there_are(monkeypatch):
-    for allowed, used in ((1, 1), (2, 2), (8, 2)):
-        mine = set(range(allowed))
+    for n_cores, n_workers in ((1, 1), (2, 2), (8, 2)):
+        cores = set(range(n_cores))
         monkeypatch.setattr(
-            "os.sched_getaffinity", lambda _, mine=mine: mine, raising=False
+            "os.sched_getaffinity", lambda _, cores=cores: cores, raising=False
         )
-        assert ExcitationOptions(time_budget=60.0).n_workers == used
+        assert ExcitationOptions(time_budget=60.0).n_workers == n_workers
     assert (
         ExcitationOptions(time_budget=1.0).n_workers
         == ExcitationOptions().n_workers
@@ -106,11 +106,16 @@ def test_the_workspace_and_the_planes_are_made_of_the_numbers():
 
 
 def test_a_search_of_many_joints_takes_fewer_steps():
-    usual = ExcitationOptions()
-    assert usual.for_joints(7) == usual.for_joints(10) == usual
-    some = usual.for_joints(20)
-    many = usual.for_joints(60)
+    defaults = ExcitationOptions()
+    assert defaults.for_joints(7) == defaults.for_joints(10) == defaults
+    for_20_joints = defaults.for_joints(20)
+    for_60_joints = defaults.for_joints(60)
     for name in ("draws", "rounds", "evaluations"):
-        assert 0 < getattr(many, name) < getattr(some, name) < getattr(usual, name)
-    asked = ExcitationOptions(time_budget=60.0)
-    assert asked.for_joints(60) == asked
+        assert (
+            0
+            < getattr(for_60_joints, name)
+            < getattr(for_20_joints, name)
+            < getattr(defaults, name)
+        )
+    budgeted = ExcitationOptions(time_budget=60.0)
+    assert budgeted.for_joints(60) == budgeted

@@ -25,8 +25,8 @@ from tests.support.arms import X, Y, Z
 from tests.support.excitation_arms import (
     TUBES,
     TUBES_ON_FLOOR,
-    design,
-    problem,
+    make_design,
+    make_problem,
     robot,
     tube_arm,
 )
@@ -35,10 +35,10 @@ from tests.support.releases import since
 FULL_FRICTION = FrictionModel(("coulomb", "viscous", "offset", "armature"))
 
 
-def a_plan(xml, seed=0, **changes):
-    some = design(xml, **changes)
-    draw = min(draw_trajectories(some, seed, range(6)), key=lambda d: d.score)
-    return some.trajectory(draw.x)
+def best_plan(xml, seed=0, **changes):
+    design = make_design(xml, **changes)
+    draw = min(draw_trajectories(design, seed, range(6)), key=lambda d: d.score)
+    return design.trajectory(draw.x)
 
 
 def empirical_deviation_of(arm, plan, rate, sigma, draws, seed=0):
@@ -47,34 +47,36 @@ def empirical_deviation_of(arm, plan, rate, sigma, draws, seed=0):
     equations = Equations(arm, "chain", (FULL_FRICTION,) * arm.n_joints)
     size = len(equations.names)
     normal = np.zeros((size, size))
-    right = np.zeros((size, draws))
+    rhs = np.zeros((size, draws))
     for measurement in simulate_inverse(arm, motion_chunks(plan, rate)):
         for (rows, tau), columns in zip(equations.rows(measurement), equations.columns):
             noisy = tau[:, None] + sigma * rng.normal(size=(len(tau), draws))
             normal[np.ix_(columns, columns)] += rows.T @ rows
-            right[columns] += rows.T @ noisy
+            rhs[columns] += rows.T @ noisy
     scale = np.sqrt(np.diag(normal))
-    solved = np.linalg.solve(normal / np.outer(scale, scale), right / scale[:, None])
-    return (solved / scale[:, None])[:10].std(axis=1, ddof=1)
+    solution = np.linalg.solve(normal / np.outer(scale, scale), rhs / scale[:, None])
+    return (solution / scale[:, None])[:10].std(axis=1, ddof=1)
 
 
 @pytest.mark.parametrize("xml", [arms.SEVEN, arms.SLIDE_IN_CHAIN])
 def test_the_information_of_all_samples_is_that_of_monte_carlo(xml):
-    some = problem(xml)
-    plan = a_plan(xml)
-    known = known_arm(some)
+    problem = make_problem(xml)
+    plan = best_plan(xml)
+    prior = known_arm(problem)
     time = np.arange(1201) / 200.0
     motion = plan.evaluate(time)
-    told = information_model(some, some.sigma, known_arm(some))
-    found = told.evaluate(motion.q, motion.qd, motion.qdd).information
-    deviation = np.sqrt(np.diag(design_criterion(some, known).covariance(found)))
+    model = information_model(problem, problem.sigma, known_arm(problem))
+    information = model.evaluate(motion.q, motion.qd, motion.qdd).information
+    deviation = np.sqrt(
+        np.diag(design_criterion(problem, prior).covariance(information))
+    )
     # 1000 draws know a standard deviation to 2.2 %; ten of them stay within 10 %.
-    seen = empirical_deviation_of(robot(xml), plan, 200.0, 0.3, 1000)
-    assert np.all(np.abs(seen / deviation - 1.0) < 0.10)
+    spread = empirical_deviation_of(robot(xml), plan, 200.0, 0.3, 1000)
+    assert np.all(np.abs(spread / deviation - 1.0) < 0.10)
 
 
 def test_the_centre_of_mass_is_that_of_monte_carlo_to_first_order():
-    theta = problem(arms.SEVEN).robot.prior.theta
+    theta = make_problem(arms.SEVEN).robot.prior.theta
     rng = np.random.default_rng(0)
     root = 1e-3 * rng.normal(size=(10, 10))
     drawn = rng.multivariate_normal(theta, root @ root.T, size=4000)
@@ -87,8 +89,8 @@ def test_the_centre_of_mass_is_that_of_monte_carlo_to_first_order():
 STRONG = TUBES.replace('range="-2.5 2.5"', 'range="-2.5 2.5" actuatorfrcrange="-60 60"')
 
 
-def report(some, plan):
-    return list(motion_lines(some, plan, check_limits(some, plan)))
+def report(problem, plan):
+    return list(motion_lines(problem, plan, check_limits(problem, plan)))
 
 
 def sines(xml, seed=0):
@@ -97,19 +99,19 @@ def sines(xml, seed=0):
     ]
 
 
-def the(lines, start):
+def find_line(lines, start):
     (line,) = [line for line in lines if line.startswith(start)]
     return line
 
 
 def test_the_speed_of_the_tools_fastest_point_is_that_of_its_last_tube():
-    some = problem(TUBES, max_tool_speed=9.0)
+    problem = make_problem(TUBES, max_tool_speed=9.0)
     plan = sines(TUBES)
-    line = the(report(some, plan), "Fastest point of the tool: ")
-    found, share = re.match(r".*: (.*) m/s \( *(\d+) %\)", line).groups()
+    line = find_line(report(problem, plan), "Fastest point of the tool: ")
+    stated, share = re.match(r".*: (.*) m/s \( *(\d+) %\)", line).groups()
     fastest = witness.fastest_point(robot(TUBES), plan, "link3")
     # A ball stands for the tube's round end: a little too fast, never too slow.
-    assert fastest - 0.005 <= float(found) <= 1.03 * fastest + 0.005
+    assert fastest - 0.005 <= float(stated) <= 1.03 * fastest + 0.005
     assert float(share) == pytest.approx(100.0 * fastest / 9.0, abs=1.5)
 
 
@@ -117,31 +119,31 @@ def test_the_speed_of_the_tools_fastest_point_is_that_of_its_last_tube():
 def test_the_stated_clearance_is_the_smallest_distance_not_the_tightest_slack():
     """At rest the last tube is 4 mm from a stud, so it may come as near as 2 mm."""
     stud = '<body name="stud" pos="0 .064 1.1"><geom size=".03"/></body>'
-    near = tube_arm(
+    xml = tube_arm(
         (Z, Y, X, Y), stud + '<body name="post" pos=".8 0 .7"><geom size=".4"/></body>'
     )
-    some = problem(near)
-    plan = sines(near)
-    lines = report(some, plan)
-    real = witness.nearest(robot(near), plan)
+    problem = make_problem(xml)
+    plan = sines(xml)
+    lines = report(problem, plan)
+    real = witness.nearest(robot(xml), plan)
     stated = float(
-        re.match(r"Clearance: (-?[\d.]+) mm", the(lines, "Clearance: ")).group(1)
+        re.match(r"Clearance: (-?[\d.]+) mm", find_line(lines, "Clearance: ")).group(1)
     )
     assert 1e3 * real - 0.25 <= stated <= 1e3 * real
 
 
 @pytest.mark.parametrize(("xml", "has_floor"), [(TUBES, False), (TUBES_ON_FLOOR, True)])
 def test_what_reaches_below_zero_where_the_model_has_no_floor_is_said(xml, has_floor):
-    lines = report(problem(xml, below_base=True), sines(xml))
+    lines = report(make_problem(xml, below_base=True), sines(xml))
     assert any("The model has no floor" in line for line in lines) != has_floor
 
 
 def test_the_torque_that_is_left_is_said_as_a_load():
-    some = problem(STRONG)
+    problem = make_problem(STRONG)
     plan = sines(STRONG)
-    line = the(report(some, plan), "Torque left: ")
+    line = find_line(report(problem, plan), "Torque left: ")
     left = float(re.match(r"Torque left: a load of ([\d.]+) kg", line).group(1))
-    kept = check_limits(problem(STRONG, payload_reserve=left), plan)
-    broken = check_limits(problem(STRONG, payload_reserve=left + 0.05), plan)
-    assert not any("torque" in excess.limit for excess in kept.excesses)
-    assert any("torque" in excess.limit for excess in broken.excesses)
+    at_load = check_limits(make_problem(STRONG, payload_reserve=left), plan)
+    above_load = check_limits(make_problem(STRONG, payload_reserve=left + 0.05), plan)
+    assert not any("torque" in excess.limit for excess in at_load.excesses)
+    assert any("torque" in excess.limit for excess in above_load.excesses)

@@ -18,7 +18,7 @@ from robot_sysid.records import JointLimits, Motion
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms
 from tests.support.arms import SEEDS, robot_of
-from tests.support.excitation_arms import TUBES, problem, robot, slope
+from tests.support.excitation_arms import TUBES, make_problem, robot, slope
 
 
 def limits(lower=-2.0, upper=2.0, velocity=1.0, torque=np.inf, joints=3):
@@ -27,55 +27,57 @@ def limits(lower=-2.0, upper=2.0, velocity=1.0, torque=np.inf, joints=3):
     )
 
 
-def built(arm, *arguments, **changes):
+def build(arm, *arguments, **changes):
     return build_problem(arm, LimitOptions(**changes), *arguments)
 
 
 def test_limits_are_those_of_the_model_less_margins():
-    some = built(
+    problem = build(
         replace(robot_of(arms.THREE), limits=limits(torque=100.0)), "chain", 0.3, 0.5
     )
-    assert np.allclose(some.limits.lower, -2.0 + 0.02 * 4.0)
-    assert np.allclose(some.limits.upper, 2.0 - 0.02 * 4.0)
-    assert np.allclose(some.limits.velocity, 1.0)
-    assert np.allclose(some.limits.torque, 95.0)
-    assert np.allclose(some.limits.acceleration, 2.0 * np.pi * 0.5)
+    assert np.allclose(problem.limits.lower, -2.0 + 0.02 * 4.0)
+    assert np.allclose(problem.limits.upper, 2.0 - 0.02 * 4.0)
+    assert np.allclose(problem.limits.velocity, 1.0)
+    assert np.allclose(problem.limits.torque, 95.0)
+    assert np.allclose(problem.limits.acceleration, 2.0 * np.pi * 0.5)
 
 
 def test_asked_limits_tighten_those_of_the_model():
     arm = replace(robot_of(arms.THREE), limits=limits(torque=100.0))
-    some = built(arm, max_acceleration=3.0, max_torque=(50.0, 60.0, 200.0))
-    assert np.allclose(some.limits.acceleration, 3.0)
-    assert np.allclose(some.limits.torque, [47.5, 57.0, 95.0])
+    problem = build(arm, max_acceleration=3.0, max_torque=(50.0, 60.0, 200.0))
+    assert np.allclose(problem.limits.acceleration, 3.0)
+    assert np.allclose(problem.limits.torque, [47.5, 57.0, 95.0])
 
 
 @pytest.mark.parametrize(
     "changes", [{"lower": -np.inf, "upper": np.inf}, {"upper": np.inf}]
 )
 def test_a_joint_without_a_limit_gets_an_assumed_range(changes):
-    some = built(replace(robot_of(arms.THREE), limits=limits(**changes)))
-    assert np.all(np.isfinite(some.limits.upper)) and np.all(
-        some.limits.upper > some.rest
+    problem = build(replace(robot_of(arms.THREE), limits=limits(**changes)))
+    assert np.all(np.isfinite(problem.limits.upper)) and np.all(
+        problem.limits.upper > problem.rest
     )
-    assert np.all(np.isfinite(some.limits.lower)) and np.all(
-        some.limits.lower < some.rest
+    assert np.all(np.isfinite(problem.limits.lower)) and np.all(
+        problem.limits.lower < problem.rest
     )
 
 
 def test_a_reference_beyond_a_limit_is_moved_to_it_and_noted():
-    some = built(replace(robot_of(arms.THREE), limits=limits(lower=0.5)))
-    assert np.allclose(some.rest, 0.5 + 0.02 * 1.5)
-    assert any("joint1 at 0.530 instead of 0.000" in note for note in some.notes)
+    problem = build(replace(robot_of(arms.THREE), limits=limits(lower=0.5)))
+    assert np.allclose(problem.rest, 0.5 + 0.02 * 1.5)
+    assert any("joint1 at 0.530 instead of 0.000" in note for note in problem.notes)
 
 
 def test_without_a_band_only_an_asked_limit_binds_accelerations():
     arm = robot(arms.SLIDE_IN_CHAIN)
-    assert np.all(np.isinf(built(arm, "chain", 0.3, None).limits.acceleration))
-    asked = built(arm, "chain", 0.3, None, max_acceleration=3.0).limits.acceleration
-    assert np.array_equal(asked, np.where(arm.is_slide, np.inf, 3.0))
+    assert np.all(np.isinf(build(arm, "chain", 0.3, None).limits.acceleration))
+    acceleration = build(
+        arm, "chain", 0.3, None, max_acceleration=3.0
+    ).limits.acceleration
+    assert np.array_equal(acceleration, np.where(arm.is_slide, np.inf, 3.0))
 
 
-SOME = Tool(
+TOOL = Tool(
     np.random.default_rng(0).normal(size=(7, 3)),
     np.array([0.0, 0.0, 0.3, 0, 0.1, 0, 0]),
 )
@@ -92,9 +94,9 @@ def test_no_point_of_the_tool_is_faster(seed):
     twist = twists(seed)
     share = rng.dirichlet(np.ones(7), size=50)
     away = rng.normal(size=(50, 7, 3))
-    away *= SOME.radius[:, None] / np.linalg.norm(away, axis=2, keepdims=True)
-    inside = np.einsum("sp,spi->si", share, SOME.points + away)
-    for w, v, fastest in zip(twist[:3].T, twist[3:].T, SOME.speed(twist)):
+    away *= TOOL.radius[:, None] / np.linalg.norm(away, axis=2, keepdims=True)
+    inside = np.einsum("sp,spi->si", share, TOOL.points + away)
+    for w, v, fastest in zip(twist[:3].T, twist[3:].T, TOOL.speed(twist)):
         assert (
             np.max(np.linalg.norm(v + np.cross(w, inside), axis=1)) <= fastest + 1e-12
         )
@@ -105,20 +107,22 @@ def test_the_gradient_of_the_speed_equals_differences(seed):
     twist = twists(seed)
     direction = twists(seed + 1)
     weight = np.arange(5.0)
-    second, fastest = np.sort(SOME._speeds(twist)[0], axis=0)[-2:]
+    second, fastest = np.sort(TOOL._speeds(twist)[0], axis=0)[-2:]
     assume(
         np.all(fastest - second > 1e-3)
     )  # where two corners are as fast there is none
-    exact = np.sum(SOME.speed_vjp(twist, weight) * direction)
-    found = slope(lambda at: np.sum(weight * SOME.speed(at)), twist, direction)
-    assert found == pytest.approx(exact, rel=1e-5, abs=1e-5)
+    exact = np.sum(TOOL.speed_vjp(twist, weight) * direction)
+    difference = slope(lambda at: np.sum(weight * TOOL.speed(at)), twist, direction)
+    assert difference == pytest.approx(exact, rel=1e-5, abs=1e-5)
 
 
 def test_the_tip_is_the_farthest_point():
     far = Tool(np.array([[0.1, 0.0, 0.0], [0.0, 0.0, 0.2]]), np.array([0.3, 0.05]))
     np.testing.assert_allclose(far.tip, [0.4, 0.0, 0.0])
     # The last tube of this arm ends 0.2 m from its joint, in a ball of 3 cm.
-    np.testing.assert_allclose(problem(TUBES).tool.tip, [0.0, 0.0, 0.23], atol=1e-12)
+    np.testing.assert_allclose(
+        make_problem(TUBES).tool.tip, [0.0, 0.0, 0.23], atol=1e-12
+    )
 
 
 def moving(joints, seed, count=6):
@@ -140,34 +144,36 @@ def with_load(arm, mass, tip):
 @given(SEEDS, st.floats(0.1, 5.0))
 def test_a_load_takes_the_torque_that_its_weight_and_inertia_need(seed, mass):
     arm = robot(arms.SEVEN)
-    some = problem(arms.SEVEN)
+    problem = make_problem(arms.SEVEN)
     motion = moving(7, seed)
-    more = mass * some.torque_per_kilogram(motion)
-    loaded = ArmTorque(with_load(arm, mass, some.tool.tip))(motion)
-    np.testing.assert_allclose(some.torque(motion) + more, loaded, rtol=1e-7, atol=1e-7)
+    more = mass * problem.torque_per_kilogram(motion)
+    loaded = ArmTorque(with_load(arm, mass, problem.tool.tip))(motion)
+    np.testing.assert_allclose(
+        problem.torque(motion) + more, loaded, rtol=1e-7, atol=1e-7
+    )
 
 
 @given(SEEDS, st.floats(0.0, 3.0))
 def test_the_torque_with_a_reserve_covers_every_load_up_to_it(seed, share):
-    some = problem(arms.SEVEN)
+    problem = make_problem(arms.SEVEN)
     motion = moving(7, seed)
-    loaded = some.torque(motion) + share * some.torque_per_kilogram(motion)
+    loaded = problem.torque(motion) + share * problem.torque_per_kilogram(motion)
     assert np.all(
-        np.abs(loaded) <= np.abs(replace(some, reserve=3.0).torque(motion)) + 1e-12
+        np.abs(loaded) <= np.abs(replace(problem, reserve=3.0).torque(motion)) + 1e-12
     )
 
 
-def limited(some, torque):
-    return replace(some, limits=replace(some.limits, torque=torque))
+def with_torque_limit(problem, torque):
+    return replace(problem, limits=replace(problem.limits, torque=torque))
 
 
 @given(SEEDS)
 def test_the_load_that_is_left_just_fills_one_joint(seed):
-    some = problem(arms.SEVEN)
+    problem = make_problem(arms.SEVEN)
     motion = moving(7, seed)
-    limit = 1.5 * np.max(np.abs(some.torque(motion)), axis=0)
-    left, joint = limited(some, limit).load_left(motion)
-    loaded = some.torque(motion) + left * some.torque_per_kilogram(motion)
+    limit = 1.5 * np.max(np.abs(problem.torque(motion)), axis=0)
+    left, joint = with_torque_limit(problem, limit).load_left(motion)
+    loaded = problem.torque(motion) + left * problem.torque_per_kilogram(motion)
     share = np.max(np.abs(loaded), axis=0) / limit
     assert left > 0.0
     assert share[joint] == pytest.approx(1.0, rel=1e-9) and np.max(share) <= 1.0 + 1e-9
@@ -175,20 +181,20 @@ def test_the_load_that_is_left_just_fills_one_joint(seed):
 
 def test_without_limits_any_load_is_carried_and_beyond_them_none():
     """Also where the arm alone is beyond its limit on the side that a load would relieve."""
-    some = problem(arms.SEVEN)
+    problem = make_problem(arms.SEVEN)
     motion = moving(7, 0)
-    assert limited(some, np.full(7, np.inf)).load_left(motion)[0] == np.inf
+    assert with_torque_limit(problem, np.full(7, np.inf)).load_left(motion)[0] == np.inf
     relieved = replace(
-        some, arm_torque=lambda m: -2.0 * np.sign(some.torque_per_kilogram(m))
+        problem, arm_torque=lambda m: -2.0 * np.sign(problem.torque_per_kilogram(m))
     )
-    assert limited(relieved, np.full(7, 3.0)).load_left(motion)[0] > 0.0
-    assert limited(relieved, np.full(7, 1.0)).load_left(motion)[0] < 0.0
+    assert with_torque_limit(relieved, np.full(7, 3.0)).load_left(motion)[0] > 0.0
+    assert with_torque_limit(relieved, np.full(7, 1.0)).load_left(motion)[0] < 0.0
 
 
 @pytest.mark.parametrize("top", [0.6, 5.0, 15.0])
 def test_faster_harmonics_do_not_raise_the_acceleration_limit(top):
-    some = built(replace(robot_of(arms.THREE), limits=limits()), "chain", 0.3, top)
-    assert np.allclose(some.limits.acceleration, 2.0 * np.pi * TOP_FREQUENCY_HZ)
+    problem = build(replace(robot_of(arms.THREE), limits=limits()), "chain", 0.3, top)
+    assert np.allclose(problem.limits.acceleration, 2.0 * np.pi * TOP_FREQUENCY_HZ)
 
 
 def test_a_workspace_the_link_leaves_already_at_rest_is_refused():
@@ -196,14 +202,16 @@ def test_a_workspace_the_link_leaves_already_at_rest_is_refused():
     with pytest.raises(
         InputError, match=r"body link3 is 230 mm beyond the workspace's zmax = 1 m"
     ):
-        problem(TUBES, workspace=box)
+        make_problem(TUBES, workspace=box)
 
 
 def test_terminal_torques_use_one_row():
-    some = problem(arms.SEVEN, torques="terminal", noise_torque=tuple(range(1, 8)))
-    assert some.rows == (6,)
-    assert some.sigma.tolist() == [7.0]
-    assert problem(arms.SEVEN).rows == tuple(range(7))
+    problem = make_problem(
+        arms.SEVEN, torques="terminal", noise_torque=tuple(range(1, 8))
+    )
+    assert problem.rows == (6,)
+    assert problem.sigma.tolist() == [7.0]
+    assert make_problem(arms.SEVEN).rows == tuple(range(7))
 
 
 BLOCK = '<geom type="box" size=".1 .1 .4" pos="0 0 -.4"/>'
@@ -224,21 +232,21 @@ FLOOR = '<geom type="plane" size="2 2 .1" pos="0 0 -.5"/>'
     ids=["usual", "lifted", "asked for", "a wall", "pedestal", "floor", "hanging"],
 )
 def test_parts_stay_above_what_carries_the_arm_unless_it_hangs(model, limits, lowest):
-    some = robot(model)
-    found = _space_above_base(some, LimitOptions(**limits), some.reference)
-    assert [each.offset for each in found] == (
+    arm = robot(model)
+    half_spaces = _space_above_base(arm, LimitOptions(**limits), arm.reference)
+    assert [half_space.offset for half_space in half_spaces] == (
         [] if lowest is None else [pytest.approx(lowest)]
     )
-    assert all(len(each.bodies) == some.n_joints for each in found)
+    assert all(len(half_space.bodies) == arm.n_joints for half_space in half_spaces)
 
 
-def torque_variance(some, motion):
+def torque_variance(problem, motion):
     """Variance (N, n) of torques that the links' errors make, from each error's own torque."""
-    links = some.dynamics.motion(motion.q, motion.qd, motion.qdd)
+    links = problem.dynamics.motion(motion.q, motion.qd, motion.qdd)
     variance = np.zeros_like(motion.q)
-    for error in some.link_errors.T:
-        thetas = np.zeros((some.n_joints, 10))
-        thetas[list(some.links)] = error.reshape(-1, 10)
+    for error in problem.link_errors.T:
+        thetas = np.zeros((problem.n_joints, 10))
+        thetas[list(problem.links)] = error.reshape(-1, 10)
         variance += links.torque(thetas) ** 2
     return variance
 
@@ -249,22 +257,24 @@ def test_two_deviations_of_the_links_errors_are_left_where_torque_is_limited(
 ):
     arm = replace(robot_of(arms.THREE), limits=limits(torque=100.0))
     arm.limits.torque[1] = np.inf
-    some = build_problem(arm, LimitOptions(), link_uncertainty=uncertainty)
+    problem = build_problem(arm, LimitOptions(), link_uncertainty=uncertainty)
     q, qd, qdd = np.random.default_rng(seed).normal(size=(3, 5, 3))
     motion = Motion(np.arange(5.0), q, qd, qdd)
-    reserve = 2.0 * np.sqrt(torque_variance(some, motion)) * [1.0, 0.0, 1.0]
-    assert np.allclose(some.torque_reserve(motion), reserve)
+    reserve = 2.0 * np.sqrt(torque_variance(problem, motion)) * [1.0, 0.0, 1.0]
+    assert np.allclose(problem.torque_reserve(motion), reserve)
     assert np.allclose(
-        np.abs(some.torque(motion)), np.abs(some.arm_torque(motion)) + reserve
+        np.abs(problem.torque(motion)), np.abs(problem.arm_torque(motion)) + reserve
     )
 
 
 def test_links_that_are_known_and_torques_without_limits_need_no_reserve():
     motion = Motion(np.zeros(1), *np.zeros((3, 1, 3)))
-    known = build_problem(
+    exact_arm = build_problem(
         replace(robot_of(arms.THREE), limits=limits(torque=9.0)), LimitOptions()
     )
-    free = build_problem(robot_of(arms.THREE), LimitOptions(), link_uncertainty=5.0)
-    for some in (known, free):
-        assert not some.has_torque_reserve
-        assert np.all(some.torque_reserve(motion) == 0.0)
+    unlimited = build_problem(
+        robot_of(arms.THREE), LimitOptions(), link_uncertainty=5.0
+    )
+    for problem in (exact_arm, unlimited):
+        assert not problem.has_torque_reserve
+        assert np.all(problem.torque_reserve(motion) == 0.0)

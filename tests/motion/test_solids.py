@@ -21,11 +21,11 @@ from tests.support.arms import SEEDS, X, Z, compile_xml, hinge, link, world
 from tests.support.excitation_arms import TUBES, robot
 
 SIZE = np.array([0.3, 0.2, 0.5])
-KINDS = ("sphere", "capsule", "ellipsoid", "cylinder", "box")
+SHAPES = ("sphere", "capsule", "ellipsoid", "cylinder", "box")
 MESH = '<asset><mesh name="m" vertex="0 0 0 .2 0 0 0 .3 0 0 0 .4 .01 .01 .01"/></asset>'
 
 
-def inside(kind, p):
+def inside(shape, p):
     """Points of a geom, made of points (N, 3) of a cube; its boundary included."""
     ball = p / np.maximum(1.0, np.linalg.norm(p, axis=1))[:, None]
     disc = p[:, :2] / np.maximum(1.0, np.linalg.norm(p[:, :2], axis=1))[:, None]
@@ -35,15 +35,15 @@ def inside(kind, p):
         "capsule": SIZE[0] * ball + np.outer(np.sign(p[:, 0]), [0.0, 0.0, SIZE[1]]),
         "cylinder": np.column_stack((SIZE[0] * disc, SIZE[1] * p[:, 2])),
         "box": SIZE * p,
-    }[kind]
+    }[shape]
 
 
 @cache
-def all_kinds():
+def all_shapes():
     """Model and data of one body per kind, its geom turned and moved in it its own way."""
     content = "".join(
-        f'<body><geom type="{kind}" size=".3 .2 .5" pos=".1 .2 {k}" quat="1 .5 {k} .2"/></body>'
-        for k, kind in enumerate(KINDS)
+        f'<body><geom type="{shape}" size=".3 .2 .5" pos=".1 .2 {k}" quat="1 .5 {k} .2"/></body>'
+        for k, shape in enumerate(SHAPES)
     )
     model = compile_xml(f"<mujoco><worldbody>{content}</worldbody></mujoco>")
     data = mujoco.MjData(model)
@@ -55,30 +55,32 @@ def all_kinds():
 def test_no_point_of_a_shape_is_farther_than_its_farthest_point_which_belongs_to_it(
     seed,
 ):
-    data, solids = all_kinds()
+    data, solids = all_shapes()
     rng = np.random.default_rng(seed)
     direction = rng.normal(size=(1, 3))
     direction /= np.linalg.norm(direction)
-    for geom, (kind, solid) in enumerate(zip(KINDS, solids)):
-        place = data.geom_xpos[geom]
-        turn = data.geom_xmat[geom].reshape(3, 3)
-        points = place + inside(kind, rng.uniform(-1.0, 1.0, size=(400, 3))) @ turn.T
-        (found,) = solid.farthest(direction)
-        assert np.max(points @ direction[0]) <= direction[0] @ found + 1e-12
+    for geom, (shape, solid) in enumerate(zip(SHAPES, solids)):
+        position = data.geom_xpos[geom]
+        rotation = data.geom_xmat[geom].reshape(3, 3)
+        points = (
+            position + inside(shape, rng.uniform(-1.0, 1.0, size=(400, 3))) @ rotation.T
+        )
+        (farthest,) = solid.farthest(direction)
+        assert np.max(points @ direction[0]) <= direction[0] @ farthest + 1e-12
         assert (
             np.max(np.linalg.norm(points - solid.center, axis=1)) <= solid.bound + 1e-12
         )
         balls = solid.points @ direction[0] + solid.radius
-        assert direction[0] @ found <= np.max(balls) + 1e-12
-        x, y, z = (found - place) @ turn
-        away = {
+        assert direction[0] @ farthest <= np.max(balls) + 1e-12
+        x, y, z = (farthest - position) @ rotation
+        distances = {
             "sphere": np.linalg.norm((x, y, z)) - 0.3,
             "capsule": np.linalg.norm((x, y, z - np.clip(z, -0.2, 0.2))) - 0.3,
             "ellipsoid": np.linalg.norm((x, y, z) / SIZE) - 1.0,
             "cylinder": max(np.hypot(x, y) - 0.3, abs(abs(z) - 0.2)),
             "box": np.max(np.abs(np.abs((x, y, z)) - SIZE)),
         }
-        assert away[kind] == pytest.approx(0.0, abs=1e-12)
+        assert distances[shape] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_body_is_its_collision_geoms_else_its_visuals_else_its_origin():

@@ -18,7 +18,7 @@ from robot_sysid.motion.problem import build_problem
 from robot_sysid.records import Motion
 from tests.support import arms
 from tests.support.arms import X, Y, Z, robot_of
-from tests.support.excitation_arms import TUBES, problem, tube_arm
+from tests.support.excitation_arms import TUBES, make_problem, tube_arm
 
 SHELF = '<body name="shelf" pos="0 0 {}"><geom type="box" size=".3 .3 .01"/></body>'
 TOP = 4 * 0.25 + 0.23
@@ -29,78 +29,81 @@ LEANING = (0.0, 0.9, 0.0, 0.0)
 
 def arm(xml=TUBES, pose=LEANING):
     """The tubes, at rest in another pose than upright."""
-    some = robot_of(xml)
-    qpos = some.reference_qpos.copy()
-    qpos[some.qpos_index] = pose
-    return replace(some, reference_qpos=qpos)
+    robot = robot_of(xml)
+    qpos = robot.reference_qpos.copy()
+    qpos[robot.qpos_index] = pose
+    return replace(robot, reference_qpos=qpos)
 
 
-def built(some, **limits):
-    return build_problem(some, LimitOptions(**limits))
+def build(robot, **limits):
+    return build_problem(robot, LimitOptions(**limits))
 
 
-def held(some, pose):
+def holding_share(problem, pose):
     """Share of the torque limits that holding a pose takes."""
-    still = np.zeros((1, len(pose)))
-    torque = some.torque(Motion(np.zeros(1), pose[None], still, still))
-    return np.max(np.abs(torque[0]) / some.limits.torque)
+    at_rest = np.zeros((1, len(pose)))
+    torque = problem.torque(Motion(np.zeros(1), pose[None], at_rest, at_rest))
+    return np.max(np.abs(torque[0]) / problem.limits.torque)
 
 
 def test_a_motion_starts_where_nothing_collides():
-    some = problem(tube_arm((Z, Y, X, Y), SHELF.format(TOP)))
-    found = static.startable(some)
-    (note,) = set(found.notes) - set(some.notes)
+    problem = make_problem(tube_arm((Z, Y, X, Y), SHELF.format(TOP)))
+    startable = static.startable(problem)
+    (note,) = set(startable.notes) - set(problem.notes)
     assert "at rest the model is in a collision: link3 and shelf (10 mm deep)" in note
     assert (
-        some.obstacles.slack_at(some.rest)[0]
+        problem.obstacles.slack_at(problem.rest)[0]
         < 0.0
-        <= found.obstacles.slack_at(found.rest)[0]
+        <= startable.obstacles.slack_at(startable.rest)[0]
     )
 
 
 def test_where_every_pose_collides_the_bodies_are_named():
-    room = '<body name="block"><geom type="box" size="2 2 .5" pos="0 0 .75"/></body>'
+    block = '<body name="block"><geom type="box" size="2 2 .5" pos="0 0 .75"/></body>'
     with pytest.raises(
         InputError, match=r"in a collision: link0 and block.*touches nothing; ch"
     ):
-        static.startable(problem(tube_arm((Z, Y, X, Y), room)))
+        static.startable(make_problem(tube_arm((Z, Y, X, Y), block)))
 
 
-def weakened(some, share):
+def weaken_motors(problem, share):
     """The same problem with this share of the torque limit that its start needs."""
-    limits = replace(some.limits, torque=np.full(some.n_joints, 1.0))
-    unit = replace(some, limits=limits)
-    allowed = np.full(some.n_joints, share * held(unit, some.rest))
-    return replace(unit, limits=replace(limits, torque=allowed))
+    limits = replace(problem.limits, torque=np.full(problem.n_joints, 1.0))
+    unit = replace(problem, limits=limits)
+    torque = np.full(problem.n_joints, share * holding_share(unit, problem.rest))
+    return replace(unit, limits=replace(limits, torque=torque))
 
 
 @cache
 def leaning(lean):
-    return built(arm(pose=(0.0, lean, 0.0, 0.0)))
+    return build(arm(pose=(0.0, lean, 0.0, 0.0)))
 
 
 @pytest.mark.slow
 @given(st.sampled_from((0.4, 0.8, 1.2, 1.6)), st.floats(0.02, 0.99))
 def test_what_cannot_be_held_starts_where_it_can_be(lean, share):
     """These tubes need no torque where they stand upright: there is always such a pose."""
-    some = weakened(leaning(lean), share)
-    found = static.startable(some)
-    assert held(found, found.rest) < 1.0
-    assert found.obstacles.slack_at(found.rest)[0] >= 0.0
-    assert np.all((found.rest >= some.limits.lower) & (found.rest <= some.limits.upper))
-    (note,) = set(found.notes) - set(some.notes)
+    problem = weaken_motors(leaning(lean), share)
+    startable = static.startable(problem)
+    assert holding_share(startable, startable.rest) < 1.0
+    assert startable.obstacles.slack_at(startable.rest)[0] >= 0.0
+    assert np.all(
+        (startable.rest >= problem.limits.lower)
+        & (startable.rest <= problem.limits.upper)
+    )
+    (note,) = set(startable.notes) - set(problem.notes)
     assert "holding still takes" in note and "at joint joint1" in note
 
 
 def test_dry_friction_counts_where_the_arm_moves_off():
     """A pose that is just held cannot be left: the motion starts where there is room to."""
     stiff = TUBES.replace('range="-2.5 2.5"', 'range="-2.5 2.5" frictionloss="0.3"')
-    some = weakened(built(arm(stiff)), 1.01)
-    (note,) = set(static.startable(some).notes) - set(some.notes)
+    problem = weaken_motors(build(arm(stiff)), 1.01)
+    (note,) = set(static.startable(problem).notes) - set(problem.notes)
     assert "moving off against gravity and dry friction takes" in note
-    assert held(static.startable(some), static.startable(some).rest) < held(
-        some, some.rest
-    )
+    assert holding_share(
+        static.startable(problem), static.startable(problem).rest
+    ) < holding_share(problem, problem.rest)
 
 
 def test_where_no_pose_can_be_held_the_joint_is_named():
@@ -112,21 +115,21 @@ def test_where_no_pose_can_be_held_the_joint_is_named():
     with pytest.raises(
         InputError, match="at joint joint1, more than 95 % of its torque limit of"
     ):
-        static.startable(built(robot_of(flat), max_torque=0.5))
+        static.startable(build(robot_of(flat), max_torque=0.5))
 
 
 def test_the_way_to_another_start_is_looked_at_too():
     """The arm leans left of a wall; straight to where it leans right of it goes through."""
-    some = built(arm(tube_arm((Z, Y, X, Y), WALL), (0.0, -0.9, 0.0, 0.0)))
+    problem = build(arm(tube_arm((Z, Y, X, Y), WALL), (0.0, -0.9, 0.0, 0.0)))
     through = np.array([0.0, 0.9, 0.0, 0.0])
-    assert static.contact_on_the_way(some, some.rest) is None
-    assert static.contact_on_the_way(some, np.array([0.5, -0.5, 0.2, 0.1])) is None
-    assert "wall" in static.contact_on_the_way(some, through)
+    assert static.contact_on_the_way(problem, problem.rest) is None
+    assert static.contact_on_the_way(problem, np.array([0.5, -0.5, 0.2, 0.1])) is None
+    assert "wall" in static.contact_on_the_way(problem, through)
 
 
 @pytest.fixture(scope="module")
 def posing():
-    return built(robot_of(arms.serial_arm((Z, Y, Y, X))))
+    return build(robot_of(arms.serial_arm((Z, Y, Y, X))))
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +171,7 @@ def test_each_pose_is_approached_from_both_sides(poses):
 
 @pytest.fixture(scope="module")
 def sweeping():
-    return built(robot_of(arms.serial_arm((Z, Y))))
+    return build(robot_of(arms.serial_arm((Z, Y))))
 
 
 @pytest.fixture(scope="module")
@@ -187,23 +190,27 @@ def test_all_limits_are_kept_and_the_ends_are_at_rest(sweeping, sweeps):
 def test_one_joint_moves_at_a_time_both_ways_at_every_speed(sweeps):
     speeds = sweeps.speeds
     assert np.all(np.count_nonzero(speeds, axis=1) == 1)
-    for own in speeds.T:
-        held = np.round(own[own != 0.0], 9)
-        both = set(held[held > 0.0]) & set(-held[held < 0.0])
+    for joint_speeds in speeds.T:
+        distinct = np.round(joint_speeds[joint_speeds != 0.0], 9)
+        both = set(distinct[distinct > 0.0]) & set(-distinct[distinct < 0.0])
         assert len(both) >= static.SPEEDS and max(both) == pytest.approx(static.FASTEST)
 
 
 def test_a_joint_without_room_is_left_out_and_said(sweeping):
     upper = np.where([True, False], sweeping.rest + 0.005, sweeping.limits.upper)
     lower = np.where([True, False], sweeping.rest - 0.005, sweeping.limits.lower)
-    tight = replace(sweeping, limits=replace(sweeping.limits, lower=lower, upper=upper))
-    sweeps = static.design_sweeps(tight)
+    narrow = replace(
+        sweeping, limits=replace(sweeping.limits, lower=lower, upper=upper)
+    )
+    sweeps = static.design_sweeps(narrow)
     assert not np.any(sweeps.speeds[:, 0])
-    assert "No room to sweep joint0" in " ".join(static.sweep_lines(tight, sweeps))
-    none = np.full(2, 0.005)
-    shut = replace(tight.limits, lower=sweeping.rest - none, upper=sweeping.rest + none)
+    assert "No room to sweep joint0" in " ".join(static.sweep_lines(narrow, sweeps))
+    margin = np.full(2, 0.005)
+    closed_limits = replace(
+        narrow.limits, lower=sweeping.rest - margin, upper=sweeping.rest + margin
+    )
     with pytest.raises(InputError, match="no joint has room"):
-        static.design_sweeps(replace(tight, limits=shut))
+        static.design_sweeps(replace(narrow, limits=closed_limits))
 
 
 def test_a_joint_that_starts_at_its_limit_is_swept_the_other_way(sweeping):

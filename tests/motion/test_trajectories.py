@@ -83,20 +83,22 @@ def test_what_holds_of_every_kind(tmp_path_factory, make, seed, speed):
     time = np.linspace(0.0, plan.duration, 41)
     full = plan.evaluate(time)
     later = slow.evaluate(time / speed)
-    read = saved.plan
+    loaded = saved.plan
     for name, power in (("q", 0), ("qd", 1), ("qdd", 2)):
         exact = getattr(later, name)
-        np.testing.assert_array_equal(getattr(read.evaluate(time / speed), name), exact)
+        np.testing.assert_array_equal(
+            getattr(loaded.evaluate(time / speed), name), exact
+        )
         np.testing.assert_allclose(exact, speed**power * getattr(full, name), atol=1e-6)
 
     ends = plan.evaluate(np.array([0.0, plan.duration]))
     np.testing.assert_allclose((ends.qd, ends.qdd), 0.0, atol=1e-8)
     time = np.linspace(0.01, plan.duration - 0.01, 40)
-    ahead, behind, here = (plan.evaluate(time + s) for s in (1e-5, -1e-5, 0.0))
-    error = 1e-4 * (1.0 + np.max(np.abs(here.qdd)))
-    np.testing.assert_allclose((ahead.q - behind.q) / 2e-5, here.qd, atol=error)
+    ahead, behind, middle = (plan.evaluate(time + s) for s in (1e-5, -1e-5, 0.0))
+    error = 1e-4 * (1.0 + np.max(np.abs(middle.qdd)))
+    np.testing.assert_allclose((ahead.q - behind.q) / 2e-5, middle.qd, atol=error)
     np.testing.assert_allclose(
-        (ahead.qd - behind.qd) / 2e-5, here.qdd, atol=200.0 * error
+        (ahead.qd - behind.qd) / 2e-5, middle.qdd, atol=200.0 * error
     )
 
 
@@ -114,8 +116,8 @@ def test_each_pose_is_held_and_each_speed_of_a_sweep(seed):
     middle = plan.evaluate(plan.arrivals[:-1] + 0.5 * plan.moves)
     np.testing.assert_allclose(middle.qd, plan.speeds, atol=1e-12)
     along = plan.evaluate(np.linspace(0.0, plan.duration, 2000))
-    most = np.max(PEAK_OF_RAMP * np.abs(plan.speeds) / plan.ramps[:, None], axis=0)
-    assert np.all(np.max(np.abs(along.qdd), axis=0) <= most * (1.0 + 1e-12))
+    peak = np.max(PEAK_OF_RAMP * np.abs(plan.speeds) / plan.ramps[:, None], axis=0)
+    assert np.all(np.max(np.abs(along.qdd), axis=0) <= peak * (1.0 + 1e-12))
 
 
 def test_peaks_of_the_step():
@@ -125,7 +127,7 @@ def test_peaks_of_the_step():
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "message"),
     [
         (lambda: FourierBasis(10.0, float("inf"), 5, 1.0), "positive"),
         (lambda: FourierBasis(10.0, 0.1, 5, 6.0), "twice"),
@@ -155,8 +157,8 @@ def test_peaks_of_the_step():
         ),
     ],
 )
-def test_refuses_what_cannot_be(make, words):
-    with pytest.raises(InputError, match=words):
+def test_refuses_what_cannot_be(make, message):
+    with pytest.raises(InputError, match=message):
         make()
 
 
@@ -174,7 +176,7 @@ EARLIER = {
 }
 
 
-def changed(**changes):
+def saved_text(**changes):
     """Text of a saved trajectory with some entries changed; None removes one."""
     content = {**EARLIER, **changes}
     return json.dumps(
@@ -186,7 +188,7 @@ def test_files_of_earlier_versions_are_read(tmp_path):
     """Slowed in the file, with the marks of an editor; or a series that ends at rest by itself."""
     path = tmp_path / "plan.json"
     path.write_bytes(
-        b"\xef\xbb\xbf" + changed(speed=0.5).replace(", ", ",\r\n").encode()
+        b"\xef\xbb\xbf" + saved_text(speed=0.5).replace(", ", ",\r\n").encode()
     )
     plan = load_trajectory(path).plan
     assert plan.duration == 10.0
@@ -195,46 +197,46 @@ def test_files_of_earlier_versions_are_read(tmp_path):
     # Speed: a_1 + 2 a_2 = 0; acceleration: b_1 + 4 b_2 = 0.
     wave = [[-0.05, 2.0, -1.0, 0.0, 0.08, -0.02, 0.0]] * 3
     series = {"kind": "fourier", "fade": 0.0, "base_frequency_hz": 0.2, "harmonics": 3}
-    path.write_text(changed(**series, rest=[0.0] * 3, coefficients=wave))
+    path.write_text(saved_text(**series, rest=[0.0] * 3, coefficients=wave))
     plan = load_trajectory(path).plan
     phase = 2.0 * np.pi * 0.2 * 1.3
     by_hand = 2.0 * np.sin(phase) - np.sin(2.0 * phase) - 0.05
     by_hand += 0.08 * np.cos(phase) - 0.02 * np.cos(2.0 * phase)
     np.testing.assert_allclose(plan.evaluate(np.array([1.3])).q, by_hand)
     wave[0][1] = 2.1
-    path.write_text(changed(**series, rest=[0.0] * 3, coefficients=wave))
+    path.write_text(saved_text(**series, rest=[0.0] * 3, coefficients=wave))
     with pytest.raises(InputError, match="does not start and end at rest"):
         load_trajectory(path)
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("time,q1\n0,0\n", "takes the .json file"),
-        (changed(version=9), "has version 9 of the format"),
+        (saved_text(version=9), "has version 9 of the format"),
         (
-            changed(kind="splines"),
+            saved_text(kind="splines"),
             "unknown kind of trajectory 'splines'; valid: sines, fourier",
         ),
-        (changed(phase=None), "lacks the entry 'phase'"),
-        (changed(phase=[[0.0]]), "phase has shape"),
-        (changed(center=["x", 0, 0]), "not a usable trajectory"),
-        (changed(speed=3.0), "--speed must be above 0"),
+        (saved_text(phase=None), "lacks the entry 'phase'"),
+        (saved_text(phase=[[0.0]]), "phase has shape"),
+        (saved_text(center=["x", 0, 0]), "not a usable trajectory"),
+        (saved_text(speed=3.0), "--speed must be above 0"),
         (
-            changed(joints=["base", "elbow"]),
+            saved_text(joints=["base", "elbow"]),
             "a trajectory of 3 joints names 2: base, elbow",
         ),
-        (changed(center=[0.0, float("nan"), 0.0]), "center"),
+        (saved_text(center=[0.0, float("nan"), 0.0]), "center"),
         ("[" * 100_000, "is not JSON"),
-        (changed(duration=10**400), "finite"),
+        (saved_text(duration=10**400), "finite"),
         (None, "cannot read .*plan.json"),
     ],
 )
-def test_refuses_in_one_line(tmp_path, text, words):
+def test_refuses_in_one_line(tmp_path, text, message):
     path = tmp_path / "plan.json"
     if text is not None:
         path.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=words) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         load_trajectory(path)
     assert "\n" not in str(caught.value)
 

@@ -21,7 +21,7 @@ from robot_sysid.signals.process import process
 from tests.support.swing import FREQUENCIES, Swing, seconds
 
 
-def chosen(q, rate):
+def cutoff_of(q, rate):
     """The cut-off for positions as they were read."""
     return choose_cutoff(acceleration_spectra(q, rate, quantisation_error(q)))[0]
 
@@ -45,7 +45,7 @@ def test_the_noise_of_the_encoder_is_read_off_the_data(seed, rate, sigma):
 def test_quantisation_counts_as_its_own_noise():
     resolution = 1e-4
     time = seconds(15.0, 1000.0)
-    q = Swing().measured(time, resolution).q
+    q = Swing().measurement(time, resolution).q
     noise = np.sqrt(
         acceleration_spectra(q, 1000.0, quantisation_error(q)).level * 1000.0 / 2.0
     )
@@ -56,7 +56,7 @@ def test_a_fast_small_motion_beside_a_slow_large_one_is_kept():
     time = seconds(15.0, 1000.0)
     noise = 1e-5 * np.random.default_rng(0).normal(size=time.shape)
     q = 0.5 * np.sin(0.2 * np.pi * time) + 0.01 * np.sin(10.0 * np.pi * time) + noise
-    assert chosen(q[:, None], 1000.0) > 12.5
+    assert cutoff_of(q[:, None], 1000.0) > 12.5
 
 
 SCALES = [(1.0, 0.03, 0.01), (0.1, 0.03, 0.01), (0.3, 0.1, 0.003), (0.03, 0.03, 0.03)]
@@ -64,7 +64,7 @@ SCALES = [(1.0, 0.03, 0.01), (0.1, 0.03, 0.01), (0.3, 0.1, 0.003), (0.03, 0.03, 
 HIGHEST = 15.0 * 1.1
 
 
-def read(q, resolution):
+def encoder_reading(q, resolution):
     """What an encoder says."""
     return np.round(q / resolution) * resolution
 
@@ -81,7 +81,7 @@ def read(q, resolution):
 def test_steps_of_a_coarse_encoder_are_not_taken_for_motion(seed, resolution, scale):
     """A joint that creeps over few steps has a spectrum of its own, far above any motion."""
     q = Swing(seed).q(seconds(15.0, 1000.0)) * scale
-    assert chosen(read(q, resolution), 1000.0) < HIGHEST
+    assert cutoff_of(encoder_reading(q, resolution), 1000.0) < HIGHEST
 
 
 @pytest.mark.parametrize(
@@ -94,8 +94,8 @@ def test_interpolated_steps_are_not_taken_for_motion_either(seed, scale, jitter)
     time = (
         even + jitter * np.random.default_rng(seed).uniform(-1.0, 1.0, len(even)) / rate
     )
-    log = Swing(seed).measured(time)
-    signals = process(replace(log, q=read(log.q * scale, 1e-3)))
+    log = Swing(seed).measurement(time)
+    signals = process(replace(log, q=encoder_reading(log.q * scale, 1e-3)))
     assert "uneven time stamps" in signals.notes[0]
     assert signals.cutoff < HIGHEST
 
@@ -126,11 +126,11 @@ def test_what_is_not_read_in_steps_has_none():
     assert not np.any(
         quantisation_error(q + 1e-5 * np.random.default_rng(0).normal(size=q.shape))
     )
-    assert not np.any(quantisation_error(read(q, 1e-8)))
-    still = np.where(time[:, None] < 5.0, q[5000], q)
+    assert not np.any(quantisation_error(encoder_reading(q, 1e-8)))
+    late_start = np.where(time[:, None] < 5.0, q[5000], q)
     paused = np.where(np.abs(time[:, None] - 7.0) < 1.0, q[6000], q)
     standing = np.full_like(q, 0.3)
-    for motion in (still, paused, standing):
+    for motion in (late_start, paused, standing):
         assert not np.any(quantisation_error(motion))
 
 
@@ -144,7 +144,7 @@ def test_readings_that_are_held_for_several_rows_cost_only_their_own_rate():
         acceleration_spectra(rows, 1000.0, quantisation_error(rows))
     )
     assert error < 1e-2
-    assert 0.5 * chosen(q, 1000.0) < slow < 1.5 * chosen(q, 1000.0)
+    assert 0.5 * cutoff_of(q, 1000.0) < slow < 1.5 * cutoff_of(q, 1000.0)
 
 
 @given(st.integers(0, 2**32), st.floats(-5.0, -3.5))
@@ -161,8 +161,8 @@ def test_the_noise_that_a_cutoff_leaves_is_what_the_filter_leaves(seed, magnitud
         acceleration_spectra(motion + noise, rate, np.zeros_like(motion)), cutoff
     )
     low_pass = design_low_pass(cutoff, rate)
-    left, moved = (
-        np.std(second_derivative(low_pass.filter(part), rate))
-        for part in (noise, motion)
+    noise_deviation, motion_deviation = (
+        np.std(second_derivative(low_pass.filter(signal), rate))
+        for signal in (noise, motion)
     )
-    assert 0.5 < share / (left / moved) < 2.0
+    assert 0.5 < share / (noise_deviation / motion_deviation) < 2.0

@@ -43,17 +43,19 @@ def test_chunks_of_any_size_give_the_same_decimated_samples(cutoff, sizes, seed)
     st.floats(0.0, 1.0),
     st.floats(0.0, 6.0),
 )
-def test_pass_band_and_stop_band_keep_their_promise(attenuation, cutoff, where, phase):
+def test_pass_band_and_stop_band_keep_their_promise(
+    attenuation, cutoff, position, phase
+):
     low_pass = design_low_pass(cutoff, 200.0, attenuation)
     time = seconds(12.0, 200.0)
     half = low_pass.half_width
-    slow = np.sin(2.0 * np.pi * 0.4 * cutoff * where * time + phase)
-    off = np.max(np.abs(low_pass.filter(slow) - slow[half : len(slow) - half]))
+    slow = np.sin(2.0 * np.pi * 0.4 * cutoff * position * time + phase)
+    distortion = np.max(np.abs(low_pass.filter(slow) - slow[half : len(slow) - half]))
     # Kaiser's formulas are approximate for short kernels.
-    promised = 10.0 ** (-(attenuation - 10.0) / 20.0)
-    stop = 1.6 * cutoff + where * max(0.0, 98.0 - 1.6 * cutoff)
-    left = np.max(np.abs(low_pass.filter(np.sin(2.0 * np.pi * stop * time + phase))))
-    assert off < promised and left < promised
+    bound = 10.0 ** (-(attenuation - 10.0) / 20.0)
+    stop = 1.6 * cutoff + position * max(0.0, 98.0 - 1.6 * cutoff)
+    leakage = np.max(np.abs(low_pass.filter(np.sin(2.0 * np.pi * stop * time + phase))))
+    assert distortion < bound and leakage < bound
     with pytest.raises(InputError, match="between 0 and 60 Hz"):
         design_low_pass(60.0 + cutoff, 200.0)
 
@@ -79,9 +81,9 @@ def test_a_high_rate_does_not_make_rounding_large(order):
     rate = 20000.0
     function = (first_derivative, second_derivative)[order - 1]
     true = swing.q(seconds(2.0, rate), order)[FINE_REACH:-FINE_REACH]
-    wrong = function(swing.q(seconds(2.0, rate)), rate, FINE_REACH) - true
-    left = design_low_pass(12.0, rate).filter(wrong)
-    assert np.max(np.abs(left)) < 2e-11 * np.max(np.abs(true))
+    error = function(swing.q(seconds(2.0, rate)), rate, FINE_REACH) - true
+    smooth_error = design_low_pass(12.0, rate).filter(error)
+    assert np.max(np.abs(smooth_error)) < 2e-11 * np.max(np.abs(true))
 
 
 @given(st.floats(-40.0, 40.0), st.integers(0, 1000))

@@ -30,7 +30,7 @@ def root_mean_square(values: np.ndarray) -> float:
 def test_motion_of_a_quantised_log_is_recovered(seed):
     """Acceleration within 1 % of its root mean square from a 1e-4 rad encoder."""
     swing = Swing(seed)
-    signals = process(swing.measured(seconds(12.0, 200.0), 1e-4))
+    signals = process(swing.measurement(seconds(12.0, 200.0), 1e-4))
     for order, limit in ((0, 3e-4), (1, 2e-3), (2, 1e-2)):
         true = swing.q(signals.time, order)
         got = (signals.q, signals.qd, signals.qdd)[order]
@@ -40,7 +40,7 @@ def test_motion_of_a_quantised_log_is_recovered(seed):
     )
 
 
-def with_deadband(log, deadband):
+def low_pass_with_deadband(log, deadband):
     """The signals of a log, low-passed at 8 Hz, with this deadband of all joints [rad/s]."""
     signals = process(log, cutoff=8.0)
     return replace(signals, deadband=np.full_like(signals.deadband, deadband))
@@ -49,7 +49,7 @@ def with_deadband(log, deadband):
 @pytest.mark.parametrize("deadband", [0.05, 0.5])
 def test_rows_that_mix_in_too_many_slow_samples_are_masked_and_only_those(deadband):
     """A row is a sum over a window; what counts is the window's weight on slow samples."""
-    signals = with_deadband(Swing().measured(seconds(6.0, 100.0)), deadband)
+    signals = low_pass_with_deadband(Swing().measurement(seconds(6.0, 100.0)), deadband)
     weight = np.abs(signals.low_pass.kernel) / np.sum(np.abs(signals.low_pass.kernel))
     half = signals.low_pass.half_width
     slow = np.abs(signals.qd) < deadband
@@ -70,15 +70,15 @@ def test_rows_that_mix_in_too_many_slow_samples_are_masked_and_only_those(deadba
     st.booleans(),
 )
 def test_what_follows_the_motion_smoothly_needs_few_of_the_samples(
-    cutoff, rate, more, most, noisy
+    cutoff, rate, seed, chunk, noisy
 ):
     """Products of motion that passed the low-pass; of encoder noise too, whose rest above all
     cut-offs is less. However many at once, signs of speeds pass as they do in one piece.
     """
-    time = seconds(30.0 / cutoff, rate)[: -1 - more]
-    swing = Swing(more, 0.3 * cutoff * FREQUENCIES)
-    rng = np.random.default_rng(more)
-    log = swing.measured(time)
+    time = seconds(30.0 / cutoff, rate)[: -1 - seed]
+    swing = Swing(seed, 0.3 * cutoff * FREQUENCIES)
+    rng = np.random.default_rng(seed)
+    log = swing.measurement(time)
     noise = rng.normal(0.0, 1e-4 * noisy, log.q.shape)
     try:
         signals = process(replace(log, q=log.q + noise), cutoff=cutoff)
@@ -90,21 +90,21 @@ def test_what_follows_the_motion_smoothly_needs_few_of_the_samples(
 
     assert signals.low_pass.step % signals.low_pass.stride == 0
     for few, full in zip(
-        *(signals.filter_columns(smooth, few, most) for few in (True, False))
+        *(signals.filter_columns(smooth, few, chunk) for few in (True, False))
     ):
         assert few.shape == full.shape
         assert root_mean_square(few - full) < (
             1e-5 if noisy else 1e-8
         ) * root_mean_square(full)
-    (signs,) = signals.filter_columns(lambda motion: (np.sign(motion.qd),), chunk=most)
-    whole = signals.low_pass.decimate(np.sign(signals.qd))
-    np.testing.assert_allclose(signs, whole, rtol=0.0, atol=1e-12)
+    (signs,) = signals.filter_columns(lambda motion: (np.sign(motion.qd),), chunk=chunk)
+    expected = signals.low_pass.decimate(np.sign(signals.qd))
+    np.testing.assert_allclose(signs, expected, rtol=0.0, atol=1e-12)
 
 
 def test_the_deadband_is_a_part_of_the_peak_speed():
-    usual = process(Swing().measured(seconds(10.0, 200.0)), cutoff=8.0)
+    signals = process(Swing().measurement(seconds(10.0, 200.0)), cutoff=8.0)
     np.testing.assert_array_equal(
-        usual.deadband, 0.005 * np.max(np.abs(usual.qd), axis=0)
+        signals.deadband, 0.005 * np.max(np.abs(signals.qd), axis=0)
     )
 
 
@@ -113,10 +113,10 @@ def test_positions_pass_a_filter_as_flat_as_their_noise_is_low():
     time = seconds(20.0, 200.0)
     widths = []
     for resolution in (1e-3, 1e-6, 1e-7):
-        signals = process(swing.measured(time, resolution), cutoff=8.0)
+        signals = process(swing.measurement(time, resolution), cutoff=8.0)
         widths.append(signals.position_filter.half_width / signals.low_pass.half_width)
     assert widths[0] == 1.0 < widths[1] < widths[2] < 2.0
-    signals = process(swing.measured(time), cutoff=8.0)
+    signals = process(swing.measurement(time), cutoff=8.0)
     true = swing.q(signals.time, 2)
     assert root_mean_square(signals.qdd - true) < 1e-6 * root_mean_square(true)
 
@@ -127,14 +127,14 @@ def test_positions_without_noise_are_differentiated_as_they_are(seed, rate):
     swing = Swing(seed)
     time = seconds(20.0, rate)
     cutoff = 0.2 * min(rate, 60.0)
-    signals = process(swing.measured(time), cutoff=cutoff)
+    signals = process(swing.measurement(time), cutoff=cutoff)
     assert signals.is_noiseless and not np.any(signals.bridged)
     true = swing.q(signals.time, 2)
     assert root_mean_square(signals.qdd - true) < 1e-8 * root_mean_square(true)
-    assert not process(swing.measured(time, 1e-4), cutoff=cutoff).is_noiseless
+    assert not process(swing.measurement(time, 1e-4), cutoff=cutoff).is_noiseless
 
 
-def cornered(time: np.ndarray, corner: float) -> tuple[np.ndarray, np.ndarray]:
+def corner_motion(time: np.ndarray, corner: float) -> tuple[np.ndarray, np.ndarray]:
     """Motion (N, 1) whose fourth derivative jumps, and its second derivative."""
     sine = np.sin(0.5 * (time - corner))
     cosine = np.cos(0.5 * (time - corner))
@@ -147,11 +147,15 @@ def test_rows_over_a_corner_of_exact_motion_are_masked_and_no_others(seed, corne
     """What 10 samples per second do not resolve; all else is exact to 1e-8."""
     swing = Swing(seed)
     time = seconds(40.0, 10.0)
-    log = swing.measured(time)
-    signals = process(replace(log, q=log.q + cornered(time, corner)[0]), cutoff=2.0)
-    wrong = signals.qdd - swing.q(signals.time, 2) - cornered(signals.time, corner)[1]
-    assert signals.is_noiseless and np.max(np.abs(wrong)) > 1e-6
-    assert np.max(np.abs(wrong[~signals.bridged])) < 1e-8
+    log = swing.measurement(time)
+    signals = process(
+        replace(log, q=log.q + corner_motion(time, corner)[0]), cutoff=2.0
+    )
+    error = (
+        signals.qdd - swing.q(signals.time, 2) - corner_motion(signals.time, corner)[1]
+    )
+    assert signals.is_noiseless and np.max(np.abs(error)) > 1e-6
+    assert np.max(np.abs(error[~signals.bridged])) < 1e-8
     assert 0 < np.sum(signals.bridged) <= 2 * (FINE_REACH + 2) + 1
     used = signals.decimated_time()[np.all(signals.usable(), axis=1)]
     assert np.min(np.abs(used - corner)) > signals.low_pass.half_width / signals.rate
@@ -162,13 +166,18 @@ def test_exact_motion_as_it_might_also_be_is_further_off_than_it_is():
     time = seconds(20.0, 10.0)
     q = np.sin(2.0 * np.pi * 1.6 * time)[:, None]
     signals = process(Measurement(time, q, None, q + 1.0), cutoff=3.0)
-    rows, again = signals.refiltered_motion
+    rows, refiltered = signals.refiltered_motion
     once = signals.decimated_motion()
     assert signals.is_noiseless and len(rows) > 0.7 * len(once.time)
-    np.testing.assert_array_equal(again.q, once.q[rows])
-    true = -((2.0 * np.pi * 1.6) ** 2) * np.sin(2.0 * np.pi * 1.6 * again.time)[:, None]
-    wrong, stated = (root_mean_square(x - once.qdd[rows]) for x in (true, again.qdd))
-    assert 1e-6 < wrong < stated < 100.0 * wrong
+    np.testing.assert_array_equal(refiltered.q, once.q[rows])
+    true = (
+        -((2.0 * np.pi * 1.6) ** 2)
+        * np.sin(2.0 * np.pi * 1.6 * refiltered.time)[:, None]
+    )
+    error, stated_error = (
+        root_mean_square(x - once.qdd[rows]) for x in (true, refiltered.qdd)
+    )
+    assert 1e-6 < error < stated_error < 100.0 * error
 
 
 def test_a_second_pass_changes_what_the_first_one_did():
@@ -176,13 +185,13 @@ def test_a_second_pass_changes_what_the_first_one_did():
     time = seconds(20.0, 100.0)
     q = np.sin(2.0 * np.pi * 0.7 * time)[:, None]
     signals = process(Measurement(time, np.round(q, 4), None, q + 1.0), cutoff=1.2)
-    rows, again = signals.refiltered_motion
+    rows, refiltered = signals.refiltered_motion
     once = signals.decimated_motion()
     assert len(rows) > 0.5 * len(once.time)
-    np.testing.assert_array_equal(again.time, once.time[rows])
-    true = np.sin(2.0 * np.pi * 0.7 * again.time)[:, None]
+    np.testing.assert_array_equal(refiltered.time, once.time[rows])
+    true = np.sin(2.0 * np.pi * 0.7 * refiltered.time)[:, None]
     first = true - once.q[rows]
-    second = once.q[rows] - again.q
+    second = once.q[rows] - refiltered.q
     assert np.max(np.abs(first)) > 1e-3
     np.testing.assert_allclose(
         second, first, rtol=0.0, atol=0.1 * np.max(np.abs(first))
@@ -194,7 +203,7 @@ def test_joints_that_hardly_move_both_ways_are_named():
     time = seconds(10.0, 200.0)
     swing = 0.3 * np.sin(2.0 * np.pi * 0.4 * time)
     q = np.column_stack((swing, swing + time, swing - time))
-    signals = with_deadband(Measurement(time, q, None, q + 1.0), 0.05)
+    signals = low_pass_with_deadband(Measurement(time, q, None, q + 1.0), 0.05)
     forwards, backwards = signals.one_way_joints(("a", "b", "c"))
     assert forwards.startswith(
         "b moves faster than 0.05 rad/s in 100 % of the samples forwards"
@@ -205,10 +214,10 @@ def test_joints_that_hardly_move_both_ways_are_named():
 
 
 def test_a_joint_at_rest_is_masked_and_named():
-    log = Swing().measured(seconds(10.0, 200.0), 1e-4)
-    still = np.array(log.q)
-    still[:, 1] = 0.3
-    signals = process(replace(log, q=still), ("a", "b", "c"), 8.0)
+    log = Swing().measurement(seconds(10.0, 200.0), 1e-4)
+    positions = np.array(log.q)
+    positions[:, 1] = 0.3
+    signals = process(replace(log, q=positions), ("a", "b", "c"), 8.0)
     assert not np.any(signals.usable()[:, 1])
     assert np.mean(signals.usable()[:, 0]) > 0.9
     assert any("only 0 % of the rows of joint b" in note for note in signals.notes)
@@ -220,8 +229,8 @@ def test_rows_over_a_long_hole_are_masked_and_short_holes_are_bridged():
     keep = np.ones(len(time), dtype=bool)
     keep[400:404] = False
     keep[1600:1660] = False
-    log = swing.measured(time[keep], 1e-5)
-    signals = with_deadband(log, 0.0)
+    log = swing.measurement(time[keep], 1e-5)
+    signals = low_pass_with_deadband(log, 0.0)
     dropped = signals.decimated_time()[~np.all(signals.usable(), axis=1)]
     hole = (time[1600], time[1660])
     reach = (
@@ -234,10 +243,10 @@ def test_rows_over_a_long_hole_are_masked_and_short_holes_are_bridged():
     np.testing.assert_allclose(
         [masked[0], masked[-1]], [dropped[0], dropped[-1]], atol=0.1
     )
-    kept = np.repeat(np.all(signals.usable(), axis=1), signals.low_pass.step)[
+    is_usable = np.repeat(np.all(signals.usable(), axis=1), signals.low_pass.step)[
         : len(signals)
     ]
-    error = np.abs(signals.qdd - swing.q(signals.time, 2))[: len(kept)][kept]
+    error = np.abs(signals.qdd - swing.q(signals.time, 2))[: len(is_usable)][is_usable]
     assert np.max(error) < 1e-2
 
 
@@ -252,12 +261,12 @@ def test_an_injected_delay_is_estimated_and_put_right(delay, seed):
     time = seconds(12.0, 200.0)
     late = 2.0 * swing.q(time - delay) + 0.5 * swing.q(time - delay, 2)
     late = late + 0.004 * root_mean_square(late) * rng.normal(size=late.shape)
-    log = replace(swing.measured(time, 1e-4), tau=late)
+    log = replace(swing.measurement(time, 1e-4), tau=late)
     signals = process(log, cutoff=6.0)
-    found = 0.0
+    estimate = 0.0
     for _ in range(3):
-        found += _remaining_delay(with_delay(signals, found))
-    assert abs(found - delay) < 1e-4
+        estimate += _remaining_delay(with_delay(signals, estimate))
+    assert abs(estimate - delay) < 1e-4
 
 
 def _remaining_delay(signals) -> float:
@@ -273,11 +282,11 @@ def test_a_log_too_short_for_its_cutoff_says_how_long_it_must_be():
     with pytest.raises(
         InputError, match=r"2 s are too short for a cut-off of 3 Hz, which needs"
     ):
-        process(Swing().measured(seconds(2.0, 200.0)), cutoff=3.0)
+        process(Swing().measurement(seconds(2.0, 200.0)), cutoff=3.0)
     with pytest.raises(InputError, match="--cutoff HZ"):
-        process(Swing().measured(seconds(0.1, 200.0)))
+        process(Swing().measurement(seconds(0.1, 200.0)))
     with pytest.raises(InputError, match="leaves nothing"):
-        with_delay(process(Swing().measured(seconds(10.0, 200.0)), cutoff=8.0), 9.5)
+        with_delay(process(Swing().measurement(seconds(10.0, 200.0)), cutoff=8.0), 9.5)
 
 
 RATE = 200.0
@@ -290,9 +299,9 @@ def test_a_joint_may_stand_until_it_is_clearly_away_from_its_turn(outward, stand
     """It turns round with 2 rad/s^2, at once or after a pause."""
     time = np.arange(-1.0, 1.0, 1.0 / RATE) + 0.5 / RATE
     moving = np.sign(time) * np.maximum(np.abs(time) - 0.5 * standing, 0.0)
-    place = -(moving**2)
+    position = -(moving**2)
     rng = np.random.default_rng(0)
-    reading = outward * (place + NOISE * rng.standard_normal(len(time)))
+    reading = outward * (position + NOISE * rng.standard_normal(len(time)))
     smooth_speed = -2.0 * outward * time
     readings = np.column_stack((reading, reading))
     speeds = np.column_stack((smooth_speed, np.ones_like(time)))
@@ -300,7 +309,7 @@ def test_a_joint_may_stand_until_it_is_clearly_away_from_its_turn(outward, stand
 
     assert np.all(turning[np.abs(time) <= 0.5 * standing, 0])
     # Noise moves the outermost reading, and each one that is compared with it.
-    clear = -place > (SEPARATION + 8.0) * NOISE
+    clear = -position > (SEPARATION + 8.0) * NOISE
     assert not np.any(turning[clear, 0])
     assert np.any(turning[:, 0])
     # A joint that never turns round is never unsure.

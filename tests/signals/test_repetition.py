@@ -40,7 +40,7 @@ class Samples:
         self.tau = tau
 
 
-def repeated(count, noise, phase=0.0):
+def repeat_motion(count, noise, phase=0.0):
     motions = [motion(phase * k) for k in range(count)]
     rows = np.concatenate([np.column_stack((m.q, m.qd[:, 0])) for m in motions])
     return motions, Samples(rows, rows @ np.array([1.0, 2.0, 3.0]) + noise)
@@ -55,7 +55,7 @@ def inflation(motions, samples):
 @pytest.mark.parametrize(("seed", "count"), [(0, 1), (0, 2), (1, 12)])
 def test_the_same_residuals_again_count_once(seed, count):
     rng = np.random.default_rng(seed)
-    motions, samples = repeated(count, np.tile(rng.normal(size=COUNT), count))
+    motions, samples = repeat_motion(count, np.tile(rng.normal(size=COUNT), count))
     assert inflation(motions, samples) == pytest.approx(count, rel=1e-9)
     assert (find_visits(motions).repeats < 1.0) == (count == 1)
 
@@ -63,9 +63,9 @@ def test_the_same_residuals_again_count_once(seed, count):
 @pytest.mark.parametrize(("seed", "count"), [(0, 2), (1, 12)])
 def test_new_residuals_count_every_time(seed, count):
     rng = np.random.default_rng(seed)
-    found = inflation(*repeated(count, rng.normal(size=count * COUNT)))
+    factor = inflation(*repeat_motion(count, rng.normal(size=count * COUNT)))
     # The sum of count - 1 others per row, COUNT rows: six standard deviations.
-    assert found <= 1.0 + 6.0 * np.sqrt((count - 1) / COUNT)
+    assert factor <= 1.0 + 6.0 * np.sqrt((count - 1) / COUNT)
 
 
 def test_a_passage_that_falls_between_the_rows_of_another_is_found():
@@ -74,7 +74,7 @@ def test_a_passage_that_falls_between_the_rows_of_another_is_found():
     for seed in range(20):
         fine = np.random.default_rng(seed).normal(size=COUNT)
         between = np.sinc(np.arange(COUNT)[:, None] + 0.5 - np.arange(COUNT)) @ fine
-        motions, samples = repeated(2, np.concatenate((fine, between)), phase=0.5)
+        motions, samples = repeat_motion(2, np.concatenate((fine, between)), phase=0.5)
         factors.append(inflation(motions, samples))
     assert np.mean(factors) == pytest.approx(2.0, abs=0.3)
 
@@ -82,7 +82,7 @@ def test_a_passage_that_falls_between_the_rows_of_another_is_found():
 TRUTH = np.array([1.0, 2.0, 3.0])
 
 
-def parts_of(motions, samples):
+def samples_of(motions, samples):
     """A sample of each motion; the numbers of logs are any different ones."""
     left = np.split(samples.tau - samples.rows @ TRUTH, len(motions))
     return [
@@ -106,22 +106,22 @@ def test_the_memory_of_a_residual_is_what_its_sums_show(keep):
 def test_all_rows_say_what_a_pass_over_them_says(seed, count):
     rng = np.random.default_rng(seed)
     shared = np.tile(rng.normal(size=150), count) + rng.normal(size=150 * count)
-    motions, samples = repeated(count, shared)
-    found = reduce(add, parts_of(motions, samples)).inflation()
-    assert found == pytest.approx(inflation(motions, samples), rel=0.05)
+    motions, samples = repeat_motion(count, shared)
+    factors = reduce(add, samples_of(motions, samples)).inflation()
+    assert factors == pytest.approx(inflation(motions, samples), rel=0.05)
 
 
 @pytest.mark.parametrize(("seed", "comes_again"), [(0, True), (1, False)])
 def test_a_part_of_very_many_rows_still_tells_repetition(seed, comes_again):
     rng = np.random.default_rng(seed)
     count = 40
-    one = rng.normal(size=150)
-    noise = np.tile(one, count) if comes_again else rng.normal(size=150 * count)
-    found = reduce(add, parts_of(*repeated(count, noise))).inflation()[0]
+    passage = rng.normal(size=150)
+    noise = np.tile(passage, count) if comes_again else rng.normal(size=150 * count)
+    factor = reduce(add, samples_of(*repeat_motion(count, noise))).inflation()[0]
     assert (
-        0.75 * count < found < 1.25 * count
+        0.75 * count < factor < 1.25 * count
         if comes_again
-        else 1.0 <= found < 0.1 * count
+        else 1.0 <= factor < 0.1 * count
     )
 
 
@@ -133,11 +133,11 @@ def test_the_same_log_twice_is_refused(monkeypatch):
 
 
 def test_some_of_the_motion_is_motion_of_the_log():
-    whole = motion()
-    some = sample_rows(whole, np.zeros((150, 1)), 3).motion(20)
-    rows = [int(np.flatnonzero((whole.q == q).all(axis=1))[0]) for q in some.q]
+    full = motion()
+    sample = sample_rows(full, np.zeros((150, 1)), 3).motion(20)
+    rows = [int(np.flatnonzero((full.q == q).all(axis=1))[0]) for q in sample.q]
     assert len(set(rows)) == 20
-    np.testing.assert_array_equal(some.qdd, whole.qdd[rows])
+    np.testing.assert_array_equal(sample.qdd, full.qdd[rows])
 
 
 APPROACH = 0.05

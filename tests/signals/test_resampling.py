@@ -27,7 +27,7 @@ from tests.support.swing import Swing, seconds
 
 
 def test_an_even_log_is_taken_as_it_is():
-    log = Swing().measured(5.0 + seconds(3.0, 200.0))
+    log = Swing().measurement(5.0 + seconds(3.0, 200.0))
     uniform = resample_uniformly(log)
     np.testing.assert_array_equal(uniform.q, log.q)
     assert (uniform.start, uniform.notes, np.max(uniform.gap)) == (5.0, (), 0.0)
@@ -46,7 +46,7 @@ def test_uneven_samples_are_put_where_they_belong(seed, jitter):
     rate = 200.0
     even = seconds(4.0, rate)
     time = even + rng.uniform(-jitter, jitter, len(even)) / rate
-    uniform = resample_uniformly(swing.measured(time))
+    uniform = resample_uniformly(swing.measurement(time))
     grid = uniform.start + np.arange(len(uniform.q)) / uniform.rate
     np.testing.assert_allclose(uniform.q, swing.q(grid), rtol=0.0, atol=1e-7)
     np.testing.assert_allclose(uniform.tau, swing.tau(grid), rtol=0.0, atol=1e-6)
@@ -56,10 +56,10 @@ def test_each_joint_is_read_at_its_own_time():
     swing = Swing()
     rate = 250.0
     time = seconds(4.0, rate)
-    own = time[:, None] + np.array([0.2e-3, 0.9e-3, 1.8e-3])
-    q = np.column_stack([swing.q(own[:, j])[:, j] for j in range(3)])
-    tau = np.column_stack([swing.tau(own[:, j])[:, j] for j in range(3)])
-    uniform = resample_uniformly(Measurement(time, q, None, tau, joint_time=own))
+    joint_time = time[:, None] + np.array([0.2e-3, 0.9e-3, 1.8e-3])
+    q = np.column_stack([swing.q(joint_time[:, j])[:, j] for j in range(3)])
+    tau = np.column_stack([swing.tau(joint_time[:, j])[:, j] for j in range(3)])
+    uniform = resample_uniformly(Measurement(time, q, None, tau, joint_time=joint_time))
     grid = uniform.start + np.arange(len(uniform.q)) / uniform.rate
     np.testing.assert_allclose(uniform.q, swing.q(grid), rtol=0.0, atol=1e-7)
     np.testing.assert_allclose(uniform.tau, swing.tau(grid), rtol=0.0, atol=1e-6)
@@ -77,7 +77,7 @@ def test_a_hole_is_one_from_the_first_missing_sample_on(seed, missing):
     first = int(rng.integers(50, 700))
     keep = np.ones(len(even), dtype=bool)
     keep[first : first + missing] = False
-    uniform = resample_uniformly(Swing().measured(even[keep]))
+    uniform = resample_uniformly(Swing().measurement(even[keep]))
     expected = np.where(keep, 0.0, (missing + 1) / rate)
     np.testing.assert_allclose(uniform.gap, expected, rtol=0.0, atol=1e-9)
 
@@ -89,7 +89,7 @@ def test_samples_that_come_early_and_late_leave_no_hole(seed):
     rate = 200.0
     even = seconds(4.0, rate)
     time = even + rng.uniform(-0.35, 0.35, len(even)) / rate
-    uniform = resample_uniformly(Swing().measured(time))
+    uniform = resample_uniformly(Swing().measurement(time))
     assert np.max(np.diff(time)) > 1.5 / rate
     np.testing.assert_array_equal(uniform.gap, 0.0)
 
@@ -104,7 +104,7 @@ def test_rows_lost_from_coarse_time_stamps_leave_a_hole(seed, missing, resolutio
     first = int(rng.choice(fast[(fast > 50) & (fast < 3900)]))
     keep = np.ones(len(even), dtype=bool)
     keep[first : first + missing] = False
-    log = swing.measured(even[keep], resolution)
+    log = swing.measurement(even[keep], resolution)
     uniform = resample_uniformly(log)
     assert len(uniform.q) == len(even) and abs(uniform.rate - 1000.0) < 1e-6
     np.testing.assert_allclose(
@@ -120,23 +120,23 @@ def test_rows_lost_from_coarse_time_stamps_leave_a_hole(seed, missing, resolutio
 def test_a_clock_that_is_a_little_slow_loses_no_rows(seed, rate):
     swing = Swing(seed)
     even = seconds(4.0, rate)
-    log = replace(swing.measured(even), time=np.floor(1e3 * even + 0.3) / 1e3)
+    log = replace(swing.measurement(even), time=np.floor(1e3 * even + 0.3) / 1e3)
     uniform = resample_uniformly(log)
     np.testing.assert_array_equal(uniform.q, log.q)
     assert uniform.notes == ()
 
 
 def test_a_long_simulated_run_is_thinned_as_a_log_is(monkeypatch):
-    log = Swing().measured(seconds(8.0, 500.0))
+    log = Swing().measurement(seconds(8.0, 500.0))
     chunks = [
         slice_samples(log, start, start + 700) for start in range(0, len(log), 700)
     ]
-    (whole,), said = condense_run(chunks, len(log))
-    np.testing.assert_array_equal(whole.q, log.q)
-    assert said == ()
+    (full,), notes = condense_run(chunks, len(log))
+    np.testing.assert_array_equal(full.q, log.q)
+    assert notes == ()
     monkeypatch.setattr(resampling, "MOST_ROWS_KEPT", 1000)
-    (thinned,), said = condense_run(chunks, len(log))
-    assert 700 < len(thinned) <= len(log) / 5.0 and said == ()
+    (thinned,), notes = condense_run(chunks, len(log))
+    assert 700 < len(thinned) <= len(log) / 5.0 and notes == ()
     np.testing.assert_allclose(thinned.q, Swing().q(thinned.time), atol=1e-3)
 
 
@@ -150,39 +150,41 @@ def log(time: np.ndarray) -> Measurement:
         st.tuples(st.floats(0.1, 12.0), st.floats(0.6, 5.0)), min_size=1, max_size=5
     )
 )
-def test_pieces_are_what_lies_between_gaps(parts):
+def test_pieces_are_what_lies_between_gaps(lengths_and_gaps):
     start = 0.0
     times = []
-    for length, gap in parts:
+    for length, gap in lengths_and_gaps:
         times.append(start + np.arange(0.0, length, 0.01))
         start = float(times[-1][-1]) + gap
-    whole = log(np.concatenate(times))
-    found = split_at_gaps(whole)
+    recording = log(np.concatenate(times))
+    pieces = split_at_gaps(recording)
     long = [time for time in times if time[-1] - time[0] >= resampling.SHORTEST_PIECE]
     if not long:
-        assert len(found) == 1 and found[0] is whole
+        assert len(pieces) == 1 and pieces[0] is recording
         return
-    assert [len(piece) for piece in found] == [len(time) for time in long]
-    for piece, time in zip(found, long):
+    assert [len(piece) for piece in pieces] == [len(time) for time in long]
+    for piece, time in zip(pieces, long):
         np.testing.assert_array_equal(piece.time, time)
-    assert bool(piece_notes(whole, found)) == (len(times) > 1)
+    assert bool(piece_notes(recording, pieces)) == (len(times) > 1)
 
 
 def test_a_long_log_is_cut_into_equal_parts(monkeypatch):
     monkeypatch.setattr(resampling, "MOST_PIECE_ROWS", 1000)
-    whole = log(np.arange(0.0, 25.0, 0.01))
-    found = split_at_gaps(whole)
-    assert [len(piece) for piece in found] == [833, 833, 834]
-    assert "its length splits the log into 3 pieces" in piece_notes(whole, found)[0]
+    recording = log(np.arange(0.0, 25.0, 0.01))
+    pieces = split_at_gaps(recording)
+    assert [len(piece) for piece in pieces] == [833, 833, 834]
+    assert (
+        "its length splits the log into 3 pieces" in piece_notes(recording, pieces)[0]
+    )
 
 
 def test_of_hours_the_minutes_that_move_are_taken():
     time = np.arange(0.0, 7200.0, 0.1)
     moves = (time > 3000.0) & (time < 3600.0)
     q = np.where(moves, np.sin(time), 1e-4 * np.sin(time))[:, None]
-    found = split_at_gaps(Measurement(time, q, None, q))
-    assert 500.0 < sum(np.ptp(piece.time) for piece in found) < 800.0
-    assert all(2900.0 < piece.time[0] < 3700.0 for piece in found)
+    pieces = split_at_gaps(Measurement(time, q, None, q))
+    assert 500.0 < sum(np.ptp(piece.time) for piece in pieces) < 800.0
+    assert all(2900.0 < piece.time[0] < 3700.0 for piece in pieces)
     always = split_at_gaps(log(time))
     assert sum(np.ptp(piece.time) for piece in always) == pytest.approx(
         resampling.MOST_TIME, rel=0.1
@@ -194,20 +196,20 @@ def test_of_hours_the_minutes_that_move_are_taken():
 def test_thinning_does_not_depend_on_the_blocks(cuts):
     time = np.arange(4000) / 1000.0
     rows = np.column_stack((np.arange(4000), time, np.sin(3.0 * time)))
-    whole = Thinning(8, 1e-3).push(rows)
+    at_once = Thinning(8, 1e-3).push(rows)
     other = Thinning(8, 1e-3)
     blocks = np.split(rows, np.cumsum(cuts))
     np.testing.assert_allclose(
         np.concatenate([other.push(block) for block in blocks]),
-        whole,
+        at_once,
         rtol=0,
         atol=1e-12,
     )
-    assert 440 < len(whole) < 500
+    assert 440 < len(at_once) < 500
     np.testing.assert_allclose(
-        whole[:, 2], np.sin(3.0 * whole[:, 1]), rtol=0, atol=1e-4
+        at_once[:, 2], np.sin(3.0 * at_once[:, 1]), rtol=0, atol=1e-4
     )
-    assert np.allclose(np.diff(whole[:, 1]), 8e-3)
+    assert np.allclose(np.diff(at_once[:, 1]), 8e-3)
 
 
 def test_thinning_does_not_reach_over_a_gap():

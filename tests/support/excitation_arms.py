@@ -53,7 +53,7 @@ def options(**changes):
 
 
 @cache
-def problem(
+def make_problem(
     xml,
     torques="chain",
     noise_torque=DEFAULT_NOISE_TORQUE,
@@ -64,17 +64,19 @@ def problem(
     return build_problem(robot(xml), LimitOptions(**limits), torques, noise_torque, top)
 
 
-def design(xml, torques="chain", duration=DURATION, **changes):
+def make_design(xml, torques="chain", duration=DURATION, **changes):
     """Design of an XML string."""
-    chosen = options(**changes)
+    search_options = options(**changes)
     motion = TrajectoryOptions(duration=duration)
-    some = problem(xml, torques, top=chosen.basis(duration).top_frequency_hz)
-    return Design(some, chosen, motion)
+    problem = make_problem(
+        xml, torques, top=search_options.basis(duration).top_frequency_hz
+    )
+    return Design(problem, search_options, motion)
 
 
-def random_x(some_design, seed, size=0.3):
+def random_x(design, seed, size=0.3):
     """Random free coefficients (n, M) of a design."""
-    shape = (some_design.problem.n_joints, some_design.basis.size)
+    shape = (design.problem.n_joints, design.basis.size)
     return size * np.random.default_rng(seed).normal(size=shape)
 
 

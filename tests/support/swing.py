@@ -27,11 +27,11 @@ class Swing:
             self.amplitude * self.omega[:, None] ** order * np.sin(angle), axis=1
         )
 
-    def measured(self, time: np.ndarray, resolution: float = 0.0) -> Measurement:
+    def measurement(self, time: np.ndarray, resolution: float = 0.0) -> Measurement:
         """A log whose torque is 2 q + 3 qd + 0.5 qdd."""
         q = self.q(time)
-        seen = np.round(q / resolution) * resolution if resolution else q
-        return Measurement(time, seen, None, self.tau(time))
+        positions = np.round(q / resolution) * resolution if resolution else q
+        return Measurement(time, positions, None, self.tau(time))
 
     def tau(self, time: np.ndarray) -> np.ndarray:
         """Torque at any time (N, 3)."""
