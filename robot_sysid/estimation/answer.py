@@ -143,7 +143,7 @@ class Answer:
         value = float(self.fit.final[index])
         if name in unknowns.names_at_bound:
             return Quantity(value, float("nan"))
-        row = int(np.searchsorted(unknowns.estimated, index))
+        (row,) = np.flatnonzero(unknowns.estimated == index)
         return Quantity(value, float(self.errors.total.standard_errors[row]))
 
     def joints(self) -> Iterator[tuple[str, JointEstimate]]:
@@ -267,7 +267,10 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
     file = answer.file
     fit = answer.file.fit
     robot = answer.robot
-    file_answer = replace(answer, fit=fit, file=None, errors=file.errors)
+    # A file holds fewer friction terms than the friction of logs, and states them once.
+    file_answer = replace(
+        answer, fit=fit, file=None, errors=file.errors, friction_of_logs=None
+    )
     thetas = fit.columns.thetas(fit.values)
     spread = np.zeros_like(thetas)
     for body in file_answer.links():
