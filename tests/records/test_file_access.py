@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import itertools
 import json
 import math
 import os
@@ -46,22 +47,20 @@ def write_set(folder, text):
             outputs.write(folder / name, text)
 
 
-def watch(between, replace_attribute=setattr):
-    """Call ``between(count)`` before and after every step by which a commit changes a folder."""
-    seen = [0]
+def watch_commit(observe, replace_attribute=setattr):
+    """Call ``observe(count)`` before and after every step by which a commit changes a folder."""
+    count = itertools.count(1)
 
-    def watched(step):
-        def call(*arguments, **rest):
-            for act in (lambda: None, lambda: step(*arguments, **rest)):
-                act()
-                seen[0] += 1
-                between(seen[0])
+    def wrap_step(step):
+        def observed_step(*arguments, **options):
+            observe(next(count))
+            step(*arguments, **options)
+            observe(next(count))
 
-        return call
+        return observed_step
 
     for name in ("replace", "unlink"):
-        replace_attribute(os, name, watched(getattr(os, name)))
-    return seen
+        replace_attribute(os, name, wrap_step(getattr(os, name)))
 
 
 @pytest.fixture
@@ -72,26 +71,31 @@ def old_set(tmp_path):
 
 @pytest.fixture
 def instants(old_set, monkeypatch):
-    """How many instants there are in the commit of a new set."""
+    """The numbers from 1 of the instants before and after each step of a commit."""
     with monkeypatch.context() as patch:
-        seen = watch(lambda _: assert_whole(old_set), patch.setattr)
+        counts = []
+
+        def observe(count):
+            assert_whole(old_set)
+            counts.append(count)
+
+        watch_commit(observe, patch.setattr)
         write_set(old_set, "new")
-    assert everything_in(old_set) == dict.fromkeys(NAMES, "new") and seen[0] >= 2 * len(
-        NAMES
-    )
+    assert everything_in(old_set) == dict.fromkeys(NAMES, "new")
+    assert len(counts) >= 2 * len(NAMES)
     write_set(old_set, "old")
-    return range(1, seen[0] + 1)
+    return counts
 
 
 def assert_whole(folder):
     """Every file is there, old or new, and the first one only where all are of its set."""
-    found = {
+    contents = {
         name: (folder / name).read_text() for name in NAMES if (folder / name).exists()
     }
-    assert set(found.values()) <= {"old", "new"} and set(NAMES) - set(found) <= {
+    assert set(contents.values()) <= {"old", "new"} and set(NAMES) - set(contents) <= {
         NAMES[0]
     }
-    assert NAMES[0] not in found or len(set(found.values())) == 1
+    assert NAMES[0] not in contents or len(set(contents.values())) == 1
 
 
 def test_an_error_at_any_instant_leaves_whole_files_and_nothing_else(
@@ -107,9 +111,9 @@ def test_an_error_at_any_instant_leaves_whole_files_and_nothing_else(
                 if count == instant:
                     raise problem
 
-            shown = contextlib.suppress(KeyboardInterrupt, InputError)
-            with monkeypatch.context() as patch, shown:
-                watch(interrupt, patch.setattr)
+            interruption = contextlib.suppress(KeyboardInterrupt, InputError)
+            with monkeypatch.context() as patch, interruption:
+                watch_commit(interrupt, patch.setattr)
                 write_set(old_set, "new")
             assert_whole(old_set)
             assert set(everything_in(old_set)) <= set(NAMES)
@@ -127,7 +131,7 @@ def test_a_signal_at_any_instant_waits_for_the_whole_new_set(
                 signal.raise_signal(signal.SIGINT)
 
         with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-            watch(send, patch.setattr)
+            watch_commit(send, patch.setattr)
             write_set(old_set, "new")
         assert everything_in(old_set) == dict.fromkeys(NAMES, "new")
         write_set(old_set, "old")
@@ -137,7 +141,7 @@ def test_a_signal_at_any_instant_waits_for_the_whole_new_set(
 def test_a_process_that_is_killed_leaves_whole_files_and_keeps_no_folder(old_set):
     code = (
         "import os, signal; from pathlib import Path; from tests.records import test_file_access\n"
-        "test_file_access.watch(lambda n: n == 4 and os.kill(os.getpid(), signal.SIGKILL))\n"
+        "test_file_access.watch_commit(lambda n: n == 4 and os.kill(os.getpid(), signal.SIGKILL))\n"
         "with test_file_access.lock_folder(Path.cwd()):\n"
         "    test_file_access.write_set(Path.cwd(), 'new')"
     )
@@ -192,25 +196,25 @@ def test_a_draft_can_be_read_before_and_withdrawn(tmp_path):
 def test_what_is_to_go_goes_last_and_only_where_nothing_fails(
     tmp_path, monkeypatch, fails
 ):
-    before = {"a": "old", "gone": "old"}
-    for name, text in before.items():
+    old_files = {"a": "old", "gone": "old"}
+    for name, text in old_files.items():
         (tmp_path / name).write_text(text)
-    seen = []
+    contents = []
     unlink = Path.unlink
 
-    def watched(path, **options):
+    def unlink_and_record(path, **options):
         if path.name == "gone":
-            seen.append((tmp_path / "a").read_text())
+            contents.append((tmp_path / "a").read_text())
         unlink(path, **options)
 
-    monkeypatch.setattr(Path, "unlink", watched)
+    monkeypatch.setattr(Path, "unlink", unlink_and_record)
     with contextlib.suppress(ZeroDivisionError), atomic_files() as outputs:
         outputs.write(tmp_path / "a", "new")
         outputs.remove(tmp_path / "gone")
         if fails:
             raise ZeroDivisionError
-    assert everything_in(tmp_path) == (before if fails else {"a": "new"})
-    assert seen == [] if fails else ["new"]
+    assert everything_in(tmp_path) == (old_files if fails else {"a": "new"})
+    assert contents == [] if fails else ["new"]
 
 
 def test_a_path_that_cannot_be_written_is_one_line(tmp_path):
@@ -241,20 +245,20 @@ def test_only_one_run_at_a_time_has_a_folder(tmp_path):
 def test_a_lock_that_was_removed_while_it_was_taken_does_not_count(
     tmp_path, monkeypatch
 ):
-    take = files._try_lock
-    taken = []
+    try_lock = files._try_lock
+    handles = []
 
     def take_late(handle):
         """The other run ends between opening the file and locking it."""
-        if not taken:
+        if not handles:
             (tmp_path / LOCK_NAME).unlink()
-        taken.append(handle)
-        return take(handle)
+        handles.append(handle)
+        return try_lock(handle)
 
     monkeypatch.setattr(files, "_try_lock", take_late)
     with lock_folder(tmp_path):
-        assert len(taken) == 2
-        assert os.path.samestat(os.fstat(taken[-1]), os.stat(tmp_path / LOCK_NAME))
+        assert len(handles) == 2
+        assert os.path.samestat(os.fstat(handles[-1]), os.stat(tmp_path / LOCK_NAME))
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path):

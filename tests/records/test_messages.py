@@ -33,11 +33,11 @@ def test_without_an_error_four_digits_count(value):
 
 @pytest.mark.parametrize("is_slide", [False, True])
 def test_every_friction_term_has_a_unit_but_the_loss_per_load(is_slide):
-    own = torque_unit(is_slide), position_unit(is_slide)
+    units = torque_unit(is_slide), position_unit(is_slide)
     for term in TERMS:
         unit = term_unit(term, is_slide)
         assert (unit == "") == (term == "load")
         assert is_slide or not unit.startswith("N·s")
-    for bent in NONLINEAR_TERMS:
-        assert term_unit(f"{bent}_speed", is_slide) == f"{own[1]}/s"
-    assert (term_unit("coulomb", is_slide), term_unit("zero", is_slide)) == own
+    for term in NONLINEAR_TERMS:
+        assert term_unit(f"{term}_speed", is_slide) == f"{units[1]}/s"
+    assert (term_unit("coulomb", is_slide), term_unit("zero", is_slide)) == units

@@ -50,11 +50,14 @@ def test_a_record_is_made_from_keys_and_text_becomes_what_the_annotation_names()
         for name in ("heat", "fan_speed", "trays", "recipe")
     ]
     assert parsers == [float, int, float, Path]
-    made = record_from(Oven, {"fan": "3", "heat": 90.0, "trays": 0.2, "unrelated": 1})
-    assert made == Oven(heat=90.0, fan_speed=3, trays=(0.2,))
-    assert (default_of(made, "heat"), default_of(Oven, "trays")) == (180.0, ())
+    record = record_from(Oven, {"fan": "3", "heat": 90.0, "trays": 0.2, "unrelated": 1})
+    assert record == Oven(heat=90.0, fan_speed=3, trays=(0.2,))
+    assert (default_of(record, "heat"), default_of(Oven, "trays")) == (180.0, ())
     oven = Oven(name="big", heat=200.0, recipe=Path("bread.txt"))
-    assert [each.flag for each in given_options(oven)] == ["--heat", "--recipe"]
+    assert [given_option.flag for given_option in given_options(oven)] == [
+        "--heat",
+        "--recipe",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -109,9 +112,11 @@ def test_numbers_of_numpy_lists_and_text_are_what_they_say():
         "gas": np.True_,
     }
     values |= {"levels": [1, 2.5], "recipe": "a.txt", "walls": [0.0, 1.0]}
-    made = record_from(Oven, values)
-    assert made.trays == (1.0, 2.0) and made.gas is True and made.fan_speed is None
-    assert (made.levels, made.recipe, made.walls) == (
+    record = record_from(Oven, values)
+    assert (
+        record.trays == (1.0, 2.0) and record.gas is True and record.fan_speed is None
+    )
+    assert (record.levels, record.recipe, record.walls) == (
         (1, 2.5),
         Path("a.txt"),
         ((0.0, 1.0),),
@@ -141,8 +146,8 @@ def test_one_number_serves_all_joints():
     assert joint_values(0.3, 3, "--noise-torque").tolist() == [0.3, 0.3, 0.3]
     assert joint_values((0.3,), 3, "--noise-torque").tolist() == [0.3, 0.3, 0.3]
     assert joint_values((1.0, 2.0), 2, "--noise-torque").tolist() == [1.0, 2.0]
-    for wrong in ((1.0, 2.0), ()):
+    for numbers in ((1.0, 2.0), ()):
         with pytest.raises(
             InputError, match="--noise-torque takes one number, or one for each of"
         ):
-            joint_values(wrong, 3, "--noise-torque")
+            joint_values(numbers, 3, "--noise-torque")

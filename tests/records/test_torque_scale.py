@@ -60,7 +60,7 @@ def test_a_file_is_read_by_joint_names(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("{", "cannot read"),
         (
@@ -79,10 +79,10 @@ def test_a_file_is_read_by_joint_names(tmp_path):
         ('{"version": 1, "torque_scale": {"a": "x"}}', "joint a must be positive"),
     ],
 )
-def test_a_broken_file_says_what_is_wrong(tmp_path, text, said):
+def test_a_broken_file_says_what_is_wrong(tmp_path, text, message):
     path = tmp_path / "scale.json"
     path.write_text(text)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         read_factors(path)
 
 

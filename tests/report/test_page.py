@@ -54,18 +54,18 @@ def test_every_tag_is_closed_names_are_text_and_nothing_is_loaded_from_elsewhere
             assert str(attrs.get(name, "#")).startswith(("#", "data:image/png;base64,"))
     policies = [a for tag, a in tags.seen if tag == "meta" and "http-equiv" in a]
     assert policies[0]["content"].startswith("default-src 'none'")
-    parts = ("section", "details")
-    ids = [attrs["id"] for tag, attrs in tags.seen if "id" in attrs and tag in parts]
+    sections = ("section", "details")
+    ids = [attrs["id"] for tag, attrs in tags.seen if "id" in attrs and tag in sections]
     assert len(ids) == len(set(ids)) > 8
-    every = {attrs["id"] for _, attrs in tags.seen if "id" in attrs}
-    assert set(re.findall(r"url\(#([^)]+)\)", text)) <= every
-    assert {a["xlink:href"][1:] for tag, a in tags.seen if tag == "use"} <= every
+    anchors = {attrs["id"] for _, attrs in tags.seen if "id" in attrs}
+    assert set(re.findall(r"url\(#([^)]+)\)", text)) <= anchors
+    assert {a["xlink:href"][1:] for tag, a in tags.seen if tag == "use"} <= anchors
 
 
 def test_every_part_is_there_and_every_figure_has_a_caption_a_unit_and_its_numbers(
     text,
 ):
-    for words in (
+    for phrase in (
         *(
             "torque error 27\u00a0% → 0.25\u00a0%",
             "Before and after",
@@ -79,7 +79,7 @@ def test_every_part_is_there_and_every_figure_has_a_caption_a_unit_and_its_numbe
         ),
         *("Prediction errors", "truth", "Inertia on the arm", "fifths of arm.csv"),
     ):
-        assert words in text, words
+        assert phrase in text, phrase
     figures = re.findall(r"<figure.*?</figure>", text, re.DOTALL)
     assert len(figures) > 12
     for figure in figures:
@@ -89,16 +89,16 @@ def test_every_part_is_there_and_every_figure_has_a_caption_a_unit_and_its_numbe
 
 
 def test_the_first_screen_is_the_verdict_with_one_figure_and_the_rest_is_folded(text):
-    first, *rest = text.partition("<main>")[2].split('<details class="fold"')
+    first_screen, *folds = text.partition("<main>")[2].split('<details class="fold"')
     assert (
-        first.count("<figure") == 1
-        and 'class="headline"' in first
-        and "Next: " in first
+        first_screen.count("<figure") == 1
+        and 'class="headline"' in first_screen
+        and "Next: " in first_screen
     )
-    assert len(rest) > 7 and not any(part.startswith(" open") for part in rest)
+    assert len(folds) > 7 and not any(fold.startswith(" open") for fold in folds)
 
 
 @pytest.mark.slow
 def test_the_same_run_makes_the_same_bytes(page, link_run, tmp_path):
-    (again,) = write_report([load_run(link_run)], tmp_path)
-    assert again.read_bytes() == page.read_bytes()
+    (second_page,) = write_report([load_run(link_run)], tmp_path)
+    assert second_page.read_bytes() == page.read_bytes()

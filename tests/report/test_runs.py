@@ -55,37 +55,37 @@ def traces(count=500, joints=2):
 
 
 def test_what_is_written_is_read(tmp_path):
-    made = report_data(traces(), "hash")
-    (tmp_path / DATA_NAME).write_bytes(data_bytes(made))
-    again = load_data(tmp_path / DATA_NAME)
-    for each in fields(made):
-        ours = getattr(made, each.name)
-        theirs = getattr(again, each.name)
-        if isinstance(ours, np.ndarray):
-            np.testing.assert_array_equal(ours, theirs)
+    data = report_data(traces(), "hash")
+    (tmp_path / DATA_NAME).write_bytes(data_bytes(data))
+    loaded = load_data(tmp_path / DATA_NAME)
+    for field in fields(data):
+        expected = getattr(data, field.name)
+        actual = getattr(loaded, field.name)
+        if isinstance(expected, np.ndarray):
+            np.testing.assert_array_equal(expected, actual)
         else:
-            assert ours == theirs
-    assert data_bytes(made) == data_bytes(report_data(traces(), "hash"))
+            assert expected == actual
+    assert data_bytes(data) == data_bytes(report_data(traces(), "hash"))
 
 
 def test_a_huge_log_is_thinned_and_says_so():
-    made = report_data(traces(20_000))
-    assert len(made.time) == MOST and made.n_samples == 20_000
-    assert made.thinning_text.startswith(f"drawn: {MOST} of 20000 instants")
-    assert np.all(np.sum(made.counts, axis=1) == 19_999)
-    assert len(data_bytes(made)) < 500_000
+    data = report_data(traces(20_000))
+    assert len(data.time) == MOST and data.n_samples == 20_000
+    assert data.thinning_text.startswith(f"drawn: {MOST} of 20000 instants")
+    assert np.all(np.sum(data.counts, axis=1) == 19_999)
+    assert len(data_bytes(data)) < 500_000
     assert report_data(traces(500)).thinning_text == ""
 
 
 def test_logs_follow_one_another():
-    two = traces(10)
-    time = np.concatenate((two.time[:5], two.time[:5]))
-    made = report_data(Traces(**{**vars(two), "time": time}))
-    assert np.all(np.diff(made.time) > 0.0)
+    log = traces(10)
+    time = np.concatenate((log.time[:5], log.time[:5]))
+    data = report_data(Traces(**{**vars(log), "time": time}))
+    assert np.all(np.diff(data.time) > 0.0)
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "message"),
     [
         ({"version": np.array(99)}, "another version"),
         ({"version": None}, "another version"),
@@ -95,13 +95,15 @@ def test_logs_follow_one_another():
         ({"q": np.array([{}], dtype=object)}, "cannot read"),
     ],
 )
-def test_a_file_that_is_not_ours_is_refused(tmp_path, changes, words):
-    good = dict(np.load(io.BytesIO(data_bytes(report_data(traces())))))
+def test_a_file_that_is_not_ours_is_refused(tmp_path, changes, message):
+    arrays = dict(np.load(io.BytesIO(data_bytes(report_data(traces())))))
     spoiled = {
-        name: each for name, each in {**good, **changes}.items() if each is not None
+        name: array
+        for name, array in {**arrays, **changes}.items()
+        if array is not None
     }
     np.savez(tmp_path / DATA_NAME, **spoiled)
-    with pytest.raises(InputError, match=f"{words}.*identify again"):
+    with pytest.raises(InputError, match=f"{message}.*identify again"):
         load_data(tmp_path / DATA_NAME)
 
 
@@ -130,13 +132,15 @@ def test_the_autocorrelation_is_that_of_the_pairs_in_use(seed):
     noise = np.random.default_rng(seed).normal(size=(300, 2))
     noise[40:90, 0] = np.nan
     noise[:, 1] = np.nan
-    lags, found, band = autocorrelation(np.arange(300) * 0.1, noise).values()
+    lags, correlation, band = autocorrelation(np.arange(300) * 0.1, noise).values()
     assert lags[0] == 0.0 and lags[-1] <= 2.0
     power = np.nanmean(noise[:, 0] ** 2)
-    for lag, value in zip(np.rint(lags / 0.1).astype(int), found[0]):
+    for lag, value in zip(np.rint(lags / 0.1).astype(int), correlation[0]):
         mean = np.nanmean(noise[: 300 - lag, 0] * noise[lag:, 0])
         assert value == pytest.approx(mean / power, abs=1e-12)
-    assert np.all(found[1] == 0.0) and band[0] == pytest.approx(1.96 / np.sqrt(250))
+    assert np.all(correlation[1] == 0.0) and band[0] == pytest.approx(
+        1.96 / np.sqrt(250)
+    )
 
 
 def test_means_by_speed_are_those_of_the_samples_in_use():
@@ -144,13 +148,13 @@ def test_means_by_speed_are_those_of_the_samples_in_use():
     torque = 3.0 * qd + 1.0
     torque[qd > 1.0] = np.nan
     speed, mean, spread, measured, predicted = by_speed(qd, torque, qd).values()
-    known = np.isfinite(speed)
-    np.testing.assert_allclose(mean[known], 3.0 * speed[known] + 1.0, atol=1e-9)
-    np.testing.assert_allclose(measured[known], 4.0 * speed[known] + 1.0, atol=1e-9)
-    np.testing.assert_allclose(predicted[known], speed[known], atol=1e-9)
-    assert np.nanmax(speed) <= 1.0 and np.all(spread[known] < 0.3)
-    nothing = np.full((3, 1), np.nan)
-    assert np.all(np.isnan(by_speed(nothing, nothing, nothing)["speed"]))
+    in_use = np.isfinite(speed)
+    np.testing.assert_allclose(mean[in_use], 3.0 * speed[in_use] + 1.0, atol=1e-9)
+    np.testing.assert_allclose(measured[in_use], 4.0 * speed[in_use] + 1.0, atol=1e-9)
+    np.testing.assert_allclose(predicted[in_use], speed[in_use], atol=1e-9)
+    assert np.nanmax(speed) <= 1.0 and np.all(spread[in_use] < 0.3)
+    no_samples = np.full((3, 1), np.nan)
+    assert np.all(np.isnan(by_speed(no_samples, no_samples, no_samples)["speed"]))
 
 
 @pytest.fixture
@@ -159,7 +163,7 @@ def folder(link_run, tmp_path):
     return tmp_path / "run"
 
 
-def changed(folder, **values):
+def run_with_changes(folder, **values):
     path = folder / "params.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), **values}))
     return load_run(folder)
@@ -167,11 +171,11 @@ def changed(folder, **values):
 
 def test_a_run_is_read_as_it_was_written(link_run):
     run = load_run(link_run)
-    written = json.loads((link_run / "params.json").read_text())
+    content = json.loads((link_run / "params.json").read_text())
     body, *others = run.bodies
     assert run.content["valid"]["trustworthy"] and run.missing == ()
-    assert body.after[0] == written["mass"]
-    assert [each.title for each in others] == ["link5"] and body.title == written[
+    assert body.after[0] == content["mass"]
+    assert [other.title for other in others] == ["link5"] and body.title == content[
         "body_name"
     ]
     thetas = body.thetas
@@ -179,7 +183,7 @@ def test_a_run_is_read_as_it_was_written(link_run):
         thetas["truth"][0] == thetas["before"][0] == pytest.approx(0.5 * body.after[0])
     )
     assert thetas["in the file"][0] == pytest.approx(0.9 * body.after[0])
-    assert body.errors[0] == written["standard_errors"]["m"]
+    assert body.errors[0] == content["standard_errors"]["m"]
     assert {"noise", "links"} == set(body.budget)
     assert body.is_from_model[8] and not body.is_from_model[0]
     assert run.friction("in_the_file")["j5", "coulomb"] == (0.45, 0.01)
@@ -190,17 +194,22 @@ def test_a_run_is_read_as_it_was_written(link_run):
 
 def test_the_verdict_and_the_errors_tell_the_same_of_the_written_file(folder):
     run = load_run(folder)
-    first = verdict(run)
+    section = verdict(run)
     assert (
-        first.sentences == run.content["verdict"]
-        and "27 % -> 0.25 %" in first.sentences[0]
+        section.sentences == run.content["verdict"]
+        and "27 % -> 0.25 %" in section.sentences[0]
     )
-    assert first.headline == "torque error 27 % → 0.25 %" and len(first.figures) == 1
+    assert (
+        section.headline == "torque error 27 % → 0.25 %" and len(section.figures) == 1
+    )
     (figure,) = errors(run).figures
-    told = {row[0]: row[2] for row in figure.table.rows}
-    assert told["model before: fifths of arm.csv"] == "27 %"
-    assert told["written model: fifths of arm.csv"] == "0.25 %"
-    assert list(told)[0] == "fitted" and list(told)[-1] == f"written model: {ODD}"
+    percentages = {row[0]: row[2] for row in figure.table.rows}
+    assert percentages["model before: fifths of arm.csv"] == "27 %"
+    assert percentages["written model: fifths of arm.csv"] == "0.25 %"
+    assert (
+        list(percentages)[0] == "fitted"
+        and list(percentages)[-1] == f"written model: {ODD}"
+    )
     played = rollout(run)
     assert "0.5 times" in " ".join(played.sentences)
     (table,) = played.tables
@@ -208,26 +217,32 @@ def test_the_verdict_and_the_errors_tell_the_same_of_the_written_file(folder):
     file = json.loads((folder / "params.json").read_text())["file"]
     file["torque_error"]["after"] = file["after"] = None
     assert (
-        verdict(changed(folder, file=file)).headline == "torque error 27 % → not known"
+        verdict(run_with_changes(folder, file=file)).headline
+        == "torque error 27 % → not known"
     )
     held_out = replace(run, content={**run.content, "rmse_per_joint": {}})
     assert errors(held_out).sentences == ()
-    nothing = changed(folder, file=None, validation=[])
-    assert verdict(nothing).headline == ""
-    assert "Nothing was held out" in errors(nothing).sentences[0]
+    no_file = run_with_changes(folder, file=None, validation=[])
+    assert verdict(no_file).headline == ""
+    assert "Nothing was held out" in errors(no_file).sentences[0]
 
 
 def test_a_model_of_its_own_simulation_has_one_body(folder):
-    own = {
+    self_test = {
         "source": "simulation of the model itself",
         "links": [],
         "file": None,
         "joints": {},
     }
-    run = changed(folder, **own, standard_errors=None, validation=[], rollout=None)
+    run = run_with_changes(
+        folder, **self_test, standard_errors=None, validation=[], rollout=None
+    )
     (body,) = run.bodies
-    first, *_ = sections_of([run])
-    assert "before" not in body.thetas and (first.headline, first.figures) == ("", ())
+    section, *_ = sections_of([run])
+    assert "before" not in body.thetas and (section.headline, section.figures) == (
+        "",
+        (),
+    )
 
 
 def test_of_several_models_in_the_folder_the_runs_own_is_to_be_loaded(folder):
@@ -235,17 +250,17 @@ def test_of_several_models_in_the_folder_the_runs_own_is_to_be_loaded(folder):
     model = folder / "updated_model.xml"
     other = re.sub(r"RMSE [\d.]+ Nm", "RMSE 0.123456 Nm", model.read_text())
     (folder / "updated_model.urdf").write_text(other)
-    (said,) = verdict(load_run(folder)).points
-    assert said.startswith("Do not load updated_model.urdf: it is from another run")
+    (sentence,) = verdict(load_run(folder)).points
+    assert sentence.startswith("Do not load updated_model.urdf: it is from another run")
     # The newest file is no better for being the newest.
     (folder / "updated_model.urdf").write_text(model.read_text())
     model.write_text(other)
-    (said,) = verdict(load_run(folder)).points
-    assert said.startswith("Do not load updated_model.xml")
+    (sentence,) = verdict(load_run(folder)).points
+    assert sentence.startswith("Do not load updated_model.xml")
 
 
 def test_torques_of_another_run_are_not_drawn(folder):
-    run = changed(folder, notes=[])
+    run = run_with_changes(folder, notes=[])
     assert run.data is None and "belongs to another run" in run.missing[0]
     assert run.missing[0] in verdict(run).missing and errors(run).figures
 
@@ -255,18 +270,18 @@ def test_a_file_of_another_version_is_one_line(folder, version):
     with pytest.raises(
         InputError, match="this program reads 4; identify again"
     ) as caught:
-        changed(folder, schema_version=version)
+        run_with_changes(folder, schema_version=version)
     assert len(str(caught.value)) < 300 and "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("odd", [{"sensors": "much"}, {"joints": {"j5": 7}}])
 def test_an_odd_entry_is_one_line(folder, odd):
     with pytest.raises(InputError, match="a result cannot be shown"):
-        sections_of([changed(folder, **odd)])
+        sections_of([run_with_changes(folder, **odd)])
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         *(
             ("{", "cannot read"),
@@ -277,9 +292,9 @@ def test_an_odd_entry_is_one_line(folder, odd):
         ('{"schema_version": 4, "mass": 1, "center_of_mass_moment": [1]}', "damaged"),
     ],
 )
-def test_a_damaged_file_is_one_line(tmp_path, text, words):
+def test_a_damaged_file_is_one_line(tmp_path, text, message):
     (tmp_path / "params.json").write_text(text)
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=message):
         load_run(tmp_path)
 
 
@@ -293,26 +308,26 @@ def test_a_folder_without_a_result_says_what_to_give(tmp_path):
 def test_a_payload_has_its_card_unless_it_is_refused(link_run, tmp_path):
     model = link_run.parent / "arm.xml"
     run = load_run(saved(tmp_path, payload_result(model)))
-    part = card(run)
-    assert run.is_payload and any("setLoad" in name for name, _ in part.blocks)
+    section = card(run)
+    assert run.is_payload and any("setLoad" in name for name, _ in section.blocks)
     titles = ["payload", "link without payload", "link with payload"]
     assert [body.title for body in run.bodies] == titles
-    assert part.tables[0].rows == (("$x^{1}&", "1.100 ± 0.010"),)
-    (_, told), *_ = verdict(run).details
+    assert section.tables[0].rows == (("$x^{1}&", "1.100 ± 0.010"),)
+    (_, sentences), *_ = verdict(run).details
     assert verdict(run).headline.startswith("payload 1.200 ± 0.010 kg")
-    assert sum("Mass of" in words for words in told) == 3
+    assert sum("Mass of" in sentence for sentence in sentences) == 3
     run = load_run(saved(tmp_path, payload_result(model, Verdict.SWAPPED)))
     assert verdict(run).verdict == "bad" and "no card" in card(run).missing[0]
 
 
 def test_a_payload_whose_inertia_is_not_known_is_not_all_good(link_run, tmp_path):
     result = payload_result(link_run.parent / "arm.xml")
-    own = made.body(shown=False)
-    result = replace(result, payload=replace(result.payload, body=own))
+    body = made.body(shown=False)
+    result = replace(result, payload=replace(result.payload, body=body))
     run = load_run(saved(tmp_path, result))
-    told = verdict(run)
+    summary = verdict(run)
     section = visibility(run)
-    assert told.verdict == "part" and NOT_KNOWN in section.sentences
+    assert summary.verdict == "part" and NOT_KNOWN in section.sentences
     assert "do not show: the payload's inertia (its ±" in section.sentences[-1]
     rows = {row[0]: row[1:] for row in section.tables[0].rows}
     assert rows["Izz"][::2] == ("not known", "not known") and rows["m"][0] == "the data"
@@ -322,11 +337,14 @@ def test_errors_of_every_joint_stand_beside_each_other(link_run):
     run = load_run(link_run)
     runs = [replace(run, folder=run.folder.parent / f"run{k}") for k in range(5)]
     (table,) = compare_errors(runs).tables
-    alone = errors(run).figures[0].table
-    assert table.header == alone.header and len(table.rows) == 5 * len(alone.rows)
+    single = errors(run).figures[0].table
+    assert table.header == single.header and len(table.rows) == 5 * len(single.rows)
     for k, row in enumerate(table.rows):
-        number, place = divmod(k, len(alone.rows))
-        assert row == (f"run{number}: {alone.rows[place][0]}", *alone.rows[place][1:])
+        run_index, row_index = divmod(k, len(single.rows))
+        assert row == (
+            f"run{run_index}: {single.rows[row_index][0]}",
+            *single.rows[row_index][1:],
+        )
 
 
 def test_runs_are_compared_in_the_bodies_that_they_share(link_run):
@@ -338,5 +356,5 @@ def test_runs_are_compared_in_the_bodies_that_they_share(link_run):
     for table in tables:
         assert all(one == another for _, one, another in table.rows)
     alone = replace(other, bodies=[replace(run.bodies[0], title="tool")])
-    part = compare_bodies([run, alone])
-    assert not part.tables and "no body in common" in part.sentences[0]
+    comparison = compare_bodies([run, alone])
+    assert not comparison.tables and "no body in common" in comparison.sentences[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ from tests.support.arms import SEEDS, random_rotation
 
 FLANGE = Flange("site 'tool'", np.eye(3), np.array([0.0, 0.0, 0.107]), "link7")
 COVARIANCE = np.diag(np.square([0.0153, *[2e-4] * 3, *[1e-4] * 6]))
-KINDS = (
+SHAPES = (
     "any",
     "nearly round",
     "nearly a disc",
@@ -42,9 +43,9 @@ KINDS = (
 )
 
 
-def random_body(rng, kind):
+def random_body(rng, shape):
     """(mass, centre of mass, inertia about it) of a body that can exist."""
-    second = {
+    second_moments = {
         "any": rng.uniform(0.01, 1.0, 3),
         "nearly round": 0.3 + 10.0 ** rng.uniform(-14, -6) * rng.uniform(size=3),
         "nearly a disc": np.array([0.5, 0.5 + 10.0 ** rng.uniform(-14, -6), 0.01]),
@@ -53,11 +54,15 @@ def random_body(rng, kind):
         "point": np.zeros(3),
         "tiny": 1e-3 * rng.uniform(0.1, 1.0, 3),
         "heavy": 50.0 * rng.uniform(0.1, 1.0, 3),
-    }[kind]
-    mass = {"tiny": 1e-3, "heavy": 40.0}.get(kind, rng.uniform(0.1, 5.0))
+    }[shape]
+    mass = {"tiny": 1e-3, "heavy": 40.0}.get(shape, rng.uniform(0.1, 5.0))
     axes = random_rotation(rng)
-    spread = axes @ np.diag(0.01 * mass * second) @ axes.T
-    return mass, 0.2 * rng.normal(size=3), np.trace(spread) * np.eye(3) - spread
+    second_moment_matrix = axes @ np.diag(0.01 * mass * second_moments) @ axes.T
+    return (
+        mass,
+        0.2 * rng.normal(size=3),
+        np.trace(second_moment_matrix) * np.eye(3) - second_moment_matrix,
+    )
 
 
 def symmetric(xx, yy, zz, xy, xz, yz):
@@ -66,18 +71,19 @@ def symmetric(xx, yy, zz, xy, xz, yz):
 
 def floats(text):
     return [
-        float(word) for word in re.findall(r"(?<![\w.])-?\d+\.?\d*(?:e[+-]?\d+)?", text)
+        float(number)
+        for number in re.findall(r"(?<![\w.])-?\d+\.?\d*(?:e[+-]?\d+)?", text)
     ]
 
 
-def turned(rotation, moments):
+def rotate_moments(rotation, moments):
     axes = rotation.as_matrix()
     return axes @ np.diag(moments) @ axes.T
 
 
 def read_franka(text):
-    mass, *rest = floats(text)
-    return mass, rest[:3], np.reshape(rest[3:], (3, 3), order="F")
+    mass, *numbers = floats(text)
+    return mass, numbers[:3], np.reshape(numbers[3:], (3, 3), order="F")
 
 
 def read_desk(text):
@@ -88,8 +94,8 @@ def read_desk(text):
 
 
 def read_six(text):
-    mass, *rest = floats(text)
-    return mass, rest[:3], symmetric(*rest[3:])
+    mass, *numbers = floats(text)
+    return mass, numbers[:3], symmetric(*numbers[3:])
 
 
 def read_kuka(text):
@@ -97,15 +103,19 @@ def read_kuka(text):
         "{M #, CM {X #, Y #, Z #, A #, B #, C #}, J {X #, Y #, Z #}}"
     )
     mass, x, y, z, a, b, c, *moments = floats(text)
-    turn = Rotation.from_euler(
+    rotation = Rotation.from_euler(
         "ZYX", [a, b, c], degrees=True
     )  # each about the axes so far
-    return mass, 1e-3 * np.array([x, y, z]), turned(turn, moments)
+    return mass, 1e-3 * np.array([x, y, z]), rotate_moments(rotation, moments)
 
 
 def read_abb(text):
     mass, com, (w, x, y, z), *moments = json.loads(text)
-    return mass, 1e-3 * np.array(com), turned(Rotation.from_quat([x, y, z, w]), moments)
+    return (
+        mass,
+        1e-3 * np.array(com),
+        rotate_moments(Rotation.from_quat([x, y, z, w]), moments),
+    )
 
 
 def read_point(text):
@@ -116,17 +126,17 @@ def read_point(text):
 def read_urdf(text):
     element = etree.fromstring(text)
     origin = element.find("origin")
-    six = element.find("inertia")
+    tensor = element.find("inertia")
     assert origin.get("rpy") == "0 0 0"
     names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-    inertia = symmetric(*(float(six.get(name)) for name in names))
+    inertia = symmetric(*(float(tensor.get(name)) for name in names))
     return float(element.find("mass").get("value")), floats(origin.get("xyz")), inertia
 
 
 def read_mjcf(text):
     element = etree.fromstring(text)
-    six = floats(element.get("fullinertia") or element.get("diaginertia") + " 0 0 0")
-    return float(element.get("mass")), floats(element.get("pos")), symmetric(*six)
+    tensor = floats(element.get("fullinertia") or element.get("diaginertia") + " 0 0 0")
+    return float(element.get("mass")), floats(element.get("pos")), symmetric(*tensor)
 
 
 READERS = {
@@ -143,21 +153,30 @@ READERS = {
 }
 
 
-def body_of(mass, com, inertia, covariance=COVARIANCE, seen=10):
+WITH_AXES = ("kuka_load", "abb_loaddata")
+"""Cards that state principal moments and the turn of their axes."""
+
+EXAMPLE = (1.517, [0.001, -0.02, 0.0453], np.diag([2e-3, 2.5e-3, 1e-3]))
+"""Mass, centre of mass and inertia about it of the body whose cards are read line by line."""
+
+
+def body_estimate(mass, com, inertia, covariance=COVARIANCE, n_identified=10):
     """A body of whose parameters the first are shown."""
     theta = InertialParameters(spatial.theta_from_com(mass, np.array(com), inertia))
-    return BodyEstimate("it", theta, covariance, np.arange(10) < seen, np.zeros(10))
+    return BodyEstimate(
+        "it", theta, covariance, np.arange(10) < n_identified, np.zeros(10)
+    )
 
 
-def cards_of(mass, com, inertia, flange=FLANGE, seen=10):
-    body = body_of(mass, com, inertia, seen=seen)
+def cards_by_name(mass, com, inertia, flange=FLANGE, n_identified=10):
+    body = body_estimate(mass, com, inertia, n_identified=n_identified)
     return {card.name: card for card in payload_cards(body, flange)}
 
 
-@given(SEEDS, st.sampled_from(KINDS))
-def test_every_card_gives_the_body_back(seed, kind):
-    mass, com, inertia = random_body(np.random.default_rng(seed), kind)
-    cards = cards_of(mass, com, inertia)
+@given(SEEDS, st.sampled_from(SHAPES))
+def test_every_card_gives_the_body_back(seed, shape):
+    mass, com, inertia = random_body(np.random.default_rng(seed), shape)
+    cards = cards_by_name(mass, com, inertia)
     assert (
         list(cards)
         == ["payload", *(form.name for form in FORMS)]
@@ -166,27 +185,29 @@ def test_every_card_gives_the_body_back(seed, kind):
     # An inertia about a distant origin knows the one about the centre of mass to its own rounding.
     rounding = 1e-14 * mass * (com @ com)
     for name, read in READERS.items():
-        found_mass, found_com, found_inertia = read(cards[name].text)
-        assert found_mass == pytest.approx(mass, rel=1e-6, abs=0.0), name
-        np.testing.assert_allclose(found_com, com, rtol=1e-6, atol=1e-9, err_msg=name)
-        if found_inertia is not None:
+        card_mass, card_com, card_inertia = read(cards[name].text)
+        assert card_mass == pytest.approx(mass, rel=1e-6, abs=0.0), name
+        np.testing.assert_allclose(card_com, com, rtol=1e-6, atol=1e-9, err_msg=name)
+        if card_inertia is not None:
             # Angles have their own digits; single elements keep theirs.
-            exact = name not in ("kuka_load", "abb_loaddata")
-            slack = (1e-11 if exact else 1e-6) * np.max(np.abs(inertia)) + rounding
-            limits = {"rtol": 1e-8 if exact else 0.0, "atol": slack}
-            np.testing.assert_allclose(found_inertia, inertia, err_msg=name, **limits)
+            is_exact = name not in WITH_AXES
+            tolerance = (1e-11 if is_exact else 1e-6) * np.max(
+                np.abs(inertia)
+            ) + rounding
+            limits = {"rtol": 1e-8 if is_exact else 0.0, "atol": tolerance}
+            np.testing.assert_allclose(card_inertia, inertia, err_msg=name, **limits)
 
 
 def leaves(value):
     if isinstance(value, (dict, list)):
-        parts = value.values() if isinstance(value, dict) else value
-        return [leaf for part in parts for leaf in leaves(part)]
+        children = value.values() if isinstance(value, dict) else value
+        return [leaf for child in children for leaf in leaves(child)]
     return [value]
 
 
-@given(SEEDS, st.sampled_from(KINDS))
-def test_the_values_are_the_numbers_of_the_text_which_has_no_exponents(seed, kind):
-    cards = cards_of(*random_body(np.random.default_rng(seed), kind))
+@given(SEEDS, st.sampled_from(SHAPES))
+def test_the_values_are_the_numbers_of_the_text_which_has_no_exponents(seed, shape):
+    cards = cards_by_name(*random_body(np.random.default_rng(seed), shape))
     for name in READERS:
         values = json.loads(json.dumps(cards[name].values, allow_nan=False))
         assert set(leaves(values)) <= set(floats(cards[name].text)), name
@@ -195,29 +216,21 @@ def test_the_values_are_the_numbers_of_the_text_which_has_no_exponents(seed, kin
 
 
 def test_a_whole_card_says_what_it_has_to():
-    flange = Flange(
-        "site 'tool'", np.eye(3), FLANGE.translation, "link7", note="found by name"
-    )
-    cards = cards_of(
-        1.517, [0.001, -0.02, 0.0453], np.diag([2e-3, 2.5e-3, 1e-3]), flange
-    )
+    flange = replace(FLANGE, note="found by name")
+    cards = cards_by_name(*EXAMPLE, flange)
     text = card_text(list(cards.values()), "A heading.")
     assert text.startswith("A heading.\n\n== Payload ==\n") and text.endswith("\n")
-    for said in (
-        *(
-            "site 'tool': origin at 0.0, 0.0, 0.107 m",
-            "of body 'link7'",
-            "# found by name",
-        ),
+    for phrase in (
+        "site 'tool': origin at 0.0, 0.0, 0.107 m",
+        "of body 'link7'",
+        "# found by name",
         "mass            1.517 kg",
         "Standard errors: mass 0.015 kg; centre of mass 0.13, 0.24, 0.48 mm.",
         "set_target_payload(1.517, [0.001, -0.02, 0.0453], [0.002, 0.0025, 0.001, 0.0, 0.0, 0.0])",
-        *(
-            "SetPayload(1.517, 1.0, -20.0, 45.3)",
-            "arm.set_tcp_load(1.517, [1.0, -20.0, 45.3])",
-        ),
+        "SetPayload(1.517, 1.0, -20.0, 45.3)",
+        "arm.set_tcp_load(1.517, [1.0, -20.0, 45.3])",
     ):
-        assert said in text, said
+        assert phrase in text, phrase
     assert max(len(line) for line in text.splitlines() if line.startswith("#")) <= 100
     errors = cards["payload"].values["standard_errors"]
     assert errors["com_z"] == pytest.approx(4.8e-4, rel=0.01) and len(errors) == 10
@@ -225,34 +238,36 @@ def test_a_whole_card_says_what_it_has_to():
 
 def test_a_round_body_is_not_turned():
     body = spatial.aluminium_ball(0.3, np.array([-0.0011, -0.0033, 0.1445]))
-    card = cards_of(*spatial.com_from_theta(body))["kuka_load"]
+    card = cards_by_name(*spatial.com_from_theta(body))["kuka_load"]
     assert [card.values["CM"][name] for name in "ABC"] == [0.0, 0.0, 0.0]
 
 
-def test_every_card_states_how_far_each_of_its_numbers_may_be_off():
-    """... or that it is not known; two take no inertia."""
-    body = 1.517, [0.001, -0.02, 0.0453], np.diag([2e-3, 2.5e-3, 1e-3])
-    for seen, inertia in (
-        (10, "xx 0.00011, xy 0.0001, xz 0.0001, yy 0.00011, yz"),
-        (4, NOT_KNOWN),
-    ):
-        for name, card in cards_of(*body, seen=seen).items():
-            note = " ".join(card.notes)
-            assert note.startswith("Standard errors: mass 0.015 kg; centre of mass "), (
-                name
-            )
-            takes_none = name in ("xarm_set_tcp_load", "mecademic_set_payload")
-            turned = name in ("kuka_load", "abb_loaddata") and seen == 10
-            axes = "turn about the axes X, Y, Z 3.9, 5.8, 11 degrees; moments 0.00011, 0.00011, 0"
-            assert ((axes if turned else inertia) in note) != takes_none, name
-    known = cards_of(*body, seen=4)["payload"].values["standard_errors"]
-    assert [name for name, each in known.items() if each is None] == list(known)[4:]
+@pytest.mark.parametrize(
+    ("n_identified", "inertia_note"),
+    [(10, "xx 0.00011, xy 0.0001, xz 0.0001, yy 0.00011, yz"), (4, NOT_KNOWN)],
+)
+def test_every_card_states_how_far_each_of_its_numbers_may_be_off(
+    n_identified, inertia_note
+):
+    """... or that the inertia is not known; two cards take no inertia."""
+    cards = cards_by_name(*EXAMPLE, n_identified=n_identified)
+    axes_note = (
+        "turn about the axes X, Y, Z 3.9, 5.8, 11 degrees; moments 0.00011, 0.00011, 0"
+    )
+    for name, card in cards.items():
+        note = " ".join(card.notes)
+        assert note.startswith("Standard errors: mass 0.015 kg; centre of mass "), name
+        has_axes = name in WITH_AXES and n_identified == 10
+        expected_note = axes_note if has_axes else inertia_note
+        assert (expected_note in note) != (READERS.get(name) is read_point), name
+    errors = cards["payload"].values["standard_errors"].values()
+    assert [error is None for error in errors] == [k >= n_identified for k in range(10)]
 
 
 @pytest.mark.parametrize(("largest", "is_refused"), [(133.0, False), (133.001, True)])
 def test_what_a_ur_controller_refuses_is_said(largest, is_refused):
     inertia = np.diag([100.0, 120.0, largest])
-    cards = cards_of(50.0, np.zeros(3), inertia)
+    cards = cards_by_name(50.0, np.zeros(3), inertia)
     for name, card in cards.items():
         refused = [note for note in card.notes if "may exceed 133." in note]
         assert bool(refused) == (is_refused and name.startswith("ur_")), name
@@ -266,20 +281,22 @@ def test_no_controller_gets_an_impossible_body(mass, moments):
     with pytest.raises(
         ExportError, match="not a possible rigid body, so there is no card"
     ):
-        cards_of(mass, [0.1, 0.0, 0.0], np.diag(np.array(moments, dtype=float)))
+        cards_by_name(mass, [0.1, 0.0, 0.0], np.diag(np.array(moments, dtype=float)))
 
 
 def random_estimate(seed):
     """(a body, a factor of its covariance, which is small)."""
     rng = np.random.default_rng(seed)
     factor = 1e-7 * rng.normal(size=(10, 10))
-    return body_of(*random_body(rng, "any"), factor @ factor.T), factor
+    return body_estimate(*random_body(rng, "any"), factor @ factor.T), factor
 
 
 def spread_of(outcome, theta, factor):
     """Standard errors of what follows from theta, by finite differences along the factor."""
-    both = [(outcome(theta + each), outcome(theta - each)) for each in factor.T]
-    return np.linalg.norm([0.5 * (a - b) for a, b in both], axis=0)
+    outcomes = [
+        (outcome(theta + column), outcome(theta - column)) for column in factor.T
+    ]
+    return np.linalg.norm([0.5 * (plus - minus) for plus, minus in outcomes], axis=0)
 
 
 @given(SEEDS)
@@ -290,9 +307,9 @@ def test_errors_of_place_and_inertia_follow_from_those_of_theta(seed):
         mass, com, inertia = spatial.com_from_theta(theta)
         return np.array([mass, *com, *spatial.six_from_symmetric(inertia)])
 
-    found = load_errors(body)
+    errors = load_errors(body)
     expected = spread_of(outcome, body.inertial.theta, factor)
-    np.testing.assert_allclose(found, expected, rtol=1e-4)
+    np.testing.assert_allclose(errors, expected, rtol=1e-4)
     assert ERROR_NAMES[:5] == ("mass", "com_x", "com_y", "com_z", "Ixx_about_com")
 
 
@@ -307,7 +324,7 @@ def test_intervals_of_a_centre_of_mass_hold_where_the_mass_is_hardly_known(mass_
         # Torques show the first moment, whatever the mass is.
         first_moment = com + errors[1:4] * rng.standard_normal(3)
         if mass > 0.0:
-            body = body_of(mass, first_moment / mass, inertia, np.diag(errors**2))
+            body = body_estimate(mass, first_moment / mass, inertia, np.diag(errors**2))
             is_held.append(
                 np.abs(body.inertial.com - com) < 1.96 * load_errors(body)[1:4]
             )
@@ -317,26 +334,29 @@ def test_intervals_of_a_centre_of_mass_hold_where_the_mass_is_hardly_known(mass_
 @given(SEEDS)
 def test_errors_of_moments_and_axes_are_those_of_the_turned_matrix(seed):
     body, factor = random_estimate(seed)
-    moments, errors, turns = principal_moments(body)
-    values, axes = np.linalg.eigh(body.inertial.inertia_com)
-    order = [int(np.argmin(np.abs(values - each))) for each in moments]
-    assume(np.min(np.diff(values)) > 1e-3 * values[-1])
+    moments, errors, angle_errors = principal_moments(body)
+    eigenvalues, axes = np.linalg.eigh(body.inertial.inertia_com)
+    order = [int(np.argmin(np.abs(eigenvalues - moment))) for moment in moments]
+    assume(np.min(np.diff(eigenvalues)) > 1e-3 * eigenvalues[-1])
 
     def outcome(theta):
         """Moments, and by how much each axis leans to the next one."""
-        own, now = np.linalg.eigh(spatial.com_from_theta(theta)[2])
-        lean = np.cross(
-            axes[:, order].T, (now * np.sign(np.sum(now * axes, axis=0)))[:, order].T
+        moments_now, axes_now = np.linalg.eigh(spatial.com_from_theta(theta)[2])
+        axis_tilts = np.cross(
+            axes[:, order].T,
+            (axes_now * np.sign(np.sum(axes_now * axes, axis=0)))[:, order].T,
         )
-        about = np.stack([lean[(k + 1) % 3] @ axes[:, order[k]] for k in range(3)])
-        return np.array([*own[order], *np.degrees(about)])
+        tilt_angles = np.stack(
+            [axis_tilts[(k + 1) % 3] @ axes[:, order[k]] for k in range(3)]
+        )
+        return np.array([*moments_now[order], *np.degrees(tilt_angles)])
 
     expected = spread_of(outcome, body.inertial.theta, factor)
-    np.testing.assert_allclose([*errors, *turns], expected, rtol=1e-2)
+    np.testing.assert_allclose([*errors, *angle_errors], expected, rtol=1e-2)
 
 
 @pytest.mark.parametrize(
-    ("moments", "error", "seen", "is_known"),
+    ("moments", "error", "n_identified", "is_known"),
     [
         ((1e-3, 1e-3, 1e-3), 0.39e-3, 10, True),
         ((1e-3, 1e-3, 1e-3), 0.41e-3, 10, False),
@@ -351,8 +371,8 @@ def test_errors_of_moments_and_axes_are_those_of_the_turned_matrix(seed):
     ],
 )
 def test_inertia_is_known_where_one_moment_is_told_from_zero(
-    moments, error, seen, is_known
+    moments, error, n_identified, is_known
 ):
     covariance = np.diag([0.0] * 4 + [error**2] * 6)
-    body = body_of(1.0, np.zeros(3), np.diag(moments), covariance, seen)
+    body = body_estimate(1.0, np.zeros(3), np.diag(moments), covariance, n_identified)
     assert is_inertia_known(body) == is_known

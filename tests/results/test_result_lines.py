@@ -18,7 +18,7 @@ from robot_sysid.results.result_lines import block_lines, more_lines, parameter_
 from tests.support import results as made
 
 
-def line(lines, start):
+def line_starting(lines, start):
     (match,) = [text for text in lines if text.startswith(start)]
     return match
 
@@ -37,17 +37,22 @@ def test_the_readmes_block_line_by_line():
     ]
 
 
-def shown(lines):
+def brief_lines(lines):
     """What is printed without --verbose."""
     return [line for line in lines if not isinstance(line, Detail)]
 
 
 def test_what_stands_under_it_of_measured_data():
     lines = more_lines(made.found(validation=(made.validation_of(0.05),)))
-    table = shown(lines)
+    table = brief_lines(lines)
     heading = ["Before", "->", "after", "model", "identified", "±", "unit", "change"]
     assert table[0].split() == heading
-    assert line(table, "  mass").split()[1:5] == ["1.0000", "2.0000", "0.0020", "kg"]
+    assert line_starting(table, "  mass").split()[1:5] == [
+        "1.0000",
+        "2.0000",
+        "0.0020",
+        "kg",
+    ]
     names = (
         "mass",
         *(f"centre of mass {axis}" for axis in "xyz"),
@@ -60,7 +65,7 @@ def test_what_stands_under_it_of_measured_data():
     assert table[7] == "Validation on other.csv: 0.0500 N·m (2 %)"
     limit = "  Limit: torques of other.csv are predicted 1.7 times worse than the fitted ones: the "
     assert table[8:] == [f"{limit}model misses something that motion shows"]
-    assert line(lines, "  CoM moment x").split()[3:] == [
+    assert line_starting(lines, "  CoM moment x").split()[3:] == [
         "0",
         "0",
         "0.000010",
@@ -77,7 +82,7 @@ def test_what_stands_under_it_of_measured_data():
 
 
 def test_the_models_own_simulation_has_a_block_alone():
-    assert shown(more_lines(made.itself())) == []
+    assert brief_lines(more_lines(made.itself())) == []
     assert not any(
         "inf" in text or "±" in text
         for text in more_lines(made.itself(made.without_mass()))
@@ -87,8 +92,10 @@ def test_the_models_own_simulation_has_a_block_alone():
 def test_the_file_is_told_by_its_errors_before_and_after():
     """... on held-out data in the verdict; on other logs here."""
     lines = more_lines(made.whole())
-    told = [text for text in shown(lines) if text.startswith("Torque error")]
-    assert told == ["Torque error of the model on other.csv: 30 % -> 1.2 %"]
+    torque_lines = [
+        text for text in brief_lines(lines) if text.startswith("Torque error")
+    ]
+    assert torque_lines == ["Torque error of the model on other.csv: 30 % -> 1.2 %"]
     assert "The fit itself reaches a torque error of 0.22 % on held-out data" in lines
     assert "Left in the file as it was: rotor inertia" in lines
     assert not any(text.startswith("Validation") for text in lines)
@@ -96,74 +103,72 @@ def test_the_file_is_told_by_its_errors_before_and_after():
 
 def test_a_result_takes_no_more_than_a_screen():
     """25 lines, of which stages take four."""
-    usual = made.whole(validation=(), rollout=None, delay=None, tilt=None)
-    for result in (usual, made.payload(), made.itself()):
+    complete_result = made.whole(validation=(), rollout=None, delay=None, tilt=None)
+    for result in (complete_result, made.payload(), made.itself()):
         assert len(result_lines.result_lines(result)) <= 21
 
 
 def test_what_the_data_does_not_see_has_no_error_but_a_reason():
     lines = more_lines(made.found(made.without_mass()))
-    assert line(lines, "  mass").endswith("  not seen")
+    assert line_starting(lines, "  mass").endswith("  not seen")
     assert not any("inf" in text for text in lines)
     lines = more_lines(made.found(made.with_value("coulomb[j5]", 0.0, np.inf)))
-    assert line(lines, "  j5:").startswith(
+    assert line_starting(lines, "  j5:").startswith(
         "  j5: coulomb not visible, viscous 0.1 -> 0.2"
     )
 
 
-def part(name, mass, welded=True):
+def subtree_body(name, mass, welded=True):
     return SubtreeBody(0, name, mass / 2.0 * made.THETA, welded)
 
 
-def made_of(bodies):
+def robot_with(bodies):
     return replace(made.ARM, bodies=bodies)
 
 
 def test_a_link_of_several_bodies_says_what_its_mass_is_the_mass_of():
     start = "The mass is that"
-    parts = (
-        part("link7", 0.7),
-        part("hand", 0.3),
-        part("finger", 0.2, False),
-        part("eye", 0.0),
+    bodies = (
+        subtree_body("link7", 0.7),
+        subtree_body("hand", 0.3),
+        subtree_body("finger", 0.2, False),
+        subtree_body("eye", 0.0),
     )
-    told = line(more_lines(made.found(robot=made_of(parts))), start)
+    mass_line = line_starting(more_lines(made.found(robot=robot_with(bodies))), start)
     assert (
-        told
+        mass_line
         == f"{start} of link7 + hand + finger; link7 alone, as written in the file: 1.5 kg"
     )
     # The file's own terminal link weighs 1.8 kg.
-    assert line(more_lines(made.whole(robot=made_of(parts))), start).endswith(
-        "in the file: 1.3 kg"
-    )
+    assert line_starting(
+        more_lines(made.whole(robot=robot_with(bodies))), start
+    ).endswith("in the file: 1.3 kg")
     assert not any(
-        start in text for text in more_lines(made.found(robot=made_of(parts[:1])))
+        start in text for text in more_lines(made.found(robot=robot_with(bodies[:1])))
     )
-    many = (*parts, *(part(f"pad{k}", 0.01) for k in range(6)))
-    told = line(more_lines(made.found(robot=made_of(many))), start)
-    assert "link7 + hand + finger + 6 more; link7" in told
+    many_bodies = (*bodies, *(subtree_body(f"pad{k}", 0.01) for k in range(6)))
+    mass_line = line_starting(
+        more_lines(made.found(robot=robot_with(many_bodies))), start
+    )
+    assert "link7 + hand + finger + 6 more; link7" in mass_line
 
 
 def test_a_payloads_block():
     lines = [*block_lines(made.payload()), *more_lines(made.payload())]
     assert lines[0] == "Identified payload, in the frame of site 'flange':"
-    assert len(shown(lines)) == 12
+    assert len(brief_lines(lines)) == 12
     table = [re.split(r"  +", text.strip()) for text in lines[1:11]]
     assert table[0] == ["identified", "±", "unit"]
     assert table[1] == ["mass", "1.200", "0.010", "kg"]
     assert table[2][:2] == ["centre of mass x", "0.03000"] and table[2][3] == "m"
     assert table[5][:2] == ["inertia xx about it", "0.00600"] and table[5][3] == "kg·m²"
     assert "Error of the mass by cause, kg: torque scale 0.008, noise 0.006" in lines
-    without = line(
+    link_line = line_starting(
         lines, "Terminal link without it: 0.800 ± 0.010 kg, centre of mass ["
     )
-    assert without.endswith("[0.0300 ± 0.0013, -0.0200 ± 0.0013, 0.0800 ± 0.0016] m")
-    assert line(lines, "Terminal link with it: 2.000 ± 0.010 kg")
+    assert link_line.endswith("[0.0300 ± 0.0013, -0.0200 ± 0.0013, 0.0800 ± 0.0016] m")
+    assert line_starting(lines, "Terminal link with it: 2.000 ± 0.010 kg")
     assert "  b.csv (loaded): 1.190 ± 0.010 kg" in lines
-
-
-def row(before, after, error=0.01, share=1.0):
-    return result_lines.BeforeAfter("it", before, after, error, "kg", share)
 
 
 NUMBERS = st.floats(1e-9, 1e3) | st.floats(-1e3, -1e-9)
@@ -173,49 +178,53 @@ NUMBERS = st.floats(1e-9, 1e3) | st.floats(-1e3, -1e-9)
     st.lists(st.tuples(NUMBERS, NUMBERS, st.floats(1e-9, 1e3)), min_size=1, max_size=5)
 )
 def test_no_number_that_is_not_zero_prints_as_zero(rows):
-    lines = result_lines.table_lines([row(*numbers) for numbers in rows])
+    lines = result_lines.table_lines(
+        [result_lines.BeforeAfter("it", *row, "kg", 1.0) for row in rows]
+    )
     for line in lines[1:]:
         for number in re.findall(r"(?<![\w.])-?\d[\d.e+-]*", line):
             assert float(number) != 0.0
 
 
 def test_a_terminal_link_has_its_ten_parameters_centre_of_mass_and_friction():
-    rows = {each.name: each for each in parameter_rows(made.found())}
+    rows = {row.name: row for row in parameter_rows(made.found())}
     assert len(rows) == 15
     assert (rows["mass"].before, rows["mass"].after, rows["mass"].unit) == (
         1.0,
         2.0,
         "kg",
     )
-    place = rows["centre of mass z"]
-    assert (place.after, place.unit) == (pytest.approx(0.1), "m")
-    assert place.error == load_errors(made.terminal(made.estimate()))[3]
+    center_row = rows["centre of mass z"]
+    assert (center_row.after, center_row.unit) == (pytest.approx(0.1), "m")
+    assert center_row.error == load_errors(made.terminal(made.estimate()))[3]
     assert (rows["Coulomb friction"].before, rows["Coulomb friction"].after) == (
         0.2,
         0.4,
     )
     assert rows["Coulomb friction"].error == pytest.approx(4e-4)
     slider = replace(made.ARM, is_slide=np.array([False, True]))
-    slide = {
-        each.name: each for each in parameter_rows(made.found(robot=slider, joints={}))
+    slider_rows = {
+        row.name: row for row in parameter_rows(made.found(robot=slider, joints={}))
     }
-    assert slide["viscous friction"].unit == "N·s/m"
-    own = parameter_rows(
+    assert slider_rows["viscous friction"].unit == "N·s/m"
+    self_test_rows = parameter_rows(
         made.itself()
     )  # a simulation of the model itself states no errors
-    assert len(own) == 15 and all(each.error is None for each in own)
+    assert len(self_test_rows) == 15 and all(
+        row.error is None for row in self_test_rows
+    )
 
 
 def test_a_payload_has_mass_place_and_inertia_about_it():
     rows = parameter_rows(made.payload())
-    assert len(rows) == 10 and all(each.before is None for each in rows)
+    assert len(rows) == 10 and all(row.before is None for row in rows)
     assert (rows[0].after, rows[0].error) == (1.2, pytest.approx(0.01))
     assert (rows[1].name, rows[1].after) == ("centre of mass x", pytest.approx(0.03))
     assert (rows[4].name, rows[4].after) == (
         "inertia xx about it",
         pytest.approx(0.006),
     )
-    assert [each.error for each in rows[4:]] == load_errors(made.body())[4:].tolist()
+    assert [row.error for row in rows[4:]] == load_errors(made.body())[4:].tolist()
     assert len(parameter_rows(made.payload(made.body(shown=False)))) == 4
     assert len(parameter_rows(made.payload(made.body(-1.0)))) == 1
 
@@ -223,10 +232,14 @@ def test_a_payload_has_mass_place_and_inertia_about_it():
 def test_rounding_is_no_number():
     """A product of inertia of a symmetric body comes back as 1e-18."""
     noisy = made.THETA + np.array([0, 1e-16, 0, 0, 0, 1e-18, 0, 0, 0, 0])
-    known = made.terminal(made.estimate())
-    rows = result_lines.theta_rows(replace(known, inertial=InertialParameters(noisy)))
+    terminal = made.terminal(made.estimate())
+    rows = result_lines.theta_rows(
+        replace(terminal, inertial=InertialParameters(noisy))
+    )
     assert (rows[1].after, rows[5].after) == (0.0, 0.0)
     # A gripper jaw's numbers are small, not rounding.
     jaw = 1e-3 * made.THETA
-    rows = result_lines.theta_rows(replace(known, inertial=InertialParameters(jaw)))
-    assert all((a.after != 0.0) == (v != 0.0) for a, v in zip(rows, jaw))
+    rows = result_lines.theta_rows(replace(terminal, inertial=InertialParameters(jaw)))
+    assert all(
+        (row.after != 0.0) == (parameter != 0.0) for row, parameter in zip(rows, jaw)
+    )

@@ -45,7 +45,7 @@ BETTER = "Usable: torque error on held-out data 27 % -> 0.25 %; "
 
 
 @pytest.mark.parametrize(
-    ("result", "said", "then"),
+    ("result", "verdict", "next_step"),
     [
         (
             made.whole(),
@@ -97,17 +97,19 @@ BETTER = "Usable: torque error on held-out data 27 % -> 0.25 %; "
         ),
     ],
 )
-def test_it_says_whether_to_use_it_what_limits_it_and_what_next(result, said, then):
-    assert verdict_lines(result) == (said, then)
+def test_it_says_whether_to_use_it_what_limits_it_and_what_next(
+    result, verdict, next_step
+):
+    assert verdict_lines(result) == (verdict, next_step)
 
 
 def test_a_file_that_only_predicts_torques_says_for_what_it_may_be_used():
     result = made.found(verdict=Verdict.TORQUES_ONLY, reasons=("because",))
-    use, then = verdict_lines(result)
-    assert use.startswith(
+    verdict, next_step = verdict_lines(result)
+    assert verdict.startswith(
         "Only for torques of motions like the log's, not for its numbers: "
     )
-    assert then.startswith("Next: ") and result.failure is None
+    assert next_step.startswith("Next: ") and result.failure is None
 
 
 @pytest.mark.parametrize("verdict", [v for v in Verdict if not v.writes_model])
@@ -116,31 +118,36 @@ def test_what_is_not_usable_says_so_why_and_nothing_else(verdict):
         made.found(verdict=verdict, reasons=("because",)),
         made.payload(verdict=verdict),
     ):
-        (said,) = verdict_lines(result)
-        assert said.startswith("Not usable: no model ") and verdict.value in said
+        (sentence,) = verdict_lines(result)
+        assert (
+            sentence.startswith("Not usable: no model ") and verdict.value in sentence
+        )
     assert verdict_lines(made.found(), "the disk is gone") == (
         "Not usable: the disk is gone",
     )
 
 
 def test_a_planned_motion_is_followed_by_what_it_was_planned_for():
-    after = {p: plan_verdict(["an arm.xml"], (), None, p)[1] for p in PURPOSES}
-    assert after.pop("payload").startswith(
+    next_steps = {
+        purpose: plan_verdict(["an arm.xml"], (), None, purpose)[1]
+        for purpose in PURPOSES
+    }
+    assert next_steps.pop("payload").startswith(
         "Next: robot-sysid payload 'an arm.xml' --empty LOG "
     )
-    assert after.pop("arm").startswith(
+    assert next_steps.pop("arm").startswith(
         "Next: robot-sysid identify 'an arm.xml' LOG --links "
     )
-    (then,) = set(after.values())
-    assert then.startswith("Next: robot-sysid identify 'an arm.xml' LOG (")
-    keep = ["--keep-out", "0", "0", "1", "0"]
+    (next_step,) = set(next_steps.values())
+    assert next_step.startswith("Next: robot-sysid identify 'an arm.xml' LOG (")
+    plane = ["--keep-out", "0", "0", "1", "0"]
     check = plan_verdict(
-        ["m.xml", "--joint", "j"], [Path(DAMIAO_NAME)], None, "link", keep
+        ["m.xml", "--joint", "j"], [Path(DAMIAO_NAME)], None, "link", plane
     )[1]
-    words = (
+    options = (
         f"{DAMIAO_NAME} --channel CHANNEL --model m.xml --joint j --keep-out 0 0 1 0"
     )
-    assert check == f"Next: robot-sysid motors check {words}"
+    assert check == f"Next: robot-sysid motors check {options}"
 
 
 @pytest.mark.parametrize(
@@ -165,36 +172,38 @@ def test_a_plan_that_misses_its_purpose_is_not_called_usable(share, contact, phr
     remedy = (
         "robot-sysid plan --config a/trajectory.toml --duration 60 --output-dir a/again"
     )
-    use, then = plan_verdict(
+    verdict, next_step = plan_verdict(
         ["m.xml"], (), None, "link", (), shortfalls, remedy if phrases else ""
     )
-    assert use.startswith("Not ready: ") is bool(phrases)
-    assert use.startswith("Usable: play it") is not bool(phrases)
-    assert (then == f"Next: {remedy}") is bool(phrases)
+    assert verdict.startswith("Not ready: ") is bool(phrases)
+    assert verdict.startswith("Usable: play it") is not bool(phrases)
+    assert (next_step == f"Next: {remedy}") is bool(phrases)
 
 
 def test_what_comes_next_may_be_given():
-    then = "robot-sysid plan updated_model.xml --config trajectory.toml --for link"
-    assert verdict_lines(made.whole(), None, then)[1] == f"Next: {then}"
+    next_step = "robot-sysid plan updated_model.xml --config trajectory.toml --for link"
+    assert verdict_lines(made.whole(), None, next_step)[1] == f"Next: {next_step}"
 
 
 def test_what_contradicts_the_model_is_no_detail():
     """What the errors allow for is one; a prior that had to be widened is another arm's model."""
-    for scale, hidden in ((1.0, True), (3.0, False)):
+    for scale, is_detail in ((1.0, True), (3.0, False)):
         conflict = PriorConflict("links", ("link5",), 3.5, scale)
-        (said,) = limitations(made.found(conflicts=(conflict,)))
-        assert said.startswith("the model's numbers of other links do not fit this arm")
-        assert isinstance(said, Detail) is hidden
-    for plain in (
+        (sentence,) = limitations(made.found(conflicts=(conflict,)))
+        assert sentence.startswith(
+            "the model's numbers of other links do not fit this arm"
+        )
+        assert isinstance(sentence, Detail) is is_detail
+    for result in (
         made.found(delay=-0.003, sensors={"delay": Quantity(-0.003, 0.001)}),
         made.found(made.with_value("coulomb[j5]", -0.5, 0.01)),
         made.found(validation=(made.validation_of(0.03), made.validation_of(0.09))),
     ):
-        (said,) = limitations(plain)
-        assert not isinstance(said, Detail)
+        (sentence,) = limitations(result)
+        assert not isinstance(sentence, Detail)
 
 
-def only(result):
+def single_limitation(result):
     (sentence,) = limitations(result)
     return sentence
 
@@ -205,21 +214,23 @@ def test_a_weak_parameter_is_named_with_its_error(name, share):
     values = made.estimate().values
     scale = parameter_scale(2.0, characteristic_length(values[:10]))
     k = PARAMETER_NAMES.index(name)
-    said = limitations(made.found(made.with_value(name, values[k], share * scale[k])))
-    assert bool(said) == (share > 0.1)
-    assert not said or f"{name} (± {percent(share)})" in said[0]
+    limits = limitations(made.found(made.with_value(name, values[k], share * scale[k])))
+    assert bool(limits) == (share > 0.1)
+    assert not limits or f"{name} (± {percent(share)})" in limits[0]
 
 
 def test_a_prior_that_outweighs_the_data_is_told():
     share = np.ones(10)
     share[[4, 9]] = 0.3, 0.49
     link = replace(made.terminal(made.estimate()), data_share=share)
-    assert "more model than data in Ixx, Izz" in only(made.found(links=(link,)))
+    assert "more model than data in Ixx, Izz" in single_limitation(
+        made.found(links=(link,))
+    )
 
 
 def test_a_torque_before_its_motion_is_told_where_it_is_sure():
     sensors = {"delay": Quantity(-0.003, 0.001)}
-    assert "come 3 ms before the motion" in only(
+    assert "come 3 ms before the motion" in single_limitation(
         made.found(delay=-0.003, sensors=sensors)
     )
     assert limitations(made.found(delay=-0.0019, sensors=sensors)) == ()
@@ -230,43 +241,43 @@ def test_a_torque_before_its_motion_is_told_where_it_is_sure():
     st.sampled_from(["coulomb", "viscous"]), st.floats(-1.0, 1.0), st.floats(0.01, 1.0)
 )
 def test_friction_that_drives_is_told_where_it_is_sure(term, value, error):
-    said = limitations(made.found(made.with_value(f"{term}[j5]", value, error)))
-    assert bool(said) == (value < -SURE * error)
-    assert not said or f"{term} {value:.2g} of j5" in said[0]
+    limits = limitations(made.found(made.with_value(f"{term}[j5]", value, error)))
+    assert bool(limits) == (value < -SURE * error)
+    assert not limits or f"{term} {value:.2g} of j5" in limits[0]
 
 
 @given(st.floats(0.01, 1.0))
 def test_slow_residuals_are_told(share):
     result = made.estimate(effective_samples={"j5": 200.0 * share, "j6": 200.0})
-    said = limitations(made.found(result))
-    assert bool(said) == (result.independent_share["j5"] < COLOURED)
-    assert not said or "residuals of j5 are correlated in time" in said[0]
+    limits = limitations(made.found(result))
+    assert bool(limits) == (result.independent_share["j5"] < COLOURED)
+    assert not limits or "residuals of j5 are correlated in time" in limits[0]
 
 
 @given(st.floats(0.5, 5.0))
 def test_a_prediction_worse_than_the_fit_is_told(factor):
-    said = limitations(
+    limits = limitations(
         made.found(
             validation=(made.validation_of(0.03), made.validation_of(0.03 * factor))
         )
     )
-    assert bool(said) == (0.03 * factor > WORSE * 0.03)
+    assert bool(limits) == (0.03 * factor > WORSE * 0.03)
     assert (
-        not said
-        or f"torques of other.csv are predicted {factor:.1f} times worse" in said[0]
+        not limits
+        or f"torques of other.csv are predicted {factor:.1f} times worse" in limits[0]
     )
 
 
 @given(st.floats(1.0, 1e6))
 def test_a_prediction_within_the_noise_is_not_worse_than_an_exact_fit(factor):
-    exact = made.estimate(rmse=1e-9)
-    test = made.validation_of(1e-9 * factor)
-    assert not limitations(made.found(exact, validation=(test,)))
-    assert limitations(made.found(exact, validation=(made.validation_of(0.05),)))
+    exact_fit = made.estimate(rmse=1e-9)
+    validation = made.validation_of(1e-9 * factor)
+    assert not limitations(made.found(exact_fit, validation=(validation,)))
+    assert limitations(made.found(exact_fit, validation=(made.validation_of(0.05),)))
 
 
 @pytest.mark.parametrize(
-    ("content", "follows"),
+    ("content", "is_planned"),
     [
         ('path = "arm.xml"\nfor_ = "weight"', True),
         ('path = "arm.xml"', False),
@@ -274,10 +285,10 @@ def test_a_prediction_within_the_noise_is_not_worse_than_an_exact_fit(factor):
         (None, False),
     ],
 )
-def test_a_plan_follows_where_this_arm_was_weighed(tmp_path, content, follows):
+def test_a_plan_follows_where_this_arm_was_weighed(tmp_path, content, is_planned):
     if content is not None:
         (tmp_path / "trajectory.toml").write_text(content)
-    written = tmp_path / "updated_model.xml"
-    command = command_after_weighing(tmp_path, Path("arm.xml"), written)
-    words = f"--config {tmp_path}/trajectory.toml --for link --output-dir {tmp_path}/planned"
-    assert command == (f"robot-sysid plan {written} {words}" if follows else "")
+    model_path = tmp_path / "updated_model.xml"
+    command = command_after_weighing(tmp_path, Path("arm.xml"), model_path)
+    options = f"--config {tmp_path}/trajectory.toml --for link --output-dir {tmp_path}/planned"
+    assert command == (f"robot-sysid plan {model_path} {options}" if is_planned else "")

@@ -1,10 +1,12 @@
-"""A difference that matters is found and named; what follows from the inertia is not one."""
+"""A written model differs from the original in nothing but what it was to change; the better model
+is found by playing the log, and a file is judged by the torques that it predicts itself."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -12,7 +14,7 @@ import pytest
 from hypothesis import given
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.errors import ExportError
+from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.inertial import WriteBack, mjcf_inertial, plan_write_back
 from robot_sysid.mjcf.updated_model import (
     ActuatorChange,
@@ -25,16 +27,26 @@ from robot_sysid.mjcf.updated_model import (
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.inertia import subtree_bodies
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Motion
+from robot_sysid.records import Measurement, Motion
 from robot_sysid.results.verification import (
     BODY_FIELDS,
+    LAST_FIFTH,
+    compare,
+    fitted_rows,
+    play,
     reads_fullinertia_exactly,
     require_change,
     require_reproduction,
     require_same_model,
     require_theta,
+    rollout_refusal,
+    split_time,
+    torque_error,
     verify_written_model,
 )
+from robot_sysid.signals.process import process
+from robot_sysid.simulator import ArmTorque
+from tests.simulation import test_playback
 from tests.support import arms
 from tests.support.model_files import ARM, random_theta, write_files
 from tests.support.releases import since
@@ -55,9 +67,9 @@ def model(text=FULL):
     return mujoco.MjModel.from_xml_string(text)
 
 
-def compare(before: str, after: str):
+def require_same_after_edit(original_text: str, replacement: str):
     original = model()
-    other = model(FULL.replace(before, after))
+    other = model(FULL.replace(original_text, replacement))
     require_same_model(
         original, other, dict.fromkeys(BODY_FIELDS, {original.body("link2").id})
     )
@@ -79,7 +91,7 @@ def test_an_actuators_own_force_and_stiffness_may_not_change(bias):
 
 
 @pytest.mark.parametrize(
-    ("before", "after"),
+    ("original_text", "replacement"),
     [
         ('pos="0 0 0.1" quat="0.9 0.1 0.2 0.3"', 'pos="0.3 0 0.1"'),
         ('mass="1.5"', 'mass="2.5"'),
@@ -91,13 +103,13 @@ def test_an_actuators_own_force_and_stiffness_may_not_change(bias):
     ],
 )
 def test_the_inertia_of_the_terminal_body_may_differ_with_all_that_follows(
-    before, after
+    original_text, replacement
 ):
-    compare(before, after)
+    require_same_after_edit(original_text, replacement)
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "field"),
+    ("original_text", "replacement", "field"),
     [
         ('mass="0.2"', 'mass="0.21"', "body_mass"),
         ('pos="0 0 0.3"', 'pos="0 0 0.31"', "body_pos"),
@@ -112,19 +124,19 @@ def test_the_inertia_of_the_terminal_body_may_differ_with_all_that_follows(
         ('<geom size="0.1"/>', '<geom size="0.1"/><site/>', "n"),
     ],
 )
-def test_every_other_difference_is_named(before, after, field):
-    assert before in FULL
+def test_every_other_difference_is_named(original_text, replacement, field):
+    assert original_text in FULL
     with pytest.raises(
         ExportError, match=f"differs from the original in {field}"
     ) as caught:
-        compare(before, after)
+        require_same_after_edit(original_text, replacement)
     assert "\n" not in str(caught.value)
 
 
 THETA = random_theta(np.random.default_rng(3), 1.5)
 
 
-def compiled(theta):
+def compile_body(theta):
     inertial = mjcf_inertial(theta, principal=True)
     return model(
         f"<mujoco><worldbody><body name='b'>{inertial}</body></worldbody></mujoco>"
@@ -133,21 +145,21 @@ def compiled(theta):
 
 @pytest.mark.parametrize("k", range(10))
 def test_a_parameter_that_is_off_by_more_than_a_billionth_is_found(k):
-    require_theta(compiled(THETA), 1, THETA, THETA)
-    off = THETA.copy()
-    off[k] += (
+    require_theta(compile_body(THETA), 1, THETA, THETA)
+    wrong_theta = THETA.copy()
+    wrong_theta[k] += (
         3e-9
         * spatial.parameter_scale(THETA[0], spatial.characteristic_length(THETA))[k]
     )
     with pytest.raises(ExportError, match=r"body 'b' has an inertia that is off by"):
-        require_theta(compiled(THETA), 1, off, THETA)
+        require_theta(compile_body(THETA), 1, wrong_theta, THETA)
 
 
 def test_a_small_inertia_far_from_the_origin_is_held_to_its_own_size():
     small = spatial.theta_from_com(1.0, np.array([1.0, 0.0, 0.0]), 1e-6 * np.eye(3))
     other = spatial.theta_from_com(1.0, np.array([1.0, 0.0, 0.0]), 1.001e-6 * np.eye(3))
     with pytest.raises(ExportError, match="off by 1.0e-03"):
-        require_theta(compiled(other), 1, small, small)
+        require_theta(compile_body(other), 1, small, small)
 
 
 def test_a_file_that_does_not_load_or_was_tampered_with_is_refused(tmp_path):
@@ -167,20 +179,22 @@ def test_a_file_that_does_not_load_or_was_tampered_with_is_refused(tmp_path):
 def test_gravity_may_differ_only_where_it_was_written_and_only_as_written(tmp_path):
     source = write_files(tmp_path, {"m.xml": FULL.replace("-9.7", "-9.8")})
     original = model()
-    for asked, words in (
+    for gravity, message in (
         (None, "differs from the original in opt.gravity"),
         ((0.0, 0.0, -9.8 + 1e-8), "opt.gravity .* instead of"),
         ((1e-8, 0.0, -9.8), "opt.gravity .* instead of"),
     ):
-        with pytest.raises(ExportError, match=words):
-            verify_written_model(original, source, ModelChange((), 0.0, gravity=asked))
+        with pytest.raises(ExportError, match=message):
+            verify_written_model(
+                original, source, ModelChange((), 0.0, gravity=gravity)
+            )
     verify_written_model(
         original, source, ModelChange((), 0.0, gravity=(0.0, 0.0, -9.8))
     )
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         (
             JointChange("j{1}", armature=0.7),
@@ -200,24 +214,25 @@ def test_gravity_may_differ_only_where_it_was_written_and_only_as_written(tmp_pa
         ),
     ],
 )
-def test_a_number_that_is_not_there_is_named(tmp_path, change, words):
+def test_a_number_that_is_not_there_is_named(tmp_path, change, message):
     """Whatever the joint is called."""
     text = FULL.replace('"j1"', '"j{1}"').replace(RATIO, "")
     source = write_files(tmp_path, {"m.xml": text})
-    kind = "actuators" if isinstance(change, ActuatorChange) else "joints"
-    with pytest.raises(ExportError, match=re.escape(words)):
+    field = "actuators" if isinstance(change, ActuatorChange) else "joints"
+    with pytest.raises(ExportError, match=re.escape(message)):
         verify_written_model(
-            model(text), source, ModelChange((), 0.0, **{kind: (change,)})
+            model(text), source, ModelChange((), 0.0, **{field: (change,)})
         )
 
 
-def some_motion(seed: int, joints: int) -> Motion:
-    q, qd, qdd = arms.random_motion(np.random.default_rng(seed), joints, 20)
-    return Motion(np.arange(20.0), q, qd, qdd)
+def random_motion(seed, n_joints, n_samples=20):
+    """A motion whose q, qd and qdd (n_samples, n_joints) are independent random numbers."""
+    columns = arms.random_motion(np.random.default_rng(seed), n_joints, n_samples)
+    return Motion(np.arange(float(n_samples)), *columns)
 
 
 @pytest.fixture(scope="module")
-def arm(tmp_path_factory):
+def three_joints(tmp_path_factory):
     """A three-joint arm as a file."""
     path = tmp_path_factory.mktemp("law5") / "arm.xml"
     path.write_text(arms.THREE)
@@ -225,30 +240,39 @@ def arm(tmp_path_factory):
 
 
 @given(theta=arms.rigid_bodies(), seed=arms.SEEDS)
-def test_any_possible_link_moves_as_predicted_once_written_and_loaded(arm, theta, seed):
-    plan = plan_write_back(
-        theta, subtree_bodies(arm.mj_model, arm.reference_qpos, arm.body_id)
+def test_any_possible_link_moves_as_predicted_once_written_and_loaded(
+    three_joints, theta, seed
+):
+    write_back = plan_write_back(
+        theta,
+        subtree_bodies(
+            three_joints.mj_model, three_joints.reference_qpos, three_joints.body_id
+        ),
     )
     gravity = tuple(9.8 * np.random.default_rng(seed).normal(size=3))
-    bodies = (BodyChange(arm.body_name, arm.body_id, plan),)
+    bodies = (BodyChange(three_joints.body_name, three_joints.body_id, write_back),)
     change = ModelChange(
         bodies, 0.0, (JointChange("joint1", armature=0.3),), gravity=gravity
     )
-    change = replace(change, principal=not reads_fullinertia_exactly(plan.theta))
-    text = changed_model_text(arm.path, change, arm.path.parent)
-    written = arm.path.with_name("written.xml")
-    written.write_bytes(text)
-    compiled = verify_written_model(arm.mj_model, written, change).mj_model
-    thetas = arm.thetas
-    thetas[-1] = plan.written_composite(theta)
-    require_reproduction(arm, thetas, change, compiled, some_motion(seed, 3), written)
+    change = replace(change, principal=not reads_fullinertia_exactly(write_back.theta))
+    text = changed_model_text(three_joints.path, change, three_joints.path.parent)
+    written_path = three_joints.path.with_name("written.xml")
+    written_path.write_bytes(text)
+    mj_model = verify_written_model(
+        three_joints.mj_model, written_path, change
+    ).mj_model
+    thetas = three_joints.thetas
+    thetas[-1] = write_back.written_composite(theta)
+    require_reproduction(
+        three_joints, thetas, change, mj_model, random_motion(seed, 3), written_path
+    )
 
 
-def torque_refused(robot, mj_model, thetas=None, change=None):
+def is_refused_for_torque(robot, mj_model, thetas=None, change=None):
     """Whether a compiled model is refused for its torque."""
     thetas = robot.thetas if thetas is None else thetas
     change = change or ModelChange((), 0.0)
-    motion = some_motion(1, robot.n_joints)
+    motion = random_motion(1, robot.n_joints)
     try:
         require_reproduction(
             robot, thetas, change, mj_model, motion, Path("updated_model.xml")
@@ -262,18 +286,20 @@ def torque_refused(robot, mj_model, thetas=None, change=None):
 @pytest.mark.parametrize("name", ["seven", "springs", "coupled fingers"])
 def test_the_prediction_of_the_models_own_numbers_is_its_inverse_dynamics(name):
     robot = arms.robot_of(arms.MODELS[name])
-    assert not torque_refused(robot, robot.mj_model)
+    assert not is_refused_for_torque(robot, robot.mj_model)
 
 
 @pytest.mark.parametrize("link", range(3))
-def test_a_model_that_is_off_in_any_parameter_is_refused(arm, link):
+def test_a_model_that_is_off_in_any_parameter_is_refused(three_joints, link):
     """One part in a million of the link's own size is enough, where its joint can tell."""
-    compiled = compile_model(arm.path).mj_model
+    mj_model = compile_model(three_joints.path).mj_model
     for parameter in range(10):
-        thetas = arm.thetas
+        thetas = three_joints.thetas
         thetas[link, parameter] += 1e-6 * (1.0 if parameter < 4 else 0.1)
         # A link that turns about the vertical shows its moment about it alone.
-        assert torque_refused(arm, compiled, thetas) == (link > 0 or parameter == 9)
+        assert is_refused_for_torque(three_joints, mj_model, thetas) == (
+            link > 0 or parameter == 9
+        )
 
 
 SMALL = 1e-7
@@ -291,8 +317,10 @@ SMALL = 1e-7
         ),
     ],
 )
-def test_what_is_not_in_the_file_is_missed_in_its_torque(arm, change):
-    assert torque_refused(arm, compile_model(arm.path).mj_model, change=change)
+def test_what_is_not_in_the_file_is_missed_in_its_torque(three_joints, change):
+    assert is_refused_for_torque(
+        three_joints, compile_model(three_joints.path).mj_model, change=change
+    )
 
 
 LOAD = random_theta(np.random.default_rng(0), 0.7)
@@ -311,16 +339,16 @@ WITH_CUP = WITH_CUP.replace(
 PLACE = '<inertial pos="0 0 0" mass="0.2" diaginertia="1e-4 1e-4 1e-4"/>'
 
 
-def with_load(new=NEW, before="", after=""):
-    text = WITH_CUP.replace(PLACE, PLACE + new)
-    assert before in text
+def with_load(load_xml=NEW, original_text="", replacement=""):
+    text = WITH_CUP.replace(PLACE, PLACE + load_xml)
+    assert original_text in text
     return mujoco.MjModel.from_xml_string(
-        text.replace(before, after, 1) if before else text
+        text.replace(original_text, replacement, 1) if original_text else text
     )
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "field"),
+    ("original_text", "replacement", "field"),
     [
         ('mass="0.1"', 'mass="0.11"', "body_mass"),
         ("size='.1'", "size='.1' friction='2'", "geom_friction"),
@@ -330,13 +358,17 @@ def with_load(new=NEW, before="", after=""):
         ('name="grip" type="slide"', 'name="grip" type="hinge"', "jnt_type"),
     ],
 )
-def test_everything_else_that_is_new_is_named(before, after, field):
+def test_everything_else_that_is_new_is_named(original_text, replacement, field):
     with pytest.raises(ExportError, match=f"differs from the original in {field}"):
-        require_change(with_load(""), with_load(before=before, after=after), ONE_MORE)
+        require_change(
+            with_load(""),
+            with_load(original_text=original_text, replacement=replacement),
+            ONE_MORE,
+        )
 
 
 @pytest.mark.parametrize(
-    ("new", "words"),
+    ("load_xml", "message"),
     [
         ("", "no body 'load'"),
         (NEW.replace('name="load"', 'name="other"'), "no body 'load'"),
@@ -352,6 +384,197 @@ def test_everything_else_that_is_new_is_named(before, after, field):
         (NEW.replace(str(LOAD[0]), str(LOAD[0] + 1e-8)), "an inertia that is off"),
     ],
 )
-def test_a_body_that_is_not_the_wanted_one_is_refused(new, words):
-    with pytest.raises(ExportError, match=words):
-        require_change(with_load(""), with_load(new), ONE_MORE)
+def test_a_body_that_is_not_the_wanted_one_is_refused(load_xml, message):
+    with pytest.raises(ExportError, match=message):
+        require_change(with_load(""), with_load(load_xml), ONE_MORE)
+
+
+# ---- playing the log, and torques of a file
+
+TRUTH = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=test_playback.JOINT.format(0.2))
+
+
+def test_the_model_that_is_the_arm_wins_whichever_comes_first():
+    truth = test_playback.arm()
+    heavy_rotor = test_playback.arm(0.5)
+    recordings = [test_playback.recording(truth)]
+    improvement, deterioration = (
+        compare(*pair, recordings, "a piece")
+        for pair in ((heavy_rotor, truth), (truth, heavy_rotor))
+    )
+    assert improvement.is_better and rollout_refusal(improvement, ()) is None
+    assert not deterioration.is_better and "not better" in rollout_refusal(
+        deterioration, ()
+    )
+    assert improvement.score == pytest.approx(1.0 / deterioration.score)
+    # The piece is too short for the longest horizon.
+    assert test_playback.SECONDS < 3.0 and improvement.notes == (
+        "no held-out piece is as long as 3 s",
+    )
+    assert {error.horizon for error in improvement.errors} == {0.1, 0.3, 1.0}
+
+
+@pytest.fixture(scope="module")
+def signals():
+    """What the true arm does for a while, processed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(test_playback, "SECONDS", 8.0)
+        log = test_playback.recording(test_playback.arm())
+    return process(
+        Measurement(log.time, log.q, None, log.tau),
+        test_playback.arm().joint_names,
+        20.0,
+    )
+
+
+def writes(xml):
+    return lambda target: target.files.write(target.path, xml)
+
+
+def test_what_is_played_was_not_fitted_for_it(signals):
+    """The written file is played, on the end of the log."""
+    test = play(
+        test_playback.arm(0.5), [signals], writes(TRUTH), None, split_time, LAST_FIFTH
+    )
+    assert test.is_better and {error.horizon for error in test.errors} == {
+        0.1,
+        0.3,
+        1.0,
+    }
+    rows = fitted_rows(signals)
+    time = signals.decimated_time()
+    reach = signals.low_pass.half_width / signals.rate
+    assert 0.7 < np.mean(rows) < 0.8
+    assert np.max(time[rows]) + reach < split_time(signals) - reach
+
+
+def test_another_log_is_played_whole(signals):
+    test = play(test_playback.arm(0.5), [signals], writes(TRUTH), None)
+    assert test.is_better and test.held_out == "the validation log"
+    assert 3.0 in {error.horizon for error in test.errors}
+
+
+@pytest.mark.parametrize("error", [InputError, ExportError])
+def test_nothing_played_is_no_proof(signals, error):
+    def fails(_):
+        raise error("it cannot hold this")
+
+    test = play(test_playback.arm(), [signals], fails, None)
+    assert test.score is None and not test.is_better
+    assert "it cannot hold this" in rollout_refusal(test, ())
+    assert rollout_refusal(test, ("rollout",)) is None
+    assert rollout_refusal(None, ()) is None
+
+
+OFFSETS = np.array([3.0, -2.0, 0.5])
+
+
+def error_on(model, robot, motion, tau, usable, source="a log"):
+    """The error on samples as they are: nothing is filtered or decimated."""
+    signals = SimpleNamespace(
+        tau=tau,
+        qd=motion.qd,
+        low_pass=SimpleNamespace(decimate=np.asarray),
+        filter_columns=lambda columns, smooth: columns(motion),
+        usable=lambda: usable,
+    )
+    return torque_error(model, robot, signals, source)
+
+
+def by_inverse_dynamics(xml, motion):
+    """Torque of smooth damping and links by MuJoCo itself, and Coulomb's friction."""
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    tau = np.empty_like(motion.q)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    for k in range(len(tau)):
+        data.qpos[:] = motion.q[k]
+        data.qvel[:] = motion.qd[k]
+        data.qacc[:] = motion.qdd[k]
+        mujoco.mj_inverse(model, data)
+        tau[k] = data.qfrc_inverse
+    tau += model.dof_frictionloss * np.sign(motion.qd)
+    for tendon, friction in enumerate(model.tendon_frictionloss):
+        ratios = np.zeros(model.nv)
+        first = model.tendon_adr[tendon]
+        count = model.tendon_num[tendon]
+        for wrap in range(first, first + count):
+            ratios[model.jnt_dofadr[model.wrap_objid[wrap]]] = model.wrap_prm[wrap]
+        tau += friction * np.sign(motion.qd @ ratios)[:, None] * ratios
+    return tau
+
+
+@pytest.mark.parametrize(
+    "xml",
+    [
+        arms.ARMATURE,
+        arms.TENDON_SPRING,
+        pytest.param(arms.SHARED_MOTOR, marks=since(3, 3)),
+        pytest.param(arms.NONLINEAR_DAMPING, marks=since(3, 7)),
+    ],
+)
+def test_a_perfect_file_is_off_by_its_sensors_offsets_alone(tmp_path, xml):
+    path = write_files(tmp_path, {"arm.xml": xml})
+    motion = random_motion(0, 3, 40)
+    robot = load_robot_model(path)
+    tau = by_inverse_dynamics(xml, motion) + OFFSETS
+    error = error_on(path, robot, motion, tau, np.ones(tau.shape, bool))
+    assert error.relative_error < 1e-12 and error.rmse < 1e-11 and error.n_samples == 40
+    assert max(error.relative_error_per_joint.values()) < 1e-10
+
+
+@pytest.mark.parametrize(
+    "attribute",
+    ['damping="2.1"', 'frictionloss="1.6"', 'armature=".01"', 'stiffness="1"'],
+)
+def test_each_number_of_a_joint_counts(attribute):
+    motion = random_motion(0, 3, 40)
+    robot = arms.robot_of(arms.DRY_FRICTION)
+    tau = ArmTorque(robot)(motion)
+    name = attribute.split("=")[0]
+    text = arms.DRY_FRICTION
+    old = {"damping": 'damping="2"', "frictionloss": 'frictionloss="1.5"'}.get(name)
+    text = (
+        text.replace(old, attribute)
+        if old
+        else text.replace("<joint ", f"<joint {attribute} ")
+    )
+    report = error_on(
+        arms.compile_xml(text), robot, motion, tau, np.ones(tau.shape, bool)
+    )
+    torque_change = {
+        "damping": 0.1 * motion.qd,
+        "frictionloss": 0.1 * np.sign(motion.qd),
+        "armature": 0.01 * motion.qdd,
+        "stiffness": motion.q,
+    }[name]
+    errors = torque_change - torque_change.mean(axis=0)
+    np.testing.assert_allclose(report.rmse, np.sqrt(np.mean(errors**2)), rtol=1e-9)
+    sizes = np.linalg.norm(tau, axis=0)
+    np.testing.assert_allclose(
+        report.relative_error, np.linalg.norm(errors) / np.linalg.norm(sizes)
+    )
+    for k, joint in enumerate(robot.joint_names):
+        error = np.linalg.norm(errors[:, k])
+        assert report.relative_error_per_joint[joint] == pytest.approx(error / sizes[k])
+        assert report.rmse_per_joint[joint] == pytest.approx(
+            error / np.sqrt(len(errors))
+        )
+
+
+def test_what_is_not_usable_does_not_count():
+    motion = random_motion(0, 3, 40)
+    robot = arms.robot_of(arms.THREE)
+    usable = np.random.default_rng(1).uniform(size=motion.q.shape) < 0.7
+    usable[:, 0] = False
+    tau = np.where(usable, ArmTorque(robot)(motion) + OFFSETS, np.nan)
+    error = error_on(robot.mj_model, robot, motion, tau, usable, "a log")
+    assert error.source == "a log" and error.relative_error < 1e-12
+    assert error.relative_error_per_joint["joint0"] is None
+    assert error.n_samples == np.max(np.count_nonzero(usable, axis=0))
+    empty_error = error_on(robot.mj_model, robot, motion, tau, np.zeros_like(usable))
+    assert (empty_error.relative_error, empty_error.rmse, empty_error.n_samples) == (
+        None,
+        0.0,
+        0,
+    )

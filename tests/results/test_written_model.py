@@ -95,9 +95,9 @@ def file_of(robot, thetas=None, joints=None, gravity=None):
     )
 
 
-def payload_of(robot, theta, place=None, link=None):
+def payload_of(robot, theta, flange_position=None, link=None):
     """A payload of these parameters in the flange frame."""
-    flange = find_flange(robot, place)
+    flange = find_flange(robot, flange_position)
     link = robot.prior.theta if link is None else link
     total = body_estimate(link + flange.from_flange(theta))
     names = {"empty": ("a",), "loaded": ("b", "c")}
@@ -109,14 +109,14 @@ def payload_of(robot, theta, place=None, link=None):
 def result_of(robot, theta=None, file=None, payload=None, **changes):
     """A result that found theta of the terminal link."""
     theta = robot.prior.theta if theta is None else theta
-    seen = records.Identifiability(10, 10, 5.0, 2.0, (True,) * 10, ())
-    estimate = records.Estimate(PARAMETER_NAMES, theta, seen, 1e-4, {})
-    known = {"robot": robot, "verdict": record.Verdict.OK, "joints": {}, "links": ()}
-    given = {"estimate": estimate, "file": file, "payload": payload}
-    return made.found(estimate, **{**known, **given, **changes})
+    identifiability = records.Identifiability(10, 10, 5.0, 2.0, (True,) * 10, ())
+    estimate = records.Estimate(PARAMETER_NAMES, theta, identifiability, 1e-4, {})
+    defaults = {"robot": robot, "verdict": record.Verdict.OK, "joints": {}, "links": ()}
+    outputs = {"estimate": estimate, "file": file, "payload": payload}
+    return made.found(estimate, **{**defaults, **outputs, **changes})
 
 
-def written(robot, result, folder=None, **options):
+def write_and_compile(robot, result, folder=None, **options):
     """The compiled model that was written, and the notes."""
     with target_of(robot, folder) as target:
         notes = write_model(result, target, **options)
@@ -124,7 +124,7 @@ def written(robot, result, folder=None, **options):
 
 
 def text_of(robot, result, **options):
-    written(robot, result, **options)
+    write_and_compile(robot, result, **options)
     return (robot.path.parent / "out" / f"updated{robot.path.suffix}").read_text()
 
 
@@ -132,58 +132,58 @@ def some_payload(rng):
     return random_theta(rng, 10.0 ** rng.uniform(-2.0, 1.0))
 
 
-def whole(mj_model, robot):
+def terminal_composite(mj_model, robot):
     """The terminal link with all that hangs on it, as a model has it."""
     terminal = mj_model.body(robot.body_name).id
     return composite_theta(mj_model, robot.reference_qpos, terminal)
 
 
-def assert_same_theta(found, expected, rtol=1e-11):
+def assert_same_theta(actual, expected, rtol=1e-11):
     scale = spatial.parameter_scale(
         expected[0], spatial.characteristic_length(expected)
     )
-    assert np.max(np.abs(found - expected) / scale) < rtol
+    assert np.max(np.abs(actual - expected) / scale) < rtol
 
 
 @SUFFIXES
 def test_without_a_file_the_terminal_link_alone_is_written(robots, suffix):
     robot = robots[suffix]
     theta = robot.prior.theta + random_theta(np.random.default_rng(1), 0.5)
-    found, notes = written(robot, result_of(robot, theta))
+    mj_model, notes = write_and_compile(robot, result_of(robot, theta))
     assert notes == ()
-    assert_same_theta(whole(found, robot), theta)
-    before = robot.mj_model.body_mass.copy()
-    before[robot.body_id] = found.body_mass[robot.body_id]
-    np.testing.assert_array_equal(found.body_mass, before)
-    np.testing.assert_array_equal(found.opt.gravity, robot.mj_model.opt.gravity)
+    assert_same_theta(terminal_composite(mj_model, robot), theta)
+    masses = robot.mj_model.body_mass.copy()
+    masses[robot.body_id] = mj_model.body_mass[robot.body_id]
+    np.testing.assert_array_equal(mj_model.body_mass, masses)
+    np.testing.assert_array_equal(mj_model.opt.gravity, robot.mj_model.opt.gravity)
 
 
 @pytest.mark.parametrize(
-    ("suffix", "place"),
+    ("suffix", "flange_position"),
     # Where roll and yaw turn about one axis, or nearly so, a URDF can state a flange all the same.
     [
         ("xml", None),
         *(("urdf", p) for p in (None, "0,0,0.1,90,90,0", "0,0,0.1,90,89.99979,7")),
     ],
 )
-def test_a_payload_becomes_a_body_of_its_own(robots, suffix, place):
+def test_a_payload_becomes_a_body_of_its_own(robots, suffix, flange_position):
     robot = robots[suffix]
     theta = some_payload(np.random.default_rng(1))
-    payload = payload_of(robot, theta, place)
-    found, notes = written(
+    payload = payload_of(robot, theta, flange_position)
+    mj_model, notes = write_and_compile(
         robot, result_of(robot, payload=payload), as_body="load & co"
     )
     assert notes == ()
-    new = found.body("load & co")
-    assert_same_theta(body_theta(found, new.id), theta)
-    if place is None:
-        carrier = found.body(int(new.parentid[0])).name
+    load = mj_model.body("load & co")
+    assert_same_theta(body_theta(mj_model, load.id), theta)
+    if flange_position is None:
+        carrier = mj_model.body(int(load.parentid[0])).name
         assert carrier == ("tool" if suffix == "xml" else "flange")
-    assert_same_theta(whole(found, robot), payload.total.inertial.theta)
+    assert_same_theta(terminal_composite(mj_model, robot), payload.total.inertial.theta)
     # Everything else is as it was: the terminal link alone weighs what the model says.
-    terminal = found.body(robot.body_name).id
+    terminal = mj_model.body(robot.body_name).id
     assert_same_theta(
-        body_theta(found, terminal), body_theta(robot.mj_model, robot.body_id)
+        body_theta(mj_model, terminal), body_theta(robot.mj_model, robot.body_id)
     )
 
 
@@ -208,20 +208,20 @@ def test_a_payload_goes_onto_the_links_of_the_file_or_model(
         }
         file = file_of(robot, thetas, joints, TURNED)
     result = result_of(robot, file=file, payload=payload)
-    found, notes = written(robot, result, as_body=name)
-    beneath = (
+    mj_model, notes = write_and_compile(robot, result, as_body=name)
+    bare_link = (
         link if with_file else robot.prior.theta
     )  # without a file the model's own stays
-    expected = beneath + payload.flange.from_flange(payload.body.inertial.theta)
-    assert_same_theta(whole(found, robot), expected)
+    expected = bare_link + payload.flange.from_flange(payload.body.inertial.theta)
+    assert_same_theta(terminal_composite(mj_model, robot), expected)
     if name is not None and with_file:
         assert "without the payload" in text_of(robot, result, as_body=name)
     if with_file:
-        np.testing.assert_array_equal(found.opt.gravity, TURNED)
-        np.testing.assert_array_equal(found.dof_frictionloss[robot.dof_index], 0.25)
+        np.testing.assert_array_equal(mj_model.opt.gravity, TURNED)
+        np.testing.assert_array_equal(mj_model.dof_frictionloss[robot.dof_index], 0.25)
         path = robot.path.parent / "out" / f"updated.{suffix}"
-        again = load_robot_model(path, joint=JOINTS[suffix])
-        assert_same_theta(again.links[0].theta, thetas[0])
+        reloaded = load_robot_model(path, joint=JOINTS[suffix])
+        assert_same_theta(reloaded.links[0].theta, thetas[0])
         assert (len(notes) == 1) == (suffix == "urdf")
 
 
@@ -234,7 +234,7 @@ def test_a_name_that_is_taken_is_refused_and_leaves_nothing(robots, suffix, name
         robot, payload=payload_of(robot, some_payload(np.random.default_rng(0)))
     )
     with pytest.raises(ExportError, match="cannot be called") as error:
-        written(robot, result, folder, as_body=name)
+        write_and_compile(robot, result, folder, as_body=name)
     assert "tool" in str(error.value) and not folder.exists()
 
 
@@ -244,8 +244,10 @@ def test_a_body_of_its_own_changes_a_damping_that_follows_from_the_inertia(tmp_p
     source = write_files(tmp_path, {"in/m.xml": MJCF.replace("</mujoco>", servo)})
     robot = load_robot_model(source, joint="j2")
     payload = payload_of(robot, some_payload(np.random.default_rng(0)))
-    found, _ = written(robot, result_of(robot, payload=payload), as_body="load")
-    assert found.actuator_biasprm[0, 2] < robot.mj_model.actuator_biasprm[0, 2] < 0.0
+    mj_model, _ = write_and_compile(
+        robot, result_of(robot, payload=payload), as_body="load"
+    )
+    assert mj_model.actuator_biasprm[0, 2] < robot.mj_model.actuator_biasprm[0, 2] < 0.0
 
 
 def new_links(robot, rng):
@@ -275,16 +277,16 @@ def test_all_links_joints_and_gravity_are_written(tmp_path, name):
     thetas = new_links(robot, rng)
     joints = new_joints(robot, rng)
     text = text_of(robot, result_of(robot, file=file_of(robot, thetas, joints, TURNED)))
-    again = load_robot_model(tmp_path / "out" / "updated.xml")
-    for before, after in zip(thetas, again.links):
-        if np.any(before):
-            assert_same_theta(after.theta, before)
+    reloaded = load_robot_model(tmp_path / "out" / "updated.xml")
+    for theta, link in zip(thetas, reloaded.links):
+        if np.any(theta):
+            assert_same_theta(link.theta, theta)
     for term, field in TERMS.items():
         expected = [joints[joint][term].value for joint in robot.joint_names]
         np.testing.assert_array_equal(
-            getattr(again.mj_model, f"dof_{field}")[robot.dof_index], expected
+            getattr(reloaded.mj_model, f"dof_{field}")[robot.dof_index], expected
         )
-    np.testing.assert_array_equal(again.mj_model.opt.gravity, TURNED)
+    np.testing.assert_array_equal(reloaded.mj_model.opt.gravity, TURNED)
     assert "System ID: gravity identified with" in text
     if all(name[0] != "#" for name in robot.joint_names):
         assert text.count("System ID: body") == sum(
@@ -308,8 +310,8 @@ def test_links_that_are_the_models_own_are_left_alone_and_their_joints_told_of_w
     }
     text = text_of(robot, result_of(robot, file=file_of(robot, thetas, joints)))
     assert text.count("System ID") == 1
-    parts = (f"frictionloss 0.3 of joint '{name}'" for name in robot.joint_names)
-    assert f"; {'; '.join(parts)} -->" in text
+    comments = (f"frictionloss 0.3 of joint '{name}'" for name in robot.joint_names)
+    assert f"; {'; '.join(comments)} -->" in text
     assert text.count(arms.LINK) == arms.THREE.count(arms.LINK) == 2
 
 
@@ -319,19 +321,21 @@ def test_a_urdf_gets_friction_and_gravity_but_says_what_it_cannot_hold(robots):
     thetas = new_links(robot, rng)
     joints = new_joints(robot, rng)
     result = result_of(robot, file=file_of(robot, thetas, joints, TURNED))
-    found, notes = written(robot, result)
+    mj_model, notes = write_and_compile(robot, result)
     assert len(notes) == 2 and "a URDF cannot hold rotor inertia" in notes[0]
     assert "other readers ignore" in notes[1]
-    again = load_robot_model(robot.path.parent / "out" / "updated.urdf", joint="l1_l2")
+    reloaded = load_robot_model(
+        robot.path.parent / "out" / "updated.urdf", joint="l1_l2"
+    )
     values = {
         term: [joints[j][term].value for j in robot.joint_names] for term in TERMS
     }
-    np.testing.assert_array_equal(again.friction.viscous, values["viscous"])
-    np.testing.assert_array_equal(again.friction.coulomb, values["coulomb"])
-    np.testing.assert_array_equal(found.opt.gravity, TURNED)
-    assert "armature" not in again.path.read_text()
-    for before, after in zip(thetas, again.links):
-        assert_same_theta(after.theta, before)
+    np.testing.assert_array_equal(reloaded.friction.viscous, values["viscous"])
+    np.testing.assert_array_equal(reloaded.friction.coulomb, values["coulomb"])
+    np.testing.assert_array_equal(mj_model.opt.gravity, TURNED)
+    assert "armature" not in reloaded.path.read_text()
+    for theta, link in zip(thetas, reloaded.links):
+        assert_same_theta(link.theta, theta)
 
 
 SLACK = arms.TENDON_SPRING.replace('stiffness="25" springlength=".2" damping="3"', "")
@@ -355,8 +359,8 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     file = with_motor(robot, np.random.default_rng(7))
     text = text_of(robot, result_of(robot, file=file))
     assert "motor that turns joint1 and joint2 identified with" in text
-    again = load_robot_model(tmp_path / "out" / "updated.xml")
-    model = again.mj_model
+    reloaded = load_robot_model(tmp_path / "out" / "updated.xml")
+    model = reloaded.mj_model
     terms = file.joints["joint1-2*joint2"]
     assert model.ntendon == max(robot.mj_model.ntendon, 1) + (source == SLACK)
     for term, field in TERMS.items():
@@ -381,11 +385,13 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
         torque = values["coulomb"] * np.sign(speed) + values["viscous"] * speed
         torque += values["armature"] * acceleration
         expected += torque if len(owners) > 1 else torque * RATIOS
-    np.testing.assert_allclose(ArmTorque(again)(motion), expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        ArmTorque(reloaded)(motion), expected, rtol=1e-9, atol=1e-9
+    )
 
     # Written again, it is the same motor with other numbers.
-    file = with_motor(again, np.random.default_rng(8))
-    written(again, result_of(again, file=file), tmp_path / "again")
+    file = with_motor(reloaded, np.random.default_rng(8))
+    write_and_compile(reloaded, result_of(reloaded, file=file), tmp_path / "again")
     (motor,) = couplings_of_model(load_robot_model(tmp_path / "again" / "updated.xml"))
     np.testing.assert_array_equal(
         motor.model[0], file.joints[motor.name]["coulomb"].value
@@ -403,20 +409,20 @@ def test_with_a_motor_that_turns_two_joints_a_urdf_becomes_an_mjcf(tmp_path):
         "coulomb": record.Quantity(0.5, 0.1),
         "armature": record.Quantity(0.02, 0.01),
     }
-    own = file_of(robot, new_links(robot, np.random.default_rng(0)), {})
-    file = replace(own, joints={motor.name: terms}, motors=(motor,))
+    links_file = file_of(robot, new_links(robot, np.random.default_rng(0)), {})
+    file = replace(links_file, joints={motor.name: terms}, motors=(motor,))
     result = result_of(
         robot, file=file, couplings={motor.name: record.JointEstimate("c", terms)}
     )
     assert result.model_kind == "mjcf"
-    written(robot, result)
-    again = load_robot_model(tmp_path / "out" / "updated.urdf")
-    assert again.kind == "mjcf" and again.joint_names == robot.joint_names
-    assert again.mj_model.tendon_frictionloss.tolist() == [0.5]
-    for theta, link in zip(file.thetas, again.links):
+    write_and_compile(robot, result)
+    reloaded = load_robot_model(tmp_path / "out" / "updated.urdf")
+    assert reloaded.kind == "mjcf" and reloaded.joint_names == robot.joint_names
+    assert reloaded.mj_model.tendon_frictionloss.tolist() == [0.5]
+    for theta, link in zip(file.thetas, reloaded.links):
         assert_same_theta(link.theta, theta)
 
-    text = text_of(robot, replace(result, file=own))
+    text = text_of(robot, replace(result, file=links_file))
     assert (
         f"without the motor that turns with {motor.name}, which no URDF can hold"
         in text
@@ -429,7 +435,7 @@ def test_a_motor_of_a_joint_without_a_name_is_refused(tmp_path):
     motor = coupling(robot, np.array([1.0] * 2 + [0.0] * (robot.n_joints - 2)))
     file = file_of(robot, joints={motor.name: {"viscous": record.Quantity(0.5, 0.1)}})
     with pytest.raises(ExportError, match="has no name"):
-        written(robot, result_of(robot, file=replace(file, motors=(motor,))))
+        write_and_compile(robot, result_of(robot, file=replace(file, motors=(motor,))))
 
 
 def test_a_link_is_not_written_where_a_later_joint_moves_its_body(tmp_path):
@@ -437,7 +443,7 @@ def test_a_link_is_not_written_where_a_later_joint_moves_its_body(tmp_path):
     thetas = new_links(robot, np.random.default_rng(0))
     thetas[0] = thetas[2]
     with pytest.raises(ExportError, match="joint yaw moves no link of its own"):
-        written(robot, result_of(robot, file=file_of(robot, thetas)))
+        write_and_compile(robot, result_of(robot, file=file_of(robot, thetas)))
 
 
 def test_a_result_that_the_file_does_not_reproduce_is_withdrawn(robots, monkeypatch):
@@ -455,13 +461,8 @@ def test_a_result_that_the_file_does_not_reproduce_is_withdrawn(robots, monkeypa
         ),
     ):
         with pytest.raises(ExportError):
-            written(robot, result, folder, **options)
+            write_and_compile(robot, result, folder, **options)
         assert not folder.exists()
-
-
-def lopsided(text):
-    """The model with a gripper that says more of its fingers than there is."""
-    return text.replace('mass=".03"', 'mass=".6"')
 
 
 @pytest.mark.parametrize("also_welded", [False, True])
@@ -469,56 +470,64 @@ def test_fingers_that_leave_no_possible_gripper_are_made_lighter(tmp_path, also_
     cover = (
         '<body name="cover"><geom size=".02" mass=".3"/></body>' if also_welded else ""
     )
-    text = lopsided(arms.serial_arm(("0 0 1", "0 1 0"), tip=cover + arms.fingers()))
+    text = arms.serial_arm(("0 0 1", "0 1 0"), tip=cover + arms.fingers())
+    # The model says more of its fingers than there is of the whole gripper.
+    text = text.replace('mass=".03"', 'mass=".6"')
     robot = load_robot_model(write_files(tmp_path, {"arm.xml": text}), joint="joint1")
     # In truth the fingers weigh 0.1 kg each, and the gripper as much as the model says.
-    parts = {
-        part.name: part.theta
-        for part in subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id)
+    thetas = {
+        body.name: body.theta
+        for body in subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id)
     }
     fingers = ("left_finger", "right_finger")
-    theta = 0.3 * parts[robot.body_name] + sum(parts[name] for name in fingers) / 6.0
-    found, notes = written(robot, result_of(robot, theta))
-    assert_same_theta(whole(found, robot), theta, 1e-9)
-    shares = [found.body(name).mass[0] / 0.6 for name in fingers]
+    theta = 0.3 * thetas[robot.body_name] + sum(thetas[name] for name in fingers) / 6.0
+    mj_model, notes = write_and_compile(robot, result_of(robot, theta))
+    assert_same_theta(terminal_composite(mj_model, robot), theta, 1e-9)
+    shares = [mj_model.body(name).mass[0] / 0.6 for name in fingers]
     assert 1.0 / 6.0 < shares[0] < 1.0 and shares[0] == pytest.approx(
         shares[1], rel=1e-12
     )
     for name in fingers:
-        of_model, there = (
-            body_theta(m, m.body(name).id) for m in (robot.mj_model, found)
+        model_theta, written_theta = (
+            body_theta(m, m.body(name).id) for m in (robot.mj_model, mj_model)
         )
-        assert_same_theta(there, shares[0] * of_model)
+        assert_same_theta(written_theta, shares[0] * model_theta)
     assert "'left_finger', 'right_finger' on joints of their own" in notes[0]
     assert f"{shares[0]:.4g} of the model's" in notes[0]
     assert ("'cover' weigh nothing" in notes[0]) == also_welded
     text = (tmp_path / "out" / "updated.xml").read_text()
     assert text.count(f"mass and inertia {shares[0]:.4g} of the model's") == 2
     # Any more of the fingers would leave an impossible gripper.
-    more = 1.001 * shares[0] * sum(parts[name] for name in fingers)
-    assert not spatial.is_consistent(theta - more)
+    finger_theta = 1.001 * shares[0] * sum(thetas[name] for name in fingers)
+    assert not spatial.is_consistent(theta - finger_theta)
 
 
 @pytest.mark.slow
 @given(
     arms.random_chain(), arms.SEEDS, st.sampled_from(["links", "merged", "own body"])
 )
-def test_any_arm_takes_any_links_and_any_payload(tmp_path_factory, xml, seed, what):
+def test_any_arm_takes_any_links_and_any_payload(tmp_path_factory, xml, seed, target):
     """Several joints to a body, slides, fingers, any frame: every written model is compiled,
     compared and moved by the writing itself."""
     rng = np.random.default_rng(seed)
     path = write_files(tmp_path_factory.mktemp("any"), {"arm.xml": xml})
     compiled = mujoco.MjModel.from_xml_string(xml)
-    carried = [compiled.body(body).name for body in compiled.jnt_bodyid]
-    last = max(k for k, name in enumerate(carried) if not name.endswith("finger"))
+    body_names = [compiled.body(body).name for body in compiled.jnt_bodyid]
+    last = max(k for k, name in enumerate(body_names) if not name.endswith("finger"))
     robot = load_robot_model(path, joint=f"#{last}")
-    place = ", ".join(str(value) for value in (*rng.uniform(-1.0, 1.0, 3), 10, 20, 30))
+    flange_position = ", ".join(
+        str(value) for value in (*rng.uniform(-1.0, 1.0, 3), 10, 20, 30)
+    )
     file = file_of(
         robot, new_links(robot, rng), new_joints(robot, rng), 9.8 * rng.normal(size=3)
     )
-    payload = None if what == "links" else payload_of(robot, some_payload(rng), place)
+    payload = (
+        None
+        if target == "links"
+        else payload_of(robot, some_payload(rng), flange_position)
+    )
     result = result_of(robot, file=file, payload=payload)
-    written(robot, result, as_body="load" if what == "own body" else None)
+    write_and_compile(robot, result, as_body="load" if target == "own body" else None)
     assert (path.parent / "out" / "updated.xml").is_file()
 
 
@@ -536,13 +545,15 @@ def test_the_errors_of_what_is_written_count(tmp_path):
     robot = load_robot_model(write_files(tmp_path, {"arm.xml": text}))
     thin = spatial.theta_from_com(1.0, np.zeros(3), np.diag([1e-2, 1e-2, 1e-4]))
     with pytest.raises(ExportError, match="boundinertia"):
-        written(robot, result_of(robot, thin))
+        write_and_compile(robot, result_of(robot, thin))
     estimate = replace(
         result_of(robot, thin).estimate, standard_errors=np.full(10, 1e-3)
     )
-    found, notes = written(robot, result_of(robot, estimate=estimate))
+    mj_model, notes = write_and_compile(robot, result_of(robot, estimate=estimate))
     assert "larger; that is less than their standard errors" in notes[0]
-    np.testing.assert_allclose(whole(found, robot)[[4, 9]], [1.01e-2, 2e-4], rtol=1e-9)
+    np.testing.assert_allclose(
+        terminal_composite(mj_model, robot)[[4, 9]], [1.01e-2, 2e-4], rtol=1e-9
+    )
 
 
 # ---- bundles
@@ -562,11 +573,11 @@ MESHES = """
 """
 
 
-def moved(bundle, tmp_path):
+def load_moved_bundle(bundle, tmp_path):
     """The bundle's model in another place, everything else gone."""
-    place = tmp_path / "elsewhere"
-    shutil.move(bundle.parent, place)
-    return mujoco.MjModel.from_xml_path(str(place / bundle.name))
+    folder = tmp_path / "elsewhere"
+    shutil.move(bundle.parent, folder)
+    return mujoco.MjModel.from_xml_path(str(folder / bundle.name))
 
 
 def test_two_meshes_of_one_name_and_an_include(tmp_path):
@@ -574,13 +585,13 @@ def test_two_meshes_of_one_name_and_an_include(tmp_path):
     for side in ("left", "right"):
         (source / "parts" / side).mkdir(parents=True)
         shutil.copy(STL, source / "parts" / side / "part.stl")
-    more = "<mujoco><option timestep='0.001'/></mujoco>"
-    model = write_files(source, {"updated_model.xml": MESHES, "more.xml": more})
-    before = mujoco.MjModel.from_xml_path(str(model))
+    include = "<mujoco><option timestep='0.001'/></mujoco>"
+    model = write_files(source, {"updated_model.xml": MESHES, "more.xml": include})
+    original = mujoco.MjModel.from_xml_path(str(model))
     bundle = write_bundle(model, tmp_path)
     assert bundle == tmp_path / "bundle" / "updated_model.xml"
     shutil.rmtree(source)
-    require_same_model(before, moved(bundle, tmp_path), {})
+    require_same_model(original, load_moved_bundle(bundle, tmp_path), {})
 
 
 def test_a_second_bundle_replaces_the_first_even_where_that_is_a_link(tmp_path):
@@ -599,11 +610,11 @@ def test_a_second_bundle_replaces_the_first_even_where_that_is_a_link(tmp_path):
 def test_a_bundle_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
     first = write_files(tmp_path, {"first.xml": "<mujoco><worldbody/></mujoco>"})
     bundle = write_bundle(first, tmp_path)
-    before = files_in(tmp_path)
+    old_files = files_in(tmp_path)
     monkeypatch.setattr(verification, "compiled_again", lambda path: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         write_bundle(GUESS, tmp_path)
-    assert files_in(tmp_path) == before
+    assert files_in(tmp_path) == old_files
     assert bundle.is_file()
 
 
@@ -617,7 +628,7 @@ def test_a_urdf_takes_its_meshes_along(tmp_path):
         write_files(tmp_path, {"thing/updated_model.urdf": text}), tmp_path
     )
     shutil.rmtree(tmp_path / "thing")
-    assert moved(bundle, tmp_path).nmesh >= 1
+    assert load_moved_bundle(bundle, tmp_path).nmesh >= 1
 
 
 def test_a_model_that_attaches_others_is_refused_and_leaves_nothing(tmp_path):
