@@ -69,7 +69,7 @@ def errors_of_run(study, plan, pair, noise, step, seed):
     log = join_measurements(PlantSimulation(plant, plan, sensors, RATE, rng))
     datasets, _ = low_pass_recordings(study.robot, [Piece("", log)], OPTIONS)
     answer = answer_link(study.robot, datasets, OPTIONS, Progress(), None)
-    late, *both = (answer.figure(name) for name in (DELAY_NAME, *TILT_NAMES))
+    late, *both = (answer.quantity(name) for name in (DELAY_NAME, *TILT_NAMES))
     found_down = answer.fit.point.gravity
     off = np.arctan2(np.linalg.norm(np.cross(found_down, down)), found_down @ down)
     stated = np.linalg.norm([angle.error for angle in both])

@@ -1,4 +1,9 @@
-"""From a fit to its answer: bodies, joints, sensors and the model file, with their errors."""
+"""From a fit to its answer: bodies, joints, sensors and the model file, with their errors.
+
+Shapes: the arm's chain has n joints; a fit has p parameters (``Columns.names``), of which k are
+estimated (``Unknowns.estimated``, ascending). A body has ten inertial parameters in the order of
+``PARAMETER_NAMES``: mass [kg], first moments [kg m], inertia about its frame's origin [kg m^2].
+"""
 
 from __future__ import annotations
 
@@ -52,6 +57,7 @@ from robot_sysid.results.record import (
     Quantity,
 )
 
+# Rows that combine (Coulomb friction, offset) to the friction forward and backward.
 _SIGNS = np.array([[1.0, 1.0], [1.0, -1.0]])
 
 
@@ -59,18 +65,20 @@ _SIGNS = np.array([[1.0, 1.0], [1.0, -1.0]])
 class Answer:
     """An identified arm: the fit, its errors and tests, and the fit for a model file.
 
-    It is what ``identify`` returns; ``build_result`` makes the ``Result`` record from it.
+    The functions of ``estimation.identify`` return it, and ``estimation.build_result`` makes the
+    ``Result`` record from it.
 
     Attributes:
-        fit: the estimate.
+        fit: the estimate of all p parameters.
         file: the fit for a model file; None where no file is written.
-        errors: covariance of the estimate, by cause.
-        validation: held-out error of the fit's own recordings.
-        tests: error in predicting other logs.
-        candidates: held-out errors of the friction models that were compared, by joint.
-        acceleration_error: expected error of the acceleration, as a share of it.
-        notes: one sentence each.
-        friction_of_logs: friction by log, where there are several logs.
+        errors: covariance of the k estimated parameters, by cause.
+        validation: cross-validated error of the recordings that were fitted.
+        tests: errors in predicting the torques of logs that were not fitted, one per log.
+        candidates: joint to friction model to its held-out root mean square error [N m]; empty
+            where no friction models were compared.
+        acceleration_error: expected error of the acceleration, as a share of the acceleration.
+        notes: sentences for the user.
+        friction_of_logs: friction according to each log; None for a single log.
     """
 
     fit: Fit
@@ -85,39 +93,44 @@ class Answer:
 
     @property
     def robot(self) -> RobotModel:
-        """The arm."""
+        """The model of the arm that was identified."""
         return self.fit.columns.robot
 
     @cached_property
     def share(self) -> Array:
-        """The share (k,) of each estimated value that comes from the data."""
+        """Share (k,), 0 to 1, of each estimated value that comes from the data, not the priors."""
         return self.errors.share(self.fit)
 
-    def pick(self, names: Sequence[str]) -> Array:
-        """Return the rows (m, k) that select named parameters from the k estimated ones."""
+    def selection_matrix(self, names: Sequence[str]) -> Array:
+        """Return the 0/1 matrix (m, k) that selects m named parameters from the k estimated ones.
+
+        Every name has to be that of an estimated parameter.
+        """
         indices = self.fit.unknowns.estimated
         return np.eye(len(indices))[
             np.searchsorted(indices, self.fit.columns.indices(names))
         ]
 
     def body(
-        self, name: str, change: Array, theta: Array, model_theta: Array | None
+        self, name: str, combinations: Array, theta: Array, model_theta: Array | None
     ) -> BodyEstimate:
-        """Return a body whose parameters are combinations of the estimated ones.
+        """Return the estimate of a body, with the errors of its ten inertial parameters.
 
         Args:
-            change: (10, k) the combinations.
-            theta: (10,) their values.
-            model_theta: (10,) the model's body; None where it has none.
+            name: of the body.
+            combinations: (10, k) matrix from the k estimated parameters to the body's parameters,
+                from which the errors follow.
+            theta: (10,) estimated values of the body's parameters.
+            model_theta: (10,) the body's parameters in the model; None where the model lacks it.
         """
-        covariance, noise, budget = self.errors.of(change, theta)
-        weight = np.abs(change)
+        covariance, noise, budget = self.errors.of(combinations, theta)
+        weight = np.abs(combinations)
         share = weight @ self.share / np.maximum(np.sum(weight, axis=1), 1e-300)
         return BodyEstimate(
             name=name,
             inertial=InertialParameters(theta),
             covariance=covariance,
-            is_determined=self.errors.are_identified(change),
+            is_determined=self.errors.are_identified(combinations),
             noise_errors=noise,
             budget=budget,
             data_share=np.clip(share, 0.0, 1.0),
@@ -125,19 +138,25 @@ class Answer:
         )
 
     def links(self) -> Iterator[BodyEstimate]:
-        """Yield every estimated link, base to terminal."""
+        """Yield the estimate of every link whose parameters were estimated, base to terminal."""
         links = enumerate(self.robot.links)
         joints = {link.body_name: k for k, link in links if link.has_mass}
         for name, (indices, _) in self.fit.unknowns.bodies.items():
             if name in joints:
                 joint = joints[name]
-                change = self.pick([self.fit.columns.names[k] for k in indices])
+                selection = self.selection_matrix(
+                    [self.fit.columns.names[k] for k in indices]
+                )
                 model_theta = self.robot.links[joint].theta
-                body = self.body(name, change, self.fit.values[indices], model_theta)
+                body = self.body(name, selection, self.fit.values[indices], model_theta)
                 yield replace(body, joint=self.robot.joint_names[joint])
 
-    def figure(self, name: str) -> Quantity:
-        """Return a parameter with its standard error; NaN for one that is held at a bound."""
+    def quantity(self, name: str) -> Quantity:
+        """Return a named parameter in SI units with its standard error.
+
+        The error is NaN for a parameter that is held at a bound. Every other parameter has to be
+        an estimated one.
+        """
         index = self.fit.columns.index[name]
         unknowns = self.fit.unknowns
         value = float(self.fit.final[index])
@@ -147,13 +166,16 @@ class Answer:
         return Quantity(value, float(self.errors.total.standard_errors[row]))
 
     def joints(self) -> Iterator[tuple[str, JointEstimate]]:
-        """Yield (name, friction) of each chain joint, base to terminal, then of coupled motors."""
+        """Yield (name, friction and rotor inertia) of each chain joint, base to terminal.
+
+        The motors that turn several joints follow.
+        """
         noise = self.fit.noise_per_joint
         friction_terms = self._friction_terms()
         robot = self.robot
         models = dict(zip(robot.joint_names, self.fit.choice.friction))
         for index, joint in enumerate(robot.joint_names):
-            terms = self._figures(joint, friction_terms.get(joint, ()))
+            terms = self._quantities(joint, friction_terms.get(joint, ()))
             model_terms = {
                 "coulomb": float(robot.friction.coulomb[index]),
                 "viscous": float(robot.friction.viscous[index]),
@@ -167,13 +189,13 @@ class Answer:
                     model_terms=model_terms,
                     candidates=self.candidates.get(joint, {}) if terms else {},
                     noise=noise.get(joint, float("nan")),
-                    directional_coulomb=self._two_ways(joint, terms),
+                    directional_coulomb=self._directional_coulomb(joint, terms),
                     logs=self._friction_by_log(joint),
-                    other_day_terms=self._another_day(joint),
+                    other_day_terms=self._other_day_friction(joint),
                 ),
             )
         for motor in self.fit.choice.couplings:
-            terms = self._figures(motor.name, friction_terms.get(motor.name, ()))
+            terms = self._quantities(motor.name, friction_terms.get(motor.name, ()))
             of_model = zip(motor.terms, motor.model.tolist())
             model_terms = {} if motor.tendon is None else dict(of_model)
             yield (
@@ -181,12 +203,15 @@ class Answer:
                 JointEstimate("-".join(terms) or "none", terms, model_terms),
             )
 
-    def _figures(self, owner: str, terms: Iterable[str]) -> dict[str, Quantity]:
-        """Return friction term to its estimate, of a joint or motor."""
-        return {term: self.figure(f"{term}[{owner}]") for term in terms}
+    def _quantities(self, owner: str, terms: Iterable[str]) -> dict[str, Quantity]:
+        """Return each of the friction terms of a joint or motor, mapped to its estimate."""
+        return {term: self.quantity(f"{term}[{owner}]") for term in terms}
 
     def _friction_by_log(self, owner: str) -> dict[str, dict[str, Quantity]]:
-        """Return the friction terms of a joint by log; empty for a single log."""
+        """Return name of a log to friction term of a joint to its value according to that log.
+
+        It is empty for a single log. The errors are those due to the noise of each log.
+        """
         friction = self.friction_of_logs
         if friction is None:
             return {}
@@ -201,12 +226,15 @@ class Answer:
                 by_log[log][term] = Quantity(value, float(errors[row, index]))
         return by_log
 
-    def _another_day(self, owner: str) -> dict[str, Quantity]:
-        """Return the friction terms of a joint with their errors for a log that was not fitted."""
+    def _other_day_friction(self, owner: str) -> dict[str, Quantity]:
+        """Return friction term of a joint to its estimate, with the error for another day's log.
+
+        This error includes the scatter of friction from log to log. It is empty for a single log.
+        """
         friction = self.friction_of_logs
         if friction is None:
             return {}
-        values, errors = np.array([self.figure(name) for name in friction.names]).T
+        values, errors = np.array([self.quantity(name) for name in friction.names]).T
         next_errors = friction.between.next_log(errors)
         terms = friction.terms_of(owner).items()
         return {
@@ -214,7 +242,11 @@ class Answer:
         }
 
     def _friction_terms(self) -> dict[str, list[str]]:
-        """Return joint or motor to its estimated friction terms, without nuisances."""
+        """Return joint or motor to the names of its friction terms in the friction model.
+
+        Terms that are estimated or held at a bound count; terms that only a prior allows for (the
+        nuisances with the cause "friction model") do not.
+        """
         nuisances = set[str]()
         for group in self.fit.unknowns.groups:
             if group.cause == FRICTION:
@@ -230,16 +262,22 @@ class Answer:
                 terms.setdefault(owner[:-1], []).append(term)
         return terms
 
-    def _two_ways(
+    def _directional_coulomb(
         self, joint: str, terms: Mapping[str, Quantity]
     ) -> tuple[Quantity, Quantity] | None:
-        """Return Coulomb friction forward and backward, which differ by twice the offset [N m]."""
+        """Return (Coulomb friction forward, backward) of a joint [N m]: level plus, minus offset.
+
+        None where no offset or no level is estimated, or the level is held at a bound.
+
+        Args:
+            terms: friction term of the joint to its estimate.
+        """
         level = "coulomb" if "coulomb" in terms else "sigmoid"
         if level not in terms or "offset" not in terms or np.isnan(terms[level].error):
             return None
-        both = self.pick([f"{level}[{joint}]", f"offset[{joint}]"])
+        selection = self.selection_matrix([f"{level}[{joint}]", f"offset[{joint}]"])
         spread = np.sqrt(
-            np.maximum(np.diag(_SIGNS @ self.errors.of(both)[0] @ _SIGNS.T), 0.0)
+            np.maximum(np.diag(_SIGNS @ self.errors.of(selection)[0] @ _SIGNS.T), 0.0)
         )
         values = _SIGNS @ [terms[level].value, terms["offset"].value]
         forward, backward = zip(values.tolist(), spread.tolist())
@@ -253,16 +291,21 @@ class Answer:
         return names
 
     def sensors(self) -> dict[str, Quantity]:
-        """Return estimated scales, zeros, drift, tilt, delay, and friction that is a nuisance."""
+        """Return name to estimate of every parameter that is neither of a body nor of the friction
+        model: torque scales, encoder zeros, drift, tilt, delay, and nuisances of friction.
+        """
         excluded = self.body_names()
         for owner, terms in self._friction_terms().items():
             excluded.update(f"{term}[{owner}]" for term in terms)
         names = self.fit.unknowns.estimated_names
-        return {name: self.figure(name) for name in names if name not in excluded}
+        return {name: self.quantity(name) for name in names if name not in excluded}
 
 
 def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
-    """Return the contents of the model file, and sentences on what it leaves out."""
+    """Return (contents of the model file, sentences for the user on what the file leaves out).
+
+    The answer has to contain the fit for a file (``Answer.file``).
+    """
     assert answer.file is not None
     file = answer.file
     fit = answer.file.fit
@@ -284,7 +327,7 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
         }
         rotor = joint.model_terms.get("armature", 0.0)
         if fit.choice.rotors.get(owner, rotor) != rotor:
-            written["armature"] = answer.figure(f"armature[{owner}]")
+            written["armature"] = answer.quantity(f"armature[{owner}]")
         if written:
             joints[owner] = written
         elif owner in robot.joint_names:
@@ -319,7 +362,12 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
 
 
 def _urdf_note(file: ModelFile, urdf: ModelFile) -> str:
-    """Return a sentence on the URDF that is written with an MJCF."""
+    """Return a sentence that compares a URDF with the MJCF that is written beside it.
+
+    Args:
+        file: the MJCF, with motors that turn several joints.
+        urdf: the URDF, which cannot hold these motors.
+    """
     shares = []
     for test in (urdf.validation_after, file.validation_after):
         error = None if test is None else test.relative_error
@@ -333,12 +381,21 @@ def _urdf_note(file: ModelFile, urdf: ModelFile) -> str:
 
 
 def _offset_notes(file: Answer, test: Validation) -> Iterator[str]:
-    """Yield a sentence on torque offsets, which no file holds, where they exceed its error."""
+    """Yield a sentence on torque offsets where they are larger than the file's held-out error.
+
+    No model file can hold such offsets of torque sensors.
+
+    Args:
+        file: the fit for the model file and its errors, as an answer.
+        test: held-out error of the model file.
+    """
     fit = file.fit
     counts = zip(fit.columns.joints, sample_counts(fit.evidence.total))
     free = {j: count for j, count in counts if j not in fit.choice.offsets}
     names = fit.unknowns.estimated_names
-    offsets = {j: file.figure(f"offset[{j}]") for j in free if f"offset[{j}]" in names}
+    offsets = {
+        j: file.quantity(f"offset[{j}]") for j in free if f"offset[{j}]" in names
+    }
     squares = sum(offsets[joint].value ** 2 * free[joint] for joint in offsets)
     squared = squares / np.sum(fit.evidence.squared_torque)
     error = test.relative_error or 0.0
@@ -354,13 +411,15 @@ def _offset_notes(file: Answer, test: Validation) -> Iterator[str]:
 
 
 def written_payload(answer: Answer) -> tuple[Array, str]:
-    """Return the payload (10,) that a model gets, and why its inertia is not known; "" where it is.
+    """Return the payload (10,) to write into a model, and why its inertia is not identified.
 
-    Without a known inertia, the payload is a ball of aluminium of the estimated mass.
+    The reason is "" where the inertia is identified. Otherwise the payload is replaced by a ball of
+    aluminium of the estimated mass at the estimated centre of mass. The parameters are in the frame
+    of the terminal body.
     """
     theta = answer.fit.values[answer.fit.columns.indices(PAYLOAD_NAMES)]
     mass, com, _ = spatial.com_from_theta(theta)
-    body = answer.body("payload", answer.pick(PAYLOAD_NAMES), theta, None)
+    body = answer.body("payload", answer.selection_matrix(PAYLOAD_NAMES), theta, None)
     if mass <= 0.0 or is_inertia_known(body):
         return theta, ""
     moments, errors, _ = principal_moments(body)
@@ -372,7 +431,11 @@ def written_payload(answer: Answer) -> tuple[Array, str]:
 
 
 def estimate_of(answer: Answer) -> Estimate:
-    """Return all estimated parameters: the terminal link, friction, then the nuisances."""
+    """Return all k estimated parameters and their errors as a record.
+
+    The parameters of interest come first: the terminal link, a payload, friction, an estimated
+    delay and tilt. The nuisances follow: the other links, and the sensors.
+    """
     fit = answer.fit
     errors = answer.errors
     names = fit.unknowns.estimated_names
@@ -398,14 +461,18 @@ def estimate_of(answer: Answer) -> Estimate:
     )
 
 
-# Poses from which the structural base parameters follow.
+# Number of random poses from which the structural base parameters are computed.
 _RANDOM_POSES = 60
-# Length of a typical link, which scales its parameters [m].
+# Length of a typical link, from which the typical sizes of its parameters follow [m].
 _UNIT_LENGTH = 0.3
 
 
 def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
-    """Return the base parameters that the data identifies."""
+    """Return the base parameters of all links that the data identifies, with standard errors.
+
+    Args:
+        errors: of the k estimated parameters of the fit.
+    """
     names = fit.columns.bodies()
     order = np.sort(np.concatenate([names[n] for n in names if n != "payload"]))
     unknowns = fit.unknowns
@@ -439,14 +506,22 @@ def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
 
 
 def parameter_scale(links: int) -> Array:
-    """Return (10 links,) typical sizes of the parameters of links of 1 kg and 0.3 m."""
+    """Return (10 links,) typical sizes of the parameters of links of 1 kg and 0.3 m [SI].
+
+    Args:
+        links: number of links.
+    """
     return np.tile(spatial.parameter_scale(1.0, _UNIT_LENGTH), links)
 
 
 def structural_base(robot: RobotModel, seed: int = 0) -> BaseCombinations:
-    """Return the base parameters that any motion can show, from random motions.
+    """Return the base parameters that torques of all joints can identify with the best motion.
 
-    Columns are the links with mass, base to terminal, ten each.
+    They are computed from the regressor of random poses, speeds and accelerations. The parameters
+    are the ten of each link with mass, base to terminal.
+
+    Args:
+        seed: of the random motion.
     """
     rng = np.random.default_rng(seed)
     shape = (_RANDOM_POSES, robot.n_joints)

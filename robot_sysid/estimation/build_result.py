@@ -1,4 +1,8 @@
-"""From an answer to the Result record: the model file, the verdict, notes for the user, traces."""
+"""From an answer to the Result record: the model file, the verdict, notes for the user, traces.
+
+Shapes: the arm's chain has n joints, a fit p parameters (``Columns.names``), and a body ten
+inertial parameters (``PARAMETER_NAMES``), the first four its mass and first moments.
+"""
 
 from __future__ import annotations
 
@@ -62,15 +66,23 @@ from robot_sysid.results.record import (
 )
 
 WIDER = 2.0
-"""Factor of a widened prior above which a note is added."""
-# Standard errors from zero at which an encoder zero is significant.
+"""Factor on a prior's standard deviation, estimated from the data, above which a note is added."""
+# Distance of an encoder zero from zero, in standard errors, above which it is significant.
 _CLEAR = 3.0
-# Encoder zero that is too small for a note [rad].
+# Size of an encoder zero up to which no note is added, even if it is significant [rad].
 _SMALL_ZERO = 1e-3
 
 
 def result_of(answer: Answer, data: DataOrigin) -> Result:
-    """Return the result for an arm from recordings without a payload."""
+    """Return the result for an arm from recordings without a payload.
+
+    Its verdict is that of the first reason against the fit, the links or the model file; without
+    such a reason, it is that on the model file.
+
+    Args:
+        answer: the identified arm.
+        data: where the recordings come from.
+    """
     fit = answer.fit
     robot = answer.robot
     file = None
@@ -121,6 +133,7 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
 
 
 def _wrong_link_line(link: WrongLink) -> str:
+    """Return a sentence for the user on a link of the model that the recordings contradict."""
     moment = with_error(link.first_moment, link.error, "kg m")
     return (
         f"{link.name} of your model is probably wrong: mass x distance of its centre of mass "
@@ -129,7 +142,10 @@ def _wrong_link_line(link: WrongLink) -> str:
 
 
 def _file_verdict(answer: Answer) -> Judgement | None:
-    """Return the verdict on the written file against the given model; None without a file."""
+    """Return (verdict, reason) on the written file compared with the given model.
+
+    None where no file was fitted.
+    """
     if answer.file is None:
         return None
     return judge_file(
@@ -140,7 +156,10 @@ def _file_verdict(answer: Answer) -> Judgement | None:
 
 
 def _common(answer: Answer, data: DataOrigin) -> Result:
-    """Return the fields that results for a link and for a payload share."""
+    """Return a result with the fields that do not depend on whether a payload is identified.
+
+    Its verdict is a placeholder that callers replace.
+    """
     fit = answer.fit
     robot = answer.robot
     options = fit.question.options
@@ -175,7 +194,11 @@ def _common(answer: Answer, data: DataOrigin) -> Result:
 
 
 def _result_notes(answer: Answer, file: ModelFile | None) -> Iterator[str]:
-    """Yield sentences for the user on torque scale, couplings, priors, zeros and gravity."""
+    """Yield sentences for the user on torque scale, couplings, priors, zeros and gravity.
+
+    Args:
+        file: the written model file; None where none is written.
+    """
     scales = [f.value for n, f in answer.sensors().items() if n.startswith("scale[")]
     common_scale = float(np.mean(scales)) if answer.fit.choice.common_scale else 0.0
     # A first fit calls for the common scale; the last one may find it to be near zero.
@@ -196,12 +219,12 @@ def _result_notes(answer: Answer, file: ModelFile | None) -> Iterator[str]:
                 f"the recordings ask for errors by {group.cause} {group.widened:.1f} times as "
                 "large as was thought; those that are printed allow for it"
             )
-    for name, figure in answer.sensors().items():
-        large = abs(figure.value) > max(_CLEAR * figure.error, _SMALL_ZERO)
+    for name, quantity in answer.sensors().items():
+        large = abs(quantity.value) > max(_CLEAR * quantity.error, _SMALL_ZERO)
         if name.startswith("zero[") and large:
             yield (
-                f"the log reads {name[5:-1]} {1e3 * figure.value:.1f} \u00b1 "
-                f"{1e3 * figure.error:.1g} mrad too large; the links are those of the true "
+                f"the log reads {name[5:-1]} {1e3 * quantity.value:.1f} \u00b1 "
+                f"{1e3 * quantity.error:.1g} mrad too large; the links are those of the true "
                 "positions"
             )
     if file is not None and file.gravity is not None:
@@ -222,6 +245,8 @@ def payload_of(
     Args:
         answer: the fit whose scales and payload are reported, with the known mass if there is one.
         weighed: the fit without the known mass; equal to ``answer`` where there is none.
+        flange: the frame in which the payload is stated.
+        data: where the recordings come from.
     """
     fit = answer.fit
     robot = answer.robot
@@ -260,11 +285,16 @@ def payload_of(
 def _payload_estimate(
     answer: Answer, flange: Flange, values: Array, scatter: tuple[RecordingPayload, ...]
 ) -> Payload:
-    """Return the payload at values (p,), and the terminal link without and with it."""
+    """Return the record of the payload, and of the terminal link without and with the payload.
+
+    Args:
+        values: (p,) of all parameters, from which the three bodies are taken.
+        scatter: the payload according to each recording alone.
+    """
     columns = answer.fit.columns
     known_mass = answer.fit.question.known_mass
     scales = {
-        joint: answer.figure(f"scale[{joint}]")
+        joint: answer.quantity(f"scale[{joint}]")
         for joint in columns.joints
         if known_mass
     }
@@ -287,7 +317,10 @@ def _payload_estimate(
 
 
 def _without_inertia(payload: Payload) -> Payload:
-    """Return a payload without its inertia and that of the link with it."""
+    """Return the payload with all moments of inertia marked as not identified.
+
+    This holds for the payload and for the terminal link with the payload.
+    """
     is_first = np.arange(10) < 4  # mass and first moments
     body = payload.body
     total = payload.total
@@ -304,7 +337,11 @@ def _without_inertia(payload: Payload) -> Payload:
 
 
 def _arm_file(answer: Answer) -> tuple[ModelFile | None, tuple[str, ...]]:
-    """Return the model file of the arm without its payload, and notes on it."""
+    """Return (model file of the arm without its payload, notes on the file for the user).
+
+    The file is None where none was fitted, or where it predicts no better than the given model; a
+    note says so in the second case.
+    """
     judged = _file_verdict(answer)
     if judged is None or judged[0].is_trustworthy:
         return (None, ()) if judged is None else model_file(answer)
@@ -314,25 +351,37 @@ def _arm_file(answer: Answer) -> tuple[ModelFile | None, tuple[str, ...]]:
 
 
 def _payload(answer: Answer, flange: Flange, values: Array) -> BodyEstimate:
-    """Return the payload at values (p,), in the flange frame."""
-    change = np.stack([flange.to_flange(unit) for unit in np.eye(10)], axis=1)
-    theta = change @ values[answer.fit.columns.indices(PAYLOAD_NAMES)]
-    return answer.body("payload", change @ answer.pick(PAYLOAD_NAMES), theta, None)
+    """Return the payload with its errors, in the flange frame.
 
-
-def _link(answer: Answer, values: Array, loaded: bool) -> BodyEstimate:
-    """Return the terminal link at values (p,), without or with the payload."""
-    change = answer.pick(PARAMETER_NAMES)
-    theta = values[:10]
-    if loaded:
-        change = change + answer.pick(PAYLOAD_NAMES)
-        theta = theta + values[answer.fit.columns.indices(PAYLOAD_NAMES)]
-    name = answer.robot.body_name
+    Args:
+        values: (p,) of all parameters, from which the payload is taken.
+    """
+    to_flange = np.stack([flange.to_flange(unit) for unit in np.eye(10)], axis=1)
+    theta = to_flange @ values[answer.fit.columns.indices(PAYLOAD_NAMES)]
     return answer.body(
-        name, change, theta, None if loaded else answer.robot.prior.theta
+        "payload", to_flange @ answer.selection_matrix(PAYLOAD_NAMES), theta, None
     )
 
 
+def _link(answer: Answer, values: Array, loaded: bool) -> BodyEstimate:
+    """Return the terminal link with its errors, in the frame of its body.
+
+    Args:
+        values: (p,) of all parameters, from which the link is taken.
+        loaded: whether the payload is part of the link.
+    """
+    combinations = answer.selection_matrix(PARAMETER_NAMES)
+    theta = values[:10]
+    if loaded:
+        combinations = combinations + answer.selection_matrix(PAYLOAD_NAMES)
+        theta = theta + values[answer.fit.columns.indices(PAYLOAD_NAMES)]
+    name = answer.robot.body_name
+    return answer.body(
+        name, combinations, theta, None if loaded else answer.robot.prior.theta
+    )
+
+
+# Terms of parameter names with a joint in brackets that are no torque of friction.
 _NOT_FRICTION = ("armature", "zero", "scale", "drift")
 
 
@@ -343,21 +392,23 @@ def make_traces(
     estimate: Mapping[str, float],
     prior: Mapping[str, float],
 ) -> Traces:
-    """Return the measured and the predicted torques of all logs.
+    """Return the measured and the predicted torques of all logs, one log after the other.
 
     Args:
         samples: equations of each log.
-        motions: motion of each log, interpolated to the instants of its equations.
+        motions: motion of each log, which is interpolated here to the instants of its equations.
         estimate: parameter name to estimated value; missing parameters are zero.
-        prior: parameter name to value of the model, in the same way.
+        prior: parameter name to the model's value; missing parameters are zero.
     """
     joints = samples[0].joints
     indices = [robot.joint_names.index(joint) for joint in joints]
 
     def stack_joints(name: str) -> Array:
+        """Return a field of the samples, "tau" or "measured", of all logs (K, joints) [N m]."""
         return np.concatenate([np.stack(getattr(log, name), axis=1) for log in samples])
 
     def interpolate_motion(name: str) -> Array:
+        """Return a field of the motions, "q" or "qd", at the instants of all rows (K, joints)."""
         pieces = []
         for log, motion in zip(samples, motions):
             signals = getattr(motion, name).T[indices]
@@ -365,7 +416,7 @@ def make_traces(
             pieces.append(np.column_stack(interpolated))
         return np.concatenate(pieces)
 
-    missing = stack_joints("tau")
+    right_sides = stack_joints("tau")
     measured = stack_joints("measured")
     limits = robot.limits
     friction = {}
@@ -379,9 +430,10 @@ def make_traces(
         time=np.concatenate([log.time for log in samples]),
         q=interpolate_motion("q"),
         qd=interpolate_motion("qd"),
-        measured=np.where(np.isfinite(missing), measured, np.nan),
-        predicted=measured - missing + _products(samples, estimate),
-        prior_prediction=measured - missing + _products(samples, prior),
+        measured=np.where(np.isfinite(right_sides), measured, np.nan),
+        # A right-hand side lacks the torque that depends on no parameter: it is added back.
+        predicted=measured - right_sides + _products(samples, estimate),
+        prior_prediction=measured - right_sides + _products(samples, prior),
         friction=_products(samples, friction),
         limits=JointLimits(
             limits.lower[indices],
@@ -395,7 +447,11 @@ def make_traces(
 def _products(
     samples: Sequence[DecimatedSamples], values: Mapping[str, float]
 ) -> Array:
-    """Return the torque (K, joints) of parameters [N m]; missing ones are zero."""
+    """Return the torque (K, joints) of all logs' rows that named parameters make [N m].
+
+    Args:
+        values: parameter name to value; missing parameters are zero.
+    """
     coefficients = np.array([values.get(name, 0.0) for name in samples[0].names])
     torques = []
     for log in samples:
@@ -406,10 +462,11 @@ def _products(
 
 
 def traces_of(answer: Answer) -> Traces:
-    """Return the measured torques and the predictions of the written file and of the model.
+    """Return the measured torques, and the predictions of the written file and the given model.
 
-    Without a file, the first prediction is the fit's. Both contain the estimated offsets of the
-    torque sensors.
+    Without a file, the fit's predictions replace those of the file. Both predictions contain the
+    estimated offsets of the torque sensors. With a payload, the second prediction is that of the
+    fit without the payload.
     """
     fit = answer.fit if answer.file is None else answer.file.fit
     names = fit.columns.names

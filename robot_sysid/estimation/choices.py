@@ -1,13 +1,16 @@
-"""What the recordings decide: each joint's friction terms, couplings, the prior of links.
+"""Model selection from recordings: each joint's friction terms, couplings, the prior of links.
 
 In-sample errors fall with every friction term, so that terms are chosen by cross-validation
-(``held_out``). A joint starts with the simplest candidate and moves on as long as another one is
-clearly better on its own held-out torques.
+(``held_out``). A joint starts with the simplest candidate and moves on as long as another one
+predicts the joint's held-out torques clearly better.
 
 A coupling is a motor that turns several joints. One that turns at s = sum_j r_j qd_j (joint units)
 puts its torque tau_m on each of these joints in the same ratio: tau_j = r_j tau_m, because power is
 the same on both sides. Its own friction and rotor inertia follow s, not the joints' own speeds. A
 wrist whose last motor sits in the forearm is the usual case: r = 1 on the last two joints.
+
+Shapes: the chain has n joints; "joints" counts those with equations; p parameters
+(``Columns.names``), of which k are estimated; "blocks" are those of cross-validation.
 """
 
 from __future__ import annotations
@@ -70,13 +73,13 @@ CANDIDATES = (
     "coulomb-viscous-offset-armature-sqrt-load",
     "coulomb-viscous-offset-armature-stribeck-load",
 )
-"""Friction models to try, the same for every joint of every arm, simplest first."""
+"""Friction models that are compared for each joint, simplest first."""
 IN_FILE = CANDIDATES[0]
 """Friction model that any model file can hold."""
 WITH_POLYNOMIAL = CANDIDATES[5]
 """Friction model that an MJCF can hold."""
 WITH_ALL = "coulomb-viscous-offset-armature-sqrt-stribeck-load"
-"""Friction model that fits any friction by speed and load closely enough to judge its rows."""
+"""Friction model flexible enough that large residuals under it mean bad rows of a recording."""
 Errors = Mapping[str, Mapping[str, float]]
 """Joint to friction model to its held-out root mean square error [N m]."""
 
@@ -89,9 +92,13 @@ def choose(
 ) -> tuple[Choice, Errors, Point]:
     """Return (choice, held-out errors of friction models, point at which a fit may start).
 
+    The choice contains friction terms, couplings, the common torque scale, dry friction, the
+    autocorrelation of residuals and factors on the uncertainty of links.
+
     Args:
-        model: friction of every joint, where the user states it; None to choose it.
-        couplings: those of ``select_couplings``; None for all that have columns.
+        fitter: fits the recordings; its cached rows are replaced.
+        model: friction of every joint, where the user states it; None to select it by joint.
+        couplings: result of ``select_couplings``; None for all couplings that have columns.
     """
     if couplings is None:
         couplings = fitter.columns.couplings
@@ -121,7 +128,10 @@ def choose(
 
 
 def _link_evidence(fit: Fit) -> LinkEvidence | None:
-    """Return the evidence of a fit on the links that the model states; None without such links."""
+    """Return the evidence of a fit on how far the other links are off the model's values.
+
+    Only links count whose inertia the model states, not placeholders; None where there is none.
+    """
     group = next((group for group in fit.unknowns.groups if group.cause == LINKS), None)
     if group is None:
         return None
@@ -153,7 +163,9 @@ def _select_friction(
     of the selected nonlinear terms.
 
     Args:
-        noise: (joints,) of a fit of the simplest friction around the point [N m].
+        choice: all other choices, which stay.
+        point: linearisation point, with the estimate for the simplest friction.
+        noise: (joints,) effective standard deviation of torque noise around the point [N m].
     """
     squared, speeds, counts = _candidate_errors(fitter, question, choice, point, noise)
     friction = list(choice.friction)
@@ -181,9 +193,14 @@ def _select_friction(
 def _candidate_errors(
     fitter: Fitter, question: Question, choice: Choice, point: Point, noise: Array
 ) -> tuple[dict[str, Array], dict[str, Array], Array]:
-    """Return the held-out errors of all candidates for friction.
+    """Return the held-out errors of all friction models in ``CANDIDATES``.
 
-    A term that is nonlinear in a speed is tried at several speeds; each joint keeps its best.
+    A term that is nonlinear in a speed is tried at several speeds; each joint keeps the best one.
+
+    Args:
+        choice: all choices but friction.
+        point: linearisation point, whose speeds are replaced by those on trial.
+        noise: (joints,) effective standard deviation of torque noise [N m].
 
     Returns:
         (candidate to its squared errors (blocks, joints) [N^2 m^2], candidate to the speed
@@ -192,12 +209,8 @@ def _candidate_errors(
     robot = fitter.columns.robot
     squared: dict[str, Array] = {}
     speeds: dict[str, Array] = {}
-    for number in range(
-        max(
-            len(nonlinear_term.trial_speeds)
-            for nonlinear_term in NONLINEAR_TERMS.values()
-        )
-    ):
+    n_trials = max(len(term.trial_speeds) for term in NONLINEAR_TERMS.values())
+    for number in range(n_trials):
         trial_speeds = {
             term: np.full(robot.n_joints, nonlinear_term.trial_speeds[number])
             for term, nonlinear_term in NONLINEAR_TERMS.items()
@@ -228,13 +241,14 @@ def _candidate_errors(
 
 
 def clearly_best(scores: Mapping[str, Array]) -> str:
-    """Return the candidate that no other one is clearly better than.
+    """Return the friction model than which no other candidate is clearly better.
 
-    The search starts at the first candidate and moves to the best of the clearly better ones with
-    the fewest terms.
+    The search starts at the first candidate. Of the candidates that are clearly better than the
+    present one, it moves to the best of those with the fewest terms, until none is clearly better.
 
     Args:
-        scores: candidate to its mean squared errors (blocks,), simplest first.
+        scores: name of a friction model to its mean squared held-out errors (blocks,) [N^2 m^2],
+            simplest first.
     """
     best = next(iter(scores))
     while True:
@@ -249,9 +263,11 @@ def clearly_best(scores: Mapping[str, Array]) -> str:
 
 
 def is_scaled(fit: Fit, question: Question, choice: Choice) -> bool:
-    """Tell whether all torque scales, or all links' parameters, share one clear error.
+    """Tell whether all torque scales share one significant error.
 
-    Torques and links that are too large by the same share give the same rows.
+    Torques that read too large and model links that are too heavy by one factor give the same
+    rows, so that the error may as well be that of all links. Always false where an option states
+    the scales, or with a payload.
     """
     unknowns = _unknowns_of(fit, question, replace(choice, common_scale=COMMON_SCALE))
     names = [f"scale[{joint}]" for joint in fit.columns.joints]
@@ -263,7 +279,13 @@ def is_scaled(fit: Fit, question: Question, choice: Choice) -> bool:
 def posterior_of(
     fit: Fit, unknowns: Unknowns, names: Sequence[str]
 ) -> tuple[Array, Array]:
-    """Return values (m,) and covariance (m, m) of some unknowns, around a fit's point."""
+    """Return the estimate (m,) and covariance (m, m) of named unknowns, around a fit's point.
+
+    Args:
+        fit: gives the data and the weights of equations.
+        unknowns: parameters to estimate and their priors, which replace those of the fit.
+        names: (m,) of estimated parameters among ``unknowns``.
+    """
     problem = WithPriors(fit.evidence.of(unknowns), 1.0 / fit.weights)
     values, covariance, _ = problem.solve(unknowns.groups)
     indices = np.searchsorted(unknowns.estimated, fit.columns.indices(names))
@@ -271,7 +293,7 @@ def posterior_of(
 
 
 def dry_friction(fit: Fit) -> tuple[float, ...]:
-    """Return the dry friction (joints,) of each row's joint in a fit [N m]."""
+    """Return the dry friction (joints,) of a fit [N m]: Coulomb and sigmoid terms added up."""
     sizes = np.zeros(len(fit.columns.joints))
     for row, joint in enumerate(fit.columns.joints):
         names = [f"{term}[{joint}]" for term in ("coulomb", "sigmoid")]
@@ -280,21 +302,27 @@ def dry_friction(fit: Fit) -> tuple[float, ...]:
 
 
 CLEAR_EVIDENCE = 15.0
-"""By how much a coupling has to raise the logarithm of the marginal likelihood. That of a Staubli
-TX40's wrist does by 114 to 148; where there is none, one does by 3 at most on three logs of a KUKA
-LWR4+, and by 13 on 12 s of a UR10e."""
-# Factor on the prior of a motor that counts as absent.
+"""Least increase of the log marginal likelihood that shows a coupling. The coupling of a Staubli
+TX40's wrist gives 114 to 148. Arms without couplings give 3 at most on three logs of a KUKA LWR4+,
+and 13 on 12 s of a UR10e."""
+# Factor on the prior standard deviations of a motor's parameters that makes the motor absent.
 _ABSENT = 1e-4
-# Least standard deviation of a motor's parameters.
+# Least prior standard deviation of a motor's parameters [SI].
 _LEAST = 1e-9
-# Standard errors that one of a motor's parameters has to be away from zero.
+# Least distance of one of a motor's parameters from zero, in standard errors.
 _CLEAR = 3.0
-# Cosine from which on ratios of speeds are the same.
+# Cosine between speed ratios of two motors above which they are one motor.
 _SAME_DIRECTION = 1.0 - 1e-9
 
 
 def coupling(robot: RobotModel, ratios: Array, tendon: int | None = None) -> Coupling:
-    """Return the coupling with these ratios (n,), which may be a fixed tendon of the model."""
+    """Return the coupling of a motor with several joints, named after them ("joint_5+joint_6").
+
+    Args:
+        ratios: (n,) motor speed per joint speed, zero for joints it does not turn with.
+        tendon: MuJoCo id of the model's fixed tendon that is this motor, which gives the model's
+            friction and rotor inertia; None where the model has none.
+    """
     text = ""
     for joint, ratio in zip(robot.joint_names, ratios):
         if ratio != 0.0:
@@ -316,7 +344,7 @@ def coupling(robot: RobotModel, ratios: Array, tendon: int | None = None) -> Cou
 
 
 def couplings_of_model(robot: RobotModel) -> tuple[Coupling, ...]:
-    """Return the motors of the model that turn several joints of the arm.
+    """Return the model's fixed tendons that are motors which turn several joints of the arm.
 
     A tendon without friction and rotor inertia is no motor, but a spring or a gripper's fingers.
     """
@@ -328,7 +356,7 @@ def couplings_of_model(robot: RobotModel) -> tuple[Coupling, ...]:
 
 
 def neighbours(robot: RobotModel) -> Iterator[Coupling]:
-    """Yield the couplings that a wrist may have: each joint with the next one, of either sign."""
+    """Yield the couplings of each joint with the next one, with ratios (1, 1) and (1, -1)."""
     for joint in range(robot.n_joints - 1):
         for sign in (1.0, -1.0):
             ratios = np.zeros(robot.n_joints)
@@ -340,13 +368,14 @@ def neighbours(robot: RobotModel) -> Iterator[Coupling]:
 def couplings_of(
     robot: RobotModel, options: EstimationOptions
 ) -> tuple[tuple[Coupling, ...], tuple[Coupling, ...]]:
-    """Return (all couplings that get columns, those of them that need evidence from recordings).
+    """Return (all couplings that get regressor columns, the last ones of them on trial).
 
-    Couplings of the model and of the user's file need no evidence. Torques of the last joint alone
-    identify none.
+    Couplings on trial are used only where the recordings show them (``select_couplings``).
+    Couplings of the model and of the user's file are used without evidence. With torques of the
+    last joint alone, which identify no coupling, there are only those of the user's file.
 
     Raises:
-        InputError: the file that states them cannot be read, or does not fit the arm.
+        InputError: the file that states couplings cannot be read, or does not fit the arm.
     """
     stated = () if options.coupling is None else read_couplings(options.coupling, robot)
     if options.torques != "chain":
@@ -378,8 +407,12 @@ def select_couplings(
     """Return the couplings that need no evidence and the offered ones that have clear evidence.
 
     A motor is selected where it makes the torques clearly more likely, with noise estimated anew,
-    and one of its parameters is clearly not zero. Joint torque sensors behind the gears
-    measure no torque of motors, and so none of a motor that joints share.
+    and one of its parameters is clearly not zero. Joint torque sensors behind the gears do not
+    measure the friction of motors, so that no coupling is selected with them.
+
+    Args:
+        model: friction of every joint, where the user states it; None for the default.
+        offered: couplings that need evidence, the last ones of ``fitter.columns.couplings``.
     """
     couplings = fitter.columns.couplings
     joint_model = model or friction_model(DEFAULT_MEASURED)
@@ -404,10 +437,10 @@ def select_couplings(
 def _promising_couplings(
     fit: Fit, question: Question, offered: Sequence[Coupling]
 ) -> list[tuple[Coupling, ...]]:
-    """Return the couplings of a fit with one offered motor added, for at most the two best motors.
+    """Return at most two sets of couplings: those of a fit and one of the two best offered motors.
 
-    Motors are compared with the noise of the fit and without bounds on friction, which saves fits
-    with motors that cannot win.
+    Motors are compared with the noise of the fit and without bounds on friction, which is cheaper
+    than a fit of each. Motors that do not make the torques more likely are left out.
     """
     present = fit.choice.couplings
     candidates = [
@@ -437,10 +470,14 @@ def _promising_couplings(
 
 
 def _evidence_gain(fit: Fit, wider: Fit) -> float:
-    """Return the log marginal likelihood that the last motor of a wider fit adds.
+    """Return the increase of the log marginal likelihood by the last motor of a wider fit.
 
     It is minus infinity where none of the motor's parameters is clearly not zero. The number of
-    independent samples is that of the wider fit's residuals.
+    independent samples follows from the residuals of the wider fit.
+
+    Args:
+        fit: without the motor.
+        wider: with the motor as the last of its couplings.
     """
     prior = _motor_prior(fit, wider.unknowns, wider.choice.couplings[-1])
     priors = [*wider.unknowns.groups, prior]
@@ -467,9 +504,11 @@ def _evidence_gain(fit: Fit, wider: Fit) -> float:
 
 
 def _motor_prior(fit: Fit, unknowns: Unknowns, motor: Coupling) -> NuisanceGroup:
-    """Return the prior of a motor that turns several joints: each joint's own terms in a fit.
+    """Return the prior of the parameters of a motor that turns several joints, around zero.
 
-    A term that is nearly zero there may make a small share of the joint's root mean square torque.
+    The standard deviation of a term (Coulomb friction, rotor inertia, ...) is the largest value
+    that the term has at one of these joints in a fit, and at least such that it makes a share
+    ``LEAST_COULOMB`` of a joint's root mean square torque.
     """
     columns = fit.columns
     turned = np.flatnonzero(motor.ratios)
@@ -496,11 +535,11 @@ def _motor_prior(fit: Fit, unknowns: Unknowns, motor: Coupling) -> NuisanceGroup
 
 
 def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:
-    """Return the couplings that a file states.
+    """Return the couplings that a file of the user states.
 
     The file is JSON: ``{"motor": {"joint": ratio, ...}, ...}``, or a matrix with a row per motor
-    and a column per joint of the chain. Ratios are motor speed, seen through its own gear, per
-    joint speed. A motor that turns with one joint alone couples nothing and is left out.
+    and a column per joint of the chain. Ratios are motor speed, behind the motor's gear, per joint
+    speed. A motor that turns with one joint alone couples nothing and is left out.
 
     Raises:
         InputError: the file cannot be read, or does not fit the arm.
@@ -536,5 +575,6 @@ def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:
 
 
 def _is_number(value: Any) -> bool:
+    """Tell whether a JSON value is a finite number."""
     is_real = isinstance(value, (int, float)) and not isinstance(value, bool)
     return is_real and bool(np.isfinite(value))

@@ -1,4 +1,7 @@
-"""Covariance of all parameters, cause by cause.
+"""Covariance of the estimated parameters, cause by cause.
+
+Shapes: a fit has p parameters (``Columns.names``), of which k are estimated; "joints" counts the
+joints that have equations; an equation of joint j reads Y_j x = tau_j and has weight W_j.
 
 The low-pass of positions is one of the causes. Equations stay right under a filter that both their
 sides pass (``signals.low_pass``), but positions x pass one of their own, F, before velocities are
@@ -52,26 +55,28 @@ from robot_sysid.estimation.unknowns import (
 )
 from robot_sysid.records import Array, Measurement, Motion, PriorConflict
 
-# Causes of error, as they are called in results.
+# Cause in results: the low-pass of positions.
 FILTERING = "filtering"
+# Cause in results: parameters that are held at a bound.
 HELD = "friction at its bound"
-# Weight of a parameter without data below which it counts as rounding in a combination.
+# Coefficient of an unidentified parameter in a combination below which it counts as rounding error.
 _ROUNDING = 1e-9
-# Share of the largest eigenvalue from which on data determines parameters that are held at bounds.
+# Eigenvalue of information, as a share of the largest one, above which data determines a direction
+# of the parameters that are held at bounds.
 _SEEN = 1e-12
-# Largest logarithm of odds: beyond it the less likely model has no weight, and exp would overflow.
+# Largest log odds of two models: beyond it the less likely one has no weight, and exp overflows.
 _SURE = 500.0
 
 
 @dataclass(frozen=True)
 class FitErrors:
-    """Errors of the k unknowns of a fit.
+    """Errors of the k estimated parameters of a fit.
 
     Attributes:
-        total: errors of all causes together; noise is correlated in time.
-        causes: cause to rows A (m, k) of its covariance A^T A.
-        common: standard deviation of an error that all torque scales share, where neither data nor
-            prior determines it (a share).
+        total: errors of all causes together, including torque noise that is correlated in time.
+        causes: cause of error other than torque noise to the rows A (m, k) of its covariance A^T A.
+        common: standard deviation of an error that all torque scales share, as a share of the
+            torque, where neither data nor priors determine it; else zero.
         conflicts: causes whose errors exceed their priors by more than chance.
     """
 
@@ -81,69 +86,78 @@ class FitErrors:
     conflicts: tuple[PriorConflict, ...] = ()
 
     def of(
-        self, change: Array, theta: Array | None = None
+        self, combinations: Array, theta: Array | None = None
     ) -> tuple[Array, Array, dict[str, Array]]:
-        """Return the errors of linear combinations of the unknowns.
+        """Return the errors of m linear combinations of the estimated parameters.
 
         Args:
-            change: (m, k) the combinations.
-            theta: (m,) values of the combinations, to which an error of all torque scales applies;
-                None where it does not.
+            combinations: (m, k) coefficients of the combinations.
+            theta: (m,) values of the combinations, which an error shared by all torque scales
+                multiplies; None for combinations that torque scales leave alone.
 
         Returns:
-            (covariance (m, m), standard errors (m,) due to noise, cause to standard errors (m,)),
-            standard errors infinite where a combination is not identified.
+            (covariance (m, m), standard errors (m,) due to noise, cause to standard errors (m,)).
+            Standard errors are infinite where a combination is not identified.
         """
-        is_hidden = ~self.are_identified(change)
-        used = np.flatnonzero(np.any(change != 0.0, axis=0))
-        change_used = change[:, used]
+        is_hidden = ~self.are_identified(combinations)
+        used = np.flatnonzero(np.any(combinations != 0.0, axis=0))
+        used_combinations = combinations[:, used]
         block = np.ix_(used, used)
 
         def standard_errors(products: Array) -> Array:
+            """Return standard errors (m,) from the terms (m, terms) that add up to variances."""
             variances = np.maximum(np.sum(products, axis=1), 0.0)
             return np.where(is_hidden, np.inf, np.sqrt(variances))
 
-        covariance = change_used @ self.total.covariance[block] @ change_used.T
-        noise = change_used @ self.total.noise[block]
+        covariance = (
+            used_combinations @ self.total.covariance[block] @ used_combinations.T
+        )
+        noise = used_combinations @ self.total.noise[block]
         budget = {}
         for cause, rows in self.causes.items():
             if cause != COMMON:
-                budget[cause] = standard_errors((change_used @ rows[:, used].T) ** 2)
+                budget[cause] = standard_errors(
+                    (used_combinations @ rows[:, used].T) ** 2
+                )
         if self.common and theta is not None:
             covariance = covariance + self.common**2 * np.outer(theta, theta)
             budget[SCALES] = np.hypot(budget[SCALES], self.common * np.abs(theta))
-        return covariance, standard_errors(noise * change_used), budget
+        return covariance, standard_errors(noise * used_combinations), budget
 
-    def are_identified(self, change: Array) -> NDArray[np.bool_]:
-        """Return (m,) whether combinations (m, k) contain identified parameters alone."""
+    def are_identified(self, combinations: Array) -> NDArray[np.bool_]:
+        """Tell (m,) whether each of m combinations (m, k) contains identified parameters only."""
         hidden = np.isinf(self.total.standard_errors)
         return np.asarray(
-            np.max(np.abs(change[:, hidden]), axis=1, initial=0.0) < _ROUNDING
+            np.max(np.abs(combinations[:, hidden]), axis=1, initial=0.0) < _ROUNDING
         )
 
     def share(self, fit: Fit) -> Array:
-        """Return the share (k,) of each estimated value that comes from the data, not priors."""
+        """Return the share (k,), 0 to 1, of each estimated value that comes from data, not priors.
+
+        Args:
+            fit: the fit whose errors these are.
+        """
         shares = self.total.data_share.copy()
         names = fit.unknowns.estimated_names
         for group in fit.unknowns.groups:
             indices = group.indices(names)
             prior_variance = np.diag(group.widened**2 * group.factor @ group.factor.T)
-            remaining = np.diag(self.total.inverse)[indices] / prior_variance
-            shares[indices] = np.minimum(
-                shares[indices], np.clip(1.0 - remaining, 0.0, 1.0)
-            )
+            variance_ratio = np.diag(self.total.inverse)[indices] / prior_variance
+            data_share = np.clip(1.0 - variance_ratio, 0.0, 1.0)
+            shares[indices] = np.minimum(shares[indices], data_share)
         return shares
 
 
 def fit_errors(
     fit: Fit, residuals: Sequence[JointResiduals] = (), pull: Array | None = None
 ) -> FitErrors:
-    """Return the errors of a fit; noise may be correlated in time.
+    """Return the errors of a fit from all causes, with torque noise that is correlated in time.
 
     Args:
-        residuals: sums over lags of each joint's residuals; if empty, they are made of the fit's
-            rows, and without rows noise is white.
-        pull: (joints, p) of ``filtering_bias``; None computes it from the rows.
+        residuals: sums over lags of each joint's residuals, from which the autocorrelation of noise
+            follows; if empty, they are computed from the fit's rows. Without rows, noise is white.
+        pull: (joints, p) sum of ``filtering_bias`` over all recordings; None computes it from the
+            fit's rows.
     """
     if pull is None:
         point = replace(fit.point, values=fit.values)
@@ -181,12 +195,16 @@ def fit_errors(
 
 
 def _unlikely_move(fit: Fit) -> Array:
-    """Return the part of the move to consistent bodies that chance does not explain, (0 or 1, k).
+    """Return the part of the step to physically consistent bodies that chance does not explain.
 
-    The true bodies are consistent, so that the cost of the move, the squared effect in standard
-    deviations of noise and priors, is at most chi-square in the bodies' parameters: up to that, the
-    errors of noise and priors cover the move. A larger cost has another cause, which may make the
-    estimate as wrong as the move is long.
+    The step leads from the unconstrained estimate ``Fit.free`` to the constrained one. The true
+    bodies are consistent, so that its cost, the squared effect in standard deviations of noise and
+    priors, is at most chi-square in the bodies' parameters: up to that, the errors of noise and
+    priors cover the step. A larger cost has another cause, which may make the estimate as wrong as
+    the step is long.
+
+    Returns:
+        (1, k) change of the estimated parameters; (0, k) where chance explains all of it.
     """
     move = (fit.values - fit.free)[None, fit.unknowns.estimated]
     cost = squared_effect(fit, fit.values - fit.free)
@@ -203,7 +221,12 @@ def _unlikely_move(fit: Fit) -> Array:
 
 
 def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
-    """Return the errors that noise and priors explain; see ``fit_errors``."""
+    """Return the errors of a fit that torque noise and priors explain.
+
+    Args:
+        residuals: sums over lags of each joint's residuals; if empty, they are computed from the
+            fit's rows. Without rows, noise is white.
+    """
     release_memory()
     information = fit.information
     weights = fit.weights
@@ -224,17 +247,18 @@ def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
 
 
 def _conflicts(fit: Fit, effective: Sequence[float]) -> tuple[PriorConflict, ...]:
-    """Return the causes whose errors exceed their priors by more than chance.
+    """Return the causes of error that are larger than their priors allow, by more than chance.
 
-    Noise counts as in the errors: by ``effective`` (joints,) independent samples. Residuals alone
-    show more of them, because the fit follows slow noise.
+    Args:
+        effective: (joints,) number of independent samples. The autocorrelation of the residuals
+            would give more of them, because the fit follows slow noise.
     """
     if fit.question.loaded or fit.question.in_file:
         return ()
     rows_per_sample = sample_counts(fit.evidence.total) / np.maximum(effective, 1.0)
     noise = np.sqrt(np.maximum(rows_per_sample, 1.0) * fit.inflation) * fit.noise
     conflicts = misfits(fit.evidence.of(fit.unknowns), noise, fit.unknowns.groups)
-    # The prior of links is widened already (``link_scales``), and has its own test.
+    # The prior of links is widened already (``Choice.link_scales``), and has its own test.
     return tuple(conflict for conflict in conflicts if conflict.cause != LINKS)
 
 
@@ -246,9 +270,13 @@ def _further_causes(
 ) -> Iterator[tuple[str, Array]]:
     """Yield (cause, rows A (m, k) of its covariance A^T A) of errors that the fit's priors lack.
 
-    A prior that the data contradicts counts as wide as the data needs it. A common torque scale in
-    the fit may be zero in truth. A parameter at its bound counts as free: noise may have pushed it
-    there.
+    A prior that the data contradicts is widened until they agree. A common torque scale in the fit
+    may be zero in truth. A parameter at its bound counts as free: noise may have pushed it there.
+
+    Args:
+        inverse: (k, k) inverse of the information of data and priors.
+        causes: cause to the rows of its covariance according to the priors.
+        conflicts: the priors that the data contradicts.
     """
     for conflict in conflicts:
         excess = (conflict.deviation / conflict.scale) ** 2 - 1.0
@@ -272,10 +300,10 @@ def _further_causes(
 
 
 def _scaled_friction(fit: Fit) -> Array:
-    """Return the errors of friction and rotors due to torque scales, rows (joints, k).
+    """Return the errors (joints, k) of friction and rotor inertia due to each joint's torque scale.
 
-    The column of a scale is the torque of the links alone, so that friction and rotors are
-    estimated in units of the sensor: their relative error is that of the scale.
+    The regressor column of a scale is the torque of the links alone, so that friction and rotors
+    are estimated in units of the sensor: their relative error is that of the scale.
     """
     spread = scale_spread(fit.columns, fit.question.options, fit.question.loaded)
     names = fit.unknowns.estimated_names
@@ -313,9 +341,17 @@ def _common_scale_change(fit: Fit) -> Array:
 
 
 def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals]:
-    """Return sums over lags of rows other than the fit's, in the columns of all parameters.
+    """Return sums over lags of one log's residuals at the estimate of a fit, one per joint.
 
-    They include friction at its bound: a fit to the sum over all logs may not hold it there.
+    Sums of several logs add, and ``residuals_within`` restricts them to the unknowns of a later
+    fit. They include friction at its bound: a fit to the sum of all logs may not hold it there.
+
+    Args:
+        fit: gives the estimate and the noise.
+        samples: rows of the log.
+
+    Returns:
+        The sums per joint; ``columns`` are indices among all p parameters.
     """
     unknowns = fit.unknowns
     weights = fit.weights
@@ -338,7 +374,14 @@ def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals
 def residuals_within(
     fit: Fit, residuals: Sequence[JointResiduals]
 ) -> list[JointResiduals]:
-    """Return sums over lags, in the columns of all parameters, in those of a fit's unknowns."""
+    """Return sums over lags, restricted to the parameters that a fit estimates.
+
+    Args:
+        residuals: per joint, with ``columns`` among all p parameters (``residuals_to_add``).
+
+    Returns:
+        The sums per joint, with ``columns`` among the k estimated parameters.
+    """
     indices = fit.unknowns.estimated
     restricted_sums = []
     for joint in residuals:
@@ -353,7 +396,11 @@ def residuals_within(
 
 
 def _common_scale_error(fit: Fit) -> float:
-    """Return the standard deviation of a common torque scale error that no data determines."""
+    """Return the standard deviation of a torque scale error that all joints share, a share.
+
+    It is zero unless the fit holds the mean of all scales (cause ``COMMON``), which data does not
+    determine.
+    """
     groups = {group.cause: group for group in fit.unknowns.groups}
     if COMMON not in groups or SCALES not in groups:
         return 0.0
@@ -364,9 +411,15 @@ def _common_scale_error(fit: Fit) -> float:
 def filtering_bias(
     columns: Columns, point: Point, dataset: Dataset, samples: DecimatedSamples
 ) -> Array:
-    """Return Y_j^T d_j of each joint j, (joints, p), of one recording's rows; zero at rest.
+    """Return Y_j^T d_j (joints, p) of a recording: the effect of its low-pass on normal equations.
 
-    The point holds the estimate; d is the difference in torque of a second low-pass [N m].
+    d_j (K,) is the change in joint j's torque by a second low-pass of the positions [N m]. It is
+    zero for a recording of poses at rest.
+
+    Args:
+        point: linearisation point, with the estimate as its values.
+        dataset: the recording, from which the delay of the point is removed.
+        samples: its rows around the point.
     """
     pull = np.zeros((len(samples.joints), len(samples.names)))
     if dataset.signals is None:
@@ -390,7 +443,11 @@ def filtering_bias(
 
 
 def _torques(equations: Equations, motion: Motion, values: Array) -> list[Array]:
-    """Return the torque (K,) of each joint at values (p,) of the equations' parameters [N m]."""
+    """Return the torque (K,) of each joint along a motion [N m], computed in pieces of the motion.
+
+    Args:
+        values: of the parameters of the equations, in their order.
+    """
     width = motion.q.shape[1] * len(values)
     pieces = []
     for time, q, qd, qdd in split_motion(width, *vars(motion).values()):

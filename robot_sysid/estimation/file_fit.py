@@ -313,7 +313,7 @@ def predictive_link_scales(
     """Return the least factor on the links' uncertainty whose held-out error is about the lowest.
 
     Factors are tried until the error rises. They are for a file, which has to predict well; the
-    uncertainty of links is estimated in ``link_scales``.
+    uncertainty of links is estimated by ``priors.average_scales``.
     """
     scores = list[float]()
     for scale in SCALES:
