@@ -1,15 +1,15 @@
-"""Which answers of motors are believed, whether they are scaled right, and bounds of commands.
+"""Plausibility of motors' answers, checks of their scaling, and bounds of commands.
 
-Serial adapters have no checksum between the bus and the computer, so one damaged character makes a
-position radians wrong or a healthy motor faulty. A sample is believed when it follows from the last
-believed one: how far the joint came agrees with its speeds, the speed changed no faster than a
-motor can change it, and the reported torque changed as the command did. One that does not follow is
-set aside; nothing uses it. When the next one follows from it, both were true: that is a finding.
+Serial adapters have no checksum between the bus and the computer, so one damaged character can make
+a position wrong by radians or a healthy motor look faulty. ``SampleFilter`` believes a sample that
+is plausible after the last believed one: the change of position agrees with the velocities, the
+velocity changed no faster than a motor can change it, and the reported torque changed as the
+command did. An implausible sample is not used, unless the next sample confirms it.
 
-Positions, velocities and torques are scaled by numbers stored in the motor. If one is wrong, every
-value is wrong by the same factor and nothing else seems odd.
+Positions, velocities and torques are scaled by numbers stored in the motor. If one of these is
+wrong, every value is wrong by a constant factor, which the two scaling checks detect.
 
-Every command to a motor passes ``CommandBounds``.
+Every command to a motor has to keep to ``CommandBounds``.
 """
 
 from __future__ import annotations
@@ -27,37 +27,42 @@ from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
 NO_STATUS = -1
+"""Status of a joint that sent no believed answer in a cycle."""
 Mask = NDArray[np.bool_]
 Counts = NDArray[np.int64]
 
-# The most by which a joint's motion changes between two samples: judgements [rad, rad/s^2, share].
-# 200 rad/s^2 is 7 N m (a DM4310) on a light 0.035 kg m^2; a slip of 0.15 rad has to be seen.
+# Judgements: a slip of 0.15 rad has to be noticed.
 _LEAST_JUMP = 0.05
+"""Distance from the position expected by velocity that is always plausible [rad]."""
 _TOP_ACCELERATION = 200.0
+"""Largest plausible acceleration [rad/s^2]: 7 N m (a DM4310) on a light joint, 0.035 kg m^2."""
 _SPEED_DOUBT = 0.5
-# A blow or a stop within one cycle of 4 ms takes this much speed at least [rad/s].
+"""Share of the expected change of position by which the position may be wrong as well."""
 _LEAST_SPEED_CHANGE = 1.0
-# Of the peak torque: how far a reported torque changes beside the command's own change.
+"""Change of velocity that is always plausible [rad/s]: by a blow or a stop in a cycle of 4 ms."""
 _TORQUE_DOUBT = 0.3
-# Windings warm up by a degree in seconds [deg C].
+"""Largest plausible change of reported minus commanded torque, as a share of the peak torque."""
 _HEAT_CHANGE = 5.0
+"""Largest plausible change of temperature [deg C]: windings warm up by a degree in seconds."""
 
 
 @dataclass(frozen=True)
 class Replies:
-    """Answers of n joints in one cycle; status -1, values NaN where none came that is believed.
+    """Answers of n joints in one control cycle.
 
     Attributes:
-        answered: (n,) joints whose answer came in time and is believed.
-        time: (n,) when each joint took its sample, in the link's clock [s]: when its command was on
-            the bus where the adapter reports that, else when the reply arrived.
-        feedback: state that the joints reported, each field (n,), in joint space.
-        requested: (n,) joints that were sent a command or a request.
-        command: in force now, as the motors read it.
-        doubted: (n,) joints whose answer came but was set aside.
-        jump: (n,) how far a joint's position jumped, as two samples in a row say; else 0 [rad].
-        surplus: (n,) answers beyond the one that was due.
-        foreign: (n,) commands to this joint's motor that another program sent.
+        answered: (n,) whether the joint's answer came in time and is believed.
+        time: (n,) time of each joint's sample in the link's clock [s]: when its command was on the
+            bus where the adapter reports that, else when the reply arrived; NaN without an answer.
+        feedback: state that the joints reported, each field (n,), in joint space; without a
+            believed answer the status is ``NO_STATUS`` and the quantities are NaN.
+        requested: (n,) whether the joint was sent a command or a request.
+        command: command in force now as the motors read it, or None.
+        doubted: (n,) whether an answer came that is not believed.
+        jump: (n,) change of position that two samples in a row confirm although no joint can move
+            so fast [rad]; 0 where there is none.
+        surplus: (n,) number of answers beyond the one that was due.
+        foreign: (n,) number of commands that another program sent to this joint's motor.
     """
 
     answered: Mask
@@ -87,11 +92,12 @@ class _Samples:
     """One sample per joint; every field is (n,).
 
     Attributes:
-        time: when the sample was taken [s].
-        q, qd: position and velocity [rad, rad/s].
-        torque_error: reported torque minus the commanded one [N m].
+        time: time of the sample [s].
+        q: position [rad].
+        qd: velocity [rad/s].
+        torque_error: reported torque minus commanded torque [N m].
         enabled: whether the motor reports that it is enabled.
-        heat: the higher of its two temperatures [deg C].
+        heat: the higher of the motor's two temperatures [deg C].
     """
 
     time: Array
@@ -102,7 +108,7 @@ class _Samples:
     heat: Array
 
     def where(self, selected: Mask, other: _Samples) -> _Samples:
-        """Return the samples of these for joints ``selected`` (n,), and of ``other`` elsewhere."""
+        """Return these samples for joints ``selected`` (n,), and ``other`` for the others."""
         names = vars(self)
         merged = {}
         for name in names:
@@ -111,12 +117,12 @@ class _Samples:
 
 
 class _Change(NamedTuple):
-    """How plausible the changes of n joints between two samples are.
+    """Plausibility of the changes of n joints between two samples.
 
     Attributes:
-        jumps: whether a position (n,) changed by more than a joint can move.
-        bends: whether a torque error (n,) changed by more than it can.
-        is_plausible: whether positions, velocities, torques and temperatures (n,) all can be true.
+        jumps: (n,) whether the position changed by more than a joint can move.
+        bends: (n,) whether reported minus commanded torque changed by more than plausible.
+        is_plausible: (n,) whether position, velocity, torque and temperature all are plausible.
     """
 
     jumps: Mask
@@ -125,10 +131,10 @@ class _Change(NamedTuple):
 
 
 class SampleFilter:
-    """Decides which answers of n motors are believed; holds the last believed samples.
+    """Decides which answers of n joints are believed; holds the last believed samples.
 
     Args:
-        peak_torque: (n,) of each joint [N m].
+        peak_torque: (n,) peak torque of each joint [N m].
         velocity_step: (n,) one quantisation step of each joint's velocity [rad/s].
     """
 
@@ -153,16 +159,21 @@ class SampleFilter:
         return self._last.qd
 
     def start(self, time: float, q: Array) -> None:
-        """Believe that the arm stands at q (n,) [rad] at a time [s]."""
+        """Take q (n,) [rad] at zero velocity as the last believed sample, of ``time`` [s]."""
         zero_speed = np.zeros_like(q)
         self._last = replace(
             self._last, time=zero_speed + time, q=q.copy(), qd=zero_speed
         )
 
     def believe(self, replies: Replies, acted: protocol.MitCommand | None) -> Replies:
-        """Return replies without the answers that are not believed.
+        """Return replies in which implausible answers count as missing, with jumps and doubts.
 
-        ``acted`` is the command in force when the samples were taken.
+        The believed answers become the last samples, to which the next answers are compared.
+
+        Args:
+            replies: answers of a cycle as they arrived.
+            acted: command in force when the samples were taken, fields (n,); None if unknown, then
+                torques are not judged.
         """
         feedback = replies.feedback
         q = feedback.position
@@ -179,8 +190,8 @@ class SampleFilter:
         follows = change.is_plausible & (now.enabled | ~self._last.enabled)
         repeated = self._compare(self._suspect, now).is_plausible & self._is_suspected
         repeated &= now.enabled == self._suspect.enabled
-        # A position that the motor's own control does not see is none, however often it comes; and
-        # a motor that switches itself off does not jump.
+        # A repeated jump is not believed where the torque does not match the new position, which
+        # the motor's own control then does not measure, nor where the motor is disabled.
         repeated &= ~(change.jumps & (change.bends | ~now.enabled))
         believed = came & (follows | repeated)
         jumped = believed & ~follows & change.jumps
@@ -231,27 +242,29 @@ def _hide_doubted(replies: Replies, doubted: Mask, jump: Array) -> Replies:
     )
 
 
-# Long beside a cycle and short beside a swing; ten of them give a scatter [s].
 _WINDOW = 0.2
+"""Time over which velocity is integrated [s]: long against a cycle, short against a swing."""
 _LEAST_WINDOWS = 10
-# How far the slope may be from 1: two types' VMAX differ by a tenth or more (45 and 50).
+"""Least number of windows from which a slope is judged."""
 _SLOPE_TOLERANCE = 0.03
-# Within one window: how far a joint may come beside its velocity, plus a share of that way [rad].
+"""Error of a slope that is accepted: VMAX of two types differ by a tenth or more (45 and 50)."""
 _LEAST_SLIP = 0.02
+"""Difference of position change and integrated velocity that is accepted in a window [rad]."""
 _SLIP_SHARE = 0.05
-# Where a mean speed may be so much more than the last one of a cycle, slip cannot be told.
+"""Share of the path's length in a window by which this difference may be larger."""
 _COARSE = 1.3
+"""Ratio of a cycle's mean velocity to its last one above which slip cannot be judged."""
 
 
 @dataclass(frozen=True)
 class Slip:
-    """A joint whose position changed otherwise than its velocity says, within one window.
+    """A joint whose change of position disagrees with its integrated velocity in one window.
 
     Attributes:
-        joint: its number.
-        integral: of its velocity over the window [rad].
-        change: of its position over the window [rad].
-        speed: difference of the two over the window's length [rad/s].
+        joint: index of the joint.
+        integral: integral of the reported velocity over the window [rad].
+        change: change of the reported position over the window [rad].
+        speed: unexplained part of the change, divided by the window's length [rad/s].
     """
 
     joint: int
@@ -261,7 +274,7 @@ class Slip:
 
     @property
     def description(self) -> str:
-        """What the joint does, as the end of a sentence that begins with its name."""
+        """What the joint does: the end of a sentence that begins with the joint's name."""
         if abs(self.integral + self.change) < 0.3 * abs(self.change):
             return "moves against the velocity that it reports: the sign of one is reversed"
         return (
@@ -273,17 +286,21 @@ class Slip:
 class VelocityScalingCheck:
     """Checks whether the velocities that n joints report integrate to their positions.
 
-    The slope of position change against integrated velocity, over short windows, has to be 1. How
-    well it can be known depends on the scatter and on the steps (n,) of the velocity channel
-    [rad/s]: an error of up to half a step, the same all through a window, is allowed for.
+    The slope of position change against integrated velocity, over short windows, has to be 1. Its
+    uncertainty depends on the scatter and on the quantisation of velocity: a constant error of half
+    a step throughout a window is allowed for.
 
-    Velocities are sampled at the end of each command's time, when a joint of little inertia has
-    slowed down. Without any it is v = v_des + k (p_des - p), k = kp / kd, so that in steady motion
-    the mean over a cycle T is (exp(kT) - 1) / (kT) times the last velocity; with inertia it is
-    between 1 and this. ``fades`` (n,) is kT.
+    Velocities are sampled at the end of each control cycle, when a joint of little inertia has
+    slowed down. A joint without inertia has the velocity v = v_des + k (p_des - p), k = kp / kd; in
+    steady motion its mean over a cycle T is (exp(kT) - 1) / (kT) times the last velocity. With
+    inertia the ratio is between 1 and this.
+
+    Args:
+        velocity_step: (n,) one quantisation step of velocity [rad/s].
+        fades: (n,) the product kT, above 0.
 
     Attributes:
-        explained: (n,) the largest mean velocity of a cycle over its last one.
+        explained: (n,) largest possible ratio of a cycle's mean velocity to its last one.
     """
 
     def __init__(self, velocity_step: Array, fades: Array) -> None:
@@ -299,9 +316,9 @@ class VelocityScalingCheck:
         self._sums = np.zeros((6, n_joints))
 
     def add(self, time: Array, q: Array, qd: Array) -> Slip | None:
-        """Add one sample (n,) per joint [s, rad, rad/s]; NaN where a joint did not answer.
+        """Add one sample per joint; return a joint that slipped in a completed window, or None.
 
-        Returns a joint that slipped in a window which this sample completes.
+        ``time``, ``q`` and ``qd`` are (n,) [s, rad, rad/s], NaN where a joint did not answer.
         """
         fresh = np.isfinite(time) & np.isfinite(q)
         if self._last is None:
@@ -331,7 +348,13 @@ class VelocityScalingCheck:
         return slip
 
     def _slip(self, integral: Array, change: Array, path: Array) -> Slip | None:
-        """Return the joint that slipped, of integrals, changes and lengths of paths (n,) [rad]."""
+        """Return the joint whose position change is farthest beyond its tolerance, or None.
+
+        Args:
+            integral: (n,) integrated velocity in the window [rad]; 0 for joints not to be judged.
+            change: (n,) change of position [rad].
+            path: (n,) integrated absolute velocity [rad].
+        """
         fastest = integral * self.explained
         lower = np.minimum(integral, fastest)
         upper = np.maximum(integral, fastest)
@@ -348,9 +371,9 @@ class VelocityScalingCheck:
         )
 
     def worst(self) -> tuple[int, float] | None:
-        """Return (joint, slope) of a joint whose slope is surely off, or None.
+        """Return index and slope of the joint whose slope is significantly off 1, or None.
 
-        The doubt is three standard errors plus the largest effect of rounded velocities.
+        A slope's uncertainty is three standard errors plus the largest effect of rounding.
         """
         count, x, y, xx, xy, yy = self._sums
         n = np.maximum(count, 1.0)
@@ -374,34 +397,33 @@ class VelocityScalingCheck:
 def _farthest_from_one(
     ratio: Array, doubt: Array, tolerance: float
 ) -> tuple[int, float] | None:
-    """Return number and ratio of the joint whose ratio (n,) is surely farthest from 1.
+    """Return index and ratio of the joint whose ratio (n,) exceeds its doubt (n,) the most.
 
-    None where no ratio differs from 1 by its doubt (n,) and ``tolerance`` more.
+    None where no ratio differs from 1 by more than its uncertainty ``doubt`` plus ``tolerance``.
     """
     excess = np.abs(ratio - 1.0) - doubt
     j = int(np.argmax(excess))
     return (j, float(ratio[j])) if excess[j] > tolerance else None
 
 
-# A tenth of a second at 250 Hz.
 _ENOUGH_SAMPLES = 25
-# Torque is an estimate from the current; but both directions use the same constant. Two types' TMAX
-# differ by a fifth or more (10 and 12).
+"""Least number of samples from which a ratio is judged: a tenth of a second at 250 Hz."""
 _RATIO_TOLERANCE = 0.15
-# Half the speed on the way to the first point [rad/s].
+"""Error of a torque ratio that is accepted: TMAX of two types differ by a fifth (10 and 12)."""
 _SLOW = 0.1
+"""Velocity below which samples are used [rad/s]: half the default approach speed."""
 
 
 class TorqueScalingCheck:
     """Checks whether n motors report the torque that they were commanded to make.
 
-    A motor makes kp (p - q) + kd (v - qd) + t and reports what it makes. Both numbers are known in
-    each cycle, so their ratio is; a motor whose TMAX is another than its register says, or that
-    counts before its gear, shows by it, and so would every mass identified from it.
+    A motor is commanded to make kp (p - q) + kd (v - qd) + t and reports the torque that it makes.
+    The ratio of reported to commanded torque differs from 1 where a motor's TMAX is not the value
+    of its register or it reports torque before its gear; identified masses would be wrong by it.
 
     Args:
         torque_step: one quantisation step (n,) [N m].
-        peak: peak torque (n,) [N m]; beyond it a motor does not do as commanded.
+        peak: peak torque (n,) [N m]; above nine tenths of it a motor may fail to follow commands.
     """
 
     def __init__(self, torque_step: Array, peak: Array) -> None:
@@ -426,9 +448,9 @@ class TorqueScalingCheck:
         self._sums += np.stack([usable.astype(float), x * x, x * y])
 
     def worst(self) -> tuple[int, float] | None:
-        """Return (joint, ratio) of a joint that surely reports another torque, or None.
+        """Return index and ratio of the joint whose ratio is significantly off 1, or None.
 
-        The doubt of a ratio is what rounding makes of the size of the torques seen so far.
+        A ratio's uncertainty is the rounding error divided by the rms of the commanded torques.
         """
         count, xx, xy = self._sums
         size = np.sqrt(xx / np.maximum(count, 1.0))
@@ -438,8 +460,8 @@ class TorqueScalingCheck:
         return _farthest_from_one(ratio, doubt, _RATIO_TOLERANCE)
 
 
-# Relative; what rounding to frames and back leaves of a command that is at its bound.
 _ROUNDING = 1e-6
+"""Relative error of a command at its bound after conversion to frames and back."""
 
 
 class BeyondBounds(HardwareAbort):
@@ -455,8 +477,9 @@ class CommandRange:
     """Positions and speeds that commands of n joints may have, each (n,).
 
     Attributes:
-        lower, upper: positions: the model's range, or else that of the file [rad].
-        speed: of a commanded position's change, and of a commanded velocity [rad/s].
+        lower: least position [rad], from the model's range or else the trajectory's.
+        upper: greatest position [rad].
+        speed: greatest rate of change of a commanded position, and commanded velocity [rad/s].
     """
 
     lower: Array
@@ -475,7 +498,7 @@ class CommandBounds:
     """Bounds of every command of n joints, each (n,).
 
     Attributes:
-        command_range: of positions and speeds.
+        command_range: range of positions and speeds.
         torque: largest sum of kp times position error and feed-forward torque [N m].
         position_step: one quantisation step of a commanded position [rad].
         velocity_step: one quantisation step of a commanded velocity [rad/s].
@@ -496,7 +519,10 @@ class CommandBounds:
         return replace(self, command_range=CommandRange(lower, upper, current.speed))
 
     def _reach(self, last: Array, elapsed: Array) -> tuple[Array, Array]:
-        """Return the least and the greatest position (n,) that may be commanded now [rad]."""
+        """Return the least and the greatest position (n,) [rad] that may be commanded now.
+
+        ``last`` (n,) are the positions commanded last [rad], ``elapsed`` (n,) the time since [s].
+        """
         current = self.command_range
         reach = current.speed * elapsed
         last = np.clip(last, current.lower, current.upper)
@@ -516,10 +542,10 @@ class CommandBounds:
 
         Args:
             labels: names of the n joints, for messages.
-            command: what is to be sent.
+            command: command that is to be sent, fields (n,), in joint space.
             last: (n,) positions commanded last [rad].
-            elapsed: (n,) time since then [s].
-            q: (n,) where the joints are believed to be [rad].
+            elapsed: (n,) time since the last command [s].
+            q: (n,) last believed positions [rad]; NaN where a joint has never answered.
 
         Raises:
             Overload: the command needs more torque than the motor makes.
@@ -542,7 +568,7 @@ class CommandBounds:
             raise BeyondBounds(
                 f"{labels[j]} would be told {command.velocity[j]:.2f} rad/s, limit {limit:.2f}"
             )
-        # Where a joint has never been heard, nothing is known of its error.
+        # A joint that has never answered has an unknown position error: only its torque counts.
         error = np.nan_to_num(command.position - q)
         requested = np.abs(command.kp * error + command.torque)
         available = self.torque + self.torque_step + command.kp * self.position_step
@@ -556,7 +582,7 @@ class CommandBounds:
     def confine(
         self, command: MitCommand, last: Array, elapsed: Array, q: Array
     ) -> MitCommand:
-        """Return the nearest command within the bounds; for the other arguments see ``require``."""
+        """Return the command limited to the bounds, except damping; arguments: ``require``."""
         lowest, highest = self._reach(last, elapsed)
         position = np.where(np.isfinite(command.position), command.position, last)
         position = np.clip(position, lowest, highest)

@@ -1,7 +1,7 @@
-"""One observer of the whole arm: it stops a run when signals disagree, and names the cause.
+"""An observer of all joints, which stops a run when signals disagree, and names the cause.
 
-Every cycle it compares what each motor was commanded, what it reports, and what the arm needs.
-Which of these disagree, and for which joints, names the cause:
+In every control cycle it compares each motor's command, the state that the motor reports, and the
+torque that the arm needs. The cause follows from which of these disagree, and for which joints:
 
 =====================================  =========================================================
 the bus                                answers missing, damaged, doubled; commands of others
@@ -11,8 +11,10 @@ position, command                      blocked joint, frozen encoder, answers th
 torque commanded, torque needed        weak motor, new load, push, moved zero, slipping gear
 =====================================  =========================================================
 
-The needed torque is what is fed forward, by the model or by the file, and what the joint's own
-control had to add a moment ago: a wrong model is no fault, a sudden change is.
+The needed torque is the feed-forward torque (of the model or the trajectory file) plus the torque
+that the joint's control added a moment ago: a wrong model is no fault, a sudden change is one. The
+added torque, kp (position error) + kd (velocity error), is called effort here. Several limits are
+given in units of the doubt, ``torque_doubt``: torque too small to draw conclusions from.
 """
 
 from __future__ import annotations
@@ -37,15 +39,15 @@ from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
-# Both velocities compared may be off by a quantisation step.
+# Added to the limit of velocity errors [velocity steps]: each of the two may be off by one.
 _STEPS = 2.0
 # Cycles without an answer per unanswered command that is allowed: a motor whose answer is missing
 # is sent nothing for four cycles, see ``session.PAUSE``, so commands alone would count too slowly.
 _SILENT_CYCLES = 2
-# How far a joint that is to stand still may sag, by what its rated torque does to its stiffness: an
-# arm half a radian from the first point, or with a new load, takes up half of that. Half as far the
-# way that its feed-forward torque pushes: no load makes it go there.
+# How far a standing joint may sag, in units of rated torque / stiffness: an arm half a radian from
+# the first point, or with a new load, needs half of this.
 _SAG = 2.0
+# Factor of that limit in the direction of the feed-forward torque, in which no load pulls.
 _PUSHED = 0.5
 _DRIVEN = (
     "drives it off; a motor turns the other way than its joint, two ids are swapped, or the file "
@@ -55,48 +57,60 @@ _SINKS = (
     "does not carry it; the trajectory's torque lacks gravity, two ids are swapped, or the arm is "
     "far heavier than its model"
 )
-# How often scales are judged [cycles].
-_SCALING_CYCLES = 50
-# Of the last so many cycles, so many have to disagree: one is a damaged frame.
-_RECENT = 5
+_SCALING_CYCLES = 50  # Cycles from one judgement of the scales to the next.
+_RECENT = 5  # Number of last cycles whose commanded and reported torques are compared.
+# Number of these cycles, or of cycles in a row, that have to disagree: one is a damaged frame.
 _ENOUGH = 3
-# Answers beyond those asked for, and commands of others, in a row of cycles. A wrong one alone is a
-# damaged frame.
-_MEMORY = 0.9
-_FEW = 2.5
-# Of the peak torque: how far a torque may be from the one commanded, and how far a joint's own
-# control may change what it adds within ``_MOMENT`` [s], which depends on its stiffness.
-_OTHER_TORQUE = 0.15
-# No two types' scales are so far apart.
-_NO_SCALE = 0.4
-_LEAST_EFFORT = 0.1
-_MOST_EFFORT = 0.25
-_STILL_EFFORT = 0.03
-_EFFORT_WAY = 0.05
-_MOMENT = 0.25
-# A change that took some time to be noticed is compared with what was usual over this time [s].
-_LONG = 1.5
-# In units of the torque that says nothing: a joint for which more than this is fed forward, and
-# that carries the arm the other way, with more than that, is not the joint it is taken for.
-_LOADED_DOUBTS = 2.0
-_OPPOSITE_DOUBTS = 0.5
-# A model may be off by this share of what the needed torque changes in that time.
-_MODEL_SHARE = 0.5
-# Over how long the torque that is fed forward is averaged [s].
-_FED_TIME = 0.3
-# Positions that do not change at all while the command moves on by this many steps are frozen.
-_STILL_STEPS = 20.0
-_STILL_CYCLES = 3
-# In units of the torque that says nothing: dry friction holds a joint against less.
-_FROZEN_DOUBTS = 2.0
-# A joint that was led so far [rad] within so many cycles and came by this share of it is blocked.
-_MOMENTS = 25
-_LED_BY = 0.015
-_CAME_SHARE = 0.3
+_MEMORY = 0.9  # Factor per cycle by which counts of surplus answers and foreign commands decay.
+_FEW = 2.5  # Decayed count above which the run stops: a single wrong one is a damaged frame.
+_OTHER_TORQUE = 0.15  # Accepted error of a reported torque [share of the peak torque].
+_NO_SCALE = (
+    0.4  # Reported / commanded torque below which a wrong TMAX cannot be the cause.
+)
+_EFFORT_WAY = (
+    0.05  # Position error [rad] that makes the limit of a sudden change of effort.
+)
+_LEAST_EFFORT = (
+    0.1  # Least limit of a sudden change of effort [share of the peak torque].
+)
+_MOST_EFFORT = (
+    0.25  # Largest limit of a sudden change of effort [share of the peak torque].
+)
+_STILL_EFFORT = (
+    0.03  # Least such limit for a standing joint [share of the peak torque].
+)
+_MOMENT = 0.25  # Time over which the effort before a sudden change is averaged [s].
+_LONG = 1.5  # Time over which the usual effort is averaged, by which a change is explained [s].
+_LOADED_DOUBTS = (
+    2.0  # Feed-forward torque above which opposite loads are judged [doubts].
+)
+_OPPOSITE_DOUBTS = (
+    0.5  # Load opposite to the feed-forward torque that stops the run [doubts].
+)
+_MODEL_SHARE = (
+    0.5  # Relative error of a model in the change of the feed-forward torque.
+)
+_FED_TIME = 0.3  # Time over which the feed-forward torque is averaged [s].
+_STILL_STEPS = (
+    20.0  # Change of command at which an unchanged position is frozen [steps].
+)
+_STILL_CYCLES = 3  # Number of cycles in which a frozen position does not change.
+_FROZEN_DOUBTS = 2.0  # Change of torque that overcomes dry friction [doubts].
+_MOMENTS = 25  # Number of last cycles in which a blocked joint is looked for.
+_LED_BY = 0.015  # Least change of command by which a joint is judged as blocked [rad].
+_CAME_SHARE = (
+    0.3  # A blocked joint moves by less than this share of its command's change.
+)
 
 
 class Fault(HardwareAbort):
-    """A fault of one joint, which stops the run; ``joint`` is its number."""
+    """A fault of one joint, which stops the run.
+
+    Args:
+        joint: index of the joint; kept as an attribute.
+        label: name of the joint in messages.
+        description: what is wrong: the end of a sentence that begins with the label.
+    """
 
     def __init__(self, joint: int, label: str, description: str) -> None:
         super().__init__(f"{label} {description}")
@@ -107,19 +121,20 @@ class Observer:
     """Checks the replies of n joints in every cycle; HardwareAbort names the first fault.
 
     Args:
-        joints: base to terminal; motors that are only held come behind.
-        settings: with gains and torque limits per joint.
+        joints: joints of the trajectory, base to terminal, then motors that are only held.
+        settings: settings of the run, with gains and torque limits for each of the n joints.
         steps: one quantisation step (n,) of position, velocity and torque [rad, rad/s, N m].
-        peak_torque: (n,) of each joint [N m].
-        holding: knows what torque carries the arm.
+        peak_torque: (n,) peak torque of each joint [N m].
+        holding: computes the torque that carries the arm.
 
     Attributes:
-        missed, silent: commands without an answer, and cycles without one, in a row (n,).
-        total_missed: (n,) commands without an answer.
-        worst_tracking: (n,) largest distance from the path [rad].
-        failed: (n,) joints whose motor does not drive any more.
-        stuck: (n,) joints that stand still against their motor.
-        to_switch_off: (n,) joints whose motor only does harm as long as it drives.
+        missed: (n,) number of commands in a row without an answer.
+        silent: (n,) number of cycles in a row without an answer.
+        total_missed: (n,) number of all commands without an answer.
+        worst_tracking: (n,) largest distance from the commanded position so far [rad].
+        failed: (n,) whether the motor reported that it does not drive any more.
+        stuck: (n,) whether the joint is blocked, frozen or jumped: it must not be pushed on.
+        to_switch_off: (n,) whether the motor has to be disabled at once.
     """
 
     def __init__(
@@ -148,7 +163,7 @@ class Observer:
         self._effort_limit = effort
         self._still_limit = np.maximum(_EFFORT_WAY * kp, _STILL_EFFORT * peak_torque)
         self._other_torque = _OTHER_TORQUE * peak_torque + 4.0 * torque_step
-        # Without stiffness there is next to none: 0 / 0 would tell nothing of any joint.
+        # kp is above 0 here, because ``VelocityScalingCheck`` divides by these values.
         fades = settings.period * kp / np.array(settings.kd)
         self._velocity_check = VelocityScalingCheck(self._velocity_step, fades)
         self._torque_check = TorqueScalingCheck(torque_step, peak_torque)
@@ -179,7 +194,7 @@ class Observer:
         self._change: EffortChange | None = None
 
     def update(self, replies: Replies) -> None:
-        """Take in a cycle's replies: count missing answers, and note which motors do not drive."""
+        """Add a cycle's replies: count missing answers and note which motors do not drive."""
         unanswered = replies.requested & ~replies.answered
         self.missed = np.where(replies.answered, 0, self.missed + unanswered)
         self.silent = np.where(replies.answered, 0, self.silent + 1)
@@ -189,7 +204,7 @@ class Observer:
         self._foreign = _MEMORY * self._foreign + replies.foreign
         feedback = replies.feedback
         is_faulty = (feedback.status != ENABLED) & (feedback.status != NO_STATUS)
-        # Where two motors answer, nobody knows whose status it is.
+        # Where two motors answer on one id, the status may be the other motor's.
         is_double = is_faulty & (self._surplus > 1.0)
         self._surplus = np.where(is_double, np.inf, self._surplus)
         self.failed |= is_faulty & ~is_double
@@ -209,12 +224,12 @@ class Observer:
         """Raise HardwareAbort for the first fault in a cycle's replies; call ``update`` before.
 
         Args:
-            replies: of all joints.
-            acted: the command in force when the replies were sampled.
+            replies: replies of all n joints.
+            acted: command in force when the replies were sampled, fields (n,), in joint space.
             standing: whether the joints are to stand still.
-            rising: whether gains rise: an arm that takes up a new load then swings about where it
-                will settle, with twice the torque, so that only how far it sinks is judged.
-            lowered: whether the arm is lowered, and may come to lie on something.
+            rising: whether gains are being raised: an arm that takes up a new load then overshoots
+                with twice the torque, so that efforts and torque errors are not judged.
+            lowered: whether the arm is being lowered, and may come to lie on something.
         """
         feedback = replies.feedback
         q = feedback.position
@@ -253,9 +268,8 @@ class Observer:
         """Mean feed-forward torque of the last moments (n,), NaN before the first [N m]."""
         return self._fed.value
 
-    # --- the bus ----------------------------------------------------------------------------------
-
     def _check_states(self, replies: Replies) -> None:
+        """Stop for a motor that is not enabled, does not answer, or is too hot."""
         feedback = replies.feedback
         settings = self._settings
         self._raise_first(
@@ -281,6 +295,7 @@ class Observer:
         )
 
     def _check_bus(self) -> None:
+        """Stop for a motor that gets commands of another program, or answers too often."""
         self._raise_first(
             self._foreign > _FEW,
             lambda j: (
@@ -295,9 +310,8 @@ class Observer:
             ),
         )
 
-    # --- reports of the motors --------------------------------------------------------------------
-
     def _check_jump(self, replies: Replies) -> None:
+        """Stop for a joint whose position jumped, as two samples confirm."""
         self.stuck |= replies.jump != 0.0
         self._raise_first(
             replies.jump != 0.0,
@@ -308,7 +322,7 @@ class Observer:
         )
 
     def _check_reported(self, commanded: Array, tau: Array) -> None:
-        """Compare the torque that motors report with what they were commanded to make."""
+        """Stop for a motor that reports a torque (n,) that was not ``commanded`` (n,) [N m]."""
         self._pairs = np.roll(self._pairs, 1, axis=1)
         self._pairs[:, 0] = np.clip(commanded, -self._peak, self._peak), tau
         error = np.abs(self._pairs[1] - self._pairs[0])
@@ -319,9 +333,9 @@ class Observer:
         self._raise_first(often, lambda j: self._torque_finding(j, differs))
 
     def _torque_finding(self, joint: int, differs: Mask) -> str:
-        """Return what is wrong with a joint whose reported torque is not the commanded one.
+        """Return what a joint does whose reported torque is not the commanded one, as a sentence.
 
-        ``differs`` (recent cycles, n) tells in which cycles the two differed.
+        ``differs`` (recent cycles, n): whether reported and commanded torque differed.
         """
         agreed_before = bool(self._has_agreed[joint])
         commanded_torque, reported = self._pairs[:, :, joint][:, differs[:, joint]]
@@ -354,6 +368,7 @@ class Observer:
         )
 
     def _check_scales(self) -> None:
+        """Stop for a joint that slipped, or whose torque or velocity has a wrong scale."""
         if self._slip is not None:
             self._raise(self._slip.joint, self._slip.description)
         self._cycles += 1
@@ -371,8 +386,8 @@ class Observer:
     ) -> None:
         """Stop for a joint whose answers, or positions, do not change while its command moves on.
 
-        A motor with a frozen encoder cannot hold its joint: it is to be switched off at once, and
-        its shorted windings brake.
+        ``acted`` is the command in force, ``commanded`` (n,) its torque [N m]. A motor with a
+        frozen encoder cannot hold its joint: it is disabled at once and its windings brake.
         """
         feedback = replies.feedback
         now = np.stack([feedback.position, feedback.velocity, feedback.torque])
@@ -412,14 +427,12 @@ class Observer:
             ),
         )
 
-    # --- torque that the arm needs ----------------------------------------------------------------
-
     def _check_sudden_effort(self, acted: MitCommand) -> None:
-        """Stop for a joint whose control suddenly has to add another torque than a moment ago."""
+        """Stop for a joint whose effort differs too much from its mean of the last moments."""
         change = np.abs(self._added_now - self._added.value)
         model_doubt = _MODEL_SHARE * np.abs(acted.torque - self._needed.value)
         effort_limit = self._effort_limit + model_doubt
-        # Without motion there is no friction that turns round.
+        # A standing joint has no friction that reverses, so its limit is lower.
         stands = np.abs(acted.velocity) <= self._velocity_step
         effort_limit = np.where(
             stands, np.minimum(effort_limit, self._still_limit), effort_limit
@@ -431,7 +444,7 @@ class Observer:
             )
 
     def _check_opposite_load(self) -> None:
-        """Stop for a joint that is loaded the other way than its feed-forward torque."""
+        """Stop for a joint whose load is opposite to its feed-forward torque."""
         needed = self._needed.value
         carried = needed + self._added.value
         is_judged = np.abs(needed) > _LOADED_DOUBTS * self._doubt
@@ -446,7 +459,7 @@ class Observer:
         )
 
     def _check_zeros(self, replies: Replies, commanded: Array) -> None:
-        """Stop for a joint that is elsewhere than it reports, by a model, while the arm is free."""
+        """Stop for a joint whose zero has moved, by the model's torques; none without a model."""
         if self._zero_check is None:
             return
         n = self._holding.n_joints
@@ -459,22 +472,25 @@ class Observer:
             self._raise(*finding)
 
     def has_left(self, q: Array, reference_q: Array, fed: Array) -> Mask:
-        """Tell which joints (n,) at q have left the position at which they are to stand still.
+        """Return whether each joint (n,) is too far from the position where it should stand still.
 
         Args:
             q: believed positions (n,) [rad].
-            reference_q: positions (n,) at which they are to stand [rad].
+            reference_q: positions (n,) at which the joints should stand [rad].
             fed: feed-forward torque (n,) [N m].
         """
         limit = np.where(self.is_pushed(q, reference_q, fed), _PUSHED, 1.0) * self._sag
         return np.asarray(np.abs(q - reference_q) > limit)
 
     def is_pushed(self, q: Array, reference_q: Array, fed: Array) -> Mask:
-        """Tell which joints (n,) have moved the way that their feed-forward torque pushes."""
+        """Return whether each joint (n,) has moved in the direction of its feed-forward torque.
+
+        For the arguments see ``has_left``.
+        """
         return np.asarray(((q - reference_q) * fed > 0.0) & (np.abs(fed) > self._doubt))
 
     def _check_standing(self, replies: Replies, acted: MitCommand) -> None:
-        """Stop for a joint that moves while it is to stand still."""
+        """Stop for a joint that moves while it should stand still."""
         q = replies.feedback.position
         qd = replies.feedback.velocity
         fed = acted.torque
@@ -498,7 +514,7 @@ class Observer:
         feedback = replies.feedback
         path_limit = np.full(len(self._joints), self._settings.max_tracking_error)
         torque_limit = np.inf * self._torque_limit if rising else self._torque_limit
-        # A light joint has slowed down when it is sampled, at the end of its command's time.
+        # A light joint has slowed down by the end of the cycle, when it is sampled.
         slowed = acted.velocity / self._velocity_check.explained
         lowest = np.minimum(acted.velocity, slowed)
         highest = np.maximum(acted.velocity, slowed)
@@ -524,7 +540,7 @@ class Observer:
                 )
 
     def _raise_effort(self, joint: int, description: str) -> None:
-        """Raise a fault that may have a cause elsewhere: a blocked joint, or see ``explain``."""
+        """Raise a fault of a blocked joint if there is one, else of ``joint``, for ``explain``."""
         blocked = self._blocked_joint()
         if blocked is not None:
             self.stuck[blocked] = True
@@ -536,7 +552,7 @@ class Observer:
         self._raise(joint, description)
 
     def _blocked_joint(self) -> int | None:
-        """Return the joint that moved by the least share of its command's change; None if far."""
+        """Return the joint that moved least relative to its command, if blocked; else None."""
         led_by, came_by = np.abs(self._moments[0] - self._moments).transpose(1, 0, 2)
         share = np.where(
             led_by > _LED_BY, came_by / np.maximum(led_by, _LED_BY), np.inf
@@ -545,10 +561,11 @@ class Observer:
         return joint if np.min(share[:, joint]) < _CAME_SHARE else None
 
     def explain(self, fault: Fault, q: Array, commanded: Array) -> HardwareAbort:
-        """Return a fault with its cause, from what holds the stopped arm.
+        """Return ``fault`` with its cause, from the torque that holds the stopped arm.
 
         Args:
-            q: (n,) where it stands [rad].
+            fault: fault that stopped the run.
+            q: (n,) positions at which the arm stands [rad].
             commanded: (n,) torque that holds it there, as commanded [N m].
         """
         if self._change is None:
@@ -563,7 +580,7 @@ class Observer:
         return HardwareAbort(f"{fault}: {cause}" if cause else str(fault))
 
     def _raise_first(self, mask: Mask, describe: Callable[[int], str]) -> None:
-        """Raise a fault of the first joint of a mask (n,), with the text for its number."""
+        """Raise a Fault of the first joint in a mask (n,); ``describe`` gets the joint's index."""
         for j in np.flatnonzero(mask)[:1].tolist():
             self._raise(j, describe(j))
 
@@ -583,9 +600,9 @@ _VELOCITY_SCALE = (
 
 
 class _RunningMean:
-    """Exponentially weighted mean (n,) of values; NaN before the first.
+    """Exponentially weighted mean of vectors (n,); the mean is NaN before the first.
 
-    ``share`` is the weight of each new value; 1 or more keeps the last value.
+    ``share`` is the weight of each new vector; with 1 or more, the last one is the mean.
     """
 
     def __init__(self, n_joints: int, share: float) -> None:
@@ -593,7 +610,7 @@ class _RunningMean:
         self._share = min(share, 1.0)
 
     def add(self, value: Array, restart: bool) -> None:
-        """Take in a value (n,), or begin again with it; NaN changes nothing."""
+        """Add a vector (n,), or restart the mean with it; NaN entries change nothing."""
         share = 1.0 if restart else self._share
         mean = np.where(np.isnan(self.value), value, self.value)
         self.value = np.where(np.isnan(value), mean, mean + share * (value - mean))
