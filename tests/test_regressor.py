@@ -1,4 +1,4 @@
-"""Laws of the regressor: its derivation, Newton and Euler, MuJoCo."""
+"""The regressor against its symbolic derivation and against MuJoCo."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.support.arms import SEEDS, random_rotation
 
 
 def wrench_scale(theta, omega, alpha, acceleration):
-    """Sum of the magnitudes that add up to the wrench: what rounding errors are relative to."""
+    """Return the sum (6,) of the magnitudes of the wrench's terms, the unit of rounding errors."""
     rates = np.linalg.norm(alpha) + omega @ omega
     linear = np.linalg.norm(acceleration)
     length = spatial.characteristic_length(theta)
@@ -25,6 +25,7 @@ def wrench_scale(theta, omega, alpha, acceleration):
 
 
 def regressor_of(omega, alpha, v, acceleration):
+    """Return the wrench regressor (6, 10) for classical linear acceleration."""
     twist = np.concatenate((omega, v))[None]
     rate = np.concatenate((alpha, acceleration - np.cross(omega, v)))[None]
     return wrench_regressor(twist, rate)[:, :, 0]
@@ -39,7 +40,7 @@ def test_numeric_regressor_is_the_symbolic_one():
 
 
 def free_body(theta):
-    """MuJoCo model of one free body with these parameters."""
+    """Return the MuJoCo model of one free body with parameters theta (10,)."""
     mass, com, inertia = spatial.com_from_theta(theta)
     full = " ".join(
         f"{value:.17g}" for value in spatial.fullinertia_from_symmetric(inertia)
@@ -52,7 +53,7 @@ def free_body(theta):
 
 
 def round_body(seed):
-    """theta that MuJoCo's compiler accepts: principal moments well above its smallest number."""
+    """Return random parameters (10,) that MuJoCo's compiler accepts."""
     rng = np.random.default_rng(seed)
     factor = rng.normal(size=(3, 3))
     second = factor @ factor.T + 0.01 * np.eye(3)
@@ -62,7 +63,7 @@ def round_body(seed):
 
 
 @given(SEEDS)
-def test_wrench_of_a_free_body_is_mujocos(seed):
+def test_the_wrench_of_a_free_body_equals_mujoco(seed):
     """A free joint takes the force in the world's axes and the moment in the body's."""
     rng = np.random.default_rng(seed)
     model = free_body(round_body(seed))

@@ -27,18 +27,20 @@ DURATIONS = st.one_of(st.floats(0.02, 3.0), st.floats(3.0, 60.0))
 
 
 def excitation(robot, seed, duration=15.0, torque=None):
+    """Return an excitation trajectory for a seed and its notes."""
     return generate_excitation_trajectory(
         robot, np.random.default_rng(seed), duration, torque
     )
 
 
 def dense(plan, points=4001):
+    """Return the motion of a plan at ``points`` even instants."""
     return plan.evaluate(np.linspace(0.0, plan.duration, points))
 
 
 @st.composite
 def limited_arms(draw, torque=False):
-    """An arm whose limits are anything that JointLimits accepts, its rest position anywhere."""
+    """Draw an arm with any limits that JointLimits accepts and any rest position."""
     lower = []
     upper = []
     velocity = []
@@ -69,7 +71,7 @@ def test_position_and_velocity_limits_hold_at_all_times(robot, seed, duration):
 
 
 @given(limited_arms(), SEEDS, DURATIONS)
-def test_every_joint_moves_and_uses_what_it_may(robot, seed, duration):
+def test_every_joint_uses_its_range_or_its_speed(robot, seed, duration):
     """Either the reach or the speed is what holds a joint back, not the tool's timidity."""
     plan, _ = excitation(robot, seed, duration)
     speed = np.max(np.abs(dense(plan).qd), axis=0) / robot.limits.velocity
@@ -103,7 +105,7 @@ NAMES = THREE.joint_names
 
 
 @given(SEEDS)
-def test_frequencies_are_in_the_band_and_never_meet(seed):
+def test_frequencies_are_in_the_band_and_distinct(seed):
     plan, _ = excitation(robot_of(arms.SEVEN), seed)
     used = plan.amplitude != 0.0
     assert set(np.sum(used, axis=1)) <= set(
@@ -116,7 +118,7 @@ def test_frequencies_are_in_the_band_and_never_meet(seed):
 
 
 @given(st.floats(0.01, 100.0), st.floats(1.0, 1000.0), st.integers(1, 500))
-def test_samples_are_the_same_however_they_are_cut(duration, rate, chunk):
+def test_sample_times_do_not_depend_on_the_chunk(duration, rate, chunk):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(trajectory, "CHUNK", chunk)
         times = np.concatenate(list(sample_times(duration, rate)))
@@ -129,7 +131,8 @@ def test_samples_are_the_same_however_they_are_cut(duration, rate, chunk):
     assert np.all(np.diff(times) > 0.0)
 
 
-def test_a_joint_whose_weight_exceeds_its_limit_is_named_and_the_rest_still_moves():
+def test_a_joint_whose_weight_exceeds_its_limit_is_named():
+    """The other joints still move."""
     limits = replace(THREE.limits, torque=np.array([50.0, 1.0, 50.0]))
     robot = replace(THREE, limits=limits)
     reference = robot.reference_qpos.copy()

@@ -1,4 +1,4 @@
-"""Laws of the equations: noise-free data gives back the link, whatever the order or the chunks."""
+"""Noise-free data gives back the link's parameters, on any chain."""
 
 from __future__ import annotations
 
@@ -46,7 +46,17 @@ SEVEN = ARMS["seven"]
 
 
 def plant_with(robot, theta, friction):
-    """(the same arm with another link and other friction in its last joint, its true theta)."""
+    """Return the arm with another terminal link and other friction in its last joint, and the
+    truth.
+
+    Args:
+        robot: the arm.
+        theta: (10,) parameters of the terminal body.
+        friction: Coulomb and viscous coefficients.
+
+    Returns:
+        The plant, and its true parameters (12,).
+    """
     model = copy.copy(robot.mj_model)
     arms.write_body(model, robot.body_id, theta)
     coulomb = robot.friction.coulomb.copy()
@@ -86,6 +96,7 @@ class Fit:
 
 
 def identify(robot, measurements, torques="chain", friction=TERMINAL_FRICTION):
+    """Return a Fit of the terminal link and joint friction to the measurements."""
     equations = Equations(
         robot, torques, friction_per_joint(robot, "terminal", friction)
     )
@@ -94,6 +105,7 @@ def identify(robot, measurements, torques="chain", friction=TERMINAL_FRICTION):
 
 
 def solve(information, prior):
+    """Return the Fit of collected information to a prior (M,)."""
     matrix, rhs = information.equations()
     space = visible_space(matrix)
     values = prior + space.solve(rhs - matrix @ prior)
@@ -105,14 +117,14 @@ def solve(information, prior):
 
 
 def scale_of(truth):
-    """Typical size of each parameter of a body of this mass and size; friction counts as it is."""
+    """Return the typical size (M,) of each parameter; friction has the size of the mass."""
     length = spatial.characteristic_length(truth[:10])
     inertial = spatial.parameter_scale(truth[0], length)
     return np.append(inertial, np.full(len(truth) - 10, inertial[0]))
 
 
 @given(st.sampled_from(sorted(ARMS)), rigid_bodies(), SEEDS)
-def test_noise_free_torques_give_back_any_possible_link(name, theta, seed):
+def test_noise_free_torques_identify_any_possible_link(name, theta, seed):
     robot = ARMS[name]
     rng = np.random.default_rng(seed)
     plant, truth = plant_with(robot, theta, rng.uniform(0.0, 2.0, size=2))
@@ -125,7 +137,7 @@ def test_noise_free_torques_give_back_any_possible_link(name, theta, seed):
 
 
 @given(random_chain(("any", "parallel")), rigid_bodies(), SEEDS)
-def test_on_any_chain_what_is_called_identified_is_right_and_the_rest_is_the_models(
+def test_identified_parameters_are_exact_and_the_others_keep_the_prior(
     xml, theta, seed
 ):
     robot = robot_of(xml)
@@ -159,8 +171,8 @@ def test_a_measurement_without_derivatives_is_refused(missing):
 @pytest.mark.parametrize(
     "name", ["seven", "slide in chain", "shared bodies", "springs", "armature"]
 )
-def test_the_other_links_own_values_explain_the_models_torque(name):
-    """With all links sought, the model's own parameters leave nothing, whatever link is wrong."""
+def test_the_models_parameters_explain_its_torque(name):
+    """With all links free, the model's own parameters leave no residual."""
     robot = ARMS[name]
     friction = friction_per_joint(robot, "terminal", TERMINAL_FRICTION)
     equations = Equations(robot, "chain", friction, links=other_links(robot))

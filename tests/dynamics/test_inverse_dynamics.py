@@ -1,4 +1,4 @@
-"""Laws of the arm's motion: torque of the rest plus link equals MuJoCo's inverse dynamics."""
+"""The torque of the other bodies plus the link's torque equals MuJoCo's inverse dynamics."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ SAMPLES = 4
 
 
 def with_link(robot, theta):
-    """(model whose terminal body has these parameters of its own, its composite theta)."""
+    """Return the model with theta (10,) as its terminal body, and the composite theta (10,)."""
     model = copy.copy(robot.mj_model)
     arms.write_body(model, robot.body_id, theta)
     return model, composite_theta(model, robot.reference_qpos, robot.body_id)
 
 
 def assert_reproduces(robot, theta, motion):
-    """tau_rest + Y theta' = inverse dynamics of the model with theta' written into it."""
+    """Check tau_rest + Y theta' = inverse dynamics of the model with theta' written into it."""
     model, composite = with_link(robot, theta)
     rows, other_torque = arms.rows_and_rest(robot, motion)
     link = rows @ composite
@@ -51,14 +51,14 @@ def assert_reproduces(robot, theta, motion):
 
 
 @given(random_chain(), rigid_bodies(), SEEDS)
-def test_rest_plus_link_is_mujocos_inverse_dynamics_on_any_chain(xml, theta, seed):
+def test_link_and_other_bodies_give_mujocos_torque_on_any_chain(xml, theta, seed):
     robot = robot_of(xml)
     motion = random_motion(np.random.default_rng(seed), robot.n_joints, SAMPLES)
     assert_reproduces(robot, theta, motion)
 
 
 @pytest.mark.parametrize("name", [*arms.MODELS, *arms.NEWER_MODELS])
-def test_rest_plus_link_is_mujocos_inverse_dynamics_on(name):
+def test_link_and_other_bodies_give_mujocos_torque(name):
     try:
         robot = robot_of({**arms.MODELS, **arms.NEWER_MODELS}[name])
     except ValueError:
@@ -70,7 +70,7 @@ def test_rest_plus_link_is_mujocos_inverse_dynamics_on(name):
     assert name not in arms.NEWER_MODELS or not has_only_armature(robot.mj_model)
 
 
-def test_model_of_the_user_is_left_alone():
+def test_the_users_model_is_not_changed():
     robot = robot_of(arms.COUPLED_FINGERS)
     masses = robot.mj_model.body_mass.copy()
     flags = robot.mj_model.opt.disableflags
@@ -82,6 +82,7 @@ def test_model_of_the_user_is_left_alone():
 
 
 def plain_torque(xml, motion):
+    """Return the torque (N, n) of an arm, of rigid bodies, springs and armature."""
     return ArmDynamics(robot_of(xml)).torque(*motion)
 
 
@@ -120,7 +121,8 @@ FIELDS_BESIDE_ARMATURE = [
 
 
 @pytest.mark.parametrize("field", FIELDS_BESIDE_ARMATURE)
-def test_each_thing_beside_armature_alone_needs_the_full_dynamics(field):
+def test_only_armature_allows_the_short_dynamics(field):
+    """Every other field that adds torque requires the full dynamics."""
     xml = arms.TENDON_SPRING.replace('stiffness="25" springlength=".2" damping="3"', "")
     motor = '<actuator><motor joint="joint2"/></actuator></mujoco>'
     model = analysis_copy(arms.compile_xml(xml.replace("</mujoco>", motor)))
@@ -133,7 +135,7 @@ def test_each_thing_beside_armature_alone_needs_the_full_dynamics(field):
 
 @pytest.mark.parametrize("first", [True, False])
 def test_a_branch_may_stand_in_front_of_the_link_or_behind_it(first):
-    """In front it parts the chain's addresses into two runs."""
+    """In front, the branch splits the chain's addresses into two ranges."""
     branch = arms.link(arms.hinge("side", arms.Y))
     bodies = [arms.link(arms.hinge("joint1", arms.X), inertial=arms.TIP), branch]
     inside = "".join(bodies[::-1] if first else bodies)
@@ -174,6 +176,7 @@ def test_springs_and_armature_stay_in_the_torque():
 
 
 def assert_equals_mujoco(robot, motion):
+    """Check the torque of all links and their regressor columns against MuJoCo."""
     thetas = robot.thetas
     links = LinkDynamics(robot).motion(*motion)
     actual = ArmDynamics(robot).torque(*motion) - ArmDynamics(

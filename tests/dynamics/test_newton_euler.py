@@ -1,4 +1,4 @@
-"""Columns of scale and encoder zeros against MuJoCo's own torque."""
+"""Tilt of gravity and columns of encoder zeros against MuJoCo's torque."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_turning_keeps_the_strength_and_turns_by_the_angle(seed, first, second):
 
 
 @given(SEEDS, st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))
-def test_angles_of_a_turn_are_found_again(seed, first, second):
+def test_tilt_angles_invert_turn_gravity(seed, first, second):
     level = 9.81 * np.random.default_rng(seed).normal(size=3)
     angles = np.array([first, second])
     np.testing.assert_allclose(
@@ -45,9 +45,7 @@ def test_angles_of_a_turn_are_found_again(seed, first, second):
 
 
 @given(SEEDS, st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
-def test_axes_that_are_carried_along_stay_square_and_small_turns_add_up(
-    seed, first, second
-):
+def test_transported_axes_stay_orthonormal_and_small_turns_add_up(seed, first, second):
     level = 9.81 * np.random.default_rng(seed).normal(size=3)
     angles = np.array([first, second])
     tilted = turn_gravity(level, angles)
@@ -68,7 +66,7 @@ def test_without_gravity_there_is_no_tilt():
 
 
 @given(random_chain(), SEEDS)
-def test_a_zero_changes_the_torque_as_differences_of_it_say(xml, seed):
+def test_columns_of_encoder_zeros_equal_differences(xml, seed):
     robot = robot_of(xml)
     rng = np.random.default_rng(seed)
     step = 1e-5
@@ -90,7 +88,7 @@ def test_a_zero_changes_the_torque_as_differences_of_it_say(xml, seed):
 
 
 @given(st.integers(0, 40), st.integers(0, 10**6))
-def test_a_motion_in_parts_is_the_motion_and_no_part_is_large(samples, width):
+def test_split_motion_gives_small_chunks_of_the_motion(samples, width):
     motion = np.arange(3.0 * samples).reshape(-1, 3), np.arange(samples)
     chunks = list(split_motion(width, *motion))
     for pieces, signal in zip(zip(*chunks), motion):

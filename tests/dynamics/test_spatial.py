@@ -18,21 +18,24 @@ SPREADS = st.sampled_from([1.0, 1e-3, 1e-6])
 
 
 def random_frame(rng):
+    """Return a random rotation (3, 3) and translation (3,)."""
     return random_rotation(rng), rng.normal(size=3)
 
 
 def scale_theta(theta):
+    """Return the parameters (10,) in units of their typical size."""
     return theta / spatial.parameter_scale(
         theta[0], spatial.characteristic_length(theta)
     )
 
 
 def point_masses(rng, count=8):
-    """(masses, positions (count, 3)): the definition all conversions must agree with."""
+    """Return masses (count,) and positions (count, 3), which define every conversion."""
     return rng.uniform(0.1, 1.0, count), rng.normal(size=(count, 3))
 
 
 def theta_of_points(masses, points):
+    """Return the parameters (10,) of point masses about the origin."""
     squares = np.sum(points**2, axis=1)[:, None, None] * np.eye(3)
     inertia = np.einsum(
         "n,nij->ij", masses, squares - points[:, :, None] * points[:, None, :]
@@ -91,13 +94,13 @@ def test_consistency_does_not_depend_on_the_frame(seed, possible):
     rng = np.random.default_rng(seed)
     theta = random_body(rng)
     if not possible:
-        theta = theta + scaled_defect(rng, theta)
+        theta = theta + inconsistent_change(rng, theta)
     moved = spatial.transform_theta(theta, *random_frame(rng))
     assert spatial.is_consistent(theta) == spatial.is_consistent(moved) == possible
 
 
-def scaled_defect(rng, theta):
-    """A change that makes one principal second moment clearly negative."""
+def inconsistent_change(rng, theta):
+    """Return a change (10,) that makes one principal second moment clearly negative."""
     _, com, inertia = spatial.com_from_theta(theta)
     second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
     values, vectors = np.linalg.eigh(second)
@@ -136,7 +139,7 @@ def test_the_size_of_a_body_is_the_root_mean_square_distance_of_its_mass(seed):
 
 
 @pytest.mark.parametrize("invalid", [np.nan, np.inf])
-def test_numbers_that_are_none_are_no_body(invalid):
+def test_numbers_that_are_not_finite_are_inconsistent(invalid):
     theta = spatial.theta_from_com(1.0, np.zeros(3), np.eye(3))
     assert spatial.is_consistent(theta)
     theta[4] = invalid
@@ -144,7 +147,9 @@ def test_numbers_that_are_none_are_no_body(invalid):
 
 
 def draw_rotation(rng, family):
-    """A rotation anywhere, at right angles, or so near a right pitch that roll and yaw mix."""
+    """Return a random rotation: any, at right angles, or so near gimbal lock that roll and yaw
+    mix.
+    """
     if family == "any":
         return random_rotation(rng)
     if family == "right angles":
@@ -175,7 +180,7 @@ def test_angles_and_quaternions_turn_back_into_the_rotation(seed, family):
 
 
 @given(SEEDS, st.sampled_from([1.0, 1e-6, 1e-12, 0.0]))
-def test_principal_axes_give_the_inertia_back_and_turn_least(seed, spread):
+def test_principal_axes_restore_the_inertia_with_the_smallest_turn(seed, spread):
     rng = np.random.default_rng(seed)
     drawn_axes = random_rotation(rng)
     inertia = (

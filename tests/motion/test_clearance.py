@@ -1,4 +1,4 @@
-"""Distances of an arm, their gradients and bounds, and which pairs are tested."""
+"""Distances between the bodies of an arm and its scene: gradients, bounds, tested pairs."""
 
 from __future__ import annotations
 
@@ -34,6 +34,13 @@ BALLS = world(
 
 @cache
 def clearance_of(xml, planes=(), keep=KEEP):
+    """Return the Clearance of an arm at its reference pose.
+
+    Args:
+        xml: the MuJoCo model.
+        planes: forbidden half-spaces (nx, ny, nz, offset).
+        keep: clearance that every pair of bodies has to keep [m].
+    """
     arm = robot(xml)
     moving = subtree(arm.mj_model, int(arm.mj_model.jnt_bodyid[0]))
     limits = LimitOptions(clearance=keep, keep_out=planes)
@@ -41,8 +48,8 @@ def clearance_of(xml, planes=(), keep=KEEP):
 
 
 @pytest.mark.parametrize("gap", [0.001, 0.02, 0.05])
-def test_bodies_of_many_geoms_are_seen_from_afar(gap):
-    """Bodies with several geoms pass a coarser test first, which must know the margin too."""
+def test_bodies_of_several_geoms_are_detected_within_the_margin(gap):
+    """Bodies with several geoms pass a coarser test first, which has to include the margin."""
     row = "".join(f'<geom size=".05" pos="0 {0.1 * k:g} 0"/>' for k in range(3))
     xml = world(
         link(
@@ -60,6 +67,7 @@ def test_bodies_of_many_geoms_are_seen_from_afar(gap):
 
 @given(SEEDS)
 def test_gradient_equals_differences(seed):
+    """The gradient of the slack equals one of its two one-sided difference quotients."""
     clearance = clearance_of(TUBES_AND_POST, ((0.1, 0.2, 1.0, -0.2),))
     rng = np.random.default_rng(seed)
     q, direction = rng.uniform(-1.0, 1.0, size=(2, 4))
@@ -75,6 +83,7 @@ def test_gradient_equals_differences(seed):
 
 @given(SEEDS)
 def test_no_move_uses_up_more_slack_than_its_bound(seed):
+    """A move reduces the slack by at most the rates times the joint displacements."""
     clearance = clearance_of(TUBES_AND_POST, ((0.0, 0.0, 1.0, -0.2),))
     rng = np.random.default_rng(seed)
     start = rng.uniform(-2.0, 2.0, size=4)
@@ -87,9 +96,7 @@ def test_no_move_uses_up_more_slack_than_its_bound(seed):
 
 
 @pytest.mark.parametrize("offset, is_by_design", [(0.05, True), (0.18, False)])
-def test_links_that_overlap_whatever_the_joints_do_are_no_collision(
-    offset, is_by_design
-):
+def test_links_that_overlap_in_every_pose_are_ignored(offset, is_by_design):
     """A ball wrist: the third link turns inside the first one, or swings out of it."""
     ball = f'<geom size=".1" pos="{offset} 0 0"/>'
     tip = link(hinge("roll", X, 'range="-3 3"'), ball, "tip", pos="0 0 0")
@@ -115,22 +122,22 @@ def test_negative_slack_wherever_the_contact_finder_sees_a_contact():
     assert touching > 10
 
 
-def near_at_rest(gap):
-    """A ball on the arm whose distance from another one is ``gap`` at rest."""
+def balls_with_gap(gap):
+    """Return BALLS with the two balls ``gap`` metres apart in the rest pose."""
     return BALLS.replace('pos="0 .3 0"/></body>', f'pos="0.3 {0.07 + gap} 0"/></body>')
 
 
 def test_a_pair_nearer_than_the_clearance_keeps_half_its_distance_at_rest():
-    clearance = clearance_of(near_at_rest(0.004))
+    clearance = clearance_of(balls_with_gap(0.004))
     closest = clearance.closest(np.zeros(2))
     assert closest.distance == pytest.approx(0.004, abs=1e-6)
     assert closest.slack == pytest.approx(KEPT_SHARE * 0.004, abs=1e-6)
     assert clearance.at_rest["near"] == ["#1 and ball (4 mm apart)"]
 
 
-def test_what_only_grazes_at_rest_never_gets_deeper():
-    """A table 0.5 mm too high is not a reason to go through it."""
-    clearance = clearance_of(near_at_rest(-0.0005))
+def test_a_contact_that_grazes_at_rest_must_not_get_deeper():
+    """A table 0.5 mm too high still must not be penetrated."""
+    clearance = clearance_of(balls_with_gap(-0.0005))
     assert clearance.at_rest["touching"] == ["#1 and ball (0.5 mm deep)"]
     assert clearance.slack(np.zeros((1, 2))).value[0] == pytest.approx(1e-4, abs=1e-6)
     away, deeper = clearance.slack(np.array([[-0.02, 0.0], [0.001, 0.0]])).value
@@ -138,22 +145,22 @@ def test_what_only_grazes_at_rest_never_gets_deeper():
 
 
 def test_bodies_deep_inside_each_other_at_rest_are_a_collision():
-    clearance = clearance_of(near_at_rest(-0.005))
+    clearance = clearance_of(balls_with_gap(-0.005))
     assert clearance.at_rest["deep"] == ["#1 and ball (5 mm deep)"]
     assert clearance.slack(np.zeros((1, 2))).value[0] == pytest.approx(
         -KEEP - 0.005, abs=1e-6
     )
 
 
-def test_a_gap_is_no_smaller_for_where_the_arm_merely_could_be():
-    """Only where the motion starts excuses a pair from the clearance."""
-    arm = robot(near_at_rest(0.004))
+def test_only_the_start_pose_reduces_the_clearance_of_a_pair():
+    """A pair that is close in another pose than the start keeps the full clearance."""
+    arm = robot(balls_with_gap(0.004))
     started = Clearance(arm, np.array([-0.3, 0.0]), KEEP, ())
     assert started.at_rest["near"] == []
     assert started.closest(np.zeros(2)).slack == pytest.approx(0.004 - KEEP, abs=1e-6)
 
 
-def test_travels_to_another_process():
+def test_a_clearance_can_be_pickled():
     clearance = clearance_of(TUBES_AND_POST, ((0.0, 0.0, 1.0, -0.2),))
     copied = pickle.loads(pickle.dumps(clearance))
     q = np.random.default_rng(0).uniform(-1.0, 1.0, size=(20, 4))
@@ -164,7 +171,10 @@ BODIES = 6
 
 
 def crowd(filters):
-    """Balls in a heap, each body with two of them, and a floor; filters: (contype, conaffinity)."""
+    """Return a model of balls in a heap and a floor.
+
+    Each body has two balls; ``filters`` holds (contype, conaffinity) per body.
+    """
     balls = "".join(
         f'<body><freejoint/><geom size=".1" contype="{a}" conaffinity="{b}"/>'
         f'<geom size=".1" pos=".05 0 0" contype="{b}" conaffinity="{a}"/></body>'
@@ -175,7 +185,7 @@ def crowd(filters):
 
 
 def contacts(model, seed):
-    """Pairs of geoms that touch when the balls lie at random places."""
+    """Return the pairs of geoms that touch when the bodies lie at random positions."""
     data = mujoco.MjData(model)
     rng = np.random.default_rng(seed)
     for k in range(BODIES):
@@ -194,7 +204,8 @@ def contacts(model, seed):
     st.lists(st.integers(0, 2), min_size=BODIES, max_size=BODIES),
     SEEDS,
 )
-def test_keeps_exactly_the_pairs_that_matter(filters, groups, seed):
+def test_drop_pairs_keeps_the_pairs_of_different_groups(filters, groups, seed):
+    """No pair inside a group remains, and no relevant pair is lost."""
     model = crowd(filters)
     body_groups = np.array([0, *groups])
     rng = np.random.default_rng(seed)
@@ -218,7 +229,7 @@ def test_keeps_exactly_the_pairs_that_matter(filters, groups, seed):
 
 
 @pytest.mark.parametrize("name", ["geom_contype", "geom_conaffinity"])
-def test_bits_fit_into_mujocos_integers(name):
+def test_contact_bits_fit_into_mujocos_integers(name):
     geoms = "".join(
         f'<geom size=".1" contype="{k}" conaffinity="1"/>' for k in range(1, 32)
     )
@@ -227,7 +238,7 @@ def test_bits_fit_into_mujocos_integers(name):
     assert np.all(getattr(model, name) >= 0)
 
 
-def test_bounds_of_a_slide_hold_too():
+def test_slack_bounds_hold_for_a_slide_joint():
     xml = world(
         link(
             '<joint name="lift" type="slide" axis="0 0 1" range="-1 1"/>',

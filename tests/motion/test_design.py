@@ -1,4 +1,4 @@
-"""Constraints, the objective and its gradient, and rounds of the optimiser."""
+"""Constraints, the objective, their gradients, and rounds of the optimiser."""
 
 from __future__ import annotations
 
@@ -29,11 +29,12 @@ from tests.support.excitation_arms import (
 
 
 def best_draw(design, seed=0):
+    """Return the draw with the best score among four."""
     return min(draw_trajectories(design, seed, range(4)), key=lambda d: d.score)
 
 
-def test_rounds_keep_the_best_that_keeps_all_limits():
-    """Also where the start is beyond its limits."""
+def test_rounds_keep_the_best_feasible_trajectory():
+    """A start that exceeds its limits is made feasible, and rounds only improve the score."""
     design = make_design(TUBES_AND_POST, iterations=8)
     candidate = design_module.first_candidate(design, 1.5 * best_draw(design).x)
     assert not keeps_limits(design.problem, design.trajectory(candidate.x))
@@ -52,6 +53,7 @@ def test_rounds_keep_the_best_that_keeps_all_limits():
 
 
 def objective_of(design, multipliers):
+    """Return the augmented Lagrangian of a design as a function of its coefficients."""
     return partial(
         design_module.penalised_objective,
         design,
@@ -73,7 +75,10 @@ def test_gradient_equals_differences(seed):
 
 
 def deviations(design, plan, rate, smooth):
-    """Predicted standard deviations (10,) from samples at a rate."""
+    """Return predicted standard deviations (10,) of the last link's parameters.
+
+    The motion is sampled at ``rate`` Hz; ``smooth`` rounds the sign of dry friction.
+    """
     time = (np.arange(int(plan.duration * rate)) + 0.5) / rate
     motion = plan.evaluate(time)
     prior = known_arm(design.problem)
@@ -102,7 +107,7 @@ def test_the_grid_is_fine_enough_for_the_band(xml):
 
 
 @given(SEEDS)
-def test_what_cannot_be_seen_stays_so_on_every_motion(seed):
+def test_unidentifiable_directions_have_no_information_on_any_motion(seed):
     design = make_design(arms.SEVEN, torques="terminal")
     assert make_design(arms.SEVEN).criterion.visible.shape == (10, 10)
     assert design.criterion.visible.shape == (10, 7)
@@ -128,7 +133,7 @@ def test_what_cannot_be_seen_stays_so_on_every_motion(seed):
         ),
     ],
 )
-def test_what_cannot_be_searched_is_refused_beforehand(changes, message):
+def test_impossible_searches_are_refused(changes, message):
     motion = TrajectoryOptions(**{"duration": 15.0, **changes})
     with pytest.raises(InputError, match=message):
         Design(make_problem(arms.THREE), ExcitationOptions(workers=2), motion)
@@ -198,7 +203,7 @@ def test_gradient_of_the_clearance_equals_differences():
             )
 
 
-def test_values_are_shares_of_the_limits_minus_one():
+def test_constraints_are_shares_of_the_limits_minus_one():
     problem = make_problem(arms.THREE, max_acceleration=5.0)
     limits = problem.limits
     q = np.vstack((limits.upper, limits.lower, 0.5 * (limits.lower + limits.upper)))

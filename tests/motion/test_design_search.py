@@ -1,4 +1,4 @@
-"""Searches: what is found keeps all limits, is the same for a seed, and survives an end."""
+"""Searches for an excitation: limits hold, a seed repeats, interruptions keep the best."""
 
 from __future__ import annotations
 
@@ -52,19 +52,20 @@ ARMS = (
 
 
 def run_search(design, seed, progress=None, clock=design_module.clock):
+    """Return the result of a search with the seed, a progress listener and a clock in seconds."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(design_module, "clock", clock)
         return design_excitation(design, np.random.default_rng(seed), progress)
 
 
 def search_problem(problem, **changes):
-    """Search with limits that no option says."""
+    """Return the result of a search with limits that are set on the problem itself."""
     design = Design(problem, options(**changes), TrajectoryOptions(duration=DURATION))
     return design_excitation(design, np.random.default_rng(0))
 
 
 def assert_obeys(xml, seed, **changes):
-    """Every limit at 500 Hz by the records of the arm itself, and no contact by MuJoCo."""
+    """Check every limit at 500 Hz against the arm's own limits, and contacts by MuJoCo."""
     result = run_search(make_design(xml, **changes), seed)
     problem = make_problem(xml)
     arm = robot(xml)
@@ -89,11 +90,12 @@ def test_limits_hold_for_any_seed(xml, seed):
 
 
 @pytest.mark.parametrize("xml", [arms.SLIDE_IN_CHAIN, TUBES_ON_FLOOR])
-def test_limits_hold_of_a_joint_that_slides_and_over_a_floor(xml):
+def test_limits_hold_for_a_slide_joint_and_over_a_floor(xml):
     assert_obeys(xml, 1)
 
 
-def test_the_seed_makes_the_trajectory_whatever_the_number_of_workers():
+def test_the_seed_alone_decides_the_trajectory():
+    """The process_id of workers does not."""
     alone, together = (
         run_search(make_design(arms.THREE, workers=w, starts=2), 1) for w in (1, 2)
     )
@@ -108,7 +110,7 @@ def test_the_seed_makes_the_trajectory_whatever_the_number_of_workers():
 
 
 class RecordedProgress(Progress):
-    """Notes what it is told, and then does something."""
+    """A progress listener that records its calls and then runs a callback."""
 
     def __init__(self, then=lambda done: None):
         self.done = []
@@ -123,7 +125,7 @@ class RecordedProgress(Progress):
         self._then(done)
 
 
-def test_rounds_make_it_better_and_progress_is_told():
+def test_rounds_improve_the_objective_and_report_progress():
     progress = RecordedProgress()
     result = run_search(make_design(arms.THREE, rounds=3, iterations=20), 3, progress)
     assert result.objective < 0.9 * result.start_objective
@@ -137,10 +139,10 @@ def test_rounds_make_it_better_and_progress_is_told():
     )
 
 
-def test_the_best_start_goes_on_until_a_round_gains_next_to_nothing(monkeypatch):
-    """Scores of a round each are made up; the second start is better after its first.
+def test_the_best_start_is_improved_until_a_round_gains_little(monkeypatch):
+    """Scores of each round are fixed; the second start is better after its first round.
 
-    Its third gains nothing, but only because it breaks limits.
+    Its third round gains nothing, but only because it breaks limits.
     """
     scores = iter(
         ((-1.0, -1.0), (-1.2, -1.2), (-1.2, -1.6), (-1.5, -1.51), (-1.505, -1.52))
@@ -173,6 +175,8 @@ def test_the_best_start_goes_on_until_a_round_gains_next_to_nothing(monkeypatch)
 
 
 def interrupt_after(count):
+    """Return a listener that raises KeyboardInterrupt after ``count`` finished jobs."""
+
     def interrupt(done):
         if done >= count:
             raise KeyboardInterrupt
@@ -181,15 +185,15 @@ def interrupt_after(count):
 
 
 @pytest.mark.parametrize(("count", "drawn"), [(2, 6), (1, 5)])
-def test_ctrl_c_keeps_the_best_so_far(count, drawn):
-    """In a round of improvement, or among the first draws."""
+def test_an_interruption_keeps_the_best_trajectory(count, drawn):
+    """Interrupted in a round of improvement, or among the first draws."""
     result = run_search(make_design(arms.THREE, rounds=50), 3, interrupt_after(count))
     assert (result.stopped, result.n_drawn) == ("interrupted", drawn)
     assert any("interrupted" in note for note in result.notes)
     assert result.limit_check.holds
 
 
-def test_ctrl_c_before_there_is_anything_is_an_interruption(monkeypatch):
+def test_an_interruption_before_the_first_result_is_raised(monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
@@ -199,7 +203,7 @@ def test_ctrl_c_before_there_is_anything_is_an_interruption(monkeypatch):
 
 
 class Ticking:
-    """A clock that moves by as much as it is asked."""
+    """A clock that advances by ``step`` seconds at each reading."""
 
     def __init__(self, step):
         self.step = step
@@ -211,7 +215,7 @@ class Ticking:
 
 
 @pytest.mark.parametrize(("step", "drawn"), [(1.0, 1), (0.01, 20)])
-def test_a_search_ends_in_the_middle_of_a_job(step, drawn):
+def test_the_time_budget_ends_a_search_in_the_middle_of_a_job(step, drawn):
     """Time is up after the first draw, or in the first round of improvement."""
     clock = Ticking(step)
     design = make_design(
@@ -224,7 +228,7 @@ def test_a_search_ends_in_the_middle_of_a_job(step, drawn):
     assert step * clock.asked < 0.5 + 10.0 * step
 
 
-def test_where_nothing_is_feasible_the_limit_is_named():
+def test_the_limit_that_no_draw_keeps_is_named():
     # However slow, moving takes at least the friction.
     problem = make_problem(arms.DRY_FRICTION)
     weak_problem = replace(
@@ -238,7 +242,7 @@ def test_where_nothing_is_feasible_the_limit_is_named():
 
 
 @pytest.mark.slow
-def test_the_tool_is_as_slow_as_asked_for_and_hardly_slower():
+def test_the_tool_uses_the_speed_that_its_limit_allows():
     result = search_problem(
         make_problem(TUBES, max_tool_speed=0.3), iterations=20, rounds=2
     )
@@ -247,7 +251,7 @@ def test_the_tool_is_as_slow_as_asked_for_and_hardly_slower():
 
 
 def test_a_load_within_the_reserve_breaks_no_torque_limit():
-    """The load is reckoned by hand from what it adds to the arm's own torques."""
+    """The load's torque is added by hand to the arm's own torque."""
     unloaded, loaded = (
         make_problem(arms.THREE, max_torque=8.0, payload_reserve=m) for m in (0.0, 3.0)
     )
@@ -271,7 +275,7 @@ DESIGNS = [
 
 @given(st.sampled_from(DESIGNS), SEEDS)
 def test_every_feasible_draw_keeps_all_limits_on_the_grid(design, seed):
-    """And is drawn from the seed and its own number alone."""
+    """Each draw depends on the seed and its own process_id alone."""
     first, second = draw_trajectories(design, seed, [0, 1])
     assert np.array_equal(draw_trajectories(design, seed, [1])[0].x, second.x)
     assert not np.any(first.x) or not np.array_equal(first.x, second.x)
@@ -283,8 +287,8 @@ def test_every_feasible_draw_keeps_all_limits_on_the_grid(design, seed):
         assert not np.any(first.x) and first.obstacle
 
 
-def test_what_is_asked_for_decides_which_motion_is_found():
-    """What is good for a link is made better for a payload, and worse for the link."""
+def test_the_target_decides_the_motion():
+    """Improving a link's motion for a payload makes it worse for the link."""
     arm = make_problem(arms.serial_arm((arms.Z, arms.Y, arms.X)))
     motion = TrajectoryOptions(duration=4.0, sample_rate=100.0)
     link, payload = (
@@ -305,14 +309,14 @@ def test_what_is_asked_for_decides_which_motion_is_found():
 
 
 def die_in_worker(parent, number):
-    """A job that kills any process but its parent, once that has seen its threads."""
+    """Return (number, MKL threads, is_parent); end the process first unless it is the parent."""
     if os.getpid() != parent and number:
         os._exit(3)
     return number, os.environ.get("MKL_NUM_THREADS"), os.getpid() == parent
 
 
-def test_what_workers_that_die_leave_is_done_here(monkeypatch):
-    """They use one thread each where the user says nothing."""
+def test_jobs_of_dead_workers_run_in_the_parent(monkeypatch):
+    """Workers use one thread each unless the user sets the number of threads."""
     monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
     with search._worker_pool(os.getpid(), 2) as run:
         assert list(run([partial(die_in_worker, number=0)])) == [(0, "1", False)]
@@ -324,20 +328,20 @@ def test_what_workers_that_die_leave_is_done_here(monkeypatch):
     )
 
 
-def number(shared):
-    """A job that tells which process does it."""
+def process_id(shared):
+    """Return the id of the process that runs this job."""
     time.sleep(0.05)
     return os.getpid()
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes cannot be listed")
-def test_workers_end_with_a_process_that_is_killed():
-    """Whoever is killed cannot end his workers; they would wait for ever."""
+def test_workers_end_when_their_parent_is_killed():
+    """A killed process cannot end its workers itself."""
     code = (
-        "from tests.motion.test_design_search import number, search\n"
+        "from tests.motion.test_design_search import process_id, search\n"
         "with search._worker_pool(0, 2) as run:\n"
-        "    print(*{*run([number] * 8)}, flush=True)\n"
+        "    print(*{*run([process_id] * 8)}, flush=True)\n"
         "    input()\n"
     )
     pipe = subprocess.PIPE

@@ -1,4 +1,4 @@
-"""What is promised of a motion is what an identification of its recording then delivers."""
+"""Predicted errors of a motion equal those of an identification from its recording."""
 
 from __future__ import annotations
 
@@ -47,6 +47,7 @@ KNOWN_ARM = EstimationOptions(**{f"{cause}_uncertainty": 0.0 for cause in CAUSES
 
 
 def predict_errors(options, **changes):
+    """Return the errors predicted for PLAN on ARM; changes are those of ``make_problem``."""
     return predict(
         make_problem(ARM, noise_torque=SIGMA, **changes),
         PLAN,
@@ -56,7 +57,7 @@ def predict_errors(options, **changes):
 
 @cache
 def identify_recording(options, seed):
-    """What one noisy recording answers, with friction as the promise has it."""
+    """Return the answer of identifying one noisy recording of PLAN with measured friction."""
     exact = join_measurements(simulate_inverse(robot(ARM), motion_chunks(PLAN, RATE)))
     noise = SIGMA * np.random.default_rng([seed, 1]).normal(size=exact.tau.shape)
     recording = replace(exact, tau=exact.tau + noise, qd=None, qdd=None)
@@ -68,10 +69,11 @@ def identify_recording(options, seed):
 
 
 def estimate_errors(options, seed):
+    """Return the estimate, with standard errors, from one noisy recording of PLAN."""
     return estimate_of(identify_recording(options, seed))
 
 
-def test_of_a_known_arm_the_promise_is_the_error_that_identifications_report():
+def test_predicted_errors_of_an_exact_arm_equal_reported_errors():
     # One short recording knows its own noise, and how white it is, to a tenth or so.
     standard_errors = [
         estimate_errors(KNOWN_ARM, seed).standard_errors[:10] for seed in range(4)
@@ -81,8 +83,8 @@ def test_of_a_known_arm_the_promise_is_the_error_that_identifications_report():
 
 
 @pytest.mark.slow
-def test_of_a_known_arm_the_promise_is_the_spread_of_identifications():
-    """Sixty runs know a spread to 9 %; ten parameters stay within three times that."""
+def test_predicted_errors_of_an_exact_arm_equal_the_spread_of_estimates():
+    """Sixty runs determine a spread to 9 %; ten parameters stay within three times that."""
     estimates = np.array(
         [estimate_errors(KNOWN_ARM, seed).values[:10] for seed in range(60)]
     )
@@ -91,7 +93,7 @@ def test_of_a_known_arm_the_promise_is_the_spread_of_identifications():
     assert abs(np.median(ratio) - 1.0) < 0.1
 
 
-def test_of_an_arm_that_is_not_known_the_whole_error_is_promised():
+def test_predicted_errors_of_an_uncertain_arm_include_its_model_errors():
     options = EstimationOptions()
     expected = predict_errors(options)
     (*_, stated) = identify_recording(options, 0).links()
@@ -104,7 +106,7 @@ def test_of_an_arm_that_is_not_known_the_whole_error_is_promised():
         assert 0.6 < np.median(standard_errors / stated.budget[cause]) < 3.0
 
 
-def test_the_causes_add_up_to_the_promise():
+def test_covariances_by_cause_add_up_to_the_covariance():
     expected = predict_errors(EstimationOptions())
     total = np.sum(list(expected.covariance_by_cause.values()), axis=0)
     np.testing.assert_allclose(total, expected.covariance, atol=1e-9 * np.max(total))
@@ -113,8 +115,8 @@ def test_the_causes_add_up_to_the_promise():
 @pytest.mark.parametrize(
     "options", [EstimationOptions(), KNOWN_ARM], ids=["usual", "known"]
 )
-def test_the_search_makes_small_what_is_promised(options):
-    """It looks at all samples, the promise at a recording of them without its ends."""
+def test_the_search_minimises_the_predicted_errors(options):
+    """The search uses all samples, the prediction a recording of them without its ends."""
     problem = make_problem(ARM, noise_torque=SIGMA)
     prior = prior_knowledge(problem, options, "link")
     motion = PLAN.evaluate((np.arange(2000) + 0.5) * PLAN.duration / 2000)
@@ -128,7 +130,7 @@ def test_the_search_makes_small_what_is_promised(options):
     assert np.all((ratio > 0.99) & (ratio < 1.5)) and np.median(ratio) < 1.25
 
 
-def test_of_friction_what_identifications_report_is_promised():
+def test_predicted_friction_errors_equal_reported_errors():
     options = EstimationOptions()
     estimate = estimate_errors(EstimationOptions(), 0)
     errors = dict(zip(estimate.names, estimate.standard_errors))
@@ -141,8 +143,8 @@ def test_of_friction_what_identifications_report_is_promised():
         assert len(ratio) == 4 and np.all(np.abs(np.array(ratio) - 1.0) < 0.4)
 
 
-def test_a_payload_is_told_by_the_difference_of_two_recordings():
-    """Of it alone, so that what the model knows of links, and noise of both recordings, count."""
+def test_payload_errors_come_from_the_difference_of_two_recordings():
+    """Errors of the links cancel, and the noise of both recordings counts."""
     expected = predict(
         make_problem(ARM, noise_torque=SIGMA),
         PLAN,
@@ -154,7 +156,7 @@ def test_a_payload_is_told_by_the_difference_of_two_recordings():
     assert 0.01 < expected.scale_error < 0.03
 
 
-def test_scales_that_are_not_alike_are_averaged_as_the_estimate_does():
+def test_different_torque_scales_are_averaged_by_their_weights():
     options = EstimationOptions(scale_uncertainty=(1.0, 2.0, 4.0, 8.0))
     recording = RecordingPlan(RATE, options, "payload")
     scale_error = predict(
@@ -163,7 +165,7 @@ def test_scales_that_are_not_alike_are_averaged_as_the_estimate_does():
     assert scale_error == pytest.approx(0.01 / np.linalg.norm([1.0, 0.5, 0.25, 0.125]))
 
 
-def test_a_payload_weighs_as_surely_as_torques_are_scaled_at_best():
+def test_the_payload_mass_is_as_uncertain_as_the_torque_scale():
     improvements = predict_errors(EstimationOptions(scale_uncertainty=6.0)).improvements
     mass_error = next(
         improvement.mass_error
@@ -175,7 +177,8 @@ def test_a_payload_weighs_as_surely_as_torques_are_scaled_at_best():
     assert 0.06 / np.sqrt(joints) * mass < mass_error < 0.1 * mass
 
 
-def test_where_no_motion_tells_the_mass_it_is_said_beforehand_with_what_would():
+def test_a_mass_that_no_motion_determines_is_reported_in_advance():
+    """The note states the smallest possible error and the measurement that helps."""
     tip = '<inertial pos=".02 .03 .06" mass=".08" diaginertia=".0005 .0006 .0003"/>'
     light = ARM.replace(arms.TIP, tip)
     problem = make_problem(light, noise_torque=SIGMA)
@@ -192,7 +195,7 @@ def test_where_no_motion_tells_the_mass_it_is_said_beforehand_with_what_would():
     ("rate", "message"),
     [(4.0, "too few to choose a cut-off"), (1e9, "only motions up to")],
 )
-def test_what_cannot_be_processed_gets_the_bound_and_the_reason(
+def test_a_recording_that_cannot_be_processed_gets_a_bound_and_a_reason(
     rate, message, monkeypatch
 ):
     monkeypatch.setattr("robot_sysid.motion.expected_errors.MOST_SAMPLES", 1999)
@@ -203,7 +206,7 @@ def test_what_cannot_be_processed_gets_the_bound_and_the_reason(
     assert message in expected.caveat and np.all(np.isfinite(expected.standard_errors))
 
 
-def test_an_arm_at_rest_shows_nothing():
+def test_an_arm_at_rest_has_infinite_errors():
     resting = FourierTrajectory(
         PLAN.basis, make_problem(ARM).rest, np.zeros_like(PLAN.coefficients)
     )

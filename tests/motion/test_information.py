@@ -1,4 +1,4 @@
-"""The predicted information equals what the identification itself collects."""
+"""The predicted information equals the information that an identification collects."""
 
 from __future__ import annotations
 
@@ -23,6 +23,15 @@ SAMPLES = 60
 
 
 def make_model(robot, prior_deviations, smoothing=0.0, rows=None):
+    """Return the InformationModel of all links of an arm.
+
+    Args:
+        robot: the arm.
+        prior_deviations: (7,) prior standard deviation of each joint term, infinite for free
+    ones.
+        smoothing: speed below which dry friction is rounded [rad/s].
+        rows: joints whose torque is used; all by default.
+    """
     n = robot.n_joints
     links = (n - 1, *reversed(other_links(robot)))
     rows = tuple(range(n)) if rows is None else rows
@@ -34,8 +43,9 @@ def make_model(robot, prior_deviations, smoothing=0.0, rows=None):
 
 
 def schur_complement(robot, motion, torques, sigma, prior_deviations):
-    """Information of all links, in descending order, from the tool's own equations and priors,
-    nuisances removed.
+    """Return the information of all links from the tool's equations, nuisances eliminated.
+
+    The order is the last link first, then the other links from the tip to the base.
     """
     links = other_links(robot)
     (q, qd, qdd) = motion
@@ -83,7 +93,7 @@ PRIORS = {
 @pytest.mark.parametrize("prior_deviations", PRIORS.values(), ids=PRIORS)
 @pytest.mark.parametrize("torques", ["chain", "terminal"])
 @pytest.mark.parametrize("xml", [arms.SEVEN, arms.SLIDE_IN_CHAIN, arms.SHARED_BODIES])
-def test_equals_the_schur_complement_of_the_tools_equations(
+def test_information_equals_the_schur_complement_of_the_equations(
     xml, torques, prior_deviations
 ):
     robot = robot_of(xml)
@@ -99,7 +109,7 @@ def test_equals_the_schur_complement_of_the_tools_equations(
 
 @pytest.mark.parametrize("target", ["link", "arm", "payload"])
 @pytest.mark.parametrize("prior_deviations", PRIORS.values(), ids=PRIORS)
-def test_the_gradient_of_what_is_asked_for_equals_differences(target, prior_deviations):
+def test_the_gradient_of_the_criterion_equals_differences(target, prior_deviations):
     robot = robot_of(arms.THREE)
     rng = np.random.default_rng(0)
     model = make_model(robot, prior_deviations, 0.3)
@@ -120,8 +130,8 @@ def test_the_gradient_of_what_is_asked_for_equals_differences(target, prior_devi
     )
 
 
-def test_what_is_asked_for_is_the_volume_of_its_posterior_covariance():
-    """By the whole inverse, and better with every more row and with less doubt of the others."""
+def test_the_criterion_is_the_volume_of_the_posterior_covariance():
+    """More rows or a narrower prior improve the value."""
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(60, 30))
     factor = 0.3 * rng.normal(size=(20, 20))
@@ -150,14 +160,14 @@ def test_what_is_asked_for_is_the_volume_of_its_posterior_covariance():
 
 
 @pytest.mark.parametrize("size", [0.0, 1.0, np.nan])
-def test_information_that_is_singular_is_infinitely_bad(size):
+def test_singular_information_has_an_infinite_criterion(size):
     matrix = np.full((10, 10), size)
     value, gradient = Criterion(np.eye(10), np.zeros((0, 0)), "link").evaluate(matrix)
     assert value == np.inf and gradient.shape == (10, 0)
 
 
 def arm_or_none(xml):
-    """RobotModel of a random chain; None where its end is a matter of taste."""
+    """Return the RobotModel of a random chain, or None where its terminal joint is ambiguous."""
     try:
         return robot_of(xml)
     except AmbiguousJointError:
@@ -165,7 +175,11 @@ def arm_or_none(xml):
 
 
 def terminal_motion(robot, q, qd, qdd):
-    """Body Jacobian (N, 6, n), twist and spatial acceleration minus gravity (N, 6), by MuJoCo."""
+    """Return the last body's motion by MuJoCo.
+
+    Returns:
+        Body Jacobian (N, 6, n), twist (N, 6) and spatial acceleration minus gravity (N, 6).
+    """
     model = analysis_copy(robot.mj_model)
     frame = int(mujoco.mjtObj.mjOBJ_XBODY)
     body = robot.body_id
@@ -193,7 +207,7 @@ def terminal_motion(robot, q, qd, qdd):
 
 
 @given(random_chain(), SEEDS)
-def test_equals_mujoco(xml, seed):
+def test_motion_of_the_last_link_equals_mujoco(xml, seed):
     robot = arm_or_none(xml)
     if robot is None:
         return

@@ -1,4 +1,4 @@
-"""The dense check finds what a sampled check would miss, and nothing that is not there."""
+"""The continuous check finds violations between samples, and reports no others."""
 
 from __future__ import annotations
 
@@ -42,6 +42,7 @@ BRIEF = FourierBasis(0.4, 2.5, 3, 0.15)
 
 
 def plan_of(problem, seed, size, basis=BRIEF):
+    """Return a Fourier trajectory with random coefficients of standard deviation ``size``."""
     rng = np.random.default_rng(seed)
     return FourierTrajectory(
         basis, problem.rest, size * rng.normal(size=(problem.n_joints, 7))
@@ -49,7 +50,7 @@ def plan_of(problem, seed, size, basis=BRIEF):
 
 
 @given(SEEDS, st.floats(0.02, 0.6))
-def test_peaks_are_those_of_the_samples(seed, size):
+def test_peaks_equal_those_of_dense_samples(seed, size):
     problem = make_problem(arms.THREE)
     plan = plan_of(problem, seed, size)
     check = check_limits(problem, plan)
@@ -69,7 +70,7 @@ def test_peaks_are_those_of_the_samples(seed, size):
     assert check.holds == holds == keeps_limits(problem, plan)
 
 
-def test_a_torque_that_is_no_number_keeps_no_limit():
+def test_a_torque_that_is_nan_breaks_its_limit():
     problem = make_problem(arms.THREE)
     lost = dataclasses.replace(
         problem, arm_torque=lambda motion: np.full_like(motion.q, np.nan)
@@ -93,7 +94,7 @@ def test_position_limits_need_not_lie_around_zero(middle, reach, position):
 
 @pytest.mark.slow
 @given(SEEDS, st.floats(0.02, 0.2))
-def test_clearance_is_that_of_testing_often(seed, size):
+def test_clearance_equals_that_of_dense_samples(seed, size):
     problem = make_problem(TUBES_AND_POST)
     plan = plan_of(problem, seed, size)
     often = plan.evaluate(np.arange(161) / 400.0)
@@ -130,7 +131,7 @@ class ThinWall:
         return Closest(value, value, "arm and wall")
 
 
-def test_finds_a_wall_that_samples_step_over():
+def test_a_wall_between_two_samples_is_detected():
     problem = dataclasses.replace(make_problem(arms.THREE), obstacles=ThinWall())
     coefficients = np.zeros((3, 7))
     coefficients[0, 0] = 0.4
@@ -148,9 +149,7 @@ def test_finds_a_wall_that_samples_step_over():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_samples_that_are_looked_at_together_find_what_each_alone_does(
-    seed, monkeypatch
-):
+def test_skipping_samples_keeps_the_smallest_clearance(seed, monkeypatch):
     problem = make_problem(TUBES_AND_POST)
     plan = plan_of(problem, seed, 0.1)
     checks = []
@@ -179,14 +178,14 @@ class Stopping:
 
 
 @pytest.mark.parametrize(("end", "touches"), [(0.1988, False), (0.19945, True)])
-def test_a_motion_that_stops_behind_a_wall_is_found(end, touches):
-    """Between two samples it is as fast as at the start of the step."""
+def test_a_motion_that_stops_inside_a_wall_is_detected(end, touches):
+    """Between two samples the speed is that at the start of the step."""
     problem = dataclasses.replace(make_problem(arms.THREE), obstacles=ThinWall())
     assert (first_contact(problem, Stopping(end)) is not None) == touches
 
 
-class Unaware:
-    """A motion that does not tell that it repeats itself."""
+class PlanWithoutPeriod:
+    """A motion that hides its period, so that all of it is checked."""
 
     def __init__(self, plan):
         self.duration = plan.duration
@@ -194,17 +193,21 @@ class Unaware:
 
 
 def check_with_and_without_period(problem, seed, base, fade, speed):
-    """A motion that repeats itself, its check, and the check of all of it."""
+    """Return a periodic motion, its check, and the check of its full duration."""
     basis = FourierBasis(3.0, base, 4, fade)
     shape = 0.05 * np.random.default_rng(seed).normal(size=(3, 9))
     plan = at_speed(FourierTrajectory(basis, problem.rest, shape), speed)
-    return plan, check_limits(problem, plan), check_limits(problem, Unaware(plan))
+    return (
+        plan,
+        check_limits(problem, plan),
+        check_limits(problem, PlanWithoutPeriod(plan)),
+    )
 
 
 @pytest.mark.slow
 @given(SEEDS, st.sampled_from([0.97, 1.0]), st.just(0.3), st.floats(0.5, 1.0))
-def test_one_period_and_both_ends_stand_for_all(seed, base, fade, speed):
-    """Also slowed down, and where a period is no whole number of samples."""
+def test_checking_one_period_and_both_ends_covers_the_motion(seed, base, fade, speed):
+    """Also slowed down, and where a period is no integer number of samples."""
     plan, check, full_check = check_with_and_without_period(
         make_problem(arms.THREE), seed, base, fade, speed
     )
@@ -242,9 +245,7 @@ def test_the_failure_counts_the_limits_and_names_the_worst():
 
 @pytest.mark.slow
 @given(SEEDS, st.floats(0.1, 2.0), st.floats(0.3, 5.0))
-def test_a_joint_that_keeps_its_speeds_stays_as_it_is_the_others_just_keep_theirs(
-    seed, v, a
-):
+def test_only_joints_beyond_their_limits_are_scaled(seed, v, a):
     """Without torque limits and obstacles nothing couples the joints."""
     problem = make_problem(arms.THREE)
     unlimited = np.full(3, np.inf)
@@ -275,8 +276,8 @@ def test_a_joint_that_keeps_its_speeds_stays_as_it_is_the_others_just_keep_their
 @pytest.mark.parametrize(
     ("shortfall", "holds"), [(2e-9, True), (1e-7, True), (5e-6, False)]
 )
-def test_a_clearance_may_be_missed_by_rounding_and_by_no_more(shortfall, holds):
-    """On the way to a pose that is so much beyond what it has to keep [m]."""
+def test_a_clearance_may_fall_short_by_rounding_alone(shortfall, holds):
+    """The end pose falls short of its clearance by ``shortfall`` metres."""
     problem = make_problem(TUBES_AND_POST)
     low = 0.0
     high = 1.0
@@ -325,7 +326,7 @@ def test_two_arms_as_one_need_the_torques_of_each(pair):
 @pytest.mark.parametrize(
     "end", [[-0.6, 0.0, 0.6, 0.0], [-1.2, 0.5, 0.0, 0.0], [0.9, 1, -0.9, -1]]
 )
-def test_the_first_touch_is_that_of_a_dense_look(pair, end):
+def test_the_first_touch_equals_that_of_dense_samples(pair, end):
     between = BetweenArms(*pair)
     path = straight_way(np.zeros(4), np.array(end))
     time = np.linspace(0.0, path.duration, 2000)
@@ -336,12 +337,12 @@ def test_the_first_touch_is_that_of_a_dense_look(pair, end):
         assert touch_time == pytest.approx(time[is_close.index(True)], abs=3e-3)
 
 
-def test_what_is_for_a_serial_chain_refuses_both(pair):
+def test_two_arms_are_refused_where_a_serial_chain_is_needed(pair):
     with pytest.raises(InputError, match="no serial chain: take one arm"):
         count_moving_joints(as_one(*pair))
 
 
-def test_one_of_them_reaches_the_other_and_one_does_not(pair):
+def test_two_arms_overlap_in_one_pose_and_not_at_rest(pair):
     """The three ends of the test above are of both kinds."""
     between = BetweenArms(*pair)
     assert between.distance(np.array([-0.6, 0.0, 0.6, 0.0])) < 0.0

@@ -1,4 +1,4 @@
-"""Every trajectory that is played, kept or bound by a limit is checked; what breaks one fails."""
+"""Every trajectory that is played, saved or limited is checked against all limits."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from tests.support.excitation_arms import TUBES, TUBES_AND_POST, options, robot
 
 
 class Listener(Progress):
+    """A progress listener that keeps the notes."""
+
     def __init__(self):
         self.notes = []
 
@@ -27,6 +29,7 @@ class Listener(Progress):
 
 
 def make_request(trajectory=None, limits=None, excitation=None, played=False):
+    """Return a MotionRequest; the dicts are keyword arguments of its option records."""
     motion = TrajectoryOptions(
         **{"duration": 4.0, "sample_rate": 200.0, **(trajectory or {})}
     )
@@ -37,6 +40,7 @@ def make_request(trajectory=None, limits=None, excitation=None, played=False):
 
 
 def plan_motion(xml, seed=1, listener=None, **request):
+    """Return the plan of an arm with the seed; further arguments are those of make_request."""
     speed = request.get("limits", {}).get("max_velocity", 2.0)
     arm = arms.robot_of(xml, max_velocity=speed)
     return make_plan(make_request(**request), arm, seed, listener or Listener())
@@ -57,7 +61,7 @@ CHECKED = {
 }
 
 
-def test_what_is_played_kept_or_bound_by_a_limit_is_checked():
+def test_motions_that_are_played_saved_or_limited_are_checked():
     assert all(make_request(**case).is_checked for case in CHECKED.values())
     assert not make_request(limits={"max_velocity": 0.3}).is_checked
     motion_plan = plan_motion(arms.THREE, **CHECKED["designed"])
@@ -69,10 +73,10 @@ def test_what_is_played_kept_or_bound_by_a_limit_is_checked():
 @pytest.mark.parametrize("excitation", ["sines", "optimal"])
 @pytest.mark.parametrize("purpose", ["link", "weight"])
 @pytest.mark.parametrize("load", [0.0, 0.5])
-def test_a_planned_motion_leaves_torque_for_what_its_links_may_be_off(
+def test_a_planned_motion_reserves_torque_for_errors_of_the_links(
     excitation, purpose, load
 ):
-    """Two standard deviations of what errors of the links make, drawn: 2000 arms know them to 2 %.
+    """The reserve is two standard deviations, estimated from 2000 random arms to 2 %.
 
     Weighing uses half of the limits, and goes slowly.
     """
@@ -110,14 +114,14 @@ BOX = (-0.17, 0.17, -0.17, 0.17, 1.0, 2.0)
 
 
 def planes_of(box):
-    """The six planes (N, OFFSET) of a box, their insides where N x >= OFFSET."""
+    """Yield the six planes (nx, ny, nz, offset) of a box, with the inside where n x >= offset."""
     for axis, (low, high) in zip(np.eye(3), (box[:2], box[2:4], box[4:])):
         yield (*axis, low)
         yield (*-axis, -high)
 
 
 def excess_over(limits, arm, plan):
-    """By how much a plan breaks each limit that is asked for, from MuJoCo; negative where kept."""
+    """Return by how much a plan exceeds each limit, by MuJoCo; negative within the limit."""
     peaks = witness.peaks(arm, plan, 200.0)
     distance = partial(witness.distance_to_plane, arm, plan, rate=200.0)
     measures = {
@@ -148,20 +152,20 @@ LIMITS = {
 
 
 @cache
-def free():
-    """A motion that nothing but the model's own limits binds."""
+def unlimited_plan():
+    """Return a motion that only the model's own limits bind."""
     return plan_motion(TUBES).plan
 
 
 @pytest.mark.parametrize("case", LIMITS)
 def test_random_sinusoids_are_scaled_until_every_limit_holds(case):
-    """Which they would exceed; and what somebody has chosen is used as it is or not at all."""
+    """Without the limit, the motion would exceed it."""
     limits = LIMITS[case]
     arm = robot(TUBES)
     motion_plan = plan_motion(TUBES, 1, limits=limits)
     assert motion_plan.failure is None
     assert max(excess_over(limits, arm, motion_plan.plan).values()) <= 1e-9
-    assert min(excess_over(limits, arm, free()).values()) > 0.0
+    assert min(excess_over(limits, arm, unlimited_plan()).values()) > 0.0
     peaks = witness.peaks(arm, motion_plan.plan, 20.0)
     assert np.all(peaks.highest - peaks.lowest > 0.0)
 
@@ -169,15 +173,15 @@ def test_random_sinusoids_are_scaled_until_every_limit_holds(case):
 @pytest.mark.parametrize("case", ["torque", "workspace"])
 def test_a_trajectory_from_a_file_that_breaks_a_limit_fails(case, tmp_path):
     path = tmp_path / "plan.json"
-    save_trajectory(path, free(), robot(TUBES).joint_names)
+    save_trajectory(path, unlimited_plan(), robot(TUBES).joint_names)
     motion_plan = plan_motion(TUBES, trajectory={"file": path}, limits=LIMITS[case])
     assert motion_plan.failure.startswith("this trajectory must not be run: it breaks ")
     assert plan_motion(TUBES, trajectory={"file": path}).failure is None
 
 
-def test_a_trajectory_made_elsewhere_does_not_hit_what_stands_in_the_model(tmp_path):
+def test_a_trajectory_from_a_file_is_checked_for_collisions(tmp_path):
     path = tmp_path / "plan.json"
-    plan = free().scale_amplitudes((8.0, 4.0, 1.0, 1.0))
+    plan = unlimited_plan().scale_amplitudes((8.0, 4.0, 1.0, 1.0))
     save_trajectory(path, plan, robot(TUBES).joint_names)
     assert (
         plan_motion(
@@ -195,7 +199,7 @@ def test_other_joint_names_are_refused_another_model_of_the_same_joints_is_noted
     tmp_path,
 ):
     path = tmp_path / "plan.json"
-    plan = free()
+    plan = unlimited_plan()
     arm = robot(TUBES)
     for sha256, noted in ((arm.sha256, False), ("0" * 64, True)):
         listener = Listener()
@@ -218,9 +222,9 @@ def test_other_joint_names_are_refused_another_model_of_the_same_joints_is_noted
         (float("inf"), "finite duration above 0"),
     ],
 )
-def test_a_file_that_never_ends_is_refused(tmp_path, duration, message):
+def test_a_file_with_an_endless_duration_is_refused(tmp_path, duration, message):
     path = tmp_path / "plan.json"
-    save_trajectory(path, free(), robot(TUBES).joint_names)
+    save_trajectory(path, unlimited_plan(), robot(TUBES).joint_names)
     text = path.read_text().replace('"duration": 4.0', f'"duration": {duration}')
     path.write_text(text.replace("inf", "Infinity"))
     with pytest.raises(InputError, match=message):

@@ -60,7 +60,7 @@ from robot_sysid.motion.plan_options import (
         (LimitOptions, {"keep_out": ((0, 0, 1, np.inf),)}, "normal that is not zero"),
     ],
 )
-def test_refuses_in_one_line(record, changes, message):
+def test_an_invalid_option_is_refused_in_one_line(record, changes, message):
     with pytest.raises(InputError) as caught:
         record(**changes)
     assert message in str(caught.value) and "\n" not in str(caught.value)
@@ -78,7 +78,7 @@ def test_the_band_ends_at_the_top_frequency(duration):
         assert basis.top_frequency_hz > TOP_FREQUENCY_HZ - basis.base_frequency_hz
 
 
-def test_a_long_budget_is_worth_as_many_workers_as_there_are(monkeypatch):
+def test_a_long_time_budget_uses_all_cores_up_to_two(monkeypatch):
     for n_cores, n_workers in ((1, 1), (2, 2), (8, 2)):
         cores = set(range(n_cores))
         monkeypatch.setattr(
@@ -92,7 +92,7 @@ def test_a_long_budget_is_worth_as_many_workers_as_there_are(monkeypatch):
     )
 
 
-def test_the_workspace_and_the_planes_are_made_of_the_numbers():
+def test_half_spaces_follow_the_workspace_and_the_planes():
     limits = LimitOptions(
         workspace=(-1.0, np.inf, -2.0, 2.0, 0.0, 3.0), keep_out=((0.0, 0.0, 2.0, 1.0),)
     )

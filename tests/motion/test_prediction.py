@@ -1,4 +1,4 @@
-"""What all samples of a plan tell is what least squares then shows; and what its reader is told."""
+"""Predicted deviations equal those of Monte Carlo, and the report states true figures."""
 
 from __future__ import annotations
 
@@ -36,13 +36,23 @@ FULL_FRICTION = FrictionModel(("coulomb", "viscous", "offset", "armature"))
 
 
 def best_plan(xml, seed=0, **changes):
+    """Return the trajectory with the best score among six draws."""
     design = make_design(xml, **changes)
     draw = min(draw_trajectories(design, seed, range(6)), key=lambda d: d.score)
     return design.trajectory(draw.x)
 
 
 def empirical_deviation_of(arm, plan, rate, sigma, draws, seed=0):
-    """Spread (10,) of least-squares estimates over noise draws, by the tool's own equations."""
+    """Return the standard deviation (10,) of least-squares estimates over noise draws.
+
+    Args:
+        arm: the robot model.
+        plan: its motion.
+        rate: samples per second.
+        sigma: standard deviation of the torque noise [N m].
+        draws: number of noise draws.
+        seed: of the noise.
+    """
     rng = np.random.default_rng(seed)
     equations = Equations(arm, "chain", (FULL_FRICTION,) * arm.n_joints)
     size = len(equations.names)
@@ -59,7 +69,7 @@ def empirical_deviation_of(arm, plan, rate, sigma, draws, seed=0):
 
 
 @pytest.mark.parametrize("xml", [arms.SEVEN, arms.SLIDE_IN_CHAIN])
-def test_the_information_of_all_samples_is_that_of_monte_carlo(xml):
+def test_predicted_deviations_equal_monte_carlo(xml):
     problem = make_problem(xml)
     plan = best_plan(xml)
     prior = known_arm(problem)
@@ -75,7 +85,8 @@ def test_the_information_of_all_samples_is_that_of_monte_carlo(xml):
     assert np.all(np.abs(spread / deviation - 1.0) < 0.10)
 
 
-def test_the_centre_of_mass_is_that_of_monte_carlo_to_first_order():
+def test_the_error_of_the_centre_of_mass_equals_monte_carlo():
+    """To first order in the covariance."""
     theta = make_problem(arms.SEVEN).robot.prior.theta
     rng = np.random.default_rng(0)
     root = 1e-3 * rng.normal(size=(10, 10))
@@ -90,21 +101,24 @@ STRONG = TUBES.replace('range="-2.5 2.5"', 'range="-2.5 2.5" actuatorfrcrange="-
 
 
 def report(problem, plan):
+    """Return the report lines of a plan."""
     return list(motion_lines(problem, plan, check_limits(problem, plan)))
 
 
 def sines(xml, seed=0):
+    """Return random sinusoids of 2 s."""
     return generate_excitation_trajectory(robot(xml), np.random.default_rng(seed), 2.0)[
         0
     ]
 
 
 def find_line(lines, start):
+    """Return the only line that begins with ``start``."""
     (line,) = [line for line in lines if line.startswith(start)]
     return line
 
 
-def test_the_speed_of_the_tools_fastest_point_is_that_of_its_last_tube():
+def test_the_stated_tool_speed_is_that_of_the_fastest_point():
     problem = make_problem(TUBES, max_tool_speed=9.0)
     plan = sines(TUBES)
     line = find_line(report(problem, plan), "Fastest point of the tool: ")
@@ -133,12 +147,12 @@ def test_the_stated_clearance_is_the_smallest_distance_not_the_tightest_slack():
 
 
 @pytest.mark.parametrize(("xml", "has_floor"), [(TUBES, False), (TUBES_ON_FLOOR, True)])
-def test_what_reaches_below_zero_where_the_model_has_no_floor_is_said(xml, has_floor):
+def test_a_motion_below_zero_is_noted_where_the_model_has_no_floor(xml, has_floor):
     lines = report(make_problem(xml, below_base=True), sines(xml))
     assert any("The model has no floor" in line for line in lines) != has_floor
 
 
-def test_the_torque_that_is_left_is_said_as_a_load():
+def test_the_torque_reserve_is_stated_as_a_load():
     problem = make_problem(STRONG)
     plan = sines(STRONG)
     line = find_line(report(problem, plan), "Torque left: ")

@@ -1,4 +1,4 @@
-"""Limits, what must not be touched, and the tool's speed and load."""
+"""Limits of joints and of space, and the tool's speed and load."""
 
 from __future__ import annotations
 
@@ -22,12 +22,14 @@ from tests.support.excitation_arms import TUBES, make_problem, robot, slope
 
 
 def limits(lower=-2.0, upper=2.0, velocity=1.0, torque=np.inf, joints=3):
+    """Return JointLimits with equal values for all joints [rad, rad/s, N m]."""
     return JointLimits(
         *(np.full(joints, float(v)) for v in (lower, upper, velocity, torque))
     )
 
 
 def build(arm, *arguments, **changes):
+    """Return the problem of an arm; changes are limits, arguments those of build_problem."""
     return build_problem(arm, LimitOptions(**changes), *arguments)
 
 
@@ -42,7 +44,7 @@ def test_limits_are_those_of_the_model_less_margins():
     assert np.allclose(problem.limits.acceleration, 2.0 * np.pi * 0.5)
 
 
-def test_asked_limits_tighten_those_of_the_model():
+def test_limit_options_tighten_those_of_the_model():
     arm = replace(robot_of(arms.THREE), limits=limits(torque=100.0))
     problem = build(arm, max_acceleration=3.0, max_torque=(50.0, 60.0, 200.0))
     assert np.allclose(problem.limits.acceleration, 3.0)
@@ -68,7 +70,7 @@ def test_a_reference_beyond_a_limit_is_moved_to_it_and_noted():
     assert any("joint1 at 0.530 instead of 0.000" in note for note in problem.notes)
 
 
-def test_without_a_band_only_an_asked_limit_binds_accelerations():
+def test_without_a_band_only_an_option_limits_accelerations():
     arm = robot(arms.SLIDE_IN_CHAIN)
     assert np.all(np.isinf(build(arm, "chain", 0.3, None).limits.acceleration))
     acceleration = build(
@@ -84,11 +86,12 @@ TOOL = Tool(
 
 
 def twists(seed, count=5):
+    """Return random twists (6, count): angular velocity above linear velocity."""
     return np.random.default_rng(seed).normal(size=(6, count))
 
 
 @given(SEEDS)
-def test_no_point_of_the_tool_is_faster(seed):
+def test_no_point_of_the_tool_exceeds_its_speed(seed):
     """Points inside the hull of the balls, by v + w x p."""
     rng = np.random.default_rng(seed)
     twist = twists(seed)
@@ -125,13 +128,14 @@ def test_the_tip_is_the_farthest_point():
     )
 
 
-def moving(joints, seed, count=6):
+def random_motion(joints, seed, count=6):
+    """Return a random Motion of ``count`` samples."""
     q, qd, qdd = np.random.default_rng(seed).normal(size=(3, count, joints))
     return Motion(np.arange(float(count)), q, qd, qdd)
 
 
 def with_load(arm, mass, tip):
-    """The arm with a point mass at a place of its last body."""
+    """Return the arm with a point mass [kg] at ``tip`` (3,) in its last body's frame."""
     model = copy.copy(arm.mj_model)
     from robot_sysid.dynamics import spatial
 
@@ -142,10 +146,10 @@ def with_load(arm, mass, tip):
 
 
 @given(SEEDS, st.floats(0.1, 5.0))
-def test_a_load_takes_the_torque_that_its_weight_and_inertia_need(seed, mass):
+def test_the_torque_of_a_load_equals_that_of_a_loaded_arm(seed, mass):
     arm = robot(arms.SEVEN)
     problem = make_problem(arms.SEVEN)
-    motion = moving(7, seed)
+    motion = random_motion(7, seed)
     more = mass * problem.torque_per_kilogram(motion)
     loaded = ArmTorque(with_load(arm, mass, problem.tool.tip))(motion)
     np.testing.assert_allclose(
@@ -156,7 +160,7 @@ def test_a_load_takes_the_torque_that_its_weight_and_inertia_need(seed, mass):
 @given(SEEDS, st.floats(0.0, 3.0))
 def test_the_torque_with_a_reserve_covers_every_load_up_to_it(seed, share):
     problem = make_problem(arms.SEVEN)
-    motion = moving(7, seed)
+    motion = random_motion(7, seed)
     loaded = problem.torque(motion) + share * problem.torque_per_kilogram(motion)
     assert np.all(
         np.abs(loaded) <= np.abs(replace(problem, reserve=3.0).torque(motion)) + 1e-12
@@ -164,13 +168,14 @@ def test_the_torque_with_a_reserve_covers_every_load_up_to_it(seed, share):
 
 
 def with_torque_limit(problem, torque):
+    """Return the problem with other torque limits (n,)."""
     return replace(problem, limits=replace(problem.limits, torque=torque))
 
 
 @given(SEEDS)
-def test_the_load_that_is_left_just_fills_one_joint(seed):
+def test_the_largest_load_brings_one_joint_to_its_limit(seed):
     problem = make_problem(arms.SEVEN)
-    motion = moving(7, seed)
+    motion = random_motion(7, seed)
     limit = 1.5 * np.max(np.abs(problem.torque(motion)), axis=0)
     left, joint = with_torque_limit(problem, limit).load_left(motion)
     loaded = problem.torque(motion) + left * problem.torque_per_kilogram(motion)
@@ -179,10 +184,10 @@ def test_the_load_that_is_left_just_fills_one_joint(seed):
     assert share[joint] == pytest.approx(1.0, rel=1e-9) and np.max(share) <= 1.0 + 1e-9
 
 
-def test_without_limits_any_load_is_carried_and_beyond_them_none():
-    """Also where the arm alone is beyond its limit on the side that a load would relieve."""
+def test_the_largest_load_is_infinite_without_limits_and_negative_beyond():
+    """Also where the load relieves a joint that the arm alone brings beyond its limit."""
     problem = make_problem(arms.SEVEN)
-    motion = moving(7, 0)
+    motion = random_motion(7, 0)
     assert with_torque_limit(problem, np.full(7, np.inf)).load_left(motion)[0] == np.inf
     relieved = replace(
         problem, arm_torque=lambda m: -2.0 * np.sign(problem.torque_per_kilogram(m))
@@ -197,7 +202,7 @@ def test_faster_harmonics_do_not_raise_the_acceleration_limit(top):
     assert np.allclose(problem.limits.acceleration, 2.0 * np.pi * TOP_FREQUENCY_HZ)
 
 
-def test_a_workspace_the_link_leaves_already_at_rest_is_refused():
+def test_a_workspace_that_the_link_exceeds_at_rest_is_refused():
     box = (-1.0, 1.0, -1.0, 1.0, 0.0, 1.0)
     with pytest.raises(
         InputError, match=r"body link3 is 230 mm beyond the workspace's zmax = 1 m"
@@ -231,7 +236,9 @@ FLOOR = '<geom type="plane" size="2 2 .1" pos="0 0 -.5"/>'
     ],
     ids=["usual", "lifted", "asked for", "a wall", "pedestal", "floor", "hanging"],
 )
-def test_parts_stay_above_what_carries_the_arm_unless_it_hangs(model, limits, lowest):
+def test_bodies_stay_above_the_support_of_an_arm_that_does_not_hang(
+    model, limits, lowest
+):
     arm = robot(model)
     half_spaces = _space_above_base(arm, LimitOptions(**limits), arm.reference)
     assert [half_space.offset for half_space in half_spaces] == (
@@ -241,7 +248,7 @@ def test_parts_stay_above_what_carries_the_arm_unless_it_hangs(model, limits, lo
 
 
 def torque_variance(problem, motion):
-    """Variance (N, n) of torques that the links' errors make, from each error's own torque."""
+    """Return the variance (N, n) of torques that independent errors of the links cause."""
     links = problem.dynamics.motion(motion.q, motion.qd, motion.qdd)
     variance = np.zeros_like(motion.q)
     for error in problem.link_errors.T:
@@ -252,9 +259,8 @@ def torque_variance(problem, motion):
 
 
 @given(SEEDS, st.floats(1.0, 20.0))
-def test_two_deviations_of_the_links_errors_are_left_where_torque_is_limited(
-    seed, uncertainty
-):
+def test_the_torque_reserve_is_two_deviations_of_the_link_errors(seed, uncertainty):
+    """A joint without a torque limit needs no reserve."""
     arm = replace(robot_of(arms.THREE), limits=limits(torque=100.0))
     arm.limits.torque[1] = np.inf
     problem = build_problem(arm, LimitOptions(), link_uncertainty=uncertainty)
@@ -267,7 +273,7 @@ def test_two_deviations_of_the_links_errors_are_left_where_torque_is_limited(
     )
 
 
-def test_links_that_are_known_and_torques_without_limits_need_no_reserve():
+def test_exact_links_and_unlimited_torques_need_no_reserve():
     motion = Motion(np.zeros(1), *np.zeros((3, 1, 3)))
     exact_arm = build_problem(
         replace(robot_of(arms.THREE), limits=limits(torque=9.0)), LimitOptions()

@@ -1,4 +1,4 @@
-"""Shapes of bodies, half-spaces and swept boxes, against their points."""
+"""Shapes of bodies, half-spaces and swept boxes, against points of their surfaces."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MESH = '<asset><mesh name="m" vertex="0 0 0 .2 0 0 0 .3 0 0 0 .4 .01 .01 .01"/><
 
 
 def inside(shape, p):
-    """Points of a geom, made of points (N, 3) of a cube; its boundary included."""
+    """Return points of a geom of size SIZE, made from points p (N, 3) of a cube."""
     ball = p / np.maximum(1.0, np.linalg.norm(p, axis=1))[:, None]
     disc = p[:, :2] / np.maximum(1.0, np.linalg.norm(p[:, :2], axis=1))[:, None]
     return {
@@ -40,7 +40,7 @@ def inside(shape, p):
 
 @cache
 def all_shapes():
-    """Model and data of one body per kind, its geom turned and moved in it its own way."""
+    """Return MuJoCo data and the Solids of one body per shape, each turned and shifted."""
     content = "".join(
         f'<body><geom type="{shape}" size=".3 .2 .5" pos=".1 .2 {k}" quat="1 .5 {k} .2"/></body>'
         for k, shape in enumerate(SHAPES)
@@ -52,9 +52,8 @@ def all_shapes():
 
 
 @given(SEEDS)
-def test_no_point_of_a_shape_is_farther_than_its_farthest_point_which_belongs_to_it(
-    seed,
-):
+def test_the_farthest_point_of_a_shape_lies_on_its_boundary(seed):
+    """No point of the shape is farther along the direction."""
     data, solids = all_shapes()
     rng = np.random.default_rng(seed)
     direction = rng.normal(size=(1, 3))
@@ -83,7 +82,7 @@ def test_no_point_of_a_shape_is_farther_than_its_farthest_point_which_belongs_to
         assert distances[shape] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_body_is_its_collision_geoms_else_its_visuals_else_its_origin():
+def test_a_solid_uses_collision_geoms_then_visuals_then_the_origin():
     model = compile_xml(
         f'<mujoco>{MESH}<worldbody><body><geom size=".1"/><geom size=".2" contype="0" '
         'conaffinity="0"/></body><body><geom size=".3" contype="0" conaffinity="0"/></body>'
@@ -119,7 +118,7 @@ def test_each_half_space_binds_its_own_bodies():
 
 
 @given(SEEDS)
-def test_the_box_is_that_of_all_capsules_in_all_postures(seed):
+def test_the_swept_space_encloses_all_capsules_in_all_poses(seed):
     arm = robot(TUBES)
     model = arm.mj_model
     data = mujoco.MjData(arm.mj_model)
@@ -139,7 +138,8 @@ def test_the_box_is_that_of_all_capsules_in_all_postures(seed):
     assert lowest == names[int(np.argmin(np.array(ends)[:, 2]))]
 
 
-def test_the_outermost_points_are_in_the_last_bodys_frame_with_all_it_carries():
+def test_the_outermost_points_include_bodies_fixed_to_the_last_one():
+    """The points are in the last body's frame."""
     tool = '<body name="tool" pos="0 0 .1" quat="1 0 1 0"><geom type="box" size=".1 .2 .3"/></body>'
     tip = link(
         hinge("roll", X),

@@ -1,4 +1,4 @@
-"""Starts, resting poses and sweeps keep all limits and say what they promise."""
+"""Start poses, resting poses and sweeps keep all limits and have the stated shape."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LEANING = (0.0, 0.9, 0.0, 0.0)
 
 
 def arm(xml=TUBES, pose=LEANING):
-    """The tubes, at rest in another pose than upright."""
+    """Return the tubes with another rest pose (n,) [rad] than upright."""
     robot = robot_of(xml)
     qpos = robot.reference_qpos.copy()
     qpos[robot.qpos_index] = pose
@@ -36,11 +36,12 @@ def arm(xml=TUBES, pose=LEANING):
 
 
 def build(robot, **limits):
+    """Return the problem of a robot with some limit options."""
     return build_problem(robot, LimitOptions(**limits))
 
 
 def holding_share(problem, pose):
-    """Share of the torque limits that holding a pose takes."""
+    """Return the share of the torque limits that holding a pose (n,) takes."""
     at_rest = np.zeros((1, len(pose)))
     torque = problem.torque(Motion(np.zeros(1), pose[None], at_rest, at_rest))
     return np.max(np.abs(torque[0]) / problem.limits.torque)
@@ -67,7 +68,7 @@ def test_where_every_pose_collides_the_bodies_are_named():
 
 
 def weaken_motors(problem, share):
-    """The same problem with this share of the torque limit that its start needs."""
+    """Return the problem with torque limits of ``share`` times the torque that its start needs."""
     limits = replace(problem.limits, torque=np.full(problem.n_joints, 1.0))
     unit = replace(problem, limits=limits)
     torque = np.full(problem.n_joints, share * holding_share(unit, problem.rest))
@@ -76,13 +77,14 @@ def weaken_motors(problem, share):
 
 @cache
 def leaning(lean):
+    """Return the problem of an arm that leans by ``lean`` rad."""
     return build(arm(pose=(0.0, lean, 0.0, 0.0)))
 
 
 @pytest.mark.slow
 @given(st.sampled_from((0.4, 0.8, 1.2, 1.6)), st.floats(0.02, 0.99))
-def test_what_cannot_be_held_starts_where_it_can_be(lean, share):
-    """These tubes need no torque where they stand upright: there is always such a pose."""
+def test_a_start_that_cannot_be_held_is_replaced(lean, share):
+    """The tubes need no torque upright, so that such a pose always exists."""
     problem = weaken_motors(leaning(lean), share)
     startable = static.startable(problem)
     assert holding_share(startable, startable.rest) < 1.0
@@ -95,8 +97,8 @@ def test_what_cannot_be_held_starts_where_it_can_be(lean, share):
     assert "holding still takes" in note and "at joint joint1" in note
 
 
-def test_dry_friction_counts_where_the_arm_moves_off():
-    """A pose that is just held cannot be left: the motion starts where there is room to."""
+def test_dry_friction_counts_for_the_start():
+    """An arm that can just hold a pose cannot leave it."""
     stiff = TUBES.replace('range="-2.5 2.5"', 'range="-2.5 2.5" frictionloss="0.3"')
     problem = weaken_motors(build(arm(stiff)), 1.01)
     (note,) = set(static.startable(problem).notes) - set(problem.notes)
@@ -107,7 +109,7 @@ def test_dry_friction_counts_where_the_arm_moves_off():
 
 
 def test_where_no_pose_can_be_held_the_joint_is_named():
-    """The second joint lies level and the ones after it cannot fold far: there is no way up."""
+    """The second joint is level and the distal joints cannot fold far, so no pose is upright."""
     stiff = TUBES.replace('range="-2.5 2.5"', 'range="-.2 .2"')
     flat = stiff.replace(
         'pos="0 0 .25" quat="1 0 0 0"', 'pos="0 0 .25" quat=".7 0 .7 0"', 1
@@ -118,8 +120,8 @@ def test_where_no_pose_can_be_held_the_joint_is_named():
         static.startable(build(robot_of(flat), max_torque=0.5))
 
 
-def test_the_way_to_another_start_is_looked_at_too():
-    """The arm leans left of a wall; straight to where it leans right of it goes through."""
+def test_the_path_to_another_start_is_checked():
+    """A wall stands between an arm that leans left and the pose where it leans right."""
     problem = build(arm(tube_arm((Z, Y, X, Y), WALL), (0.0, -0.9, 0.0, 0.0)))
     through = np.array([0.0, 0.9, 0.0, 0.0])
     assert static.contact_on_the_way(problem, problem.rest) is None
@@ -129,11 +131,13 @@ def test_the_way_to_another_start_is_looked_at_too():
 
 @pytest.fixture(scope="module")
 def posing():
+    """The problem of an arm of four joints for resting poses."""
     return build(robot_of(arms.serial_arm((Z, Y, Y, X))))
 
 
 @pytest.fixture(scope="module")
 def poses(posing):
+    """Six poses for a payload."""
     options = PoseOptions("payload", True, poses=6, dwell=1.0)
     return static.design_poses(posing, options, np.random.default_rng(0))
 
@@ -171,11 +175,13 @@ def test_each_pose_is_approached_from_both_sides(poses):
 
 @pytest.fixture(scope="module")
 def sweeping():
+    """The problem of an arm of two joints for sweeps."""
     return build(robot_of(arms.serial_arm((Z, Y))))
 
 
 @pytest.fixture(scope="module")
 def sweeps(sweeping):
+    """Sweeps of each joint."""
     return static.design_sweeps(sweeping)
 
 
@@ -196,7 +202,7 @@ def test_one_joint_moves_at_a_time_both_ways_at_every_speed(sweeps):
         assert len(both) >= static.SPEEDS and max(both) == pytest.approx(static.FASTEST)
 
 
-def test_a_joint_without_room_is_left_out_and_said(sweeping):
+def test_a_joint_without_range_is_not_swept_and_named(sweeping):
     upper = np.where([True, False], sweeping.rest + 0.005, sweeping.limits.upper)
     lower = np.where([True, False], sweeping.rest - 0.005, sweeping.limits.lower)
     narrow = replace(

@@ -1,4 +1,4 @@
-"""Kinds of trajectories: derivatives, rest at both ends, the same at half speed and from a file."""
+"""Kinds of trajectories: derivatives, rest at both ends, slower playback, and files."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ NAMES = ("base", "elbow", "wrist")
 
 
 def sines(seed):
+    """Return random sinusoids of three joints."""
     rng = np.random.default_rng(seed)
     amplitude, frequency, phase = rng.normal(size=(3, 3, 4))
     return SineTrajectory(
@@ -38,6 +39,7 @@ def sines(seed):
 
 
 def fourier(seed):
+    """Return a random Fourier series of three joints."""
     rng = np.random.default_rng(seed)
     duration = rng.uniform(1.0, 60.0)
     harmonics = int(rng.integers(3, 12))
@@ -49,6 +51,7 @@ def fourier(seed):
 
 
 def poses(seed):
+    """Return a random sequence of resting poses of three joints."""
     rng = np.random.default_rng(seed)
     count = int(rng.integers(2, 7))
     moves = rng.uniform(0.3, 2.0, count - 1)
@@ -57,6 +60,7 @@ def poses(seed):
 
 
 def sweeps(seed):
+    """Return random sweeps of three joints at constant speed."""
     rng = np.random.default_rng(seed)
     count = int(rng.integers(2, 7))
     ramps = rng.uniform(0.1, 0.5, count - 1)
@@ -68,8 +72,10 @@ KINDS = st.sampled_from((sines, fourier, poses, sweeps))
 
 
 @given(KINDS, SEEDS, st.sampled_from([1.0, 0.37, 1.0 / 3.0]))
-def test_what_holds_of_every_kind(tmp_path_factory, make, seed, speed):
-    """Rest at both ends, derivatives, the same path later, and the same bits from a file."""
+def test_every_kind_rests_at_its_ends_scales_in_time_and_survives_a_file(
+    tmp_path_factory, make, seed, speed
+):
+    """Derivatives are exact, the slower path is equal, and a file holds every bit."""
     plan = make(seed)
     path = tmp_path_factory.mktemp("saved") / "plan.json"
     slow = at_speed(plan, speed)
@@ -157,7 +163,7 @@ def test_peaks_of_the_step():
         ),
     ],
 )
-def test_refuses_what_cannot_be(make, message):
+def test_invalid_trajectories_are_refused(make, message):
     with pytest.raises(InputError, match=message):
         make()
 
@@ -177,7 +183,7 @@ EARLIER = {
 
 
 def saved_text(**changes):
-    """Text of a saved trajectory with some entries changed; None removes one."""
+    """Return the JSON text of a saved trajectory with changed entries; None removes one."""
     content = {**EARLIER, **changes}
     return json.dumps(
         {key: value for key, value in content.items() if value is not None}
@@ -185,7 +191,7 @@ def saved_text(**changes):
 
 
 def test_files_of_earlier_versions_are_read(tmp_path):
-    """Slowed in the file, with the marks of an editor; or a series that ends at rest by itself."""
+    """With a speed and a byte-order mark; and a series without fade that ends at rest."""
     path = tmp_path / "plan.json"
     path.write_bytes(
         b"\xef\xbb\xbf" + saved_text(speed=0.5).replace(", ", ",\r\n").encode()
@@ -232,7 +238,7 @@ def test_files_of_earlier_versions_are_read(tmp_path):
         (None, "cannot read .*plan.json"),
     ],
 )
-def test_refuses_in_one_line(tmp_path, text, message):
+def test_an_invalid_file_is_refused_in_one_line(tmp_path, text, message):
     path = tmp_path / "plan.json"
     if text is not None:
         path.write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The cut-off that the data asks for: noise read off the spectrum, steps not taken for motion."""
+"""The chosen cut-off: noise is estimated from the spectrum, encoder steps are not motion."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from tests.support.swing import FREQUENCIES, Swing, seconds
 
 
 def cutoff_of(q, rate):
-    """The cut-off for positions as they were read."""
+    """Return the chosen cut-off [Hz] of positions q (N, n) at a sample rate [Hz]."""
     return choose_cutoff(acceleration_spectra(q, rate, quantisation_error(q)))[0]
 
 
 @pytest.mark.parametrize(
     ("seed", "rate", "sigma"), [(0, 200.0, 1e-3), (1, 500.0, 3e-5)]
 )
-def test_the_noise_of_the_encoder_is_read_off_the_data(seed, rate, sigma):
+def test_the_encoder_noise_is_estimated_from_the_spectrum(seed, rate, sigma):
     rng = np.random.default_rng(seed)
     q = Swing(seed).q(seconds(10.0, rate))
     q = q + sigma * rng.normal(size=q.shape)
@@ -65,7 +65,7 @@ HIGHEST = 15.0 * 1.1
 
 
 def encoder_reading(q, resolution):
-    """What an encoder says."""
+    """Return positions rounded to the resolution of an encoder."""
     return np.round(q / resolution) * resolution
 
 
@@ -87,8 +87,8 @@ def test_steps_of_a_coarse_encoder_are_not_taken_for_motion(seed, resolution, sc
 @pytest.mark.parametrize(
     ("seed", "scale", "jitter"), [(0, SCALES[0], 0.4), (1, SCALES[2], 0.1)]
 )
-def test_interpolated_steps_are_not_taken_for_motion_either(seed, scale, jitter):
-    """Splines through uneven samples round a staircase off, and it is still none."""
+def test_interpolated_steps_are_not_taken_for_motion(seed, scale, jitter):
+    """Splines through uneven samples smooth the steps of a coarse encoder."""
     even = seconds(15.0, 500.0)
     rate = 500.0
     time = (
@@ -100,8 +100,8 @@ def test_interpolated_steps_are_not_taken_for_motion_either(seed, scale, jitter)
     assert signals.cutoff < HIGHEST
 
 
-def test_a_reading_that_is_repeated_until_the_next_one_is_no_step():
-    """Own time stamps tell when a joint was read; without them it seems to stand still."""
+def test_stale_readings_with_their_own_time_stamps_are_no_steps():
+    """Without time stamps per joint, a stale reading looks like a joint at rest."""
     seed = 0
     rng = np.random.default_rng(seed)
     time = seconds(15.0, 500.0)
@@ -118,7 +118,7 @@ def test_a_reading_that_is_repeated_until_the_next_one_is_no_step():
     assert process(replace(log, joint_time=None)).cutoff < 5.0
 
 
-def test_what_is_not_read_in_steps_has_none():
+def test_fine_encoders_and_pauses_have_no_quantisation_error():
     """Neither a fine encoder nor a joint that stands still for a while."""
     time = seconds(15.0, 1000.0)
     q = Swing().q(time)
@@ -134,8 +134,8 @@ def test_what_is_not_read_in_steps_has_none():
         assert not np.any(quantisation_error(motion))
 
 
-def test_readings_that_are_held_for_several_rows_cost_only_their_own_rate():
-    """A controller's log at 1 kHz of positions that come at 125 Hz."""
+def test_positions_repeated_over_rows_keep_their_cutoff():
+    """A controller's log at 1 kHz of positions that arrive at 125 Hz."""
     held = 8
     time = np.arange(15000) / 1000.0
     q = np.column_stack([np.sin(2.0 * np.pi * f * time) for f in (0.2, 0.5, 0.9)])
@@ -148,8 +148,8 @@ def test_readings_that_are_held_for_several_rows_cost_only_their_own_rate():
 
 
 @given(st.integers(0, 2**32), st.floats(-5.0, -3.5))
-def test_the_noise_that_a_cutoff_leaves_is_what_the_filter_leaves(seed, magnitude):
-    """White noise on a motion: that of its low-passed second difference beside the motion's."""
+def test_the_predicted_acceleration_noise_equals_that_of_the_filter(seed, magnitude):
+    """White noise on a sine: ratio of the low-passed second differences of both."""
     rng = np.random.default_rng(seed)
     rate = 200.0
     cutoff = 20.0

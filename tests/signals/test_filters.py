@@ -43,7 +43,7 @@ def test_chunks_of_any_size_give_the_same_decimated_samples(cutoff, sizes, seed)
     st.floats(0.0, 1.0),
     st.floats(0.0, 6.0),
 )
-def test_pass_band_and_stop_band_keep_their_promise(
+def test_pass_band_and_stop_band_keep_the_attenuation(
     attenuation, cutoff, position, phase
 ):
     low_pass = design_low_pass(cutoff, 200.0, attenuation)
@@ -75,8 +75,8 @@ def test_derivatives_are_exact_for_polynomials_of_their_order(reach, coefficient
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_a_high_rate_does_not_make_rounding_large(order):
-    """What is left of the positions' own rounding is as fast as the samples are."""
+def test_rounding_stays_small_at_a_high_rate(order):
+    """The low-pass removes rounding errors of positions, which are as fast as the samples."""
     swing = Swing()
     rate = 20000.0
     function = (first_derivative, second_derivative)[order - 1]

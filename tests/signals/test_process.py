@@ -1,4 +1,4 @@
-"""From a log to signals: honest masks, delays put right, motion recovered from an encoder."""
+"""From a log to signals: masks of rows, delay compensation, motion recovered from an encoder."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from tests.support.swing import FREQUENCIES, Swing, seconds
 
 
 def root_mean_square(values: np.ndarray) -> float:
+    """Return the root mean square of all values."""
     return float(np.sqrt(np.mean(values**2)))
 
 
@@ -41,14 +42,14 @@ def test_motion_of_a_quantised_log_is_recovered(seed):
 
 
 def low_pass_with_deadband(log, deadband):
-    """The signals of a log, low-passed at 8 Hz, with this deadband of all joints [rad/s]."""
+    """Return the signals of a log, low-passed at 8 Hz, with a deadband of all joints [rad/s]."""
     signals = process(log, cutoff=8.0)
     return replace(signals, deadband=np.full_like(signals.deadband, deadband))
 
 
 @pytest.mark.parametrize("deadband", [0.05, 0.5])
-def test_rows_that_mix_in_too_many_slow_samples_are_masked_and_only_those(deadband):
-    """A row is a sum over a window; what counts is the window's weight on slow samples."""
+def test_exactly_the_rows_with_too_many_slow_samples_are_masked(deadband):
+    """A row is a weighted sum over a window; the weight on slow samples counts."""
     signals = low_pass_with_deadband(Swing().measurement(seconds(6.0, 100.0)), deadband)
     weight = np.abs(signals.low_pass.kernel) / np.sum(np.abs(signals.low_pass.kernel))
     half = signals.low_pass.half_width
@@ -69,11 +70,10 @@ def test_rows_that_mix_in_too_many_slow_samples_are_masked_and_only_those(deadba
     st.integers(1, 999),
     st.booleans(),
 )
-def test_what_follows_the_motion_smoothly_needs_few_of_the_samples(
-    cutoff, rate, seed, chunk, noisy
-):
-    """Products of motion that passed the low-pass; of encoder noise too, whose rest above all
-    cut-offs is less. However many at once, signs of speeds pass as they do in one piece.
+def test_smooth_functions_of_motion_need_few_samples(cutoff, rate, seed, chunk, noisy):
+    """Products of low-passed motion, with and without encoder noise.
+
+    Signs of speeds use all samples, and the size of a chunk changes no value.
     """
     time = seconds(30.0 / cutoff, rate)[: -1 - seed]
     swing = Swing(seed, 0.3 * cutoff * FREQUENCIES)
@@ -101,7 +101,7 @@ def test_what_follows_the_motion_smoothly_needs_few_of_the_samples(
     np.testing.assert_allclose(signs, expected, rtol=0.0, atol=1e-12)
 
 
-def test_the_deadband_is_a_part_of_the_peak_speed():
+def test_the_deadband_is_a_share_of_the_peak_speed():
     signals = process(Swing().measurement(seconds(10.0, 200.0)), cutoff=8.0)
     np.testing.assert_array_equal(
         signals.deadband, 0.005 * np.max(np.abs(signals.qd), axis=0)
@@ -122,8 +122,8 @@ def test_positions_pass_a_filter_as_flat_as_their_noise_is_low():
 
 
 @pytest.mark.parametrize(("seed", "rate"), [(0, 10.0), (1, 1000.0)])
-def test_positions_without_noise_are_differentiated_as_they_are(seed, rate):
-    """To 1e-8, most of it in the time stamps; with noise they pass a low-pass."""
+def test_positions_without_noise_are_differentiated_unfiltered(seed, rate):
+    """To 1e-8, most of it in the time stamps; with noise, positions pass a low-pass."""
     swing = Swing(seed)
     time = seconds(20.0, rate)
     cutoff = 0.2 * min(rate, 60.0)
@@ -135,7 +135,7 @@ def test_positions_without_noise_are_differentiated_as_they_are(seed, rate):
 
 
 def corner_motion(time: np.ndarray, corner: float) -> tuple[np.ndarray, np.ndarray]:
-    """Motion (N, 1) whose fourth derivative jumps, and its second derivative."""
+    """Return a motion (N, 1) whose fourth derivative jumps, and its second derivative (N, 1)."""
     sine = np.sin(0.5 * (time - corner))
     cosine = np.cos(0.5 * (time - corner))
     pair = 0.3 * sine**4, 0.3 * (3.0 * (sine * cosine) ** 2 - sine**4)
@@ -144,7 +144,7 @@ def corner_motion(time: np.ndarray, corner: float) -> tuple[np.ndarray, np.ndarr
 
 @given(st.integers(0, 2**32), st.floats(10.0, 30.0))
 def test_rows_over_a_corner_of_exact_motion_are_masked_and_no_others(seed, corner):
-    """What 10 samples per second do not resolve; all else is exact to 1e-8."""
+    """Ten samples per second do not resolve the corner; the other rows are exact to 1e-8."""
     swing = Swing(seed)
     time = seconds(40.0, 10.0)
     log = swing.measurement(time)
@@ -161,8 +161,8 @@ def test_rows_over_a_corner_of_exact_motion_are_masked_and_no_others(seed, corne
     assert np.min(np.abs(used - corner)) > signals.low_pass.half_width / signals.rate
 
 
-def test_exact_motion_as_it_might_also_be_is_further_off_than_it_is():
-    """By no more than a hundred times; 6 samples per period are few even for order sixteen."""
+def test_refiltering_exact_motion_bounds_its_error():
+    """The bound is at most a hundred times the error; 6 samples per period are few."""
     time = seconds(20.0, 10.0)
     q = np.sin(2.0 * np.pi * 1.6 * time)[:, None]
     signals = process(Measurement(time, q, None, q + 1.0), cutoff=3.0)
@@ -180,8 +180,8 @@ def test_exact_motion_as_it_might_also_be_is_further_off_than_it_is():
     assert 1e-6 < error < stated_error < 100.0 * error
 
 
-def test_a_second_pass_changes_what_the_first_one_did():
-    """Near the cut-off, where it is much; at the instants of the decimated rows."""
+def test_a_second_pass_repeats_the_change_of_the_first():
+    """Near the cut-off, where the change is large; at the instants of the decimated rows."""
     time = seconds(20.0, 100.0)
     q = np.sin(2.0 * np.pi * 0.7 * time)[:, None]
     signals = process(Measurement(time, np.round(q, 4), None, q + 1.0), cutoff=1.2)
@@ -198,8 +198,8 @@ def test_a_second_pass_changes_what_the_first_one_did():
     )
 
 
-def test_joints_that_hardly_move_both_ways_are_named():
-    """The first swings, the second only ever goes forwards, the third backwards."""
+def test_joints_that_move_in_one_direction_are_named():
+    """The first joint swings, the second moves forwards only, the third backwards only."""
     time = seconds(10.0, 200.0)
     swing = 0.3 * np.sin(2.0 * np.pi * 0.4 * time)
     q = np.column_stack((swing, swing + time, swing - time))
@@ -251,10 +251,10 @@ def test_rows_over_a_long_hole_are_masked_and_short_holes_are_bridged():
 
 
 @given(st.floats(-0.01, 0.01), st.integers(0, 1000))
-def test_an_injected_delay_is_estimated_and_put_right(delay, seed):
+def test_an_injected_delay_is_estimated_and_compensated(delay, seed):
     """To 0.1 ms (five times the Cramer-Rao bound), with 0.4 % torque noise and a 1e-4 rad encoder.
 
-    Stiffness and inertia are fitted at the same time.
+    Stiffness and inertia are fitted jointly.
     """
     swing = Swing(seed)
     rng = np.random.default_rng(seed)
@@ -278,7 +278,7 @@ def _remaining_delay(signals) -> float:
     return float(solution[2])
 
 
-def test_a_log_too_short_for_its_cutoff_says_how_long_it_must_be():
+def test_a_log_too_short_for_its_cutoff_is_refused():
     with pytest.raises(
         InputError, match=r"2 s are too short for a cut-off of 3 Hz, which needs"
     ):
@@ -295,8 +295,8 @@ NOISE = 1e-4
 
 @pytest.mark.parametrize("outward", [1.0, -1.0])
 @pytest.mark.parametrize("standing", [0.0, 0.05])
-def test_a_joint_may_stand_until_it_is_clearly_away_from_its_turn(outward, standing):
-    """It turns round with 2 rad/s^2, at once or after a pause."""
+def test_samples_near_a_turn_may_be_at_rest(outward, standing):
+    """The joint reverses with 2 rad/s^2, at once or after a pause."""
     time = np.arange(-1.0, 1.0, 1.0 / RATE) + 0.5 / RATE
     moving = np.sign(time) * np.maximum(np.abs(time) - 0.5 * standing, 0.0)
     position = -(moving**2)

@@ -1,7 +1,4 @@
-"""Residuals that come again with the motion count once, new ones every time; in a sample too.
-
-At resting poses friction cancels; slow starts and stops do not count.
-"""
+"""Variance inflation by residuals that repeat with the motion; resting poses without friction."""
 
 from __future__ import annotations
 
@@ -23,7 +20,7 @@ COUNT = 150
 
 
 def motion(phase: float = 0.0, rate: float = 15.0) -> Motion:
-    """One joint pair that passes each state once."""
+    """Return the motion of two joints that passes each state once, ``phase`` samples late."""
     time = phase / rate + np.arange(COUNT) / rate
     frequency = np.array([1.3, 2.9])
     angle = frequency * time[:, None] + np.array([0.0, 1.0])
@@ -33,7 +30,7 @@ def motion(phase: float = 0.0, rate: float = 15.0) -> Motion:
 
 
 class Samples:
-    """One joint's equations with three parameters."""
+    """One joint's regressor rows (N, 3) and torque (N,)."""
 
     def __init__(self, rows, tau):
         self.rows = rows
@@ -41,19 +38,21 @@ class Samples:
 
 
 def repeat_motion(count, noise, phase=0.0):
+    """Return ``count`` passes of the motion, each ``phase`` samples later, and their Samples."""
     motions = [motion(phase * k) for k in range(count)]
     rows = np.concatenate([np.column_stack((m.q, m.qd[:, 0])) for m in motions])
     return motions, Samples(rows, rows @ np.array([1.0, 2.0, 3.0]) + noise)
 
 
 def inflation(motions, samples):
+    """Return the variance inflation of the residuals that TRUTH leaves."""
     return find_visits(motions).inflation(
         [samples.tau - samples.rows @ [1.0, 2.0, 3.0]]
     )[0]
 
 
 @pytest.mark.parametrize(("seed", "count"), [(0, 1), (0, 2), (1, 12)])
-def test_the_same_residuals_again_count_once(seed, count):
+def test_repeated_residuals_count_once(seed, count):
     rng = np.random.default_rng(seed)
     motions, samples = repeat_motion(count, np.tile(rng.normal(size=COUNT), count))
     assert inflation(motions, samples) == pytest.approx(count, rel=1e-9)
@@ -68,8 +67,10 @@ def test_new_residuals_count_every_time(seed, count):
     assert factor <= 1.0 + 6.0 * np.sqrt((count - 1) / COUNT)
 
 
-def test_a_passage_that_falls_between_the_rows_of_another_is_found():
-    """Rows follow each other at twice the cut-off: what lies between two rows is band-limited."""
+def test_a_passage_between_the_rows_of_another_is_detected():
+    """Rows follow each other at twice the cut-off, so that the signal between two rows is band-
+    limited.
+    """
     factors = []
     for seed in range(20):
         fine = np.random.default_rng(seed).normal(size=COUNT)
@@ -83,7 +84,7 @@ TRUTH = np.array([1.0, 2.0, 3.0])
 
 
 def samples_of(motions, samples):
-    """A sample of each motion; the numbers of logs are any different ones."""
+    """Return a sample of the rows of each motion, as of different logs."""
     left = np.split(samples.tau - samples.rows @ TRUTH, len(motions))
     return [
         sample_rows(m, e[:, None], 7 + k) for k, (m, e) in enumerate(zip(motions, left))
@@ -91,8 +92,8 @@ def samples_of(motions, samples):
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.8, 0.95])
-def test_the_memory_of_a_residual_is_what_its_sums_show(keep):
-    """Of first-order noise it is (1 + a) / (1 - a); left-out values change nothing."""
+def test_the_correlation_time_of_first_order_noise(keep):
+    """It is (1 + a) / (1 - a) for coefficient a; missing values change nothing."""
     drawn = np.random.default_rng(3).normal(size=20000)
     residual = lfilter([1.0], [1.0, -keep], drawn)
     residual[5000:6000] = np.nan
@@ -103,7 +104,7 @@ def test_the_memory_of_a_residual_is_what_its_sums_show(keep):
 
 
 @pytest.mark.parametrize(("seed", "count"), [(0, 3), (1, 12)])
-def test_all_rows_say_what_a_pass_over_them_says(seed, count):
+def test_the_inflation_of_samples_equals_that_of_visits(seed, count):
     rng = np.random.default_rng(seed)
     shared = np.tile(rng.normal(size=150), count) + rng.normal(size=150 * count)
     motions, samples = repeat_motion(count, shared)
@@ -112,7 +113,7 @@ def test_all_rows_say_what_a_pass_over_them_says(seed, count):
 
 
 @pytest.mark.parametrize(("seed", "comes_again"), [(0, True), (1, False)])
-def test_a_part_of_very_many_rows_still_tells_repetition(seed, comes_again):
+def test_a_sample_of_many_rows_detects_repetition(seed, comes_again):
     rng = np.random.default_rng(seed)
     count = 40
     passage = rng.normal(size=150)
@@ -132,7 +133,7 @@ def test_the_same_log_twice_is_refused(monkeypatch):
         _ = one + same
 
 
-def test_some_of_the_motion_is_motion_of_the_log():
+def test_a_sampled_motion_consists_of_rows_of_the_log():
     full = motion()
     sample = sample_rows(full, np.zeros((150, 1)), 3).motion(20)
     rows = [int(np.flatnonzero((full.q == q).all(axis=1))[0]) for q in sample.q]
@@ -144,7 +145,10 @@ APPROACH = 0.05
 
 
 def log_of(poses, dwell=1.5, friction=2.0, both_sides=True):
-    """A log whose torque is 3 q plus dry friction that lasts while the arm rests."""
+    """Return a log that rests at poses (P, 2), approached from one side or from both.
+
+    The torque is 3 q plus dry friction that lasts while the arm rests.
+    """
     points = [np.zeros(2)]
     dwells = [0.0]
     for pose in poses:
@@ -167,7 +171,7 @@ def log_of(poses, dwell=1.5, friction=2.0, both_sides=True):
 POSES = np.random.default_rng(0).uniform(-1.0, 1.0, (6, 2))
 
 
-def test_friction_of_both_sides_cancels():
+def test_friction_cancels_at_poses_approached_from_both_sides():
     log = log_of(POSES)
     q = log.q + 1e-4 * np.random.default_rng(1).standard_normal(log.q.shape)
     noisy = Measurement(log.time, q, None, log.tau)
@@ -179,11 +183,11 @@ def test_friction_of_both_sides_cancels():
     assert not np.any(poses.qd) and not np.any(poses.qdd)
 
 
-def test_poses_that_are_approached_twice_from_one_side_do_not_count():
+def test_poses_approached_from_one_side_alone_are_refused():
     with pytest.raises(InputError, match="from both sides"):
         resting_poses(log_of(POSES, both_sides=False))
 
 
-def test_too_few_poses_are_refused_with_what_to_do():
+def test_too_few_poses_are_refused():
     with pytest.raises(InputError, match="plan --for payload --static"):
         resting_poses(log_of(POSES[:3]))

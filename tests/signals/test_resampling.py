@@ -1,7 +1,4 @@
-"""Samples are put on a uniform grid where they belong, and holes are known as holes.
-
-Gaps split a log; a long log is decimated behind a low-pass, whatever its blocks.
-"""
+"""Samples are put on a uniform grid, gaps are marked, long logs are split and decimated."""
 
 from __future__ import annotations
 
@@ -26,7 +23,7 @@ from robot_sysid.signals.resampling import (
 from tests.support.swing import Swing, seconds
 
 
-def test_an_even_log_is_taken_as_it_is():
+def test_an_even_log_is_unchanged():
     log = Swing().measurement(5.0 + seconds(3.0, 200.0))
     uniform = resample_uniformly(log)
     np.testing.assert_array_equal(uniform.q, log.q)
@@ -40,7 +37,7 @@ def test_time_stamps_rounded_to_milliseconds_are_still_even():
 
 
 @given(st.integers(0, 2**32), st.floats(0.05, 0.4))
-def test_uneven_samples_are_put_where_they_belong(seed, jitter):
+def test_uneven_samples_are_interpolated(seed, jitter):
     rng = np.random.default_rng(seed)
     swing = Swing(seed)
     rate = 200.0
@@ -52,7 +49,7 @@ def test_uneven_samples_are_put_where_they_belong(seed, jitter):
     np.testing.assert_allclose(uniform.tau, swing.tau(grid), rtol=0.0, atol=1e-6)
 
 
-def test_each_joint_is_read_at_its_own_time():
+def test_joint_time_stamps_are_used_for_each_joint():
     swing = Swing()
     rate = 250.0
     time = seconds(4.0, rate)
@@ -69,8 +66,8 @@ def test_each_joint_is_read_at_its_own_time():
 @given(st.integers(0, 2**32), st.integers(1, 40))
 # Here the grid's instant on the hole's first edge is rounded into the hole.
 @example(5494522, 28)
-def test_a_hole_is_one_from_the_first_missing_sample_on(seed, missing):
-    """Its length stands at every instant that is bridged, and nowhere else."""
+def test_the_length_of_a_hole_is_marked_at_its_samples(seed, missing):
+    """The gap is zero at every other instant."""
     rng = np.random.default_rng(seed)
     rate = 200.0
     even = seconds(4.0, rate)
@@ -96,7 +93,7 @@ def test_samples_that_come_early_and_late_leave_no_hole(seed):
 
 @given(st.integers(0, 2**32), st.integers(1, 3), st.sampled_from([0.0, 1e-4]))
 def test_rows_lost_from_coarse_time_stamps_leave_a_hole(seed, missing, resolution):
-    """1 kHz in milliseconds: even up to the last digit of the stamps all the same."""
+    """At 1 kHz with stamps in milliseconds, where the stamps are even up to their last digit."""
     rng = np.random.default_rng(seed)
     swing = Swing(seed)
     even = seconds(4.0, 1000.0)
@@ -126,7 +123,7 @@ def test_a_clock_that_is_a_little_slow_loses_no_rows(seed, rate):
     assert uniform.notes == ()
 
 
-def test_a_long_simulated_run_is_thinned_as_a_log_is(monkeypatch):
+def test_a_long_simulated_run_is_thinned(monkeypatch):
     log = Swing().measurement(seconds(8.0, 500.0))
     chunks = [
         slice_samples(log, start, start + 700) for start in range(0, len(log), 700)
@@ -141,6 +138,7 @@ def test_a_long_simulated_run_is_thinned_as_a_log_is(monkeypatch):
 
 
 def log(time: np.ndarray) -> Measurement:
+    """Return a log of two joints at the times (N,) [s]."""
     q = np.column_stack((np.sin(time), np.cos(0.7 * time)))
     return Measurement(time, q, None, 2.0 * q)
 
@@ -150,7 +148,7 @@ def log(time: np.ndarray) -> Measurement:
         st.tuples(st.floats(0.1, 12.0), st.floats(0.6, 5.0)), min_size=1, max_size=5
     )
 )
-def test_pieces_are_what_lies_between_gaps(lengths_and_gaps):
+def test_a_log_is_split_at_gaps(lengths_and_gaps):
     start = 0.0
     times = []
     for length, gap in lengths_and_gaps:
@@ -178,7 +176,7 @@ def test_a_long_log_is_cut_into_equal_parts(monkeypatch):
     )
 
 
-def test_of_hours_the_minutes_that_move_are_taken():
+def test_a_log_of_hours_keeps_the_minutes_that_move():
     time = np.arange(0.0, 7200.0, 0.1)
     moves = (time > 3000.0) & (time < 3600.0)
     q = np.where(moves, np.sin(time), 1e-4 * np.sin(time))[:, None]
@@ -220,7 +218,7 @@ def test_thinning_does_not_reach_over_a_gap():
     assert not np.any((thinned[:, 1] > 2.0) & (thinned[:, 1] < 5.0))
 
 
-def test_a_log_that_is_long_enough_is_thinned_to_what_is_needed():
+def test_the_thinning_factor_follows_the_number_of_rows():
     time = np.arange(1000) / 1000.0
     assert Thinning.of(time, resampling.MOST_ROWS_KEPT).every == 1
     assert Thinning.of(time, 4.0 * resampling.MOST_ROWS_KEPT).every == 4
