@@ -1,27 +1,30 @@
-"""Physically consistent bodies: least squares for all links together, and the errors it leaves.
+"""Physically consistent bodies: least squares for all links together, and the estimate's errors.
 
 Minimises, over the ten parameters of every link and all other estimated parameters,
 
     1/2 ||A x - b||^2 + sum_i g_i [tr(P0_i^-1 P_i) - log det P_i]
 
-with P_i the pseudo-inertia of link i and P0_i that of a usual body: the log-det divergence of Lee,
-Wensing, Park, "Geometric robot dynamic identification: a convex programming approach", IEEE
-Transactions on Robotics 36(2), 2020, for a whole arm. Priors are rows of A; g_i is far below
-what data can resolve and only keeps bodies consistent, unless a link is to be held near P0_i.
+with P_i the pseudo-inertia (4, 4) of link i and P0_i that of its usual body: a consistent body that
+is expected for this link without any data, such as the model's. The second term is the log-det
+divergence of Lee, Wensing, Park, "Geometric robot dynamic identification: a convex programming
+approach", IEEE Transactions on Robotics 36(2), 2020, for a whole arm. A body is consistent where
+its pseudo-inertia is positive definite. Priors are rows of A. The weight g_i (gamma) is far below
+the resolution of the data and only keeps bodies consistent, unless a link is to be held near P0_i.
 
-The problem is convex. A primal-dual method follows g down from where P0 alone decides, in the
-scaling of Nesterov and Todd, in which the matrices and their duals become the same diagonal matrix
-(Toh, Todd, Tutuncu, "SDPT3 - a MATLAB software package for semidefinite programming", 1999), with
-Mehrotra's predictor and corrector; a step is one factorisation for all links, of rows and not of
-their squares. Two changes of coordinates keep steps accurate however weak a direction is. Each link
-is measured in the pseudo-inertia of its usual body, P_i = L_i K_i L_i^T with K_i = 1 + Z_i. Then
-everything is turned into the singular directions of A, where the data's part of the second
-derivative is diagonal.
+The problem is convex. A primal-dual method decreases gamma from a value at which P0 alone decides,
+in the scaling of Nesterov and Todd, in which the matrices and their duals become one and the same
+diagonal matrix (Toh, Todd, Tutuncu, "SDPT3 - a MATLAB software package for semidefinite
+programming", 1999), with Mehrotra's predictor and corrector. A step is one factorisation for all
+links, of rows and not of their squares. Two changes of coordinates keep steps accurate in weakly
+identified directions. Each link is expressed relative to its usual body, P_i = L_i K_i L_i^T with
+P0_i = L_i L_i^T, and z_i are the ten coordinates of K_i - 1. Then z is rotated into the singular
+directions of A, in which the second derivative of ||A x - b||^2 is diagonal.
 
-Errors change with it. An inconsistent estimate theta + e, e ~ N(0, C), is replaced by the best
-consistent body. Drawn errors show the remaining error: T e by linear regression, and a residual of
-covariance R. The other parameters follow the body as they do in C: with G, their regression on the
-body, and E, which selects the body, errors e of all become (1 + G (T - 1) E) e.
+Making a body consistent changes its errors. An inconsistent estimate theta + e, e ~ N(0, C), is
+replaced by the best consistent body. The error of that body, computed for random draws of e, is
+T e by linear regression, plus a residual of covariance R. The other parameters keep their
+regression G on the body, as it is in C: with E, which selects the body, errors e of all parameters
+become (1 + G (T - 1) E) e.
 """
 
 from __future__ import annotations
@@ -42,42 +45,45 @@ from robot_sysid.estimation.algebra.uncertainty import Uncertainty
 from robot_sysid.records import Array
 
 GAMMAS = (0.1, 0.01, 1e-3, 1e-4)
-"""Weights of the usual bodies to be compared."""
+"""Weights gamma of the divergence from the usual bodies that ``best`` tries, the largest first."""
 HARDLY = 3.0
-"""Increase of the squared residuals, of unit variance, that is negligible: their expected decrease
-by fitting is the number of parameters."""
-# Eigenvalues of an inconsistent body of the model are raised to this share of the largest.
+"""Increase of the sum of squared residuals, each of unit variance, that is negligible: fitting is
+expected to decrease this sum by the number of parameters."""
+# Eigenvalues of the pseudo-inertia of an inconsistent usual body are raised to this share of the
+# largest one.
 _FLOOR = 1e-6
-# Holds parameters without data at zero, in lengths of a column.
+# Diagonal of the rows that hold parameters without data at zero, where columns have unit length.
 _RIDGE = 1e-5
-# Gamma at which the path begins.
+# Gamma at which the path begins: the usual bodies are the minimiser there.
 _EASY = 100.0
-# Squared length of a step at convergence, in units of gamma.
+# Squared length of a step at convergence, as a multiple of gamma.
 _CONVERGED = 1e-6
-# Most steps: problems take 15 to 30.
+# Largest number of Newton steps, and of reductions of a step: problems take 15 to 30 steps.
 _MOST_STEPS = 1000
+# Largest step, as a share of the step at which a matrix becomes singular.
 _TO_THE_WALL = 0.95
-# How far the products of primal and dual eigenvalues may lag behind their mean.
+# Least eigenvalue of the product of a matrix and its dual, as a share of the mean eigenvalue.
 _CENTRALITY = 0.02
-# Below this length a step without second-order correction is tried as well.
+# Length of a step below which a step without second-order correction is tried as well.
 _SHORT = 0.5
-# Relative decrease of gamma after a step of full length, whatever the predictor allows.
+# Least relative decrease of gamma after a step of full length.
 _EAGER = 0.8
-# Weight of rows that hold the null space, beside that of the data.
+# Weight of rows that hold the null space at the usual bodies; the data's rows have weight one.
 _PIN = 1e3
-# Rounding of squared residuals.
+# Relative rounding error of a sum of squared residuals.
 _RESOLUTION = 1e-15
-# Rounding of the squared length of a step, as a share of squared residuals.
+# Rounding error of the squared length of a step, as a share of the sum of squared residuals.
 _SHORTEST = 1e-18
 
 
 @dataclass(frozen=True)
 class LinksProblem:
-    """The links of a least-squares problem.
+    """The links among the p parameters of a least-squares problem.
 
     Attributes:
-        links: per link (10,) indices of its parameters.
-        prior: (p,) usual bodies at these indices, zero elsewhere.
+        links: per link (10,) indices of its parameters, in the order of
+            ``spatial.PARAMETER_NAMES``.
+        prior: (p,) parameters of the usual bodies at these indices, zero elsewhere.
     """
 
     links: tuple[NDArray[np.int64], ...]
@@ -85,7 +91,10 @@ class LinksProblem:
 
     @cached_property
     def bodies(self) -> tuple[tuple[Array, Array], ...]:
-        """Each link's usual body theta (10,), made consistent, and U (10, 10) with theta + U z."""
+        """Per link (theta, U): usual body (10,), made consistent, and U (10, 10).
+
+        The coordinates z (10,) of a link stand for the body theta + U z.
+        """
         bodies = []
         for link in self.links:
             theta = spatial.nearest_consistent_body(
@@ -98,17 +107,21 @@ class LinksProblem:
 
 
 End = tuple[float, Array, Array]
-"""A weight gamma, and coordinates (k,) and roots of the duals (links, 4, 4) of the minimiser."""
+"""Point of the path: gamma, and at its minimiser the coordinates z (10 links,) and square roots of
+the dual matrices (links, 4, 4)."""
 
 
 class ConsistentLinks:
-    """Solves A x = b, (M, p) and (M,), residuals of unit variance, for any weight of the model.
+    """Least-squares problem A x = b with consistent bodies, solved for one or several gammas.
 
     Args:
-        start: ``first`` of a similar problem, at which to begin.
+        matrix: A (M, p), whitened, so that residuals have unit variance.
+        right_side: b (M,).
+        problem: which of the p parameters are links, and their usual bodies.
+        start: ``first`` of a similar problem, at which to begin; None for the usual bodies.
 
     Attributes:
-        first: the minimiser for the first gamma, None before that.
+        first: the minimiser for the first gamma; None until one has been solved.
     """
 
     def __init__(
@@ -124,7 +137,8 @@ class ConsistentLinks:
         self._start = start
         self.first: End | None = None
         self._bodies = np.concatenate(problem.links)
-        # All parameters are origin + unit z.
+        # Scaled coordinates y stand for the parameters x = origin + unit y: z for each link,
+        # columns of unit length for all other parameters.
         length = np.linalg.norm(matrix, axis=0)
         self._origin = np.zeros(len(problem.prior))
         self._unit = np.diag(1.0 / np.where(length > 0.0, length, 1.0))
@@ -142,7 +156,12 @@ class ConsistentLinks:
         self._unexplained = float(of_bodies[-1, -1] ** 2)
 
     def _eliminate_others(self) -> tuple[Array, Array]:
-        """Return (triangular rows of all other parameters, those of bodies alone), [A b] each."""
+        """Return rows [A b] of a QR factorisation in scaled coordinates, other parameters first.
+
+        Returns:
+            Rows (c, c + k + 1) that determine the c other parameters from the k coordinates of the
+            bodies, and rows (k + 1, k + 1) that contain the bodies alone.
+        """
         count = len(self._others)
         scaled = self._matrix @ self._unit
         right_side = self._right_side - self._matrix @ self._origin
@@ -157,7 +176,7 @@ class ConsistentLinks:
         return triangle[:count], triangle[count:, count:]
 
     def _all(self, z: Array) -> Array:
-        """Return all parameters (p,) for coordinates of the bodies (k,)."""
+        """Return all parameters (p,) for coordinates z (k,) of the bodies; others fit best."""
         count = len(self._others)
         values = np.zeros(len(self._origin))
         goal = self._free[:, -1] - self._free[:, count:-1] @ z
@@ -168,9 +187,10 @@ class ConsistentLinks:
     def best(self) -> Array:
         """Return the minimiser (p,) for the largest gamma with a negligible increase of residuals.
 
-        Then, directions without data stay at the usual bodies, exactly where the increase is
-        negligible, and directions with data are not biased towards them, however much larger a tool
-        is than the model's link.
+        The increase is relative to the smallest gamma; negligible is up to ``HARDLY``. Directions
+        without data then stay at the usual bodies, exactly so where the increase is negligible
+        with the null space held there. Directions with data are not biased towards the usual
+        bodies, even if a tool is much larger than the model's link.
         """
         firsts = []
         solvers = [*self._hold_null_space(), self]
@@ -197,13 +217,13 @@ class ConsistentLinks:
         yield ConsistentLinks(matrix, right_side, self._problem)
 
     def _squared_residuals(self, values: Array) -> float:
-        """Return the sum of squared residuals."""
+        """Return the sum of squared residuals ||A x - b||^2 of parameters (p,)."""
         return float(np.sum((self._matrix @ values - self._right_side) ** 2))
 
     def path(self, gammas: Sequence[float]) -> Iterator[Array]:
-        """Yield the minimiser (p,) for each of several gammas, largest first.
+        """Yield the minimiser (p,) for each of several gammas, given largest first; set ``first``.
 
-        A gamma below the rounding of the residuals is raised to it.
+        A gamma below the rounding error of the squared residuals is raised to that error.
 
         Raises:
             SysidError: the method did not converge.
@@ -218,16 +238,17 @@ class ConsistentLinks:
             yield self._all(end[1])
 
     def _beginning(self) -> End:
-        """Return the usual bodies, which minimise at a large gamma."""
+        """Return the usual bodies with their duals, the minimiser at the gamma ``_EASY``."""
         z = np.zeros(len(self._bodies))
-        return (
-            _EASY,
-            z,
-            np.repeat(np.sqrt(_EASY) * np.eye(4)[None], len(z) // 10, axis=0),
-        )
+        duals = np.repeat(np.sqrt(_EASY) * np.eye(4)[None], len(z) // 10, axis=0)
+        return _EASY, z, duals
 
     def _follow(self, t: float, z: Array, duals: Array, gamma: float) -> End:
-        """Return the minimiser at gamma, starting from the one at t."""
+        """Return the minimiser at gamma; ``t``, ``z`` and ``duals`` are the ``End`` to start from.
+
+        Raises:
+            SysidError: the method did not converge.
+        """
         t = max(t, gamma)
         length = 1.0
         least = max(_CONVERGED * gamma, _SHORTEST * self._squared)
@@ -237,7 +258,8 @@ class ConsistentLinks:
                 unexplained = self._projected - self._singular * (self._turn.T @ z)
                 newton = _Newton(cone, self._singular, unexplained, self._turn)
                 bold = newton.step(gamma)
-                # Where the predictor is short but the last step was long, t decreases all the same.
+                # Where the predictor step is short but the previous step was long, t decreases
+                # nevertheless.
                 factor = min(
                     (1.0 - min(1.0, newton.step_limit(bold))) ** 2,
                     1.0 - _EAGER * length,
@@ -257,11 +279,14 @@ class ConsistentLinks:
 
 
 class ScaledBodies:
-    """The links' K and their duals Z, which tend to t K^-1, both scaled to the same diagonal D.
+    """The links' matrices K and their dual matrices Z, both scaled to one diagonal matrix D.
+
+    At the minimiser for gamma = t, Z is t K^-1. Matrices in scaled coordinates are G^-1 K G^-T and
+    G^T Z G, which both equal D (4, 4) for each link before a step.
 
     Args:
-        z: (10 links,) coordinates.
-        duals: (links, 4, 4) roots of the duals: rounding of the squares would hide the smallest
+        z: (10 links,) coordinates, K = 1 + sum_k z_k B_k with the basis B of symmetric matrices.
+        duals: (links, 4, 4) roots R with Z = R R^T: rounding of Z itself would hide its smallest
             eigenvalues.
 
     Raises:
@@ -283,39 +308,53 @@ class ScaledBodies:
         self._here = self._diagonal[:, :, None] * np.eye(4)
 
     def rows(self) -> Array:
-        """Return (links, 10, 10) rows of each link whose squares are the barrier's curvature."""
+        """Return rows R (links, 10, 10), R^T R the barrier's second derivative in z per link."""
         return _transpose(_components(self._basis))
 
     def aim(self, t: float) -> Array:
-        """Return the scaled value (links, 4, 4) of K and of its duals at t."""
+        """Return t D^-1 (links, 4, 4), which Newton's equation demands of D + dK + dZ."""
         return np.asarray((t / self._diagonal)[:, :, None] * np.eye(4))
 
     def changes(self, step: Array, t: float, correction: Array) -> tuple[Array, Array]:
-        """Return the scaled changes (links, 4, 4) of K and of the duals by a step (10 links,)."""
+        """Return the scaled changes (links, 4, 4) of K and of the duals by a Newton step.
+
+        Args:
+            step: (10 links,) change of z.
+            t: gamma that the step aims at.
+            correction: (links, 4, 4) of ``second_order``, or zeros.
+        """
         primal = np.einsum("mk,mkij->mij", step.reshape(-1, 10), self._basis)
         return primal, self.aim(t) - self._here - correction - primal
 
     def second_order(self, primal: Array, dual: Array) -> Array:
-        """Return the correction (links, 4, 4) for the product of both changes."""
+        """Return Mehrotra's correction (links, 4, 4) for the product of both scaled changes."""
         product = primal @ dual
         both = self._diagonal[:, :, None] + self._diagonal[:, None, :]
         return np.asarray((product + _transpose(product)) / both)
 
     def step_limit(self, change: Array) -> float:
-        """Return the largest factor of a change that leaves the matrices positive definite."""
+        """Return the largest factor of a scaled change that leaves all matrices semidefinite."""
         roots = np.sqrt(self._diagonal)
         relative = change / (roots[:, :, None] * roots[:, None, :])
         lowest = float(np.min(np.linalg.eigvalsh(relative), initial=0.0))
         return -1.0 / lowest if lowest < 0.0 else np.inf
 
     def centrality(self, primal: Array, dual: Array) -> float:
-        """Return the least eigenvalue of a K Z over their mean after scaled changes."""
+        """Return the least ratio, over all links, of the smallest eigenvalue of K Z to their mean.
+
+        Args:
+            primal: (links, 4, 4) scaled change of K.
+            dual: (links, 4, 4) scaled change of Z.
+
+        Raises:
+            LinAlgError: a matrix is not positive definite after its change.
+        """
         roots = [np.linalg.cholesky(self._here + change) for change in (primal, dual)]
         products = np.linalg.svd(_transpose(roots[0]) @ roots[1], compute_uv=False) ** 2
         return float(np.min(products / np.mean(products, axis=1, keepdims=True)))
 
     def move_duals(self, change: Array) -> Array:
-        """Return roots of the duals (links, 4, 4) after a scaled change."""
+        """Return roots of the duals (links, 4, 4), not scaled, after a scaled change of them."""
         return np.asarray(
             _transpose(self._inverse) @ np.linalg.cholesky(self._here + change)
         )
@@ -323,7 +362,14 @@ class ScaledBodies:
 
 @dataclass(frozen=True)
 class _Step:
-    """A change of the coordinates (k,), of K and of its duals, and its squared length."""
+    """A Newton step.
+
+    Attributes:
+        direction: (10 links,) change of the coordinates z.
+        primal: (links, 4, 4) scaled change of the matrices K.
+        dual: (links, 4, 4) scaled change of the dual matrices.
+        size: squared length of the change of z, measured by the second derivative.
+    """
 
     direction: Array
     primal: Array
@@ -332,13 +378,15 @@ class _Step:
 
 
 class _Newton:
-    """Newton's equations at one point, as least squares: rounding of normal equations would hide
-    weak directions.
+    """Newton's equations at one point, solved as least squares.
+
+    Rounding of normal equations would hide weakly identified directions.
 
     Args:
-        singular: (k,) singular values of the data.
-        unexplained: (k,) residual along each of them.
-        turn: (k, k) their axes, as columns.
+        cone: the matrices at this point.
+        singular: (k,) singular values of the data's rows of the bodies, k = 10 links.
+        unexplained: (k,) residual along each singular direction.
+        turn: (k, k) right singular vectors of these rows, as columns.
     """
 
     def __init__(
@@ -360,7 +408,12 @@ class _Newton:
             raise np.linalg.LinAlgError("singular")
 
     def step(self, t: float, bold: _Step | None = None) -> _Step:
-        """Return the step towards t, with the second-order correction of a predictor step."""
+        """Return the full Newton step towards the minimiser at gamma = t.
+
+        Args:
+            t: gamma.
+            bold: predictor step, whose second-order term corrects this one; None for no correction.
+        """
         cone = self._cone
         goal = cone.aim(t)
         correction = (
@@ -376,11 +429,15 @@ class _Newton:
         )
 
     def step_limit(self, step: _Step) -> float:
-        """Return the largest factor of a step that stays inside the cone."""
+        """Return the largest factor of a step that leaves K and its duals positive semidefinite."""
         return min(self._cone.step_limit(step.primal), self._cone.step_limit(step.dual))
 
     def best(self, t: float, bold: _Step) -> tuple[_Step, float]:
-        """Return (step towards t, its length), corrected for second order where that goes far."""
+        """Return (step towards gamma = t, factor by which to take it).
+
+        The step is corrected with the predictor step ``bold``, unless its factor is below
+        ``_SHORT`` and a step without correction has a larger one.
+        """
         step = self.step(t, bold)
         length = self.central_length(step)
         if length >= _SHORT:
@@ -390,7 +447,10 @@ class _Newton:
         return (plain, other) if other > length else (step, length)
 
     def central_length(self, step: _Step) -> float:
-        """Return a step length that leaves no eigenvalue of K Z far behind the others."""
+        """Return the factor (at most 1) of a step after which K Z is still well-centred.
+
+        That is, its smallest eigenvalue is at least ``_CENTRALITY`` of the mean.
+        """
         length = min(1.0, _TO_THE_WALL * self.step_limit(step))
         for _ in range(_MOST_STEPS):
             if (
@@ -403,11 +463,12 @@ class _Newton:
 
 
 def _transpose(matrices: NDArray[Any]) -> NDArray[Any]:
+    """Return the transpose (..., n, m) of each matrix (..., m, n)."""
     return np.swapaxes(matrices, -1, -2)
 
 
 def _components(matrices: Array) -> Array:
-    """Return symmetric matrices (..., 4, 4) in the basis, (..., 10)."""
+    """Return the coefficients (..., 10) of symmetric matrices (..., 4, 4) in ``_BASIS``."""
     return np.tensordot(matrices, _BASIS, ((-2, -1), (1, 2)))
 
 
@@ -422,14 +483,18 @@ def _orthonormal_basis() -> Array:
     return np.array(basis)
 
 
+# Orthonormal basis (10, 4, 4) of symmetric matrices.
 _BASIS = _orthonormal_basis()
+# Inertial parameters (10, 10) of the pseudo-inertias in the basis: theta = coefficients @ _THETAS.
 _THETAS = np.array([spatial.theta_from_pseudo_inertia(matrix) for matrix in _BASIS])
+# Trace (10,) of each matrix of the basis.
 _TRACES = np.trace(_BASIS, axis1=1, axis2=2)
 BODIES = "possible bodies"
-"""Name of the residual's cause in results."""
+"""Name, in results, of the error that is left by making an inconsistent body consistent."""
+# Number of random errors, half of them the negatives of the others. For a UR5e's last link, whose
+# plain estimate is hardly ever consistent, 60 and 1000 give standard errors of the mass that agree
+# to 7 %.
 _DRAWS = 60
-"""Number of drawn errors, half of them the negatives of the others; for a UR5e's last link, whose
-plain estimate is hardly ever consistent, 60 and 1000 give the same error of the mass to 7 %."""
 
 
 def project_errors(
@@ -439,13 +504,20 @@ def project_errors(
     theta: Array,
     center: Array,
 ) -> tuple[Uncertainty, dict[str, Array]]:
-    """Return the errors, all and by cause, of an estimate whose body is made consistent.
+    """Return the errors of an estimate whose body is made consistent: in total, and by cause.
+
+    The arguments are not changed.
 
     Args:
-        causes: cause to rows (m, k) whose squares are the covariance due to it.
-        indices: (10,) of the body among the k estimated parameters.
-        theta: (10,) of the body.
-        center: (10,) a plausible body, at the centre of the barrier.
+        uncertainty: errors of the k estimated parameters before the body is made consistent.
+        causes: per cause of errors, rows R (m, k) with R^T R the covariance due to this cause.
+        indices: (10,) indices of the body among the k estimated parameters.
+        theta: (10,) estimated inertial parameters of the body.
+        center: (10,) inertial parameters of a plausible body, the usual body of the fit.
+
+    Returns:
+        The new errors and the new causes, with ``BODIES`` as one more cause. Both are as given
+        where the body is not identifiable or needs no change.
     """
     of_body = uncertainty.covariance[np.ix_(indices, indices)]
     is_known = np.all(np.isfinite(uncertainty.standard_errors[indices]))
@@ -457,6 +529,7 @@ def project_errors(
     change = (turn - np.eye(10)).T @ along
 
     def project(rows: Array) -> Array:
+        """Return rows (m, k) of errors after the body is made consistent, without the residual."""
         return rows + rows[:, indices] @ change
 
     by_cause = {cause: project(rows) for cause, rows in causes.items()}
@@ -476,7 +549,12 @@ def project_errors(
 
 
 def projected_covariance(theta: Array, covariance: Array) -> Array:
-    """Return the covariance (10, 10) of a body (10,) that is made consistent."""
+    """Return the covariance (10, 10) of a body's errors after the body is made consistent.
+
+    Args:
+        theta: (10,) estimated inertial parameters of the body.
+        covariance: (10, 10) of their errors before that.
+    """
     projection = _projected_errors(theta, covariance, theta)
     if projection is None:
         return covariance
@@ -487,14 +565,15 @@ def projected_covariance(theta: Array, covariance: Array) -> Array:
 def _projected_errors(
     theta: Array, covariance: Array, center: Array
 ) -> tuple[Array, Array] | None:
-    """Return T (10, 10) of a body, and rows (m, 10) whose squares are R.
+    """Return T (10, 10), and rows (m, 10) whose products rows^T rows are the covariance R.
 
-    None where all drawn bodies are consistent, or where one cannot be made so: the plain errors are
-    larger than those of consistent bodies.
+    Errors e of the body theta (10,), of the covariance (10, 10), become T e plus a residual of
+    covariance R; ``center`` (10,) is the usual body of the fit. None where all drawn bodies are
+    consistent, or where the fit fails for one: the errors before are an upper bound then.
     """
     half = np.random.default_rng(0).standard_normal((_DRAWS // 2, 10))
     draws = np.vstack((half, -half))
-    # Of unit covariance exactly, so that consistent draws change nothing.
+    # Their sample covariance is exactly 1, so that T is exactly 1 if draws are not changed.
     draws = np.linalg.solve(np.linalg.cholesky(draws.T @ draws / _DRAWS), draws.T).T
     try:
         root = np.linalg.cholesky(covariance)
@@ -505,11 +584,11 @@ def _projected_errors(
     start = None
     projected = errors.copy()
     problem = LinksProblem((np.arange(10),), center)
-    for k in [
-        k for k, error in enumerate(errors) if not spatial.is_consistent(theta + error)
-    ]:
+    for k, error in enumerate(errors):
+        if spatial.is_consistent(theta + error):
+            continue
         try:
-            solver = ConsistentLinks(rows, rows @ (theta + errors[k]), problem, start)
+            solver = ConsistentLinks(rows, rows @ (theta + error), problem, start)
             projected[k] = solver.best() - theta
             start = solver.first
         except SysidError:

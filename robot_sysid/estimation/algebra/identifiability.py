@@ -7,22 +7,22 @@ identified: an axis that is off by a hair shows the first moment along it at a m
 others, and scaling that up would turn rounding into an estimate. A column that is nothing but
 rounding noise is set to zero.
 
-A null space has many bases. The one put into words is sparse: first directions within the first
-moment or within the inertia alone, then mixed ones, each in reduced row echelon form. A single
-parameter that cannot be identified always appears by itself then.
+A null space has many bases. The reported basis is sparse: first directions within the first moment
+or within the inertia alone, then mixed ones, each group in reduced row echelon form. A single
+parameter that cannot be identified therefore always is a direction of its own.
 
 Base parameters are the combinations that joint torques do identify. Of the ten parameters of a
 link, many change no torque by themselves, but only in combination with those of links closer to the
 base. A QR factorisation with column pivoting finds them (Gautier, "Numerical calculation of the
 base inertial parameters of robots", ICRA 1990): with W P = Q [R1 R2; 0 0], R1 of full rank r, the
-first r columns of W P span all, and
+first r columns of W P span all columns, and
 
     x_base = x_1 + R1^-1 R2 x_2.
 
-Which of them a log needs follows from backward elimination: the one with the largest relative
-standard deviation is removed and the others are fitted again, until the largest is no more than 30
-times the smallest (Pham, Gautier, "Essential parameters of robots", CDC 1991) or is below 10 %. It
-is a report on the data; the estimate does not use it.
+Which base parameters a log needs (the essential ones) follows from backward elimination: the one
+with the largest relative standard deviation is removed and the others are fitted again, until the
+largest is no more than 30 times the smallest (Pham, Gautier, "Essential parameters of robots",
+CDC 1991) or is below 10 %. Essential parameters are reported only; the estimate does not use them.
 """
 
 from __future__ import annotations
@@ -38,26 +38,34 @@ from robot_sysid.records import Array, Identifiability, SquareRootInformation
 
 RELATIVE_CUT = 1e-10
 """Singular values (and column lengths) below this share of the largest count as zero."""
-# Length of the inverse below which nothing is cut: the least singular value is above 1e-8, the cut
-# at 1e-10 of the largest, which is at most the root of the number of unit columns.
+# Frobenius norm of a triangle's inverse below which no singular value counts as zero: the least one
+# is above 1e-8 then, and the cut is at 1e-10 of the largest, which is at most the root of the
+# number of unit columns.
 _WELL_SEEN = 1e8
-# Components of unit vectors below this count as rounding; chosen, far above that (1e-13).
+# Components of unit vectors below this count as zero; a choice, far above their rounding (1e-13).
 _COMPONENT_TOLERANCE = 1e-6
 N_INERTIAL = 10
+"""Number of inertial parameters of a link; they are the first columns of every regressor."""
+# Columns of the first moments and of the inertias, which share a unit each.
 _SAME_UNIT = (slice(1, 4), slice(4, 10))
 
 
 @dataclass(frozen=True)
 class VisibleSpace:
-    """Truncated singular value decomposition of a column-scaled matrix.
+    """Decomposition A diag(scale) = left diag(singular) right^T of a matrix A (M, p) of rank r.
+
+    A singular value decomposition without the singular values that count as zero. Visible are
+    combinations of parameters that change A x, invisible those of its null space.
+    ``triangle_space`` fills ``left``, ``singular`` and ``right`` differently, with an equal
+    pseudo-inverse right diag(1 / singular) left^T.
 
     Attributes:
         scale: (p,) x = scale * y turns scaled coordinates y into parameters x.
         left: (M, r) orthonormal basis of the visible right-hand sides.
-        singular: (r,) singular values above the cut, descending.
+        singular: (r,) singular values above ``RELATIVE_CUT``, descending.
         right: (p, r) orthonormal basis of the visible y.
         null: (p, p - r) orthonormal basis of the invisible y.
-        zero: (p,) whether a column is rounding noise.
+        zero: (p,) bool, whether a column is rounding noise.
     """
 
     scale: Array
@@ -74,13 +82,13 @@ class VisibleSpace:
 
     @property
     def is_identified(self) -> tuple[bool, ...]:
-        """Per parameter, whether no invisible direction contains it."""
+        """Per parameter (p,), whether it is zero in all invisible directions."""
         return tuple(
             bool(h < _COMPONENT_TOLERANCE) for h in np.linalg.norm(self.null, axis=1)
         )
 
     def solve(self, right_hand_side: Array) -> Array:
-        """Return the minimum-norm least-squares solution (p,) for a (M,) right-hand side."""
+        """Return the least-squares solution x (p,) of A x = b (M,), of minimum norm in scaled y."""
         solution = self.right @ ((self.left.T @ right_hand_side) / self.singular)
         return np.where(self.zero, 0.0, self.scale * solution)
 
@@ -95,7 +103,10 @@ class VisibleSpace:
 
 
 def visible_space(matrix: Array) -> VisibleSpace:
-    """Decompose a stacked regressor (M, p), inertial columns first, into visible and null space."""
+    """Return the visible space and null space of a stacked regressor (M, p).
+
+    Its first ten columns are those of the inertial parameters of one link.
+    """
     scale, zero = column_scale(matrix)
     scaled = np.where(zero, 0.0, matrix * scale)
     missing = max(matrix.shape[1] - len(matrix), 0)
@@ -117,8 +128,11 @@ def visible_space(matrix: Array) -> VisibleSpace:
 
 
 def triangle_space(triangle: Array) -> VisibleSpace:
-    """Return ``visible_space`` of an upper triangle (M, p), faster where it is well-conditioned:
-    its null space is empty then, and its inverse serves as the basis.
+    """Return the visible space and null space of an upper triangular matrix (M, p).
+
+    It is faster than ``visible_space`` where the matrix is well-conditioned: the null space is
+    empty then, ``right`` is the inverse of the scaled triangle, and ``left`` and ``singular`` are
+    unit matrices.
     """
     size = triangle.shape[1]
     scale, zero = column_scale(triangle)
@@ -132,10 +146,11 @@ def triangle_space(triangle: Array) -> VisibleSpace:
 
 
 def column_scale(matrix: Array) -> tuple[Array, np.ndarray]:
-    """Return (1 / length (p,) of columns (M, p), whether each column is rounding noise (p,)).
+    """Return (scale (p,), zero (p,)): the inverse length of each column of a matrix (M, p), and
+    whether the column is rounding noise, below ``RELATIVE_CUT`` of the longest one.
 
-    The first ten columns are those of the inertial parameters; those of one unit share the scale
-    of the longest.
+    The first ten columns are those of the inertial parameters; the three first moments share the
+    scale of their longest column, and so do the six inertias.
     """
     length = np.linalg.norm(matrix, axis=0)
     zero = length <= RELATIVE_CUT * np.max(length, initial=0.0)
@@ -147,10 +162,12 @@ def column_scale(matrix: Array) -> tuple[Array, np.ndarray]:
 def analyse_identifiability(information: SquareRootInformation) -> Identifiability:
     """Return the identifiability of the terminal link and of its joint's friction.
 
-    The last joint is the terminal one. The rank counts the ten inertial parameters and that joint's
-    Coulomb and viscous friction after all other columns (nuisances) have been eliminated:
-    rank [Y_interest Y_nuisance] - rank Y_nuisance. The condition numbers are those of Y_interest,
-    so that they mean the same for a plan, a simulation and a log.
+    The last joint is the terminal one. The parameters of interest are the link's ten inertial
+    parameters and this joint's Coulomb and viscous friction, all others are nuisances. The rank is
+    that which remains after nuisances are eliminated: rank [Y_interest Y_nuisance] - rank
+    Y_nuisance. The condition numbers are those of Y_interest alone, so that they are comparable
+    between a plan, a simulation and a log, which have different nuisances. All joints' rows weigh
+    alike, without the prior.
     """
     matrix, _ = information.equations()
     space = visible_space(matrix)
@@ -174,18 +191,24 @@ def analyse_identifiability(information: SquareRootInformation) -> Identifiabili
 
 
 def _condition(matrix: Array) -> float:
-    """Return largest over smallest visible singular value; infinite where nothing is visible."""
+    """Return the largest singular value of a regressor (M, k) over its r-th, r its rank.
+
+    Infinite where the rank is zero.
+    """
     singular = np.linalg.svd(matrix, compute_uv=False)
     rank = visible_space(matrix).rank
     return float(singular[0] / singular[rank - 1]) if rank else float("inf")
 
 
-# Weight that counts as zero in words.
+# Weight of a parameter in an invisible direction below which it counts as zero.
 _TOLERANCE = 1e-6
-# Relative difference within which weights are equally large.
+# Relative difference within which weights count as equally large.
 _SAME = 5e-4
+# Indices of the first moments among the parameters.
 _FIRST_MOMENT = range(1, 4)
+# Indices of the inertias among the parameters.
 _INERTIA = range(4, 10)
+# Phrases for single parameters, by the name before "[joint]".
 _SINGLE = {
     "m": "mass",
     "hx": "first moment along x",
@@ -197,7 +220,7 @@ _SINGLE = {
 
 
 def describe(null: Array, scale: Array, names: Sequence[str]) -> tuple[str, ...]:
-    """Return one phrase per invisible direction.
+    """Return one phrase per invisible direction, such as "mass" or "hx - 0.5*m".
 
     Args:
         null: (p, d) orthonormal basis of the invisible scaled coordinates.
@@ -215,7 +238,13 @@ def describe(null: Array, scale: Array, names: Sequence[str]) -> tuple[str, ...]
 
 
 def in_words(weights: Array, first: int, names: Sequence[str]) -> str:
-    """Return a combination of parameters whose weight (p,) at ``first`` is one."""
+    """Return a combination of parameters as text, such as "hx - 0.5*m".
+
+    Args:
+        weights: (p,) of the parameters; the one at ``first`` is one.
+        first: index of the parameter that the text begins with.
+        names: (p,) parameter names.
+    """
     text = names[first]
     for index in np.flatnonzero(weights).tolist():
         weight = float(weights[index])
@@ -226,13 +255,18 @@ def in_words(weights: Array, first: int, names: Sequence[str]) -> str:
 
 
 def readable_basis(null: Array) -> list[Array]:
-    """Return d vectors (p,) that span the null space and have few non-zero entries."""
+    """Return d unit vectors (p,) that span a null space and have few non-zero entries.
+
+    Args:
+        null: (p, d) orthonormal basis of the null space, in scaled coordinates.
+    """
     size, dimension = null.shape
     basis: list[Array] = []
     for group in (_FIRST_MOMENT, _INERTIA, range(10), range(size)):
         for candidate in _row_echelon(_within(null, group)):
-            more = np.array([*basis, candidate])
-            if len(basis) < dimension and np.linalg.matrix_rank(more, _TOLERANCE) > len(
+            extended = np.array([*basis, candidate])
+            is_incomplete = len(basis) < dimension
+            if is_incomplete and np.linalg.matrix_rank(extended, _TOLERANCE) > len(
                 basis
             ):
                 basis.append(candidate)
@@ -240,7 +274,12 @@ def readable_basis(null: Array) -> list[Array]:
 
 
 def _within(null: Array, group: Sequence[int]) -> Array:
-    """Return a basis (p, e) of the part of the null space that is zero outside ``group``."""
+    """Return a basis (p, e) of the vectors of a null space (p, d) that are zero outside ``group``.
+
+    Args:
+        null: orthonormal basis of the null space.
+        group: indices of parameters.
+    """
     outside = [
         k for k in range(len(null)) if k not in group
     ]  # setdiff1d imports numpy.ma
@@ -253,7 +292,10 @@ def _within(null: Array, group: Sequence[int]) -> Array:
 
 
 def _row_echelon(basis: Array) -> list[Array]:
-    """Return the reduced row echelon form of the columns (p, e), largest pivots first."""
+    """Return the reduced row echelon form of columns (p, e): at most e unit vectors (p,).
+
+    Each pivot is the largest remaining entry.
+    """
     rows = basis.T.copy()
     for k in range(len(rows)):
         pivot_row, column = np.unravel_index(
@@ -269,6 +311,7 @@ def _row_echelon(basis: Array) -> list[Array]:
 
 
 def _single(name: str) -> str:
+    """Return the phrase for one parameter: "viscous friction of j1" for "viscous[j1]"."""
     term, _, joint = name.partition("[")
     phrase = _SINGLE.get(
         term, f"inertia {name}" if name in spatial.PARAMETER_NAMES else term
@@ -282,18 +325,21 @@ ESSENTIAL_RATIO = 30.0
 """How many times the smallest relative standard deviation an essential parameter may have."""
 WELL_KNOWN = 0.1
 """Relative standard deviation below which a parameter is essential in any case."""
+# Weights of parameters in a base parameter below this count as zero.
 _ROUNDING = 1e-5
-# Relative difference up to which two columns count as equal.
+# Relative decrease of the scale from one column to the next, which decides between columns that
+# are equal but for rounding.
 _ALIKE = 1e-6
 
 
 @dataclass(frozen=True)
 class BaseCombinations:
-    """The parameter combinations that a regressor identifies, x_base = matrix x.
+    """The r combinations of p parameters that a regressor identifies, x_base = matrix x.
 
     Attributes:
-        matrix: (r, p).
-        leading: (r,) index of the parameter that names each combination.
+        matrix: (r, p) weights of the parameters in each combination.
+        leading: (r,) index of one parameter per combination, ascending, whose weight is one there
+            and zero in all other combinations; the combination's name begins with it.
     """
 
     matrix: Array
@@ -305,7 +351,7 @@ class BaseCombinations:
         return len(self.leading)
 
     def names(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Return the combinations in words, with the parameters' names (p,)."""
+        """Return each combination as text, such as "hx + 0.5*m", from parameter names (p,)."""
         return tuple(
             in_words(row, int(first), names)
             for row, first in zip(self.matrix, self.leading)
@@ -313,10 +359,16 @@ class BaseCombinations:
 
 
 def base_combinations(regressor: Array, scale: Array) -> BaseCombinations:
-    """Return the base parameters of a regressor (M, p), with typical parameter sizes (p,)."""
+    """Return the base parameters of a regressor.
+
+    Args:
+        regressor: (M, p).
+        scale: (p,) typical sizes of the parameters, which weight the columns when pivots are
+            chosen.
+    """
     from scipy.linalg import qr, solve_triangular
 
-    # Of equal columns the first one leads, whatever their rounding.
+    # Of columns that are equal but for rounding, the first one leads.
     scale = scale * (1.0 - _ALIKE * np.arange(len(scale)))
     triangle, order = qr(regressor * scale, mode="r", pivoting=True)
     diagonal = np.abs(np.diag(triangle))
@@ -333,7 +385,7 @@ def base_combinations(regressor: Array, scale: Array) -> BaseCombinations:
 
 
 def essential(base: Array, nuisance: Array, right_side: Array) -> NDArray[np.bool_]:
-    """Return (r,) which base parameters backward elimination keeps.
+    """Return whether backward elimination keeps each base parameter (r,), see the module.
 
     Args:
         base: (M, r) whitened columns of the base parameters.

@@ -1,10 +1,11 @@
 """Square-root information, one QR triangle per joint, and its weighted least-squares solution.
 
-For equations Y x = tau the triangle R of [Y tau] = Q R holds all that least squares needs: normal
-matrix, residual and rank. Stacking a new chunk under R and factorising again gives the triangle of
-all rows (Bierman, "Factorization Methods for Discrete Sequential Estimation", 1977, ch. IV), so
-memory does not grow with the number of samples. The noise of each joint, which weights its rows, is
-iterated with the solution.
+For equations Y x = tau the triangle R of [Y tau] = Q R contains all that least squares needs:
+normal matrix, residual and rank. Stacking a new chunk of rows under R and factorising again gives
+the triangle of all rows (Bierman, "Factorization Methods for Discrete Sequential Estimation", 1977,
+ch. IV), so memory does not grow with the number of samples. Noise stands for the standard deviation
+of a joint's torque residual [N m]; the weight of the joint's rows is its inverse. Noise is iterated
+together with the solution.
 """
 
 from __future__ import annotations
@@ -21,33 +22,42 @@ from numpy.typing import NDArray
 from robot_sysid.estimation.algebra.identifiability import triangle_space
 from robot_sysid.records import Array, JointInformation, SquareRootInformation
 
-# Most rounds of an iteration; measured: 5 to 7 for seven joints.
+# Largest number of rounds of the noise, and of conjugate gradients; measured: 5 to 7 for seven
+# joints.
 _MOST_ROUNDS = 30
-# Relative change of the noise at which it has converged: it moves no printed digit.
+# Relative change of the noise below which it has converged: no printed digit changes.
 _SETTLED = 1e-6
 # Smallest noise without a prior, as a share of the root mean square torque.
 _NOISE_FLOOR = 1e-9
-# Smallest noise with a prior.
+# Smallest noise with a prior, as a share of the root mean square torque.
 _NOISE_FLOOR_WITH_PRIOR = 1e-4
-# Least pivot of a scaled matrix, whose diagonal is 1: rounding makes pivots up to 1e-14 of zeros,
-# and exact data of arms with priors has 1e-12 (measured).
+# Least pivot of a matrix with diagonal 1, below which the matrix counts as singular: rounding turns
+# zeros into up to 1e-14, and exact data of arms with priors has 1e-12 (measured).
 _LEAST_PIVOT = 1e-13
-# Gradient at which conjugate gradients have converged, as a share of all right-hand sides.
+# Length of the preconditioned gradient at which conjugate gradients have converged, as a share of
+# the length of all weighted right-hand sides.
 _ROUNDING = 1e-14
-# Ratio to its floor up to which noise is at the floor.
+# Ratio of a joint's noise to the floor up to which the noise counts as being at the floor.
 _AT_FLOOR = 1.01
-# Floor of ``lower_floor``, as a share of ``noise_floor``.
+# Floor in ``lower_floor``, as a share of ``noise_floor``.
 _LOWER_FLOOR = 0.01
-# Rounds of ``lower_floor``.
+# Number of rounds of ``lower_floor``.
 _LOWER_ROUNDS = 2
 Solve = Callable[[Array], tuple[Array, Array]]
-"""Function of weights (joints,) that returns (values (p,), leverage (joints,)): see ``solver``."""
+"""Function of weights (joints,) [1/(N m)] that returns (values (p,), leverage (joints,)); see
+``solver``."""
 Block = tuple[NDArray[np.int64], Array]
-"""Rows [A b] (m, k + 1), preceded by the indices (k + 1,) of their columns among all columns."""
+"""(indices (k + 1,), rows (m, k + 1)): equations [A b] in k of p parameters; the indices are those
+of the columns among all p + 1, the last one is p for the right-hand side."""
 
 
 def ordinary(information: SquareRootInformation, solve: Solve) -> Array:
-    """Return one noise for all joints (joints,), from the residuals of all of them [N m]."""
+    """Return the noise (joints,) [N m], equal for all joints: that of ordinary least squares.
+
+    Args:
+        information: equations of all joints.
+        solve: ``solver`` of these equations.
+    """
     ones = np.ones(len(information.joints))
     common = 1.0
     for _ in range(_MOST_ROUNDS):
@@ -65,10 +75,15 @@ def ordinary(information: SquareRootInformation, solve: Solve) -> Array:
 def estimate_noise(
     information: SquareRootInformation, solve: Solve, start: Array | None = None
 ) -> Array:
-    """Return the noise (joints,) [N m], iterated with the estimate until both converge.
+    """Return the noise of each joint (joints,) [N m], iterated with the estimate to convergence.
 
     Iterated feasible generalised least squares; for independent normal noise the fixed point is
     the maximum-likelihood estimate (Oberhofer, Kmenta 1974).
+
+    Args:
+        information: equations of all joints.
+        solve: ``solver`` of these equations.
+        start: (joints,) noise to begin with [N m]; None for that of ``ordinary``.
     """
     noise = ordinary(information, solve) if start is None else start
     floor = noise_floor(information)
@@ -101,6 +116,7 @@ def solver(information: SquareRootInformation, prior: Array) -> Solve:
     solutions = dict[bytes, tuple[Array, Array]]()
 
     def solve(weights: Array) -> tuple[Array, Array]:
+        """Return (values (p,), leverage (joints,)) from normal equations where they suffice."""
         # At the floor of the noise, weights repeat from round to round.
         key = weights.tobytes()
         if key not in solutions:
@@ -111,11 +127,11 @@ def solver(information: SquareRootInformation, prior: Array) -> Solve:
 
 
 def inverse_root(normal: Array) -> Array | None:
-    """Return G (p, p) with G G^T the inverse of a normal matrix; None where it is singular within
-    rounding.
+    """Return G (p, p) with G G^T the inverse of a normal matrix (p, p); None where the matrix is
+    singular but for rounding.
 
-    It takes a tenth of the time of a decomposition and loses half of the digits, which noise and
-    widths of priors do not need.
+    This takes a tenth of the time of a decomposition of the equations and loses half of the digits,
+    which noise and standard deviations of priors do not need.
     """
     from scipy.linalg.lapack import dtrtri
 
@@ -130,7 +146,12 @@ def inverse_root(normal: Array) -> Array | None:
 
 
 class _Normal:
-    """Normal equations of data with a prior."""
+    """Normal equations of data with a prior, for weights of the joints that change.
+
+    Args:
+        information: equations of all joints, with a prior.
+        prior: (p,) values that stay where nothing identifies a parameter.
+    """
 
     def __init__(self, information: SquareRootInformation, prior: Array) -> None:
         assert information.prior is not None
@@ -171,17 +192,17 @@ class _Normal:
 def solve_normal(
     normal: Array, blocks: Sequence[Block], squares: Array, values: Array
 ) -> tuple[Array, Array] | None:
-    """Return (least-squares solution (p,), G (p, p) of ``inverse_root``) of normal equations; None
-    where they are ill-conditioned.
+    """Return (least-squares solution x (p,), G (p, p) with G G^T the inverse normal matrix); None
+    where the normal equations are ill-conditioned.
 
     Rounding of the normal equations is removed by conjugate gradients on the equations themselves,
     preconditioned with G (Bjorck, "Numerical methods for least squares problems", 1996, ch. 7.4).
 
     Args:
-        normal: (p + 1, p + 1) sum of the weighted squares of all blocks.
-        blocks: their equations.
-        squares: (blocks,) squared weight of each block.
-        values: (p,) at which the iteration starts.
+        normal: (p + 1, p + 1) sum over the blocks of w^2 [A b]^T [A b].
+        blocks: the equations [A b] that the normal equations are made from, not weighted.
+        squares: (blocks,) squared weight w^2 of each block.
+        values: (p,) parameters at which the iteration starts; not changed.
     """
     root = inverse_root(normal[:-1, :-1])
     if root is None:
@@ -205,8 +226,10 @@ def solve_normal(
 
 
 def solve_rows(rows: Array) -> tuple[Array, Array]:
-    """Return (solution (p,) of minimum norm in scaled columns, G (p, r) with G G^T the inverse of
-    A^T A) of equations [A b] (M, p + 1), by a decomposition.
+    """Return (solution (p,), G (p, r)) of equations [A b] (M, p + 1) of rank r, by a decomposition.
+
+    The least-squares solution is that of minimum norm in scaled columns; G G^T is the
+    pseudo-inverse of A^T A.
     """
     triangle = np.asarray(np.linalg.qr(rows, mode="r"))
     space = triangle_space(triangle[:, :-1])
@@ -214,9 +237,10 @@ def solve_rows(rows: Array) -> tuple[Array, Array]:
 
 
 def noise_floor(information: SquareRootInformation) -> float:
-    """Return the smallest noise: 1e-9 of the root mean square torque [N m].
+    """Return the smallest noise of a joint [N m]: 1e-9 of the root mean square torque, or 1e-4 with
+    a prior.
 
-    With a prior it is 1e-4, the error of filtering, which nuisances would explain otherwise.
+    The latter is the error of filtering, which nuisances would explain otherwise.
     """
     squared = sum(
         float(np.sum(joint.triangle[:, -1] ** 2)) for joint in information.joints
@@ -229,9 +253,15 @@ def noise_floor(information: SquareRootInformation) -> float:
 def lower_floor(
     information: SquareRootInformation, solve: Solve, noise: Array
 ) -> Array:
-    """Return the noise (joints,) with a lower floor for joints at the usual one [N m].
+    """Return the noise (joints,) [N m], estimated with a lower floor for joints at ``noise_floor``.
 
-    With the usual floor, the priors would weigh too much against exact data.
+    With that floor, priors would weigh too much against exact data. Without a prior the noise is
+    returned as it is.
+
+    Args:
+        information: equations of all joints.
+        solve: ``solver`` of these equations.
+        noise: (joints,) of ``estimate_noise`` [N m].
     """
     floor = noise_floor(information)
     at_floor = noise <= _AT_FLOOR * floor
@@ -247,11 +277,17 @@ def lower_floor(
 def joint_noise(
     information: SquareRootInformation, values: Array, leverage: Array, floor: float
 ) -> Array:
-    """Return (joints,) noise standard deviation of each joint's torque [N m].
+    """Return the noise (joints,): the standard deviation of each joint's torque [N m].
 
-    sigma_j^2 = |r_j|^2 / (n_j - l_j) at the solution (p,), with the leverage l_j = w_j^2 tr(Y_j C
-    Y_j^T): the number of parameters that this joint's equations determine (Seber, Lee, "Linear
-    Regression Analysis", 2003).
+    sigma_j^2 = |r_j|^2 / (n_j - l_j) with r_j the residuals of the joint's n_j equations and
+    l_j = w_j^2 tr(Y_j C Y_j^T) their leverage, the number of parameters that they determine (Seber,
+    Lee, "Linear Regression Analysis", 2003).
+
+    Args:
+        information: equations of all joints.
+        values: (p,) the solution, at which residuals are taken.
+        leverage: (joints,) l_j.
+        floor: smallest noise [N m].
     """
     squared = information.squared_residuals(values)
     freedom = np.maximum(sample_counts(information) - leverage, 1.0)
@@ -261,7 +297,9 @@ def joint_noise(
 def _solve_by_decomposition(
     information: SquareRootInformation, prior: Array, weights: Array
 ) -> tuple[Array, Array]:
-    """Return (x, leverage) of ``solver``, by a decomposition."""
+    """Return (x (p,), leverage (joints,)) of ``solver`` for weights (joints,) [1/(N m)], by a
+    decomposition of the equations.
+    """
     matrix, right_side = information.equations(weights)
     values, root = solve_rows(np.column_stack((matrix, right_side - matrix @ prior)))
     leverage = []
@@ -271,9 +309,10 @@ def _solve_by_decomposition(
     return prior + values, np.array(leverage)
 
 
-# Joints whose equations are squared together: on a long arm they share most columns.
+# Number of joints whose rows are multiplied at once: on a long arm they share most columns.
 _TOGETHER = 8
-# Keeps equations of parameters without data invertible.
+# Added to the unit diagonal of a scaled normal matrix: keeps it invertible for parameters without
+# data.
 _RIDGE = 1e-12
 
 
@@ -282,7 +321,8 @@ class InformationAccumulator:
 
     Args:
         names: (p,) global parameter names.
-        columns: per joint (k,) indices of the parameters of its rows.
+        joints: names of the joints, base to terminal.
+        columns: per joint (k,) indices, among ``names``, of the columns of its rows.
     """
 
     def __init__(
@@ -298,7 +338,13 @@ class InformationAccumulator:
         self._counts = [0] * len(self._joints)
 
     def add(self, index: int, rows: Array, tau: Array) -> None:
-        """Add equations (N, k) of joint number ``index``, right-hand sides tau (N,) [N m]."""
+        """Add equations rows x = tau of one joint.
+
+        Args:
+            index: of the joint.
+            rows: (N, k) one column per index in the joint's ``columns``.
+            tau: (N,) torque [N m].
+        """
         self._triangles[index] = update_triangle(
             self._triangles[index], np.column_stack((rows, tau))
         )
@@ -316,9 +362,9 @@ class InformationAccumulator:
 
 
 def update_triangle(triangle: Array, rows: Array) -> Array:
-    """Return the triangle (k, k) of a previous one and new rows (N, k) together.
+    """Return the triangle (k, k) of a previous triangle (m, k) and new rows (N, k) together.
 
-    Fewer than k non-zero rows are returned unchanged.
+    Where fewer than k rows are not zero, these rows are returned without factorising them.
     """
     stacked = np.vstack((triangle, rows)) if len(triangle) else rows
     is_used = np.any(stacked != 0.0, axis=1)
@@ -328,7 +374,11 @@ def update_triangle(triangle: Array, rows: Array) -> Array:
 
 
 def normal_matrix(information: SquareRootInformation, weights: Array) -> Array:
-    """Return (p+1, p+1) [A b]^T [A b] of the equations of ``equations``."""
+    """Return [A b]^T [A b] (p + 1, p + 1) of ``SquareRootInformation.equations``, with its prior.
+
+    Args:
+        weights: (joints,) of each joint's equations [1/(N m)].
+    """
     normal = np.zeros((len(information.names) + 1,) * 2)
     blocks = information.equation_blocks(weights)
     while batch := list(islice(blocks, _TOGETHER)):
@@ -342,7 +392,13 @@ def normal_matrix(information: SquareRootInformation, weights: Array) -> Array:
 
 
 def eliminate_others(normal: Array, indices: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return the normal equations (k, k), (k,) of k parameters of [A b]' [A b] (p + 1, p + 1)."""
+    """Return the normal equations (matrix (k, k), right-hand side (k,)) of some parameters, with
+    all others eliminated.
+
+    Args:
+        normal: (p + 1, p + 1) [A b]^T [A b] of all parameters.
+        indices: (k,) of the parameters that remain.
+    """
     others = np.setdiff1d(np.arange(len(normal) - 1), indices)
     columns = np.append(indices, len(normal) - 1)
     diagonal = np.diag(normal)[others]
@@ -356,10 +412,14 @@ def eliminate_others(normal: Array, indices: NDArray[np.int64]) -> tuple[Array, 
 
 
 def stretches(at: NDArray[np.int64]) -> list[tuple[Any, Any]]:
-    """Return pairs of slices that add a matrix (k, k) to a larger one at indices (k,).
+    """Return (source, target) indices of blocks that add a matrix (k, k) to a larger matrix.
 
-    Each pair is (block of the matrix, block of the larger one); contiguous indices share a block,
-    which is twice as fast as single ones.
+    With ``larger[target] += matrix[source]`` for all of them, each element (i, j) is added to the
+    larger matrix at (at[i], at[j]). Contiguous indices share a block, which is twice as fast as
+    single elements.
+
+    Args:
+        at: (k,) ascending indices of the larger matrix.
     """
     ends = [0, *(np.flatnonzero(np.diff(at) != 1) + 1).tolist(), len(at)]
     edges = [pair for pair in zip(ends, ends[1:]) if pair[0] < pair[1]]
@@ -368,14 +428,23 @@ def stretches(at: NDArray[np.int64]) -> list[tuple[Any, Any]]:
 
 
 def sample_counts(information: SquareRootInformation) -> Array:
-    """Return (joints,) number of equations of each joint."""
+    """Return the number of equations (samples) of each joint (joints,)."""
     return np.array([joint.n_samples for joint in information.joints], dtype=float)
 
 
 def residual_errors(
     information: SquareRootInformation, values: Array
 ) -> dict[str, Any]:
-    """Return the fields of an ``Estimate`` about the residuals at values (p,)."""
+    """Return the fields of an ``Estimate`` about the torque residuals at parameters ``values``.
+
+    Args:
+        information: equations of all joints.
+        values: (p,) the estimate.
+
+    Returns:
+        Root mean square residual of all joints and per joint name [N m], and the number of samples
+        per joint name.
+    """
     squared = information.squared_residuals(values)
     counts = sample_counts(information)
     joints = [joint.joint for joint in information.joints]
@@ -388,9 +457,10 @@ def residual_errors(
 
 
 def combine(blocks: Sequence[SquareRootInformation]) -> SquareRootInformation:
-    """Return the information of all blocks' data; a prior that they share counts once.
+    """Return the information of all blocks' data together, with the prior of the first one.
 
-    All blocks, one at least, have the same parameters and joints.
+    Args:
+        blocks: one at least, all with the same parameters, joints and prior.
     """
     if len(blocks) == 1:
         return blocks[0]
@@ -407,15 +477,20 @@ def combine(blocks: Sequence[SquareRootInformation]) -> SquareRootInformation:
 def parts_of(
     total: SquareRootInformation, blocks: Sequence[SquareRootInformation]
 ) -> Iterator[SquareRootInformation]:
-    """Yield the blocks of a total, as views of the total where it contains their rows unchanged.
+    """Yield each block again, its rows as views of the total where the total contains them as such.
 
-    Views halve the memory. The total is ``combine`` of the blocks.
+    Views halve the memory.
+
+    Args:
+        total: ``combine`` of the blocks.
+        blocks: information of separate data.
     """
     counts = np.array(
         [[len(joint.triangle) for joint in block.joints] for block in blocks]
     )
     sizes = [joint.triangle.shape for joint in total.joints]
-    # Rows were not made a triangle where they are fewer than the columns.
+    # The total holds the blocks' rows one below the other, not factorised, where they are fewer
+    # than its columns.
     shared = [
         count == rows < width
         for count, (rows, width) in zip(np.sum(counts, axis=0), sizes)
@@ -433,12 +508,15 @@ def parts_of(
 def restrict(
     information: SquareRootInformation, names: Sequence[str], held: Array | None = None
 ) -> SquareRootInformation:
-    """Return the data's information about named parameters, with the others held at fixed values.
+    """Return the data's information about some parameters, with the others held at fixed values.
 
-    The order of the parameters does not change.
+    The result has no prior, and the parameters in the order of ``information``.
 
     Args:
-        held: (p,) values of all parameters; zeros by default.
+        information: equations in p parameters; not changed.
+        names: the parameters that remain.
+        held: (p,) values at which the others are held, in the order of ``information``; those of
+            remaining parameters do not count. Zeros by default.
     """
     joints = []
     selected = set(names)

@@ -1,6 +1,6 @@
 """Priors of nuisances: how far the parameters of a real arm may be off their nominal values.
 
-Nuisances d (the other links' parameters, torque scales, encoder zeros, the direction of gravity)
+Nuisances d (parameters of the other links, torque scales, encoder zeros, the direction of gravity)
 are estimated together with the terminal link under d ~ N(d0, F F^T), one group per cause. Where the
 data contradicts the prior of a group that may be widened, its standard deviations are multiplied by
 
@@ -9,10 +9,10 @@ data contradicts the prior of a group that may be widened, its standard deviatio
 gamma the number of directions that the data determines (MacKay, "Bayesian interpolation", Neural
 Computation 4(3), 1992, eq. 22 and 33), C the covariance of the estimate; never below 1.
 
-The other links have scales of their own. A model states its links to a share
-(``--link-uncertainty``), and real models miss it: masses by 10 to 20 %, one link by 40 %. Links
-that are confounded predict torques equally well, so that held-out torques do not show it. The
-marginal likelihood does. With the deviations of all links from the model
+The widths of the other links' prior are estimated by kind of parameter. The user states a relative
+uncertainty of the links (``--link-uncertainty``, the share), and real models exceed it: masses are
+off by 10 to 20 %, one link by 40 %. Confounded links predict torques equally well, so that held-out
+errors do not show such deviations; the marginal likelihood does. With the links' deviations
 
     delta = T S z,    z ~ N(0, 1),
 
@@ -21,8 +21,8 @@ curvature L and the gradient b of data and all other priors, 1/2 delta' L delta 
 
     log p(S) = 1/2 v' S (1 + S M S)^-1 S v - 1/2 log |1 + S M S|,    M = T' L T,  v = T' b.
 
-Masses, centres of mass and inertias have a scale each: one for all would loosen the centres of mass
-so far that they absorb errors in mass. Scales are averaged over a grid.
+Masses, centres of mass and inertias have one scale each: a single scale for all would widen the
+prior of the centres of mass so far that they absorb errors in mass. Scales are grid averages.
 
 A common torque scale is a prior, too. Where the model's links are the only reference, torques that
 all read 10 % too high and links that are all 10 % lighter than modelled give the same equations. A
@@ -53,32 +53,33 @@ from robot_sysid.records import Array, PriorConflict, RobotModel, SquareRootInfo
 ROD = float(np.sqrt(3.0))
 """Length of a uniform rod over the root mean square distance of its mass from its end."""
 LEAST_SIZE = 0.02
-"""Size that a link has at least, where its prior is made [m]."""
+"""Smallest size of a link in its prior [m]."""
 SURE = 0.99
-"""Significance at which a contradiction between data and prior is reported."""
+"""Confidence level above which a contradiction between data and prior is reported."""
 WIDEST = 20.0
-"""Largest factor of a widened prior: 20 times 5 % is 100 %."""
-# Share of the largest squared deviation above which a member is named too; chosen.
+"""Largest factor alpha of a widened prior: 20 times 5 % is 100 %."""
+# Squared deviation of a link or joint above which a conflict names it as well, as a share of the
+# largest one in its group; a choice.
 _SHARE_OF_WORST = 0.3
-# Most rounds of widening.
+# Largest number of rounds of widening.
 _ROUNDS = 30
-# Relative change of a width at which it has converged.
+# Relative change of a factor alpha below which it has converged.
 _SETTLED = 1e-3
-# Least factor where a prior may become narrower.
+# Smallest factor alpha where a prior may become narrower.
 _NARROWEST = 0.01
-# Factor that holds a group at its mean.
+# Factor alpha that holds a group at its mean.
 _FIXED = 1e-4
 
 
 @dataclass(frozen=True)
 class LinkScales:
-    """Factors on the stated standard deviation of the links, for each kind of parameter.
+    """Factors on the stated standard deviation of the other links, for each kind of error.
 
     Attributes:
-        mass: of each link's own error in mass.
-        centre_of_mass: of each link's own error in its centre of mass.
-        inertia: of each link's own error in its inertia.
-        common: of the errors in mass and in distance that all links share.
+        mass: factor on the independent error of each link's mass.
+        centre_of_mass: factor on the independent error of each link's centre of mass.
+        inertia: factor on the independent error of each link's inertia.
+        common: factor on the relative errors in mass and in distance that all links share.
     """
 
     mass: float = 1.0
@@ -87,28 +88,29 @@ class LinkScales:
     common: float = 1.0
 
     def of_directions(self, n_links: int) -> Array:
-        """Return the scale (10 L + 2,) of each column of ``link_directions``."""
+        """Return the factor (10 L + 2,) on each column of ``link_directions`` of L links."""
         one_link = np.repeat((self.mass, self.centre_of_mass, self.inertia), (1, 3, 6))
         return np.append(np.tile(one_link, n_links), (self.common, self.common))
 
 
 AS_STATED = LinkScales()
-"""Scales of a prior as stated."""
+"""Factors of one: the prior as the user states it."""
 
 
 @dataclass(frozen=True)
 class NuisanceGroup:
-    """Nuisances with one cause.
+    """The nuisances with one cause, and their prior N(mean, (widened factor) (widened factor)^T).
 
     Attributes:
         cause: in words, such as "other links".
-        names: (k,) their parameter names.
-        mean: (k,) d0.
-        factor: (k, k) F, their covariance is F F^T.
-        members: (k,) the name of each nuisance's link or joint.
-        may_widen: whether the data may ask for more than the prior allows.
-        widened: alpha.
-        aspects: returns sets of combinations (m, k) that may be off alone.
+        names: (k,) parameter names of the nuisances.
+        mean: (k,) prior mean d0.
+        factor: (k, k) F, the prior covariance is F F^T before widening.
+        members: (k,) name of the link or joint that each nuisance belongs to.
+        may_widen: whether the prior is widened where the data contradicts it.
+        widened: factor alpha on all standard deviations.
+        aspects: returns matrices (m, k), each the combinations of nuisances that may contradict
+            their prior while the others do not, such as all masses.
     """
 
     cause: str
@@ -133,15 +135,18 @@ class NuisanceGroup:
         return [names.index(name) for name in self.names]
 
     def covariance_rows(self, names: Sequence[str], inverse: Array) -> Array:
-        """Return rows (k, p) whose squares are the part of an estimate's covariance that is due to
-        the prior, from C (p, p).
+        """Return rows R (k, p), R^T R the part of an estimate's covariance due to this prior.
+
+        Args:
+            names: (p,) names of the estimated parameters.
+            inverse: C (p, p), the inverse of the normal matrix of data and priors.
         """
         return np.asarray(
             np.linalg.solve(self.widened * self.factor, inverse[self.indices(names)])
         )
 
     def deviations(self, names: Sequence[str], values: Array) -> Array:
-        """Return (k,) F^-1 (d - d0), the deviations in prior standard deviations, not widened."""
+        """Return F^-1 (d - d0) (k,), from parameters ``values`` (p,) in the order of ``names``."""
         return np.asarray(
             np.linalg.solve(self.factor, values[self.indices(names)] - self.mean)
         )
@@ -150,7 +155,7 @@ class NuisanceGroup:
 def with_prior(
     information: SquareRootInformation, groups: Sequence[NuisanceGroup]
 ) -> SquareRootInformation:
-    """Return the information with the priors of the nuisances."""
+    """Return the information with its prior replaced by the groups'; as it is without groups."""
     if not groups:
         return information
     rows = [group.prior_rows(information.names) for group in groups]
@@ -163,19 +168,20 @@ def link_factor(
     lengths: Sequence[float],
     scales: LinkScales = AS_STATED,
 ) -> Array:
-    """Return F (10 L, 10 L) of L links whose parameters are known to a share.
+    """Return the Cholesky factor F (10 L, 10 L) of the prior covariance of L links.
 
-    Each mass is off by the share, each centre of mass by that share of the link's size, each
-    inertia about the centre of mass by twice the share of its mean moment. A drawing is often
-    wrong for all links in the same way (another density, shells for solids), so that all masses,
-    and all distances of a centre of mass from its joint, share an error of that size too.
+    Independent standard deviations are ``share`` of each mass, ``share`` of the link's size for its
+    centre of mass, and twice ``share`` of the mean moment for inertias about the centre of mass. A
+    drawing is often wrong for all links alike (another density, shells for solids), so that common
+    errors of this size act on all masses and on all distances of centres of mass from joints.
 
     Args:
         thetas: per link (10,), the model's values.
-        share: 0.05 for 5 %.
-        lengths: per link, from its joint to the next one [m]; its size is that, or the length of
-            the uniform rod whose mass is as far from its end, where that is more.
-        scales: multiples of the share.
+        share: relative standard deviation, 0.05 for 5 %.
+        lengths: per link, the distance from its joint to the next one [m]. The link's size is
+            this distance or, where larger, the length of a uniform rod with the same root mean
+            square distance of its mass from the joint.
+        scales: factors on these standard deviations, per kind of error.
     """
     directions = link_directions(tuple(map(tuple, thetas)), tuple(lengths))
     scaled = directions * scales.of_directions(len(thetas))
@@ -198,10 +204,11 @@ def model_link_factor(robot: RobotModel, links: Sequence[int], share: float) -> 
 def link_directions(
     thetas: tuple[tuple[float, ...], ...], lengths: tuple[float, ...]
 ) -> Array:
-    """Return independent errors (10 L, 10 L + 2) of L links for a share of one.
+    """Return the effects (10 L, 10 L + 2) of independent errors on the parameters of L links.
 
-    Columns are each link's mass (1), centre of mass (3) and inertia (6), then the common errors:
-    all masses, all distances of a centre of mass from its joint.
+    One column per error, for a relative standard deviation of one: each link's mass (1), centre of
+    mass (3) and inertia (6), then the common errors of all masses and of all distances of a centre
+    of mass from its joint. The array is cached: do not change it. Arguments as in ``link_factor``.
     """
     directions = np.zeros((10 * len(thetas), 10 * len(thetas) + 2))
     for index, (theta, length) in enumerate(zip(np.array(thetas), lengths)):
@@ -217,7 +224,9 @@ def link_directions(
 def link_aspects(
     thetas: Sequence[Array], lengths: Sequence[float]
 ) -> tuple[Array, ...]:
-    """Return the rows that select masses, centres of mass and inertias of L links, (m, 10 L)."""
+    """Return three matrices (L, 10 L), (3 L, 10 L), (6 L, 10 L) that turn deviations of the
+    parameters of L links into those of masses, of centres of mass and of inertias.
+    """
     selection = np.zeros((10 * len(thetas), 10 * len(thetas)))
     for index, (theta, length) in enumerate(zip(thetas, lengths)):
         block = slice(10 * index, 10 * (index + 1))
@@ -227,7 +236,14 @@ def link_aspects(
 
 
 def own_errors(theta: Array, share: float, length: float) -> tuple[Array, Array]:
-    """Return one link's independent errors (10, 10), and those of its centre of mass (10, 3)."""
+    """Return the effects of a link's independent errors on its parameters: (10, 10) one column per
+    standard deviation of mass, centre of mass and inertia; (10, 3) those of the centre of mass.
+
+    Args:
+        theta: (10,) the model's parameters of the link.
+        share: relative standard deviation of the errors.
+        length: distance from the link's joint to the next one [m].
+    """
     mass, com, inertia = spatial.com_from_theta(theta)
     size = max(ROD * spatial.characteristic_length(theta), length, LEAST_SIZE)
     moment = max(float(np.trace(inertia)) / 3.0, mass * (0.1 * size) ** 2)
@@ -250,8 +266,10 @@ def widened_groups(
     """Return the groups with the factors alpha on their standard deviations that the data implies.
 
     Args:
+        information: equations of all joints; their prior does not count.
         noise: (joints,) standard deviation of the torque noise [N m].
-        least: smallest factor; below one, groups that may not widen get factors as well.
+        groups: all priors; not changed.
+        least: smallest alpha; below one, groups that may not widen get an alpha as well.
     """
     widened = tuple(groups)
     if least >= 1.0 and not any(group.may_widen for group in widened):
@@ -278,7 +296,11 @@ def widened_groups(
 
 
 class WithPriors:
-    """Whitened data whose estimate and evidence under different priors are compared."""
+    """Data with fixed noise (joints,) [N m], solved with different priors to compare the results.
+
+    Attributes:
+        names: (p,) of the parameters.
+    """
 
     def __init__(self, information: SquareRootInformation, noise: Array) -> None:
         self.names = information.names
@@ -287,7 +309,10 @@ class WithPriors:
         self._gram = normal_matrix(self._data, self._weights)
 
     def solve(self, groups: Sequence[NuisanceGroup]) -> tuple[Array, Array, float]:
-        """Return (values (p,), covariance (p, p), misfit of data and priors)."""
+        """Return (estimate (p,), covariance (p, p), misfit) under the priors of these groups.
+
+        The misfit is the sum of all squared residuals, of data and priors, in standard deviations.
+        """
         prior = np.vstack(
             (self._gram[:0], *(group.prior_rows(self.names) for group in groups))
         )
@@ -311,7 +336,7 @@ class WithPriors:
         return values, root @ root.T, float(misfit)
 
     def log_evidence(self, groups: Sequence[NuisanceGroup]) -> tuple[Array, float]:
-        """Return (values (p,), log marginal likelihood under the priors up to a constant).
+        """Return (estimate (p,), log marginal likelihood under the priors up to a constant).
 
         With C the covariance of the estimate, and F of each prior, the likelihood is
         exp(-misfit / 2) |C|^1/2 / |F| (MacKay 1992, eq. 7 and 8).
@@ -330,7 +355,10 @@ def _widening(
     values: Array,
     covariance: Array,
 ) -> tuple[float, float]:
-    """Return (alpha, gamma) of combinations (m, k) of a group; gamma is one at least."""
+    """Return (alpha, gamma) of combinations ``aspect`` (m, k) of a group; gamma is at least one.
+
+    ``values`` (p,) and ``covariance`` (p, p) are the estimate in the order of ``names`` (p,).
+    """
     root = np.linalg.cholesky(aspect @ group.factor @ group.factor.T @ aspect.T)
     off = np.linalg.solve(root, aspect @ (values[group.indices(names)] - group.mean))
     determined = max(float(np.sum(_data_shares(group, aspect, names, covariance))), 1.0)
@@ -340,7 +368,7 @@ def _widening(
 def _data_shares(
     group: NuisanceGroup, aspect: Array, names: Sequence[str], covariance: Array
 ) -> Array:
-    """Return (m,) the share of each combination that the data determines, between 0 and 1."""
+    """Return 1 - posterior / prior variance (m,), whitened, of combinations (m, k) of a group."""
     indices = group.indices(names)
     root = group.widened * np.linalg.cholesky(
         aspect @ group.factor @ group.factor.T @ aspect.T
@@ -354,16 +382,16 @@ def _data_shares(
 def misfits(
     information: SquareRootInformation, noise: Array, groups: Sequence[NuisanceGroup]
 ) -> tuple[PriorConflict, ...]:
-    """Return the causes whose priors the data contradicts significantly.
+    """Return a conflict for each group whose prior the data contradicts significantly.
 
-    A cause is contradicted where holding it at its mean increases the misfit by more than
-    chi-square allows for any cause. The factor on its prior is then that of its worst aspect: links
-    of another density contradict the prior in their masses alone, which an average over ten
-    parameters per link would hide.
+    It does where holding the group at its mean increases the misfit by more than chi-square allows
+    for any of all groups. The conflict's factor is that of the worst aspect: links of another
+    density contradict the prior in masses alone, which an average over all parameters would hide.
 
     Args:
+        information: equations of all joints; their prior does not count.
         noise: (joints,) standard deviation of the torque noise [N m].
-        groups: priors with the factors of the estimate.
+        groups: all priors, widened as in the estimate.
     """
     problem = WithPriors(information, noise)
     values, covariance, with_all = problem.solve(groups)
@@ -394,7 +422,7 @@ def _contradicted_factor(
 ) -> float:
     """Return the largest significant factor alpha of a group's aspects and of all its parameters.
 
-    Without a significant one, it is that of all parameters, at most one.
+    Without a significant one, return the factor of all parameters, at most one.
     """
     factors = []
     identity = np.eye(len(group.names))
@@ -407,18 +435,19 @@ def _contradicted_factor(
 
 
 def is_no_chance(squared: float, freedom: float, chance: float) -> bool:
-    """Tell whether chi-square reaches a value with less than the probability ``chance``."""
+    """Return whether chi-square exceeds ``squared`` with a probability below ``chance``."""
     return squared > largest_by_chance(freedom, chance)
 
 
 def largest_by_chance(freedom: float, chance: float) -> float:
-    """Return the value that chi-square exceeds with the probability ``chance``."""
+    """Return the value that chi-square of some freedom exceeds with probability ``chance``."""
     from scipy.special import chdtri
 
     return float(chdtri(freedom, chance))
 
 
 def _worst_members(group: NuisanceGroup, off: Array) -> tuple[str, ...]:
+    """Return the links or joints with the largest deviations, from ``group.deviations`` (k,)."""
     members = np.array(group.members)
     squares = {name: float(np.sum(off[members == name] ** 2)) for name in group.members}
     clear = [n for n in squares if squares[n] > _SHARE_OF_WORST * max(squares.values())]
@@ -426,29 +455,30 @@ def _worst_members(group: NuisanceGroup, off: Array) -> tuple[str, ...]:
 
 
 MASS_SCALES = (2.0, 4.0, 8.0)
-"""Multiples of the stated share that masses may be off by, each as likely: 10, 20, 40 % of 5 %."""
+"""Grid of ``LinkScales.mass``, equally likely: standard deviations of 10, 20, 40 % for 5 % stated.
+"""
 COM_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Multiples of the stated share that centres of mass may be off by."""
+"""Grid of ``LinkScales.centre_of_mass``."""
 INERTIA_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Multiples of the stated share that inertias may be off by."""
+"""Grid of ``LinkScales.inertia``."""
 USUAL_COM_SCALE = 1.5
-"""Median of the log-normal prior of the scale of centres of mass; its deviation is one octave."""
+"""Median of the log-normal prior of ``centre_of_mass``; its standard deviation is one octave."""
 USUAL_INERTIA_SCALE = 2.0
-"""Median of the log-normal prior of the scale of inertias; its deviation is one octave."""
+"""Median of the log-normal prior of ``inertia``; its standard deviation is one octave."""
 EXPECTED = LinkScales(4.0, USUAL_COM_SCALE, USUAL_INERTIA_SCALE)
-"""Expected scales before any recording."""
+"""Scales that are expected without any recording."""
 LINK_KINDS = ("mass", "centre_of_mass", "inertia")
 """Fields of ``LinkScales`` that are estimated."""
 
 
 @dataclass(frozen=True)
 class LinkEvidence:
-    """Marginal likelihood of the other links' deviations from the model.
+    """Marginal likelihood of the other links' deviations from the model, see the module.
 
     Attributes:
-        n_links: L, of links that the model states.
-        curvature: (10 L + 2, 10 L + 2) M.
-        pull: (10 L + 2,) v.
+        n_links: L, number of other links whose parameters the model states.
+        curvature: (10 L + 2, 10 L + 2) M, second derivative along ``link_directions``.
+        pull: (10 L + 2,) v, gradient along them.
     """
 
     n_links: int
@@ -456,7 +486,7 @@ class LinkEvidence:
     pull: Array
 
     def log_likelihood(self, scale: Array) -> float:
-        """Return log p(S) of scales (10 L + 2,), but for a constant."""
+        """Return log p(S) up to a constant, S = diag(scale) with ``scale`` (10 L + 2,)."""
         matrix = np.eye(len(scale)) + scale[:, None] * self.curvature * scale
         factor = np.linalg.cholesky(matrix)
         half = np.linalg.solve(factor, scale * self.pull)
@@ -475,12 +505,12 @@ def link_evidence(
 
     Args:
         information: of the p estimated parameters, without priors.
-        weights: (joints,) by which each joint's equations count [1/(N m)].
-        others: priors of everything but the links.
+        weights: (joints,) of each joint's equations [1/(N m)].
+        others: priors of all nuisances but the links.
         links: the prior of all other links.
         directions: (10 L, 10 L + 2) T of the L links that the model states, for the stated share.
-        is_stated: (links,) whether the model states a link; the prior of one of which it has a
-            placeholder only stays.
+        is_stated: (links,) whether the model states a link; links of which it only has a
+            placeholder keep their prior.
     """
     normal = normal_matrix(information, weights)
     for group in others:
@@ -499,10 +529,10 @@ def link_evidence(
 
 
 def average_scales(evidence: LinkEvidence) -> LinkScales:
-    """Return the root mean square of each scale over its posterior on the grid.
+    """Return the root mean square of each scale over the posterior on the grid of scales.
 
-    Not the most likely one: where the data determines a scale badly, the errors have to cover its
-    large values, too.
+    This, not the most likely scale: where the data hardly determines a scale, the prior has to
+    allow for its large values, too.
     """
     grid = np.array(list(product(MASS_SCALES, COM_SCALES, INERTIA_SCALES)))
     medians = np.array([USUAL_COM_SCALE, USUAL_INERTIA_SCALE])
@@ -516,41 +546,37 @@ def average_scales(evidence: LinkEvidence) -> LinkScales:
 
 
 LEAST_SCALE = 0.08
-"""Common torque scale above which a note is added: one and a half times the default error of links.
-"""
+"""Smallest common torque scale (relative) for a note: 1.5 times the default error of links."""
 SIGNIFICANT = 1.0
 """Standard errors from zero above which the common scale is significant: torques that read 15 % too
-high or too low reach 1.15 and more, links that are 2 % off at most 0.4
-(benchmarks/confusion)."""
+high or too low reach 1.15 and more, links that are 2 % off at most 0.4 (benchmarks/confusion)."""
 
 
 def is_worth_a_word(scales: Array, spread: Array) -> bool:
-    """Tell whether the mean of torque scales (joints,) is significant and large enough for a note.
+    """Return whether the mean torque scale is significant and large enough for a note.
 
     Args:
+        scales: (joints,) relative errors of the torque scales, 0.1 for 10 %.
         spread: (joints, joints) covariance of the scales.
     """
     return bool(abs(np.mean(scales)) > _least(spread))
 
 
 def _least(spread: Array) -> float:
+    """Return the smallest mean scale worth a note, for scales of covariance (joints, joints)."""
     return max(SIGNIFICANT * sqrt(np.mean(spread)), LEAST_SCALE)
 
 
 def false_alarms(
     separate: tuple[Array, Array], common: tuple[Array, Array]
 ) -> tuple[float, Array]:
-    """Return the probability of a false common torque scale, and what it does to the estimate.
+    """Return the probability that a common torque scale is estimated although there is none, and
+    the mean products E[D x x^T D] (joints, joints) in that case.
 
-    That is the probability that recordings without any scale call for a common one, for arms drawn
-    from the prior, and the mean products (joints, joints) of D x in that case.
-
-    Estimates x of the scales with separate priors become with a common scale
-
-        (1 + C_common D) x,   D = K_separate - K_common,
-
-    K the prior precision of the scales, C their posterior covariance. The covariance of x, which is
-    Gaussian, is the prior covariance minus the posterior one.
+    The probability is over arms drawn from the prior. Estimates x of the scales with separate
+    priors become (1 + C_common D) x with a common scale, D = K_separate - K_common, K the prior
+    precision of the scales, C their posterior covariance. x is Gaussian; its covariance is the
+    prior covariance minus the posterior one.
 
     Args:
         separate: (prior, posterior) covariance of the scales, (joints, joints) each.

@@ -1,7 +1,7 @@
 """Errors of an estimate: covariance and standard errors, with torque noise correlated in time.
 
-The estimate is x = C (Y^T W tau + P d0) with C = (Y^T W Y + P)^-1, P the prior precision of the
-nuisances (``priors``), so that its covariance is
+The estimate is x = C (Y^T W tau + P d0) with C = (Y^T W Y + P)^-1, W the squared weights w_j^2 of
+joint j's rows, P the prior precision of the nuisances (``priors``), so that its covariance is
 
     C (sum_j w_j^4 Omega_j + P) C,
 
@@ -11,8 +11,8 @@ data nor P identify have zero covariance and infinite standard errors.
 
 There are two models of the autocorrelation of noise, for two purposes. ``autocorrelation_time`` is
 one number per joint, by which rows are weighted while choices are compared. Standard errors need
-more, because slow noise harms slow rows and fast rows average it out. For them, residuals of a
-joint are described by a sum of decaying exponentials,
+more, because the effect of slow noise depends on how fast a column of Y varies: fast columns
+average it out. For them, residuals of a joint are described by a sum of decaying exponentials,
 
     gamma(l) = c_0 [l = 0] + sum_i c_i exp(-|l| / T_i),   c >= 0,  T_i = 1, 2, 4, ... samples,
 
@@ -43,9 +43,9 @@ from robot_sysid.estimation.algebra.least_squares import (
 )
 from robot_sysid.records import Array, SampleSource, SquareRootInformation
 
-# Measured: a fourth round changes errors by less than 0.2 % (the third by 0.8 %).
+# Rounds of noise and errors: a fourth changes errors by less than 0.2 %, the third by 0.8 %.
 _ROUNDS = 3
-# Rows per parameter that are factorised at once: then the previous triangle adds little.
+# Rows per parameter that are factorised together: the previous triangle adds little cost then.
 _AT_ONCE = 2
 
 
@@ -54,12 +54,12 @@ class Uncertainty:
     """Errors of an estimate of p parameters.
 
     Attributes:
-        covariance: (p, p) of the error by all causes.
-        noise: (p, p) of the error by torque noise.
+        covariance: (p, p) of the errors by all causes.
+        noise: (p, p) covariance of the errors by torque noise alone.
         standard_errors: (p,) infinite for parameters that are not identifiable.
-        data_share: (p,) 1 where the data alone decides, 0 where the prior does.
-        inverse: (p, p) C.
-        effective: (joints,) number of independent samples.
+        data_share: (p,) squared part of each parameter's scaled axis in the identified directions.
+        inverse: (p, p) C, the inverse of the normal matrix of data and prior.
+        effective: (joints,) equivalent number of independent samples of each joint.
     """
 
     covariance: Array
@@ -70,7 +70,7 @@ class Uncertainty:
     effective: tuple[float, ...]
 
     def with_cause(self, covariance: Array) -> Uncertainty:
-        """Return the errors with one more cause of independent errors, of covariance (p, p)."""
+        """Return the errors with those of one more, independent cause, of covariance (p, p)."""
         spread = np.hypot(
             self.standard_errors, np.sqrt(np.maximum(np.diag(covariance), 0.0))
         )
@@ -86,13 +86,14 @@ def uncertainty(
     residuals: Sequence[JointResiduals] = (),
     space: VisibleSpace | None = None,
 ) -> Uncertainty:
-    """Return the errors of an estimate.
+    """Return the errors of an estimate of p parameters.
 
     Args:
-        weights: (joints,) of each joint's equations [1/(N m)].
-        noise: (joints,) standard deviation of white noise [N m], without residuals.
-        residuals: each joint's residuals, for noise that is correlated in time.
-        space: ``joint_space``, where it is known.
+        information: equations of all joints, and the prior.
+        weights: (joints,) of each joint's equations in the estimate [1/(N m)].
+        noise: (joints,) standard deviation of white noise [N m]; counts only without residuals.
+        residuals: sums of each joint's residuals, for noise that is correlated in time.
+        space: ``joint_space`` of these equations; None to compute it.
     """
     space = space or joint_space(information, weights)
     inverse = space.inverse()
@@ -120,25 +121,25 @@ def uncertainty(
     errors = np.where(
         space.is_identified, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.inf
     )
-    # The part of each parameter that lies in the visible directions.
+    # The squared part of each parameter's unit vector that lies in the visible directions.
     share = np.clip(1.0 - np.sum(space.null**2, axis=1), 0.0, 1.0)
     return Uncertainty(covariance, of_noise, errors, share, inverse, tuple(effective))
 
 
 def joint_space(information: SquareRootInformation, weights: Array) -> VisibleSpace:
-    """Return the space that data and priors identify together; its inverse is C."""
+    """Return the space of parameters that data and priors identify; its ``inverse()`` is C."""
     return triangle_space(whole_triangle(information, weights)[:, :-1])
 
 
 def whole_triangle(information: SquareRootInformation, weights: Array) -> Array:
-    """Return the triangle of all equations by weights (joints,)."""
-    # The last joints' first: they have the columns of few links.
+    """Return the triangle (p + 1, p + 1) of all equations [A b], by weights (joints,) [1/(N m)]."""
+    # Last joints first: their rows have the columns of few links.
     backwards = replace(information, joints=information.joints[::-1])
     return triangle_of(backwards.equation_blocks(weights[::-1]))
 
 
 def triangle_of(blocks: Iterable[Array]) -> Array:
-    """Return the triangle of blocks of rows (m, k), one block at least."""
+    """Return the QR triangle (k, k) of the rows of all blocks (m, k), one block at least."""
     # In batches: the rows of all joints together may exceed the memory.
     waiting: list[Array] = []
     for block in blocks:
@@ -160,7 +161,10 @@ def _score(
     weights: Array,
     size: int,
 ) -> Array:
-    """Return sum_j w_j^4 Omega_j (p, p)."""
+    """Return sum_j w_j^4 Omega_j (p, p), p = ``size``.
+
+    ``columns`` are per joint the (k,) indices of its parameters, ``omegas`` the (k, k) Omega_j.
+    """
     score = np.zeros((size, size))
     for at, omega, weight in zip(columns, omegas, weights):
         for source, target in stretches(at):
@@ -171,8 +175,10 @@ def _score(
 def _alone(
     joint: JointResiduals, weight: float, inverse: Array
 ) -> tuple[Array, Array, float]:
-    """Return (``absorbed_share``, kernel coefficients without the noise of other joints, energy in
-    the torque of the errors due to that noise) of a joint.
+    """Return (absorbed share (1 + m,), kernel coefficients c (1 + m,), energy) of a single joint.
+
+    c are fitted as if the noise of other joints had no effect on this joint's residuals. The energy
+    is that of the torque errors that the joint's own noise causes [N^2 m^2]. ``inverse`` is C.
     """
     hat = joint.inside(weight**2 * inverse[np.ix_(joint.columns, joint.columns)])
     absorbed = joint.absorbed_share(hat)
@@ -186,7 +192,12 @@ def _kernels(
     alone: Sequence[tuple[Array, Array, float]],
     spread: Array,
 ) -> Iterator[Array]:
-    """Yield each joint's kernel coefficients, with the covariance (p, p) of the last round."""
+    """Yield each joint's kernel coefficients (1 + m,), with the effect of other joints' noise.
+
+    Args:
+        alone: of ``_alone`` for each joint.
+        spread: (p, p) covariance of the estimate's errors by noise, of the previous round.
+    """
     for joint, (absorbed, kernels, energy) in zip(residuals, alone):
         errors = joint.energy(spread[np.ix_(joint.columns, joint.columns)])
         leaked = (errors - energy) / max(joint.count, 1)
@@ -195,36 +206,38 @@ def _kernels(
 
 CHANCE = 2.0
 """Standard errors up to which an autocorrelation counts as zero."""
-# Stretches that a residual's energy is compared in.
+# Number of stretches of time that ``concentration`` compares.
 _STRETCHES = 25
-# How many channels are transformed at a time: memory against calls.
+# Number of channels that are transformed at a time: a compromise between memory and calls.
 _CHANNELS = 4
-# Largest lag [samples]: chosen for cost.
+# Largest lag [samples]: limits the cost.
 _MAX_LAG = 2000
-# Bins over the lags: chosen for cost.
+# Number of bins over the lags: limits the cost.
 _LAG_BINS = 60
-# Slope at a minimum, as a share of that at zero: rounding of squared equations.
+# Largest gradient at a minimum, as a share of that at zero: rounding of squared equations.
 _FLAT = 1e-9
-# Rows that are filtered at a time, by one product of matrices: chosen for cost.
+# Number of rows that one matrix product filters: chosen for speed.
 _CHUNK = 32
-# Largest share of a kernel's noise that a fit takes out: noise is divided by one minus that.
+# Largest absorbed share: the noise is the residual divided by one minus this share.
 _MOST_ABSORBED = 0.8
 
 
 @dataclass(frozen=True)
 class JointResiduals:
-    """Sums over lags and kernels from one pass over a joint's samples.
+    """Sums over time lags and over kernels exp(-|l| / T_i), from one pass over a joint's samples.
+
+    Y (n, k) are the joint's rows and r (n,) its residuals [N m]; m is the number of kernels.
 
     Attributes:
         columns: (k,) indices of the parameters of this joint's equations.
         count: number of samples n.
         decay: (m,) exp(-1 / T_i).
-        sums: (1 + m, k, k) the Q_i; the first is Y^T Y. Of fewer rows than columns, (1 + m, n, n).
-        basis: those rows (n, k), with Q_i = basis^T sums_i basis; None where the sums are the Q_i.
-        lags: (v,) lags 0, 1, 2, ... [samples].
-        products: (v,) mean of r_t r_(t+l) [N^2 m^2].
-        hats: (v,) mean of h_(t,t+l), H the matrix that turns this joint's torque into the fit.
-        pairs: (v,) number of pairs in these means.
+        sums: (1 + m, k, k) the Q_i, the first is Y^T Y; (1 + m, n, n) with a ``basis``.
+        lags: (v,) lags l = 0, 1, 2, ... [samples].
+        products: (v,) mean of r_t r_(t+l) over t [N^2 m^2].
+        hats: (v,) mean of H_(t,t+l) over t, H the hat matrix from this joint's torque to its fit.
+        pairs: (v,) number of pairs (t, t+l) in these means.
+        basis: (n, k) rows Y where n < k, with Q_i = Y^T sums_i Y; None where ``sums`` are the Q_i.
     """
 
     columns: NDArray[np.int64]
@@ -238,16 +251,16 @@ class JointResiduals:
     basis: Array | None = None
 
     def inside(self, spread: Array) -> Array:
-        """Return C (k, k) in the coordinates of ``sums``: tr Q_i C = tr sums_i inside(C)."""
+        """Return the matrix B with tr(sums_i B) = tr(Q_i C) for ``spread`` C (k, k)."""
         return spread if self.basis is None else self.basis @ spread @ self.basis.T
 
     def energy(self, spread: Array) -> float:
-        """Return tr Q_0 C, the energy that errors of covariance C (k, k) make in the torque."""
+        """Return tr(Y C Y^T), the torque energy of errors of covariance C (k, k) [N^2 m^2]."""
         rows = self.sums[0] if self.basis is None else self.basis
         return float(np.vdot(spread if self.basis is None else rows @ spread, rows))
 
     def score(self, kernels: Array) -> Array:
-        """Return sum_i c_i Q_i (k, k) of coefficients c (1 + m,)."""
+        """Return sum_i c_i Q_i (k, k), the covariance of the score for coefficients c (1 + m,)."""
         score = np.tensordot(kernels, self.sums, axes=1)
         return score if self.basis is None else self.basis.T @ score @ self.basis
 
@@ -259,6 +272,7 @@ class JointResiduals:
         pairs = self.pairs + other.pairs
 
         def mean(ours: Array, theirs: Array) -> Array:
+            """Return the mean (v,) over all pairs of both logs from the mean of each."""
             return (self.pairs * ours + other.pairs * theirs) / np.maximum(pairs, 1.0)
 
         return replace(
@@ -271,7 +285,7 @@ class JointResiduals:
         )
 
     def limit_lags(self) -> JointResiduals:
-        """Return the sums without lags and time constants above a tenth of the samples."""
+        """Return a copy without lags and time constants above a tenth of the samples."""
         lags, kernels = _reach(self.count)
         first = slice(lags + 1)
         return replace(
@@ -285,12 +299,12 @@ class JointResiduals:
         )
 
     def absorbed_share(self, hat: Array) -> Array:
-        """Return (1 + m,) the share of each kernel's noise that the fit takes out of residuals.
+        """Return the share (1 + m,) of each kernel's noise energy that is missing in residuals.
 
         With H = Y hat Y^T, residuals of noise V have the energy tr V - 2 tr H V + tr H V H.
 
         Args:
-            hat: (k, k) ``inside`` of w^2 C, weight times the estimate's inverse normal matrix.
+            hat: ``inside`` of w^2 C (k, k), w the joint's weight, C the inverse normal matrix.
         """
         twice = hat @ self.sums[0] @ hat
         lost = 2.0 * np.tensordot(self.sums, hat, axes=2) - np.tensordot(
@@ -299,10 +313,10 @@ class JointResiduals:
         return np.clip(lost / max(self.count, 1), 0.0, _MOST_ABSORBED)
 
     def fit(self, absorbed: Array, leaked: float) -> Array:
-        """Return kernel coefficients c >= 0 (1 + m,) [N^2 m^2].
+        """Return kernel coefficients c >= 0 (1 + m,) [N^2 m^2], white noise first.
 
-        The fit takes slow noise out of the residuals in the shape of ``hats``, which is subtracted
-        from the expected shape of each kernel.
+        The estimate absorbs slow noise, which changes the residuals' autocovariance in the shape of
+        ``hats``; this is subtracted from the expected shape of each kernel.
 
         Args:
             absorbed: (1 + m,) ``absorbed_share``.
@@ -349,16 +363,19 @@ def collect_residuals(
     weights: Array,
     to_add: bool = False,
 ) -> list[JointResiduals]:
-    """Return each joint's sums from one pass over the samples.
+    """Return each joint's sums over lags and kernels from one pass over the samples.
 
     Args:
+        information: equations of all joints.
+        samples: rows and torque of each joint.
         values: (p,) the estimate.
         root: (p, r) with C = root root^T.
-        weights: (joints,) of the equations [1/(N m)].
-        to_add: as in ``joint_residuals``.
+        weights: (joints,) of each joint's equations [1/(N m)].
+        to_add: keep all lags, so that the result can be added to that of another log.
     """
 
     def of(index: int, rows: Array, tau: Array) -> JointResiduals:
+        """Return the sums of the joint ``index`` with rows (N, k) and torque (N,) [N m]."""
         columns = information.joints[index].columns
         residual = tau - rows @ values[columns]
         scaled = weights[index] * root[columns]
@@ -383,7 +400,7 @@ def joint_residuals(
         root: (k, r) with w^2 C = root root^T.
         rows: (N, k) equations of the joint.
         residual: (N,) [N m]; NaN where a sample is left out.
-        to_add: keep all lags, however few samples there are.
+        to_add: keep all lags, so that the result can be added to that of another log.
     """
     is_used = np.isfinite(residual)
     count = int(np.count_nonzero(is_used))
@@ -422,20 +439,21 @@ def joint_residuals(
 
 
 def _decay(kernels: int) -> Array:
+    """Return exp(-1 / T_i) (m,) for m kernels with T_i = 1, 2, 4, ... samples."""
     return np.exp(-1.0 / 2.0 ** np.arange(kernels))
 
 
 @lru_cache(maxsize=2)
 def _sums_of_ones(count: int, kernels: int) -> Array:
-    """Return the Q_i (1 + m, n, n) of the rows of a unit matrix."""
+    """Return the Q_i (1 + m, n, n) of a unit matrix; cached: do not change it."""
     lags = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
     return np.asarray(np.append(0.0, _decay(kernels))[:, None, None] ** lags)
 
 
 def _sums(rows: Array, is_used: NDArray[np.bool_], decay: Array) -> Array:
-    """Return the Q_i (1 + m, k, k) of rows y (N, k), zero where they are not used (N,).
+    """Return the Q_i (1 + m, k, k) of rows y (N, k), taken as zero where not ``is_used`` (N,).
 
-    Half of Q_i - Q_0 is y^T u with the filters u_t = a (u_(t-1) + y_(t-1)), a = exp(-1 / T_i).
+    Q_i = Q_0 + B + B^T with B = y^T u, u_t = a (u_(t-1) + y_(t-1)), a = exp(-1 / T_i).
     """
     lags = np.subtract.outer(np.arange(_CHUNK), np.arange(_CHUNK))
     factor = decay[:, None, None]
@@ -465,7 +483,7 @@ def _reach(count: int) -> tuple[int, int]:
 
 
 def _simplest_fit(shapes: Array, products: Array, count: int) -> Array:
-    """Return c >= 0 with shapes c ~ products, without slow kernels that are not significant.
+    """Return c >= 0 (1 + m,) with shapes c ~ products, without slow kernels of no significance.
 
     Among the fits with the first 1, 2, ... kernels the one of least Akaike's criterion is taken;
     the variance of an autocovariance is (1 / n) sum_l rho_l^2 (Bartlett 1946).
@@ -506,17 +524,21 @@ def non_negative(matrix: Array, right_side: Array) -> tuple[Array, float]:
 
 
 def _sum_bins(values: Array, bins: NDArray[np.int64]) -> Array:
-    """Return sums over bins divided by the root of their width: means with equal variance."""
+    """Return sums of values (v, ...) over bins, divided by the root of their width.
+
+    Equal variances of values stay equal. ``bins`` are the indices at which bins begin.
+    """
     width = np.diff(np.append(bins, len(values)))
     sums = np.add.reduceat(values, bins, axis=0)
     return sums / np.sqrt(width).reshape((-1,) + (1,) * (values.ndim - 1))
 
 
 def residual_correlation_time(residual: Array, repeats: float = 1.0) -> float:
-    """Return ``autocorrelation_time`` of a residual (K,), NaN where a sample is left out.
+    """Return the integrated autocorrelation time of a residual [samples].
 
     Args:
-        repeats: how many times the motion repeats, so that its samples count once only.
+        residual: (K,) of one joint, NaN where a sample is left out.
+        repeats: number of repetitions of the motion, whose samples count as one repetition.
     """
     covariance, pairs = autocovariance(residual, max(len(residual) // 10, 1) - 1)
     return autocorrelation_time(covariance, pairs[0] / repeats)
