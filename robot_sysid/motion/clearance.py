@@ -41,13 +41,14 @@ DEEPEST_TOUCH = 1e-3
 """How deep two bodies may be inside each other at rest to count as touching, as parked arms do [m];
 deeper they collide, and no motion may start there."""
 _TOUCH_ROOM = 1e-4
-"""How much deeper than at rest a touching pair may get: how well depths are known [m]."""
+"""How much deeper than at rest a touching pair may get [m]: the error of MuJoCo's depths."""
 _NEIGHBOUR_POSTURES = 181
-"""Positions of a joint at which the distance of its neighbours is computed."""
+"""Number of positions, evenly spread over a joint's range, at which the distance of the bodies on
+its two sides is computed."""
 _FINE_POSTURES = 41
-"""Positions around the one at which neighbours are nearest."""
+"""Number of further positions around the one at which these bodies came nearest."""
 MOST_GROUPS = 31
-"""Bits that MuJoCo has for groups of geoms."""
+"""Largest number of groups of geoms in ``drop_pairs``: MuJoCo has 31 bits for them."""
 _UNLIMITED_TRAVEL = 1.0
 """Travel assumed for a slide joint without limits [m]."""
 
@@ -70,15 +71,18 @@ class Closest:
 
 
 class _Nearest:
-    """The tightest pair of each of N configurations, at most the horizon away; filled step by step.
+    """The tightest pair of each of N configurations: the pair with the least slack.
+
+    A new instance holds no pair; ``Clearance`` writes each pair that it finds into the arrays.
 
     Attributes:
-        slack: (N,) of the pair [m].
-        distance: (N,) of the pair [m].
-        normal: (N, 3) direction from one body to the other.
-        point: (N, 3) where they are nearest [m].
-        bodies: (N, 2) ids; the world and a body where a half-space is near.
-        space: (N,) number of that half-space, or -1.
+        slack: (N,) distance minus required distance of the pair; ``HORIZON`` without a pair [m].
+        distance: (N,) of the pair; infinite without a pair [m].
+        normal: (N, 3) unit vector from the first body to the second, in the world.
+        point: (N, 3) where the two bodies are nearest, in the world [m].
+        bodies: (N, 2) MuJoCo ids; 0 (the world) and a body where the pair is a body and the
+            boundary of a half-space.
+        space: (N,) index of that half-space, -1 for a pair of two bodies.
     """
 
     def __init__(self, count: int) -> None:
@@ -90,7 +94,12 @@ class _Nearest:
 
 
 class Slack(NamedTuple):
-    """Smallest slack (N,) of N configurations, at most the horizon [m], and its gradient (N, n)."""
+    """Slack of N configurations: distance minus required distance of the tightest pair.
+
+    Attributes:
+        value: (N,) slack, at most ``HORIZON`` [m]; negative where a distance is not kept.
+        gradient: (N, n) derivative of the slack by the joint positions [m/rad, or 1 for slides].
+    """
 
     value: Array
     gradient: Array
@@ -136,11 +145,13 @@ class Clearance:
         self.is_solid = bool(
             np.any(model.geom_contype | model.geom_conaffinity) or model.npair
         )
-        # Where nothing is in the way, no motion uses up any of its room.
+        # With nothing to touch, bodies need not be treated as approaching at all.
         self.rates = approach_rates(robot, self._data, link_of_body) * (
             self.is_solid or bool(half_spaces)
         )
+        # (nbody, nbody) the row of ``rates`` of each pair of bodies.
         self._rows = link_of_body[:, None] * (robot.n_joints + 1) + link_of_body
+        # (P,) slack of each row of ``rates`` where no pair is within the horizon.
         self._free = np.append(np.full(len(self.rates) - 1, np.inf), HORIZON)
         self.at_rest = self._set_required_distances(clearance)
         self.neighbours = self._ignore_harmless_neighbours(start)
@@ -156,7 +167,7 @@ class Clearance:
         return type(self), self._arguments
 
     def slack(self, q: Array) -> Slack:
-        """Return the slack at positions q (N, n)."""
+        """Return the slack, with its gradient, at joint positions q (N, n) [rad or m]."""
         frames = np.empty((2, len(q), self._model.njnt, 3))
         nearest = self._nearest(q, frames=frames)
         # Component first, (3, N, n): a cross product by hand costs a tenth of numpy's.
@@ -168,7 +179,9 @@ class Clearance:
         # A joint changes the distance only if it moves one body and not the other.
         links = self._link_of_body[nearest.bodies]
         joint = np.arange(q.shape[1])
-        side = (joint < links[:, 1:]).astype(float) - (joint < links[:, :1])
+        moves_first = joint < links[:, :1]
+        moves_second = joint < links[:, 1:]
+        side = moves_second.astype(float) - moves_first
         return Slack(nearest.slack, side * rates)
 
     def slack_at(self, q: Array) -> tuple[float, Array]:
@@ -192,7 +205,9 @@ class Clearance:
 
     @property
     def distances(self) -> Clearance:
-        """A copy without half-spaces whose slack is the distance itself."""
+        """A copy that requires no distance of any tested pair and has no half-spaces: its slack is
+        the distance of the nearest two bodies itself.
+        """
         other = copy.copy(self)
         other._required = np.where(np.isneginf(self._required), -np.inf, 0.0)
         other._spaces = None
@@ -204,7 +219,7 @@ class Clearance:
         return f"{body_label(self._model, first)} and {body_label(self._model, second)}"
 
     def _set_configuration(self, q: Array) -> None:
-        """Compute frames and contacts at q (n,) in ``self._data``."""
+        """Set joint positions q (n,) in ``self._data`` and compute frames and contacts there."""
         self._data.qpos[self._robot.qpos_index] = q
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
@@ -338,7 +353,9 @@ class Clearance:
     def _note_contact(
         self, nearest: _Nearest, index: int, budget: Array | None
     ) -> None:
-        """Enter the tightest contact of ``self._data`` as that of the configuration of an index."""
+        """Write the tightest contact of ``self._data`` into row ``index`` of ``nearest``, if it is
+        tighter than the pair there; lower ``budget`` (P,), in place, to the slacks of all contacts.
+        """
         distance, bodies = self._contact_bodies()
         first, second = bodies.T
         slack = distance - self._required[first, second]
@@ -361,8 +378,14 @@ class Clearance:
         nearest: _Nearest,
         budget: Array | None,
     ) -> None:
-        """Enter the half-spaces that are nearer than the contacts, from MuJoCo's frames of all
-        bodies: positions (N, nbody, 3) and rotations (N, nbody, 9).
+        """Write into ``nearest`` the half-spaces that are tighter than the pairs there.
+
+        Args:
+            spaces: the half-spaces.
+            positions: (N, nbody, 3) MuJoCo's xpos of all bodies in N configurations [m].
+            rotations: (N, nbody, 9) MuJoCo's xmat of all bodies.
+            nearest: pairs of these N configurations; changed in place.
+            budget: (P,) least slack per row of ``rates`` [m]; lowered in place.
         """
         heights = spaces.heights(positions, rotations, HORIZON)
         for number, postures, height, lowest in heights:
@@ -401,9 +424,14 @@ def _with_margin(mj_model: Any, margin: float) -> Any:
 def _required_distance(
     distance: float, clearance: float, is_by_design: bool
 ) -> tuple[str, float]:
-    """Return (state, distance that a pair has to keep [m]) for its distance at rest [m].
+    """Return (state, required distance [m]) of a pair of bodies.
 
-    States are those of ``Clearance.at_rest``, or "" for a pair that keeps the clearance.
+    The state is a key of ``Clearance.at_rest``, or "" for a pair that has to keep the clearance.
+
+    Args:
+        distance: of the pair at rest [m]; negative where the bodies are inside each other.
+        clearance: distance that pairs have to keep unless they are nearer at rest [m].
+        is_by_design: whether the bodies overlap whatever the joints between them do.
     """
     if distance > 0.0:
         required = KEPT_SHARE * distance
@@ -416,14 +444,19 @@ def _required_distance(
 
 
 def drop_pairs(mj_model: Any, link_of_body: Any, ignored: Any) -> None:
-    """Change a model's collision filter, in place, so that only pairs that matter are tested.
+    """Change a model's collision filter, in place, so that MuJoCo tests no pair that is ignored or
+    that cannot move against each other.
 
     MuJoCo tests two geoms if a bit of one's ``contype`` is set in the other's ``conaffinity``.
-    Geoms that behave alike form a group with a bit of its own; the affinities then say for every
-    two groups whether they are tested. Explicit contact pairs of the model are tested as before.
-    A model with too many groups is left as it is. Bodies with equal numbers in
-    ``link_of_body`` (nbody,) do not move against each other; distances of ``ignored`` pairs (nbody,
-    nbody) do not matter.
+    Geoms with equal filters on one link form a group with a bit of its own; the affinities then
+    define for every two groups whether they are tested. Explicit contact pairs of the model are
+    tested as before. A model with more than ``MOST_GROUPS`` groups is left as it is.
+
+    Args:
+        mj_model: compiled model; changed.
+        link_of_body: (nbody,) number of the link each body belongs to; bodies with equal numbers do
+            not move against each other.
+        ignored: (nbody, nbody) whether the distance of two bodies need not be tested.
     """
     body = mj_model.geom_bodyid
     keys = np.stack(
@@ -450,11 +483,17 @@ def drop_pairs(mj_model: Any, link_of_body: Any, ignored: Any) -> None:
 
 
 def approach_rates(robot: RobotModel, data: Any, link_of_body: Any) -> Array:
-    """Return how fast the links of one arm can approach each other, (P, n).
+    """Return bounds (P, n) on how fast the links of one arm can approach each other, per unit joint
+    speed [m/rad, or 1 for slides]; P = (n + 1)^2 + 1.
 
     Row a (n + 1) + b bounds the approach of links a and b [m/s] as rates @ abs(qd); the last row
-    holds for all pairs. ``data`` has the frames of the model, ``link_of_body`` (nbody,) the number
-    of the link that each body belongs to, 0 for bodies that do not move.
+    bounds that of every pair.
+
+    Args:
+        robot: the arm.
+        data: MuJoCo data of its model with all frames computed, in any configuration.
+        link_of_body: (nbody,) number of the link that each body belongs to, 1 to n; 0 for bodies
+            that no joint of the arm moves.
     """
     n = robot.n_joints
     reach = _reach(robot, data, link_of_body)
@@ -466,7 +505,11 @@ def approach_rates(robot: RobotModel, data: Any, link_of_body: Any) -> Array:
 
 
 def _reach(robot: RobotModel, data: Any, link_of_body: Any) -> Array:
-    """Return (n, n + 1) how far link l gets from the axis of joint j [m]; 1 for a slide's rate."""
+    """Return the largest distance (n, n + 1) that a point of link l (column) can have from the axis
+    of joint j (row) [m]; rows of slides are 1, as a slide moves all points alike.
+
+    The arguments are those of ``approach_rates``.
+    """
     n = robot.n_joints
     mj_model = robot.mj_model
     anchors = data.xanchor[mj_model.dof_jntid[robot.dof_index]]

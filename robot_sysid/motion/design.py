@@ -38,7 +38,8 @@ from robot_sysid.records import Array, Motion
 from robot_sysid.trajectory import Series, TrajectoryOptions
 
 FIRST_WEIGHT = 1.0
-"""Weight of the penalty in the first rounds: the multipliers should do the work."""
+"""Weight of the penalty in the first rounds. It is small, so that the multipliers, and not the
+weight, make the motion keep the limits."""
 WEIGHT_GROWTH = 1.5
 """Growth of the weight per later round, where multipliers converge slowly."""
 PLAIN_ROUNDS = 2
@@ -46,7 +47,8 @@ PLAIN_ROUNDS = 2
 MEMORY = 20
 """Gradient pairs L-BFGS keeps: the upper end of what Nocedal, Wright, section 7.2, recommend."""
 _TORQUE_STEP = 1e-6
-"""Step of differences [rad and its rates]: torques round to 1e-13, so slopes to 1e-7."""
+"""Step of the finite differences of torques [rad, rad/s and rad/s^2]: torques are exact to 1e-13,
+so their derivatives to 1e-7."""
 REPAIRS = (
     1.0,
     0.999,
@@ -63,12 +65,13 @@ REPAIRS = (
     0.2,
     0.1,
 )
-"""Factors tried until a motion keeps all limits."""
+"""Factors by which a motion that breaks a limit is scaled down, tried in turn until it keeps all
+limits."""
 GRID_PER_CYCLE = 25
 """Grid points per period of the highest frequency: standard errors on the grid are within 0.04 % of
 those at 1 kHz; with 10 points 0.1 %, with 5 points 0.8 % (Kinova)."""
 FEWEST_GRID_POINTS = 60
-"""Grid points of the shortest motions."""
+"""Grid points of a motion, however short, at least."""
 INFORMATION_POINTS = slice(1, None, 3)
 """Grid points at which the information is computed: 8 per period change no criterion by over
 0.2 %."""
@@ -78,19 +81,20 @@ LIMIT_SHARE = 0.99
 A peak between two of 25 points per period is cos(pi / 25) = 0.992 of itself at the nearer one.
 """
 EXTRA_SLACK = 0.003
-"""Distance the search keeps beside the required one [m].
+"""Distance that the search keeps in addition to the required one [m].
 
-A pair that approaches at 9 cm/s comes so much nearer in half a step of the grid, 0.033 s.
+A pair that approaches at 9 cm/s comes 3 mm nearer in half a step of the grid, 0.033 s.
 """
 SMOOTHING_SHARE = 0.03
 """Share of the speed limit below which the search rounds off Coulomb friction's jump.
 
-With it no deviation is off by more than 3 % (``test_the_grid_is_fine_enough_for_the_band``).
+It changes no predicted standard deviation by more than 3 %
+(``test_the_grid_is_fine_enough_for_the_band``).
 """
 MOST_MEMORY = 2e9
 """Most memory that a search may take [bytes]."""
 COPIES = 3
-"""How many times each process holds the basis functions."""
+"""How many arrays of the size of the basis functions each process needs at a time."""
 _WORST = 1e6
 """Stands for an infinite criterion: the optimiser needs a number."""
 
@@ -109,12 +113,12 @@ class Candidate:
 
     Attributes:
         x: (n, M) free coefficients, possibly beyond a limit.
-        multipliers: (N, 4 n + 2) of the constraints on the grid.
+        multipliers: (N, 4 n + 2) Lagrange multipliers of the constraints at the N grid points.
         weight: of the penalty.
-        rounds: how many are done.
-        score: the criterion at x.
+        rounds: number of rounds of improvement that have been completed.
+        score: the criterion at ``x``, smaller is better; infinite if singular.
         feasible_x: (n, M) the best coefficients so far that keep all limits, or None.
-        feasible_score: the criterion at them.
+        feasible_score: the criterion at ``feasible_x``; infinite where it is None.
     """
 
     x: Array
@@ -135,7 +139,11 @@ def first_candidate(design: Design, x: Array) -> Candidate:
 def improve(
     design: Design, candidate: Candidate, deadline: float = np.inf
 ) -> Candidate:
-    """Return the candidate after one more round, cut short by the deadline [s] of ``clock``."""
+    """Return the candidate after one more round: minimisation, new multipliers, repair.
+
+    A round ends early where the deadline, a time of ``clock`` [s], passes; the multipliers and the
+    number of rounds then stay.
+    """
     from scipy.optimize import minimize
 
     unit = design.unit
@@ -201,14 +209,15 @@ class Design:
         problem: the arm and its limits.
         options: of the search.
         motion: duration and sample rate.
-        knowledge: of the estimate beforehand; None for an arm of which all is known but the
-            terminal link and friction.
+        knowledge: of the parameters before the recording; None where only the terminal link and
+            friction are unknown.
 
     Attributes:
         basis: functions whose M free coefficients per joint are searched.
         unit: (M,) scale of each free coefficient for the optimiser [rad].
         grid: (N,) times at which constraints are computed [s].
-        criterion: that is minimised.
+        harmonic: (M - 1,) number of the harmonic of each free coefficient but the offset.
+        criterion: maps information to the number that is minimised.
         information: maps motions to information.
 
     Raises:
@@ -242,7 +251,7 @@ class Design:
                 f"memory, the most is {MOST_MEMORY / 1e9:g} GB; make the motion shorter and "
                 "repeat it"
             )
-        # All harmonics are alike as speeds, so L-BFGS needs fewer steps.
+        # In these units a step changes the speed equally in all harmonics: L-BFGS needs fewer.
         self.harmonic = np.tile(np.arange(1.0, self.basis.harmonics + 1.0), 2)
         self.unit = np.concatenate(([1.0], 1.0 / self.harmonic))
         self.grid = (np.arange(points) + 0.5) * self.basis.duration / points
@@ -259,7 +268,10 @@ class Design:
 
     @cached_property
     def on_grid(self) -> Series:
-        """The basis functions and two derivatives on the grid, (N, M) each: most of the memory."""
+        """The basis functions and their first two derivatives at the grid points, (N, M) each.
+
+        They take most of the memory of a design.
+        """
         return self.basis.evaluate(self.grid)
 
     def motion(self, x: Array) -> Series:
@@ -274,8 +286,8 @@ class Design:
         )
 
     def expected_errors(self, x: Array | None) -> str:
-        """Return about which errors of the terminal link free coefficients x (n, M) lead to, in
-        words; "" without a motion.
+        """Return the expected standard errors of the terminal link's mass and centre of mass, in
+        words, for free coefficients x (n, M); "" where x is None or zero.
         """
         if x is None or not np.any(x):
             return ""
@@ -294,14 +306,16 @@ class Design:
 
 
 class Constraints(NamedTuple):
-    """Constraint values of a motion, and their gradient.
+    """Constraint values of a motion at N samples, and their gradient.
 
     The columns are position, velocity, acceleration and torque of each joint and the speed of the
-    tool as share of the limit minus one, and the missing distance from obstacles over a length.
+    tool, as share of the limit minus one, and last the missing distance from obstacles over
+    ``OBSTACLE_LENGTH``.
 
     Attributes:
         value: (N, 4 n + 2) g; fulfilled where <= 0.
-        vjp: takes weights (N, 4 n + 2) and returns the gradient of sum(weight * g).
+        vjp: vector-Jacobian product: takes weights (N, 4 n + 2) and returns the gradient of
+            sum(weight * g) by q, qd and qdd, (N, n) each.
     """
 
     value: Array
@@ -314,13 +328,15 @@ def constraints_of(
     share: float = 1.0,
     extra_slack: float = 0.0,
 ) -> Constraints:
-    """Return all constraints of a motion (q, qd, qdd), each (N, n).
+    """Return all constraints at the samples of a motion.
 
     Args:
+        problem: the arm and its limits.
+        motion: q, qd and qdd, (N, n) each.
         share: of the limits to use; less than 1 leaves room for peaks between grid points.
-        extra_slack: distance to keep beside the obstacles' own requirement [m].
+        extra_slack: distance to keep in addition to the required one [m].
     """
-    # Nothing here depends on the time of a sample.
+    # The constraints do not depend on the time of a sample, so any times will do.
     samples = Motion(np.arange(float(len(motion[0]))), *motion)
     signals = problem.signals(samples)
     slack = problem.obstacles.slack(samples.q)
@@ -339,7 +355,7 @@ def _vjp(
     slack_gradient: Array,
     weight: Array,
 ) -> Gradient:
-    """Return the gradient of sum(weight * g) with respect to q, qd and qdd.
+    """Return the gradient (N, n) of sum(weight * g) by each of q, qd and qdd.
 
     Args:
         problem: the arm and its limits.
@@ -374,10 +390,15 @@ def _add_torque_gradient(
     adjoint: Array,
     totals: Gradient,
 ) -> None:
-    """Add to ``totals``, in place, the gradient through the torque, by one-sided differences.
+    """Add to ``totals``, in place, the gradient of sum(adjoint * torque), by one-sided differences.
 
-    Only samples at which the adjoint (N, n), the derivative by the torque (N, n), is not zero are
-    computed.
+    Args:
+        problem: the arm.
+        motion: q, qd and qdd, (N, n) each.
+        torque: (N, n) along the motion [N m].
+        adjoint: (N, n) derivative of the scalar by each torque; samples where all are zero cost
+            nothing.
+        totals: gradients by q, qd and qdd, (N, n) each; changed.
     """
     active = np.flatnonzero(np.any(adjoint != 0.0, axis=1))
     if len(active) == 0:
@@ -401,8 +422,9 @@ def penalised_objective(
 ) -> tuple[float, Array, Array]:
     """Return (objective, gradient (n, M), new multipliers (N, 4 n + 2)) at coefficients x (n, M).
 
-    The objective has the multipliers and the weight of the candidate; the new multipliers are those
-    after a minimisation that ends at x.
+    The objective is the criterion plus the augmented Lagrangian's penalty, with the multipliers and
+    the weight of the candidate. The new multipliers max(0, l + m g) are for the next round, if the
+    minimisation ends at x.
     """
     multipliers = candidate.multipliers
     weight = candidate.weight

@@ -44,14 +44,16 @@ from robot_sysid.records import Array, MotionPlan
 from robot_sysid.records.messages import Progress
 
 DRAWS_PER_JOB = 5
-"""Random trajectories per job: an interruption loses no more of them."""
+"""Random trajectories per job; an interruption loses those of the unfinished jobs."""
 CHECK_TIME = 2.0
-"""Time that is left for the last check [s]: as long as it takes for a seven-joint arm and 15 s."""
+"""Time of a budget that is reserved for the final check of all limits [s]: what the check of a 15 s
+motion of a seven-joint arm takes."""
 LEAST_GAIN = 0.01
-"""Gain of a round in the mean standard deviation below which a search ends: what another minute
-gains is then at most 5 % on most public arms."""
+"""Relative gain of a round in the mean standard deviation below which a search ends. On most public
+arms another minute of search would then gain at most 5 %."""
 LARGEST_LEAD = 0.05
-"""How much better a motion that breaks limits may then be than the best that keeps them."""
+"""How much better (relative, in the mean standard deviation) the motion that breaks limits may be
+than the best one that keeps them when a search ends; it goes on while the lead is larger."""
 _STOP_NOTES: Mapping[str, tuple[str, ...]] = {
     "": (),
     "interrupted": (
@@ -63,30 +65,33 @@ _STOP_NOTES: Mapping[str, tuple[str, ...]] = {
         "--excitation-time-budget",
     ),
 }
-"""What cut a search to the notes that a reader gets."""
+"""Reason why a search ended early, "" for none, to the notes that a reader gets."""
 SHRINK_FACTORS = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001)
-"""Factors tried until a random motion keeps torque limits and touches nothing."""
+"""Factors by which a random motion is scaled, tried in turn until it keeps torque limits and
+touches nothing."""
 DRAW_SHARE = 0.99 * np.cos(np.pi / GRID_PER_CYCLE)
-"""Share of the limits of motion that a draw uses; peaks between grid points use the rest."""
+"""Share of the limits of position, speed and acceleration that a random motion uses at grid points;
+the remainder is for peaks between them."""
 COARSE_STEP = 8
-"""A draw is checked first at every so many points of the grid."""
+"""A random motion is first checked at every eighth grid point, which is cheap."""
 _THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables for the number of threads of linear algebra."""
 
 
 @dataclass(frozen=True)
 class ExcitationResult:
-    """A designed trajectory.
+    """A designed trajectory and how the search for it went.
 
     Attributes:
-        trajectory: that keeps all limits.
-        objective: exp of the criterion's value: a mean standard deviation.
+        trajectory: the best one that was found; it keeps all limits.
+        objective: exp of the criterion's value: the geometric mean of the standard deviations of
+            the scaled parameters.
         start_objective: objective of the best random trajectory.
         limit_check: of the trajectory.
         n_feasible: number of random trajectories that keep all limits.
         n_drawn: number of random trajectories.
         stopped: "" where the search was finished, else "interrupted" or "time budget".
-        notes: what the reader should know.
+        notes: sentences for the user on the limits, and on a search that ended early.
     """
 
     trajectory: FourierTrajectory
@@ -159,9 +164,16 @@ def _search(
     progress: Progress,
     report_start: Callable[[MotionPlan], None] | None,
 ) -> str:
-    """Draw random trajectories and improve the best; return what cut the search, or "".
+    """Draw random trajectories and improve the best; return "time budget" where that ended the
+    search, else "".
 
-    Appends to ``draws`` and ``candidates``, so that they are complete after an interruption.
+    Args:
+        design: the arm, its limits and what is minimised.
+        seed: of the random trajectories.
+        draws: every random trajectory is appended, so that an interruption loses none.
+        candidates: every improved trajectory is appended.
+        progress: is advanced after every job.
+        report_start: called once with the best random trajectory, if any keeps all limits.
     """
     options = design.options
     started = design_module.clock()
@@ -214,10 +226,15 @@ def _improve_starts(
     candidates: list[Candidate],
     deadline: float,
 ) -> Iterator[int]:
-    """Improve starts (n, M) by a round each, then the best of them until it gains next to nothing.
+    """Improve starts by a round each, then the best of them until it gains next to nothing; yield
+    the number of jobs done after each job.
 
-    Appends to ``candidates`` and replaces what it has appended. Yields the number of jobs done
-    after each.
+    Args:
+        run: yields the results of jobs in order, see ``_worker_pool``.
+        options: of the search.
+        starts: coefficients (n, M) of random trajectories that keep all limits.
+        candidates: one candidate per start is appended, and replaced there when it improves.
+        deadline: time of ``design.clock`` after which no round begins [s].
     """
     first = len(candidates)
     candidates += list(run([partial(first_candidate, x=x) for x in starts]))
@@ -238,7 +255,8 @@ def _improve_starts(
         candidates[best] = improved
         yield len(starts) + n_rounds
         gain = previous.feasible_score - improved.feasible_score
-        # A round that only learns which limits matter makes nothing better; the next one does.
+        # A round may only adapt the multipliers: the motion that breaks limits then leads, and the
+        # next round turns that lead into a gain.
         lead = improved.feasible_score - improved.score
         if gain < LEAST_GAIN and lead < LARGEST_LEAD:
             break
@@ -251,13 +269,13 @@ def _best(candidates: Sequence[Candidate]) -> Candidate | None:
 
 
 def _feasible_draws(draws: Sequence[Draw]) -> list[Draw]:
-    """Return the feasible draws, best first."""
+    """Return the draws that keep all limits on the grid, best first."""
     feasible = [draw for draw in draws if np.isfinite(draw.score)]
     return sorted(feasible, key=lambda draw: draw.score)
 
 
 def _infeasibility(draws: Sequence[Draw], design: Design) -> str:
-    """Return which limit is in the way of all drawn trajectories, in words."""
+    """Return an error message that names the limit that stops most of the drawn trajectories."""
     reasons = [draw.obstacle for draw in draws if draw.obstacle]
     if not reasons:
         n_invisible = 10 - design.criterion.visible.shape[1]
@@ -292,9 +310,14 @@ class Draw:
 def draw_trajectories(
     design: Design, seed: int, numbers: Sequence[int], deadline: float = np.inf
 ) -> list[Draw]:
-    """Return the draws of these numbers; each depends on the seed and its own number alone.
+    """Return random trajectories, scaled to keep the limits.
 
-    After the deadline [s] of ``design.clock`` only those up to the first feasible one.
+    Args:
+        design: the arm, its limits and the criterion.
+        seed: of the search.
+        numbers: of the trajectories; each depends on the seed and its own number alone.
+        deadline: time of ``design.clock`` [s]; once it has passed, drawing ends with the first
+            feasible trajectory.
     """
     draws = []
     for number in numbers:
@@ -306,57 +329,63 @@ def draw_trajectories(
 
 
 def _draw_within_motion_limits(design: Design, rng: np.random.Generator) -> Array:
-    """Return random coefficients (n, M) of a motion that uses the limits of each joint's position,
-    speed or acceleration.
+    """Return random coefficients (n, M) [rad] of a motion in which each joint uses ``DRAW_SHARE``
+    of its limit of position, speed or acceleration.
 
-    It moves each joint to a random middle and back, besides. All harmonics have speeds, and not
-    angles, of the same size.
+    Each joint oscillates about a random position within its limits. The random coefficients of
+    harmonic k are divided by k to a random power between 0 and 1.
     """
     limits = design.problem.limits
-    rest = design.problem.rest
-    size = (len(rest), design.basis.size)
+    start_pose = design.problem.rest
+    size = (len(start_pose), design.basis.size)
     offset = np.zeros(size)
-    middle = rng.uniform(0.2, 0.8, size=len(rest))
-    offset[:, 0] = limits.lower + middle * (limits.upper - limits.lower) - rest
+    middle = rng.uniform(0.2, 0.8, size=len(start_pose))
+    offset[:, 0] = limits.lower + middle * (limits.upper - limits.lower) - start_pose
     factor = _largest_factor(design, np.zeros_like(offset), offset)
     offset *= np.minimum(1.0, 0.7 * factor)[:, None]
     decay = (1.0 / design.harmonic) ** rng.uniform(0.0, 1.0)
     shape = rng.normal(size=size) * rng.uniform(0.2, 1.0, size=size)
     shape[:, 1:] *= decay
     shape[:, 0] = 0.0
-    return (
-        offset + shape * (DRAW_SHARE * _largest_factor(design, offset, shape))[:, None]
-    )
+    factor = DRAW_SHARE * _largest_factor(design, offset, shape)
+    return offset + shape * factor[:, None]
 
 
 def _largest_factor(design: Design, base: Array, x: Array) -> Array:
-    """Return per joint the largest factor (n,) for which the coefficients base + factor x, (n, M)
-    each, keep the limits of position, speed and acceleration on the grid.
+    """Return per joint the largest factor (n,) for which the coefficients base + factor x keep the
+    limits of position, speed and acceleration on the grid; 0 where no factor does.
+
+    Args:
+        design: the arm, its limits and the basis.
+        base: (n, M) coefficients of a motion that keeps them.
+        x: (n, M) coefficients that are scaled.
     """
     limits = design.problem.limits
-    rest = design.problem.rest
+    start_pose = design.problem.rest
     ranges = (
-        (limits.lower - rest, limits.upper - rest),
+        (limits.lower - start_pose, limits.upper - start_pose),
         (-limits.velocity, limits.velocity),
         (-limits.acceleration, limits.acceleration),
     )
-    factor = np.full(len(rest), np.inf)
+    factor = np.full(len(start_pose), np.inf)
     for function, (low, high) in zip(design.on_grid, ranges):
         start = function @ base.T
         step = function @ x.T
-        room = np.where(step > 0.0, high - start, low - start)
+        distance = np.where(step > 0.0, high - start, low - start)
         is_moving = np.abs(step) > 1e-12
-        ratio = np.where(is_moving, room / np.where(is_moving, step, 1.0), np.inf)
+        ratio = np.where(is_moving, distance / np.where(is_moving, step, 1.0), np.inf)
         factor = np.minimum(factor, np.min(ratio, axis=0))
     return np.where(np.isfinite(factor), np.maximum(factor, 0.0), 0.0)
 
 
 def _shrink_to_limits(design: Design, full: Array) -> Draw:
-    """Return the largest tried multiple of coefficients (n, M) that is feasible on the grid."""
+    """Return the largest multiple of coefficients ``full`` (n, M), by ``SHRINK_FACTORS``, that
+    keeps all limits on the grid; a draw with infinite score and zero coefficients where none does.
+    """
     for factor in SHRINK_FACTORS:
         x = factor * full
         motion = design.motion(x)
-        # Most of those that are not feasible show it at a few samples too.
+        # Most motions that break a limit on the grid break it at one of every eighth points too.
         for step in (COARSE_STEP, 1):
             q, qd, qdd = (signal[::step] for signal in motion)
             value = constraints_of(design.problem, (q, qd, qdd)).value
@@ -364,7 +393,7 @@ def _shrink_to_limits(design: Design, full: Array) -> Draw:
                 break
         else:
             return Draw(design.criterion_of(x), x, "")
-    # The constraint that is exceeded most.
+    # The constraint that the smallest multiple exceeds most.
     sample, column = np.unravel_index(int(np.argmax(value)), value.shape)
     names = design.problem.signal_names
     if column < len(names):
@@ -376,7 +405,8 @@ def _shrink_to_limits(design: Design, full: Array) -> Draw:
 
 
 Job = Callable[[Any], Any]
-"""A function of the shared object: ``functools.partial`` of a module's function, to be sent."""
+"""A function of the shared object of a ``_worker_pool``. It is sent to other processes, so it is a
+function of a module or a ``functools.partial`` of one."""
 
 # The shared object that the jobs of this process work on, where this process is a worker.
 _received: Any = None
@@ -386,10 +416,14 @@ _received: Any = None
 def _worker_pool(
     shared: Any, count: int
 ) -> Iterator[Callable[[Sequence[Job]], Iterator[Any]]]:
-    """Provide a function that yields the results of jobs, in order, from ``count`` processes.
+    """Provide a function that takes jobs and yields their results, in order, from worker processes.
 
-    They are started afresh ("spawn"), so nothing depends on what this process has loaded; each
-    receives the shared object once and keeps it. With one worker the present process does the work.
+    Workers are started afresh ("spawn"), so nothing depends on what this process has loaded; each
+    receives the shared object once and keeps it.
+
+    Args:
+        shared: the argument of every job; it is pickled once per worker.
+        count: number of workers; with 1 the present process does the work.
     """
     pool = None
     earlier_children = multiprocessing.active_children()
@@ -425,19 +459,21 @@ def _end_workers(
 def _run_jobs(
     shared: Any, pool: ProcessPoolExecutor | None, jobs: Sequence[Job]
 ) -> Iterator[Any]:
-    """Yield the results of jobs; those of workers that died or could not start are done here."""
+    """Yield the results of jobs in order; this process does the jobs of workers that died or could
+    not start, and all jobs where there is no pool.
+    """
     n_done = 0
     with contextlib.suppress(BrokenProcessPool, OSError, RuntimeError):
         for future in () if pool is None else _submit(pool, jobs):
             yield future.result()
             n_done += 1
-    # An error in a job is seen here.
+    # A job that fails by itself, and not for want of a worker, fails here again and raises.
     for job in jobs[n_done:]:
         yield job(shared)
 
 
 def _submit(pool: ProcessPoolExecutor, jobs: Sequence[Job]) -> list[Future[Any]]:
-    """Return the futures of jobs; the first ones start processes, as far as the system lets.
+    """Return the futures of jobs, in their order; submitting the first ones starts the workers.
 
     Processes never get Ctrl-C, and do their linear algebra in one thread: the matrices are small,
     and threads that wait for each other would cost as much as they gain. Environment variables that
@@ -454,7 +490,9 @@ def _submit(pool: ProcessPoolExecutor, jobs: Sequence[Job]) -> list[Future[Any]]
 
 
 def _receive(shared: Any) -> None:
-    """Make this process a worker on a shared object; it ends with the process that started it."""
+    """Keep the shared object for the jobs of this worker process, and make the process end with the
+    one that started it.
+    """
     global _received
     _received = shared
     threading.Thread(target=_end_with_parent, daemon=True).start()

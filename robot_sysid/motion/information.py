@@ -1,15 +1,16 @@
 """Information about the arm's bodies that a motion will give, and its gradient.
 
 Joint j delivers equations tau_j = Y_j theta + Z_j x_j, theta the parameters of all links and x_j
-what only this joint has. Its friction and the inertia of its rotor are free; its torque scale and
-what friction may have that its model lacks are known to be small, x ~ N(0, s^2), which is one more
-row of unit variance. What is left for theta after eliminating them is the Schur complement
+the unknowns of this joint alone (``JOINT_TERMS``). Its friction and the inertia of its rotor are
+free; the error of its torque scale and the friction terms that the friction model lacks have the
+prior x ~ N(0, s^2), which is one more row of unit variance. The information about theta after
+eliminating x_j is the Schur complement
 
     L = sum_j E_j^T E_j / sigma_j^2 + C_j^T D C_j,   E_j = Y_j - Z_j C_j,
     C_j = (Z_j^T Z_j / sigma_j^2 + D)^-1 Z_j^T Y_j / sigma_j^2,
 
-D the precision of x_j. With the precision P of what the model knows of the other links
-(L + P)^-1 is the covariance of the estimate (P and s: ``expected_errors``).
+D the prior precision of x_j. With the prior precision P of the other links' parameters,
+(L + P)^-1 is the covariance of the estimate (``expected_errors`` computes P and s).
 Encoder zeros, gravity's direction and a delay are part of the predicted errors (``prediction``) but
 not of this criterion: for two arms they are less than a twentieth of any variance.
 """
@@ -36,14 +37,16 @@ from robot_sysid.regressor import wrench_regressor
 _RIDGE = 1e-10
 """Keeps the elimination defined where a joint stands still and its friction has no columns."""
 _STILL = 1e-9
-"""Speed below which its square root has no slope any more [rad/s]."""
+"""Least divisor in the derivative of sqrt(abs(qd)) [(rad/s)^0.5]: it keeps the derivative finite at
+zero speed."""
 _INVISIBLE = 1e-9
 """Share of the largest information below which a direction is not identifiable."""
 JOINT_TERMS = ("coulomb", "viscous", "offset", "armature", "scale", "load", "sqrt")
 """Unknowns of one joint's equations alone: friction terms, rotor inertia, torque scale."""
 _N_TERMS = len(JOINT_TERMS)
 _RANDOM_SIZE = 400_000
-"""Rows of random motion times joints: as many for 60 joints as fit into 50 MB."""
+"""Largest number of samples of random motion times the square of the number of joints: bounds the
+memory for arms with many joints (50 MB for 60 joints)."""
 
 _INSTANTS_HZ = 10.0
 """Instants per second at which ``plan_information`` evaluates a motion [Hz]."""
@@ -58,11 +61,12 @@ Gradient = tuple[Array, Array, Array]
 
 @dataclass(frozen=True)
 class PriorKnowledge:
-    """What an estimate knows about an arm before there is a recording.
+    """Priors of an estimate: what is known about an arm before there is a recording.
 
     Attributes:
-        link_factor: (10 L, 10 L) F; the parameters of the L other links with mass, in descending
-            order, have the covariance F F^T. Empty where they are taken as known.
+        link_factor: (10 L, 10 L) F; the parameters of the L links with mass other than the terminal
+            one, from the tool to the base, have the prior covariance F F^T. (0, 0) where they are
+            taken as known.
         joint_deviations: (7, rows) prior standard deviations of ``JOINT_TERMS`` in each joint's
             equations; infinite where nothing is known, zero where the term is no unknown.
         target: what the motion is to identify: "link", "arm" for every link, or "payload".
@@ -74,7 +78,9 @@ class PriorKnowledge:
 
 
 def known_arm(problem: ExcitationProblem) -> PriorKnowledge:
-    """Return the knowledge of an arm of which only the terminal link and friction are unknown."""
+    """Return the priors of an arm of which only the terminal link, friction and, where several
+    joints' torques are used, rotor inertias are unknown.
+    """
     deviations = np.zeros((_N_TERMS, len(problem.rows)))
     # From one torque alone rotor inertias are not estimated: they look like the link's.
     n_free = 4 if len(problem.rows) > 1 else 3
@@ -83,10 +89,13 @@ def known_arm(problem: ExcitationProblem) -> PriorKnowledge:
 
 
 class Information(NamedTuple):
-    """Information (10 L, 10 L) of a motion about all links with mass, the terminal one first.
+    """Information of a motion about the parameters of all L links with mass.
 
-    ``vjp`` takes G (10 L, r) and returns the gradient of a scalar whose derivative with respect to
-    the information is -G G^T.
+    Attributes:
+        information: (10 L, 10 L) inverse covariance of the parameters, priors of links not
+            included; the terminal link first, then towards the base.
+        vjp: takes G (10 L, r) and returns the gradient, by q, qd and qdd (N, n) each, of a scalar
+            whose derivative with respect to the information is -G G^T.
     """
 
     information: Array
@@ -100,7 +109,7 @@ class InformationModel:
     Attributes:
         dynamics: motion of all links.
         links: numbers (L,) of the links with mass, in descending order.
-        theta: (L, 10) of these in the model.
+        theta: (L, 10) parameters of these links in the model.
         joints: (rows,) chain joints whose torque is used.
         sigma: (rows,) standard deviation of their torque noise [N m].
         smoothing: (n,) speed below which sign(qd) is rounded off to tanh [rad/s]; 0 for none.
@@ -122,7 +131,7 @@ class InformationModel:
         links = list(self.links)
         velocity = np.stack(motion.velocity, axis=1)[:, links]
         acceleration = np.stack(motion.acceleration, axis=1)[:, links]
-        # Of each sample, all links' wrenches in the base's frame side by side, (N, 6, 10 L).
+        # (N, 6, 10 L): of each sample, the wrench regressors of all links in the base's frame.
         in_link_frame = body_wrench(velocity, acceleration).transpose(2, 3, 0, 1)
         wrench = motion.to_links[links].swapaxes(-1, -2) @ in_link_frame
         wrench = wrench.transpose(1, 2, 0, 3).reshape(len(q), 6, -1)
@@ -156,7 +165,7 @@ class InformationModel:
 
     @cached_property
     def _n_carried(self) -> list[int]:
-        """How many parameters each joint's equations have: those of the links that it moves."""
+        """Per used joint the number of link parameters in its equation: ten per link it moves."""
         return [10 * sum(link >= joint for link in self.links) for joint in self.joints]
 
     def _clear_uncarried(self, rows: Array) -> None:
@@ -167,8 +176,14 @@ class InformationModel:
     def _joint_terms(
         self, qd: Array, qdd: Array, torque: Array
     ) -> tuple[Array, list[Array]]:
-        """Return the columns Z (rows, N, 7) of ``JOINT_TERMS`` in units of their prior deviations,
-        and their derivatives by speed, acceleration and torque, which are (rows, N) each.
+        """Return the columns Z (rows, N, 7) of ``JOINT_TERMS``, in units of their prior standard
+        deviations where these are finite, and a list of their derivatives (rows, N, 7) by speed,
+        acceleration and torque.
+
+        Args:
+            qd: (rows, N) speeds of the used joints [rad/s].
+            qdd: (rows, N) accelerations [rad/s^2].
+            torque: (rows, N) torques of the model's links [N m].
         """
         speed = self.smoothing[list(self.joints)][:, None]
         divisor = np.where(speed > 0.0, speed, 1.0)
@@ -203,9 +218,19 @@ class InformationModel:
         factor: Array,
     ) -> Gradient:
         """Return the gradient of a scalar with the derivative -G G^T by the information, G being
-        ``factor`` (10 L, r); all other arguments are what ``evaluate`` computes on its way.
+        ``factor`` (10 L, r), with respect to q, qd and qdd (N, n) each, in reverse mode.
 
-        In reverse mode. C needs no derivative: it minimises the residual.
+        The regression C_j (``gain``) needs no derivative: it minimises the residual.
+
+        Args:
+            motion: of all links.
+            rates: qd and qdd, (N, n) each.
+            velocity: (6, L, N) twists of the links with mass, in their frames.
+            wrench: (N, 6, 10 L) wrench regressors in the base's frame.
+            slopes: derivatives (rows, N, 7) of the joint terms by speed, acceleration and torque.
+            gain: (rows, 7, 10 L) C_j.
+            residual: (rows, N, 10 L) E_j over the variance of the torque noise.
+            factor: (10 L, r) G.
         """
         rows_adjoint = (-2.0 * residual @ factor) @ factor.T
         terms_adjoint = -rows_adjoint @ gain.transpose(0, 2, 1)
@@ -237,8 +262,10 @@ class InformationModel:
 
 @lru_cache(maxsize=1)
 def _coefficients() -> tuple[Array, Array]:
-    """Return the constants of Y6 = A V' + B V V: (60, 6) and (60, 6, 6), symmetric in V V."""
-    # By polarisation, so that there is one derivation only.
+    """Return A (60, 6) and B (60, 6, 6), symmetric in its last two axes, of the wrench regressor as
+    a function of acceleration V' and twist V: Y6 = A V' + B V V, its (6, 10) entries in one row.
+    """
+    # From values of ``wrench_regressor`` (polarisation), so that its formula is written only once.
     unit = np.eye(6)
     zero = np.zeros((6, 6))
     linear = wrench_regressor(zero, unit).reshape(60, 6)
@@ -257,8 +284,12 @@ def body_wrench(velocity: Array, acceleration: Array) -> Array:
 
 
 def _wrench_vjp(velocity: Array, wrench_adjoint: Array) -> tuple[Array, Array]:
-    """Return a scalar's gradients (6, ...) with respect to twist and acceleration of
-    ``body_wrench``, from the twist (6, ...) and the gradient (6, 10, ...) by its result.
+    """Return the gradients (6, ...) of a scalar with respect to the twist and the acceleration that
+    are given to ``body_wrench``.
+
+    Args:
+        velocity: (6, ...) the twist.
+        wrench_adjoint: (6, 10, ...) gradient of the scalar with respect to the wrench regressor.
     """
     linear, quadratic = _coefficients()
     adjoint = wrench_adjoint.reshape(60, -1)
@@ -274,10 +305,12 @@ _SINGULAR = 1e-14
 
 @dataclass(frozen=True)
 class Criterion:
-    """How large a covariance a motion leaves of the parameters that it is to identify.
+    """The number that a design minimises: the logarithm of the mean standard deviation that a
+    motion leaves of the parameters it is to identify.
 
     Attributes:
-        visible: (10, r) scaled directions of the terminal link's parameters that some motion shows.
+        visible: (10, r) directions in the space of the terminal link's parameters that are
+            identifiable by some motion, in units of the typical sizes of the parameters.
         link_factor: (10 L, 10 L), see ``PriorKnowledge``.
         target: "link", "arm" or "payload", see ``PriorKnowledge``.
     """
@@ -287,8 +320,15 @@ class Criterion:
     target: str
 
     def eliminate(self, information: Array, count: int) -> tuple[Array, Array]:
-        """Return (T, S): theta = T x for the first ``count`` unknowns x, with all other unknowns at
-        their best values, and S the precision of x, priors included.
+        """Return (T (10 L, count), S (count, count)) with all but the first unknowns eliminated.
+
+        The unknowns are the coordinates of theta in ``visible``, then those of the other links in
+        ``link_factor``. S is the precision of the first ``count`` unknowns x, priors included;
+        theta = T x where the other unknowns have the values that fit best with x.
+
+        Args:
+            information: (10 L, 10 L) of a motion, the terminal link first.
+            count: number of unknowns that stay.
         """
         n_visible = self.visible.shape[1]
         n_others = len(self.link_factor)
@@ -305,17 +345,19 @@ class Criterion:
 
     @property
     def _share(self) -> float:
-        """Share of a recording's information: the difference of two has twice the noise."""
+        """Share of a recording's information that counts: 0.5 for a payload, as the difference of
+        two recordings has twice the variance of noise.
+        """
         return 0.5 if self.target == "payload" else 1.0
 
     def evaluate(self, information: Array) -> tuple[float, Array]:
-        """Return (ln det C / 2r, G) of information (10 L, 10 L); infinite if singular.
+        """Return (ln det C / 2r, G (10 L, r)) of information (10 L, 10 L); infinite if singular.
 
-        C (r, r) is the covariance of the target's parameters, all others eliminated. That is the
-        logarithm of the geometric mean of the standard deviations along the axes of its confidence
-        ellipsoid: a change of 0.01 is one of about 1 % (Bayesian D-optimality; Chaloner,
-        Verdinelli, "Bayesian experimental design: a review", Statistical Science 10(3), 1995). Its
-        derivative with respect to the information is -G G^T.
+        C (r, r) is the covariance of the target's parameters, all others eliminated. The value is
+        the logarithm of the geometric mean of the standard deviations along the axes of the
+        confidence ellipsoid: a change of 0.01 is one of about 1 % (Bayesian D-optimality; Chaloner,
+        Verdinelli, "Bayesian experimental design: a review", Statistical Science 10(3), 1995). The
+        derivative of the value with respect to the information is -G G^T.
         """
         singular = np.inf, np.zeros((len(information), 0))
         if not np.all(np.isfinite(information)):
@@ -333,7 +375,9 @@ class Criterion:
         return -0.5 * float(np.sum(np.log(values * root**2))) / count, factor
 
     def covariance(self, information: Array) -> Array:
-        """Return the covariance (10, 10) of the visible parameters of the terminal link."""
+        """Return the covariance (10, 10) of the terminal link's parameters that information
+        (10 L, 10 L) and the priors leave; zero along directions that no motion shows.
+        """
         change, precision = self.eliminate(information, self.visible.shape[1])
         return np.asarray(change[:10] @ np.linalg.solve(precision, change[:10].T))
 
@@ -341,8 +385,8 @@ class Criterion:
 def mass_and_centre_errors(theta: Array, covariance: Array) -> tuple[float, float]:
     """Return the standard errors of a body's mass [kg] and of its centre of mass [m].
 
-    That of the centre of mass c = h / m, to first order, is the root of the sum of the squares of
-    its three coordinates' errors.
+    The error of the centre of mass c = h / m, to first order, is the root of the sum of the squares
+    of the errors of its three coordinates.
 
     Args:
         theta: (10,) of the body.
@@ -350,7 +394,7 @@ def mass_and_centre_errors(theta: Array, covariance: Array) -> tuple[float, floa
     """
     slope = np.hstack((-theta[1:4, None] / theta[0], np.eye(3))) / theta[0]
     centre = slope @ covariance[:4, :4] @ slope.T
-    # What is known exactly may be less than nothing by rounding.
+    # By rounding, a variance that is zero may be slightly negative.
     variances = np.maximum((covariance[0, 0], np.trace(centre)), 0.0)
     mass_error, centre_error = np.sqrt(variances).tolist()
     return mass_error, centre_error
@@ -362,12 +406,12 @@ def information_model(
     knowledge: PriorKnowledge,
     smoothing: float = 0.0,
 ) -> InformationModel:
-    """Return the map from motions of an arm to the information they give.
+    """Return the function object that maps motions of an arm to their information.
 
     Args:
         problem: the arm.
-        sigma: (rows,) standard deviation of the torque noise [N m].
-        knowledge: prior knowledge.
+        sigma: (rows,) standard deviation of the torque noise of each used joint [N m].
+        knowledge: priors of the joint terms.
         smoothing: share of the speed limits below which Coulomb friction's jump is rounded off.
     """
     theta = np.array([problem.robot.links[link].theta for link in problem.links])
@@ -385,10 +429,11 @@ def information_model(
 def design_criterion(
     problem: ExcitationProblem, knowledge: PriorKnowledge
 ) -> Criterion:
-    """Return the criterion that a design minimises, about all that some motion of the arm can show.
+    """Return the criterion that a design minimises, over all identifiable parameter combinations.
 
-    The visible directions are those of unrelated positions, velocities and accelerations, a fixed
-    set of random numbers. What such data cannot show, no trajectory of these joints can.
+    A combination counts as identifiable if ``random_information`` has information about it: no
+    trajectory of these joints can show more than unrelated random positions, velocities and
+    accelerations do.
     """
     scale = np.diag(problem.scale)
     information = random_information(problem, knowledge)
@@ -403,7 +448,12 @@ def random_information(
     problem: ExcitationProblem, knowledge: PriorKnowledge, noise: float = 1.0
 ) -> Array:
     """Return the information (10 L, 10 L) of unrelated random positions, velocities and
-    accelerations, with torque noise of a standard deviation [N m].
+    accelerations, which are the same in every call.
+
+    Args:
+        problem: the arm; its position limits bound the positions.
+        knowledge: priors of the joint terms.
+        noise: standard deviation of the torque noise of all joints [N m].
     """
     rng = np.random.default_rng(0)
     count = min(400, _RANDOM_SIZE // problem.n_joints**2)

@@ -1,4 +1,4 @@
-"""Does a trajectory keep all limits? A dense check of the whole motion, wherever it came from.
+"""Check whether a trajectory keeps all limits, at all times, however it was made.
 
 Positions, velocities, accelerations and torques are compared with their limits at 1 kHz or more.
 Clearance is checked between samples as well: two bodies approach each other no faster than
@@ -6,10 +6,11 @@ sum_j |qd_j| rate_j, so a configuration with slack s shows that the motion is fr
 integrated over time, has used up s; only there is the next collision test needed (conservative
 advancement, Mirtich, "Impulse-based dynamic simulation of rigid body systems", 1996, ch. 2).
 
-Of a motion that repeats itself one period and both ends are all there is to check.
+Of a motion that repeats itself, one period and both ends are checked.
 
-All this knows one serial chain. Between two arms of one model that move at the same time there is a
-test of its own: two points approach each other no faster than each arm's fastest part moves.
+The check is for one serial chain. For two arms of one model that move at the same time
+(``BetweenArms``), the distance between the arms is tested: it shrinks no faster than the sum of the
+speeds of each arm's fastest point.
 """
 
 from __future__ import annotations
@@ -33,45 +34,54 @@ from robot_sysid.records import Array, JointLimits, Motion, MotionPlan, RobotMod
 from robot_sysid.trajectory import SineTrajectory, sample_times
 
 LEAST_RATE_HZ = 1000.0
-"""Lowest rate at which a motion is checked."""
+"""Lowest rate at which a motion is checked [Hz]."""
 FEW_RATE_HZ = 100.0
-"""Rate at which most motions that break a limit show it."""
+"""Rate of a first coarse check [Hz]: most motions that break a limit break it at these samples."""
 CLEARANCE_RESOLUTION = 1e-3
-"""Largest error of the slack of the tightest pair [m]."""
+"""Largest error of the reported slack of the tightest pair [m]."""
 DISTANCE_RESOLUTION = 1e-4
-"""Largest error of the least distance [m]."""
+"""Largest error of the reported least distance between bodies [m]."""
 EXACT_UP_TO = 15.0
-"""Duration up to which these resolutions hold [s]; they are coarser for longer motions."""
+"""Duration up to which ``CLEARANCE_RESOLUTION`` and ``DISTANCE_RESOLUTION`` hold [s]; for longer
+motions they grow with the square of the duration."""
 LEAST_EXACT = 3e-3
-"""Coarsest resolution of a long motion [m]."""
+"""Largest error of slacks and distances of a long motion [m]."""
 TOUCH = 1e-6
-"""How far a clearance may be missed [m]: MuJoCo's tolerance for distances of convex shapes. How far
-approaching takes is rounded, so that two ways of looking find a motion that just keeps it 1e-9 m
-apart."""
+"""By how much a clearance may be missed [m]: MuJoCo's tolerance for distances of convex shapes. The
+approach is a sum with rounding errors, so a motion that just keeps a clearance may miss it by
+1e-9 m."""
 SMALLEST = 2.0**-9
-"""Share of a random motion below which it is not made smaller."""
+"""Smallest factor by which ``scale_to_limits`` scales a motion for torque and clearance."""
 BISECTIONS = 4
-"""Bisections of the last factor of 2."""
+"""Number of bisections, after halving, that refine the factor of ``scale_to_limits``."""
 RESERVE = 1e-4
 """Share of speed and acceleration limits that is left for peaks between samples: of a 0.6 Hz motion
 at 1 kHz 1 - cos(pi 0.6 / 1000) = 2e-6 is missed; a window bends ten times more."""
 FINEST_RATE_HZ = 4000.0
-"""How densely clearance is tested where it is tight: 0.5 mm at 2 m/s."""
+"""Highest rate of collision tests, where bodies are near each other [Hz]: a body at 2 m/s moves
+0.5 mm between two tests."""
 MOST_TOGETHER = 64
-"""Most samples tested together: each of them takes a quarter of the time then."""
+"""Largest number of samples in one collision test; tested together, each takes a quarter of the
+time."""
 WORTH_SKIPPING = 4
-"""Samples that a test has to skip for the next ones to be tested one by one."""
+"""Number of samples that have to be skipped after a test for the next test to be of one sample; the
+number of samples per test doubles otherwise."""
 WHOLE = 1e-9
-"""How near the samples of a period must be to a whole number."""
+"""How near the number of samples in a period must be to a whole number for all periods to have
+equal samples."""
 SHORTEST_PERIOD = 1.0
-"""Shortest period of which one is checked for all [s]."""
+"""Shortest period of a motion that repeats of which one period is checked for all [s]."""
 
 
 @dataclass(frozen=True)
 class Excess:
-    """One limit that is not kept, in words, and when it is exceeded most [s].
+    """One limit that is not kept.
 
-    The share is the value over the limit (a clearance: 1 + missing distance over 0.05 m).
+    Attributes:
+        limit: its name for messages.
+        share: the largest value over the limit, above 1; for a clearance 1 + missing distance over
+            ``OBSTACLE_LENGTH``.
+        time: when it is exceeded most [s].
     """
 
     limit: str
@@ -80,15 +90,20 @@ class Excess:
 
     def __str__(self) -> str:
         over = 100.0 * (self.share - 1.0)
-        # Never "0.0 %": what is over by next to nothing is over all the same.
+        # Never "0.0 %": a limit that is exceeded by next to nothing is not kept either.
         digits = ".1f" if over >= 0.1 else ".1g"
         return f"{self.limit} ({over:{digits}} % over at {self.time:.2f} s)"
 
 
 @dataclass(frozen=True)
 class Peaks:
-    """Peaks of a trajectory against its limits, clearances apart: the largest absolute value of
-    each of ``problem.signals`` (4 n + 1,), when it is reached [s], and the range of positions (n,).
+    """Largest values along a trajectory of the quantities that have limits, except clearances.
+
+    Attributes:
+        largest: (4 n + 1,) largest absolute value of each of ``ExcitationProblem.signals``.
+        time: (4 n + 1,) when it is reached [s].
+        lowest: (n,) lowest position of each joint [rad or m].
+        highest: (n,) highest position of each joint [rad or m].
     """
 
     largest: Array
@@ -98,7 +113,9 @@ class Peaks:
 
     @property
     def joints(self) -> Array:
-        """Largest distance from the middle, speed, acceleration and torque (4, n)."""
+        """Largest distance from the middle of the position limits, speed, acceleration and torque,
+        one row each, of each joint (4, n).
+        """
         return self.largest[:-1].reshape(4, -1)
 
 
@@ -107,11 +124,11 @@ class LimitCheck(Peaks):
     """Peaks of a trajectory against all its limits.
 
     Attributes:
-        closest: the pair with the least room left above what it has to keep, to a millimetre or
-            as exactly as below.
-        nearest: the pair that comes nearest, whatever it has to keep.
-        resolution: how exactly its distance is known: nothing comes nearer by more than this [m].
-        excesses: limits that are not kept; none for a trajectory that may be run.
+        closest: the pair with the least slack: distance minus required distance.
+        nearest: the pair that comes nearest to each other.
+        resolution: largest error of the distance of ``nearest``: no pair comes nearer than that
+            distance minus this [m].
+        excesses: limits that are not kept, the worst first; () for a trajectory that may be run.
     """
 
     closest: Closest
@@ -139,7 +156,13 @@ class LimitCheck(Peaks):
 def check_limits(
     problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = 0.0
 ) -> LimitCheck:
-    """Check a whole trajectory that will be run at a sample rate [Hz]; at 1 kHz or more."""
+    """Return the check of an entire trajectory against all limits.
+
+    Args:
+        problem: the arm and its limits.
+        plan: the trajectory.
+        sample_rate: at which it will be run [Hz]; it is checked at this rate, at least at 1 kHz.
+    """
     peaks = _peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate), tool=True)
     coarser = max(1.0, checked_time(plan) / EXACT_UP_TO) ** 2
     resolution = min(LEAST_EXACT, coarser * DISTANCE_RESOLUTION)
@@ -163,11 +186,16 @@ def check_limits(
 def scale_to_limits(
     problem: ExcitationProblem, plan: SineTrajectory, sample_rate: float
 ) -> tuple[SineTrajectory, Array]:
-    """Return a motion made small enough to keep all limits, and each joint's factor (n,).
+    """Return a motion with amplitudes scaled down to keep all limits, and each joint's factor (n,).
 
     Speed and acceleration are proportional to a joint's own motion, so they get a factor per
-    joint; torque and clearance get a common one, found by halving and then bisection. Where even
-    the smallest motion breaks a limit, that one is returned.
+    joint; for torque and clearance all joints get a common factor, found by halving and then
+    bisection. Where even the smallest motion breaks a limit, the smallest motion is returned.
+
+    Args:
+        problem: the arm and its limits.
+        plan: the motion.
+        sample_rate: at which it will be run [Hz]; it is checked at this rate, at least at 1 kHz.
     """
     rate = max(LEAST_RATE_HZ, sample_rate)
     share = np.max(
@@ -193,8 +221,10 @@ def scale_to_limits(
 def keeps_limits(
     problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = LEAST_RATE_HZ
 ) -> bool:
-    """Tell whether the whole motion keeps every limit, sampled at ``sample_rate`` [Hz]."""
-    # Most motions that break one break it at a tenth of the samples too.
+    """Return whether a motion keeps every limit, sampled at ``sample_rate`` [Hz]; clearances are
+    checked between the samples too.
+    """
+    # Most motions that break a limit break it at the samples of the lower rate too.
     rates = (FEW_RATE_HZ, sample_rate)
     broken = any(any(_excesses(problem, _peaks(problem, plan, rate))) for rate in rates)
     return not broken and first_contact(problem, plan) is None
@@ -207,13 +237,19 @@ def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> Closest | Non
 
 
 def checked_time(plan: MotionPlan) -> float:
-    """Return how much of a motion has to be looked at [s]: all the rest repeats it."""
+    """Return how many seconds of a motion are checked for clearance; all else repeats them [s]."""
     return float(np.sum(np.diff(_spans(plan))))
 
 
 def _spans(plan: MotionPlan, rate: float = 0.0) -> tuple[tuple[float, float], ...]:
-    """Return what has to be looked at, from when to when [s], at a rate [Hz] if that matters."""
-    # All of it where a period holds no whole number of samples: each then has other ones.
+    """Return the spans of time (start, end) [s] that have to be checked: for a motion that repeats,
+    the first period with the rise before it, and the fall at the end; else the entire motion.
+
+    Args:
+        plan: the motion.
+        rate: of the samples [Hz]; 0 where the check does not depend on samples.
+    """
+    # The entire motion where a period holds no whole number of samples: periods differ then.
     period, ends = getattr(plan, "cycle", (np.inf, 0.0))
     short = SHORTEST_PERIOD <= period < plan.duration - 2.0 * ends
     if not short or abs(period * rate - round(period * rate)) > WHOLE:
@@ -224,6 +260,7 @@ def _spans(plan: MotionPlan, rate: float = 0.0) -> tuple[tuple[float, float], ..
 def _motions(
     plan: MotionPlan, rate: float, spans: tuple[tuple[float, float], ...]
 ) -> Iterator[Motion]:
+    """Return an iterator over the motion in chunks, sampled at a rate [Hz] within spans [s]."""
     times = (sample_times(plan.duration, rate, *span) for span in spans)
     return map(plan.evaluate, chain.from_iterable(times))
 
@@ -231,7 +268,10 @@ def _motions(
 def _peaks(
     problem: ExcitationProblem, plan: MotionPlan, rate: float, tool: bool = False
 ) -> Peaks:
-    """Return the peaks at a rate [Hz]; the tool's speed where it has a limit, or on demand."""
+    """Return the peaks of a motion that is sampled at a rate [Hz].
+
+    The tool's speed is computed where it has a limit or ``tool`` is true; it is zero otherwise.
+    """
     columns = np.arange(4 * problem.n_joints + 1)
     largest, time = np.zeros((2, len(columns)))
     lowest, highest = np.full((2, problem.n_joints), np.inf) * [[1.0], [-1.0]]
@@ -248,8 +288,9 @@ def _peaks(
 
 
 def _excesses(problem: ExcitationProblem, peaks: Peaks) -> Iterator[Excess]:
+    """Yield the limits of positions, speeds, accelerations, torques and tool that peaks exceed."""
     share = peaks.largest / problem.limits.columns
-    # What is no number at all keeps no limit.
+    # Written with "not", so that NaN counts as an excess.
     for k in np.flatnonzero(~(share <= 1.0 + ROUNDING)):
         yield Excess(problem.signal_names[k], float(share[k]), float(peaks.time[k]))
 
@@ -260,16 +301,21 @@ def _tightest(
     resolution: float,
     stop_below: float = -np.inf,
 ) -> Closest:
-    """Return the tightest configuration and its time.
+    """Return the pair with the least slack along a motion, and the time of that configuration.
 
-    Nowhere is the slack below -TOUCH without being found, nor smaller than that of the
-    configuration returned by more than the resolution [m]. An end at ``stop_below`` saves the rest
-    of the tests.
+    A slack below -TOUCH anywhere along the motion is found, and no slack is smaller than the one
+    returned by more than the resolution.
+
+    Args:
+        obstacles: distances of the arm.
+        plan: the motion.
+        resolution: largest error of the least slack [m]; infinite where only contacts matter.
+        stop_below: the search ends at the first slack below this [m].
     """
     best = np.inf
     best_time = 0.0
     best_q = plan.evaluate(np.zeros(1)).q[0]
-    # What is known to be tight lets the search pass quickly by all that is not.
+    # A tight configuration from coarse samples lets the search skip all that is less tight.
     for motion in (
         _motions(plan, FEW_RATE_HZ, _spans(plan)) if resolution < np.inf else ()
     ):
@@ -279,6 +325,7 @@ def _tightest(
             best = float(slacks[sample])
             best_time = float(motion.time[sample])
             best_q = motion.q[sample]
+    # Row of ``obstacles.rates`` to the slack that its pairs have not yet used up [m].
     budget = {-1: -np.inf}
     known_until = 0.0
     for motion in _motions(plan, FINEST_RATE_HZ, _spans(plan)):
@@ -297,7 +344,8 @@ def _tightest(
                 best = float(slacks[least - batch_start])
                 best_time = float(motion.time[least])
                 best_q = motion.q[least]
-            # What can neither be missed nor lower than the lowest need not be looked at.
+            # Slack above the floor may be used up untested: no contact and no lower minimum is
+            # missed by it.
             floor = (
                 best - resolution if best < -TOUCH else max(-TOUCH, best - resolution)
             )
@@ -325,7 +373,14 @@ def _tightest(
 
 
 class _Approach:
-    """How far pairs may approach at speeds (N, n), worked out for those that are near alone."""
+    """Bounds on how far pairs of bodies approach along N samples of a motion.
+
+    They are computed and cached for the rows that are asked for.
+
+    Args:
+        speed: (N, n) absolute joint speeds at ``FINEST_RATE_HZ``.
+        rates: (P, n) approach bounds, see ``Clearance.rates``.
+    """
 
     def __init__(self, speed: Array, rates: Array) -> None:
         self._speed = speed
@@ -333,7 +388,9 @@ class _Approach:
         self._paths: dict[int, Array] = {}
 
     def path(self, row: int) -> Array:
-        """Return how much a row's pairs may have approached (N,) [m] since just before."""
+        """Return how far the pairs of a row of ``rates`` may have approached (N,) [m] since the
+        sample before the first.
+        """
         if row not in self._paths:
             speed = self._speed @ self._rates[row]
             previous = np.concatenate((speed[:1], speed[:-1]))
@@ -341,26 +398,32 @@ class _Approach:
         return self._paths[row]
 
     def used_up(self, budget: Mapping[int, float]) -> int:
-        """Return the first sample at which a row may have used up its slack [m]; N if none."""
+        """Return the index of the first sample at which a row may have used up its slack; N if
+        none.
+
+        ``budget`` maps rows to the sum of their slack and their path at the last test [m].
+        """
         samples = (
             int(np.searchsorted(self.path(row), slack)) for row, slack in budget.items()
         )
         return min(samples, default=len(self._speed))
 
 
-# Farther than this is as good as any distance, and nearer than that counts as a touch [m].
 _FAR = 0.2
+"""Largest distance between two arms that is computed [m]; larger ones count as this."""
 _TOUCH = 2e-3
+"""Distance between two arms below which they count as touching [m]."""
 
 
 def as_one(first: RobotModel, second: RobotModel) -> RobotModel:
-    """Return two arms of one model as one, the joints of the first in front.
+    """Return one arm with the joints of two arms of one model, those of the first in front.
 
-    For what goes joint by joint: inverse dynamics, limits, stepping. Its terminal link is that of
-    the first, and it is no serial chain.
+    It is no serial chain, so it is only for computations joint by joint: inverse dynamics, limits,
+    stepping. Its terminal link is that of the first arm.
     """
 
     def both(name: str) -> Any:
+        """Return the arrays of both arms under a dotted attribute name, one after the other."""
         return np.concatenate([attrgetter(name)(arm) for arm in (first, second)])
 
     limits = ("lower", "upper", "velocity", "torque")
@@ -377,7 +440,7 @@ def as_one(first: RobotModel, second: RobotModel) -> RobotModel:
 
 
 class BetweenArms:
-    """Distances between two arms of one model."""
+    """Distances between two arms of one model; the arguments are not changed."""
 
     def __init__(self, first: RobotModel, second: RobotModel) -> None:
         self._model = model = copy.copy(first.mj_model)
@@ -391,13 +454,13 @@ class BetweenArms:
         for number, arm in enumerate(arms, start=1):
             base = model.jnt_bodyid[model.dof_jntid[arm.dof_index[0]]]
             self._arm[subtree(model, int(base))] = number
-        # The last row bounds the speed of every part.
+        # The last row of ``approach_rates`` bounds the speed of every point of the arm.
         rates = (
             approach_rates(arm, self._data, count_moving_joints(arm))[-1]
             for arm in arms
         )
         self._rates = np.concatenate([*rates])
-        # Arms that rest close to each other keep half of that.
+        # Arms that rest close to each other have to keep half of that distance.
         self._least = min(_TOUCH, 0.5 * self.distance(both.reference))
 
     def distance(self, q: Array) -> float:
@@ -414,7 +477,8 @@ class BetweenArms:
     def touch_at(self, motion: MotionPlan) -> float | None:
         """Return when the arms first touch along a motion of both [s], or None.
 
-        Arms that touch at rest are not told apart.
+        ``motion`` has the joints of the first arm, then those of the second. Always None for arms
+        that touch at rest.
         """
         slack = 0.0
         for time in (
