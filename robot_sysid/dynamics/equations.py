@@ -1,7 +1,8 @@
 """The linear equations of every joint: regressor, friction and known torques of a motion.
 
-The parameters are the terminal link's ten, each joint's friction terms, those of motors that turn
-with several joints and, last, the ten of other links that are estimated too (``link_names``).
+The parameters are the ten inertial parameters of the terminal link, the friction terms of each
+joint, the friction terms of motors that turn with several joints and, last, the ten inertial
+parameters of every other link that is estimated too (``link_names``).
 
 The torque of the links that are not estimated is computed by Newton-Euler recursion, without the
 regressor: a wrong regressor then shows as a wrong result, also on the model's own simulation, whose
@@ -25,9 +26,9 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, Motion, RobotModel
 
 TERMINAL_FRICTION = FrictionModel(("coulomb", "viscous"))
-"""Friction of the terminal joint in simulated data."""
+"""Friction terms that are estimated of the terminal joint from simulated data."""
 NO_FRICTION = FrictionModel(())
-"""No friction terms: the model's own friction is taken as known."""
+"""No friction terms are estimated: the friction of the robot's model is taken as known."""
 N_INERTIAL = len(PARAMETER_NAMES)
 """Inertial parameters of one link."""
 
@@ -35,25 +36,33 @@ N_INERTIAL = len(PARAMETER_NAMES)
 def friction_per_joint(
     robot: RobotModel, torques: str, model: FrictionModel
 ) -> tuple[FrictionModel, ...]:
-    """Return the friction terms of each chain joint; ``torques`` is "chain" for all joints, or
-    "terminal" for terms at the last joint only.
+    """Return the friction terms that are estimated of each chain joint (n models).
+
+    Args:
+        robot: the arm.
+        torques: "chain" where the torques of all joints are used; "terminal" where only that of the
+            last joint is, so that the other joints get ``NO_FRICTION``.
+        model: friction terms of each joint whose torque is used.
     """
     others = model if torques == "chain" else NO_FRICTION
     return (others,) * (robot.n_joints - 1) + (model,)
 
 
 def link_names(robot: RobotModel, link: int) -> tuple[str, ...]:
-    """Return the names of another link's ten parameters, for instance ``m(forearm)``."""
+    """Return the ten parameter names of a link other than the terminal one, such as ``m(forearm)``.
+
+    ``link`` is the link's index in ``robot.links``.
+    """
     return tuple(f"{name}({robot.links[link].body_name})" for name in PARAMETER_NAMES)
 
 
 def other_links(robot: RobotModel) -> tuple[int, ...]:
-    """Return the numbers of all links but the terminal one that have a mass."""
+    """Return the indices, ascending, of all links but the terminal one that have a mass."""
     return tuple(i for i, link in enumerate(robot.links[:-1]) if link.has_mass)
 
 
 class Equations:
-    """The linear equations rows x = tau of one arm.
+    """The linear equations rows x = right-hand side of one arm, x being p parameters.
 
     Args:
         robot: the arm.
@@ -61,13 +70,14 @@ class Equations:
             last joint's only.
         friction: terms to estimate, one model per chain joint; where a joint has none, the model's
             own friction is taken as known.
-        motors: those that turn with several joints.
-        links: numbers of other links whose parameters are estimated too.
+        motors: motors that turn with several joints, whose parameters are estimated.
+        links: ascending indices of other links whose parameters are estimated too.
 
     Attributes:
-        joint_indices: chain indices of the joints whose equations these are.
-        joints: their names.
-        names: of all p parameters.
+        joint_indices: chain indices of the joints whose torques are used, one equation per sample
+            each.
+        joints: names of these joints.
+        names: names of all p parameters.
         columns: per joint the indices (k,) in ``names`` of the parameters in its equation, in the
             order of the columns of its rows.
     """
@@ -93,7 +103,7 @@ class Equations:
         self._links = tuple(links)
         self._dynamics = LinkDynamics(robot)
         self._beyond = BeyondRigidBodies(robot)
-        # Of the links that are not estimated.
+        # (n, 10) parameters of the links that are not estimated; zero for the estimated ones.
         self._known_thetas = robot.thetas
         self._known_thetas[[*self._links, -1]] = 0.0
         n = robot.n_joints
@@ -105,8 +115,8 @@ class Equations:
         self._link_thetas = np.concatenate([np.zeros(0), *thetas])
 
     def _parameters(self) -> tuple[tuple[str, ...], tuple[NDArray[np.int64], ...]]:
-        """Return the names of all parameters, and per joint the indices (k,) of those in its
-        equation: of other links those that the joint carries.
+        """Return the names of all p parameters, and per joint of ``joints`` the indices (k,) of the
+        parameters in its equation: other links are in it where the joint carries them.
         """
         robot = self._robot
         names = list(PARAMETER_NAMES)
@@ -147,7 +157,13 @@ class Equations:
         return np.array([float(values.get(name, 0.0)) for name in self.names])
 
     def rows(self, measurement: Measurement) -> Iterator[tuple[Array, Array]]:
-        """Yield (rows (N, k), right-hand side (N,)) per joint of ``joints``.
+        """Yield (rows (N, k), right-hand side (N,) [N m]) per joint of ``joints``.
+
+        The k columns are those of ``columns``; the right-hand side is the measured torque without
+        the torque of everything that is taken as known.
+
+        Args:
+            measurement: N samples of all chain joints, with velocities and accelerations.
 
         Raises:
             InputError: the measurement has no velocities or accelerations.
@@ -161,7 +177,7 @@ class Equations:
         motion = Motion(measurement.time, measurement.q, qd, qdd)
         # Joint by joint: the rows of a long arm take far more memory than those of one joint.
         bodies, same_bodies = itertools.tee(self.bodies(motion))
-        # By the model's own links: the measured torque has friction in it already.
+        # The gear's load is computed from the model: the measured torque includes friction.
         loads = map(self._model_torque, same_bodies)
         tau = measurement.tau[:, list(self.joint_indices)].T
         yield from map(assemble_rows, bodies, self.friction(motion, loads), tau)
@@ -176,10 +192,12 @@ class Equations:
         return np.asarray(bodies[:, :-1] @ values + bodies[:, -1])
 
     def bodies(self, motion: Motion) -> Iterator[Array]:
-        """Yield (N, k + 1) per joint of ``joints``: columns of the terminal link, columns of other
-        links that it carries, and the torque of all other bodies, springs and rotors [N m].
+        """Yield (N, k + 1) per joint of ``joints``: columns of the terminal link, columns of the
+        estimated other links that the joint carries, and the torque of all other bodies, springs
+        and rotors [N m].
 
-        They follow the motion smoothly, without signs of speeds.
+        All of these are smooth functions of the motion (no sign of a speed), so that fewer samples
+        are enough to filter them.
         """
         links = self._dynamics.motion(motion.q, motion.qd, motion.qdd)
         torque = self._beyond.torque(motion.q, motion.qd, motion.qdd)
@@ -192,8 +210,9 @@ class Equations:
         """Yield (N, k + 1) per joint of ``joints``: columns of its friction, columns of motors that
         turn with several joints, and the known torque of friction [N m].
 
-        The known torque is that of joints whose friction is not estimated, less what the model has
-        of rotors and shared motors that are estimated: ``bodies`` contains them.
+        The known torque is the model's friction of joints whose friction is not estimated, minus
+        the model's torque of those rotors and shared motors that are estimated: the torque that
+        ``bodies`` yields includes it.
 
         Args:
             motion: of N samples.
@@ -201,26 +220,30 @@ class Equations:
         """
         qd = motion.qd
         qdd = motion.qdd
-        known = self._known_friction.torque(qd)
+        known_torque = self._known_friction.torque(qd)
         armature_torque = self._robot.armature * qdd
-        known -= np.where(self._estimates_armature, armature_torque, 0.0)
+        known_torque -= np.where(self._estimates_armature, armature_torque, 0.0)
         motor_columns = [motor.columns(qd, qdd).T for motor in self._motors]
         for motor, columns in zip(self._motors, motor_columns):
-            known -= np.outer(motor.model @ columns, motor.ratios)
+            known_torque -= np.outer(motor.model @ columns, motor.ratios)
         for load, j in zip(loads, self.joint_indices):
             blocks = [self._friction[j].columns(qd[:, j], qdd[:, j], load).T]
             for motor, columns in zip(self._motors, motor_columns):
                 if motor.ratios[j]:
                     blocks.append(motor.ratios[j] * columns)
-            yield np.concatenate((*blocks, known[None, :, j])).T
+            yield np.concatenate((*blocks, known_torque[None, :, j])).T
 
     def rows_of_gravity(self, q: Array, gravity: Array) -> Iterator[Array]:
-        """Yield per joint of ``joints`` the term (N, k) of its rows that a gravity (3,) [m/s^2]
-        makes at positions (N, n); it is linear in gravity.
+        """Yield per joint of ``joints`` the rows (N, k) of the arm at rest under a gravity; they
+        are linear in gravity.
+
+        Args:
+            q: (N, n) joint positions [rad or m].
+            gravity: (3,) in the world [m/s^2].
         """
-        still = np.zeros_like(q)
+        zeros = np.zeros_like(q)
         dynamics = LinkDynamics(self._robot, gravity)
-        columns = self._columns(dynamics.motion(q, still, still))
+        columns = self._columns(dynamics.motion(q, zeros, zeros))
         for indices, (terminal, carried) in zip(self.columns, columns):
             rows = np.zeros((len(q), len(indices)))
             rows[:, :N_INERTIAL] = terminal
@@ -228,8 +251,8 @@ class Equations:
             yield rows
 
     def _columns(self, motion: LinksMotion) -> Iterator[tuple[Array, Array]]:
-        """Yield per joint of ``joints`` the columns of the terminal link (N, 10), and those of the
-        other estimated links that it carries.
+        """Yield per joint of ``joints`` the columns (N, 10) of the terminal link, and the columns
+        (N, 10 c) of the c other estimated links that the joint carries.
         """
         columns = motion.columns((*self._links, len(motion.screws) - 1))
         for j in self.joint_indices:
@@ -246,6 +269,6 @@ def assemble_rows(bodies: Array, friction: Array, tau: Array) -> tuple[Array, Ar
         tau: (N,) torque of the joint [N m].
     """
     edges = (N_INERTIAL, bodies.shape[1] - 1)
-    terminal, carried, known = np.split(bodies, edges, axis=1)
+    terminal, carried, known_torque = np.split(bodies, edges, axis=1)
     rows = np.concatenate((terminal, friction[:, :-1], carried), axis=1)
-    return rows, tau - known[:, 0] - friction[:, -1]
+    return rows, tau - known_torque[:, 0] - friction[:, -1]

@@ -68,8 +68,8 @@ class NonlinearTerm:
 
 
 _LARGEST_DECAY = 200.0
-"""Exponent beyond which a decay counts as zero: numbers near 1e-308 take a hundred times as long to
-multiply."""
+"""Exponent x from which exp(-x) is not made smaller: multiplying numbers near 1e-308 takes a
+hundred times as long."""
 
 
 def _stribeck(qd: Array, speed: Array | float) -> Array:
@@ -164,7 +164,7 @@ class FrictionModel:
 
     @property
     def nonlinear_terms(self) -> tuple[str, ...]:
-        """Those of the terms that are nonlinear in a speed."""
+        """The terms of this model that are in ``NONLINEAR_TERMS``."""
         return tuple(term for term in self.terms if term in NONLINEAR_TERMS)
 
     def parameter_names(self, joint: str) -> tuple[str, ...]:
@@ -189,7 +189,7 @@ def speed_name(term: str, joint: str) -> str:
 
 
 def friction_model(name: str) -> FrictionModel:
-    """Return the friction model of a name: "none", or terms joined by "-" or "+".
+    """Return the friction model with a name: "none", or terms joined by "-" or "+".
 
     A leading "+" adds to the default for measured data, so "+sqrt" is
     "coulomb-viscous-offset-armature-sqrt". InputError lists the valid terms.
@@ -208,6 +208,7 @@ def friction_model(name: str) -> FrictionModel:
 
 
 _COUPLED = FrictionModel(("coulomb", "viscous", "armature", "sqrt", "stribeck"))
+"""Friction terms of every motor that turns with several joints."""
 
 
 @dataclass(frozen=True)

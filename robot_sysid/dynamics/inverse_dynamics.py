@@ -1,4 +1,6 @@
-"""Inverse dynamics by MuJoCo: torque of an entire arm, and of all that is no rigid body."""
+"""Inverse dynamics by MuJoCo: torque of an entire arm, and torque of armature, springs, tendons and
+actuators alone.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,7 @@ def data_at_pose(mj_model: Any, qpos: Array) -> Any:
 
 
 def subtree(mj_model: Any, body_id: int) -> list[int]:
-    """Return the ids of a body and all its descendants, which MuJoCo numbers in a row."""
+    """Return the ids of a body and all its descendants, which MuJoCo numbers consecutively."""
     outside = np.flatnonzero(mj_model.body_parentid[body_id + 1 :] < body_id)
     end = body_id + 1 + int(outside[0]) if len(outside) else mj_model.nbody
     return list(range(body_id, end))
@@ -69,7 +71,8 @@ def inverse_dynamics(
 
     Args:
         model: compiled MuJoCo model.
-        data: its data, which is changed; joints outside the chain stay as it has them.
+        data: its MuJoCo data, which is changed; joints outside the chain keep their positions,
+            velocities and accelerations.
         chain: addresses (n,) of the chain's joints in qpos, and in qvel.
         q: positions [rad].
         qd: velocities [rad/s].
@@ -108,7 +111,9 @@ class ArmDynamics:
         return inverse_dynamics(self.model, self.data, self._chain, q, qd, qdd)
 
     def beyond_rigid_bodies(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the torque (N, n) of armature, springs, tendons and actuators alone [N m]."""
+        """Return the torque (N, n) of armature, springs, tendons and actuators alone, for motions
+        (N, n) [N m].
+        """
         rigid = np.empty(self.model.nv)
         beyond = np.empty_like(q)
         for k in range(len(q)):
@@ -126,7 +131,9 @@ class BeyondRigidBodies:
         self._arm = None if has_only_armature(robot.mj_model) else ArmDynamics(robot)
 
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return that torque (N, n) for motions (N, n) [N m]."""
+        """Return the torque (N, n) of armature, springs, tendons and actuators for motions (N, n)
+        [N m].
+        """
         if self._arm is None:
             return np.asarray(self._armature * qdd)
         return self._arm.beyond_rigid_bodies(q, qd, qdd)

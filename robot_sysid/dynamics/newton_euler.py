@@ -53,13 +53,15 @@ from robot_sysid.regressor import wrench_regressor
 N_PARAMETERS = len(PARAMETER_NAMES)
 """Inertial parameters of one link."""
 _ARRAY_SIZE = 1_000_000
-"""Numbers in an array at a time: a long arm's arrays are larger than everything else about it."""
+"""Largest size of an array of intermediate results [numbers], beyond which a motion is split
+(``split_motion``): it bounds the memory for arms with many joints."""
 TILT_NAMES = ("tilt_1", "tilt_2")
 """Names of the two angles by which a base is tilted."""
 _TILT_CHUNK = 1000
-"""Samples of which ``tilt_columns`` computes the torques at a time."""
+"""Largest number of samples whose torques ``tilt_columns`` computes at a time."""
 _OPPOSITE = 1e-12
-"""Less than 1 + cosine of any turn but one upside down, for which all axes are as good."""
+"""Least 1 + cosine of the turn in ``tilt_axes``, which keeps the division defined where gravity is
+upside down; any axes perpendicular to it will do then."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +71,9 @@ class LinksMotion:
     Attributes:
         velocity: per link its twist (6, N) [rad/s, m/s].
         acceleration: per link its spatial acceleration minus gravity (6, N) [rad/s^2, m/s^2].
-        steps: per link Ad(T^-1) (6, 6, N), which takes twists from the link before it to its frame.
-        screws: per link the screw (6,) of its joint.
+        steps: per link Ad(T^-1) (6, 6, N), which takes twists from the previous link's frame (the
+            base's for the first link) to its own.
+        screws: per link the screw (6,) of its joint in the link's frame.
     """
 
     velocity: tuple[Array, ...]
@@ -111,7 +114,8 @@ class LinksMotion:
             by_screws: (6, n, N) gradient with respect to ``joint_twists``.
             by_motion: gradients (6, n, N) with respect to the links' velocity and acceleration, in
                 the links' frames.
-            by_turns: (6, n, N) gradient with respect to how each link turns in the base's frame.
+            by_turns: (6, n, N) gradient with respect to X_i, the small turn of each link in the
+                base's frame (see the module's text).
         """
         qd, qdd = (rate.T for rate in rates)
         screws = self.joint_twists
@@ -134,9 +138,10 @@ class LinksMotion:
         return by_q.T, by_qd.T, by_qdd.T
 
     def columns(self, links: Sequence[int]) -> Array:
-        """Return the joint torque regressor (N, n, 10 len(links)) of links with these numbers.
+        """Return the joint torque regressor (N, n, 10 len(links)) of the links with these indices,
+        in their order.
 
-        The samples of one entry lie side by side in memory.
+        In memory the N samples of one entry lie side by side.
         """
         joints = len(self.velocity)
         samples = self.velocity[0].shape[1]
@@ -155,7 +160,7 @@ class LinksMotion:
         return columns.reshape(joints, -1, samples).transpose(2, 0, 1)
 
     def torque(self, thetas: Array) -> Array:
-        """Return the joint torque (N, n) [N m] of links theta (n, 10), rigid bodies only."""
+        """Return the joint torque (N, n) [N m] of rigid links with parameters thetas (n, 10)."""
         samples = self.velocity[0].shape[1]
         tau = np.zeros((samples, len(thetas)))
         wrench = np.zeros((6, samples))
@@ -169,8 +174,9 @@ class LinksMotion:
     def slopes(self, thetas: Array, qd: Array) -> Array:
         """Return the derivative (N, n, n) of joint torques by joint positions [N m/rad].
 
-        With d_j the derivative by q_j: d_j V_j = -ad(S_j) V_j, d_j A_j = -ad(S_j) A_j, which pass
-        on to the next links as V and A do, and d_j Ad(T_j^-1) = -ad(S_j) Ad(T_j^-1).
+        Entry [:, i, j] is the derivative of tau_i by q_j. With d_j the derivative by q_j:
+        d_j V_j = -ad(S_j) V_j, d_j A_j = -ad(S_j) A_j, which are passed on to the next links by the
+        recursion of V and A, and d_j Ad(T_j^-1) = -ad(S_j) Ad(T_j^-1).
 
         Args:
             thetas: (n, 10) of the links.
@@ -251,7 +257,9 @@ class LinkDynamics:
     def moves(
         self, q: Array, qd: Array, qdd: Array
     ) -> Iterator[tuple[Array, Array, Array, Array]]:
-        """Yield link by link what ``LinksMotion`` holds: velocity, acceleration, step and screw."""
+        """Yield velocity (6, N), acceleration (6, N), step (6, 6, N) and screw (6,) of each link,
+        as in ``LinksMotion``, for chain motions (N, n) [rad, rad/s, rad/s^2].
+        """
         velocity, acceleration = np.zeros((2, 6, len(q)))
         acceleration[3:] = -self._gravity
         turns = (q - self._home).T
@@ -269,7 +277,13 @@ class LinkDynamics:
 
 
 def split_motion(width: int, *arrays: Array) -> Iterator[tuple[Array, ...]]:
-    """Yield arrays (N, ...) of a motion in chunks, small at ``width`` numbers a sample."""
+    """Yield arrays of a motion in chunks of samples, one tuple of arrays (m, ...) per chunk.
+
+    Args:
+        width: numbers per sample in the largest array that the caller computes of a chunk; chunks
+            are so short that it has at most about a million numbers.
+        arrays: (N, ...) each.
+    """
     count = 1 + len(arrays[0]) * width // _ARRAY_SIZE
     yield from zip(*(np.array_split(array, count) for array in arrays))
 
@@ -287,7 +301,9 @@ def bracket_transposed(a: Array, b: Array) -> Array:
 
 
 def _sum_outwards(values: Array) -> Array:
-    """Return sums (6, n, N) of values (6, n, N) over each link and all links that it carries."""
+    """Return for each link the sum of values (6, n, N) over it and all links beyond it (6, n,
+    N).
+    """
     return np.cumsum(values[:, ::-1], axis=1)[:, ::-1]
 
 
@@ -365,13 +381,14 @@ def tilt_angles(level: Array, gravity: Array) -> Array:
 def tilt_columns(
     robot: RobotModel, thetas: Array, q: Array, level: Array | None = None
 ) -> Array:
-    """Return the torque (N, n, 2) per radian of tilt of the base [N m/rad].
+    """Return the torque (N, n, 2) per radian of tilt of the base about each of two axes [N m/rad].
 
     Args:
         robot: the arm, under the gravity around which it is tilted.
         thetas: (n, 10) of its links.
         q: (N, n) positions.
-        level: (3,) gravity that tilts are measured from; the arm's own without it.
+        level: (3,) gravity of the level base, which defines the axes (``tilt_axes``); None for the
+            arm's own.
     """
     gravity = gravity_vector(robot)
     axes = tilt_axes(gravity if level is None else level, gravity)
@@ -381,15 +398,16 @@ def tilt_columns(
         count = len(chunk)
         # Both changes of gravity in one computation, one after the other.
         positions = np.tile(chunk, (2, 1))
-        still = np.zeros((2 * count, q.shape[1]))
+        zeros = np.zeros((2 * count, q.shape[1]))
         dynamics = LinkDynamics(robot, np.repeat(changes, count, axis=1))
-        torque = dynamics.motion(positions, still, still).torque(thetas)
+        torque = dynamics.motion(positions, zeros, zeros).torque(thetas)
         columns.append(np.split(torque, 2))
     return np.moveaxis(np.concatenate(columns, axis=1), 0, -1)
 
 
 def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
-    """Return the torque (N, n, n) per radian that each joint's reading is too large [N m/rad].
+    """Return the torque (N, n, n) of the joints (second axis) per radian by which the position
+    reading of each joint (third axis) is too large [N m/rad].
 
     Args:
         robot: the arm.

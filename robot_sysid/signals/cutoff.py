@@ -25,33 +25,39 @@ from robot_sysid.records.messages import percent
 from robot_sysid.signals.filters import design_low_pass
 
 # Expected squared error of the acceleration, relative to its mean square, that does no harm: it
-# biases an inertia by as much, 0.005 %.
+# biases an identified inertia by the same share, 0.005 %.
 _HARMLESS_ERROR = 5e-5
-# A cut-off also qualifies up to this multiple of the least error: the error is flat around its
-# minimum (chosen).
+# A cut-off also qualifies if its error is at most this multiple of the least error of all cut-offs:
+# the error is flat around its minimum (chosen).
 _ERROR_TOLERANCE = 1.25
-# The arm moves at frequencies below which this share of the squared speed lies; the cut-off is at
-# most this multiple of the highest of them (docs/measurements.md, tests/signals/test_cutoff.py).
+# The highest frequency at which the arm moves is the one below which this share of the integral of
+# the squared speed over all frequencies lies.
 _MOTION_SHARE = 0.99
+# Largest cut-off over the highest frequency at which the arm moves (docs/measurements.md,
+# tests/signals/test_cutoff.py).
 _LARGEST_CUTOFF_RATIO = 15.0
-# Share of rows with a new reading below which the log is written faster than it is read.
+# Share of rows with a new reading below which the log has more rows than the encoders were read.
 _FRESH_SHARE = 0.6
-# Standard deviation of the time between new readings over its mean, up to which they are regular.
+# Largest standard deviation of the time between new readings, over its mean, for which the readings
+# count as regular.
 _REGULARITY = 0.5
-# An octave that adds less than this share to the squared speed below it is a gap in the spectrum;
-# motion beyond a gap ends at this multiple of the gap's frequency.
+# An octave that adds less than this share to the squared speed below it is a gap in the spectrum.
 _GAP_SHARE = 1e-4
+# Multiple of the frequency of the first gap above which power does not count as motion.
 _GAP_RATIO = 10.0
-# A frequency holds motion where its power is this multiple of the noise: not by chance.
+# A frequency holds motion where its power is more than this multiple of the noise, which noise
+# alone hardly ever reaches.
 _MOTION_TO_NOISE = 6.0
-# Up to this share of steps after which a reading repeats, steps are passed so fast that their noise
-# is white.
+# Largest share of an encoder's steps with a repeated reading for which the quantisation error
+# counts as white noise: the joint passes the steps too fast for a staircase.
 _REPEATED_SHARE = 0.01
-# Longer segments would only resolve frequencies finer than any cut-off needs (chosen) [s].
+# Longest segment whose spectrum is averaged; a longer one would only resolve frequencies finer than
+# any cut-off needs (chosen) [s].
 _LONGEST_SEGMENT = 20.0
 # Weights of the cosines of the Blackman-Harris window.
 _BLACKMAN_HARRIS = (0.35875, -0.48829, 0.14128, -0.01168)
-# Share of the log that both passes of the filter together may cut off (chosen).
+# Largest share of the log that is lost at its ends, in the low-pass of positions and in the
+# low-pass of regressor columns together (chosen).
 _TRIMMED_SHARE = 0.2
 # Fewest samples of a segment, and fewest readings, that a spectrum is made from (chosen).
 _SHORTEST_SEGMENT = 64
@@ -66,9 +72,9 @@ class Spectra:
         count: number of readings.
         length: number of samples of each averaged segment.
         frequency: (F,) [Hz].
-        motion: (F,) power of the motion, summed over all joints.
-        noise: (F,) power of the noise, summed over all joints.
-        level: (n,) power density of the white noise of each joint's position.
+        motion: (F,) power density of the motion's acceleration, summed over all joints.
+        noise: (F,) power density of the acceleration's noise, summed over all joints.
+        level: (n,) power density of the white noise of each joint's position [rad^2/Hz].
     """
 
     rate: float
@@ -86,8 +92,12 @@ class Spectra:
 
 
 class CutoffChoice(NamedTuple):
-    """A cut-off for all joints [Hz], the expected error of the acceleration relative to its root
-    mean square, and a sentence on why this cut-off was chosen.
+    """A cut-off that was chosen from the data.
+
+    Attributes:
+        cutoff: for all joints [Hz].
+        expected_error: of the acceleration, relative to the acceleration's root mean square.
+        reason: a sentence on why this cut-off was chosen.
     """
 
     cutoff: float
@@ -102,7 +112,7 @@ def choose_cutoff(spectra: Spectra) -> CutoffChoice:
     half_width_times_cutoff = design_low_pass(highest, rate).half_width * highest / rate
     lowest = 4.0 * half_width_times_cutoff / (_TRIMMED_SHARE * spectra.count / rate)
     candidates = np.geomspace(min(lowest, highest), highest, 40)
-    # The highest frequency that the arm moves at; all frequencies where it does not move.
+    # The highest frequency at which the arm moves; the highest of all where it does not move.
     frequency = spectra.frequency
     motion = spectra.motion
     fastest = frequency[_speed_index(frequency, motion) if np.any(motion) else -1]
@@ -110,10 +120,10 @@ def choose_cutoff(spectra: Spectra) -> CutoffChoice:
     candidates = candidates[candidates <= bound]
     errors = np.array([_squared_error(cutoff, spectra) for cutoff in candidates])
     largest_error = max(_HARMLESS_ERROR, _ERROR_TOLERANCE * errors.min())
-    chosen = np.flatnonzero(errors <= largest_error)[-1]
-    cutoff = float(candidates[chosen])
+    index = np.flatnonzero(errors <= largest_error)[-1]
+    cutoff = float(candidates[index])
     sigma = spectra.position_noise
-    expected = float(np.sqrt(errors[chosen]))
+    expected = float(np.sqrt(errors[index]))
     reason = (
         f"cut-off {cutoff:.3g} Hz chosen from the data: position noise {sigma.min():.2g} to "
         f"{sigma.max():.2g} rad, expected error of the acceleration {percent(expected)}"
@@ -122,9 +132,8 @@ def choose_cutoff(spectra: Spectra) -> CutoffChoice:
 
 
 def acceleration_noise(spectra: Spectra | None, cutoff: float) -> float:
-    """Return the noise that a cut-off [Hz] leaves in the acceleration, relative to the motion.
-
-    Both are root mean squares. Infinite where nothing moves or the log is too short for spectra.
+    """Return the root mean square of the noise that a cut-off [Hz] leaves in the acceleration over
+    that of the motion's acceleration; infinite where nothing moves or there are no spectra.
     """
     moved = 0.0 if spectra is None else np.sum(spectra.motion)
     if spectra is None or moved <= 0.0:
@@ -170,7 +179,13 @@ def _drop_repeated_readings(
     """Return positions (M, n), quantisation errors (M, n) and rate [Hz] of the new readings alone.
 
     A reading that is held for several rows has images at multiples of its own rate, which look like
-    noise at every frequency. The arguments are returned where rows are new or come irregularly.
+    noise at every frequency. Where most rows are new, or new readings come irregularly, the
+    arguments are returned unchanged.
+
+    Args:
+        q: (N, n) positions on a uniform grid [rad].
+        steps: (N, n) quantisation errors [rad].
+        rate: of the grid [Hz].
     """
     is_new = np.concatenate(([True], np.any(q[1:] != q[:-1], axis=1)))
     share = float(np.mean(is_new))
@@ -192,10 +207,10 @@ def _drop_repeated_readings(
 def quantisation_error(q: Array) -> Array:
     """Return the error (N, n) that the steps of an encoder make in its readings q (N, n) [rad].
 
-    It is the distance from a line through the middles of the steps: between two readings that
-    differ, the joint passed the middle of them, and between two such middles it moved nearly
-    straight on. It is zero for a joint whose reading hardly ever repeats while the joint moves: its
-    steps are too fine to make a staircase.
+    The error is the reading minus a piecewise straight line: between two successive readings that
+    differ, the joint passed the middle of the two, and between two such middles it moved at nearly
+    constant speed. The error is zero for a joint whose reading hardly ever repeats while the joint
+    moves: its steps are too fine to make a staircase.
     """
     error = np.zeros_like(q)
     sample = np.arange(len(q))
@@ -261,7 +276,11 @@ def _motion_power(frequency: Array, power: Array, noise: Array) -> Array:
 def _speed_index(frequency: Array, motion: Array) -> int:
     """Return the index of the frequency (F,) below which 99 % of the squared speed lies.
 
-    Only the spectrum up to its first gap counts; ``motion`` (F,) is the acceleration's power.
+    Only the spectrum up to its first gap counts.
+
+    Args:
+        frequency: (F,) [Hz].
+        motion: (F,) power density of the motion's acceleration.
     """
     speed = _cumulative_squared_speed(frequency, motion)
     total = speed[_gap_index(frequency, motion)]
@@ -269,7 +288,12 @@ def _speed_index(frequency: Array, motion: Array) -> int:
 
 
 def _cumulative_squared_speed(frequency: Array, motion: Array) -> Array:
-    """Return (F,) the squared speed up to each frequency (F,) of a motion's spectrum (F,)."""
+    """Return (F,) the squared speed of a motion up to each frequency, up to a constant factor.
+
+    Args:
+        frequency: (F,) [Hz].
+        motion: (F,) power density of the motion's acceleration.
+    """
     return np.asarray(np.cumsum(motion / frequency**2))
 
 
@@ -278,7 +302,8 @@ def _gap_index(frequency: Array, motion: Array) -> int:
 
     Beyond such a gap lie images of the motion, which repeated samples and jitter in time leave. The
     search begins at the frequency below which half of the squared speed of the lower half of all
-    octaves lies: that is motion for sure. The last index where there is no gap.
+    octaves lies: power there is motion for certain. Where there is no gap, the last index is
+    returned. The arguments are those of ``_speed_index``.
     """
     speed = _cumulative_squared_speed(frequency, motion)
     last = len(frequency) - 1

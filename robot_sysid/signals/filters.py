@@ -35,13 +35,15 @@ _FINEST_STRIDE = 6
 _COARSEST_STRIDE = 9
 """Most input samples per decimated sample, where that divides the decimation better (chosen)."""
 _FREQUENCIES_PER_WEIGHT = 12
-"""Frequencies per weight at which two filters are made alike (chosen)."""
+"""Frequencies per weight at which ``LowPass.at_lower_rate`` fits the response of the new filter to
+that of the old one (chosen)."""
 _STOP_BAND_WEIGHT = 1e-5
-"""Weight, in that fit, of the frequencies above three cut-offs (chosen)."""
+"""Weight of frequencies above three cut-offs in the fit of ``LowPass.at_lower_rate``; frequencies
+below have weight 1 (chosen)."""
 CHUNK = 2048
 """Samples processed at a time: as many as fit into a cache."""
 _LONGEST_HALF_WIDTH = 1e7
-"""Samples of half a kernel that no log has: three hours at 1 kHz."""
+"""Largest half width of a kernel [samples]; no log is that long: three hours at 1 kHz."""
 HIGHEST_CUTOFF = 0.3
 """Largest cut-off over the sample rate for which the stop band begins below Nyquist."""
 
@@ -54,7 +56,7 @@ class LowPass:
         cutoff: frequency that is passed with half its amplitude [Hz].
         rate: of the samples [Hz].
         kernel: (2 M + 1,) symmetric weights that add up to one.
-        step: every how many samples one filtered sample is kept when decimating.
+        step: number of input samples per decimated sample.
     """
 
     cutoff: float
@@ -78,11 +80,12 @@ class LowPass:
         return max(width for width in range(1, largest + 1) if divisor % width == 0)
 
     def at_lower_rate(self, stride: int) -> LowPass:
-        """Return the filter for every ``stride``-th sample, counted from the first.
+        """Return the filter for a signal of which only every ``stride``-th sample is given, counted
+        from the first; ``stride`` divides ``half_width`` and ``step``.
 
-        Its weights minimise the squared difference of the two filters' responses: up to three
-        cut-offs they differ by less than 1e-8, above by less than 1e-3. It has images around
-        multiples of its rate.
+        The weights minimise the squared difference of the two filters' responses: up to three
+        cut-offs they differ by less than 1e-8, above by less than 1e-3. The filter has images
+        around multiples of the lower rate.
         """
         if stride == 1:
             return self
@@ -93,6 +96,7 @@ class LowPass:
         weight = np.where(in_band, 1.0, _STOP_BAND_WEIGHT)[:, None]
 
         def weighted_cosines(half_width: int, sample_rate: float) -> Array:
+            """Return the weighted response (F, M + 1) at ``frequency`` per weight of a kernel."""
             time = np.arange(half_width + 1) / sample_rate
             cosines = weight * np.cos(2.0 * np.pi * np.outer(frequency, time))
             cosines[:, 1:] *= 2.0  # both sides of the centre
@@ -100,14 +104,16 @@ class LowPass:
 
         response = weighted_cosines(self.half_width, self.rate)
         target = response @ self.kernel[self.half_width :]
-        later = np.linalg.lstsq(weighted_cosines(half, rate), target, rcond=None)[0]
-        kernel = np.concatenate((later[:0:-1], later))
+        cosines = weighted_cosines(half, rate)
+        # The weights from the middle to one end of the symmetric kernel.
+        half_kernel = np.linalg.lstsq(cosines, target, rcond=None)[0]
+        kernel = np.concatenate((half_kernel[:0:-1], half_kernel))
         return LowPass(self.cutoff, rate, kernel, self.step // stride)
 
     def filter(self, values: Array) -> Array:
-        """Return (N - 2 M, ...) filtered samples of values (N, ...), one per inner sample.
+        """Return (N - 2 M, ...) filtered samples of values (N, ...): all but M at each end.
 
-        By Fourier transforms of overlapping blocks (Oppenheim, Schafer, sec. 8.7.3).
+        Computed by Fourier transforms of overlapping blocks (Oppenheim, Schafer, sec. 8.7.3).
         """
         width = len(self.kernel)
         count = max(0, len(values) - len(self.kernel) + 1)
@@ -128,7 +134,9 @@ class LowPass:
         return Decimator(self).push(values)
 
     def centres(self, n_samples: int) -> NDArray[np.int64]:
-        """Return (K,) the index of the sample, of ``n_samples``, at each decimated one's centre."""
+        """Return the indices (K,) of the input samples, of ``n_samples``, at the instants of the
+        decimated samples.
+        """
         return np.arange(self.half_width, n_samples - self.half_width, self.step)
 
 
@@ -137,9 +145,13 @@ def design_low_pass(
 ) -> LowPass:
     """Return the low-pass with a cut-off [Hz] at a sample rate [Hz].
 
-    Decimated samples come at about twice the cut-off, so that white noise stays nearly white and
-    their number says how much information the data hold. The attenuation of the stop band [dB]
-    also bounds the ripple of the pass band.
+    The rate of decimated samples is about twice the cut-off, so that white noise stays nearly white
+    and the number of rows measures the information in the data.
+
+    Args:
+        cutoff: frequency that is passed with half its amplitude [Hz].
+        rate: of the samples [Hz].
+        attenuation: of the stop band [dB]; it also bounds the ripple of the pass band.
 
     Raises:
         InputError: the cut-off is too high for the rate, or its kernel longer than any log.
@@ -179,11 +191,13 @@ class Decimator:
         self._skip = 0
 
     def push(self, values: Array) -> Array:
-        """Take the next samples (N, ...) and return the decimated ones (K, ...) they complete.
+        """Take the next samples (N, ...) of the stream and return the decimated samples (K, ...),
+        K >= 0, that are complete with them.
 
-        Samples that later ones still need are copied and kept.
+        ``values`` is not changed, and may be changed after the call: samples that are needed for
+        later decimated samples are copied.
         """
-        # Samples of one number side by side in memory: up to eight times as fast as otherwise.
+        # Successive samples side by side in memory: up to eight times as fast as otherwise.
         waiting = np.ascontiguousarray(np.moveaxis(values, 0, -1), dtype=float)
         if self._waiting is not None:
             waiting = np.concatenate((self._waiting, waiting), axis=-1)
@@ -211,15 +225,16 @@ FINE_REACH = 8
 SHIFT_REACH = 32
 """Samples lost at each end by a shift, besides the shift itself."""
 _SHIFT_ATTENUATION = 100.0
-"""Of the shift's Kaiser window [dB]: flat to 1e-5 up to 0.8 times the Nyquist frequency."""
+"""Attenuation of the Kaiser window of ``shift_samples`` [dB]: its gain is 1 to within 1e-5 up to
+0.8 times the Nyquist frequency."""
 
 
 def first_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
     """Return the time derivative of values (N, ...) sampled at ``rate`` [Hz], (N - 2 reach, ...).
 
-    Of order 2 reach: weights w_k / k, w_k = (-1)^(k + 1) C(2 reach, reach - k) / C(2 reach, reach),
-    of the samples k later, and their negatives of those k earlier (Fornberg, "Generation of finite
-    difference formulas", Math. Comp. 51, 1988).
+    A central difference of order 2 reach: the sample k steps later has the weight w_k / k, the
+    sample k steps earlier -w_k / k, w_k = (-1)^(k + 1) C(2 reach, reach - k) / C(2 reach, reach)
+    (Fornberg, "Generation of finite difference formulas", Math. Comp. 51, 1988).
     """
     ahead, weights = _central_weights(reach)
     later = weights / ahead
@@ -230,8 +245,9 @@ def second_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
     """Return the second time derivative of values (N, ...) sampled at ``rate`` [Hz],
     (N - 2 reach, ...).
 
-    Weights 2 w_k / k^2 on both sides, w_k as in ``first_derivative``; the weight in the middle
-    makes their sum zero.
+    A central difference of order 2 reach: the samples k steps later and earlier have the weight
+    2 w_k / k^2, w_k as in ``first_derivative``; the weight of the middle sample makes the sum of
+    all weights zero.
     """
     ahead, weights = _central_weights(reach)
     later = 2.0 * weights / ahead**2
@@ -247,21 +263,24 @@ def _central_weights(reach: int) -> tuple[Array, Array]:
 
 
 def shift_samples(values: Array, samples: float) -> tuple[Array, int]:
-    """Return (shifted (K, ...), first), with shifted[k] = values(k + first + samples).
+    """Return (shifted (K, ...), first): values (N, ...) at ``samples`` sample steps later.
+
+    shifted[k] is the value at the position k + first + samples; ``samples`` may be negative and
+    need not be whole. Values at the ends that cannot be computed are left out.
 
     A band-limited signal (N, ...) is shifted exactly by its sinc series, here cut off by a window;
     whole samples are shifted by slicing, without any error.
     """
-    whole = math.floor(samples + 0.5)
-    fraction = samples - whole
+    whole_samples = math.floor(samples + 0.5)
+    fraction = samples - whole_samples
     offset = np.arange(-SHIFT_REACH, SHIFT_REACH + 1) - fraction
     inside = np.maximum(0.0, 1.0 - (offset / (SHIFT_REACH + 1)) ** 2)
     window = np.i0(_kaiser_beta(_SHIFT_ATTENUATION) * np.sqrt(inside))
     stencil = np.sinc(offset) * window
     inner = _correlate(values, stencil / stencil.sum())
-    first = SHIFT_REACH + max(0, -whole)
-    start = max(0, whole)
-    stop = len(inner) + min(0, whole)
+    first = SHIFT_REACH + max(0, -whole_samples)
+    start = max(0, whole_samples)
+    stop = len(inner) + min(0, whole_samples)
     return inner[start:stop], first
 
 
@@ -270,9 +289,9 @@ def _correlate(
 ) -> Array:
     """Return ``scale`` times the sums of values (N, ...) under a stencil (S,), (N - S + 1, ...).
 
-    A stencil that is blind to polynomials below ``order`` is summed by parts so many times:
-    Sum_k s_k x_k = -sum_k S_k (x_(k+1) - x_k), S_k = s_0 + ... + s_k. Neighbours' differences have
-    no rounding errors, which the square of the rate would make large.
+    A stencil whose sums with polynomials of a degree below ``order`` are zero is summed by parts
+    ``order`` times: sum_k s_k x_k = -sum_k S_k (x_(k+1) - x_k), S_k = s_0 + ... + s_k. Differences
+    of successive values have no rounding errors, which the square of the rate would make large.
     """
     reach = len(stencil) - 1
     count = max(0, len(values) - len(stencil) + 1)
