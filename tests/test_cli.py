@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -38,9 +39,9 @@ def test_bad_files_exit_2_with_one_line_and_nothing_written(arm, command):
     """What each is refused for is tested where it is read."""
     path = arm.with_name("bad.xml")
     assert "not found" in command.refused(path)
-    for text, word in ((ARM[: len(ARM) // 2], "XML"), (MISSING_MESH, "cup.stl")):
+    for text, phrase in ((ARM[: len(ARM) // 2], "XML"), (MISSING_MESH, "cup.stl")):
         path.write_text(text)
-        assert word in command.refused(path)
+        assert phrase in command.refused(path)
     assert "is a folder" in command.refused(arm.parent)
 
 
@@ -54,62 +55,36 @@ def test_a_log_that_is_not_understood_leaves_a_columns_file_and_never_over_anoth
         "complete run_columns.txt, which was written for it, and add --columns run_col"
         in message
     )
-    mine = arm.with_name("run_columns.txt")
-    assert "torque = ?, ?" in mine.read_text()
-    mine.write_text("mine")
+    columns_file = arm.with_name("run_columns.txt")
+    assert "torque = ?, ?" in columns_file.read_text()
+    columns_file.write_text("mine")
     assert "which was written" not in command.refused("log", "run.csv", arm)
 
 
-BAD_OPTIONS = {
-    "zero duration": (["--duration", "0"], "--duration must be positive"),
-    "duration in words": (
-        ["--duration", "long"],
-        "argument --duration: invalid float value",
-    ),
-    "one number of two": (
-        ["--workspace", "1"],
-        "argument --workspace: expected 6 arguments",
-    ),
-    "two dashes": (["--duration=--"], "argument --duration: expected a value, not --"),
-    "two dashes of several": (["--max-acceleration=--"], "expected a value, not --"),
-    "no such choice": (
-        ["--torques", "all"],
-        "argument --torques: invalid choice: 'all'",
-    ),
-    "no output folder": (
-        ["--output-dir", ""],
-        "--output-dir: the folder's name is empty",
-    ),
-    "output folder without a name": (
-        ["--output-dir", "\udcff"],
-        "cannot be written as UTF-8",
-    ),
-    "output folder with too long a name": (
-        ["--output-dir", 300 * "n"],
-        "File name too long",
-    ),
-    "log with too long a name": (["--measurements", 300 * "n"], "File name too long"),
-    "unknown joint": (["--joint", "wrist"], "the model has: joint0, joint1"),
-    "a file for a folder": (
-        ["--output-dir", "arm.xml/results"],
-        "arm.xml is not a folder",
-    ),
-    "unknown option": (
-        ["--measurement", "a"],
-        "--measurement: did you mean --measurements?",
-    ),
-    "unknown motor type": (
-        ["--export-damiao", "--motor-type", "DM1", "--motor-type", "DM4340"],
-        "DM4340_48V",
-    ),
-    "too few motor types": (["--export-damiao", "--motor-type", "DM4340"], "2 joints"),
-    "mesh folder is a file": (["--mesh-dir", "arm.xml"], "arm.xml is not a folder"),
-}
+BAD_OPTIONS = [
+    ("--duration 0", "--duration must be positive"),
+    ("--duration long", "argument --duration: invalid float value"),
+    ("--workspace 1", "argument --workspace: expected 6 arguments"),
+    ("--duration=--", "argument --duration: expected a value, not --"),
+    ("--max-acceleration=--", "expected a value, not --"),
+    ("--torques all", "argument --torques: invalid choice: 'all'"),
+    ("--output-dir ''", "--output-dir: the folder's name is empty"),
+    ("--output-dir \udcff", "cannot be written as UTF-8"),
+    (f"--output-dir {300 * 'n'}", "File name too long"),
+    (f"--measurements {300 * 'n'}", "File name too long"),
+    ("--joint wrist", "the model has: joint0, joint1"),
+    ("--output-dir arm.xml/results", "arm.xml is not a folder"),
+    ("--measurement a", "--measurement: did you mean --measurements?"),
+    ("--export-damiao --motor-type DM1 --motor-type DM4340", "DM4340_48V"),
+    ("--export-damiao --motor-type DM4340", "2 joints"),
+    ("--mesh-dir arm.xml", "arm.xml is not a folder"),
+]
+"""Options and a phrase of the error message that each of them gets."""
 
 
 def test_bad_options_exit_2_with_one_line_and_nothing_written(arm, command):
-    for case, (options, word) in BAD_OPTIONS.items():
-        assert word in command.refused(arm, *options), case
+    for options, phrase in BAD_OPTIONS:
+        assert phrase in command.refused(arm, *shlex.split(options)), options
 
 
 def test_a_word_that_is_neither_model_nor_command_is_told_what_is_expected(command):
@@ -152,21 +127,17 @@ def test_names_do_not_break_the_lines_of_what_is_written(arm, command):
         )
     )
 
-    def lines(model, folder):
+    def count_lines(model, folder):
+        """The number of lines of every printed and written text of a run."""
         log = f"{folder}/log.csv"
-        outputs = command.run(
-            model, *SHORT, "--save-measurements", log, "--output-dir", folder
-        )
-        texts = [
-            arm.parent / folder / name for name in ("updated_model.xml", "params.json")
-        ]
-        text = [path.read_text(encoding="utf-8").strip() for path in texts]
-        return [
-            len(text_part.splitlines())
-            for text_part in (*outputs, *command.run("log", log), *text)
-        ]
+        options = ("--save-measurements", log, "--output-dir", folder)
+        texts = [*command.run(model, *SHORT, *options), *command.run("log", log)]
+        for name in ("updated_model.xml", "params.json"):
+            path = arm.parent / folder / name
+            texts.append(path.read_text(encoding="utf-8").strip())
+        return [len(text.splitlines()) for text in texts]
 
-    assert lines(odd, f"o{ends[1:]}ut") == lines(arm, "out")
+    assert count_lines(odd, f"o{ends[1:]}ut") == count_lines(arm, "out")
 
 
 def test_what_is_not_sought_or_not_seen_is_said(arm, command):
@@ -192,20 +163,22 @@ def test_a_model_that_cannot_be_written_keeps_the_numbers(arm, command):
     assert "Identified parameters:" in printed.out
     assert "settotalmass" in printed.err.splitlines()[-1]
     assert "updated_model.xml of an earlier run was removed" in printed.err
-    left = {path.name for path in (arm.parent / "sysid_output").iterdir()}
-    assert left == {"params.json", "run.toml"}
+    assert set(files_in(arm.parent / "sysid_output")) == {"params.json", "run.toml"}
 
 
 def test_a_seed_repeats_a_run_to_the_last_bit_and_none_draws_another(arm, command):
     for folder in ("a", "b"):
         command.run(arm, *SHORT, "--output-dir", folder)
-    one, other = (files_in(arm.parent / folder) for folder in "ab")
-    assert one.pop("run.toml") and other.pop("run.toml") and one == other
-    drawn = [
-        json.loads(command.run(arm, *SHORT[:4], "--json").out)["seed"] for _ in "ab"
-    ]
-    assert drawn[0] != drawn[1]
-    params = (folder := arm.parent / "sysid_output") / "params.json"
+    files = files_in(arm.parent / "a")
+    same_files = files_in(arm.parent / "b")
+    assert files.pop("run.toml") and same_files.pop("run.toml") and files == same_files
+    seeds = set()
+    for _ in range(2):
+        printed = command.run(arm, *SHORT[:4], "--json")
+        seeds.add(json.loads(printed.out)["seed"])
+    assert len(seeds) == 2
+    folder = arm.parent / "sysid_output"
+    params = folder / "params.json"
     content = params.read_bytes()
     params.unlink()
     command.run("--config", folder / "run.toml")
@@ -217,8 +190,8 @@ def test_debug_shows_the_traceback(arm, command):
 
 
 @pytest.fixture
-def first(command, arm):
-    """The files of a run, which are in the output folder."""
+def old_files(command, arm):
+    """Names and contents of the result files of a run in the output folder."""
     command.run(arm, *SHORT, *EXPORT)
     files = files_in(arm.parent / "sysid_output")
     assert sorted(files) == WITH_OPTIONS
@@ -226,7 +199,7 @@ def first(command, arm):
 
 
 def test_a_signal_waits_until_the_new_set_is_there_with_the_model_last(
-    first, command, arm, monkeypatch
+    old_files, command, arm, monkeypatch
 ):
     replace = os.replace
     order = []
@@ -243,21 +216,20 @@ def test_a_signal_waits_until_the_new_set_is_there_with_the_model_last(
         printed.err == "robot-sysid: error: interrupted; no unfinished file is left\n"
     )
     assert sorted(order) == RESULTS and order[-1] == "updated_model.xml"
-    second = files_in(arm.parent / "sysid_output")
-    assert sorted(second) == RESULTS and all(
-        second[name] != first[name] for name in RESULTS
-    )
+    new_files = files_in(arm.parent / "sysid_output")
+    assert sorted(new_files) == RESULTS
+    assert all(new_files[name] != old_files[name] for name in RESULTS)
 
 
 def test_a_signal_at_work_leaves_the_old_results_and_no_drafts(
-    first, command, arm, monkeypatch
+    old_files, command, arm, monkeypatch
 ):
     def stop(*_, **__):
         signal.raise_signal(signal.SIGTERM)
 
     monkeypatch.setattr("robot_sysid.results.verification.require_reproduction", stop)
     command.run(arm, *SHORT[:4], "--seed", "2", *EXPORT, code=130)
-    assert files_in(arm.parent / "sysid_output") == first
+    assert files_in(arm.parent / "sysid_output") == old_files
 
 
 def test_two_runs_do_not_write_into_one_folder(command, arm):
@@ -267,7 +239,7 @@ def test_two_runs_do_not_write_into_one_folder(command, arm):
     command.run(arm, *SHORT)
 
 
-def process(*arguments, cwd, **streams):
+def run_process(*arguments, cwd, **streams):
     call = [sys.executable, "-m", "robot_sysid", *map(str, arguments)]
     return subprocess.run(call, cwd=cwd, **{"stderr": subprocess.PIPE, **streams})
 
@@ -276,9 +248,9 @@ def test_a_process_leaves_nothing_but_results_though_its_reader_goes_away(arm):
     """No MUJOCO_LOG.TXT, nothing raw on standard error."""
     reader, writer = os.pipe()
     os.close(reader)
-    done = process(arm, *SHORT, cwd=arm.parent, stdout=writer)
+    completed = run_process(arm, *SHORT, cwd=arm.parent, stdout=writer)
     os.close(writer)
-    assert (done.returncode, done.stderr) == (0, b"")
+    assert (completed.returncode, completed.stderr) == (0, b"")
     assert {p.name for p in arm.parent.iterdir()} == {"arm.xml", "sysid_output"}
     assert (arm.parent / "sysid_output" / "params.json").is_file()
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pytest import approx
 
 from robot_sysid import export as module
 from robot_sysid.dynamics import spatial
@@ -87,7 +88,7 @@ def test_a_payload_has_a_card_beside_the_model(robot, out):
     output = save_result(robot, result_of(robot, payload=payload), out, as_body="load")
     assert names_in(out) == ["params.json", "payload_card.txt", "updated_model.xml"]
     model = load_robot_model(out / "updated_model.xml", joint="j2").mj_model
-    assert model.body("load").mass == pytest.approx(2.0, rel=1e-12)
+    assert model.body("load").mass == approx(2.0, rel=1e-12)
     card = (out / "payload_card.txt").read_text()
     assert card.startswith(
         "Payload of 2.00000 ± 0.00010 kg, identified with m.xml from 1 empty and 2"
@@ -230,22 +231,34 @@ def test_a_run_that_ends_with_an_error_leaves_the_old_set(robot, out, monkeypatc
 # ---- params.json
 
 SPECIFIED = [
-    *(
-        "joint_name",
-        "mass",
-        "center_of_mass_moment",
-        "inertia_tensor",
-        "coulomb_friction",
-    ),
-    *("viscous_friction", "rmse", "condition_number", "n_base_params"),
+    "joint_name",
+    "mass",
+    "center_of_mass_moment",
+    "inertia_tensor",
+    "coulomb_friction",
+    "viscous_friction",
+    "rmse",
+    "condition_number",
+    "n_base_params",
 ]
+VALIDATOR = jsonschema.Draft202012Validator(schema("params"))
 
 
 def content_of(result, cards=(), notes=()):
+    """The params.json of a result, which is strict JSON and keeps to the schema."""
     text = params_json_text(result, cards, notes)
     content = json.loads(text, parse_constant=pytest.fail)
-    jsonschema.Draft202012Validator(schema("params")).validate(content)
+    VALIDATOR.validate(content)
     return content
+
+
+def assert_holds(content, expected):
+    """Check that values are equal, each by its path of keys and indices, ``links/0/mass``."""
+    for path, expected_value in expected.items():
+        value = content
+        for key in path.split("/"):
+            value = value[int(key) if key.isdigit() else key]
+        assert value == expected_value, path
 
 
 @pytest.mark.parametrize(
@@ -255,12 +268,9 @@ def test_one_schema_holds_the_answer_to_every_question(result):
     content = content_of(result)
     assert list(content)[: len(SPECIFIED) + 1] == ["schema_version", *SPECIFIED]
     assert list(content) == schema("params")["required"]
-    validator = jsonschema.Draft202012Validator(schema("params"))
-    for invalid in (
-        {**content, "weight": 1.0},
-        {k: v for k, v in content.items() if k != "links"},
-    ):
-        assert not validator.is_valid(invalid)
+    assert not VALIDATOR.is_valid({**content, "weight": 1.0})
+    del content["links"]
+    assert not VALIDATOR.is_valid(content)
 
 
 @pytest.mark.parametrize("name", ["params", "servo"])
@@ -285,199 +295,182 @@ def test_reading_back_gives_the_same_bits(tmp_path_factory, seed):
 
 def test_the_specified_keys_hold_the_terminal_link_and_the_others_what_the_run_was():
     content = content_of(made.found())
-    figures = [
-        content[key] for key in ("mass", "coulomb_friction", "viscous_friction", "rmse")
-    ]
-    assert figures == [2.0, 0.4, 0.1, 0.03]
-    assert (content["condition_number"], content["n_base_params"]) == (50.0, 12)
-    assert content["known_to"] == pytest.approx(1e-3) and content["question"] == "link"
-    content = content_of(
-        made.found(made.without_mass(), reasons=("why",), verdict=Verdict.TOO_WEAK)
-    )
-    assert (
-        content["parameter_source"]["m"]
-        == content["links"][0]["source"]["m"]
-        == "from_model"
-    )
-    assert content["parameter_source"]["viscous[j6]"] == "identified"
+    specified = {
+        "mass": 2,
+        "coulomb_friction": 0.4,
+        "viscous_friction": 0.1,
+        "rmse": 0.03,
+    }
+    specified |= {"condition_number": 50, "n_base_params": 12}
+    assert content == {**content, **specified}
+    assert_holds(content, {"known_to": approx(1e-3), "question": "link"})
+    expected = {
+        "parameter_source/m": "from_model",
+        "links/0/source/m": "from_model",
+        "parameter_source/viscous[j6]": "identified",
+        "status": "TOO_WEAK",
+        "reasons": ["why"],
+        "unidentifiable_combinations": ["mass"],
+        "known_to": None,
+    }
+    result = made.found(made.without_mass(), reasons=("why",), verdict=Verdict.TOO_WEAK)
+    content = content_of(result)
+    assert_holds(content, expected)
     assert list(content["valid"].values()) == [True, False, False]
-    assert (content["status"], content["reasons"]) == ("TOO_WEAK", ["why"])
-    assert (
-        content["unidentifiable_combinations"] == ["mass"]
-        and content["known_to"] is None
-    )
-    bare = made.estimate(
-        names=(*spatial.PARAMETER_NAMES, *(f"{n}x" for n in made.FRICTION))
-    )
-    assert content_of(made.found(bare, joints={}))["viscous_friction"] is None
-    content = content_of(made.itself())
-    assert (content["source"], content["seed"]) == ("simulation of the model itself", 1)
-    assert [content["duration"], content["sample_rate"]] == [15.0, 1000.0]
+    names = (*spatial.PARAMETER_NAMES, *(f"{name}x" for name in made.FRICTION))
+    frictionless = made.found(made.estimate(names=names), joints={})
+    assert content_of(frictionless)["viscous_friction"] is None
+    origin = {"source": "simulation of the model itself", "seed": 1}
+    origin |= {"duration": 15, "sample_rate": 1000}
+    assert_holds(content_of(made.itself()), origin)
 
 
 def test_what_is_not_finite_is_null_everywhere():
     result = made.without_mass()
     identifiability = replace(result.identifiability, condition_number=np.inf)
     result = replace(result, identifiability=identifiability, rmse=np.float64("nan"))
-    content = content_of(
-        made.found(result, sensors={"zero[j6]": Quantity(0.0, np.nan)})
-    )
-    assert content["condition_number"] is None and content["rmse"] is None
-    assert content["standard_errors"]["m"] is None
+    sensors = {"zero[j6]": Quantity(0.0, np.nan)}
+    content = content_of(made.found(result, sensors=sensors))
     zero = {"value": 0.0, "standard_error": None, "interval": [None, None]}
-    assert content["sensors"] == {"zero[j6]": zero}
-    errors = content["links"][0]["standard_errors"]
-    assert errors["mass"] is None and errors["com_x"] is None and errors["Ixx"] > 0.0
+    expected = {
+        "condition_number": None,
+        "rmse": None,
+        "standard_errors/m": None,
+        "sensors": {"zero[j6]": zero},
+        "links/0/standard_errors/mass": None,
+        "links/0/standard_errors/com_x": None,
+    }
+    assert_holds(content, expected)
+    assert content["links"][0]["standard_errors"]["Ixx"] > 0.0
 
 
 def test_links_joints_and_the_file_stand_beside_the_models():
     content = content_of(made.whole(), notes=("another",))
-    first, last = content["links"]
-    assert (first["name"], first["joint"], last["name"]) == ("link5", "j5", "link6")
-    masses = [last[key]["mass"] for key in ("model", "in_the_file")]
-    assert [last["mass"], *masses] == pytest.approx([2.0, 1.0, 1.8])
-    assert first["in_the_file"]["mass"] == pytest.approx(3.0)
-    assert last["error_budget"]["links"]["m"] == pytest.approx(0.8 * 2e-3)
-    file = content["file"]
-    assert file["torque_error"] == {"before": 0.27, "after": 0.0025}
-    assert file["others"][0]["before"]["relative_error"] == 0.3
-    assert file["others"][0]["after"]["rmse"] == 0.05
-    assert (file["gravity"], file["kept"]) == ([0.0, 0.1, -9.8], ["rotor inertia"])
-    assert content["notes"] == ["a note", "another"]
-    joint = content["joints"]["j5"]
-    low, high = joint["terms"]["coulomb"]["interval"]
-    assert (low, high) == pytest.approx((0.5 - 1.96 * 5e-4, 0.5 + 1.96 * 5e-4))
-    assert [
-        joint["two_ways"][direction]["value"] for direction in ("forward", "backward")
-    ] == [0.6, 0.4]
-    assert joint["in_the_file"]["viscous"]["value"] == 0.25
-    assert joint["another_day"]["coulomb"]["standard_error"] == 0.08
-    assert [log["coulomb"]["value"] for log in joint["logs"].values()] == [0.45, 0.55]
-    assert content["couplings"]["j5+j6"]["terms"]["viscous"]["value"] == 0.05
-    assert list(content["base_parameters"][1].values()) == [
-        "hx(link6)",
-        0.02,
-        0.03,
-        False,
-    ]
-    massless = made.model_file(
-        thetas=np.array([np.zeros(10), made.THETA]), validation_after=None
-    )
+    expected = {
+        "links/0/name": "link5",
+        "links/0/joint": "j5",
+        "links/0/in_the_file/mass": approx(3.0),
+        "links/1/name": "link6",
+        "links/1/mass": approx(2.0),
+        "links/1/model/mass": approx(1.0),
+        "links/1/in_the_file/mass": approx(1.8),
+        "links/1/error_budget/links/m": approx(0.8 * 2e-3),
+        "file/torque_error": {"before": 0.27, "after": 0.0025},
+        "file/others/0/before/relative_error": 0.3,
+        "file/others/0/after/rmse": 0.05,
+        "file/gravity": [0.0, 0.1, -9.8],
+        "file/kept": ["rotor inertia"],
+        "notes": ["a note", "another"],
+        "joints/j5/terms/coulomb/interval/0": approx(0.5 - 1.96 * 5e-4),
+        "joints/j5/terms/coulomb/interval/1": approx(0.5 + 1.96 * 5e-4),
+        "joints/j5/two_ways/forward/value": 0.6,
+        "joints/j5/two_ways/backward/value": 0.4,
+        "joints/j5/in_the_file/viscous/value": 0.25,
+        "joints/j5/another_day/coulomb/standard_error": 0.08,
+        "joints/j5/logs/a.csv/coulomb/value": 0.45,
+        "joints/j5/logs/b.csv/coulomb/value": 0.55,
+        "couplings/j5+j6/terms/viscous/value": 0.05,
+    }
+    assert_holds(content, expected)
+    base_parameter = list(content["base_parameters"][1].values())
+    assert len(content["links"]) == 2 and len(content["joints"]["j5"]["logs"]) == 2
+    assert base_parameter == ["hx(link6)", 0.02, 0.03, False]
+    thetas = np.array([np.zeros(10), made.THETA])
+    massless = made.model_file(thetas=thetas, validation_after=None)
     content = content_of(made.whole(file=massless))
-    assert (
-        content["links"][0]["in_the_file"]
-        is content["file"]["torque_error"]["after"]
-        is None
+    assert_holds(
+        content, {"links/0/in_the_file": None, "file/torque_error/after": None}
     )
 
 
-# What BAM's models m1 to m4 have, beside kt and R of an actuator.
-IN_BAM = {
-    "m1": {"friction_base", "friction_viscous", "armature"},
-    "m2": {"friction_stribeck", "dtheta_stribeck", "alpha"},
-    "m3": {"load_friction_base"},
-    "m4": {
-        *("friction_stribeck", "dtheta_stribeck", "alpha"),
-        *("load_friction_base", "load_friction_stribeck"),
-    },
-}
 STRIBECK = {"stribeck": 0.5, "stribeck_speed": 0.05}
 BASIC = {"coulomb": 1.3, "viscous": 0.7, "offset": 0.1, "armature": 0.2}
+IN_M1 = "friction_base friction_viscous armature"
+IN_M2 = f"{IN_M1} friction_stribeck dtheta_stribeck alpha"
+IN_M4 = f"{IN_M2} load_friction_base load_friction_stribeck"
+"""What BAM's models m1, m2 and m4 have, beside kt and R of an actuator."""
 
 
 def bam_of(values):
+    """The friction of joint j5 as BAM states it, of the terms' values in params.json."""
     terms = {term: Quantity(value, 0.01) for term, value in values.items()}
-    model = "-".join(term for term in values if not term.endswith("_speed")) or "none"
-    result = made.whole(joints={"j5": JointEstimate(model, terms)})
-    return json.loads(params_json_text(result))["joints"]["j5"]["bam"]
+    model = "-".join(term for term in values if not term.endswith("_speed"))
+    content = content_of(made.whole(joints={"j5": JointEstimate(model, terms)}))
+    return content["joints"]["j5"]["bam"]
 
 
 @pytest.mark.parametrize(
-    ("number", "more"),
+    ("number", "more_terms", "keys"),
     [
-        ("m1", {}),
-        ("m2", STRIBECK),
-        ("m3", {"load": 0.06}),
-        ("m4", {**STRIBECK, "load": 0.06}),
+        ("m1", {}, IN_M1),
+        ("m2", STRIBECK, IN_M2),
+        ("m3", {"load": 0.06}, f"{IN_M1} load_friction_base"),
+        ("m4", {**STRIBECK, "load": 0.06}, IN_M4),
     ],
 )
-def test_bam_gets_its_own_model_and_names(number, more):
-    bam = bam_of({**BASIC, **more})
-    assert bam["model"] == number
-    assert set(bam) - {"model"} == IN_BAM["m1"] | IN_BAM[number]
-    assert (bam["friction_base"], bam["friction_viscous"], bam["armature"]) == (
-        1.3,
-        0.7,
-        0.2,
-    )
-    assert bam.get("load_friction_base", 0.03) == pytest.approx(0.03)
-    # A curve that BAM has not is that of the file.
+def test_bam_gets_its_own_model_and_names(number, more_terms, keys):
+    bam = bam_of({**BASIC, **more_terms})
+    assert set(bam) == {"model", *keys.split()}
+    expected = {
+        "model": number,
+        "friction_base": 1.3,
+        "friction_viscous": 0.7,
+        "armature": 0.2,
+    }
+    assert bam == {**bam, **expected}
+    assert bam.get("load_friction_base", 0.03) == approx(0.03)
+
+
+def test_of_a_curve_that_bam_has_not_it_gets_the_friction_of_the_file():
+    expected = {"model": "m1", "friction_base": 0.45, "friction_viscous": 0.25}
     bam = bam_of({**BASIC, "sqrt": 0.4})
-    assert (bam["model"], bam["friction_base"], bam["friction_viscous"]) == (
-        "m1",
-        0.45,
-        0.25,
-    )
+    assert bam == {**bam, **expected}
 
 
 def test_every_formula_is_the_column_of_its_term():
     assert set(FORMULAS) == set(TERMS) - {"armature"}
     qd = np.linspace(-1.0, 1.0, 9)
     load = np.linspace(-3.0, 5.0, 9)
-    speeds = {
-        f"{term}_speed": curve.default_speed for term, curve in NONLINEAR_TERMS.items()
-    }
-    functions = {
-        name: getattr(np, name) for name in ("sign", "sqrt", "abs", "exp", "tanh")
-    }
+    names = {"qd": qd, "load": load}
+    for function in (np.sign, np.sqrt, abs, np.exp, np.tanh):
+        names[function.__name__] = function
+    for term, curve in NONLINEAR_TERMS.items():
+        names[f"{term}_speed"] = curve.default_speed
     for term, formula in FORMULAS.items():
-        value = eval(formula, {**functions, **speeds, "qd": qd, "load": load})
-        np.testing.assert_allclose(
-            value * np.ones(9), TERMS[term](qd, qd, load), rtol=1e-12
-        )
+        column = eval(formula, names) * np.ones(9)
+        np.testing.assert_allclose(column, TERMS[term](qd, qd, load), rtol=1e-12)
 
 
 def test_a_payload_stands_between_the_link_without_and_with_it():
     result = made.payload(known_mass=2.0, torque_scale={"j5": Quantity(1.02, 0.003)})
     content = content_of(result, payload_cards(result.body, result.payload.flange))
-    payload_content = content["payload"]
-    assert (content["question"], content["mass"]) == ("payload", 2.0)
-    assert [payload_content[key]["mass"] for key in ("body", "link", "total")] == [
-        1.2,
-        0.8,
-        2.0,
-    ]
-    assert (
-        payload_content["flange"]["name"],
-        payload_content["flange"]["in_body"],
-    ) == ("site 'flange'", "link6")
-    assert payload_content["recordings"] == {
-        "empty": ["a.csv"],
-        "loaded": ["b.csv", "c.csv"],
+    expected = {
+        "question": "payload",
+        "mass": 2.0,
+        "known_to": approx(0.01 / 1.2),
+        "payload/body/mass": 1.2,
+        "payload/link/mass": 0.8,
+        "payload/total/mass": 2.0,
+        "payload/flange/name": "site 'flange'",
+        "payload/flange/in_body": "link6",
+        "payload/recordings": {"empty": ["a.csv"], "loaded": ["b.csv", "c.csv"]},
+        "payload/scatter/0/mass": 1.19,
+        "payload/known_mass": 2.0,
+        "payload/torque_scale/j5/value": 1.02,
+        "payload/body/standard_errors/m": approx(0.01),
+        "payload/body/standard_errors/com_z": approx(load_errors(made.body())[3]),
+        "payload/body/standard_errors_noise/m": approx(0.006),
+        "payload/body/error_budget/torque scale/m": approx(0.008),
     }
-    assert (
-        payload_content["scatter"][0]["mass"] == 1.19
-        and len(payload_content["cards"]) > 5
-    )
-    assert content["known_to"] == pytest.approx(0.01 / 1.2)
-    assert (
-        payload_content["known_mass"],
-        payload_content["torque_scale"]["j5"]["value"],
-    ) == (2.0, 1.02)
-    of_body = payload_content["body"]
-    assert of_body["standard_errors"]["m"] == of_body["standard_errors"]["mass"]
-    assert of_body["standard_errors"]["m"] == pytest.approx(0.01)
-    assert of_body["standard_errors_noise"]["m"] == pytest.approx(0.006)
-    assert of_body["error_budget"]["torque scale"]["m"] == pytest.approx(0.008)
-    assert of_body["standard_errors"]["com_z"] == pytest.approx(
-        load_errors(made.body())[3]
-    )
-    content = content_of(made.payload(made.body(shown=False)))
-    assert content["payload"]["body"]["standard_errors"]["Ixx"] is None
-    assert content["payload"]["body"]["source"]["Ixx"] == "from_model"
-    assert not content["valid"]["all_identified"]
-    impossible = content_of(made.payload(made.body(-1.0)))
-    assert (
-        not impossible["valid"]["physically_consistent"]
-        and impossible["known_to"] is None
-    )
+    assert_holds(content, expected)
+    assert len(content["payload"]["cards"]) > 5
+    errors = content["payload"]["body"]["standard_errors"]
+    assert errors["m"] == errors["mass"]
+    expected = {
+        "payload/body/standard_errors/Ixx": None,
+        "payload/body/source/Ixx": "from_model",
+        "valid/all_identified": False,
+    }
+    assert_holds(content_of(made.payload(made.body(shown=False))), expected)
+    expected = {"valid/physically_consistent": False, "known_to": None}
+    assert_holds(content_of(made.payload(made.body(-1.0))), expected)
