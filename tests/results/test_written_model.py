@@ -1,12 +1,14 @@
-"""What was identified in the user's model: it is there, and nothing else has changed. A bundle
-stands alone: it loads as the same model wherever it is put.
+"""The written model holds what was identified, and nothing else of the user's model has changed.
+
+A bundle stands alone: it loads as the same model wherever it is put.
 """
 
 from __future__ import annotations
 
 import shutil
-from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -69,25 +71,36 @@ def checkpoints(robot, seed=0):
     return records.Motion(np.arange(5.0), 0.3 * q, qd, qdd)
 
 
-@contextmanager
-def target_of(robot, folder=None):
-    """Where a model goes to; the file is there when the block ends."""
+def load_arm(folder, xml, joint=None):
+    """The arm of an MJCF text, which is written to a file in the folder."""
+    return load_robot_model(write_files(folder, {"arm.xml": xml}), joint=joint)
+
+
+class WrittenModel(NamedTuple):
+    path: Path
+    mj_model: mujoco.MjModel
+    notes: tuple[str, ...]
+
+
+def write_and_compile(robot, result, folder=None, **options):
+    """Write the model of a result, by default into the folder ``out`` beside the original."""
     path = (folder or robot.path.parent / "out") / f"updated{robot.path.suffix}"
     with atomic_files() as files:
-        yield ModelTarget(files, path, checkpoints(robot), 1.23e-4)
+        target = ModelTarget(files, path, checkpoints(robot), 1.23e-4)
+        notes = write_model(result, target, **options)
+    return WrittenModel(path, compile_model(path).mj_model, notes)
 
 
-def body_estimate(theta, errors=None):
-    errors = np.full(10, 1e-4) if errors is None else errors
+def body_estimate(theta):
+    """A body with the same standard error of every parameter, half of it noise."""
+    errors = np.full(10, 1e-4)
     inertial = records.InertialParameters(theta)
-    covariance = np.diag(np.square(errors))
-    return record.BodyEstimate(
-        "b", inertial, covariance, np.ones(10, bool), 0.5 * errors
-    )
+    covariance = np.diag(errors**2)
+    return record.BodyEstimate("b", inertial, covariance, errors > 0.0, 0.5 * errors)
 
 
 def file_of(robot, thetas=None, joints=None, gravity=None):
-    """What a written model should hold."""
+    """What a written model should hold: the model's own links and gravity where none are given."""
     thetas = robot.thetas if thetas is None else thetas
     errors = np.full(thetas.shape, np.inf)
     return made.model_file(
@@ -96,7 +109,7 @@ def file_of(robot, thetas=None, joints=None, gravity=None):
 
 
 def payload_of(robot, theta, flange_position=None, link=None):
-    """A payload of these parameters in the flange frame."""
+    """A payload with the parameters theta (10,) in the flange frame, and a terminal link."""
     flange = find_flange(robot, flange_position)
     link = robot.prior.theta if link is None else link
     total = body_estimate(link + flange.from_flange(theta))
@@ -107,25 +120,13 @@ def payload_of(robot, theta, flange_position=None, link=None):
 
 
 def result_of(robot, theta=None, file=None, payload=None, **changes):
-    """A result that found theta of the terminal link."""
+    """A result with the parameters theta (10,) of the terminal link, by default the model's own."""
     theta = robot.prior.theta if theta is None else theta
     identifiability = records.Identifiability(10, 10, 5.0, 2.0, (True,) * 10, ())
     estimate = records.Estimate(PARAMETER_NAMES, theta, identifiability, 1e-4, {})
-    defaults = {"robot": robot, "verdict": record.Verdict.OK, "joints": {}, "links": ()}
-    outputs = {"estimate": estimate, "file": file, "payload": payload}
-    return made.found(estimate, **{**defaults, **outputs, **changes})
-
-
-def write_and_compile(robot, result, folder=None, **options):
-    """The compiled model that was written, and the notes."""
-    with target_of(robot, folder) as target:
-        notes = write_model(result, target, **options)
-    return compile_model(target.path).mj_model, notes
-
-
-def text_of(robot, result, **options):
-    write_and_compile(robot, result, **options)
-    return (robot.path.parent / "out" / f"updated{robot.path.suffix}").read_text()
+    fields = {"robot": robot, "verdict": record.Verdict.OK, "joints": {}, "links": ()}
+    fields |= {"file": file, "payload": payload, **changes}
+    return made.found(estimate, **fields)
 
 
 def some_payload(rng):
@@ -133,12 +134,13 @@ def some_payload(rng):
 
 
 def terminal_composite(mj_model, robot):
-    """The terminal link with all that hangs on it, as a model has it."""
+    """The parameters (10,) in a model of the terminal link with all bodies that it carries."""
     terminal = mj_model.body(robot.body_name).id
     return composite_theta(mj_model, robot.reference_qpos, terminal)
 
 
 def assert_same_theta(actual, expected, rtol=1e-11):
+    """Compare parameters (10,) relative to those of the body's mass and size."""
     scale = spatial.parameter_scale(
         expected[0], spatial.characteristic_length(expected)
     )
@@ -149,7 +151,7 @@ def assert_same_theta(actual, expected, rtol=1e-11):
 def test_without_a_file_the_terminal_link_alone_is_written(robots, suffix):
     robot = robots[suffix]
     theta = robot.prior.theta + random_theta(np.random.default_rng(1), 0.5)
-    mj_model, notes = write_and_compile(robot, result_of(robot, theta))
+    _, mj_model, notes = write_and_compile(robot, result_of(robot, theta))
     assert notes == ()
     assert_same_theta(terminal_composite(mj_model, robot), theta)
     masses = robot.mj_model.body_mass.copy()
@@ -170,9 +172,8 @@ def test_a_payload_becomes_a_body_of_its_own(robots, suffix, flange_position):
     robot = robots[suffix]
     theta = some_payload(np.random.default_rng(1))
     payload = payload_of(robot, theta, flange_position)
-    mj_model, notes = write_and_compile(
-        robot, result_of(robot, payload=payload), as_body="load & co"
-    )
+    result = result_of(robot, payload=payload)
+    _, mj_model, notes = write_and_compile(robot, result, as_body="load & co")
     assert notes == ()
     load = mj_model.body("load & co")
     assert_same_theta(body_theta(mj_model, load.id), theta)
@@ -202,24 +203,21 @@ def test_a_payload_goes_onto_the_links_of_the_file_or_model(
     if with_file:  # what it says of the terminal link counts, not what the payload does
         thetas[0] += random_theta(rng, 0.3)
         thetas[-1] = link = link + random_theta(rng, 0.1)
-        joints = {
-            joint: {"coulomb": record.Quantity(0.25, 0.01)}
-            for joint in robot.joint_names
-        }
+        friction = {"coulomb": record.Quantity(0.25, 0.01)}
+        joints = dict.fromkeys(robot.joint_names, friction)
         file = file_of(robot, thetas, joints, TURNED)
     result = result_of(robot, file=file, payload=payload)
-    mj_model, notes = write_and_compile(robot, result, as_body=name)
+    path, mj_model, notes = write_and_compile(robot, result, as_body=name)
     bare_link = (
         link if with_file else robot.prior.theta
     )  # without a file the model's own stays
     expected = bare_link + payload.flange.from_flange(payload.body.inertial.theta)
     assert_same_theta(terminal_composite(mj_model, robot), expected)
     if name is not None and with_file:
-        assert "without the payload" in text_of(robot, result, as_body=name)
+        assert "without the payload" in path.read_text()
     if with_file:
         np.testing.assert_array_equal(mj_model.opt.gravity, TURNED)
         np.testing.assert_array_equal(mj_model.dof_frictionloss[robot.dof_index], 0.25)
-        path = robot.path.parent / "out" / f"updated.{suffix}"
         reloaded = load_robot_model(path, joint=JOINTS[suffix])
         assert_same_theta(reloaded.links[0].theta, thetas[0])
         assert (len(notes) == 1) == (suffix == "urdf")
@@ -241,43 +239,41 @@ def test_a_name_that_is_taken_is_refused_and_leaves_nothing(robots, suffix, name
 @since(3, 1)
 def test_a_body_of_its_own_changes_a_damping_that_follows_from_the_inertia(tmp_path):
     servo = '<actuator><position joint="j2" kp="10" dampratio="1"/></actuator></mujoco>'
-    source = write_files(tmp_path, {"in/m.xml": MJCF.replace("</mujoco>", servo)})
-    robot = load_robot_model(source, joint="j2")
+    robot = load_arm(tmp_path, MJCF.replace("</mujoco>", servo), "j2")
     payload = payload_of(robot, some_payload(np.random.default_rng(0)))
-    mj_model, _ = write_and_compile(
-        robot, result_of(robot, payload=payload), as_body="load"
-    )
+    result = result_of(robot, payload=payload)
+    mj_model = write_and_compile(robot, result, as_body="load").mj_model
     assert mj_model.actuator_biasprm[0, 2] < robot.mj_model.actuator_biasprm[0, 2] < 0.0
 
 
 def new_links(robot, rng):
-    """Every link as the model has it, with something bolted to it."""
-    return np.array(
-        [
-            link.theta + random_theta(rng, 0.5) if link.has_mass else link.theta
-            for link in robot.links
-        ]
-    )
+    """The parameters (n_links, 10) of the model's links with a random body bolted to each."""
+    thetas = robot.thetas
+    for theta, link in zip(thetas, robot.links):
+        if link.has_mass:
+            theta += random_theta(rng, 0.5)
+    return thetas
 
 
-def new_joints(robot, rng, terms=tuple(TERMS)):
-    return {
-        joint: {
-            term: record.Quantity(value, 0.01)
-            for term, value in zip(terms, rng.uniform(0.1, 2.0, 3))
-        }
-        for joint in robot.joint_names
-    }
+def new_joints(robot, rng):
+    """Random rotor inertia and friction of each joint."""
+    joints = {}
+    for joint in robot.joint_names:
+        values = rng.uniform(0.1, 2.0, 3)
+        joints[joint] = {t: record.Quantity(x, 0.01) for t, x in zip(TERMS, values)}
+    return joints
 
 
 @pytest.mark.parametrize("name", ["seven", "coupled fingers", "springs"])
 def test_all_links_joints_and_gravity_are_written(tmp_path, name):
     rng = np.random.default_rng(7)
-    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.MODELS[name]}))
+    robot = load_arm(tmp_path, arms.MODELS[name])
     thetas = new_links(robot, rng)
     joints = new_joints(robot, rng)
-    text = text_of(robot, result_of(robot, file=file_of(robot, thetas, joints, TURNED)))
-    reloaded = load_robot_model(tmp_path / "out" / "updated.xml")
+    result = result_of(robot, file=file_of(robot, thetas, joints, TURNED))
+    path = write_and_compile(robot, result).path
+    text = path.read_text()
+    reloaded = load_robot_model(path)
     for theta, link in zip(thetas, reloaded.links):
         if np.any(theta):
             assert_same_theta(link.theta, theta)
@@ -301,14 +297,14 @@ def test_all_links_joints_and_gravity_are_written(tmp_path, name):
 def test_links_that_are_the_models_own_are_left_alone_and_their_joints_told_of_with_the_last(
     tmp_path,
 ):
-    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.THREE}))
+    robot = load_arm(tmp_path, arms.THREE)
     rng = np.random.default_rng(2)
     thetas = robot.thetas
     thetas[-1] += random_theta(rng, 0.2)
-    joints = {
-        name: {"coulomb": record.Quantity(0.3, np.nan)} for name in robot.joint_names
-    }
-    text = text_of(robot, result_of(robot, file=file_of(robot, thetas, joints)))
+    friction = {"coulomb": record.Quantity(0.3, np.nan)}
+    joints = dict.fromkeys(robot.joint_names, friction)
+    result = result_of(robot, file=file_of(robot, thetas, joints))
+    text = write_and_compile(robot, result).path.read_text()
     assert text.count("System ID") == 1
     comments = (f"frictionloss 0.3 of joint '{name}'" for name in robot.joint_names)
     assert f"; {'; '.join(comments)} -->" in text
@@ -321,12 +317,10 @@ def test_a_urdf_gets_friction_and_gravity_but_says_what_it_cannot_hold(robots):
     thetas = new_links(robot, rng)
     joints = new_joints(robot, rng)
     result = result_of(robot, file=file_of(robot, thetas, joints, TURNED))
-    mj_model, notes = write_and_compile(robot, result)
+    path, mj_model, notes = write_and_compile(robot, result)
     assert len(notes) == 2 and "a URDF cannot hold rotor inertia" in notes[0]
     assert "other readers ignore" in notes[1]
-    reloaded = load_robot_model(
-        robot.path.parent / "out" / "updated.urdf", joint="l1_l2"
-    )
+    reloaded = load_robot_model(path, joint="l1_l2")
     values = {
         term: [joints[j][term].value for j in robot.joint_names] for term in TERMS
     }
@@ -355,11 +349,11 @@ def with_motor(robot, rng):
 @since(3, 3)
 @pytest.mark.parametrize("source", [arms.THREE, SLACK, arms.SHARED_MOTOR])
 def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
-    robot = load_robot_model(write_files(tmp_path, {"arm.xml": source}))
+    robot = load_arm(tmp_path, source)
     file = with_motor(robot, np.random.default_rng(7))
-    text = text_of(robot, result_of(robot, file=file))
-    assert "motor that turns joint1 and joint2 identified with" in text
-    reloaded = load_robot_model(tmp_path / "out" / "updated.xml")
+    path = write_and_compile(robot, result_of(robot, file=file)).path
+    assert "motor that turns joint1 and joint2 identified with" in path.read_text()
+    reloaded = load_robot_model(path)
     model = reloaded.mj_model
     terms = file.joints["joint1-2*joint2"]
     assert model.ntendon == max(robot.mj_model.ntendon, 1) + (source == SLACK)
@@ -372,27 +366,23 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     expected = (
         LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd).torque(file.thetas)
     )
-    both = (
-        [motion.qd, motion.qd @ RATIOS[:, None]],
-        [motion.qdd, motion.qdd @ RATIOS[:, None]],
-    )
-    for owners, speed, acceleration in zip(
-        (robot.joint_names, ["joint1-2*joint2"]), *both
-    ):
-        values = {
-            term: [file.joints[owner][term].value for owner in owners] for term in TERMS
-        }
+    # Row i of the transmission (4, 3) is the speed of owner i: the joints, then the motor.
+    transmission = np.vstack((np.eye(3), RATIOS))
+    owners = (*robot.joint_names, "joint1-2*joint2")
+    for owner, ratios in zip(owners, transmission):
+        values = {term: q.value for term, q in file.joints[owner].items()}
+        speed = motion.qd @ ratios
         torque = values["coulomb"] * np.sign(speed) + values["viscous"] * speed
-        torque += values["armature"] * acceleration
-        expected += torque if len(owners) > 1 else torque * RATIOS
+        torque += values["armature"] * (motion.qdd @ ratios)
+        expected += np.outer(torque, ratios)
     np.testing.assert_allclose(
         ArmTorque(reloaded)(motion), expected, rtol=1e-9, atol=1e-9
     )
 
     # Written again, it is the same motor with other numbers.
     file = with_motor(reloaded, np.random.default_rng(8))
-    write_and_compile(reloaded, result_of(reloaded, file=file), tmp_path / "again")
-    (motor,) = couplings_of_model(load_robot_model(tmp_path / "again" / "updated.xml"))
+    path = write_and_compile(reloaded, result_of(reloaded, file=file)).path
+    (motor,) = couplings_of_model(load_robot_model(path))
     np.testing.assert_array_equal(
         motor.model[0], file.joints[motor.name]["coulomb"].value
     )
@@ -415,14 +405,13 @@ def test_with_a_motor_that_turns_two_joints_a_urdf_becomes_an_mjcf(tmp_path):
         robot, file=file, couplings={motor.name: record.JointEstimate("c", terms)}
     )
     assert result.model_kind == "mjcf"
-    write_and_compile(robot, result)
-    reloaded = load_robot_model(tmp_path / "out" / "updated.urdf")
+    reloaded = load_robot_model(write_and_compile(robot, result).path)
     assert reloaded.kind == "mjcf" and reloaded.joint_names == robot.joint_names
     assert reloaded.mj_model.tendon_frictionloss.tolist() == [0.5]
     for theta, link in zip(file.thetas, reloaded.links):
         assert_same_theta(link.theta, theta)
 
-    text = text_of(robot, replace(result, file=links_file))
+    text = write_and_compile(robot, replace(result, file=links_file)).path.read_text()
     assert (
         f"without the motor that turns with {motor.name}, which no URDF can hold"
         in text
@@ -431,7 +420,7 @@ def test_with_a_motor_that_turns_two_joints_a_urdf_becomes_an_mjcf(tmp_path):
 
 @since(3, 3)
 def test_a_motor_of_a_joint_without_a_name_is_refused(tmp_path):
-    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.NAMELESS}))
+    robot = load_arm(tmp_path, arms.NAMELESS)
     motor = coupling(robot, np.array([1.0] * 2 + [0.0] * (robot.n_joints - 2)))
     file = file_of(robot, joints={motor.name: {"viscous": record.Quantity(0.5, 0.1)}})
     with pytest.raises(ExportError, match="has no name"):
@@ -439,7 +428,7 @@ def test_a_motor_of_a_joint_without_a_name_is_refused(tmp_path):
 
 
 def test_a_link_is_not_written_where_a_later_joint_moves_its_body(tmp_path):
-    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.SHARED_BODIES}))
+    robot = load_arm(tmp_path, arms.SHARED_BODIES)
     thetas = new_links(robot, np.random.default_rng(0))
     thetas[0] = thetas[2]
     with pytest.raises(ExportError, match="joint yaw moves no link of its own"):
@@ -451,17 +440,15 @@ def test_a_result_that_the_file_does_not_reproduce_is_withdrawn(robots, monkeypa
     rng = np.random.default_rng(0)
     folder = robot.path.parent / "withdrawn"
     monkeypatch.setattr(model_module, "changed_model_text", lambda *_: MJCF.encode())
-    for result, options in (
-        (result_of(robot, 2.0 * robot.prior.theta), {}),
-        (result_of(robot, file=file_of(robot, new_links(robot, rng))), {}),
-        (result_of(robot, file=file_of(robot, gravity=TURNED)), {}),
-        (
-            result_of(robot, payload=payload_of(robot, some_payload(rng))),
-            {"as_body": "load"},
-        ),
+    for changes in (
+        {"theta": 2.0 * robot.prior.theta},
+        {"file": file_of(robot, new_links(robot, rng))},
+        {"file": file_of(robot, gravity=TURNED)},
+        {"payload": payload_of(robot, some_payload(rng))},
     ):
+        name = "load" if "payload" in changes else None
         with pytest.raises(ExportError):
-            write_and_compile(robot, result, folder, **options)
+            write_and_compile(robot, result_of(robot, **changes), folder, as_body=name)
         assert not folder.exists()
 
 
@@ -473,30 +460,28 @@ def test_fingers_that_leave_no_possible_gripper_are_made_lighter(tmp_path, also_
     text = arms.serial_arm(("0 0 1", "0 1 0"), tip=cover + arms.fingers())
     # The model says more of its fingers than there is of the whole gripper.
     text = text.replace('mass=".03"', 'mass=".6"')
-    robot = load_robot_model(write_files(tmp_path, {"arm.xml": text}), joint="joint1")
+    robot = load_arm(tmp_path, text, "joint1")
     # In truth the fingers weigh 0.1 kg each, and the gripper as much as the model says.
-    thetas = {
-        body.name: body.theta
-        for body in subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id)
-    }
+    bodies = subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id)
+    thetas = {body.name: body.theta for body in bodies}
     fingers = ("left_finger", "right_finger")
     theta = 0.3 * thetas[robot.body_name] + sum(thetas[name] for name in fingers) / 6.0
-    mj_model, notes = write_and_compile(robot, result_of(robot, theta))
+    path, mj_model, notes = write_and_compile(robot, result_of(robot, theta))
     assert_same_theta(terminal_composite(mj_model, robot), theta, 1e-9)
     shares = [mj_model.body(name).mass[0] / 0.6 for name in fingers]
     assert 1.0 / 6.0 < shares[0] < 1.0 and shares[0] == pytest.approx(
         shares[1], rel=1e-12
     )
     for name in fingers:
-        model_theta, written_theta = (
-            body_theta(m, m.body(name).id) for m in (robot.mj_model, mj_model)
-        )
+        model_theta = body_theta(robot.mj_model, robot.mj_model.body(name).id)
+        written_theta = body_theta(mj_model, mj_model.body(name).id)
         assert_same_theta(written_theta, shares[0] * model_theta)
     assert "'left_finger', 'right_finger' on joints of their own" in notes[0]
     assert f"{shares[0]:.4g} of the model's" in notes[0]
     assert ("'cover' weigh nothing" in notes[0]) == also_welded
-    text = (tmp_path / "out" / "updated.xml").read_text()
-    assert text.count(f"mass and inertia {shares[0]:.4g} of the model's") == 2
+    assert (
+        path.read_text().count(f"mass and inertia {shares[0]:.4g} of the model's") == 2
+    )
     # Any more of the fingers would leave an impossible gripper.
     finger_theta = 1.001 * shares[0] * sum(thetas[name] for name in fingers)
     assert not spatial.is_consistent(theta - finger_theta)
@@ -527,8 +512,8 @@ def test_any_arm_takes_any_links_and_any_payload(tmp_path_factory, xml, seed, ta
         else payload_of(robot, some_payload(rng), flange_position)
     )
     result = result_of(robot, file=file, payload=payload)
-    write_and_compile(robot, result, as_body="load" if target == "own body" else None)
-    assert (path.parent / "out" / "updated.xml").is_file()
+    name = "load" if target == "own body" else None
+    assert write_and_compile(robot, result, as_body=name).path.is_file()
 
 
 @given(st.floats(0.0, 1.0), arms.SEEDS)
@@ -542,14 +527,15 @@ def test_errors_say_how_far_moments_may_be_inflated(error, seed):
 def test_the_errors_of_what_is_written_count(tmp_path):
     """A compiler's bound on moments is kept by inflating what is not known any better."""
     text = arms.THREE.replace("<compiler ", '<compiler boundinertia="2e-4" ')
-    robot = load_robot_model(write_files(tmp_path, {"arm.xml": text}))
+    robot = load_arm(tmp_path, text)
     thin = spatial.theta_from_com(1.0, np.zeros(3), np.diag([1e-2, 1e-2, 1e-4]))
     with pytest.raises(ExportError, match="boundinertia"):
         write_and_compile(robot, result_of(robot, thin))
     estimate = replace(
         result_of(robot, thin).estimate, standard_errors=np.full(10, 1e-3)
     )
-    mj_model, notes = write_and_compile(robot, result_of(robot, estimate=estimate))
+    result = result_of(robot, estimate=estimate)
+    _, mj_model, notes = write_and_compile(robot, result)
     assert "larger; that is less than their standard errors" in notes[0]
     np.testing.assert_allclose(
         terminal_composite(mj_model, robot)[[4, 9]], [1.01e-2, 2e-4], rtol=1e-9
