@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 
 from robot_sysid import export as module
@@ -72,9 +73,7 @@ def test_the_whole_way_from_a_result(robot, out):
     assert [path.name for path in output.files] == ["updated_model.xml", "params.json"]
     assert (output.notes, output.damiao, output.failure) == ((), None, None)
     reloaded = load_robot_model(output.files[0], joint="j2")
-    np.testing.assert_allclose(
-        reloaded.prior.theta, robot.prior.theta + THETA, rtol=0, atol=1e-12
-    )
+    assert_allclose(reloaded.prior.theta, robot.prior.theta + THETA, rtol=0, atol=1e-12)
     assert "RMSE 0.000100 Nm" in output.files[0].read_text()
     content = json.loads(output.files[1].read_text())
     assert content["mass"] == robot.prior.mass + 2.0
@@ -285,12 +284,12 @@ def test_reading_back_gives_the_same_bits(tmp_path_factory, seed):
     export_params_json(
         made.found(made.estimate(values=np.append(theta, made.VALUES[10:]))), path
     )
-    np.testing.assert_array_equal(made.theta_in(path), theta)
+    assert_array_equal(made.theta_in(path), theta)
     content = json.loads(path.read_text())
     _, com, about_com = spatial.com_from_theta(theta)
-    np.testing.assert_array_equal(content["center_of_mass"], com)
+    assert_array_equal(content["center_of_mass"], com)
     six = list(content["inertia_about_com"].values())
-    np.testing.assert_array_equal(six, spatial.six_from_symmetric(about_com))
+    assert_array_equal(six, spatial.six_from_symmetric(about_com))
 
 
 def test_the_specified_keys_hold_the_terminal_link_and_the_others_what_the_run_was():
@@ -438,7 +437,7 @@ def test_every_formula_is_the_column_of_its_term():
         names[f"{term}_speed"] = curve.default_speed
     for term, formula in FORMULAS.items():
         column = eval(formula, names) * np.ones(9)
-        np.testing.assert_allclose(column, TERMS[term](qd, qd, load), rtol=1e-12)
+        assert_allclose(column, TERMS[term](qd, qd, load), rtol=1e-12)
 
 
 def test_a_payload_stands_between_the_link_without_and_with_it():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 
 from robot_sysid.errors import InputError
 from robot_sysid.records.torque_scale import (
@@ -39,16 +40,16 @@ def test_a_written_scale_reads_back_to_the_last_bit(tmp_path, scale):
 @given(st.lists(st.floats(1e-3, 1e3), min_size=3, max_size=3))
 def test_what_is_typed_is_what_is_used(values):
     typed = parse_factors(",".join(map(repr, values)))
-    np.testing.assert_array_equal(joint_factors(typed, JOINTS, SCALE)[0], values)
+    assert_array_equal(joint_factors(typed, JOINTS, SCALE)[0], values)
     one = joint_factors(parse_factors(repr(values[0])), JOINTS, SCALE)
-    np.testing.assert_array_equal(one, [[values[0]] * 3, [np.nan] * 3])
+    assert_array_equal(one, [[values[0]] * 3, [np.nan] * 3])
 
 
 def test_a_file_is_read_by_joint_names(tmp_path):
     path = tmp_path / "k.json"
     table = {"wrist": 3.0, "base": 1.0, "elbow": 2.0, "gripper": 9.0}
     path.write_text(json.dumps({"version": 1, CONSTANTS: table}))
-    np.testing.assert_array_equal(
+    assert_array_equal(
         joint_factors(parse_factors(str(path)), JOINTS, CONSTANTS)[0], [1.0, 2.0, 3.0]
     )
     with pytest.raises(InputError, match="holds no torque_scale"):

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import JointLimits
@@ -62,7 +63,7 @@ def test_what_is_written_is_read(tmp_path):
         expected = getattr(data, field.name)
         actual = getattr(loaded, field.name)
         if isinstance(expected, np.ndarray):
-            np.testing.assert_array_equal(expected, actual)
+            assert_array_equal(expected, actual)
         else:
             assert expected == actual
     assert data_bytes(data) == data_bytes(report_data(traces(), "hash"))
@@ -121,9 +122,7 @@ def test_every_sample_in_use_is_counted_once(seed, count, missing):
     residual = rng.standard_t(2.0, (count, 2))
     residual[rng.random((count, 2)) < missing] = np.nan
     edges, counts = histogram(residual).values()
-    np.testing.assert_array_equal(
-        np.sum(counts, axis=1), np.sum(np.isfinite(residual), axis=0)
-    )
+    assert_array_equal(np.sum(counts, axis=1), np.sum(np.isfinite(residual), axis=0))
     assert np.all(np.diff(edges, axis=1) > 0.0)
 
 
@@ -149,9 +148,9 @@ def test_means_by_speed_are_those_of_the_samples_in_use():
     torque[qd > 1.0] = np.nan
     speed, mean, spread, measured, predicted = by_speed(qd, torque, qd).values()
     in_use = np.isfinite(speed)
-    np.testing.assert_allclose(mean[in_use], 3.0 * speed[in_use] + 1.0, atol=1e-9)
-    np.testing.assert_allclose(measured[in_use], 4.0 * speed[in_use] + 1.0, atol=1e-9)
-    np.testing.assert_allclose(predicted[in_use], speed[in_use], atol=1e-9)
+    assert_allclose(mean[in_use], 3.0 * speed[in_use] + 1.0, atol=1e-9)
+    assert_allclose(measured[in_use], 4.0 * speed[in_use] + 1.0, atol=1e-9)
+    assert_allclose(predicted[in_use], speed[in_use], atol=1e-9)
     assert np.nanmax(speed) <= 1.0 and np.all(spread[in_use] < 0.3)
     no_samples = np.full((3, 1), np.nan)
     assert np.all(np.isnan(by_speed(no_samples, no_samples, no_samples)["speed"]))

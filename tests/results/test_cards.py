@@ -11,6 +11,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from lxml import etree
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
@@ -187,7 +188,7 @@ def test_every_card_gives_the_body_back(seed, shape):
     for name, read in READERS.items():
         card_mass, card_com, card_inertia = read(cards[name].text)
         assert card_mass == pytest.approx(mass, rel=1e-6, abs=0.0), name
-        np.testing.assert_allclose(card_com, com, rtol=1e-6, atol=1e-9, err_msg=name)
+        assert_allclose(card_com, com, rtol=1e-6, atol=1e-9, err_msg=name)
         if card_inertia is not None:
             # Angles have their own digits; single elements keep theirs.
             is_exact = name not in WITH_AXES
@@ -195,7 +196,7 @@ def test_every_card_gives_the_body_back(seed, shape):
                 np.abs(inertia)
             ) + rounding
             limits = {"rtol": 1e-8 if is_exact else 0.0, "atol": tolerance}
-            np.testing.assert_allclose(card_inertia, inertia, err_msg=name, **limits)
+            assert_allclose(card_inertia, inertia, err_msg=name, **limits)
 
 
 def leaves(value):
@@ -309,7 +310,7 @@ def test_errors_of_place_and_inertia_follow_from_those_of_theta(seed):
 
     errors = load_errors(body)
     expected = spread_of(outcome, body.inertial.theta, factor)
-    np.testing.assert_allclose(errors, expected, rtol=1e-4)
+    assert_allclose(errors, expected, rtol=1e-4)
     assert ERROR_NAMES[:5] == ("mass", "com_x", "com_y", "com_z", "Ixx_about_com")
 
 
@@ -352,7 +353,7 @@ def test_errors_of_moments_and_axes_are_those_of_the_turned_matrix(seed):
         return np.array([*moments_now[order], *np.degrees(tilt_angles)])
 
     expected = spread_of(outcome, body.inertial.theta, factor)
-    np.testing.assert_allclose([*errors, *angle_errors], expected, rtol=1e-2)
+    assert_allclose([*errors, *angle_errors], expected, rtol=1e-2)
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,9 @@ import re
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pytest import approx
 
 from robot_sysid.records import InertialParameters, SubtreeBody
 from robot_sysid.records.messages import Detail
@@ -195,13 +195,13 @@ def test_a_terminal_link_has_its_ten_parameters_centre_of_mass_and_friction():
         "kg",
     )
     center_row = rows["centre of mass z"]
-    assert (center_row.after, center_row.unit) == (pytest.approx(0.1), "m")
+    assert (center_row.after, center_row.unit) == (approx(0.1), "m")
     assert center_row.error == load_errors(made.terminal(made.estimate()))[3]
     assert (rows["Coulomb friction"].before, rows["Coulomb friction"].after) == (
         0.2,
         0.4,
     )
-    assert rows["Coulomb friction"].error == pytest.approx(4e-4)
+    assert rows["Coulomb friction"].error == approx(4e-4)
     slider = replace(made.ARM, is_slide=np.array([False, True]))
     slider_rows = {
         row.name: row for row in parameter_rows(made.found(robot=slider, joints={}))
@@ -218,12 +218,9 @@ def test_a_terminal_link_has_its_ten_parameters_centre_of_mass_and_friction():
 def test_a_payload_has_mass_place_and_inertia_about_it():
     rows = parameter_rows(made.payload())
     assert len(rows) == 10 and all(row.before is None for row in rows)
-    assert (rows[0].after, rows[0].error) == (1.2, pytest.approx(0.01))
-    assert (rows[1].name, rows[1].after) == ("centre of mass x", pytest.approx(0.03))
-    assert (rows[4].name, rows[4].after) == (
-        "inertia xx about it",
-        pytest.approx(0.006),
-    )
+    assert (rows[0].after, rows[0].error) == (1.2, approx(0.01))
+    assert (rows[1].name, rows[1].after) == ("centre of mass x", approx(0.03))
+    assert (rows[4].name, rows[4].after) == ("inertia xx about it", approx(0.006))
     assert [row.error for row in rows[4:]] == load_errors(made.body())[4:].tolist()
     assert len(parameter_rows(made.payload(made.body(shown=False)))) == 4
     assert len(parameter_rows(made.payload(made.body(-1.0)))) == 1

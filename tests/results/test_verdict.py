@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics.spatial import (
@@ -185,27 +185,20 @@ def test_what_comes_next_may_be_given():
     assert verdict_lines(made.whole(), None, next_step)[1] == f"Next: {next_step}"
 
 
-def test_what_contradicts_the_model_is_no_detail():
-    """What the errors allow for is one; a prior that had to be widened is another arm's model."""
-    for scale, is_detail in ((1.0, True), (3.0, False)):
-        conflict = PriorConflict("links", ("link5",), 3.5, scale)
-        (sentence,) = limitations(made.found(conflicts=(conflict,)))
-        assert sentence.startswith(
-            "the model's numbers of other links do not fit this arm"
-        )
-        assert isinstance(sentence, Detail) is is_detail
-    for result in (
-        made.found(delay=-0.003, sensors={"delay": Quantity(-0.003, 0.001)}),
-        made.found(made.with_value("coulomb[j5]", -0.5, 0.01)),
-        made.found(validation=(made.validation_of(0.03), made.validation_of(0.09))),
-    ):
-        (sentence,) = limitations(result)
-        assert not isinstance(sentence, Detail)
+def limitations_of(result=None, **changes):
+    """The sentences on what limits a made-up result with these changes."""
+    return limitations(made.found(result, **changes))
 
 
-def single_limitation(result):
-    (sentence,) = limitations(result)
-    return sentence
+@pytest.mark.parametrize(("scale", "is_detail"), [(1.0, True), (3.0, False)])
+def test_a_conflict_with_the_model_is_a_detail_where_the_errors_allow_for_it(
+    scale, is_detail
+):
+    """A prior that had to be widened is another arm's model."""
+    conflict = PriorConflict("links", ("link5",), 3.5, scale)
+    (sentence,) = limitations_of(conflicts=(conflict,))
+    assert sentence.startswith("the model's numbers of other links do not fit this arm")
+    assert isinstance(sentence, Detail) is is_detail
 
 
 @given(st.sampled_from(PARAMETER_NAMES), st.floats(0.01, 10.0))
@@ -214,66 +207,66 @@ def test_a_weak_parameter_is_named_with_its_error(name, share):
     values = made.estimate().values
     scale = parameter_scale(2.0, characteristic_length(values[:10]))
     k = PARAMETER_NAMES.index(name)
-    limits = limitations(made.found(made.with_value(name, values[k], share * scale[k])))
-    assert bool(limits) == (share > 0.1)
-    assert not limits or f"{name} (± {percent(share)})" in limits[0]
+    sentences = limitations_of(made.with_value(name, values[k], share * scale[k]))
+    assert bool(sentences) == (share > 0.1)
+    assert not sentences or f"{name} (± {percent(share)})" in sentences[0]
 
 
 def test_a_prior_that_outweighs_the_data_is_told():
     share = np.ones(10)
     share[[4, 9]] = 0.3, 0.49
     link = replace(made.terminal(made.estimate()), data_share=share)
-    assert "more model than data in Ixx, Izz" in single_limitation(
-        made.found(links=(link,))
-    )
+    (sentence,) = limitations_of(links=(link,))
+    assert "more model than data in Ixx, Izz" in sentence
 
 
-def test_a_torque_before_its_motion_is_told_where_it_is_sure():
+@pytest.mark.parametrize("delay", [-0.003, -0.0019, 0.003])
+def test_a_torque_before_its_motion_is_told_where_it_is_sure(delay):
     sensors = {"delay": Quantity(-0.003, 0.001)}
-    assert "come 3 ms before the motion" in single_limitation(
-        made.found(delay=-0.003, sensors=sensors)
-    )
-    assert limitations(made.found(delay=-0.0019, sensors=sensors)) == ()
-    assert limitations(made.found(delay=0.003, sensors=sensors)) == ()
+    sentences = limitations_of(delay=delay, sensors=sensors)
+    assert len(sentences) == (delay == -0.003)
+    for sentence in sentences:
+        assert "come 3 ms before the motion" in sentence
+        assert not isinstance(sentence, Detail)
 
 
 @given(
     st.sampled_from(["coulomb", "viscous"]), st.floats(-1.0, 1.0), st.floats(0.01, 1.0)
 )
+@example("coulomb", -0.5, 0.01)
 def test_friction_that_drives_is_told_where_it_is_sure(term, value, error):
-    limits = limitations(made.found(made.with_value(f"{term}[j5]", value, error)))
-    assert bool(limits) == (value < -SURE * error)
-    assert not limits or f"{term} {value:.2g} of j5" in limits[0]
+    sentences = limitations_of(made.with_value(f"{term}[j5]", value, error))
+    assert len(sentences) == (value < -SURE * error)
+    for sentence in sentences:
+        assert f"{term} {value:.2g} of j5" in sentence
+        assert not isinstance(sentence, Detail)
 
 
 @given(st.floats(0.01, 1.0))
 def test_slow_residuals_are_told(share):
     result = made.estimate(effective_samples={"j5": 200.0 * share, "j6": 200.0})
-    limits = limitations(made.found(result))
-    assert bool(limits) == (result.independent_share["j5"] < COLOURED)
-    assert not limits or "residuals of j5 are correlated in time" in limits[0]
+    sentences = limitations_of(result)
+    assert bool(sentences) == (result.independent_share["j5"] < COLOURED)
+    assert not sentences or "residuals of j5 are correlated in time" in sentences[0]
 
 
 @given(st.floats(0.5, 5.0))
+@example(3.0)
 def test_a_prediction_worse_than_the_fit_is_told(factor):
-    limits = limitations(
-        made.found(
-            validation=(made.validation_of(0.03), made.validation_of(0.03 * factor))
-        )
-    )
-    assert bool(limits) == (0.03 * factor > WORSE * 0.03)
-    assert (
-        not limits
-        or f"torques of other.csv are predicted {factor:.1f} times worse" in limits[0]
-    )
+    errors = (0.03, 0.03 * factor)
+    sentences = limitations_of(validation=tuple(map(made.validation_of, errors)))
+    assert len(sentences) == (errors[1] > WORSE * 0.03)
+    phrase = f"torques of other.csv are predicted {factor:.1f} times worse"
+    for sentence in sentences:
+        assert phrase in sentence and not isinstance(sentence, Detail)
 
 
 @given(st.floats(1.0, 1e6))
 def test_a_prediction_within_the_noise_is_not_worse_than_an_exact_fit(factor):
-    exact_fit = made.estimate(rmse=1e-9)
-    validation = made.validation_of(1e-9 * factor)
-    assert not limitations(made.found(exact_fit, validation=(validation,)))
-    assert limitations(made.found(exact_fit, validation=(made.validation_of(0.05),)))
+    fit = made.estimate(rmse=1e-9)
+    within_noise = made.validation_of(1e-9 * factor)
+    assert not limitations_of(fit, validation=(within_noise,))
+    assert limitations_of(fit, validation=(made.validation_of(0.05),))
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,8 @@ import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
+from numpy.testing import assert_allclose
+from pytest import approx
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError, InputError
@@ -406,12 +408,12 @@ def test_the_model_that_is_the_arm_wins_whichever_comes_first():
     assert not deterioration.is_better and "not better" in rollout_refusal(
         deterioration, ()
     )
-    assert improvement.score == pytest.approx(1.0 / deterioration.score)
+    assert improvement.score == approx(1.0 / deterioration.score)
     # The piece is too short for the longest horizon.
     assert test_playback.SECONDS < 3.0 and improvement.notes == (
         "no held-out piece is as long as 3 s",
     )
-    assert {error.horizon for error in improvement.errors} == {0.1, 0.3, 1.0}
+    assert horizons(improvement) == {0.1, 0.3, 1.0}
 
 
 @pytest.fixture(scope="module")
@@ -431,16 +433,17 @@ def writes(xml):
     return lambda target: target.files.write(target.path, xml)
 
 
+def horizons(test):
+    """The times [s] over which a model was played."""
+    return {error.horizon for error in test.errors}
+
+
 def test_what_is_played_was_not_fitted_for_it(signals):
     """The written file is played, on the end of the log."""
     test = play(
         test_playback.arm(0.5), [signals], writes(TRUTH), None, split_time, LAST_FIFTH
     )
-    assert test.is_better and {error.horizon for error in test.errors} == {
-        0.1,
-        0.3,
-        1.0,
-    }
+    assert test.is_better and horizons(test) == {0.1, 0.3, 1.0}
     rows = fitted_rows(signals)
     time = signals.decimated_time()
     reach = signals.low_pass.half_width / signals.rate
@@ -451,7 +454,7 @@ def test_what_is_played_was_not_fitted_for_it(signals):
 def test_another_log_is_played_whole(signals):
     test = play(test_playback.arm(0.5), [signals], writes(TRUTH), None)
     assert test.is_better and test.held_out == "the validation log"
-    assert 3.0 in {error.horizon for error in test.errors}
+    assert 3.0 in horizons(test)
 
 
 @pytest.mark.parametrize("error", [InputError, ExportError])
@@ -469,8 +472,10 @@ def test_nothing_played_is_no_proof(signals, error):
 OFFSETS = np.array([3.0, -2.0, 0.5])
 
 
-def error_on(model, robot, motion, tau, usable, source="a log"):
-    """The error on samples as they are: nothing is filtered or decimated."""
+def error_on(model, robot, motion, tau, usable=None):
+    """The torque error of a model on samples as they are: nothing is filtered or decimated."""
+    if usable is None:
+        usable = np.ones(tau.shape, bool)
     signals = SimpleNamespace(
         tau=tau,
         qd=motion.qd,
@@ -478,7 +483,7 @@ def error_on(model, robot, motion, tau, usable, source="a log"):
         filter_columns=lambda columns, smooth: columns(motion),
         usable=lambda: usable,
     )
-    return torque_error(model, robot, signals, source)
+    return torque_error(model, robot, signals, "a log")
 
 
 def by_inverse_dynamics(xml, motion):
@@ -518,48 +523,41 @@ def test_a_perfect_file_is_off_by_its_sensors_offsets_alone(tmp_path, xml):
     motion = random_motion(0, 3, 40)
     robot = load_robot_model(path)
     tau = by_inverse_dynamics(xml, motion) + OFFSETS
-    error = error_on(path, robot, motion, tau, np.ones(tau.shape, bool))
+    error = error_on(path, robot, motion, tau)
     assert error.relative_error < 1e-12 and error.rmse < 1e-11 and error.n_samples == 40
     assert max(error.relative_error_per_joint.values()) < 1e-10
 
 
 @pytest.mark.parametrize(
-    "attribute",
-    ['damping="2.1"', 'frictionloss="1.6"', 'armature=".01"', 'stiffness="1"'],
+    ("original_text", "replacement", "torque_change"),
+    [
+        ('damping="2"', 'damping="2.1"', lambda motion: 0.1 * motion.qd),
+        (
+            'frictionloss="1.5"',
+            'frictionloss="1.6"',
+            lambda motion: 0.1 * np.sign(motion.qd),
+        ),
+        ("<joint ", '<joint armature=".01" ', lambda motion: 0.01 * motion.qdd),
+        ("<joint ", '<joint stiffness="1" ', lambda motion: motion.q),
+    ],
 )
-def test_each_number_of_a_joint_counts(attribute):
+def test_each_number_of_a_joint_counts(original_text, replacement, torque_change):
     motion = random_motion(0, 3, 40)
     robot = arms.robot_of(arms.DRY_FRICTION)
     tau = ArmTorque(robot)(motion)
-    name = attribute.split("=")[0]
-    text = arms.DRY_FRICTION
-    old = {"damping": 'damping="2"', "frictionloss": 'frictionloss="1.5"'}.get(name)
-    text = (
-        text.replace(old, attribute)
-        if old
-        else text.replace("<joint ", f"<joint {attribute} ")
-    )
-    report = error_on(
-        arms.compile_xml(text), robot, motion, tau, np.ones(tau.shape, bool)
-    )
-    torque_change = {
-        "damping": 0.1 * motion.qd,
-        "frictionloss": 0.1 * np.sign(motion.qd),
-        "armature": 0.01 * motion.qdd,
-        "stiffness": motion.q,
-    }[name]
-    errors = torque_change - torque_change.mean(axis=0)
-    np.testing.assert_allclose(report.rmse, np.sqrt(np.mean(errors**2)), rtol=1e-9)
-    sizes = np.linalg.norm(tau, axis=0)
-    np.testing.assert_allclose(
-        report.relative_error, np.linalg.norm(errors) / np.linalg.norm(sizes)
-    )
+    model = arms.compile_xml(arms.DRY_FRICTION.replace(original_text, replacement))
+    report = error_on(model, robot, motion, tau)
+    residuals = torque_change(motion)
+    residuals = residuals - residuals.mean(axis=0)
+    assert_allclose(report.rmse, np.sqrt(np.mean(residuals**2)), rtol=1e-9)
+    relative_error = np.linalg.norm(residuals) / np.linalg.norm(tau)
+    assert_allclose(report.relative_error, relative_error)
+    joint_errors = np.linalg.norm(residuals, axis=0)
+    relative_errors = joint_errors / np.linalg.norm(tau, axis=0)
+    rmse = joint_errors / np.sqrt(len(tau))
     for k, joint in enumerate(robot.joint_names):
-        error = np.linalg.norm(errors[:, k])
-        assert report.relative_error_per_joint[joint] == pytest.approx(error / sizes[k])
-        assert report.rmse_per_joint[joint] == pytest.approx(
-            error / np.sqrt(len(errors))
-        )
+        assert report.relative_error_per_joint[joint] == approx(relative_errors[k])
+        assert report.rmse_per_joint[joint] == approx(rmse[k])
 
 
 def test_what_is_not_usable_does_not_count():
@@ -568,7 +566,7 @@ def test_what_is_not_usable_does_not_count():
     usable = np.random.default_rng(1).uniform(size=motion.q.shape) < 0.7
     usable[:, 0] = False
     tau = np.where(usable, ArmTorque(robot)(motion) + OFFSETS, np.nan)
-    error = error_on(robot.mj_model, robot, motion, tau, usable, "a log")
+    error = error_on(robot.mj_model, robot, motion, tau, usable)
     assert error.source == "a log" and error.relative_error < 1e-12
     assert error.relative_error_per_joint["joint0"] is None
     assert error.n_samples == np.max(np.count_nonzero(usable, axis=0))

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid import records
 from robot_sysid.dynamics import spatial
@@ -156,8 +157,8 @@ def test_without_a_file_the_terminal_link_alone_is_written(robots, suffix):
     assert_same_theta(terminal_composite(mj_model, robot), theta)
     masses = robot.mj_model.body_mass.copy()
     masses[robot.body_id] = mj_model.body_mass[robot.body_id]
-    np.testing.assert_array_equal(mj_model.body_mass, masses)
-    np.testing.assert_array_equal(mj_model.opt.gravity, robot.mj_model.opt.gravity)
+    assert_array_equal(mj_model.body_mass, masses)
+    assert_array_equal(mj_model.opt.gravity, robot.mj_model.opt.gravity)
 
 
 @pytest.mark.parametrize(
@@ -216,8 +217,8 @@ def test_a_payload_goes_onto_the_links_of_the_file_or_model(
     if name is not None and with_file:
         assert "without the payload" in path.read_text()
     if with_file:
-        np.testing.assert_array_equal(mj_model.opt.gravity, TURNED)
-        np.testing.assert_array_equal(mj_model.dof_frictionloss[robot.dof_index], 0.25)
+        assert_array_equal(mj_model.opt.gravity, TURNED)
+        assert_array_equal(mj_model.dof_frictionloss[robot.dof_index], 0.25)
         reloaded = load_robot_model(path, joint=JOINTS[suffix])
         assert_same_theta(reloaded.links[0].theta, thetas[0])
         assert (len(notes) == 1) == (suffix == "urdf")
@@ -279,10 +280,10 @@ def test_all_links_joints_and_gravity_are_written(tmp_path, name):
             assert_same_theta(link.theta, theta)
     for term, field in TERMS.items():
         expected = [joints[joint][term].value for joint in robot.joint_names]
-        np.testing.assert_array_equal(
+        assert_array_equal(
             getattr(reloaded.mj_model, f"dof_{field}")[robot.dof_index], expected
         )
-    np.testing.assert_array_equal(reloaded.mj_model.opt.gravity, TURNED)
+    assert_array_equal(reloaded.mj_model.opt.gravity, TURNED)
     assert "System ID: gravity identified with" in text
     if all(name[0] != "#" for name in robot.joint_names):
         assert text.count("System ID: body") == sum(
@@ -324,9 +325,9 @@ def test_a_urdf_gets_friction_and_gravity_but_says_what_it_cannot_hold(robots):
     values = {
         term: [joints[j][term].value for j in robot.joint_names] for term in TERMS
     }
-    np.testing.assert_array_equal(reloaded.friction.viscous, values["viscous"])
-    np.testing.assert_array_equal(reloaded.friction.coulomb, values["coulomb"])
-    np.testing.assert_array_equal(mj_model.opt.gravity, TURNED)
+    assert_array_equal(reloaded.friction.viscous, values["viscous"])
+    assert_array_equal(reloaded.friction.coulomb, values["coulomb"])
+    assert_array_equal(mj_model.opt.gravity, TURNED)
     assert "armature" not in reloaded.path.read_text()
     for theta, link in zip(thetas, reloaded.links):
         assert_same_theta(link.theta, theta)
@@ -375,17 +376,13 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
         torque = values["coulomb"] * np.sign(speed) + values["viscous"] * speed
         torque += values["armature"] * (motion.qdd @ ratios)
         expected += np.outer(torque, ratios)
-    np.testing.assert_allclose(
-        ArmTorque(reloaded)(motion), expected, rtol=1e-9, atol=1e-9
-    )
+    assert_allclose(ArmTorque(reloaded)(motion), expected, rtol=1e-9, atol=1e-9)
 
     # Written again, it is the same motor with other numbers.
     file = with_motor(reloaded, np.random.default_rng(8))
     path = write_and_compile(reloaded, result_of(reloaded, file=file)).path
     (motor,) = couplings_of_model(load_robot_model(path))
-    np.testing.assert_array_equal(
-        motor.model[0], file.joints[motor.name]["coulomb"].value
-    )
+    assert_array_equal(motor.model[0], file.joints[motor.name]["coulomb"].value)
 
 
 @since(3, 3)
@@ -537,7 +534,7 @@ def test_the_errors_of_what_is_written_count(tmp_path):
     result = result_of(robot, estimate=estimate)
     _, mj_model, notes = write_and_compile(robot, result)
     assert "larger; that is less than their standard errors" in notes[0]
-    np.testing.assert_allclose(
+    assert_allclose(
         terminal_composite(mj_model, robot)[[4, 9]], [1.01e-2, 2e-4], rtol=1e-9
     )
 
