@@ -27,23 +27,31 @@ from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.verdict import PRIOR_SHARE
 
 _GROUPS = ((0, 1, "mass"), (1, 4, "first moment"), (4, 10, "inertia about the origin"))
+"""(start, end, title) of the parameters (10,) that have one unit and share one panel."""
 _MARKS: dict[str, tuple[float, dict[str, Any]]] = {
     "before": (0.16, {"marker": "D", "mfc": "none", "mec": drawing.BEFORE}),
     "in the file": (-0.16, {"marker": "s", "mfc": "none", "mec": drawing.OTHER}),
     "truth": (-0.16, {"marker": "x", "mew": 1.8, "color": drawing.TRUTH}),
 }
-"""What stands beside the identified value: by how much of a row above it, and its marker."""
+"""Version of the parameters, see ``Body.thetas``, to (vertical offset from the identified value in
+rows, style of its marker)."""
+_YES_OR_NO = {True: "yes", False: "no"}
+"""Text of a truth value in a cell of a table."""
 _LEAST_SPAN = 0.02
-"""Width of an axis, relative to its values, below which what is drawn would be rounding."""
+"""Least width of a panel's axis, as a share of its largest value: a narrower one would magnify
+rounding errors."""
 
 
 def parameters(run: Run) -> Section:
-    """Return the ten parameters of every body, before and after."""
+    """Return the section with the ten parameters of every body before and after, and their errors.
+
+    A body with an error budget has a second figure, of the causes of its errors.
+    """
     figures = []
     for body_index, body in enumerate(run.bodies):
-        figures.append(_before_after(body, f"parameters-{body_index}"))
+        figures.append(_parameter_figure(body, f"parameters-{body_index}"))
         if body.budget:
-            figures.append(_causes(body, f"errors-{body_index}"))
+            figures.append(_budget_figure(body, f"errors-{body_index}"))
     explanation = (
         "m is the mass, h the first moment (mass times centre of mass), I the inertia about the "
         f"origin of the {'flange' if run.is_payload else 'body'}'s frame. Bars are ± one standard "
@@ -54,46 +62,60 @@ def parameters(run: Run) -> Section:
 
 
 def masses(bodies: Sequence[Body]) -> Table:
-    """Return mass and centre of mass of some bodies: before, after, as written and in truth."""
+    """Return a table of mass and centre of mass, one row per body and version of its parameters.
+
+    The versions are those of ``Body.thetas``; one with zero mass has no row.
+    """
     header = ("body", "", "mass [kg]", *(f"centre {axis} [m]" for axis in "xyz"))
-    rows = [
-        (body.title, when, *_mass_and_place(theta, body, when == "after"))
-        for body in bodies
-        for when, theta in body.thetas.items()
-        if theta[0] != 0.0
-    ]
+    rows = []
+    for body in bodies:
+        for version, theta in body.thetas.items():
+            if theta[0] != 0.0:
+                numbers = _mass_and_center(theta, body, version == "after")
+                rows.append((body.title, version, *numbers))
     return table(header, rows)
 
 
-def _mass_and_place(theta: Array, body: Body, identified: bool) -> Iterator[str]:
-    mass, *errors = body.stated(body.central) if identified else [None] * 4
-    yield with_error(float(theta[0]), mass)
-    for coordinate, error in zip((theta[1:4] / theta[0] + 0.0).tolist(), errors):
+def _mass_and_center(theta: Array, body: Body, is_identified: bool) -> Iterator[str]:
+    """Yield texts of the mass [kg] and of the three coordinates of the centre of mass [m].
+
+    Args:
+        theta: (10,) one version of the body's parameters; its mass is not zero.
+        body: the body, whose standard errors stand behind the numbers of the identified version.
+        is_identified: whether ``theta`` is that version.
+    """
+    errors: list[float | None] = [None] * 4
+    if is_identified:
+        errors = body.errors_or_none(body.central)
+    yield with_error(float(theta[0]), errors[0])
+    # Adding zero turns -0.0 into 0.0.
+    center = (theta[1:4] / theta[0] + 0.0).tolist()
+    for coordinate, error in zip(center, errors[1:]):
         yield f"{coordinate:.4f}" if error is None else with_error(coordinate, error)
 
 
-def _before_after(body: Body, name: str) -> Figure:
+def _parameter_figure(body: Body, name: str) -> Figure:
+    """Return the figure of a body's ten parameters in all versions, with their standard errors.
+
+    Args:
+        body: the body.
+        name: name of the figure's files without suffix, unique on the page.
+    """
     thetas = body.thetas
-    rows = [
-        (
-            f"{label} [{unit}]",
-            *(
-                drawing.text(float(theta[k]), body.errors[k])
-                for theta in thetas.values()
-            ),
-            drawing.plus_minus(body.errors[k]),
-        )
-        for k, (label, unit) in enumerate(zip(PARAMETER_NAMES, PARAMETER_UNITS))
-    ]
+    rows = []
+    for k, (label, unit) in enumerate(zip(PARAMETER_NAMES, PARAMETER_UNITS)):
+        error = body.errors[k]
+        values = [drawing.text(float(theta[k]), error) for theta in thetas.values()]
+        rows.append((f"{label} [{unit}]", *values, drawing.plus_minus(error)))
     numbers = ("parameter", *thetas, "± standard error"), rows
     model_text = " against the model's values before" if "before" in thetas else ""
     truth_text = " and the truth of the simulated arm" if "truth" in thetas else ""
     caption = f"{body.title}: identified parameters{model_text}{truth_text}, ± one standard error."
 
     def draw(canvas: Any) -> None:
-        axes = canvas.subplots(
-            3, 1, height_ratios=[end - start + 0.6 for start, end, _ in _GROUPS]
-        )
+        """Draw one panel per group of parameters on an empty matplotlib figure."""
+        ratios = [end - start + 0.6 for start, end, _ in _GROUPS]
+        axes = canvas.subplots(3, 1, height_ratios=ratios)
         errors = np.where(np.isfinite(body.errors), body.errors, 0.0)
         for (start, end, title), ax in zip(_GROUPS, axes):
             positions = -np.arange(end - start, dtype=float)
@@ -114,7 +136,8 @@ def _before_after(body: Body, name: str) -> Figure:
                 "capsize": 3,
                 "label": "after",
             }
-            ax.errorbar(body.after[indices], positions, xerr=errors[indices], **bar)
+            identified = body.identified[indices]
+            ax.errorbar(identified, positions, xerr=errors[indices], **bar)
             ax.set_yticks(positions, PARAMETER_NAMES[indices])
             ax.set(
                 ylim=(positions[-1] - 0.6, 0.6),
@@ -122,41 +145,45 @@ def _before_after(body: Body, name: str) -> Figure:
             )
             ax.margins(x=0.08)
             ax.locator_params(axis="x", nbins=6)
-            least = (
-                0.5 * _LEAST_SPAN * float(np.max(np.abs(body.after[indices]))) or 5e-7
-            )
+            # Any half width serves where all values are zero.
+            half_span = 0.5 * _LEAST_SPAN * float(np.max(np.abs(identified))) or 5e-7
             low, high = ax.get_xlim()
-            if high - low < 2.0 * least:
-                ax.set_xlim(0.5 * (low + high) - least, 0.5 * (low + high) + least)
-        drawing.legend(canvas, axes[0], 4)
+            middle = 0.5 * (low + high)
+            if high - low < 2.0 * half_span:
+                ax.set_xlim(middle - half_span, middle + half_span)
+        drawing.draw_legend(canvas, axes[0], 4)
 
     return draw_figure(name, caption, numbers, 4.6, draw)
 
 
-def _causes(body: Body, name: str) -> Figure:
+def _budget_figure(body: Body, name: str) -> Figure:
+    """Return the figure of the share that each cause has in the variance of each parameter.
+
+    Args:
+        body: a body with an error budget.
+        name: name of the figure's files without suffix, unique on the page.
+    """
     causes = list(body.budget)
     squares = np.square(np.nan_to_num(np.array(list(body.budget.values()))))
     squares[:, ~np.isfinite(body.errors)] = 0.0
     total = np.sum(squares, axis=0)
     shares = np.divide(squares, total, out=np.zeros_like(squares), where=total > 0.0)
-    # As many as there are colours; what is least stands together.
-    largest = np.argsort(-np.sum(shares, axis=1), kind="stable")[
-        : len(drawing.SERIES) - 1
-    ]
+    # Each of the largest causes has its own colour; all others share the last one.
+    n_drawn = len(drawing.SERIES) - 1
+    largest = np.argsort(-np.sum(shares, axis=1), kind="stable")[:n_drawn]
     drawn_shares = {causes[k]: shares[k] for k in sorted(largest.tolist())}
     drawn_shares["all others"] = np.sum(np.delete(shares, largest, axis=0), axis=0)
-    rows = [
-        (label, drawing.plus_minus(error), *map(percent, parameter_shares))
-        for label, error, parameter_shares in zip(
-            PARAMETER_NAMES, body.errors, shares.T.tolist()
-        )
-    ]
+    rows = []
+    for k, label in enumerate(PARAMETER_NAMES):
+        percentages = map(percent, shares[:, k].tolist())
+        rows.append((label, drawing.plus_minus(body.errors[k]), *percentages))
     caption = (
         f"{body.title}: what each parameter's error is made of, in shares of its variance. Where "
         "noise is small, a longer recording does not help."
     )
 
     def draw(canvas: Any) -> None:
+        """Draw one bar of stacked shares per parameter on an empty matplotlib figure."""
         ax = canvas.subplots()
         left = np.zeros(10)
         positions = -np.arange(10.0)
@@ -173,20 +200,26 @@ def _causes(body: Body, name: str) -> Figure:
             left = left + 100.0 * share
         ax.set_yticks(positions, PARAMETER_NAMES)
         ax.set(xlabel="share of the error's variance [%]", xlim=(0.0, 100.0))
-        drawing.legend(canvas, ax, 2)
+        drawing.draw_legend(canvas, ax, 2)
 
     numbers = ("parameter", "± standard error", *causes), rows
     return draw_figure(name, caption, numbers, 4.6, draw)
 
 
 def visibility(run: Run) -> Section:
-    """Return what is identified, what was kept from the model, and what does not show."""
+    """Return the section on which parameters come from the data and which from the model.
+
+    Its tables are the source of each parameter of the first body, the base parameters and the
+    estimated sensor errors, as far as there are any.
+    """
     body = run.bodies[0]
     content = run.content
-    sources = [_source(body, k, run.is_payload) for k in range(len(PARAMETER_NAMES))]
-    errors = map(drawing.plus_minus, body.errors)
-    rows = list(zip(PARAMETER_NAMES, sources, map(percent, body.share), errors))
-    tables = [table((body.title, "comes from", "data", "±"), rows)]
+    source_rows = []
+    for k, name in enumerate(PARAMETER_NAMES):
+        source = _source(body, k, run.is_payload)
+        error_text = drawing.plus_minus(body.errors[k])
+        source_rows.append((name, source, percent(body.share[k]), error_text))
+    tables = [table((body.title, "comes from", "data", "±"), source_rows)]
     sentences = []
     base = content["base_parameters"]
     sensors = content["sensors"]
@@ -197,19 +230,20 @@ def visibility(run: Run) -> Section:
             "single link beyond these combinations lean on the model."
         )
         header = ("combination", "value", "± standard error", "essential")
-        essential = {True: "yes", False: "no"}
-        rows = [
-            (combination, *drawing.cells(*map(number, pair)), essential[is_essential])
-            for combination, *pair, is_essential in map(dict.values, base)
-        ]
-        tables.append(table(header, rows))
+        base_rows = []
+        for base_parameter in base:
+            # The keys of each object are written in the order of the table's columns.
+            combination, value, error, is_essential = base_parameter.values()
+            value_cells = drawing.cells(number(value), number(error))
+            base_rows.append((combination, *value_cells, _YES_OR_NO[is_essential]))
+        tables.append(table(header, base_rows))
     if sensors:
         sensor_rows = [
             (name, with_error(*quantity)) for name, quantity in sensors.items()
         ]
         tables.append(table(("sensor", "found beside them"), sensor_rows))
     hidden = list(content["unidentifiable_combinations"])
-    if not run.all_known:
+    if not run.is_fully_known:
         hidden.insert(0, "the payload's inertia (its ± does not tell it from zero)")
         sentences.append(NOT_KNOWN)
     every = "All parameters that were asked for show in these torques."
@@ -220,6 +254,7 @@ def visibility(run: Run) -> Section:
 
 
 def _source(body: Body, k: int, is_payload: bool) -> str:
+    """Return where the value of parameter k (0 to 9) of a body comes from, as text of a cell."""
     if body.is_from_model[k]:
         return "not known" if is_payload else "the model (not visible)"
     if np.isfinite(body.share[k]) and body.share[k] < PRIOR_SHARE:
@@ -232,7 +267,11 @@ def _source(body: Body, k: int, is_payload: bool) -> str:
 
 
 def card(run: Run) -> Section | None:
-    """Return the payload as controllers take it; None where there is none."""
+    """Return the section with the payload's numbers in the form of each controller, to be copied.
+
+    None if the run identified no payload. The section has no numbers but says why, if the run
+    wrote no card.
+    """
     payload = run.content["payload"]
     if payload is None:
         return None
@@ -263,7 +302,10 @@ def card(run: Run) -> Section | None:
 
 
 def scatter(run: Run) -> Section | None:
-    """Return the payload according to each recording alone, or None where nothing is known."""
+    """Return the section with the payload's mass according to each recording alone.
+
+    None if the run identified no payload or too few recordings allow it.
+    """
     payload = run.content["payload"]
     if payload is None or not payload["scatter"]:
         return None
@@ -287,19 +329,34 @@ def scatter(run: Run) -> Section | None:
 
 
 _SIZE = (800, 620)
+"""Width and height of a picture [pixels]."""
 _COLOURS: dict[str, Colour] = {
     "before": (0.9, 0.45, 0.05, 0.3),
     "after": (0.05, 0.38, 0.75, 0.5),
 }
+"""Version of the parameters to colour (red, green, blue, opacity) of its ellipsoid, 0 to 1."""
 _ROOM = 6.0
+"""Least distance of the camera from the whole arm, in sizes of the largest body."""
 _FARTHER = 1.25
+"""Least distance of the camera from the whole arm, in distances at which just the arm fits."""
 _NEAREST = 3.0
+"""Least distance of the camera from the last link, in extents of its largest ellipsoid."""
 _TITLE = "Inertia on the arm"
+"""Heading of the section with the pictures."""
 Bodies = list[tuple[int, Body]]
+"""Pairs (MuJoCo id of the body that carries the frame, body in that frame)."""
 
 
 def picture(run: Run, mesh_dir: Path | None = None) -> Section:
-    """Return pictures of the arm with ellipsoids of the same mass and inertia as its links."""
+    """Return the section with pictures of the arm and ellipsoids of its links' mass and inertia.
+
+    The section has no pictures but says why, if the model is not at its path any more or has
+    changed, or if nothing can be rendered.
+
+    Args:
+        run: the run whose bodies are drawn.
+        mesh_dir: folder with the model's meshes, as the option of that name; None for the model's.
+    """
     entry = run.content["model"]
     path = Path(entry["path"])
     try:
@@ -312,15 +369,20 @@ def picture(run: Run, mesh_dir: Path | None = None) -> Section:
             raise SysidError(
                 f"no pictures of the arm: {path} has changed since the run"
             )
-        return _ellipsoid_section(robot, list(_bodies(robot, run)))
+        return _ellipsoid_section(robot, list(_drawn_bodies(robot, run)))
     except SysidError as error:
         return Section("picture", _TITLE, missing=(str(error),))
 
 
 def _ellipsoid_section(robot: RobotModel, bodies: Bodies) -> Section:
+    """Return the section with a picture of the whole arm and one of its last link.
+
+    SysidError if there is no graphics library to render with.
+    """
     from matplotlib.image import imsave
 
-    facts: Any = {"Software": None}
+    # matplotlib's version would make equal pictures differ.
+    metadata: Any = {"Software": None}
     numbers = masses([body for _, body in bodies])
     figures = []
     last = [body_pair for body_pair in bodies if body_pair[0] == robot.body_id]
@@ -332,10 +394,12 @@ def _ellipsoid_section(robot: RobotModel, bodies: Bodies) -> Section:
         ):
             studio.look_at_arm(robot.reference[None])
             if name == "close":
-                _go_near(studio, robot, last[0][1])
+                _approach_last_link(studio, robot, last[0][1])
             else:
                 # So far away that the largest ellipsoid fits into the picture.
-                thetas = [theta for _, body in bodies for theta in body.thetas.values()]
+                thetas: list[Array] = []
+                for _, body in bodies:
+                    thetas += body.thetas.values()
                 distance = _ROOM * max(map(characteristic_length, thetas))
                 studio.camera.distance = max(
                     _FARTHER * studio.camera.distance, distance
@@ -346,7 +410,7 @@ def _ellipsoid_section(robot: RobotModel, bodies: Bodies) -> Section:
             caption = f"Ellipsoids of inertia on {subject}, in its reference posture."
             pixels = np.ascontiguousarray(studio.render())
             buffer = io.BytesIO()
-            imsave(buffer, pixels, format="png", metadata=facts)
+            imsave(buffer, pixels, format="png", metadata=metadata)
             figures.append(
                 Figure(f"inertia-{name}", caption, numbers, png=buffer.getvalue())
             )
@@ -362,16 +426,24 @@ def _ellipsoid_section(robot: RobotModel, bodies: Bodies) -> Section:
 
 
 def _add_ellipsoids(studio: Studio, bodies: Bodies) -> Iterator[str]:
-    """Add all ellipsoids; yields the names of what has none."""
-    for index, body in bodies:
-        for when, colour in _COLOURS.items():
-            theta = body.thetas.get(when)
-            if theta is not None and not studio.add_ellipsoid(index, theta, colour):
-                yield f"{body.title} {when}"
+    """Add the ellipsoids of all bodies before and after to the picture.
+
+    Yields body and version, as "link6 after", of parameters that no rigid body has and that
+    therefore have no ellipsoid. The ellipsoids are added while the caller iterates.
+    """
+    for body_id, body in bodies:
+        for version, colour in _COLOURS.items():
+            theta = body.thetas.get(version)
+            if theta is not None and not studio.add_ellipsoid(body_id, theta, colour):
+                yield f"{body.title} {version}"
 
 
-def _bodies(robot: RobotModel, run: Run) -> Iterator[tuple[int, Body]]:
-    """Yield (MuJoCo id, body in its frame), what was asked for first."""
+def _drawn_bodies(robot: RobotModel, run: Run) -> Iterator[tuple[int, Body]]:
+    """Yield (MuJoCo id, body in the frame of that id) of the bodies to draw.
+
+    These are the payload and the link with it ("before": without it), or the terminal link and the
+    other links.
+    """
     first, *others = run.bodies
     if run.is_payload:
         entry = run.content["payload"]["flange"]
@@ -380,9 +452,9 @@ def _bodies(robot: RobotModel, run: Run) -> Iterator[tuple[int, Body]]:
         )
         yield (
             robot.body_id,
-            replace(first, thetas={"after": flange.from_flange(first.after)}),
+            replace(first, thetas={"after": flange.from_flange(first.identified)}),
         )
-        thetas = {"before": others[0].after, "after": others[1].after}
+        thetas = {"before": others[0].identified, "after": others[1].identified}
         yield (
             robot.body_id,
             replace(others[1], title="link with payload", thetas=thetas),
@@ -393,20 +465,35 @@ def _bodies(robot: RobotModel, run: Run) -> Iterator[tuple[int, Body]]:
     yield from ((ids[body.title], body) for body in others if body.title in ids)
 
 
-def _go_near(studio: Studio, robot: RobotModel, body: Body) -> None:
-    """Point the camera at the last link's centre of mass, as near as its ellipsoids allow."""
-    com = body.after[1:4] / body.after[0] if body.after[0] > 0.0 else np.zeros(3)
-    reach = max(_reach(theta, com) for theta in body.thetas.values())
-    turn = studio.data.xmat[robot.body_id].reshape(3, 3)
-    target = studio.data.xpos[robot.body_id] + turn @ com
-    studio.point_camera(target, max(0.4 * studio.camera.distance, _NEAREST * reach))
+def _approach_last_link(studio: Studio, robot: RobotModel, body: Body) -> None:
+    """Point the camera at the last link's centre of mass, as near as its ellipsoids allow.
+
+    Args:
+        studio: the renderer, its camera at the distance of the whole arm.
+        robot: the arm.
+        body: the last link, or the payload in its frame.
+    """
+    theta = body.identified
+    com = theta[1:4] / theta[0] if theta[0] > 0.0 else np.zeros(3)
+    extent = max(_ellipsoid_extent(version, com) for version in body.thetas.values())
+    rotation = studio.data.xmat[robot.body_id].reshape(3, 3)
+    target = studio.data.xpos[robot.body_id] + rotation @ com
+    studio.point_camera(target, max(0.4 * studio.camera.distance, _NEAREST * extent))
 
 
-def _reach(theta: Array, around: Array) -> float:
-    """Return how far the ellipsoid of a body (10,) gets from a place (3,) [m]."""
+def _ellipsoid_extent(theta: Array, point: Array) -> float:
+    """Return an upper bound of the distance [m] of a body's ellipsoid from a point (3,) [m].
+
+    The bound is the distance of the centre of mass plus the longest half axis a, of which
+    a^2 = 5 (I_2 + I_3 - I_1) / (2 m) with the ascending principal moments I; zero without mass.
+
+    Args:
+        theta: (10,) parameters of the body, in the frame of the point.
+        point: (3,) coordinates [m].
+    """
     if theta[0] <= 0.0:
         return 0.0
     mass, com, inertia = com_from_theta(theta)
     moments = np.linalg.eigvalsh(inertia)
     half_axis = np.sqrt(max(2.5 * (np.sum(moments) - 2.0 * moments[0]) / mass, 0.0))
-    return float(np.linalg.norm(com - around) + half_axis)
+    return float(np.linalg.norm(com - point) + half_axis)

@@ -1,8 +1,8 @@
-"""Tables, figures and sections of a page, and the style of figures as SVG or PNG.
+"""Tables, figures and sections of a report page, and drawing of figures as SVG or PNG.
 
-Colours are told apart by every kind of colour vision (after Okabe and Ito, "Color universal
-design", 2008), and each goes with a marker or a line of its own. Inside a page they are variables,
-so that the page can be light or dark.
+Readers with any kind of colour vision can distinguish the colours (after Okabe and Ito, "Color
+universal design", 2008), and each colour has its own marker or line style as well. A figure inside
+a page refers to colours by CSS variables, so that the page can be light or dark.
 """
 
 from __future__ import annotations
@@ -25,12 +25,18 @@ from robot_sysid.records import Array
 from robot_sysid.records.messages import number_text
 
 MOST_ROWS = 60
-"""Rows of a figure's table; more are thinned."""
+"""Largest number of rows of a table; of a longer one, every n-th row is shown."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """Numbers in rows, as text; the note says what is left out."""
+    """A table of a page; all cells are text.
+
+    Attributes:
+        header: titles of the C columns.
+        rows: one tuple of C cells per row.
+        note: sentence below the table on units or left-out rows; "" for none.
+    """
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -39,12 +45,14 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """A drawing with its caption and its numbers.
+    """A drawing or a rendered picture with its caption and a table of its numbers.
 
     Attributes:
-        name: of its files, unique on the page.
-        drawing: of matplotlib; None where there is a photograph.
-        png: a photograph instead.
+        name: file name without suffix, unique on the page.
+        caption: sentence below the drawing.
+        table: the numbers that the figure shows.
+        drawing: matplotlib figure; None where ``png`` has a picture.
+        png: content of a PNG file, rendered by the simulator; empty where there is a ``drawing``.
     """
 
     name: str
@@ -56,15 +64,21 @@ class Figure:
 
 @dataclass(frozen=True)
 class Section:
-    """One part of the page.
+    """One section of the page.
 
     Attributes:
-        blocks: (title, text) of what is to be copied as it is.
-        missing: what is not there and what would make it so, one sentence each.
-        verdict: "good", "part" where some of it is not known, "bad", or "".
-        headline: what stands out of it.
-        details: (title, sentences) of what only some want to read.
-        is_open: whether a part is unfolded from the beginning.
+        key: identifier of the section in the page, unique there.
+        title: heading.
+        sentences: paragraphs below the heading.
+        tables: tables in order.
+        figures: figures in order.
+        points: items of a bulleted list.
+        blocks: (title, text) of preformatted text for the reader to copy.
+        missing: one sentence for each table or figure that cannot be shown, with cause and remedy.
+        verdict: "good", "bad", "part" if the payload is only partly known; "" in other sections.
+        headline: the section's main numbers in one short line; "" for none.
+        details: (title, sentences) of folded paragraphs with further information.
+        is_open: whether the section is unfolded when the page opens.
     """
 
     key: str
@@ -82,26 +96,38 @@ class Section:
 
 
 def text(value: Any, error: float | None = None) -> str:
-    """Return a number as a cell; a dash where there is none."""
+    """Return a number as text of a table cell; "–" for None, NaN or infinity.
+
+    Args:
+        value: number, or None.
+        error: standard error of the number, in its unit, which determines the digits shown; None
+            where there is none.
+    """
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "–"
     return number_text(float(value), error)
 
 
 def plus_minus(error: float) -> str:
-    """Return a standard error as a cell."""
+    """Return a standard error as text of a table cell, with the digits of a standard error."""
     return number_text(error, error)
 
 
 def cells(value: float, error: float) -> tuple[str, str]:
-    """Return a number and its standard error as cells."""
+    """Return (text of a number, text of its standard error), the texts of two table cells."""
     return text(value, error), plus_minus(error)
 
 
 def table(
     header: Sequence[str], rows: Iterable[Sequence[Any]], note: str = ""
 ) -> Table:
-    """Return a table of texts and numbers; with more than ``MOST_ROWS`` rows, some of them."""
+    """Return a table with numbers as text and at most ``MOST_ROWS`` evenly spaced rows.
+
+    Args:
+        header: titles of the columns.
+        rows: texts and numbers, one sequence per row; a number that is None or not finite is "–".
+        note: sentence below the table; one on left-out rows is added to it where there are any.
+    """
     texts = [
         tuple(cell if isinstance(cell, str) else text(cell) for cell in row)
         for row in rows
@@ -117,25 +143,40 @@ def table(
 
 
 INK = "#1b1f24"
+"""Colour of text, axes and outlines."""
 GRID = "#d3d7dc"
+"""Colour of grid lines."""
 BEFORE = "#b3540a"
+"""Colour of values of the model before identification (orange)."""
 AFTER = "#0b62a8"
+"""Colour of identified values (blue)."""
 TRUTH = "#0a7a5c"
+"""Colour of the true values of a simulated arm (green)."""
 MEASURED = "#6b7178"
+"""Colour of measured values (grey)."""
 OTHER = "#8a3f9a"
-_NAMES = ("ink", "grid", "before", "after", "truth", "measured", "other")
-VARIABLES = dict(zip((INK, GRID, BEFORE, AFTER, TRUTH, MEASURED, OTHER), _NAMES))
-"""Colour to the name of its variable in the page's style."""
+"""Colour of limits and of series that have no colour above (purple)."""
+VARIABLES = {
+    INK: "ink",
+    GRID: "grid",
+    BEFORE: "before",
+    AFTER: "after",
+    TRUTH: "truth",
+    MEASURED: "measured",
+    OTHER: "other",
+}
+"""Colour to the name of its CSS variable in the page's style sheet."""
 SERIES = ((AFTER, "o"), (BEFORE, "D"), (TRUTH, "s"), (OTHER, "^"), (MEASURED, "v"))
-"""Colour and marker of the first, second, ... of several things beside each other."""
+"""(colour, marker) of the first, second, ... series of a figure."""
 WIDTH = 4.6
-"""Of figures [inch]: two beside each other on a screen, one on a phone."""
+"""Width of every figure [inch]: two fit side by side on a screen, one on a phone."""
 HATCHES = ("", "///", "...", "xxx", "\\\\\\", "++", "oo")
-"""Of the first, second, ... of several bars beside each other."""
+"""Hatch pattern (matplotlib) of the bars of the first, second, ... series of a figure."""
 _SCATTERED = 400
-"""Dots of a cloud: more of them are one blot."""
+"""Least number of dots to which a longer scatter plot is thinned; fewer than twice as many remain.
+More dots would overlap."""
 _DPI = 150
-"""Of a PNG: twice what a screen shows."""
+"""Resolution of a PNG file [dots per inch]: about twice that of a screen."""
 _STYLE: dict[str, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
@@ -158,19 +199,23 @@ _STYLE: dict[str, Any] = {
     # Names of joints and files are text, never formulas.
     "text.parse_math": False,
 }
+"""Settings of matplotlib (``rcParams``) under which every figure is drawn and saved."""
 
 
 def require_libraries() -> None:
-    """Raise InputError where figures cannot be drawn; asked before a long run."""
-    missing = [
-        n for n in ("matplotlib", "jinja2") if importlib.util.find_spec(n) is None
-    ]
+    """Raise InputError if matplotlib or jinja2 is missing or matplotlib has no cache folder.
+
+    A run calls this before its long computations, so that it does not fail at their end. Silences
+    matplotlib's warnings for the rest of the process.
+    """
+    libraries = ("matplotlib", "jinja2")
+    missing = [name for name in libraries if importlib.util.find_spec(name) is None]
     if missing:
         raise InputError(
             f"a report needs {' and '.join(missing)}; install with: "
             'pip install "robot-sysid[report]"'
         )
-    # What it says of a cache that is not where it should be matters to nobody here.
+    # Without this, matplotlib warns when it moves its cache to a temporary folder.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:
         importlib.import_module("matplotlib")
@@ -183,6 +228,10 @@ def require_libraries() -> None:
 
 @contextlib.contextmanager
 def _matplotlib_style(name: str) -> Iterator[None]:
+    """Apply ``_STYLE`` to matplotlib and silence its warnings inside a ``with`` block.
+
+    Ids in an SVG are hashed from the figure's ``name``, so that they are reproducible.
+    """
     import matplotlib
 
     style: Any = {**_STYLE, "svg.hashsalt": name}
@@ -199,7 +248,15 @@ def draw_figure(
     height: float,
     draw: Callable[[Any], None],
 ) -> Figure:
-    """Return a figure of a height [inch], with header and rows of its table."""
+    """Draw and return a figure with its caption and a table of its numbers.
+
+    Args:
+        name: name of the figure's files without suffix, unique on the page.
+        caption: sentence below the drawing.
+        numbers: (header, rows) of the figure's table, as of ``table``.
+        height: height of the drawing [inch]; its width is ``WIDTH``.
+        draw: adds axes and curves to the empty matplotlib figure it is called with.
+    """
     from matplotlib.figure import Figure as Canvas
 
     with _matplotlib_style(name):
@@ -209,18 +266,20 @@ def draw_figure(
 
 
 Curves = Mapping[str, tuple[Array, dict[str, Any]]]
+"""Label that ends in a unit, as "measured [N·m]", to (values (K,), style for matplotlib)."""
 
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves over one axis.
+    """One pair of axes of a figure, with curves; all panels of a figure share the horizontal axis.
 
     Attributes:
-        label: of the upright axis.
-        curves: name to values (K,) and matplotlib's style; a name ends in its unit.
-        marks: values at which a dashed line is drawn.
-        cloud: places (K,) and values (K,) that are drawn as dots; some of them.
-        height: beside the other panels.
+        label: label of the vertical axis.
+        curves: label of each curve to its values (K,) and style, see ``Curves``.
+        marks: vertical coordinates of dashed horizontal lines.
+        cloud: horizontal (M,) and vertical (M,) coordinates of a thinned scatter plot; None for
+            none.
+        height: height relative to that of the other panels.
     """
 
     label: str
@@ -230,42 +289,59 @@ class Panel:
     height: float = 1.0
 
 
-def curves(
+def curves_figure(
     name: str,
     caption: str,
     across: tuple[str, Array],
     panels: Sequence[Panel],
     height: float,
 ) -> Figure:
-    """Return curves in panels over one axis, ``across``, broken where that is NaN; with a table."""
-    every = {
-        label: values for panel in panels for label, (values, _) in panel.curves.items()
-    }
+    """Return a figure of panels below each other, with a table of all their curves.
+
+    Args:
+        name: name of the figure's files without suffix, unique on the page.
+        caption: sentence below the drawing.
+        across: label and values (K,) of the common horizontal axis; a NaN interrupts the curves.
+        panels: the panels from top to bottom; all curves have K values and labels of their own.
+        height: height of the drawing [inch].
+    """
+    horizontal_label, horizontal_values = across
+    curve_values: dict[str, Array] = {}
+    for panel in panels:
+        for label, (values, _) in panel.curves.items():
+            curve_values[label] = values
 
     def draw(canvas: Any) -> None:
+        """Draw all panels on an empty matplotlib figure."""
         ratios = [panel.height for panel in panels]
         axes = canvas.subplots(
             len(panels), 1, sharex=True, squeeze=False, height_ratios=ratios
         )
         for (ax,), panel in zip(axes, panels):
             if panel.cloud is not None:
-                dots(ax, *panel.cloud)
+                draw_dots(ax, *panel.cloud)
             for label, (values, style) in panel.curves.items():
-                ax.plot(across[1], values, label=label.split(" [")[0], **style)
+                label_without_unit = label.split(" [")[0]
+                ax.plot(horizontal_values, values, label=label_without_unit, **style)
             for mark in panel.marks:
                 ax.axhline(mark, color=OTHER, ls="--", lw=1.0)
             ax.set_ylabel(panel.label)
-        axes[-1, 0].set_xlabel(across[0])
+        axes[-1, 0].set_xlabel(horizontal_label)
         canvas.align_ylabels()
         if len(panels[0].curves) > 1:
-            legend(canvas, axes[0, 0])
+            draw_legend(canvas, axes[0, 0])
 
-    rows = [row for row in zip(across[1], *every.values()) if np.isfinite(row[0])]
-    return draw_figure(name, caption, ((across[0], *every), rows), height, draw)
+    header = (horizontal_label, *curve_values)
+    all_rows = zip(horizontal_values, *curve_values.values())
+    rows = [row for row in all_rows if np.isfinite(row[0])]
+    return draw_figure(name, caption, (header, rows), height, draw)
 
 
 def svg(figure: Figure) -> str:
-    """Return a drawing as an SVG file; the same text for the same drawing."""
+    """Return the text of an SVG file of a figure that has a ``drawing``.
+
+    The text has neither date nor random ids, so that equal drawings give equal texts.
+    """
     buffer = io.StringIO()
     with _matplotlib_style(figure.name):
         figure.drawing.savefig(
@@ -275,14 +351,15 @@ def svg(figure: Figure) -> str:
 
 
 def png(figure: Figure) -> bytes:
-    """Return a drawing as PNG on white."""
+    """Return the content of a PNG file of a figure; a drawing gets a white background."""
     if figure.png:
         return figure.png
     buffer = io.BytesIO()
     with _matplotlib_style(figure.name):
-        facts = {"Software": None}
+        # matplotlib's version would make equal drawings differ.
+        metadata = {"Software": None}
         figure.drawing.savefig(
-            buffer, format="png", dpi=_DPI, facecolor="w", metadata=facts
+            buffer, format="png", dpi=_DPI, facecolor="w", metadata=metadata
         )
     return buffer.getvalue()
 
@@ -291,47 +368,74 @@ _DROPPED = re.compile(
     r' id="[A-Za-z][A-Za-z0-9]*_\d+"|<style.*?</style>|<metadata>.*?</metadata>',
     re.DOTALL,
 )
-"""What a drawing inside a page has no use for: ids that nothing refers to, styles, facts."""
+"""Text of an SVG file that is removed inside a page: ids that nothing refers to, which might occur
+twice on the page; style sheets, which would hold for the whole page; metadata."""
 _SIZE = re.compile(r'(<svg[^>]*?) (?:width|height)="[^"]*"')
+"""Width or height of the ``<svg>`` element; without them, the page scales the drawing."""
 
 
-def inline(figure: Figure) -> str:
-    """Return a drawing as part of a page: scaled by it, in its colours, no id used twice."""
+def inline_svg(figure: Figure) -> str:
+    """Return a figure's drawing as an ``<svg>`` element of a page.
+
+    The element has no fixed size, refers to colours by the page's CSS variables and shares no id
+    with another one.
+    """
     text = svg(figure)
     text = _DROPPED.sub("", text[text.index("<svg") :])
-    text = _SIZE.sub(r"\1", _SIZE.sub(r"\1", text))
+    # One substitution for the width and one for the height.
+    text = _SIZE.sub(r"\1", text)
+    text = _SIZE.sub(r"\1", text)
     for colour, variable in VARIABLES.items():
         text = text.replace(colour, f"var(--{variable})")
-    width = 72.0 * float(figure.drawing.get_figwidth())
-    # For readers who do not see it the caption says what it is.
+    width_points = 72.0 * float(figure.drawing.get_figwidth())
+    # Screen readers read the caption instead of the drawing.
     return text.replace(
-        "<svg", f'<svg aria-hidden="true" style="max-width:{1.5 * width:.0f}px"', 1
+        "<svg",
+        f'<svg aria-hidden="true" style="max-width:{1.5 * width_points:.0f}px"',
+        1,
     )
 
 
-def legend(canvas: Any, axes: Any, columns: int = 3) -> None:
-    """Put one legend above all axes."""
+def draw_legend(canvas: Any, axes: Any, columns: int = 3) -> None:
+    """Draw the legend of one pair of axes above all axes of a figure; nothing without labels.
+
+    Args:
+        canvas: matplotlib figure to draw on.
+        axes: axes whose labelled curves the legend lists.
+        columns: number of columns of the legend.
+    """
     handles, labels = axes.get_legend_handles_labels()
     if handles:
         canvas.legend(handles, labels, loc="outside upper center", ncols=columns)
 
 
-def dots(axes: Any, x: Array, values: Array) -> None:
-    """Draw finite values over places, both (K,), as small dots; at most about 400 of them."""
+def draw_dots(axes: Any, x: Array, values: Array) -> None:
+    """Draw a scatter plot in MEASURED on matplotlib axes, thinned to fewer than 800 dots.
+
+    Args:
+        axes: matplotlib axes to draw on.
+        x: horizontal coordinates (K,).
+        values: vertical coordinates (K,); those that are not finite are left out.
+    """
     indices = np.flatnonzero(np.isfinite(values))
     indices = indices[:: max(1, len(indices) // _SCATTERED)]
     axes.plot(x[indices], values[indices], ".", color=MEASURED, ms=2.5, alpha=0.7)
 
 
-def bars(
+def draw_bars(
     canvas: Any,
     groups: Sequence[str],
     series: Sequence[tuple[str, Any, str]],
     label: str,
 ) -> None:
-    """Draw bars below each other; (name, lengths (n,), colour) of the first, ... of each group.
+    """Draw a grouped horizontal bar chart with a legend on an empty matplotlib figure.
 
-    What is not finite is not drawn.
+    Args:
+        canvas: matplotlib figure to draw on.
+        groups: names of the n groups, from top to bottom, each with one bar per series.
+        series: (name, lengths of the bars (n,), colour) of at most ``len(HATCHES)`` series; a
+            length that is not finite is drawn as no bar.
+        label: label of the horizontal axis.
     """
     axes = canvas.subplots()
     height = 0.8 / len(series)
@@ -350,9 +454,9 @@ def bars(
         )
     axes.set_yticks(positions, [shorten(name) for name in groups])
     axes.set_xlabel(label)
-    legend(canvas, axes, 1)
+    draw_legend(canvas, axes, 1)
 
 
-def shorten(name: str, most: int = 22) -> str:
-    """Return a name, cut to at most some characters with an ellipsis at its end."""
-    return name if len(name) <= most else f"{name[: most - 1]}…"
+def shorten(name: str, max_length: int = 22) -> str:
+    """Return a name, cut to ``max_length`` characters, the last an ellipsis, if it is longer."""
+    return name if len(name) <= max_length else f"{name[: max_length - 1]}…"

@@ -22,11 +22,15 @@ from robot_sysid.report.runs import LONGEST_LAG, ReportData, Run, number
 from robot_sysid.results.record import Quantity as Estimated
 
 _NEAR = 0.5
-"""Share of what a joint moved through within which a limit is near enough to be drawn."""
+"""Largest distance of a limit from the recorded values at which it is drawn, as a share of the
+range of these values."""
 
 
 def torques(run: Run) -> Section | None:
-    """Return measured and predicted torque of each joint, the residual below."""
+    """Return the section with measured and predicted torque and residual of each joint.
+
+    None if the run has no data to draw.
+    """
     reference = "the arm without the payload" if run.is_payload else "the model before"
     explanation = (
         f"Grey: measured. Blue: predicted by the result. Orange, dashed: predicted by {reference}. "
@@ -36,36 +40,51 @@ def torques(run: Run) -> Section | None:
     if run.data is not None and run.data.thinning_text:
         explanation += f" Long recording: {run.data.thinning_text}."
     title = "Measured and predicted torque"
-    return _by_joint(
-        run, "torques", title, explanation, partial(_torque, reference=reference)
-    )
+    figure_of_joint = partial(_torque_figure, reference=reference)
+    return _section_by_joint(run, "torques", title, explanation, figure_of_joint)
 
 
-def _by_joint(
+def _section_by_joint(
     run: Run,
     key: str,
     title: str,
     explanation: str,
-    figure: Callable[[ReportData, int], Figure],
-    *numbers: Callable[[ReportData], Table],
+    figure_of_joint: Callable[[ReportData, int], Figure],
+    *table_makers: Callable[[ReportData], Table],
 ) -> Section | None:
-    if (data := run.data) is None:
+    """Return a section with one figure per joint, or None if the run has no data to draw.
+
+    Args:
+        run: the run whose data are drawn.
+        key: identifier of the section in the page.
+        title: heading.
+        explanation: paragraph below the heading.
+        figure_of_joint: returns the figure of a joint, of the data and the joint's index.
+        table_makers: return one table of the section each, of the data.
+    """
+    data = run.data
+    if data is None:
         return None
-    figures = [figure(data, joint) for joint in range(len(data.joints))]
-    return Section(
-        key, title, (explanation,), [table_of(data) for table_of in numbers], figures
-    )
+    figures = [figure_of_joint(data, joint) for joint in range(len(data.joints))]
+    tables = [make_table(data) for make_table in table_makers]
+    return Section(key, title, (explanation,), tables, figures)
 
 
-def _torque(data: ReportData, joint: int, reference: str) -> Figure:
+def _torque_figure(data: ReportData, joint: int, reference: str) -> Figure:
+    """Return the figure of measured and predicted torque and residual of a joint over time.
+
+    Args:
+        data: signals to draw.
+        joint: index of the joint, from the base.
+        reference: name of the model that made the prior prediction, for the caption.
+    """
     unit = torque_unit(data.is_slide[joint])
     name = data.joints[joint]
-    curves = _before_after(data, joint)
-    measured, prior_prediction, predicted = (values for values, _ in curves.values())
-    residual = measured - predicted
-    residual_rms, measured_rms, prior_rms = map(
-        _rms, (residual, measured, measured - prior_prediction)
-    )
+    measured = data.measured[:, joint]
+    residual = measured - data.predicted[:, joint]
+    residual_rms = _rms(residual)
+    measured_rms = _rms(measured)
+    prior_rms = _rms(measured - data.prior_prediction[:, joint])
     caption = (
         f"{name}: measured torque, predicted after and before, and the residual [{unit}]; "
         f"root mean square {residual_rms:.3g} {unit} of {measured_rms:.3g} {unit} "
@@ -75,27 +94,29 @@ def _torque(data: ReportData, joint: int, reference: str) -> Figure:
         f"residual [{unit}]": (residual, {"color": drawing.INK, "lw": 0.7})
     }
     panels = (
-        Panel(f"torque [{unit}]", curves, height=2.5),
+        Panel(f"torque [{unit}]", _torque_curves(data, joint), height=2.5),
         Panel(f"residual [{unit}]", residual_curve),
     )
-    return drawing.curves(
+    return drawing.curves_figure(
         f"torque-{joint}", caption, ("time [s]", data.time), panels, 3.6
     )
 
 
 def most_changed(run: Run) -> Figure:
-    """Return measured and predicted torque of the joint whose error has changed most."""
+    """Return the figure of measured and predicted torque of one joint: that whose root mean square
+    prediction error differs most between the prior prediction and the result.
+
+    The run must have data to draw.
+    """
     data = run.data
     assert data is not None
-    prior_residual, residual = (
-        data.measured - prediction
-        for prediction in (data.prior_prediction, data.predicted)
-    )
-    falls = [
-        _rms(prior_rms) - _rms(residual_rms)
-        for prior_rms, residual_rms in zip(prior_residual.T, residual.T)
-    ]
-    joint = int(np.argmax(np.nan_to_num(np.abs(falls))))
+    prior_residual = data.measured - data.prior_prediction
+    residual = data.measured - data.predicted
+    rms_changes = []
+    for joint in range(len(data.joints)):
+        change = _rms(prior_residual[:, joint]) - _rms(residual[:, joint])
+        rms_changes.append(change)
+    joint = int(np.argmax(np.nan_to_num(np.abs(rms_changes))))
     name = data.joints[joint]
     unit = torque_unit(data.is_slide[joint])
     prior_rms = _rms(prior_residual[:, joint])
@@ -104,57 +125,57 @@ def most_changed(run: Run) -> Figure:
         f"Torque of {name}, measured and predicted before and after: the prediction was off by "
         f"{prior_rms:.3g} {unit}, and is by {residual_rms:.3g} {unit} (root mean square)."
     )
-    panel = Panel(f"torque [{unit}]", _before_after(data, joint))
-    return drawing.curves(
+    panel = Panel(f"torque [{unit}]", _torque_curves(data, joint))
+    return drawing.curves_figure(
         "before-after", caption, ("time [s]", data.time), (panel,), 3.0
     )
 
 
-def _before_after(data: ReportData, joint: int) -> Curves:
+def _torque_curves(data: ReportData, joint: int) -> Curves:
+    """Return curves of a joint's torque: measured, predicted by the prior and by the result."""
     unit = torque_unit(data.is_slide[joint])
-    measured, prior_prediction, predicted = (
-        torques[:, joint]
-        for torques in (data.measured, data.prior_prediction, data.predicted)
-    )
+    measured_style = {"color": drawing.MEASURED, "lw": 2.2, "alpha": 0.8}
+    prior_style = {"color": drawing.BEFORE, "ls": "--", "lw": 0.9}
     return {
-        f"measured [{unit}]": (
-            measured,
-            {"color": drawing.MEASURED, "lw": 2.2, "alpha": 0.8},
-        ),
-        f"before [{unit}]": (
-            prior_prediction,
-            {"color": drawing.BEFORE, "ls": "--", "lw": 0.9},
-        ),
-        f"after [{unit}]": (predicted, {"color": drawing.AFTER}),
+        f"measured [{unit}]": (data.measured[:, joint], measured_style),
+        f"before [{unit}]": (data.prior_prediction[:, joint], prior_style),
+        f"after [{unit}]": (data.predicted[:, joint], {"color": drawing.AFTER}),
     }
 
 
 def _rms(values: Array) -> float:
+    """Return the root mean square of the finite ones of values (K,); NaN if none is finite."""
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
 
 
 def residuals(run: Run) -> Section | None:
-    """Return residuals against speed, their histogram and their autocorrelation."""
+    """Return the section with each joint's residuals against speed, histogram and autocorrelation.
+
+    None if the run has no data to draw.
+    """
     explanation = (
         "If only sensor noise is left over, the residual does not depend on speed, its histogram "
         "is the bell curve of the same width, and its autocorrelation stays within the grey band "
         "from the first lag on. A slope against speed is friction that the model does not have; a "
         "long tail in the autocorrelation means that the model, not noise, limits the result."
     )
-    return _by_joint(run, "residuals", "What is left over", explanation, _left_over)
+    title = "What is left over"
+    return _section_by_joint(run, "residuals", title, explanation, _residual_figure)
 
 
-def _left_over(data: ReportData, joint: int) -> Figure:
+def _residual_figure(data: ReportData, joint: int) -> Figure:
+    """Return the figure of a joint's residual: against speed, as histogram, autocorrelation."""
     residual_label = f"residual [{torque_unit(data.is_slide[joint])}]"
     speed_label = f"speed [{position_unit(data.is_slide[joint])}/s]"
     has_samples = np.isfinite(data.speed[joint])
-    columns = (data.speed, data.residual_mean, data.residual_spread)
-    speeds, mean, spread = (statistic[joint, has_samples] for statistic in columns)
-    band = data.independent[joint]
-    memories = data.correlation[joint]
-    beyond = np.abs(memories[1:]) > band
-    share = f"{100.0 * np.mean(beyond):.0f} %" if len(beyond) else "none"
+    speeds = data.speed[joint, has_samples]
+    mean = data.residual_mean[joint, has_samples]
+    spread = data.residual_spread[joint, has_samples]
+    noise_bound = data.independent[joint]
+    correlation = data.correlation[joint]
+    is_beyond = np.abs(correlation[1:]) > noise_bound
+    share = f"{100.0 * np.mean(is_beyond):.0f} %" if len(is_beyond) else "none"
     caption = (
         f"{data.joints[joint]}: residual against speed (dots, with mean and spread), histogram "
         f"with the bell curve of its width, and autocorrelation up to {LONGEST_LAG:g} s; {share} "
@@ -162,24 +183,31 @@ def _left_over(data: ReportData, joint: int) -> Figure:
     )
 
     def draw(canvas: Any) -> None:
+        """Draw the three panels on an empty matplotlib figure."""
         grid = canvas.add_gridspec(2, 2)
-        above = canvas.add_subplot(
+
+        speed_axes = canvas.add_subplot(
             grid[0, :], xlabel=speed_label, ylabel=residual_label
         )
-        drawing.dots(
-            above, data.qd[:, joint], (data.measured - data.predicted)[:, joint]
-        )
-        above.errorbar(
+        residual = (data.measured - data.predicted)[:, joint]
+        drawing.draw_dots(speed_axes, data.qd[:, joint], residual)
+        speed_axes.errorbar(
             speeds, mean, spread, color=drawing.AFTER, fmt="o-", ms=3, lw=1.0, capsize=2
         )
-        shape = canvas.add_subplot(grid[1, 0], xlabel=residual_label, ylabel="samples")
-        _histogram(shape, data.edges[joint], data.counts[joint])
-        memory = canvas.add_subplot(
+
+        histogram_axes = canvas.add_subplot(
+            grid[1, 0], xlabel=residual_label, ylabel="samples"
+        )
+        _draw_histogram(histogram_axes, data.edges[joint], data.counts[joint])
+
+        lag_axes = canvas.add_subplot(
             grid[1, 1], xlabel="lag [s]", ylabel="autocorrelation"
         )
-        memory.axhspan(-band, band, color=drawing.MEASURED, alpha=0.35, lw=0)
-        memory.plot(data.lags, memories, color=drawing.AFTER, marker=".", ms=3)
-        memory.set_ylim(min(-0.3, float(np.min(memories)) - 0.05), 1.05)
+        lag_axes.axhspan(
+            -noise_bound, noise_bound, color=drawing.MEASURED, alpha=0.35, lw=0
+        )
+        lag_axes.plot(data.lags, correlation, color=drawing.AFTER, marker=".", ms=3)
+        lag_axes.set_ylim(min(-0.3, float(np.min(correlation)) - 0.05), 1.05)
 
     numbers = (
         (speed_label, f"mean {residual_label}", f"spread of the {residual_label}"),
@@ -188,7 +216,14 @@ def _left_over(data: ReportData, joint: int) -> Figure:
     return drawing.draw_figure(f"residual-{joint}", caption, numbers, 3.9, draw)
 
 
-def _histogram(ax: Any, edges: Array, counts: Array) -> None:
+def _draw_histogram(ax: Any, edges: Array, counts: Array) -> None:
+    """Draw a histogram and the normal distribution of zero mean and equal root mean square.
+
+    Args:
+        ax: matplotlib axes to draw on.
+        edges: (B + 1,) edges of the bins, evenly spaced.
+        counts: (B,) number of samples in each bin.
+    """
     total = max(float(np.sum(counts)), 1.0)
     ax.stairs(counts, edges, fill=True, color=drawing.MEASURED, alpha=0.6)
     middles = 0.5 * (edges[1:] + edges[:-1])
@@ -199,7 +234,11 @@ def _histogram(ax: Any, edges: Array, counts: Array) -> None:
 
 
 def friction(run: Run) -> Section:
-    """Return friction coefficients, what the written model holds of them, and curves."""
+    """Return the section on friction: tables of coefficients, and a curve per joint against speed.
+
+    The tables are those of the run, of another day, of each log and of the written model, as far
+    as there are any; a joint without predicted friction has no curve.
+    """
     data = run.data
     slides = {} if data is None else dict(zip(data.joints, data.is_slide))
     coefficient_sets = {
@@ -209,7 +248,7 @@ def friction(run: Run) -> Section:
         "joint in the written model": run.friction("in_the_file"),
     }
     tables = tuple(
-        _coefficients(title, coefficients, slides)
+        _coefficient_table(title, coefficients, slides)
         for title, coefficients in coefficient_sets.items()
         if coefficients
     )
@@ -223,44 +262,55 @@ def friction(run: Run) -> Section:
             "Curves need the torques." if tables else "No friction was estimated."
         )
         return Section("friction", "Friction", (explanation,), tables)
-    moved = [
-        joint for joint in range(len(data.joints)) if np.any(data.friction[:, joint])
-    ]
-    figures = tuple(_curve(data, joint) for joint in moved)
+    has_friction = np.any(data.friction, axis=0)
+    joints = np.flatnonzero(has_friction).tolist()
+    figures = tuple(_friction_figure(data, joint) for joint in joints)
     return Section("friction", "Friction", (explanation,), tables, figures)
 
 
-def _coefficients(
+def _coefficient_table(
     title: str,
     coefficients: Mapping[tuple[str, str], Estimated],
     slides: Mapping[str, bool],
 ) -> Table:
-    """Return one row per joint, one column per term."""
-    owners, terms = (dict.fromkeys(key[k] for key in coefficients) for k in (0, 1))
-    slide = any(slides.values())
-    header = (title, *(f"{name} [{term_unit(name, slide) or '1'}]" for name in terms))
+    """Return a table of friction coefficients: one row per joint, one column per friction term.
+
+    Args:
+        title: title of the first column, which names the joints.
+        coefficients: (joint or coupling, friction term) to coefficient and standard error; "–"
+            stands for a pair that is not in it.
+        slides: joint to whether it is a slide, which determines the units; empty if not known.
+    """
+    owners = dict.fromkeys(owner for owner, _ in coefficients)
+    terms = dict.fromkeys(term for _, term in coefficients)
+    has_slide = any(slides.values())
+    header = [title]
+    for term in terms:
+        header.append(f"{term} [{term_unit(term, has_slide) or '1'}]")
     cells = {key: with_error(*quantity) for key, quantity in coefficients.items()}
-    rows = [
-        (owner, *(cells.get((owner, name), "–") for name in terms)) for owner in owners
-    ]
-    mixed = slide and not all(slides.values())
-    note = (
-        "Units are those of slides; of hinges N·m for N and rad for m." if mixed else ""
-    )
+    rows = []
+    for owner in owners:
+        rows.append([owner, *(cells.get((owner, term), "–") for term in terms)])
+    note = ""
+    if has_slide and not all(slides.values()):
+        note = "Units are those of slides; of hinges N·m for N and rad for m."
     return drawing.table(header, rows, note)
 
 
-def _curve(data: ReportData, joint: int) -> Figure:
+def _friction_figure(data: ReportData, joint: int) -> Figure:
+    """Return the figure of a joint's friction torque, measured and identified, against speed."""
     unit = torque_unit(data.is_slide[joint])
-    speed = f"speed [{position_unit(data.is_slide[joint])}/s]"
+    speed_label = f"speed [{position_unit(data.is_slide[joint])}/s]"
     has_samples = np.isfinite(data.speed[joint])
     columns = (data.speed, data.friction_measured, data.friction_predicted)
-    # Dry friction jumps where the speed changes its sign: no line is drawn across.
-    turn = np.count_nonzero(data.speed[joint, has_samples] < 0.0)
+    # Dry friction jumps where the speed changes its sign: a NaN between the bins of negative and
+    # of positive speed keeps the curve from crossing the jump.
+    n_negative = np.count_nonzero(data.speed[joint, has_samples] < 0.0)
     speeds, measured, identified = (
-        np.insert(statistic[joint, has_samples], turn, np.nan) for statistic in columns
+        np.insert(statistic[joint, has_samples], n_negative, np.nan)
+        for statistic in columns
     )
-    caption = f"{data.joints[joint]}: friction torque [{unit}] against {speed}."
+    caption = f"{data.joints[joint]}: friction torque [{unit}] against {speed_label}."
     lines: Curves = {
         f"measured [{unit}]": (
             measured,
@@ -273,46 +323,53 @@ def _curve(data: ReportData, joint: int) -> Figure:
         (data.friction + data.measured - data.predicted)[:, joint],
     )
     panel = Panel(f"friction [{unit}]", lines, cloud=cloud)
-    return drawing.curves(f"friction-{joint}", caption, (speed, speeds), (panel,), 3.0)
+    return drawing.curves_figure(
+        f"friction-{joint}", caption, (speed_label, speeds), (panel,), 3.0
+    )
 
 
 def excitation(run: Run) -> Section | None:
-    """Return what share of its limits each joint used, and its motion."""
+    """Return the section with each joint's motion and the share of its limits that it used.
+
+    None if the run has no data to draw.
+    """
     explanation = (
         "A motion that uses little of its limits tells little: the larger and faster it is, the "
         "smaller the errors. Speed limits are those that a motion of this program keeps, where the "
         "model has none of its own."
     )
-    return _by_joint(run, "excitation", "Excitation", explanation, _motion, _shares)
+    return _section_by_joint(
+        run, "excitation", "Excitation", explanation, _motion_figure, _limit_table
+    )
 
 
-def _shares(data: ReportData) -> Table:
+def _limit_table(data: ReportData) -> Table:
+    """Return the table of the shares [%] of position range, speed and torque limits used by joints.
+
+    A cell is "no limit" where the limit is infinite, and where the joint did not move at all.
+    """
     load = np.where(np.isfinite(data.measured), np.abs(data.measured), 0.0)
     limits = {
         "range of positions": (np.ptp(data.q, axis=0), data.upper - data.lower),
         "speed": (np.max(np.abs(data.qd), axis=0), data.velocity),
         "torque": (np.max(load, axis=0), data.torque),
     }
-    shares = [100.0 * used / limit for used, limit in limits.values()]
-    rows = [
-        (
-            joint,
-            *(
-                f"{joint_shares[j]:.0f}" if joint_shares[j] > 0.0 else "no limit"
-                for joint_shares in shares
-            ),
-        )
-        for j, joint in enumerate(data.joints)
-    ]
+    header = ["joint"]
+    columns: list[Sequence[str]] = [data.joints]
+    for title, (used, limit) in limits.items():
+        shares = 100.0 * used / limit
+        header.append(f"{title} [% of limit]")
+        columns.append([f"{s:.0f}" if s > 0.0 else "no limit" for s in shares])
     note = "Over 100 % the recording went beyond what the model allows."
-    return drawing.table(
-        ("joint", *(f"{title} [% of limit]" for title in limits)), rows, note
-    )
+    return drawing.table(header, zip(*columns), note)
 
 
-def _motion(data: ReportData, joint: int) -> Figure:
+def _motion_figure(data: ReportData, joint: int) -> Figure:
+    """Return the figure of a joint's position and speed over time, with limits that are near."""
     unit = position_unit(data.is_slide[joint])
-    low, high, fast = (float(v[joint]) for v in (data.lower, data.upper, data.velocity))
+    low = float(data.lower[joint])
+    high = float(data.upper[joint])
+    fast = float(data.velocity[joint])
     limits = (
         f"{low:.3g} to {high:.3g} {unit}"
         if np.isfinite(high - low)
@@ -328,22 +385,27 @@ def _motion(data: ReportData, joint: int) -> Figure:
         (f"speed [{unit}/s]", data.qd[:, joint], drawing.MEASURED, (-fast, fast)),
     ):
         margin = _NEAR * np.ptp(values)
-        drawn_limits = [
-            x
-            for x in limit_pair
-            if np.min(values) - margin <= x <= np.max(values) + margin
-        ]
+        lowest_drawn = np.min(values) - margin
+        highest_drawn = np.max(values) + margin
+        drawn_limits = [x for x in limit_pair if lowest_drawn <= x <= highest_drawn]
         panels.append(Panel(label, {label: (values, {"color": colour})}, drawn_limits))
-    return drawing.curves(
+    return drawing.curves_figure(
         f"motion-{joint}", caption, ("time [s]", data.time), panels, 3.0
     )
 
 
 FITTED = "fitted"
+"""Description of the errors on the data that the result was fitted to."""
 
 
 class ErrorSet(NamedTuple):
-    """Prediction errors per joint on some data: description, errors, colour of their bars."""
+    """Torque prediction errors of one model on one set of data.
+
+    Attributes:
+        description: which model on which data, as "written model: LOG"; ``FITTED`` for the fit.
+        test: the errors, over all joints and per joint [N m or N].
+        colour: colour of their bars in the figure.
+    """
 
     description: str
     test: Validation
@@ -351,7 +413,10 @@ class ErrorSet(NamedTuple):
 
 
 def errors(run: Run) -> Section:
-    """Return the errors on fitted and held-out data and on other logs, before and after."""
+    """Return the section on torque prediction errors on fitted data, held-out data and other logs.
+
+    A figure shows the errors of each joint by the fit, by the model before and by the written one.
+    """
     sets = list(error_sets(run))
     title = "Prediction errors"
     if not sets:
@@ -366,37 +431,34 @@ def errors(run: Run) -> Section:
     if len(sets) > len(drawing.HATCHES):
         caption += f" The figure shows the first {len(drawing.HATCHES)} of {len(sets)}."
     header, rows = error_numbers(sets)
-    bars = zip((row[3:] for row in rows), sets, drawing.HATCHES)
-    series = [
-        (error_set.description, heights, error_set.colour)
-        for heights, error_set, _ in bars
-    ]
+    # The first three columns are no joints.
+    series = []
+    for row, error_set in zip(rows[: len(drawing.HATCHES)], sets):
+        series.append((error_set.description, row[3:], error_set.colour))
     joints = [name.rpartition(" [")[0] for name in header[3:]]
-    draw = partial(drawing.bars, groups=joints, series=series, label="error [N·m]")
+    draw = partial(drawing.draw_bars, groups=joints, series=series, label="error [N·m]")
     height = 1.2 + 0.2 * len(series) + 0.12 * len(series) * len(joints)
     figures = (drawing.draw_figure("errors", caption, (header, rows), height, draw),)
-    held_out = any(error_set.description != FITTED for error_set in sets)
-    sentences = (
-        ()
-        if held_out
-        else ("Nothing was held out: other motion may be predicted worse.",)
-    )
+    sentences: tuple[str, ...] = ()
+    if all(error_set.description == FITTED for error_set in sets):
+        sentences = ("Nothing was held out: other motion may be predicted worse.",)
     return Section("errors", title, sentences, figures=figures)
 
 
 def error_numbers(
     sets: Sequence[ErrorSet],
 ) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
-    """Return header and rows: data, error [N m], its share of the torque, error of each joint."""
-    joints = dict.fromkeys(
-        joint for error_set in sets for joint in error_set.test.rmse_per_joint
-    )
-    header = (
-        "data",
-        "all joints [N·m]",
-        "of the torque",
-        *(f"{j} [N·m or N]" for j in joints),
-    )
+    """Return header and rows of a table of prediction errors, one row per set of errors.
+
+    The columns are: description of the data, root mean square error of all joints [N m], its share
+    of the torque, then the root mean square error of each joint [N m or N], NaN where a set has
+    none.
+    """
+    joints: dict[str, None] = {}
+    for error_set in sets:
+        joints.update(dict.fromkeys(error_set.test.rmse_per_joint))
+    joint_titles = [f"{joint} [N·m or N]" for joint in joints]
+    header = ("data", "all joints [N·m]", "of the torque", *joint_titles)
     rows: list[tuple[Any, ...]] = []
     for description, test, _ in sets:
         share = "–" if test.relative_error is None else percent(test.relative_error)
@@ -406,7 +468,11 @@ def error_numbers(
 
 
 def error_sets(run: Run) -> Iterator[ErrorSet]:
-    """Yield all errors per joint that the result file holds, those farthest from the fit last."""
+    """Yield the sets of torque errors of a run that have errors per joint.
+
+    First those on the fitted data, then on held-out data (the first validation), then on other
+    logs (the further ones); on the latter two by the fit, the model before and the written model.
+    """
     content = run.content
     file = run.content["file"] or {"others": ()}
     tests = []
@@ -427,7 +493,10 @@ def error_sets(run: Run) -> Iterator[ErrorSet]:
 
 
 def rollout(run: Run) -> Section | None:
-    """Return how far the model moves away from the arm when it is played, or None."""
+    """Return the section on position errors of simulations with the model before and after.
+
+    None if the run simulated no held-out motion.
+    """
     entry = run.content["rollout"]
     if entry is None:
         return None
@@ -444,11 +513,11 @@ def rollout(run: Run) -> Section | None:
         )
     rows = []
     for test in entry["errors"]:
-        both = [(test["overall"]), *test["joints"].values()]
-        cells = (
-            f"{drawing.text(e['before'])} -> {drawing.text(e['after'])}" for e in both
-        )
-        rows.append((f"{test['loop']}, {drawing.text(test['horizon'])} s", *cells))
+        cells = [f"{test['loop']}, {drawing.text(test['horizon'])} s"]
+        for error in (test["overall"], *test["joints"].values()):
+            prior_text = drawing.text(error["before"])
+            cells.append(f"{prior_text} -> {drawing.text(error['after'])}")
+        rows.append(cells)
     joints = entry["errors"][0]["joints"] if rows else ()
     tables = (drawing.table(("played", "all", *joints), rows),) if rows else ()
     return Section(

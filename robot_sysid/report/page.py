@@ -34,23 +34,28 @@ from robot_sysid.report.body_sections import (
     scatter,
     visibility,
 )
-from robot_sysid.report.drawing import Section, inline, png, svg, table
+from robot_sysid.report.drawing import Figure, Section, inline_svg, png, svg, table
 from robot_sysid.report.joint_sections import error_numbers, error_sets, most_changed
 from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, report_data
 
 _TEMPLATE = Path(__file__).with_name("template.html")
-
-
+"""Jinja template of the page."""
 _ODD = (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError)
-"""What a part raises where a result file that somebody changed by hand holds something odd."""
+"""Errors that a section may raise if somebody edited the result file by hand."""
 
 
 def sections_of(
     runs: Sequence[Run], mesh_dir: Path | None = None, progress: Progress | None = None
 ) -> list[Section]:
-    """Return all parts of the page about a run, or about several beside each other.
+    """Return the sections of the page about one run, or of one that compares several runs.
 
-    InputError where a result file holds something odd.
+    Args:
+        runs: one run, or the runs to compare.
+        mesh_dir: folder of the meshes of the run's model; None for the folder that the model names.
+        progress: is advanced before each section of a single run; None for no display.
+
+    Raises:
+        InputError: a result file has unexpected content; sections cannot be made of it.
     """
     makers: tuple[Callable[[Run], Section | None], ...] = (
         verdict,
@@ -84,34 +89,51 @@ def sections_of(
 
 
 def html(title: str, sections: Sequence[Section]) -> str:
-    """Return a page that opens without anything else."""
+    """Return an HTML page with figures and style inside, which refers to no other file.
+
+    Args:
+        title: title of the page, plain text.
+        sections: sections in order.
+    """
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
-    environment.filters.update(prose=_prose, base64=base64.b64encode, inline=inline)
+    environment.filters.update(prose=_prose, base64=base64.b64encode, inline=inline_svg)
     template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
     return template.render(title=title, sections=sections, version=__version__) + "\n"
 
 
 def _prose(text: str) -> str:
-    """Return a sentence with what stands between backticks as code; no line ends at a ± or %."""
+    """Return a sentence as escaped HTML, with text between backticks as <code> elements.
+
+    Spaces around ± and before % become non-breaking ones.
+    """
     from markupsafe import escape
 
-    held = re.sub(" (?=[±%])|(?<=±) ", "\u00a0", str(escape(text)))
-    return re.sub("`([^`]*)`", r"<code>\1</code>", held)
+    unbroken = re.sub(" (?=[±%])|(?<=±) ", "\u00a0", str(escape(text)))
+    return re.sub("`([^`]*)`", r"<code>\1</code>", unbroken)
 
 
 REPORT_NAME = "report.html"
+"""File name of the page about one run."""
 COMPARISON_NAME = "comparison.html"
+"""File name of the page that compares several runs."""
 PLOTS_NAME = "plots"
+"""Name of the folder of the figures' files, beside the page."""
 
 
 def save_data(folder: Path, traces: Traces, result: str) -> None:
-    """Write what a later report of this run needs; ``result`` is the hash of its JSON file.
+    """Write report_data.npz, from which the figures of a run can be drawn later.
 
-    InputError where it cannot be written.
+    Args:
+        folder: folder of the run.
+        traces: signals of the run's joints at all instants.
+        result: SHA-256 hash of the run's params.json, by which the two files are matched.
+
+    Raises:
+        InputError: the file cannot be written.
     """
     write_atomically(folder / DATA_NAME, data_bytes(report_data(traces, result)))
 
@@ -124,10 +146,20 @@ def write_report(
     plots: bool = False,
     progress: Progress | None = None,
 ) -> tuple[Path, ...]:
-    """Write the page of a run, or one that compares several, and return what was written.
+    """Write the page of a run, or one that compares several, and return the paths of all files.
 
-    With ``plots``, each figure is written as PNG and SVG, too. InputError where a result cannot be
-    shown, or nothing can be written.
+    The files appear all together or, on an error, not at all.
+
+    Args:
+        runs: one run, or the runs to compare.
+        destination: folder to write to; need not exist.
+        mesh_dir: folder of the meshes of the run's model; None for the folder that the model names.
+        page: whether the page is written.
+        plots: whether each figure is written, too, as PNG and, if it is a drawing, as SVG.
+        progress: is advanced before each section; None for no display.
+
+    Raises:
+        InputError: a result file has unexpected content, or a file cannot be written.
     """
     require_writable(destination)
     about = runs[0].name
@@ -141,13 +173,15 @@ def write_report(
         if page:
             files.write(destination / name, html(f"robot-sysid: {about}", sections))
             written.append(destination / name)
-        for figure in (
-            figure for section in sections for figure in section.figures if plots
-        ):
-            kinds = {".png": png(figure)}
+        figures: list[Figure] = []
+        if plots:
+            for section in sections:
+                figures += section.figures
+        for figure in figures:
+            content_by_suffix = {".png": png(figure)}
             if figure.drawing is not None:
-                kinds[".svg"] = svg(figure).encode()
-            for suffix, content in kinds.items():
+                content_by_suffix[".svg"] = svg(figure).encode()
+            for suffix, content in content_by_suffix.items():
                 path = destination / PLOTS_NAME / (figure.name + suffix)
                 files.write(path, content)
                 written.append(path)
@@ -155,19 +189,26 @@ def write_report(
 
 
 def verdict(run: Run) -> Section:
-    """Return the verdict as the console says it, the torque error, and one figure of a torque."""
+    """Return the first section: the verdict in the sentences of the console, the torque error, and
+    a figure of the joint torque that changed most.
+
+    There is no figure if the data are a simulation of the model itself, or cannot be read.
+    """
     content = run.content
-    is_usable = run.content["valid"]["trustworthy"]
-    of_itself = str(content["source"]).startswith(Source.ITSELF.value)
+    is_simulation_of_model = str(content["source"]).startswith(Source.ITSELF.value)
+    has_figure = run.data is not None and not is_simulation_of_model
+    rating = "good" if run.is_fully_known else "part"
+    if not content["valid"]["trustworthy"]:
+        rating = "bad"
     return Section(
         "verdict",
         "Verdict",
         sentences=content["verdict"],
         headline=_headline(run),
         points=tuple(_other_models(run)),
-        figures=() if of_itself or run.data is None else (most_changed(run),),
+        figures=(most_changed(run),) if has_figure else (),
         missing=run.missing,
-        verdict="bad" if not is_usable else "good" if run.all_known else "part",
+        verdict=rating,
         details=(
             ("What was identified", (*_masses(run), *_origin(run))),
             ("What limits it", (*content["reasons"], *content["limitations"])),
@@ -177,28 +218,41 @@ def verdict(run: Run) -> Section:
 
 
 def _headline(run: Run) -> str:
-    """Return "torque error 27 % → 0.3 %", of a payload its mass before it; "" where neither is."""
+    """Return the torque error of the models before and after, as "torque error 27 % → 0.3 %".
+
+    The mass stands before it if the run identified a payload. The error is left out if the run
+    wrote no model.
+    """
     file = run.content["file"]
     errors = [] if file is None else file["torque_error"].values()
     shares = ["not known" if error is None else percent(error) for error in errors]
-    texts = [f"torque error {' → '.join(shares)}"] if shares else []
-    body = run.bodies[0]
-    mass = with_error(float(body.after[0]), body.stated(body.errors)[0], "kg")
-    return ", ".join([f"payload {mass}", *texts] if run.is_payload else texts)
+    texts = []
+    if run.is_payload:
+        body = run.bodies[0]
+        mass_error = body.errors_or_none(body.errors)[0]
+        mass = with_error(float(body.identified[0]), mass_error, "kg")
+        texts.append(f"payload {mass}")
+    if shares:
+        texts.append(f"torque error {' → '.join(shares)}")
+    return ", ".join(texts)
 
 
 def _masses(run: Run) -> Iterator[str]:
+    """Yield a sentence on the mass of the terminal link, or of the payload, the link without and
+    the link with it; with its standard error, also relative to the mass.
+    """
     for body in run.bodies if run.is_payload else run.bodies[:1]:
-        mass = float(body.after[0])
+        mass = float(body.identified[0])
         error = float(body.errors[0])
         relative = (
             f" ({percent(error / mass)})" if np.isfinite(error) and mass > 0.0 else ""
         )
-        stated = body.stated(body.errors)[0]
+        stated = body.errors_or_none(body.errors)[0]
         yield f"Mass of {body.title}: {with_error(mass, stated, 'kg')}{relative}."
 
 
 def _origin(run: Run) -> Iterator[str]:
+    """Yield sentences on what was identified, from which data, and on the residual torque."""
     content = run.content
     payload = run.content["payload"]
     question = "the terminal link, with the other links around it"
@@ -214,19 +268,27 @@ def _origin(run: Run) -> Iterator[str]:
 
 
 def _other_models(run: Run) -> Iterator[str]:
-    """Yield a warning of each model in the folder that another run has written."""
-    ours = format_rmse(run.content["rmse"])
+    """Yield a warning of each model file in the run's folder that another run has written.
+
+    A written model states the root mean square residual of its run, which identifies the run.
+    """
+    rmse_text = format_rmse(run.content["rmse"])
     for path in (run.folder / name for name in MODEL_NAMES.values()):
-        # A model that this run read from its own folder stays there where it writes none.
-        if path.is_file() and ours not in path.read_text("utf-8", errors="replace"):
+        # A run that writes no model leaves an older one in its folder.
+        if path.is_file() and rmse_text not in path.read_text(
+            "utf-8", errors="replace"
+        ):
             yield f"Do not load {path.name}: it is from another run, and this one wrote none."
 
 
 def verdicts(runs: Sequence[Run]) -> Section:
-    """Return each run's verdict."""
+    """Return the section with a table of each run's question, verdict and model.
+
+    A warning says so if the runs are of different model files.
+    """
     rows = []
     missing_lines = []
-    for name, run in names(runs).items():
+    for name, run in run_by_name(runs).items():
         content = run.content
         rows.append(
             (name, content["question"], content["verdict"][0], content["model"]["path"])
@@ -234,33 +296,37 @@ def verdicts(runs: Sequence[Run]) -> Section:
         missing_lines += [f"{name}: {line}" for line in run.missing]
     header = ("run", "what", "verdict", "model")
     models = {run.content["model"]["sha256"] for run in runs}
-    warned = ("The runs are of different model files.",) if len(models) > 1 else ()
+    warnings = ("The runs are of different model files.",) if len(models) > 1 else ()
     tables = (table(header, rows),)
     missing = tuple(missing_lines)
     return Section(
-        "verdicts", "Verdicts", warned, tables, missing=missing, is_open=True
+        "verdicts", "Verdicts", warnings, tables, missing=missing, is_open=True
     )
 
 
-def names(runs: Sequence[Run]) -> dict[str, Run]:
-    """Return the runs by the name of their folder, or its path where two are called the same."""
-    short = [run.name for run in runs]
-    return {
-        run.name if short.count(run.name) < 2 else str(run.folder): run for run in runs
-    }
+def run_by_name(runs: Sequence[Run]) -> dict[str, Run]:
+    """Return the runs by the name of their folder, or by its path if several have that name."""
+    folder_names = [run.name for run in runs]
+    run_of = {}
+    for run in runs:
+        is_unique = folder_names.count(run.name) == 1
+        run_of[run.name if is_unique else str(run.folder)] = run
+    return run_of
 
 
 def compare_bodies(runs: Sequence[Run]) -> Section:
-    """Return the parameters of the bodies that all runs have, beside each other."""
-    bodies = {
-        name: {b.title: b for b in run.bodies} for name, run in names(runs).items()
-    }
+    """Return the section with the identified parameters of each body that all runs have.
+
+    There is one table per body, with one column per run.
+    """
+    bodies = {}
+    for name, run in run_by_name(runs).items():
+        bodies[name] = {body.title: body for body in run.bodies}
     first, *others = bodies.values()
-    common_titles = [
-        title
-        for title in first
-        if all(title in bodies_of_run for bodies_of_run in others)
-    ]
+    # In the order of the first run.
+    common_titles = list(first)
+    for other in others:
+        common_titles = [title for title in common_titles if title in other]
     explanation = (
         "Values ± one standard error. Runs whose ranges do not meet contradict each "
         "other."
@@ -271,49 +337,43 @@ def compare_bodies(runs: Sequence[Run]) -> Section:
         )
     tables = []
     for title in common_titles:
-        same = [bodies_of_run[title] for bodies_of_run in bodies.values()]
-        columns = [
-            map(
-                with_error,
-                bodies_of_run.after,
-                bodies_of_run.stated(bodies_of_run.errors),
-            )
-            for bodies_of_run in same
-        ]
-        labels = (
-            f"{label} [{unit}]" for label, unit in zip(PARAMETER_NAMES, PARAMETER_UNITS)
-        )
-        tables.append(table((title, *bodies), list(zip(labels, *columns))))
+        labels = map("{} [{}]".format, PARAMETER_NAMES, PARAMETER_UNITS)
+        columns = [labels]
+        for body_by_title in bodies.values():
+            body = body_by_title[title]
+            errors = body.errors_or_none(body.errors)
+            columns.append(map(with_error, body.identified, errors))
+        tables.append(table((title, *bodies), zip(*columns)))
     return Section("compared", "Parameters", (explanation,), tables, is_open=True)
 
 
 def compare_errors(runs: Sequence[Run]) -> Section:
-    """Return the torque errors of each run, of each joint where its file holds them."""
-    sets = [
-        error_set._replace(description=f"{name}: {error_set.description}")
-        for name, run in names(runs).items()
-        for error_set in error_sets(run)
-    ]
+    """Return the section with a table of each run's torque errors, in total and per joint."""
+    sets = []
+    for name, run in run_by_name(runs).items():
+        for error_set in error_sets(run):
+            description = f"{name}: {error_set.description}"
+            sets.append(error_set._replace(description=description))
     return Section("predicted", "Prediction errors", (), (table(*error_numbers(sets)),))
 
 
-def friction_beside(runs: Sequence[Run]) -> Section:
-    """Return the friction of each run."""
-    friction_by_run = {
-        name: {key: with_error(*terms) for key, terms in run.friction().items()}
-        for name, run in names(runs).items()
-    }
-    keys = dict.fromkeys(key for terms in friction_by_run.values() for key in terms)
-    rows = [
-        (*key, *(terms.get(key, "–") for terms in friction_by_run.values()))
-        for key in keys
-    ]
-    return Section(
-        "friction",
-        "Friction",
-        tables=(table(("joint", "term", *friction_by_run), rows),),
-    )
+def compare_friction(runs: Sequence[Run]) -> Section:
+    """Return the section with a table of friction coefficients, one column per run.
+
+    "–" stands for a coefficient that a run did not estimate.
+    """
+    text_by_run = {}
+    keys: dict[tuple[str, str], None] = {}
+    for name, run in run_by_name(runs).items():
+        coefficients = run.friction()
+        keys.update(dict.fromkeys(coefficients))
+        text_by_run[name] = {k: with_error(*q) for k, q in coefficients.items()}
+    rows = []
+    for key in keys:
+        rows.append((*key, *(texts.get(key, "–") for texts in text_by_run.values())))
+    comparison = table(("joint", "term", *text_by_run), rows)
+    return Section("friction", "Friction", tables=(comparison,))
 
 
-COMPARISON = verdicts, compare_bodies, friction_beside, compare_errors
-"""What a page about several runs consists of."""
+COMPARISON = verdicts, compare_bodies, compare_friction, compare_errors
+"""Functions that each return one section of a page about several runs, in the page's order."""

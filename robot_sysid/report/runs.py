@@ -1,7 +1,8 @@
-"""What a run leaves in its folder for a report, and an earlier run as its folder tells it.
+"""Data that a run saves for its report (report_data.npz), and loading of a finished run.
 
-Torques of a log of any length become at most ``MOST`` instants to draw, and statistics of all of
-them: residuals by size, by time lag and by speed. With them comes what the JSON file holds.
+``report_data`` thins the signals of a log of any length to at most ``MAX_INSTANTS`` instants and
+computes statistics of all instants: histogram, autocorrelation and speed bins of the residual.
+``load_run`` reads these data and the run's params.json from its folder.
 """
 
 from __future__ import annotations
@@ -26,20 +27,26 @@ from robot_sysid.results.cards import ERROR_NAMES
 from robot_sysid.results.record import PAYLOAD, Quantity
 
 DATA_NAME = "report_data.npz"
-MOST = 2000
-"""Instants that are kept for drawing: more than a figure has pixels across."""
+"""Name of the file of a run's folder that holds ``ReportData``."""
+MAX_INSTANTS = 2000
+"""Largest number of instants saved for drawing: more than a figure has pixels across."""
 BINS = 31
+"""Number of bars of a histogram of residuals: as many as a figure of 11 cm shows."""
 SPEED_BINS = 24
-"""Bars of a histogram and bins of speed: as many as a figure of 11 cm shows."""
+"""Number of speed bins per joint: as many as a figure of 11 cm shows."""
 LONGEST_LAG = 2.0
-"""Up to which lag the autocorrelation is computed [s]: friction remembers for tenths of it."""
+"""Largest lag of the autocorrelation [s]: ten times that over which friction is correlated."""
 _MOST_LAGS = 80
+"""Largest number of lags above zero of which the autocorrelation is saved."""
 _WIDE = 4.0
-"""Reach of a histogram in root mean squares: noise is beyond it once in 16 000 samples."""
+"""Half width of a histogram in root mean squares of the residual: noise exceeds it once in 16 000
+samples."""
 _LEAST_IN_BIN = 4
-"""Samples of which a mean and a spread say anything."""
+"""Smallest number of samples of a speed bin whose mean and standard deviation are meaningful."""
 _VERSION = 1
+"""Version of the format of report_data.npz; a file of another version is not read."""
 _REMEDY = "identify again"
+"""End of an error message: what the user can do about a file that cannot be read."""
 BY_SPEED = (
     "speed",
     "residual_mean",
@@ -47,22 +54,35 @@ BY_SPEED = (
     "friction_measured",
     "friction_predicted",
 )
+"""Fields of ``ReportData`` that hold statistics in bins of speed."""
 
 
 @dataclass(frozen=True)
 class ReportData(Signals):
-    """What a report draws of n joints; the time runs on from log to log.
+    """Signals of n joints at K <= ``MAX_INSTANTS`` instants to draw; statistics of all instants.
+
+    The time of the inherited signals grows from log to log, with a gap of a second between logs.
+    Units are those of hinges; positions of slides are in m, their torques in N.
 
     Attributes:
-        edges, counts: (n, B + 1), (n, B) histogram of the residual [N m].
-        lags, correlation: (L,) [s], (n, L) autocorrelation of the residual.
-        independent: (n,) size of the correlation that noise alone exceeds in one lag of twenty.
-        speed: (n, S) middles of bins of speed [rad/s]; NaN where one is empty.
-        residual_mean, residual_spread: (n, S) of the residual in each bin [N m].
-        friction_measured, friction_predicted: (n, S) mean friction torque in each bin [N m].
-        lower, upper, velocity, torque: (n,) limits; infinite where there is none.
-        truth: (10,) parameters of a simulated arm's terminal link; empty for a real arm.
-        result: hash of the JSON file that this belongs to.
+        n_samples: number of instants of the run, of which K are drawn.
+        edges: (n, B + 1) edges of the histogram's B = ``BINS`` bins of the residual [N m].
+        counts: (n, B) number of residuals in each bin.
+        lags: (L,) time lags of the autocorrelation [s], the first zero.
+        correlation: (n, L) autocorrelation of the residual, 1 at lag zero.
+        independent: (n,) absolute autocorrelation that white noise exceeds in one lag of twenty.
+        speed: (n, S) mean velocity in each of S = ``SPEED_BINS`` bins [rad/s]; this and the
+            following four are NaN in a bin with hardly any samples.
+        residual_mean: (n, S) mean of the residual in each bin of velocity [N m].
+        residual_spread: (n, S) standard deviation of the residual in each bin [N m].
+        friction_measured: (n, S) mean of the predicted friction plus the residual [N m].
+        friction_predicted: (n, S) mean of the predicted friction torque in each bin [N m].
+        lower: (n,) lower position limits [rad]; infinite where there is none.
+        upper: (n,) upper position limits [rad]; infinite where there is none.
+        velocity: (n,) velocity limits [rad/s]; infinite where there is none.
+        torque: (n,) torque limits [N m]; infinite where there is none.
+        truth: (10,) true parameters of a simulated arm's terminal link; (0,) for a real arm.
+        result: SHA-256 hash of the params.json that these data belong to.
     """
 
     n_samples: int
@@ -85,18 +105,24 @@ class ReportData(Signals):
 
     @property
     def thinning_text(self) -> str:
-        """Sentence on how many of the instants are drawn; "" where all are."""
+        """Sentence on how many instants are drawn of how many; "" if all of them are drawn."""
         if len(self.time) >= self.n_samples:
             return ""
         return f"drawn: {len(self.time)} of {self.n_samples} instants; statistics are of all"
 
 
 def report_data(traces: Traces, result: str = "") -> ReportData:
-    """Return what a report draws of some traces; ``result`` is the hash of their JSON file."""
+    """Return evenly thinned signals and statistics of the signals of a run, for its report.
+
+    Args:
+        traces: signals of n joints at all instants of the run's logs.
+        result: SHA-256 hash of the run's params.json.
+    """
     count = len(traces.time)
-    indices = np.unique(np.linspace(0, count - 1, min(count, MOST)).round().astype(int))
+    n_drawn = min(count, MAX_INSTANTS)
+    indices = np.unique(np.linspace(0, count - 1, n_drawn).round().astype(int))
     residual = traces.residual
-    # The logs one after the other, a second apart.
+    # The time starts anew with each log: here one log follows the other, a second apart.
     steps = np.diff(traces.time, prepend=traces.time[:1])
     time = np.cumsum(np.where(steps < 0.0, 1.0, steps))
     drawn: dict[str, Any] = {
@@ -111,7 +137,7 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
         n_samples=count,
         **histogram(residual),
         **autocorrelation(time, residual),
-        **by_speed(traces.qd, residual, traces.friction),
+        **statistics_by_speed(traces.qd, residual, traces.friction),
         **vars(traces.limits),
         truth=np.zeros(0) if traces.truth is None else traces.truth.theta,
         result=result,
@@ -119,11 +145,12 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
 
 
 def data_bytes(data: ReportData) -> bytes:
-    """Return the content of report_data.npz; the same for the same data."""
+    """Return the content of report_data.npz; equal data give equal bytes."""
     arrays = {
         data_field.name: np.asarray(getattr(data, data_field.name))
         for data_field in fields(data)
     }
+    # In the file, the prior prediction has the name "before".
     arrays["before"] = arrays.pop("prior_prediction")
     buffer = io.BytesIO()
     np.savez_compressed(buffer, version=np.array(_VERSION), **arrays)  # type: ignore[arg-type]
@@ -131,7 +158,10 @@ def data_bytes(data: ReportData) -> bytes:
 
 
 def load_data(path: Path) -> ReportData:
-    """Return what was saved; InputError where there is nothing, or nothing of this program."""
+    """Return the data of a file that ``data_bytes`` made.
+
+    Raises InputError if there is no such file, it is damaged or its version differs.
+    """
     converters: dict[str, Callable[[Array], Any]] = {
         **{
             data_field.name: lambda a: np.asarray(a, dtype=float)
@@ -160,28 +190,46 @@ def load_data(path: Path) -> ReportData:
 
 
 def histogram(residual: Array) -> dict[str, Array]:
-    """Return edges (n, B + 1) and counts (n, B) of residuals (K, n), out to four times their rms.
+    """Return the histogram of each joint's residuals over plus and minus four root mean squares.
 
-    What is farther out is counted in the outermost bins.
+    Args:
+        residual: (K, n) residuals [N m]; NaN where a sample was not used.
+
+    Returns:
+        "edges": (n, B + 1) edges of the B = ``BINS`` bins [N m]; "counts": (n, B) residuals in each
+        bin, those beyond the outermost edges in the outermost bins.
     """
     edges = []
     counts = []
     for column in residual.T:
         finite = column[np.isfinite(column)]
         reach = _WIDE * float(np.sqrt(np.mean(finite**2))) if len(finite) else 0.0
-        edges.append(np.linspace(-(reach or 1.0), reach or 1.0, BINS + 1))
-        counts.append(np.histogram(np.clip(finite, *edges[-1][[0, -1]]), edges[-1])[0])
+        # Any width serves where all residuals are zero.
+        reach = reach or 1.0
+        joint_edges = np.linspace(-reach, reach, BINS + 1)
+        within_edges = np.clip(finite, joint_edges[0], joint_edges[-1])
+        edges.append(joint_edges)
+        counts.append(np.histogram(within_edges, joint_edges)[0])
     return {"edges": np.array(edges), "counts": np.array(counts, dtype=float)}
 
 
 def autocorrelation(time: Array, residual: Array) -> dict[str, Array]:
-    """Return lags (L,) [s], correlation (n, L) and independent (n,) of residuals (K, n).
+    """Return the autocorrelation of each joint's residual and the bound that white noise keeps.
 
-    r(l) = mean(e_k e_{k+l}) / mean(e_k^2) over the pairs of samples that were both used. Noise
-    without memory exceeds 1.96 / sqrt(pairs) in one lag of twenty (Box, Jenkins, "Time Series
-    Analysis", 1970, ch. 2). Times are (K,) [s]; a residual is NaN where a sample was not used.
+    r(l) = mean(e_k e_{k+l}) / mean(e_k^2) over the pairs of samples that were both used. The
+    correlation of white noise exceeds 1.96 / sqrt(samples) in one lag of twenty (Box, Jenkins,
+    "Time Series Analysis", 1970, ch. 2).
+
+    Args:
+        time: (K,) instants [s].
+        residual: (K, n) residuals; NaN where a sample was not used.
+
+    Returns:
+        "lags": (L,) up to ``LONGEST_LAG`` [s]; "correlation": (n, L), zero where all residuals are
+        zero; "independent": (n,) the bound 1.96 / sqrt(samples).
     """
-    step = (float(np.median(np.diff(time))) if len(time) > 1 else 0.0) or 1.0
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    step = step or 1.0
     last = int(min(LONGEST_LAG / step, len(time) // 4))
     shifts = np.unique(
         np.linspace(0, last, min(last, _MOST_LAGS) + 1).round().astype(int)
@@ -198,33 +246,43 @@ def autocorrelation(time: Array, residual: Array) -> dict[str, Array]:
     }
 
 
-def by_speed(qd: Array, residual: Array, friction: Array) -> dict[str, Array]:
-    """Return ``BY_SPEED`` to (n, S): means in bins of each joint's own speed, and the spread.
+def statistics_by_speed(
+    qd: Array, residual: Array, friction: Array
+) -> dict[str, Array]:
+    """Return statistics of residual and friction in S = ``SPEED_BINS`` bins of a joint's velocity.
 
-    Speeds, residuals and friction are (K, n), the residual NaN where a sample was not used. A bin
-    with hardly any samples is NaN.
+    The bins of a joint span plus and minus its largest speed.
+
+    Args:
+        qd: (K, n) velocities [rad/s].
+        residual: (K, n) measured minus predicted torque [N m]; NaN where a sample was not used.
+        friction: (K, n) predicted friction torque [N m].
+
+    Returns:
+        Each name in ``BY_SPEED`` to its statistic (n, S), see ``ReportData``; NaN in a bin of less
+        than ``_LEAST_IN_BIN`` samples.
     """
     statistics = np.full((len(BY_SPEED), qd.shape[1], SPEED_BINS), np.nan)
     for joint in range(qd.shape[1]):
-        used = np.isfinite(residual[:, joint])
-        speed, residuals, frictions = (
-            samples[used, joint] for samples in (qd, residual, friction)
-        )
+        is_used = np.isfinite(residual[:, joint])
+        speed = qd[is_used, joint]
+        residuals = residual[is_used, joint]
+        frictions = friction[is_used, joint]
         fastest = float(np.max(np.abs(speed), initial=0.0)) or 1.0
         edges = np.linspace(-fastest, fastest, SPEED_BINS + 1)
         bins = np.clip(np.digitize(speed, edges) - 1, 0, SPEED_BINS - 1)
-        for k in np.flatnonzero(
-            np.bincount(bins, minlength=SPEED_BINS) >= _LEAST_IN_BIN
-        ):
+        bin_sizes = np.bincount(bins, minlength=SPEED_BINS)
+        for k in np.flatnonzero(bin_sizes >= _LEAST_IN_BIN):
             in_bin = bins == k
-            middle, mean, mean_friction = (
-                np.mean(samples[in_bin]) for samples in (speed, residuals, frictions)
-            )
+            mean_speed = np.mean(speed[in_bin])
+            mean_residual = np.mean(residuals[in_bin])
+            mean_friction = np.mean(frictions[in_bin])
+            # In the order of BY_SPEED.
             statistics[:, joint, k] = (
-                middle,
-                mean,
+                mean_speed,
+                mean_residual,
                 np.std(residuals[in_bin]),
-                mean + mean_friction,
+                mean_residual + mean_friction,
                 mean_friction,
             )
     return dict(zip(BY_SPEED, statistics))
@@ -232,16 +290,21 @@ def by_speed(qd: Array, residual: Array, friction: Array) -> dict[str, Array]:
 
 @dataclass(frozen=True)
 class Body:
-    """One rigid body before and after.
+    """One rigid body of a run's result: its parameters before and after identification.
+
+    The ten parameters are those of ``PARAMETER_NAMES`` (mass [kg], first moment [kg m], inertia
+    about the frame's origin [kg m^2]), in the body's frame, of a payload in that of the flange.
 
     Attributes:
-        thetas: its parameters (10,): "after" as identified and, where they are known, "before" in
-            the model, "in the file" that was written and the "truth" of a simulated arm.
+        title: name of the body for the reader.
+        thetas: version to parameters (10,): "after" as identified and, where they are known,
+            "before" in the model, "in the file" that was written and "truth" of a simulated arm.
         errors: (10,) standard errors, all causes together; NaN where they are not known.
-        budget: cause to the part (10,) of the errors that it explains.
-        central: (4,) standard errors of mass and centre of mass; NaN where they are not known.
-        share: (10,) how much of each value comes from the data; NaN where nothing is known.
-        is_from_model: (10,) whether the value of a parameter was kept from the model.
+        budget: cause to the standard errors (10,) that it alone produces; empty if the run states
+            no errors.
+        central: (4,) standard errors of mass [kg] and centre of mass [m]; NaN where not known.
+        share: (10,) share of each value that comes from the data, 0 to 1; NaN where not known.
+        is_from_model: (10,) whether the value of a parameter is that of the model.
     """
 
     title: str
@@ -253,24 +316,30 @@ class Body:
     is_from_model: Sequence[bool]
 
     @property
-    def after(self) -> Array:
+    def identified(self) -> Array:
         """Identified parameters (10,)."""
         return self.thetas["after"]
 
-    def stated(self, errors: Array) -> list[float | None]:
-        """Return errors; None where the run states none, as of a model's own simulation."""
-        return [each if self.budget else None for each in errors.tolist()]
+    def errors_or_none(self, errors: Array) -> list[float | None]:
+        """Return standard errors (m,) of this body as a list, all None if the run states no errors.
+
+        A run states no errors if its data are a simulation of the model itself.
+        """
+        return errors.tolist() if self.budget else [None] * len(errors)
 
 
 @dataclass(frozen=True)
 class Run:
-    """What a run left behind.
+    """A finished run, loaded from its folder.
 
     Attributes:
-        content: of its JSON file, with figures, validations and inertia as the records they were.
+        folder: folder that the run wrote to.
+        content: content of params.json, in which each number with its standard error is a
+            ``Quantity``, errors per joint are a ``Validation``, a body with an error budget is a
+            ``Body`` and any other set of inertial parameters is an array (10,).
         bodies: the payload, the link without and with it; or all links, the terminal one first.
-        data: what there is to draw.
-        missing: why there is nothing, one sentence.
+        data: signals to draw; None if they cannot be read.
+        missing: one sentence on why ``data`` is None; empty otherwise.
     """
 
     folder: Path
@@ -281,55 +350,68 @@ class Run:
 
     @property
     def name(self) -> str:
-        """Name of the folder, for tables."""
+        """Name of the folder without its parents; names the run in tables."""
         return self.folder.resolve().name or str(self.folder)
 
     @property
     def is_payload(self) -> bool:
-        """Whether it was asked for a payload."""
+        """Whether the run identified a payload and not the arm's links."""
         return bool(self.content["question"] == PAYLOAD)
 
     @property
-    def all_known(self) -> bool:
-        """Whether all of a payload is known; of a link, the model has what is not."""
+    def is_fully_known(self) -> bool:
+        """Whether every parameter has a value: of a link always, since the model has a value for
+        those that the data does not determine; of a payload, if the data determines all of them.
+        """
         return bool(self.content["valid"]["all_identified"]) or not self.is_payload
 
     def friction(self, key: str = "terms") -> dict[tuple[str, str], Quantity]:
-        """Return (joint, term) to its figure; ``kind`` "in_the_file" is for the written model's,
-        "another_day" for another log than those of the run.
+        """Return (joint or coupling, friction term) to the term's coefficient and standard error.
+
+        Args:
+            key: "terms" for the identified coefficients, "in_the_file" for those of the written
+                model, "another_day" for those in a log that was recorded on another day.
         """
         owners = {**self.content["joints"], **self.content["couplings"]}
-        term_maps = [(owner, entry.get(key, {})) for owner, entry in owners.items()]
-        return {
-            (owner, name): quantity
-            for owner, entries in term_maps
-            for name, quantity in entries.items()
-        }
+        coefficients: dict[tuple[str, str], Quantity] = {}
+        for owner, entry in owners.items():
+            for term, quantity in entry.get(key, {}).items():
+                coefficients[owner, term] = quantity
+        return coefficients
 
     def friction_of_logs(self) -> dict[str, dict[tuple[str, str], Quantity]]:
-        """Return "joint in LOG" to (joint, term) to its figure, where there are several logs."""
+        """Return the friction coefficients of each log, if the run had several.
+
+        Returns:
+            "joint in LOG", the heading of a table, to (joint, friction term) to the coefficient and
+            its standard error in that log.
+        """
         tables: dict[str, dict[tuple[str, str], Quantity]] = {}
         for joint, entry in self.content["joints"].items():
             for log, terms in entry.get("logs", {}).items():
                 table = tables.setdefault(f"joint in {log}", {})
-                table.update({(joint, term): figure for term, figure in terms.items()})
+                for term, quantity in terms.items():
+                    table[joint, term] = quantity
         return tables
 
 
 def number(value: Any) -> float:
-    """Return a number of a JSON file; NaN for null."""
+    """Return a number of a JSON file as a float; NaN for null, which is None here."""
     return np.nan if value is None else float(value)
 
 
 def fingerprint(path: Path) -> str:
-    """Return the hash of a file."""
+    """Return the SHA-256 hash of a file's content, in hexadecimal digits."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def load_run(folder: Path) -> Run:
-    """Return what a run left in a folder.
+    """Return the run whose files are in a folder.
 
-    InputError where there is no result, or its file is damaged or of another version.
+    If report_data.npz cannot be read or belongs to another run, the run has no ``data``, and
+    ``missing`` says why.
+
+    Raises InputError if params.json is missing, damaged or of another version.
     """
     path = folder / PARAMS_NAME
     if not path.is_file():
@@ -356,10 +438,9 @@ def load_run(folder: Path) -> Run:
         missing = (f"measured and predicted torques cannot be drawn: {error}",)
     try:
         content = {key: _restore_records(value) for key, value in content.items()}
-        bodies = _bodies(
-            content, None if data is None or not len(data.truth) else data.truth
-        )
-        if not all(np.all(np.isfinite(body.after)) for body in bodies):
+        truth = None if data is None or not len(data.truth) else data.truth
+        bodies = _bodies(content, truth)
+        if not all(np.all(np.isfinite(body.identified)) for body in bodies):
             raise ValueError("a parameter is not a number")
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         cause = f"{type(error).__name__}: {error}"
@@ -368,7 +449,12 @@ def load_run(folder: Path) -> Run:
 
 
 def _restore_records(value: Any) -> Any:
-    """Return part of a JSON file with the records in it: figures, validations, bodies, inertia."""
+    """Return a value of a JSON file, in which objects at any depth are replaced by records.
+
+    An object is recognised by its keys and becomes a ``Quantity``, a ``Validation``, a ``Body`` or
+    the inertial parameters (10,); other values stay as they are. KeyError, TypeError or ValueError
+    if an object of a recognised type is incomplete.
+    """
     if isinstance(value, list):
         return [_restore_records(item) for item in value]
     if not isinstance(value, dict):
@@ -384,6 +470,14 @@ def _restore_records(value: Any) -> Any:
 
 
 def _bodies(content: Mapping[str, Any], truth: Array | None) -> list[Body]:
+    """Return the bodies of a run: payload, link without and link with it; or the arm's links, the
+    terminal one first.
+
+    Args:
+        content: content of params.json, of ``_restore_records``.
+        truth: (10,) true parameters of the terminal link, which become its version "truth"; None
+            for a real arm or a payload.
+    """
     if content["question"] == PAYLOAD:
         titles = {
             "body": "payload",
@@ -408,6 +502,10 @@ def _bodies(content: Mapping[str, Any], truth: Array | None) -> list[Body]:
 
 
 def _theta(entries: Mapping[str, Any]) -> Array:
+    """Return the inertial parameters (10,) of a JSON object, in the order of ``PARAMETER_NAMES``.
+
+    ValueError if the first moment does not have three components.
+    """
     inertia = entries["inertia_tensor"]
     values = [entries["mass"], *entries["center_of_mass_moment"]]
     theta = np.array(
@@ -419,6 +517,7 @@ def _theta(entries: Mapping[str, Any]) -> Array:
 
 
 def _body(entries: Mapping[str, Any]) -> Body:
+    """Return the body of a JSON object whose own objects are records already."""
     thetas = {
         "before": entries["model"],
         "after": _theta(entries),
@@ -444,5 +543,11 @@ def _body(entries: Mapping[str, Any]) -> Body:
 def _parameter_array(
     named: Mapping[str, Any] | None, names: Sequence[str] = PARAMETER_NAMES
 ) -> Array:
-    """Return the values of the ten parameters (10,), or of other names; NaN for null."""
-    return np.array([(named or {}).get(name) for name in names], dtype=float)
+    """Return the values (m,) of m names in their order; NaN for null or a missing name.
+
+    Args:
+        named: name to number or None; None if no number is known.
+        names: the m names, by default those of the ten inertial parameters.
+    """
+    named = named or {}
+    return np.array([named.get(name) for name in names], dtype=float)

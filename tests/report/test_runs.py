@@ -24,14 +24,14 @@ from robot_sysid.report.joint_sections import errors, rollout
 from robot_sysid.report.page import compare_bodies, compare_errors, sections_of, verdict
 from robot_sysid.report.runs import (
     DATA_NAME,
-    MOST,
+    MAX_INSTANTS,
     autocorrelation,
-    by_speed,
     data_bytes,
     histogram,
     load_data,
     load_run,
     report_data,
+    statistics_by_speed,
 )
 from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.record import Verdict
@@ -71,8 +71,8 @@ def test_what_is_written_is_read(tmp_path):
 
 def test_a_huge_log_is_thinned_and_says_so():
     data = report_data(traces(20_000))
-    assert len(data.time) == MOST and data.n_samples == 20_000
-    assert data.thinning_text.startswith(f"drawn: {MOST} of 20000 instants")
+    assert len(data.time) == MAX_INSTANTS and data.n_samples == 20_000
+    assert data.thinning_text.startswith(f"drawn: {MAX_INSTANTS} of 20000 instants")
     assert np.all(np.sum(data.counts, axis=1) == 19_999)
     assert len(data_bytes(data)) < 500_000
     assert report_data(traces(500)).thinning_text == ""
@@ -146,14 +146,18 @@ def test_means_by_speed_are_those_of_the_samples_in_use():
     qd = np.linspace(-2.0, 2.0, 4001)[:, None]
     torque = 3.0 * qd + 1.0
     torque[qd > 1.0] = np.nan
-    speed, mean, spread, measured, predicted = by_speed(qd, torque, qd).values()
+    speed, mean, spread, measured, predicted = statistics_by_speed(
+        qd, torque, qd
+    ).values()
     in_use = np.isfinite(speed)
     assert_allclose(mean[in_use], 3.0 * speed[in_use] + 1.0, atol=1e-9)
     assert_allclose(measured[in_use], 4.0 * speed[in_use] + 1.0, atol=1e-9)
     assert_allclose(predicted[in_use], speed[in_use], atol=1e-9)
     assert np.nanmax(speed) <= 1.0 and np.all(spread[in_use] < 0.3)
     no_samples = np.full((3, 1), np.nan)
-    assert np.all(np.isnan(by_speed(no_samples, no_samples, no_samples)["speed"]))
+    assert np.all(
+        np.isnan(statistics_by_speed(no_samples, no_samples, no_samples)["speed"])
+    )
 
 
 @pytest.fixture
@@ -173,15 +177,17 @@ def test_a_run_is_read_as_it_was_written(link_run):
     content = json.loads((link_run / "params.json").read_text())
     body, *others = run.bodies
     assert run.content["valid"]["trustworthy"] and run.missing == ()
-    assert body.after[0] == content["mass"]
+    assert body.identified[0] == content["mass"]
     assert [other.title for other in others] == ["link5"] and body.title == content[
         "body_name"
     ]
     thetas = body.thetas
     assert (
-        thetas["truth"][0] == thetas["before"][0] == pytest.approx(0.5 * body.after[0])
+        thetas["truth"][0]
+        == thetas["before"][0]
+        == pytest.approx(0.5 * body.identified[0])
     )
-    assert thetas["in the file"][0] == pytest.approx(0.9 * body.after[0])
+    assert thetas["in the file"][0] == pytest.approx(0.9 * body.identified[0])
     assert body.errors[0] == content["standard_errors"]["m"]
     assert {"noise", "links"} == set(body.budget)
     assert body.is_from_model[8] and not body.is_from_model[0]
