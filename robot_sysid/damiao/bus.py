@@ -1,8 +1,8 @@
-"""The bus: clocks, the guard that every sent frame passes, real-time priority, and asking motors.
+"""CAN bus access: clocks, a link that refuses harmful frames, real-time priority, and registers.
 
-Motors are asked for registers and state, without any effect on them, and never while commands
-stream. Register replies and feedback come on the same id. They are told apart by the one request
-that is outstanding: a reply repeats its motor's id, an operation and the register's number.
+Registers and states of motors are only requested while no commands are streamed. Register replies
+and feedback of a motor have the same arbitration id, so only one request is outstanding at a time;
+a register reply is recognised by its data, which repeats CAN id, operation and register number.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from robot_sysid.errors import HardwareAbort
 
 
 class SystemClock:
-    """The computer's monotonic clock; ``live`` because it moves whatever this program does."""
+    """The computer's monotonic clock; ``live`` is whether time passes while this program runs."""
 
     live = True
 
     def now(self) -> float:
-        """Return the time [s]; only differences mean anything."""
+        """Return the time since an arbitrary moment [s]."""
         return time.monotonic()
 
     def sleep_until(self, moment: float) -> None:
@@ -48,7 +48,7 @@ class SystemClock:
 
 
 class SimulatedClock(SystemClock):
-    """A clock that moves only when someone sleeps."""
+    """A clock whose time only advances, without waiting, when the program sleeps."""
 
     live = False
 
@@ -60,32 +60,42 @@ class SimulatedClock(SystemClock):
         return self._now
 
     def sleep_until(self, moment: float) -> None:
-        """Move to ``moment`` [s], unless it has passed."""
+        """Set the time to ``moment`` [s], unless that has passed."""
         self._now = max(self._now, moment)
 
 
 class LinkError(HardwareAbort):
-    """The bus itself does not work (unplugged, bus-off, buffer full)."""
+    """The bus itself does not work (adapter unplugged, bus-off state, buffer full)."""
 
 
 class Link(Protocol):
-    """One end of a CAN bus. Its frames' times are in the same clock as ``until``."""
+    """One end of a CAN bus (or of several); times are in the clock with which it was opened."""
 
     def send(self, frame: Frame) -> None:
         """Send a frame, or raise LinkError."""
 
     def receive(self, until: float) -> Frame | None:
-        """Return the next frame, or None at the time ``until`` [s]; may raise LinkError."""
+        """Return the next frame, or None if none has come at ``until`` [s]; may raise LinkError."""
 
     def close(self) -> None:
         """Release the bus."""
 
 
 class GuardedLink:
-    """Passes frames on, refuses the harmful ones, and shows each one to an observer.
+    """A link that refuses harmful frames and reports every frame to an observer.
 
-    ``refuse`` raises for frames that must not be sent; ``channels`` are the names of the buses. The
-    observer is called with every frame and whether it was sent; it must not raise.
+    Args:
+        link: link on which frames are sent and received.
+        clock: clock of the link.
+        fd: whether frames are sent as CAN-FD.
+        channels: names of the buses, in the order of ``Frame.bus``.
+        refuse: called with each frame to be sent; raises for one that must not be sent.
+
+    Attributes:
+        clock: as given.
+        channels: as given, as a tuple.
+        observer: called with every frame and whether this program sent it; must not raise. None
+            at first; the user may set it.
     """
 
     def __init__(
@@ -104,7 +114,7 @@ class GuardedLink:
         self.observer: Callable[[Frame, bool], None] | None = None
 
     def send(self, frame: Frame) -> None:
-        """Send a frame that is not harmful."""
+        """Send a frame, or raise the error of ``refuse`` or LinkError."""
         self._refuse(frame)
         frame = frame._replace(fd=self._fd)
         self._link.send(frame)
@@ -112,35 +122,40 @@ class GuardedLink:
             self.observer(frame._replace(time=self.clock.now()), True)
 
     def receive(self, until: float) -> Frame | None:
-        """Return the next frame or None at ``until`` [s]."""
+        """Return the next frame, or None if none has come at ``until`` [s]."""
         frame = self._link.receive(until)
         if frame is not None and self.observer and not frame.echo:
             self.observer(frame, False)
         return frame
 
     def drain(self) -> None:
-        """Drop what has already arrived."""
+        """Discard all frames that have already arrived."""
         while self.receive(self.clock.now()) is not None:
             pass
 
 
 PRIORITY = 20
-"""Real-time priority of the thread that keeps time: below the kernel's own threads (50)."""
-# The other threads wait for the one that keeps time, but for no other program: whichever of them
-# holds Python's lock when it is interrupted holds up the control loop too.
+"""Real-time priority of the control loop's thread: below the kernel's own threads (50)."""
 _PRIORITY_ASIDE = 10
-# A busy thread gives way after this long [s]; Python's own default is more than a control cycle.
+"""Real-time priority of this program's other threads.
+
+It is above that of other programs, because a thread that is interrupted while it holds Python's
+lock delays the control loop too.
+"""
 _SWITCH_INTERVAL = 2e-4
+"""Time after which a busy thread gives way [s]; Python's default is longer than a control cycle."""
 
 
 @contextlib.contextmanager
 def undisturbed_processor(live: bool = True) -> Iterator[bool]:
-    """Keep garbage collection, other threads and other programs from pausing the block.
+    """Keep garbage collection, other threads and other programs from pausing a ``with`` block.
 
-    The block gets whether it has real-time priority; where the system refuses that, or has none,
-    garbage collection and threads are kept off all the same. A block that is not ``live`` asks for
-    no priority: it runs in simulated time. One that has priority has to wait now and then, because
-    nothing else runs on its processor meanwhile.
+    Yields whether the block has real-time priority, which the system may refuse; garbage collection
+    is off in any case. A block with real-time priority has to wait now and then, because no other
+    program can run on its processor meanwhile.
+
+    Args:
+        live: ask for real-time priority; False for a block that runs in simulated time.
     """
     collects_garbage = gc.isenabled()
     switch_interval = sys.getswitchinterval()
@@ -162,9 +177,9 @@ def undisturbed_processor(live: bool = True) -> Iterator[bool]:
 
 @contextlib.contextmanager
 def _real_time_priority() -> Iterator[bool]:
-    """Give the threads of this program real-time priority, where it is allowed, and take it back.
+    """Give this program's threads real-time priority in a block; yield whether the block has it.
 
-    A policy that somebody has chosen already (by chrt) is left as it is.
+    A scheduling policy that the user has chosen already (by chrt) is not changed.
     """
     policy = os.sched_getscheduler(0) if sys.platform == "linux" else None
     if policy is None or policy != os.SCHED_OTHER:
@@ -176,20 +191,20 @@ def _real_time_priority() -> Iterator[bool]:
             _schedule(thread_id, os.SCHED_FIFO, _PRIORITY_ASIDE)
         yield is_granted
     finally:
-        # Threads that were started meanwhile have inherited it.
+        # Threads that were started in the block have inherited the priority.
         for thread_id in (0, *_other_threads()):
             _schedule(thread_id, os.SCHED_OTHER, 0)
 
 
 def lacks_priority() -> bool:
-    """Tell whether this system has real-time priority but has not given it to this thread."""
+    """Return whether the system has real-time priority but this thread does not."""
     if sys.platform != "linux":
         return False
     return os.sched_getscheduler(0) not in (os.SCHED_FIFO, os.SCHED_RR)
 
 
 def _schedule(thread_id: int, policy: int, priority: int) -> bool:
-    """Set how a thread is scheduled, 0 for the calling one; return whether it was allowed."""
+    """Set policy and priority of a thread, 0 for the calling one; return whether this succeeded."""
     try:
         os.sched_setscheduler(thread_id, policy, os.sched_param(priority))
     except OSError:
@@ -199,29 +214,34 @@ def _schedule(thread_id: int, policy: int, priority: int) -> bool:
 
 
 def _other_threads() -> list[int]:
-    """Return the system's numbers of the threads beside the calling one."""
+    """Return the system's ids of all threads of this program but the calling one."""
     current = threading.get_native_id()
     ids = [thread.native_id for thread in threading.enumerate()]
     return [thread_id for thread_id in ids if thread_id not in (None, current)]
 
 
-# A frame may be lost on a bus that another program has just left.
 _TRIES = 3
-# Answers that take longer are of no use to a control loop [s].
+"""How often a request is sent: a frame may be lost where another program just used the bus."""
 _LONGEST_CYCLE = 0.1
+"""Time after which answers are no longer waited for [s]: they are useless to a control loop."""
 
 
 class RegisterReply(NamedTuple):
-    """A register's value and the id it was answered on."""
+    """A register's value and the arbitration id of the reply."""
 
     value: float
     reply_id: int
 
 
 class RegisterClient:
-    """Reads and writes registers of motors over a link; an answer may take ``timeout`` [s].
+    """Reads and writes registers of motors over a link.
 
-    ``error_frames`` counts the error frames that it received.
+    Args:
+        link: link of the motors' buses.
+        timeout: time for which an answer is waited for [s].
+
+    Attributes:
+        error_frames: number of error frames received so far.
     """
 
     def __init__(self, link: GuardedLink, timeout: float = 0.02) -> None:
@@ -231,17 +251,24 @@ class RegisterClient:
         self.error_frames = 0
 
     def read(self, motor: protocol.Address, register: int) -> RegisterReply | None:
-        """Return a register's first reply, or None where the motor does not answer."""
+        """Return a motor's reply with a register's value, or None if it does not answer."""
         replies = self.answers(protocol.read_frame(motor, register), 1)
         return replies[0] if replies else None
 
     def write(
         self, motor: protocol.Address, register: int, value: float, verify: bool = True
     ) -> None:
-        """Write a register (lost at power-off), or raise HardwareAbort.
+        """Write a value to a motor's register; it is lost at power-off unless stored.
 
-        A motor refuses a value by answering with the old one, so the answer is compared, unless
-        ``verify`` is false: a motor whose bit rate changes can be heard no more.
+        Args:
+            motor: bus and CAN id of the motor.
+            register: number of the register.
+            value: new value.
+            verify: wait for the answer, whose value differs where the motor refused the new one;
+                False for a change of bit rate, after which no answer can be received.
+
+        Raises:
+            HardwareAbort: the motor did not answer, or refused the value.
         """
         raw = protocol.bytes_from_value(register, value)
         name = protocol.NAMES[register]
@@ -260,7 +287,7 @@ class RegisterClient:
             )
 
     def refresh(self, motor: protocol.Address, master_id: int) -> protocol.Frame | None:
-        """Return a feedback frame without any effect on the motor, or None."""
+        """Request and return a motor's feedback frame, or None; this has no other effect."""
         for _ in range(_TRIES):
             for frame in self._frames_after(protocol.refresh_frame(motor)):
                 if frame.id == master_id and frame.data[0] & 0xF == motor.can_id & 0xF:
@@ -268,16 +295,19 @@ class RegisterClient:
         return None
 
     def state_of(self, motor: InspectedMotor) -> Feedback | None:
-        """Ask a motor for its state, without any effect on it; None where it does not answer."""
+        """Request a motor's state and return it; None if there is no answer or no scaling.
+
+        The request has no other effect on the motor.
+        """
         frame = self.refresh(motor.address, motor.reply_ids[0])
         return None if frame is None else motor.decode_feedback(frame.data)
 
     def seconds_to_refresh(
         self, motors: Sequence[tuple[protocol.Address, int]]
     ) -> float | None:
-        """Return the time until all motors (address, reply id), asked at once, answered [s].
+        """Return the time until all motors, requested at once, have answered [s].
 
-        None where one does not answer within a tenth of a second.
+        ``motors`` are pairs of address and reply id. None if one does not answer within 0.1 s.
         """
         self._link.drain()
         start = self._clock.now()
@@ -295,7 +325,11 @@ class RegisterClient:
     def answers(
         self, request: protocol.Frame, limit: int | None = None
     ) -> list[RegisterReply]:
-        """Return up to ``limit`` replies to a request; motors that share an id send several."""
+        """Return the replies to a register request; motors that share an id send several.
+
+        ``limit`` is the number of replies after which no more are waited for. Without any reply the
+        request is repeated; the list is empty if none comes at all.
+        """
         for _ in range(_TRIES):
             replies = list(islice(self._replies(request), limit))
             if replies:
@@ -317,7 +351,7 @@ class RegisterClient:
                 yield RegisterReply(value, frame.id)
 
     def _frames_after(self, request: protocol.Frame) -> Iterator[protocol.Frame]:
-        """Send a request and yield the sound frames on its bus until the timeout."""
+        """Send a request and yield the 8-byte frames that others send on its bus until timeout."""
         self._link.drain()
         self._send(request)
         until = self._clock.now() + self._timeout
@@ -328,7 +362,7 @@ class RegisterClient:
                 yield frame
 
     def _send(self, request: protocol.Frame) -> None:
-        """Send a request, again where a busy computer or adapter did not take it in time."""
+        """Send a request, up to three times if a busy computer or adapter raises LinkError."""
         for _ in range(_TRIES - 1):
             with contextlib.suppress(LinkError):
                 return self._link.send(request)
@@ -342,11 +376,16 @@ def watchdogs_set_to(
     seconds: float,
     is_off: Callable[[protocol.Address], bool],
 ) -> Iterator[None]:
-    """Write the watchdog register of each motor, and its old value when the block ends.
+    """Set the watchdog of each motor for a ``with`` block, and restore the old value afterwards.
 
-    A motor that may still be running keeps the new value: without a watchdog it would go on for
-    ever. Nothing is stored to flash: after a power cycle the motors have their own values again.
-    ``is_off`` tells, at the end, whether a motor is surely disabled.
+    A motor that may still be running keeps the new value: without a watchdog it might run forever.
+    Nothing is stored in flash: after a power cycle the motors have their own values again.
+
+    Args:
+        client: access to the registers.
+        motors: motors with the values of their registers.
+        seconds: new watchdog time [s].
+        is_off: returns, when the block has ended, whether the motor is known to be disabled.
     """
     old_values = {motor.address: motor.registers[protocol.TIMEOUT] for motor in motors}
     try:
@@ -357,30 +396,31 @@ def watchdogs_set_to(
         yield
     finally:
         for address in filter(is_off, old_values):
-            # A motor that does not answer any more keeps the safer value until power-off.
+            # A motor that no longer answers keeps the new value until power-off.
             with contextlib.suppress(BaseException):
                 client.write(address, protocol.TIMEOUT, old_values[address])
 
 
 _ALL_IDS = range(1, 16)
-# A program that streams at 40 Hz or more is heard in this time; a slow adapter answers in half of
-# the other (16 ms) [s].
+"""CAN ids that motors may have: feedback has four bits for them."""
 _LISTEN = 0.05
+"""Time to listen before requesting anything [s]: shows programs that send at 40 Hz or more."""
 _ASK_TIMEOUT = 0.03
-# How often all motors are asked at once, to know how long nine of ten times take.
+"""Time for which an answer is waited for [s]: twice that of a slow adapter (16 ms)."""
 _ROUNDS = 20
+"""How often all motors are requested at once, for the 90th percentile of their answering time."""
 
 
 @dataclass(frozen=True, eq=False)
 class InspectedMotor:
-    """Answers of one motor to an inspection.
+    """Answers of one motor to an inspection of the bus.
 
     Attributes:
-        address: under which it was asked.
-        reply_ids: ids on which answers came; several mean that several motors share its id.
-        registers: values by number, of the registers that it answered for.
-        feedback: its state; None where it did not answer or its scaling is unknown.
-        channel: name of its bus where there are several, else "".
+        address: bus and CAN id to which the requests were sent.
+        reply_ids: arbitration ids of the replies; several if several motors have this CAN id.
+        registers: value of each register that was answered, by its number.
+        feedback: state of the motor, fields (1,); None without answer or scaling limits.
+        channel: name of the bus where there are several, else "".
     """
 
     address: protocol.Address
@@ -391,29 +431,29 @@ class InspectedMotor:
 
     @property
     def can_id(self) -> int:
-        """CAN id under which it was asked."""
+        """CAN id of the motor."""
         return self.address.can_id
 
     @property
     def name(self) -> str:
-        """What messages call it: its id, and its bus where there are several."""
+        """Name in messages: "motor", its CAN id, and its bus where there are several."""
         return f"motor {self.can_id}" + (f" on {self.channel}" if self.channel else "")
 
     @property
     def master_id(self) -> int:
-        """Reply id in its register MST_ID; where that is unknown, the id of its first answer."""
+        """Reply id in register MST_ID, or else the arbitration id of the motor's first reply."""
         return int(self.registers.get(protocol.MST_ID, self.reply_ids[0]))
 
     @property
     def limits(self) -> tuple[float, float, float]:
-        """(PMAX, VMAX, TMAX) in its registers [rad, rad/s, N m]; 0 for one that is unknown."""
+        """PMAX, VMAX and TMAX in the motor's registers [rad, rad/s, N m]; 0 where unknown."""
         position, velocity, torque = (
             self.registers.get(number, 0.0) for number in protocol.SCALING
         )
         return position, velocity, torque
 
     def decode_feedback(self, feedback: bytes) -> Feedback | None:
-        """Return the state in a feedback frame; None where its scaling is not known."""
+        """Return the state, fields (1,), in a feedback frame's data; None without limits."""
         if min(self.limits) <= 0.0:
             return None
         raw = np.frombuffer(feedback, dtype=np.uint8)[None]
@@ -421,7 +461,7 @@ class InspectedMotor:
 
     @property
     def position(self) -> float:
-        """Its position [rad]; NaN where that is unknown."""
+        """Position of the motor [rad]; NaN where unknown."""
         return float(self.feedback.position[0]) if self.feedback else np.nan
 
 
@@ -430,11 +470,11 @@ class Inspection:
     """Answers of all motors on the buses.
 
     Attributes:
-        motors: by address, in the order of buses and ids.
-        unsolicited: number of frames that came before anything was asked.
+        motors: answers of each motor by its address, in the order of buses and CAN ids.
+        unsolicited: number of frames that came before anything was requested.
         error_frames: number of error frames.
-        round_trip: time within which all motors, asked at once, answer nine times of ten [s]; None
-            if some did not.
+        round_trip: 90th percentile of the time in which all motors, requested at once, answer [s];
+            None if some did not.
     """
 
     motors: Mapping[protocol.Address, InspectedMotor]
@@ -444,7 +484,10 @@ class Inspection:
 
 
 def inspect_bus(link: GuardedLink) -> Inspection:
-    """Ask every id on every bus for registers and state; no motor is enabled or changed."""
+    """Request registers and state of every CAN id on every bus; return the answers.
+
+    No motor is enabled or changed.
+    """
     until = link.clock.now() + _LISTEN
     unsolicited = 0
     while (frame := link.receive(until)) is not None:
@@ -460,7 +503,7 @@ def inspect_bus(link: GuardedLink) -> Inspection:
     round_trip = None
     if all(motor.feedback for motor in motors.values()):
         addresses = [(motor.address, motor.reply_ids[0]) for motor in motors.values()]
-        # As in the run that it is for.
+        # Measured under the conditions of a run, for which the time matters.
         with undisturbed_processor(link.clock.live):
             times = [client.seconds_to_refresh(addresses) for _ in range(_ROUNDS)]
         complete = [seconds for seconds in times if seconds is not None]
@@ -472,7 +515,10 @@ def inspect_bus(link: GuardedLink) -> Inspection:
 def _inspect_motor(
     client: RegisterClient, address: protocol.Address, channel: str
 ) -> InspectedMotor | None:
-    """Return a motor's registers and state; None where nothing answers at an address."""
+    """Return registers and state of the motor at an address; None where nothing answers.
+
+    ``channel`` is the name of the bus, or "" where there is only one.
+    """
     answers = client.answers(protocol.read_frame(address, protocol.ESC_ID))
     if not answers:
         return None

@@ -1,11 +1,11 @@
 """Simulated motors, the arm that they drive, and the bus that they are on.
 
-A motor behaves as the real ones do where that matters: it only speaks when spoken to, matches the
-low eight bits of an arbitration id, answers a command with the state before the command acted,
-drops the fraction when it packs a value, leaves the enabled state on any fault and when commands
-stay away for longer than its watchdog allows, and does not come back by itself.
+A simulated motor behaves like a real one in these respects: it only sends answers, compares the low
+eight bits of an arbitration id, answers a command with the state before the command acted, rounds
+down when it packs a value, leaves the enabled state on any fault and when no command comes for
+longer than its watchdog allows, and stays disabled until it is enabled again.
 
-The arm lives in simulated time, exact and without waiting, or in real time behind an adapter.
+The arm is simulated in simulated time, without waiting, or in real time behind a CAN adapter.
 """
 
 from __future__ import annotations
@@ -35,13 +35,15 @@ if TYPE_CHECKING:
     from robot_sysid.simulation.forward_dynamics import ArmStepper
 
 DEFAULT_WATCHDOG = 0.1
-"""What docs/damiao.md asks for with ``--set-watchdog`` [s]."""
-# Bits of position, velocity and torque in an answer; of p, v, kp, kd and t in a command.
+"""Default watchdog time of simulated motors [s], as docs/damiao.md recommends for real ones."""
 _MEASURED_BITS = 16, 12, 12
+"""Bits of position, velocity and torque in an answer."""
 _COMMAND_BITS = 16, 12, 12, 12, 12
+"""Bits of position, velocity, kp, kd and torque in a command."""
 _NOTHING = (0.0,) * 5
-# Sums of steps are rounded by less than this [s].
+"""Command without effect: position, velocity, kp, kd and torque are zero."""
 _SAME_TIME = 1e-9
+"""Difference below which two times are equal [s]: rounding errors of sums are smaller."""
 
 
 @dataclass
@@ -49,17 +51,20 @@ class SimulatedMotor:
     """One simulated motor and its state.
 
     Attributes:
-        joint: that it drives.
-        registers: values by number.
-        peak_torque: that it can deliver [N m].
-        status: code of ``protocol.status_text``.
-        command: p, v, kp, kd and t in force.
-        brake: damping of the shorted windings while it is disabled [N m s/rad].
-        position, velocity, torque: readings of its sensors, set by the arm [rad, rad/s, N m].
-        temperature_mos, temperature_rotor: of power stage and winding [deg C].
-        fed_at: when it last got a frame of its own [s].
-        shift: what it adds to its position since a zero was set [rad].
-        stored: registers that it keeps when the power goes off.
+        joint: joint that the motor drives, with bus and mounting.
+        registers: value of each register by its number.
+        peak_torque: largest torque that the motor can deliver [N m].
+        brake: damping of the shorted windings while the motor is disabled [N m s/rad].
+        status: status code, see ``protocol.status_text``.
+        position: measured position, set by the arm [rad].
+        velocity: measured velocity, set by the arm [rad/s].
+        torque: measured torque, set by the arm [N m].
+        temperature_mos: temperature of the power stage [deg C].
+        temperature_rotor: temperature of the winding [deg C].
+        command: position, velocity, kp, kd and torque in force, in the units of ``MitCommand``.
+        fed_at: time of the last frame to this motor [s].
+        shift: angle added to the reported position since a zero was set [rad].
+        stored: registers in flash, by number; empty until they are stored.
     """
 
     joint: DamiaoJoint
@@ -79,16 +84,16 @@ class SimulatedMotor:
 
     @property
     def can_id(self) -> int:
-        """CAN id that it listens to."""
+        """CAN id of the motor, from its register."""
         return int(self.registers[protocol.ESC_ID])
 
     @property
     def driving(self) -> bool:
-        """Whether it is enabled and follows commands."""
+        """Whether the motor is enabled and follows commands."""
         return self.status == protocol.ENABLED
 
     def tick(self, time: float) -> bool:
-        """Check the watchdog; return whether the motor has just stopped driving."""
+        """Check the watchdog at ``time`` [s]; return whether it has stopped the motor just now."""
         timeout = self.registers[protocol.TIMEOUT] * protocol.TIMEOUT_UNIT
         if self.driving and 0.0 < timeout < time - self.fed_at:
             self.fail(protocol.LOST_COMMUNICATION)
@@ -96,12 +101,12 @@ class SimulatedMotor:
         return False
 
     def fail(self, code: int) -> None:
-        """Leave the enabled state with a fault."""
+        """Leave the enabled state with the status code of a fault."""
         self.status = code
         self.command = _NOTHING
 
     def handle(self, frame: protocol.Frame, time: float) -> protocol.Frame | None:
-        """Take a frame from the bus and return the answer, if there is one."""
+        """Process a frame on the bus at ``time`` [s]; return the motor's answer, or None."""
         data = None
         if frame.bus != self.joint.bus or len(frame.data) < 4:
             return None
@@ -117,7 +122,7 @@ class SimulatedMotor:
         )
 
     def _command_answer(self, data: bytes, time: float) -> bytes:
-        """Take a command's data and return the data of its answer."""
+        """Obey the 8-byte data of a command at ``time`` [s]; return the data of the answer."""
         self.fed_at = time
         if protocol.is_special(data):
             self._special(data[7])
@@ -141,7 +146,7 @@ class SimulatedMotor:
             self.command = _NOTHING
 
     def _register_answer(self, data: bytes) -> bytes | None:
-        """Obey a frame about registers and return its answer's data; None where it is another's."""
+        """Obey the data of a register frame; return the answer's data, or None without answer."""
         if data[0] | data[1] << 8 != self.can_id:
             return None
         operation = data[2]
@@ -161,13 +166,14 @@ class SimulatedMotor:
         return data[:4] + protocol.bytes_from_value(number, self.registers[number])
 
     def _feedback(self) -> bytes:
+        """Return the data of a feedback frame with the present state."""
         return self._pack(self.position, self.velocity, self.torque)
 
     def _pack(self, *measured: float) -> bytes:
-        """Return the frame of a position [rad], velocity [rad/s] and torque [N m].
+        """Return the data of a feedback frame with position [rad], velocity [rad/s], torque [N m].
 
-        It is what ``protocol.encode_feedback`` makes of whole arrays, forty times as fast for one
-        motor: an arm in real time has tenths of a millisecond for an answer.
+        The result equals that of ``protocol.encode_feedback``, but is computed forty times as fast
+        for one motor: an arm in real time has tenths of a millisecond for an answer.
         """
         position, velocity, torque = measured
         values = position + self.shift, velocity, torque
@@ -182,7 +188,7 @@ class SimulatedMotor:
         )
 
     def _unpack(self, data: bytes) -> list[float]:
-        """Return p, v, kp, kd and t of a command's frame, as ``protocol.decode_mit`` reads them."""
+        """Return position, velocity, kp, kd, torque in a command's data, as ``decode_mit`` does."""
         pmax, vmax, tmax = (self.registers[number] for number in protocol.SCALING)
         ranges = (
             (-pmax, pmax),
@@ -204,7 +210,10 @@ class SimulatedMotor:
 def simulated_motor(
     joint: DamiaoJoint, watchdog: float = DEFAULT_WATCHDOG
 ) -> SimulatedMotor:
-    """Return a joint's motor as it leaves the factory, apart from ids and watchdog [s]."""
+    """Return a simulated motor of a joint, with the factory's registers but for ids and watchdog.
+
+    ``watchdog`` is the time without a command after which the motor stops [s].
+    """
     peak = joint.spec.peak_torque
     gear = joint.spec.gear_ratio
     registers: dict[int, float] = {
@@ -224,10 +233,18 @@ def simulated_motor(
 class SimulatedArm:
     """An arm whose joints are driven by simulated motors.
 
-    Torque of an enabled motor: kp (p - q) + kd (v - qd) + t, limited to what it can deliver. A
-    disabled motor brakes with its shorted windings, so a loaded arm sinks; but until a motor is
-    enabled for the first time the arm rests on something. There is one motor per joint, base to
-    terminal; more are on the bus but move nothing.
+    An enabled motor makes the torque kp (p - q) + kd (v - qd) + t, limited to its peak torque. A
+    disabled motor brakes with its shorted windings, so that a loaded arm sinks; but the arm is
+    supported, and does not move, until a motor is enabled for the first time.
+
+    Args:
+        mechanism: dynamics of the arm with its n joints.
+        motors: one per joint, base to terminal; further motors are on the bus but drive nothing.
+
+    Attributes:
+        time: simulated time up to which the arm has been computed [s].
+        mechanism: as given.
+        motors: as given, as a list.
     """
 
     def __init__(self, mechanism: ArmStepper, motors: Sequence[SimulatedMotor]) -> None:
@@ -257,19 +274,19 @@ class SimulatedArm:
             self.mechanism.step(*self._law(ahead), duration)
 
     def leave_out(self, until: float) -> None:
-        """Let time pass up to ``until`` [s] in which nothing moves."""
+        """Set the time to ``until`` [s] without moving the arm."""
         self.time = until
         self._has_moved = True
 
     def handle(self, frame: protocol.Frame, time: float) -> list[protocol.Frame]:
-        """Let all motors take a frame at ``time`` [s]; return their answers."""
+        """Simulate up to ``time`` [s], send a frame to all motors and return their answers."""
         self.advance(time)
         return self.answers(frame, time)
 
     def answers(self, frame: protocol.Frame, time: float) -> list[protocol.Frame]:
-        """Return all motors' answers to a frame at ``time`` [s]; no physics are computed.
+        """Send a frame to all motors at ``time`` [s] and return their answers, without simulating.
 
-        Sensors read what the joints' speeds have made of their positions since the last step.
+        Measured positions are extrapolated with the velocities since the last simulated step.
         """
         if self._has_moved:
             self._read_sensors()
@@ -282,7 +299,7 @@ class SimulatedArm:
         for motor in self.motors:
             answer = motor.handle(frame, time)
             if answer is not None:
-                # Another motor whose id matches that of an answer takes it for a command.
+                # A motor whose CAN id equals the low bits of an answer's id obeys the answer.
                 others = [other for other in self.motors if other is not motor]
                 echoes = [other.handle(answer, time) for other in others]
                 answers += [answer, *filter(None, echoes)]
@@ -290,7 +307,7 @@ class SimulatedArm:
         return answers
 
     def _gather(self) -> None:
-        """Collect all motors' commands, gains and peaks as arrays (n,) in joint space."""
+        """Store all motors' commands, gains and peak torques as arrays (n,) in joint space."""
         motors = self.motors[: self.mechanism.n_joints]
         table = np.array([(*m.command, m.brake, m.peak_torque) for m in motors])
         driving = np.array([m.driving for m in motors])
@@ -306,7 +323,11 @@ class SimulatedArm:
         self._changed = False
 
     def _law(self, q: Array) -> tuple[Array, Array]:
-        """Return (torque, damping) of the motors at positions q (n,) and present velocities."""
+        """Return the motors' torque (n,) [N m] and damping (n,) [N m s/rad] in joint space.
+
+        The motors make torque - damping qd at positions q (n,) [rad] and the present velocities qd;
+        where the peak torque is exceeded, torque is the peak and damping zero.
+        """
         if self._changed:
             self._gather()
         torque = self._kp * (self._p - q) + self._offset
@@ -328,20 +349,26 @@ class SimulatedArm:
         for motor, (position, velocity, motor_torque) in zip(self.motors, readings):
             motor.position = position
             motor.velocity = velocity
-            # It knows the current it drives, not what its shorted windings do.
+            # A motor measures the current of its power stage, not that of its shorted windings.
             motor.torque = motor_torque if motor.driving else 0.0
 
 
-# Between a command's last bit and the first of its answer [s]: an assumption, a third of a frame.
 _TURNAROUND = 50e-6
+"""Time from a command's last bit to the answer's first bit [s]: assumed, a third of a frame."""
 
 
 class SimulatedLink:
-    """Carries frames one after the other, each as long as its bits take; waiting moves the clock.
+    """A link to a simulated arm, in simulated time, with the transmission times of frames.
 
-    A burst of commands goes out before any reply, because commands have the lower ids. A classic
-    host sees an error frame where a motor answers in CAN-FD. With ``echo`` each sent frame is
-    reported back when it was on the bus, as SocketCAN does.
+    Frames go over each bus one after the other; waiting for one advances the clock. A burst of
+    commands is sent before any reply, because commands have the lower ids. A host without CAN-FD
+    receives an error frame where a motor answers in CAN-FD.
+
+    Args:
+        clock: clock that is advanced.
+        arm: arm that gets the frames and answers.
+        timing: frame format and bit rates of the buses.
+        echo: whether each sent frame is also received, when it was on the bus, as with SocketCAN.
     """
 
     def __init__(
@@ -357,12 +384,12 @@ class SimulatedLink:
         self._echo = echo
         self._free_at: defaultdict[int, float] = defaultdict(float)
         self._order = itertools.count()
-        # What is through on the wire, by its time, and answers that wait for it.
+        # Heap of transmitted frames by time, and heap of replies that wait for a free bus.
         self._through: list[tuple[float, int, Frame]] = []
         self._replies: list[tuple[float, int, int, Frame]] = []
 
     def send(self, frame: Frame) -> None:
-        """Put a frame on the bus; the arm gets it when its last bit is through."""
+        """Send a frame as soon as its bus is free; the arm gets it after the last bit."""
         end = max(self.clock.now(), self._free_at[frame.bus]) + self._timing.frame_time
         self._free_at[frame.bus] = end
         if self._echo:
@@ -373,7 +400,7 @@ class SimulatedLink:
             )
 
     def receive(self, until: float) -> Frame | None:
-        """Return the next frame that is through by ``until`` [s], or None at that time."""
+        """Return the next frame transmitted by ``until`` [s], or None; advance the clock to it."""
         while self._replies:
             begin, _, _, reply = self._replies[0]
             arrival = max(begin, self._free_at[reply.bus]) + self._timing.frame_time
@@ -392,20 +419,21 @@ class SimulatedLink:
         return frame
 
     def _deliver(self, frame: Frame) -> None:
+        """Add a frame to those that ``receive`` returns at the frame's time."""
         heapq.heappush(self._through, (frame.time, next(self._order), frame))
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing: there is nothing to release."""
 
 
-# How long to wait for a frame before the physics go on: one step of them; and for another one of
-# the same control cycle, which should not wait for them [s].
 _TICK = 1e-3
+"""Time to wait for a frame before the physics are advanced [s]: one step of the physics."""
 _SAME_CYCLE = 2e-4
-# However many frames come, the physics fall behind no farther than this [s].
+"""Time to wait for another frame of the same control cycle before the physics are advanced [s]."""
 _LONGEST_CYCLE = 4e-3
-# The motors' own default watchdog: who is later has lost them anyway [s].
+"""Delay of the physics after which they are advanced even if more frames are waiting [s]."""
 _MOST_BEHIND = DEFAULT_WATCHDOG
+"""Delay of the physics after which time is skipped [s]: the watchdogs have expired by then."""
 
 
 @dataclass
@@ -413,8 +441,8 @@ class ServiceReport:
     """How a simulated arm in real time kept up with the clock.
 
     Attributes:
-        left_out: time that the arm skipped because the simulation was too slow [s].
-        longest_delay: longest time between two looks for a command [s].
+        left_out: total time that was skipped because the simulation was too slow [s].
+        longest_delay: longest time between two checks for a received frame [s].
     """
 
     left_out: float = 0.0
@@ -424,9 +452,15 @@ class ServiceReport:
 def serve(
     arm: SimulatedArm, link: Link, clock: SystemClock, running: Callable[[], bool]
 ) -> ServiceReport:
-    """Simulate an arm in real time and answer the frames on a link, while ``running`` is true.
+    """Simulate an arm in real time and answer the frames on a link; return how timely this was.
 
-    A computer that is too slow makes the arm skip time rather than fall behind for ever.
+    A computer that is too slow makes the arm skip time instead of falling behind more and more.
+
+    Args:
+        arm: arm to simulate.
+        link: link on which commands are received and answered.
+        clock: clock of the link.
+        running: called in each cycle; the simulation ends when it returns False.
     """
     report = ServiceReport()
     with undisturbed_processor(clock.live):
@@ -441,14 +475,14 @@ def _serve(
     running: Callable[[], bool],
     report: ServiceReport,
 ) -> None:
-    """Do as ``serve`` says, and keep the report up to date."""
+    """Run the loop of ``serve``, for its arguments, and update ``report`` in each cycle."""
     step = arm.mechanism.timestep
     looked_at = clock.now()
     start = looked_at - arm.time
     patience = _TICK
     while running():
-        # From now on, so that it waits also where the physics are too slow: a block that keeps the
-        # processor has to.
+        # The waiting time begins now, so that there is some even where the physics are too slow: a
+        # block with real-time priority has to wait now and then.
         frame = link.receive(clock.now() + patience)
         moment = clock.now()
         report.longest_delay = max(report.longest_delay, moment - looked_at)
@@ -458,7 +492,7 @@ def _serve(
             report.left_out += now - arm.time
             arm.leave_out(now)
         if frame is None or now - arm.time > _LONGEST_CYCLE:
-            # Whole steps: an arm that is asked at any moment would need twice as many.
+            # Only whole steps: advancing to the moment of each frame would need twice as many.
             arm.advance(arm.time + math.floor((now - arm.time) / step) * step)
         if frame is not None and not frame.echo:
             for reply in arm.answers(frame, now):
