@@ -1,11 +1,11 @@
-"""Joint references as functions of time, also in a stop, and what should hold an arm still.
+"""Joint references as functions of time, also for a stop, and checks of the holding torques.
 
-A motor that turns the other way than its joint, or that sits at another joint, moves an arm on
-another path than the one that was checked; where gravity loads the joint, its torque shows it.
+A motor that turns opposite to its joint, or that drives another joint, moves an arm along another
+path than the checked one. Where gravity loads the joint, the torque that holds it shows this.
 
 A motor holds an arm by its feed-forward torque and by kp times the distance between the reference
-and the joint. A stop that moves the reference to where the joint is takes that second part away,
-and a weak motor's joint falls. So ``CarriedStop`` brakes the reference from where it is.
+and the joint. A stop that sets the reference to the joint's position would remove the second
+torque, and the joint of a weak motor would fall. So ``CarriedStop`` keeps this distance.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Reference(NamedTuple):
 
 
 ReferenceFunction = Callable[[float], Reference]
-"""The reference at a time after the beginning [s]; times never go back."""
+"""Returns the reference at a time after its beginning [s]; called with non-decreasing times."""
 
 
 def trajectory_reference(
@@ -46,9 +46,12 @@ def trajectory_reference(
 ) -> ReferenceFunction:
     """Return a trajectory, interpolated between its rows, as a function of time.
 
-    At a ``speed`` s of the file's the joints pass the same positions with s times the velocity. The
-    feed-forward torque is the file's: at reduced speed its inertial part is too large, which the
-    position control makes up for. The end is held.
+    The last row is held after the end. The feed-forward torque is that of the file: at reduced
+    speed its inertial share is too large, which the position control compensates.
+
+    Args:
+        trajectory: at least two rows.
+        speed: factor of the file's velocities; its times are divided by this factor.
     """
     times = trajectory.time
     values = np.hstack([trajectory.q, trajectory.qd, trajectory.tau])
@@ -68,13 +71,13 @@ def trajectory_reference(
 
 STRAIGHT = "straight"
 ORDERS = (STRAIGHT, "joint by joint from the base", "joint by joint from the tip")
-"""Orders in which joints go from one pose to another: all at once, or one after the other."""
+"""Orders in which joints move from one pose to another: all at once, or one after the other."""
 
 
 def poses_between(begin: Array, end: Array, order: str) -> list[Array]:
-    """Return the corners (n,) of the path from ``begin`` to ``end`` (n,) [rad], both included.
+    """Return the corners (n,) [rad] of the path from ``begin`` to ``end`` (n,), both included.
 
-    The path is straight between corners; its joints move in one of ``ORDERS``.
+    The path is straight between corners. ``order`` is one of ``ORDERS``.
     """
     poses = [begin]
     if order != STRAIGHT:
@@ -98,15 +101,19 @@ def transfer_reference(
 ) -> tuple[ReferenceFunction, float]:
     """Return a motion from rest at ``start`` to rest at ``target``, and its duration [s].
 
-    Along each straight line the arm moves by the quintic 10 s^3 - 15 s^4 + 6 s^5 of the share s of
-    its time, whose peak speed is 15/8 of the mean.
+    The arm rests at each corner of the path, see ``poses_between``. After a share s of the time of
+    a straight line it has covered the share 10 s^3 - 15 s^4 + 6 s^5 of the line; the peak speed is
+    15/8 of the mean.
 
     Args:
-        speed: that no joint exceeds [rad/s].
+        start: begin; its velocity is ignored.
+        target: end; its velocity is ignored.
+        speed: velocity that no joint exceeds [rad/s].
         shortest: least duration of a line [s].
         order: one of ``ORDERS``.
-        carries: from a pose (n,) [rad] to the torque (n,) that carries the arm in it [N m]. It is
-            fed forward, and besides what start and target have beyond it, blended over the time.
+        carries: returns the torque (n,) [N m] that carries the arm in a pose (n,) [rad]. The
+            feed-forward torque is this plus a difference, interpolated over time, so that it equals
+            the torques of ``start`` and ``target`` at the ends.
     """
     poses = poses_between(start.position, target.position, order)
     lines = np.diff(poses, axis=0)
@@ -140,10 +147,14 @@ def transfer_rows(
     pace: tuple[float, float],
     order: str = STRAIGHT,
 ) -> DamiaoTrajectory:
-    """Return the motion between two poses (n,) [rad] as rows of a trajectory, without torque.
+    """Return the motion between two poses as rows of a trajectory, with zero torque.
 
-    ``trajectory`` gives the motors; for ``pace``, speed [rad/s] and shortest duration [s], and
-    ``order`` see ``transfer_reference``.
+    Args:
+        trajectory: trajectory whose joints the result has.
+        begin: first pose (n,) [rad].
+        end: last pose (n,) [rad].
+        pace: largest velocity of a joint [rad/s] and least duration of a straight line [s].
+        order: one of ``ORDERS``.
     """
     zero = np.zeros_like(begin)
     start = Reference(begin, zero, zero)
@@ -167,7 +178,7 @@ def hold_reference(reference: Reference) -> ReferenceFunction:
 def add_held_motors(
     reference: ReferenceFunction, positions: Array
 ) -> ReferenceFunction:
-    """Return a reference of n + m joints: behind n others it holds m at ``positions`` [rad]."""
+    """Return a reference of n + m joints: n of ``reference``, then m held at ``positions`` (m,)."""
     zero = np.zeros_like(positions)
 
     def extended_reference(time: float) -> Reference:
@@ -181,32 +192,38 @@ def add_held_motors(
     return extended_reference
 
 
-# Share of the peak torque at which a joint yields with full speed; less load, less speed. A
-# judgement: dry friction is of this size, and leaves a joint alone.
 _FULL_LOAD = 0.05
-# Judgements: the feed-forward torque fades in [s]; slower than [rad/s] for so long [s] is still.
+"""Share of the peak torque at which a joint is lowered with full speed; less torque, less speed.
+
+A judgement: dry friction is of this size, and should not move a joint.
+"""
 _FADE = 1.0
+"""Time in which the feed-forward torque is reduced to zero before lowering [s] (a judgement)."""
 _STILL_SPEED = 0.02
+"""Velocity below which a joint of a lowered arm is still [rad/s] (a judgement)."""
 _STILL_TIME = 0.5
+"""Time for which all joints have to be still until the arm is lowered [s] (a judgement)."""
 LONGEST_LOWERING = 20.0
-"""After this time [s] the arm counts as lowered."""
+"""Time after which lowering ends in any case [s]."""
 
 
 class Lowering:
-    """A reference that lowers an arm: it gives way to the torque that its joints carry.
+    """A reference that lowers an arm by moving its joints in the direction of their load.
 
-    The feed-forward torque fades within a second, so that the position control carries the load and
-    the commanded torque shows it. Each reference position then moves against that torque until the
-    arm lies or hangs, or a joint is at the end of its range.
+    The feed-forward torque is first reduced to zero within a second, so that the position control
+    carries the load and the commanded torque equals it. Each reference position then moves against
+    the commanded torque until the arm lies or hangs, or the joint is at the end of its range.
 
     Args:
         begin: reference from which the arm is lowered.
         speed: largest speed of a joint [rad/s].
         peak: peak torque (n,) of the joints [N m].
-        lower, upper: range (n,) of the joints [rad].
+        lower: least positions (n,) of the joints [rad].
+        upper: greatest positions (n,) of the joints [rad].
 
     Attributes:
-        torque: commanded last (n,) [N m]; NaN where unknown. The caller sets it in every cycle.
+        torque: torque (n,) commanded last [N m], NaN where unknown; the caller sets this in every
+            cycle.
     """
 
     def __init__(
@@ -238,48 +255,52 @@ class Lowering:
 
     @property
     def is_done(self) -> bool:
-        """Whether no joint has yielded for half a second."""
+        """Whether no joint has been lowered any further for half a second."""
         return self._time - self._moved_at > _STILL_TIME
 
 
-# Share of a motor's peak torque up to which torque proves no load (a judgement).
 _DOUBT = 0.06
-# In units of the doubt: a joint that should carry more than the first is judged by its torque, also
-# where a guessed model is twice too heavy; one that then carries less than the second is not at the
-# joint it is taken for.
+"""Share of a motor's peak torque up to which a torque proves no load (a judgement)."""
 _LOADED = 2.0
+"""Expected torque above which a joint's load is judged, in units of ``torque_doubt``.
+
+With this value a guessed model may be twice too heavy.
+"""
 _BARE = 0.5
+"""Measured torque below which a loaded joint counts as unloaded, in units of ``torque_doubt``."""
 
 
 def torque_doubt(joints: Sequence[DamiaoJoint]) -> Array:
-    """Return the torque (n,) of each joint up to which friction hides its load [N m]."""
+    """Return the torque (n,) of each joint that friction alone may explain [N m]."""
     return _DOUBT * np.array(
         [joint.spec.peak_torque * joint.torque_ratio for joint in joints]
     )
 
 
 MotionCheck = Callable[[float, Array, Array, Array], Optional[tuple[int, str]]]
-"""Takes time [s], positions, velocities and commanded torques (n,) of each cycle; returns the
-number of a joint in which something is wrong, with a sentence about it, or None."""
+"""Takes time [s], positions, velocities and commanded torques (n,) [rad, rad/s, N m] of each cycle.
+
+Returns the index of a joint that has a fault and a sentence about it (without its name), or None.
+"""
 
 
 class HoldingCheck:
-    """Compares the torques that hold an arm still with those that should hold it.
+    """Compares the torques that hold an arm still with the expected ones.
 
     Args:
         joints: the n joints of the arm, base to terminal.
-        torque: from a pose (n,) [rad] to the torque (n,) that should hold the arm there [N m].
-        doubt: (n,) dry friction, where it is known [N m].
-        source: start of the phrase that states that torque: "the model arm.xml needs".
-        load: from a pose to the torque (n,) that a kilogram at the arm's end takes there [N m];
-            None without a model.
-        watch: makes the check of one run's motion; None where there is none.
+        torque: returns the torque (n,) [N m] that should hold the arm in a pose (n,) [rad].
+        doubt: dry friction (n,) [N m], or 0 where unknown; ``torque_doubt`` is added.
+        source: begin of the phrase that states the expected torque: "the model arm.xml needs".
+        load: returns the torque (n,) [N m] that a mass of 1 kg at the arm's end adds in a pose
+            (n,) [rad]; None without a model.
+        watch: returns a new check of the motion of one run; None where there is none.
 
     Attributes:
-        n_joints: joints that are judged; motors beside the arm come behind them.
-        doubt: torque (n,) up to which friction hides a joint's load [N m].
-        is_model: whether a model of the arm states what should hold it, in every pose.
-        watch: as above.
+        n_joints: number n of joints that are judged; in longer arrays further motors follow them.
+        doubt: torque (n,) that friction alone may explain [N m].
+        is_model: whether a model of the arm gives the expected torque in every pose.
+        watch: as given.
     """
 
     def __init__(
@@ -301,20 +322,20 @@ class HoldingCheck:
         self.is_model = load is not None
 
     def unverified_joints(self, q: Array) -> list[DamiaoJoint]:
-        """Return the unverified joints whose load at q (n,) [rad] is too small for a direction."""
+        """Return the unverified joints whose load at q (n,) [rad] cannot show their direction."""
         is_bare = np.abs(self._expected_torque(q)) <= _LOADED * self.doubt
         joints = [self._joints[j] for j in np.flatnonzero(is_bare).tolist()]
         return [joint for joint in joints if not joint.verified]
 
     def load(self, q: Array) -> Array:
-        """Return the torque (n,) that a kilogram at the arm's end takes at q (n + m,) [N m]."""
+        """Return the torque (n,) [N m] that 1 kg at the arm's end adds at q (n + m,) [rad]."""
         assert self._load is not None
         return self._load(q[: self.n_joints])
 
     def torque(self, q: Array) -> Array:
-        """Return the torque (n + m,) that holds the arm at q (n + m,) [rad]; 0 for m others [N m].
+        """Return the torque (n + m,) [N m] that should hold n joints and m other motors.
 
-        The m motors beside the arm come behind its joints.
+        It is 0 for the m other motors, which follow the joints in q (n + m,) [rad].
         """
         n_others = len(q) - self.n_joints
         return np.append(self._expected_torque(q[: self.n_joints]), np.zeros(n_others))
@@ -338,18 +359,18 @@ class HoldingCheck:
             )
 
 
-# So near to the first point its torque is nearly what holds the arm: 2 N m off at 20 N m/rad [rad].
-# With less acceleration [rad/s^2] it is the torque at rest: 1 N m at 2 kg m^2.
 _NEAR = 0.1
+"""Distance from the first point in which its torque holds the arm [rad]: 2 N m at 20 N m/rad."""
 _GENTLE = 0.5
+"""Acceleration below which a torque is that at rest [rad/s^2]: 1 N m at 2 kg m^2."""
 
 
 class FileHolding(HoldingCheck):
     """Holding torques of an arm near a trajectory's first point, from the trajectory's own torque.
 
-    It is the feed-forward torque of the row near there that accelerates least. Where that row still
-    accelerates, nothing is compared. A trajectory whose torque is within every joint's doubt all
-    the time does not carry an arm.
+    The expected torque is the feed-forward torque of the row with the least acceleration near the
+    first point. Where this row still accelerates, nothing is compared. A trajectory whose torque
+    never exceeds any joint's doubt cannot carry an arm that has weight.
     """
 
     def __init__(self, trajectory: DamiaoTrajectory) -> None:
@@ -387,27 +408,31 @@ class FileHolding(HoldingCheck):
             super().__call__(q, tau)
 
 
-# Torque that holds a joint without moving it is given back within this time [s], until the joint
-# has moved so far [rad]: then it was its load and not an obstacle.
 _RELIEF_TIME = 0.3
+"""Time constant in which torque that pushes a standing joint against something is removed [s]."""
 _RELIEF_MOVED = 0.01
-# A joint that leaves its way is stiffened and damped by the computer, through the feed-forward
-# torque, which acts on what is one and a half cycles old. That takes damping away at one frequency
-# or another, so both are shares of the motor's own: of kd, and of kd per delay. With these, no
-# energy goes into a joint of any inertia or flexibility, also when samples are two cycles older;
-# more of either makes light or flexible joints swing.
+"""Motion of a joint [rad] after which no more torque is removed: it carries load, no obstacle."""
+# A joint that leaves its path is stiffened and damped by the computer, through the feed-forward
+# torque, which acts one and a half cycles late. The delay removes damping at some frequencies, so
+# the added gains are limited by the motor's own damping kd. With these values no energy goes into a
+# joint of any inertia or flexibility, even if samples are two cycles older; larger ones make light
+# or flexible joints swing.
 _DELAY_CYCLES = 1.5
+"""Delay of the feed-forward torque [cycles]."""
 _ADDED_DAMPING = 0.25
+"""Added damping, as a share of the motor's kd."""
 _ADDED_STIFFNESS = 0.8
-# It pulls harder on a joint that leaves than on one that comes back: so it takes energy away. Full
-# difference at about this speed [rad/s].
+"""Added stiffness, as a share of the motor's kd divided by the delay."""
+# At a velocity v [rad/s] away from the path, the added stiffness is the share
+# _STEADY + _LEAVING tanh(v / _SPEED_SCALE) of its full value: it is larger for a joint that leaves than for one that returns, which removes
+# energy.
 _STEADY = 0.6
 _LEAVING = 0.4
 _SPEED_SCALE = 0.3
-# The feed-forward torque changes over to what carries the arm at rest in this time at least [s].
 _BLEND_TIME = 0.1
-# Judgements: joints slower than this are at rest [rad/s].
+"""Least time in which the feed-forward torque changes to the torque that holds at rest [s]."""
 _REST_SPEED = 0.05
+"""Velocity below which a joint is at rest [rad/s] (a judgement)."""
 
 
 @dataclass(frozen=True)
@@ -415,12 +440,14 @@ class StopStart:
     """State of n joints when a stop begins; all arrays are (n,).
 
     Attributes:
-        reference: commanded last.
-        q, qd: positions and velocities as believed last; NaN where unknown [rad, rad/s].
-        fed: torque that carries the arm at rest, by its model or as fed forward before [N m].
-        kp, kd: stiffness and damping of the motors [N m/rad, N m s/rad].
-        stuck: joints that stand still against their motor: nothing more is pushed there.
-        command_range: how far commands may go.
+        reference: reference commanded last.
+        q: last believed positions; NaN where unknown [rad].
+        qd: last believed velocities; NaN where unknown [rad/s].
+        fed: torque that carries the arm at rest, from its model or the feed-forward torque [N m].
+        kp: stiffness of the motors [N m/rad].
+        kd: damping of the motors [N m s/rad].
+        stuck: whether a joint is blocked: the torque of its position error is removed.
+        command_range: range of commanded positions.
     """
 
     reference: Reference
@@ -436,15 +463,25 @@ class StopStart:
 class CarriedStop:
     """A reference that brakes all joints together and then carries them.
 
-    - It brakes at ``deceleration`` [rad/s^2] from the reference; a joint that is slower than its
-      reference from its own speed, and one that goes the other way from rest.
-    - The distance between reference and joint stays, and with it the torque that it makes.
-    - What a joint does not need to stay where it is, is given back: it may lean on an obstacle.
-    - A joint that leaves its way, under its load or thrown by another joint, is held stiffer and
-      damped more, as far as its motor's own damping allows.
+    - Each joint brakes from the velocity of its reference, or from its own velocity if that is
+      slower, or from rest if it moves opposite to its reference.
+    - The distance between reference and joint stays constant, and so does its torque.
+    - When the reference stands, this torque is removed from joints that do not move without it:
+      they may press against an obstacle.
+    - A joint that leaves its path, under its load or thrown by another joint, is held with added
+      stiffness and damping, as far as its motor's own damping allows.
 
-    ``q`` and ``qd`` (n,), as believed last, are to be set in every cycle; NaN where unknown.
-    ``last`` is the last reference. Joints are at rest when they have stood for ``rest_time`` [s].
+    Args:
+        start: state of the n joints when the stop begins.
+        deceleration: deceleration of the fastest joint [rad/s^2].
+        period: length of a control cycle [s].
+        rest_time: time for which all joints have to stand until they are at rest [s].
+
+    Attributes:
+        q: last believed positions (n,) [rad], NaN where unknown; the caller sets them every cycle.
+        qd: last believed velocities (n,) [rad/s], NaN where unknown; set likewise.
+        last: reference returned last.
+        duration: time in which the reference brakes [s].
     """
 
     def __init__(
@@ -483,7 +520,7 @@ class CarriedStop:
         return self.last
 
     def _braking_path(self, time: float) -> tuple[Array, Array]:
-        """Return position and velocity (n,) of the reference: it slows down evenly, then stands."""
+        """Return position and velocity (n,) of the reference, which slows down evenly."""
         braked = min(max(time, 0.0), self.duration)
         share_left = 1.0 - braked / self.duration if self.duration > 0.0 else 0.0
         position = self._start.reference.position
@@ -493,26 +530,29 @@ class CarriedStop:
         return position, self._velocity * share_left
 
     def _carrying_torque(self, time: float) -> Array:
-        """Return the feed-forward torque (n,): from that of the path to what carries at rest."""
+        """Return the feed-forward torque (n,), blended from the last one to that at rest [N m]."""
         last_torque = self._start.reference.torque
         share = min(time / max(self.duration, _BLEND_TIME), 1.0)
         return last_torque + share * (self._start.fed - last_torque)
 
     def _lift(self, goal: Array) -> Array:
-        """Return the torque (n,) that pulls joints back to their way, more so as they leave it."""
+        """Return the torque (n,) that pulls joints to their path, which ends at ``goal`` (n,)."""
         displacement = self._displacement(goal)
         leaving_speed = -np.sign(displacement) * np.nan_to_num(self.qd)
         share = _STEADY + _LEAVING * np.tanh(leaving_speed / _SPEED_SCALE)
         return np.asarray(self._stiffening * displacement * share)
 
     def _damping_torque(self, velocity: Array) -> Array:
-        """Return the torque (n,) against speeds other than that of the reference."""
+        """Return the torque (n,) against differences from the reference's ``velocity`` (n,)."""
         return np.asarray(
             _ADDED_DAMPING * self._start.kd * np.nan_to_num(velocity - self.qd)
         )
 
     def _displacement(self, goal: Array) -> Array:
-        """Return how far joints (n,) are off the way that they have come and have to go [rad]."""
+        """Return the displacement (n,) [rad] that moves the joints back to their paths.
+
+        A joint's path leads from its farthest position so far to its ``goal`` [rad].
+        """
         ahead = np.fmax(self._reached, np.fmin(self.q, goal))
         behind = np.fmin(self._reached, np.fmax(self.q, goal))
         self._reached = np.where(self._velocity < 0.0, behind, ahead)
@@ -521,7 +561,10 @@ class CarriedStop:
         return np.nan_to_num(np.clip(self.q, lowest, highest) - self.q)
 
     def _relieve(self, time: float, goal: Array) -> None:
-        """Give back more of what holds joints that stand, once the reference stands at ``goal``."""
+        """Remove more of the offset's torque from joints that stand at ``goal`` (n,) [rad].
+
+        Nothing is removed before the reference stands.
+        """
         passed = time - self._time
         self._time = time
         if time <= self.duration:
@@ -531,11 +574,12 @@ class CarriedStop:
         self._relief = np.where(self._has_moved, self._relief, self._relief + less)
 
     def _note_motion(self, time: float) -> None:
+        """Store ``time`` [s] as the last time of motion if the reference or a joint moves."""
         is_moving = np.abs(np.nan_to_num(self.qd)) > _REST_SPEED
         if time < self.duration or np.any(is_moving):
             self._moved_at = time
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether all joints whose speed is known have stood still for a while."""
+        """Whether all joints of known velocity have stood still for ``rest_time``."""
         return self._time - self._moved_at > self._rest_time
