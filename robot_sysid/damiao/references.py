@@ -424,8 +424,8 @@ _ADDED_DAMPING = 0.25
 _ADDED_STIFFNESS = 0.8
 """Added stiffness, as a share of the motor's kd divided by the delay."""
 # At a velocity v [rad/s] away from the path, the added stiffness is the share
-# _STEADY + _LEAVING tanh(v / _SPEED_SCALE) of its full value: it is larger for a joint that leaves than for one that returns, which removes
-# energy.
+# _STEADY + _LEAVING tanh(v / _SPEED_SCALE) of its full value: it is larger for a
+# joint that leaves than for one that returns, which removes energy.
 _STEADY = 0.6
 _LEAVING = 0.4
 _SPEED_SCALE = 0.3

@@ -1,4 +1,4 @@
-"""Which one cause explains a sudden change of the torques that hold a stopped arm."""
+"""Finding the one cause that best explains a sudden change of an arm's holding torques."""
 
 from __future__ import annotations
 
@@ -12,18 +12,22 @@ from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.references import HoldingCheck
 from robot_sysid.records import Array
 
-# In units of each joint's doubt: less in all joints is no change; what one cause has to explain of
-# the squares; and how much better than a weak motor another cause has to be.
 _NO_CHANGE = 1.0
+"""Torque change below which no joint has changed, in units of ``HoldingCheck.doubt``."""
 _EXPLAINED = 0.6
+"""Least share of the sum of squares that a named cause has to explain."""
 _BETTER = 0.5
-# Of the largest: where the others' changes are smaller, one joint alone is concerned.
+"""Most unexplained squares of a cause, relative to a weak motor's, to be named in its place."""
 _ALONE = 0.3
-# Judgements: less is no load [kg], and less or more no moved zero [rad].
+"""Share of the largest change below which the changes of other joints are negligible."""
 _LEAST_LOAD = 0.1
+"""Least mass of a new load that is named [kg] (a judgement)."""
 _LEAST_ZERO_SHIFT = 0.02
+"""Least shift of a zero that is named [rad] (a judgement)."""
 _MOST_ZERO_SHIFT = 1.0
+"""Largest shift of a zero that is named [rad] (a judgement)."""
 _ZERO_STEP = 0.02
+"""Step of the central difference of the torque by a joint's position [rad]."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +35,8 @@ class EffortChange:
     """A sudden change of the torque that a joint's control adds to the feed-forward torque.
 
     Attributes:
-        joint: its number.
-        baseline: torque (n,) that the joints' control added before [N m].
+        joint: index of the joint in which the change was noticed.
+        baseline: torque (n,) that the control of all joints added before the change [N m].
         at_once: torque (n,) that it added when the change was noticed [N m].
     """
 
@@ -42,7 +46,7 @@ class EffortChange:
 
 
 class _Cause(NamedTuple):
-    """A possible cause: its sentence, and the torque (n,) that it makes up to a factor [N m]."""
+    """A possible cause: a sentence, and the torque (n,) that it makes, up to a factor [N m]."""
 
     text: str
     shape: Array
@@ -56,19 +60,19 @@ def explain_change(
     fed: Array,
     joints: Sequence[DamiaoJoint],
 ) -> str:
-    """Return a sentence with the cause of the torque that holds a stopped arm.
+    """Return a sentence with the cause of the change that stopped an arm.
 
-    Each possible cause makes torques of one shape over the joints; the one whose shape leaves the
-    least sum of squares is named. A weak motor shows in its own joint alone, and is named unless
-    another cause explains clearly more.
+    Each possible cause makes torques of a certain shape over the joints, times an unknown factor.
+    The cause whose fitted torques leave the least sum of squares unexplained is named. A weak motor
+    changes the torque of its own joint only, and is named unless another cause explains much more.
 
     Args:
-        change: that stopped the run.
-        holding: states what carries the arm, by its model or by the file.
+        change: change that stopped the run.
+        holding: computes the torque that carries the arm, from a model or the trajectory file.
         q: positions (n,) of the stopped arm [rad].
-        commanded: torque (n,) that holds it there, as commanded [N m].
-        fed: feed-forward torque (n,) that should hold it, where there is no model [N m].
-        joints: base to terminal.
+        commanded: commanded torque (n,) that holds the arm there [N m].
+        fed: feed-forward torque (n,) that should hold the arm where there is no model [N m].
+        joints: joints of the arm, base to terminal.
     """
     n_joints = holding.n_joints
     needed = (holding.torque(q) if holding.is_model else fed)[:n_joints]
@@ -96,7 +100,10 @@ def _explain_passing_change(
     holding: HoldingCheck,
     joints: Sequence[DamiaoJoint],
 ) -> str:
-    """Return a sentence with the cause of a change that is over now that the arm stands."""
+    """Return a sentence with the cause of a change that has vanished since the arm stopped.
+
+    ``needed`` is the torque (n,) that carries the arm [N m].
+    """
     sudden = (change.at_once - change.baseline)[: holding.n_joints]
     weighted = np.abs(sudden / holding.doubt)
     is_alone = change.joint == int(np.argmax(weighted)) and (
@@ -110,9 +117,9 @@ def _explain_passing_change(
 def _unexplained_squares(
     cause: _Cause, weighted: Array, holding: HoldingCheck
 ) -> tuple[float, str]:
-    """Return the sum of squares that a cause leaves unexplained, and its text.
+    """Return the sum of squares that a cause leaves unexplained, and the cause's text.
 
-    ``weighted`` (n,) are the torques to explain in units of the doubt.
+    ``weighted`` (n,) are the torques to be explained, in units of ``holding.doubt``.
     """
     shape = cause.shape / holding.doubt
     explained = float(weighted @ shape) ** 2 / max(float(shape @ shape), 1e-12)
@@ -122,9 +129,9 @@ def _unexplained_squares(
 def _weak_motor_causes(
     residual: Array, needed: Array, joints: Sequence[DamiaoJoint]
 ) -> Iterator[_Cause]:
-    """Yield, as a cause, each joint whose motor may make only a share of its torque.
+    """Yield a cause for each joint whose motor may make only a share of its commanded torque.
 
-    ``residual`` and ``needed`` (n,) are unexplained and expected torques [N m].
+    ``residual`` (n,) is commanded minus expected torque, ``needed`` (n,) the expected one [N m].
     """
     commanded = needed + residual
     for j, shape in enumerate(np.eye(len(residual))):
@@ -137,7 +144,11 @@ def _weak_motor_causes(
 def _load_and_zero_causes(
     holding: HoldingCheck, q: Array, residual: Array, joints: Sequence[DamiaoJoint]
 ) -> Iterator[_Cause]:
-    """Yield, as causes, a new load and each joint whose zero may have moved; none without model."""
+    """Yield a cause for a new load and for each joint whose zero may have moved.
+
+    Nothing is yielded without a model. ``q`` (n,) are the positions [rad], ``residual`` (n,) is
+    commanded minus expected torque [N m].
+    """
     if not holding.is_model:
         return
     load = holding.load(q)
@@ -160,6 +171,9 @@ def _load_and_zero_causes(
 
 
 def _fit_coefficient(shape: Array, residual: Array, doubt: Array) -> float:
-    """Return the factor of a shape (n,) that fits torques (n,) best, weighted by the doubt (n,)."""
+    """Return the factor of ``shape`` (n,) that fits ``residual`` (n,) best [N m].
+
+    It is the least-squares solution with each joint divided by its ``doubt`` (n,) [N m].
+    """
     weighted = shape / doubt
     return float(weighted @ (residual / doubt)) / max(float(weighted @ weighted), 1e-12)

@@ -1,24 +1,27 @@
-"""Whether a joint is elsewhere than its encoder says, from the torques during a motion.
+"""Detection of a joint whose zero has moved, from the torques during a motion.
 
-A joint whose zero has moved, or whose gear slips, loads itself and the joints below it in another
-way than the model expects. Links that weigh something else do that too, so the torques tau of each
-window of time are taken for
+A joint whose zero has moved, or whose gear slips, has a position other than its encoder reports, so
+that it and the joints nearer to the base need other torques than the model expects. Wrong inertial
+parameters of the model change the torques too, so the mean torques tau of each window of time are
+modelled as
 
     tau = model(q, qd, qdd) + X x + noise,   x ~ N(0, 1),
 
-where X holds what one standard deviation of each link, of a load at the end and of friction makes.
-x is estimated recursively (the Kalman filter of a state that hardly changes). A change that began
-at some window adds a column c times an unknown size; the filter turns c into innovations c~ just as
-it turns the torques into theirs, e with covariance S, so that each change has a log likelihood
-ratio against none of
+where a column of X is the torque of one standard deviation of a link's inertial parameters, of a
+load at the end or of friction. x is estimated recursively, by a Kalman filter of a nearly
+constant state. A change that began in some window adds a column c times an unknown size. The
+filter turns c into innovations c~ as it turns the torques into innovations e with covariance S, so
+that the log likelihood ratio of the change against no change is
 
     a^2 / (2 (1 + b)) - log(1 + b) / 2,   a = sum c~^T S^-1 e,   b = sum c~^T S^-1 c~,
 
 over the windows since (Willsky and Jones, "A generalized likelihood ratio approach to the detection
 and estimation of jumps in linear systems", IEEE Transactions on Automatic Control 21(1), 1976).
-Moved zeros compete with a load that is taken up, with a force at the end, with motors that make
-another share of their torque, and with torques in single joints, such as friction. One is named
-where its ratio is large, and clearly larger than that of any other change.
+Changes are moved zeros, a load that is picked up, a force at the end, motors that make only a share
+of their torque, and torques in single joints, such as friction. A moved zero is reported where its
+ratio is large, and clearly larger than that of any other change.
+
+The doubt of a joint is the torque that friction alone may explain; torques are divided by it.
 """
 
 from __future__ import annotations
@@ -37,70 +40,84 @@ from robot_sysid.estimation.algebra.priors import model_link_factor
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.regressor import wrench_regressor
 
-# Over so long signals are averaged [s]; within twice that a window has to be full.
 _WINDOW = 0.1
+"""Time over which signals are averaged [s]; a window that takes twice as long is discarded."""
 _LEAST_SAMPLES = 3
-# Slower than this [rad/s] dry friction holds the arm, and hides what it carries. So many windows in
-# which it moves have to show how well the model fits before anything is judged.
+"""Least number of control cycles in a window."""
 _MOVING = 0.05
+"""Velocity of the fastest joint [rad/s] below which dry friction hides the load of the arm."""
 _LEAST_WINDOWS = 15
-# Judgements, standard deviations: links of a guessed model [share], an unknown load at the end [kg]
-# and how far from there its mass is [m].
+"""Number of windows with motion, which show how well the model fits, before anything is judged."""
 _LINKS = 0.3
+"""Prior standard deviation of the links of a guessed model, relative (a judgement)."""
 _LOAD = 3.0
+"""Prior standard deviation of an unknown load at the end [kg] (a judgement)."""
 _LEVER = 0.2
-# Of changes: a zero [rad], a torque in one joint [of what says nothing], the share of its torque
-# that a motor does not make, a load, in standard deviations of the unknown one, and a force [N].
+"""Prior standard deviation of the load's distance from the end [m] (a judgement)."""
 _SHIFT = 0.3
+"""Prior standard deviation of a moved zero [rad] (a judgement)."""
 _TORQUE = 0.5
+"""Prior standard deviation of a change of torque in a single joint [doubts] (a judgement)."""
 _SHARE = 0.5
+"""Prior standard deviation of the share of its torque that a motor lacks (a judgement)."""
 _NEW_LOAD = 1.5
+"""Prior standard deviation of a load that is picked up, relative to ``_LOAD`` (a judgement)."""
 _FORCE = 20.0
-# Noise, of the torque that says nothing: at the beginning, where it counts as so many windows, and
-# at least; what share of its estimate stays in each window.
+"""Prior standard deviation of a force at the end [N] (a judgement)."""
 _NOISE = 0.15
+"""Standard deviation of the noise that is assumed at the beginning [doubts]."""
 _NOISE_WINDOWS = 2.0
+"""Weight of this assumption, in windows."""
 _LEAST_NOISE = 0.03
+"""Least standard deviation of the noise [doubts]."""
 _REMEMBER = 0.95
-# One window may show so many times the variance of before; where torques scatter within it, by a
-# blow for instance, so many times their scatter is taken for noise.
+"""Factor per window by which the weight of earlier windows in the noise estimate decays."""
 _OUTLIER = 30.0
+"""Largest square of a window in the noise estimate, in units of the variance so far."""
 _SCATTER = 3.0
-# Variance that x gains in a window: motors become warm.
+"""Standard deviation of noise per scatter of torque within a window, as by a blow."""
 _DRIFT = 1e-6
-# What a model lacks changes more slowly than windows do: errors of this many are alike.
+"""Variance that x gains in each window, because motors become warm."""
 _ALIKE = 5.0
-# Changes may have begun in each of the last windows; one is judged after some. It grows for up to
-# so long [s].
+"""Factor of the noise variance: model errors of about this many windows are correlated."""
 _ONSETS = 14
+"""Number of last windows in which a change may have begun."""
 _LEAST_AGE = 3
+"""Number of windows after its begin from which a change is judged."""
 _GROWTH = 1.0
-# In nats: how much better than no change, and than any other. Of the best, what others may have:
-# where noise is larger than it seems, all of them are too large.
+"""Time in which a change grows to its full size [s]."""
 _MARGIN = 12.0
+"""Least log likelihood ratio of a moved zero against no change."""
 _APART = 8.0
+"""Least difference of its log likelihood ratio from that of any other change."""
 _OTHERS = 0.55
-# A smaller shift is within what people measure with a ruler [rad]; of the torque that says nothing:
-# what it has to make.
+"""Largest ratio of another change's log likelihood ratio to the moved zero's.
+
+Where the noise is underestimated, all log likelihood ratios are too large by a factor.
+"""
 _LEAST_SHIFT = 0.08
+"""Least shift of a zero that is reported [rad]; people measure zeros with a ruler."""
 _LEAST_TORQUE = 0.3
-# For slopes [rad].
+"""Least torque of a shift that is reported [doubts]."""
 _DIFFERENCE = 0.01
-# In how many parts a window is computed, beside one for each link.
+"""Step of central differences by position [rad]."""
 _OTHER_PARTS = 8
+"""Number of steps in which a window is computed, besides one for each link."""
 _LOAD_PARAMETERS = 4
+"""Number of parameters of a load at the end: mass and first moment."""
 _END_PARAMETERS = _LOAD_PARAMETERS + 3
+"""Number of parameters of changes at the end: load and force."""
 
 
 class MovedZeroCheck:
-    """Finds a joint that is elsewhere than it reports, from the torques in the cycles of a run.
+    """Finds a joint whose position is not the reported one, from the torques in a run's cycles.
 
-    What a window shows is computed in small parts, one or a few in each cycle of the next window:
-    a control cycle has no room for all of it.
+    A window is evaluated in small steps, one or a few in each control cycle of the next window,
+    because a control cycle is too short for all of them.
 
     Args:
-        robot: the arm's model.
-        joints: its motors, base to terminal.
+        robot: model of the arm with n joints.
+        joints: joints of the arm with their motors, base to terminal.
     """
 
     def __init__(self, robot: RobotModel, joints: Sequence[DamiaoJoint]) -> None:
@@ -125,9 +142,10 @@ class MovedZeroCheck:
         self._covariance = np.eye(n_errors)
         self._squares = np.full(n, _NOISE_WINDOWS * _NOISE**2)
         self._weight = _NOISE_WINDOWS
-        # Where changes at the end stand among all: behind the zeros and the motors.
+        # Changes are ordered: n zeros, n motors, load and force at the end, n torques of joints.
         self._end = slice(2 * n, 2 * n + _END_PARAMETERS)
-        # Changes by their onset: the first one is since before the run, the others take turns.
+        # Arrays by onset: index 0 is a change before the run, the others are a ring buffer of the
+        # last windows.
         n_onsets = 1 + _ONSETS
         n_changes = 3 * n + _END_PARAMETERS
         self._begin = np.zeros(n_onsets)
@@ -140,15 +158,16 @@ class MovedZeroCheck:
     def __call__(
         self, time: float, q: Array, qd: Array, tau: Array
     ) -> tuple[int, str] | None:
-        """Take in one cycle; return the joint that is elsewhere than it reports, if any.
+        """Add one control cycle; return the joint whose zero has moved, or None.
 
         Args:
-            time: of the cycle [s].
-            q, qd, tau: positions, velocities and commanded torques (n,) [rad, rad/s, N m]; a cycle
-                with a NaN is left out.
+            time: time of the cycle [s]; a cycle with a NaN in any argument is left out.
+            q: reported positions (n,) [rad].
+            qd: reported velocities (n,) [rad/s].
+            tau: commanded torques (n,) [N m].
 
         Returns:
-            The joint's number and a sentence about it without its name, or None.
+            The joint's index and a sentence about it without its name, or None.
         """
         for _ in range(self._parts_per_cycle):
             next(self._work, None)
@@ -164,7 +183,7 @@ class MovedZeroCheck:
         if duration < 2.0 * _WINDOW and len(window) >= _LEAST_SAMPLES:
             average = _average(window)
             if np.max(np.abs(average.qd)) > _MOVING:
-                # What is left of the last window is lost where the computer has skipped cycles.
+                # Where cycles were skipped, unfinished steps of the last window are lost.
                 self._work = self._take_in(average)
                 self._parts_per_cycle = 1 + (
                     self._robot.n_joints + _OTHER_PARTS
@@ -172,13 +191,13 @@ class MovedZeroCheck:
         return self._finding
 
     def _take_in(self, window: _Window) -> Iterator[None]:
-        """Update all estimates with one window; a generator, so that it can be done in parts."""
+        """Update all estimates with one window; each ``yield`` ends one step of the computation."""
         robot = self._robot
         time, q, qd, qdd, tau, scatter = window
         n = robot.n_joints
         step = _DIFFERENCE * np.eye(n)
-        # ``LinksMotion`` has slopes, columns and torques too, made for many samples: of one they
-        # take 2, 0.5 and 0.5 ms at once, which a control cycle does not have.
+        # The methods of ``LinksMotion`` for slopes, columns and torques are not used: each takes
+        # 0.5 to 2 ms for one sample, which is too long for a control cycle.
         poses = q + np.vstack([np.zeros(n), step, -step])
         moves = []
         for move in self._dynamics.moves(poses, qd + 0.0 * poses, qdd + 0.0 * poses):
@@ -226,12 +245,12 @@ class MovedZeroCheck:
         """Update the mean and covariance of the model's errors x by the Kalman filter.
 
         Args:
-            errors: torque (n, x) per standard deviation of each error, in units of the doubt.
-            residual: measured minus modelled torque (n,), in the same units.
-            scatter: of the torque within the window (n,) [N m].
+            errors: torque (n, k) per standard deviation of each of k errors [doubts].
+            residual: measured minus modelled torque (n,) [doubts].
+            scatter: rms scatter (n,) of the torque within the window [N m].
 
         Returns:
-            Innovation (n,), its covariance (n, n) and the gain (x, n).
+            Innovation (n,) [doubts], its covariance (n, n) and the gain (k, n).
         """
         scattered = (_SCATTER * scatter / self._doubt) ** 2
         noise = np.maximum(self._squares / self._weight, _LEAST_NOISE**2)
@@ -260,7 +279,14 @@ class MovedZeroCheck:
         covariance: Array,
         gain: Array,
     ) -> None:
-        """Update scores and information of each change (n, changes), for each possible onset."""
+        """Update score a and information b of each change, for each possible onset.
+
+        Args:
+            time: mean time of the window [s].
+            changes: torque (n, changes) per prior standard deviation of each change [doubts].
+            errors: as for ``_update``.
+            innovation: as returned by ``_update``, like ``covariance`` and ``gain``.
+        """
         newest = 1 + self._windows % _ONSETS
         self._windows += 1
         self._begin[newest] = time - 0.5 * _WINDOW
@@ -285,15 +311,17 @@ class MovedZeroCheck:
         self._state_shift += gain @ passed
 
     def _growth(self, time: float) -> Array:
-        """Return the share (onsets,) of their full size to which changes have grown."""
+        """Return the share (onsets,) of its full size that a change has at ``time`` [s]."""
         grown = np.minimum((time - self._begin) / _GROWTH, 1.0)
         grown[0] = 1.0
         return grown
 
     def _judge(self, time: float, slopes: Array) -> tuple[int, str] | None:
-        """Return the joint whose zero has moved, and a sentence; None unless it is certain.
+        """Return the index of the joint whose zero has moved and a sentence; None unless certain.
 
-        ``slopes`` (n, n) are torque per radian of each joint's zero, in units of the doubt.
+        Args:
+            time: mean time of the window [s].
+            slopes: torque (n, n) of joint i per shift of joint j's zero [doubts/rad].
         """
         if self._windows < _LEAST_WINDOWS:
             return None
@@ -308,7 +336,7 @@ class MovedZeroCheck:
             ends[:, group] = self._end_gains(group)[:, None]
         gains[1:][self._age[1:] < _LEAST_AGE, :n] = 0.0
         if self._has_changed:
-            # What is off now need not have been off before the run.
+            # A change has been found during the run, so none is attributed to the time before it.
             gains[0] = 0.0
         best = np.max(gains, axis=0)
         joint = int(np.argmax(best[:n]))
@@ -328,7 +356,10 @@ class MovedZeroCheck:
         return None
 
     def _end_gains(self, group: slice) -> Array:
-        """Return the log likelihood ratios (onsets,) of a load or a force with all parameters."""
+        """Return the log likelihood ratio (onsets,) of a load or force with all its parameters.
+
+        ``group`` selects the parameters of the load or of the force among those at the end.
+        """
         score = self._score[:, self._end][:, group]
         information = self._end_information[:, group, group]
         information = information + np.eye(information.shape[1])
@@ -355,7 +386,10 @@ class _Window(NamedTuple):
 
     Attributes:
         time: mean time [s].
-        q, qd, qdd, tau: mean positions, velocities, accelerations and torques (n,).
+        q: mean positions (n,) [rad].
+        qd: mean velocities (n,) [rad/s].
+        qdd: mean accelerations (n,), the slope of the velocities over time [rad/s^2].
+        tau: mean torques (n,) [N m].
         scatter: rms distance (n,) of the torques from a straight line over time [N m].
     """
 
@@ -368,7 +402,7 @@ class _Window(NamedTuple):
 
 
 def _average(samples: Sequence[tuple[float, Array]]) -> _Window:
-    """Return the averages of a window's cycles: time [s] and q, qd, tau (3, n) of each."""
+    """Return the averages over control cycles: pairs of time [s] and q, qd, tau (3, n)."""
     times = np.array([time for time, _ in samples])
     signals = np.array([signal for _, signal in samples])
     time = float(np.mean(times))
@@ -381,7 +415,12 @@ def _average(samples: Sequence[tuple[float, Array]]) -> _Window:
 
 
 def _base_wrenches(motion: LinksMotion, to_links: Array) -> Array:
-    """Return the wrench of each link, in the base's frame, per inertial parameter (n, N, 6, 10)."""
+    """Return wrenches (n, N, 6, 10) of n links per inertial parameter, in the base's frame.
+
+    Args:
+        motion: velocities and accelerations of the links at N samples.
+        to_links: matrices (n, N, 6, 6) from the base's frame to the links' frames.
+    """
     moves = (
         np.moveaxis(np.array(move), 1, -1)
         for move in (motion.velocity, motion.acceleration)
@@ -393,6 +432,9 @@ def _base_wrenches(motion: LinksMotion, to_links: Array) -> Array:
 
 
 def _joint_torques(twists: Array, wrenches: Array) -> Array:
-    """Return joint torques (N, n) of twists (6, n, N) and links' wrenches (n, N, 6) in the base."""
+    """Return joint torques (N, n) of joint twists (6, n, N) and wrenches (n, N, 6) of the links.
+
+    Both are in the base's frame. A joint carries the wrenches of all links after it.
+    """
     carried = np.cumsum(wrenches[::-1], axis=0)[::-1]
     return np.einsum("ajn,jna->nj", twists, carried)
