@@ -64,25 +64,22 @@ from robot_sysid.estimation.dataset import (
 from robot_sysid.records import DELAY_NAME, Array, Motion, RobotModel
 
 PAYLOAD_NAMES = tuple(f"{name}(payload)" for name in PARAMETER_NAMES)
+"""Names of the ten inertial parameters of the payload."""
 LINEAR = tuple(term for term in TERMS if term not in ("load", *NONLINEAR_TERMS))
-"""Friction terms whose columns depend on the motion alone."""
+"""Friction terms whose columns depend on the motion only, not on the estimate."""
 PLACEHOLDER = 1e-3
 """Share of the other links' median mass below which a body's inertia counts as a placeholder."""
-_DRIFTING = (
-    "coulomb",
-    "viscous",
-    "sqrt",
-    "load",
-    *NONLINEAR_TERMS,
-    "quadratic",
-    "cubic",
-    *FADING_SPEEDS,
-)
+# Friction terms that drift from the first recording to the last, F_j phi above.
+_BY_SPEED = ("coulomb", "viscous", "sqrt", "load", "quadratic", "cubic")
+_DRIFTING = (*_BY_SPEED, *NONLINEAR_TERMS, *FADING_SPEEDS)
+# Joint terms whose torque is smooth, so that its time derivative identifies a delay.
 _SMOOTH = ("viscous", "armature")
-# Rows whose link-dependent columns are computed in one call: calls against memory.
+# Number of rows whose link-dependent columns are computed in one call: fewer calls, more memory.
 _TOGETHER = 4000
-# Relative change of gravity up to which its part of the rows is not filtered anew.
+# Relative change of gravity up to which the change of rows is added without the low-pass.
 _SMALL_TURN = 0.1
+# Type of a cache: (key, ``exact_load`` to columns of load by recording, columns of zeros and tilt).
+_LinkColumns = tuple[Any, dict[bool, list[Array]], list[Array]]
 
 
 @dataclass(frozen=True)
@@ -90,13 +87,14 @@ class Point:
     """The estimate around which the equations are linearised.
 
     Attributes:
-        values: (p,) of all parameters; delay, tilt and speeds are increments of the fields below.
+        values: (p,) of all parameters [SI]; those of delay, tilt and friction speeds are increments
+            on the fields below.
         gravity: (3,) in the world frame of the model [m/s^2].
         delay: lag of the torque behind the position [s].
-        speed: nonlinear friction term to (n,) its speed at each joint [rad/s].
-        exact_load: whether columns of a gear's load are low-passed like the torque. Where they
-            are only nuisances, the unfiltered load is accurate enough.
-        in_file: whether only the parameters of a model file, and gravity, have columns.
+        speed: nonlinear friction term to its speed (n,) at each joint [rad/s].
+        exact_load: whether columns of load-dependent friction are low-passed like the torque. Where
+            only a prior allows for this friction, the unfiltered load is accurate enough.
+        in_file: whether only the parameters of a model file, and gravity's tilt, have columns.
     """
 
     values: Array
@@ -108,20 +106,22 @@ class Point:
 
 
 class Columns:
-    """Names of all parameters, and the linearised rows of recordings in them.
+    """Names of all p parameters, and the linearised rows of recordings in these parameters.
 
-    Rows that do not depend on the point are cached, and so are those that depend on links alone.
+    Columns that do not depend on the point are cached, and so are those that depend on links only.
+    Recordings have K rows each (instants of equations), the chain n joints; q parameters, the first
+    of the p, have columns that do not depend on the point.
 
     Args:
         torques: "chain" for every joint that carries the link, "terminal" for the last one only.
-        couplings: motors that turn with several joints, or candidates for it.
+        couplings: motors that turn with several joints, or candidates for such motors.
 
     Attributes:
         names: (p,) of all parameters.
-        index: name to index of a parameter.
+        index: name of a parameter to its index in ``names``.
         model_values: (p,) the model's values, zero for nuisances.
         joints: names of the joints that have equations, base to terminal.
-        joint_indices: their indices among the joints of the chain.
+        joint_indices: indices of these joints among the joints of the chain.
     """
 
     def __init__(
@@ -137,11 +137,7 @@ class Columns:
         self.couplings = tuple(couplings)
         self._base: tuple[Array, float, list[DecimatedSamples]] | None = None
         self._arm: tuple[Array, RobotModel] | None = None
-        self._link_columns: tuple[Any, dict[bool, list[Array]], list[Array]] = (
-            (),
-            {},
-            [],
-        )
+        self._link_columns: _LinkColumns = ((), {}, [])
         arm = self._equations(robot)
         self._arm_names = arm.names
         self.joint_indices = arm.joint_indices
@@ -169,7 +165,7 @@ class Columns:
         self._classify_columns(arm.names)
 
     def _classify_columns(self, names: Sequence[str]) -> None:
-        """Set masks (q,) over the parameters whose columns do not depend on the point."""
+        """Set masks (q,) over the q named parameters, whose columns do not depend on the point."""
         split_names = [name.partition("[") for name in names]
         terms = np.array([term for term, _, _ in split_names])
         owners = np.array([suffix[:-1] for _, _, suffix in split_names])
@@ -185,7 +181,7 @@ class Columns:
                     self._is_stated[self.indices(link_names(self.robot, link))] = True
 
     def with_couplings(self, couplings: tuple[Coupling, ...]) -> Columns:
-        """Return the columns with some of the couplings, which take over the stored rows."""
+        """Return columns with fewer couplings; the cached rows move to them from this object."""
         columns = Columns(self.robot, self.datasets, self.torques, couplings)
         columns._link_columns = self._link_columns
         base = self._base
@@ -208,11 +204,11 @@ class Columns:
         return Point(self.model_values, gravity_vector(self.robot), 0.0, speed)
 
     def indices(self, names: Sequence[str]) -> NDArray[np.int64]:
-        """Return the indices of parameters."""
+        """Return the indices (m,) of m named parameters among all p."""
         return np.array([self.index[name] for name in names], dtype=np.int64)
 
     def bodies(self) -> dict[str, NDArray[np.int64]]:
-        """Return the indices of each body's ten parameters: links base to terminal, the payload."""
+        """Return body name to indices (10,): each link, base to terminal, then "payload"."""
         indices = {}
         if self.torques == "chain":
             for link in other_links(self.robot):
@@ -224,11 +220,14 @@ class Columns:
 
     @cached_property
     def usual_bodies(self) -> dict[str, Array]:
-        """Body name to a plausible body (10,) for that link."""
+        """Body name to a plausible body (10,): the model's, or a ball where it is a placeholder."""
         return usual_bodies(self.robot)
 
     def thetas(self, values: Array, is_loaded: bool = False) -> Array:
-        """Return the links (n, 10) at values (p,), the terminal one with or without the payload."""
+        """Return the inertial parameters (n, 10) of the links, taken from parameter values (p,).
+
+        The terminal link includes the payload if ``is_loaded``.
+        """
         thetas = self.robot.thetas
         if self.torques == "chain":
             for link in other_links(self.robot):
@@ -241,9 +240,13 @@ class Columns:
     def move_point(
         self, point: Point, values: Array, increments: Sequence[str]
     ) -> Point:
-        """Return the linearisation point at an estimate (p,), with the named increments added.
+        """Return the next linearisation point, at an estimate made around ``point``.
 
-        Increments of delay, tilt and speeds move the point's fields and become zero in its values.
+        The named increments of delay, tilt and friction speeds are added to the point's fields and
+        become zero in its values.
+
+        Args:
+            values: (p,) the estimate.
         """
         new = values.copy()
         speed = dict(point.speed or {})
@@ -251,10 +254,8 @@ class Columns:
         new[self.indices(increments)] = 0.0
         angles = np.array([step.get(name, 0.0) for name in TILT_NAMES])
         for term, nonlinear in NONLINEAR_TERMS.items():
-            steps = [
-                step.get(speed_name(term, joint), 0.0)
-                for joint in self.robot.joint_names
-            ]
+            names = [speed_name(term, joint) for joint in self.robot.joint_names]
+            steps = [step.get(name, 0.0) for name in names]
             speed[term] = np.clip(speed[term] + steps, *nonlinear.bounds)
         return replace(
             point,
@@ -265,7 +266,7 @@ class Columns:
         )
 
     def _tilt_gravity(self, point: Point, angles: Array) -> Array:
-        """Return a point's gravity (3,) tilted by angles (2,) [rad] about axes fixed to it."""
+        """Return a point's gravity (3,), tilted by angles (2,) [rad] about horizontal axes."""
         if not np.any(angles):
             return point.gravity
         return turn_gravity(
@@ -273,7 +274,11 @@ class Columns:
         )
 
     def total_tilt(self, point: Point, values: Array) -> Array:
-        """Return the angles (2,) [rad] from the model's gravity to that of an estimate (p,)."""
+        """Return the tilt angles (2,) [rad] between the model's gravity and that of an estimate.
+
+        Args:
+            values: (p,) the estimate around ``point``.
+        """
         steps = values[self.indices(TILT_NAMES)]
         return tilt_angles(gravity_vector(self.robot), self._tilt_gravity(point, steps))
 
@@ -281,20 +286,23 @@ class Columns:
         """Return the rows of each recording around a point."""
         arm = self._arm_at(point.gravity)
         delayed = [dataset.remove_delay(point.delay) for dataset in self.datasets]
-        bases = self._under(point, delayed)
+        bases = self._base_rows(point, delayed)
         if point.in_file:
-            tilts = self._of_links(point, delayed, partial(self._tilt, arm))
-            return tuple(map(self._held_by_file, delayed, bases, tilts))
-        columns = zip(bases, delayed, *self._by_links(arm, point, delayed))
+            tilts = self._batched(point, delayed, partial(self._tilt, arm))
+            return tuple(map(self._rows_for_file, delayed, bases, tilts))
+        columns = zip(bases, delayed, *self._smooth_columns(arm, point, delayed))
         return tuple(self._linearise(point, *log_columns) for log_columns in columns)
 
-    def _under(
+    def _base_rows(
         self, point: Point, delayed: Sequence[Dataset]
     ) -> Iterator[DecimatedSamples]:
-        """Yield the rows under a point's gravity that do not depend on its other values.
+        """Yield each recording's columns that depend on no value of the point but its gravity.
 
         They are linear in gravity. The change by a small tilt is as slow as the positions, so that
         it needs no low-pass: the error is within 1e-4 of the change.
+
+        Args:
+            delayed: the recordings, with the point's delay removed.
         """
         gravity = point.gravity
         is_cached = False
@@ -332,16 +340,16 @@ class Columns:
         return Equations(arm, self.torques, friction, self.couplings, links)
 
     def arm_torque(self, point: Point, is_loaded: bool) -> tuple[Equations, Array]:
-        """Return the equations that do not depend on the point, and its values (q,) for them.
+        """Return (equations of the q columns that do not depend on the point, its values (q,)).
 
         Their columns of bodies (``Equations.bodies``) contain no sign of a speed, so that
         callers may compute them at fewer instants.
         """
-        return self._equations(self._arm_at(point.gravity)), self._arm_values(
-            point, is_loaded
-        )
+        equations = self._equations(self._arm_at(point.gravity))
+        return equations, self._arm_values(point, is_loaded)
 
     def _arm_values(self, point: Point, is_loaded: bool) -> Array:
+        """Return a point's first values (q,), a payload added to the terminal link."""
         values = point.values[: len(self._arm_names)].copy()
         if is_loaded:
             values[:N_INERTIAL] += point.values[self.indices(PAYLOAD_NAMES)]
@@ -358,9 +366,9 @@ class Columns:
         """Return one recording's rows with the columns that depend on the point.
 
         Args:
-            base: the rows whose columns do not depend on it, under its gravity.
-            load: (K, rows) columns of a gear's loss that grows with its load.
-            common: (K, n, n + 2) columns of encoder zeros and of gravity's direction.
+            base: rows with all other columns, under the point's gravity.
+            load: (K, joints) columns of friction that grows with a gear's load.
+            common: (K, n, n + 2) columns of n encoder zeros and two tilts in each joint's equation.
         """
         friction_columns = {"load": load, **self._nonlinear(dataset, point)}
         values = self._arm_values(point, dataset.is_loaded)
@@ -392,7 +400,8 @@ class Columns:
                 friction += joint_friction[name] * point.values[self.index[name]]
             drifted = 1.0 + drift * dataset.order
 
-            late = _late(dataset, base.time, block[:, smooth] @ coefficients[smooth])
+            smooth_torque = block[:, smooth] @ coefficients[smooth]
+            late = _delay_column(dataset, base.time, smooth_torque)
             nonlinear = np.stack([*joint_friction.values()], axis=1)
             point_columns = {
                 tuple(joint_friction): (nonlinear, drifted),
@@ -419,7 +428,7 @@ class Columns:
             rows=AssembledRows(base.rows, blocks),
         )
 
-    def _held_by_file(
+    def _rows_for_file(
         self, dataset: Dataset, base: DecimatedSamples, tilt: Array
     ) -> DecimatedSamples:
         """Return one recording's rows in the parameters of a model file and in gravity's tilt.
@@ -448,7 +457,7 @@ class Columns:
             return np.zeros((*motion.q.shape, 0))
         return tilt_columns(arm, thetas, motion.q, gravity_vector(self.robot))
 
-    def _of_links(
+    def _batched(
         self,
         point: Point,
         delayed: Sequence[Dataset],
@@ -456,9 +465,10 @@ class Columns:
     ) -> list[Array]:
         """Return columns of each recording that depend on its links.
 
-        Recordings that carry the same load share a call, as most have few rows.
+        Recordings with the payload share calls, and so do those without, as most have few rows.
 
         Args:
+            delayed: the recordings, with the point's delay removed.
             make: returns columns (K, ...) from links (n, 10) and a motion (K, n).
         """
         columns = dict[int, Array]()
@@ -476,27 +486,24 @@ class Columns:
             columns.update(zip(batch, np.split(batch_columns, batch_ends[:-1])))
         return [columns[index] for index in range(len(delayed))]
 
-    def _by_links(
+    def _smooth_columns(
         self, arm: RobotModel, point: Point, delayed: Sequence[Dataset]
     ) -> tuple[list[Array], list[Array]]:
-        """Return each recording's columns of load (K, rows), and of zeros and tilt (K, n, n + 2).
+        """Return each recording's columns of load (K, joints), and of zeros and tilt (K, n, n + 2).
 
-        They depend on the links alone and are cached, so that trials of friction share them.
+        They depend on links, gravity and delay only and are cached: trials of friction share them.
         """
         thetas = [self.thetas(point.values, loaded) for loaded in (False, True)]
-        key = (
-            point.delay,
-            point.gravity.tobytes(),
-            *(theta.tobytes() for theta in thetas),
-        )
+        links = tuple(theta.tobytes() for theta in thetas)
+        key = (point.delay, point.gravity.tobytes(), links)
         if self._link_columns[0] != key:
-            # They are smooth and small, so that they need no low-pass: the motion at a row's own
-            # instant is accurate enough.
+            # These columns are smooth and small and need no low-pass: the motion at the instant
+            # of a row is accurate enough.
             def common(theta: Array, motion: Motion) -> Array:
                 zeros = zero_columns(arm, theta, motion)
                 return np.concatenate((zeros, self._tilt(arm, theta, motion)), axis=-1)
 
-            self._link_columns = key, {}, self._of_links(point, delayed, common)
+            self._link_columns = (key, {}, self._batched(point, delayed, common))
         _, loads, smooth = self._link_columns
         if point.exact_load not in loads:
             dynamics = LinkDynamics(arm)
@@ -513,9 +520,10 @@ class Columns:
         return loads[point.exact_load], smooth
 
     def _nonlinear(self, dataset: Dataset, point: Point) -> dict[str, Array]:
-        """Return name to columns (K, rows) of nonlinear friction, each row in its joint's equation.
+        """Return nonlinear friction term to its columns (K, joints), one in each joint's equation.
 
-        Terms that are not zero at the point also have a column of their derivative by the speed.
+        A term that is not zero at the point also has columns of its derivative by the speed, named
+        "<term>_speed".
         """
         rows = list(self.joint_indices)
         speed = point.speed or {}
@@ -539,11 +547,11 @@ class Columns:
         return dict(zip(names, columns))
 
 
-def _late(dataset: Dataset, time: Array, torque: Array) -> Array:
-    """Return the column (K,) of a lag of the torque behind the position [N m/s]; zero at rest.
+def _delay_column(dataset: Dataset, time: Array, torque: Array) -> Array:
+    """Return the column (K,) of a torque's lag [N m/s] at instants ``time`` (K,); zero at rest.
 
     A torque that lags reads tau(t - delay) = tau(t) - delay tau'(t) + O(delay^2). Estimated, taken
-    out by ``with_delay`` and estimated again, the delay converges in a few rounds. Torque
+    out by ``Dataset.remove_delay`` and estimated again, the delay converges in a few rounds. Torque
     that follows smoothly from the motion identifies it; dry friction does not, because a reversal
     that is a little early or late looks like a delay: in a closed loop with MuJoCo's friction the
     whole torque's derivative gives -1.9 ms for none, this 0.03 ms.
@@ -554,7 +562,7 @@ def _late(dataset: Dataset, time: Array, torque: Array) -> Array:
 
 
 def _low_pass(dataset: Dataset, point: Point, make: Callable[[Motion], Array]) -> Array:
-    """Return columns of a recording's motion, low-passed where the point asks for exact load."""
+    """Return columns (K, ...) that ``make`` computes, low-passed only if ``point.exact_load``."""
     signals = dataset.signals
     if signals is None or not point.exact_load:
         return make(dataset.motion)
@@ -562,10 +570,11 @@ def _low_pass(dataset: Dataset, point: Point, make: Callable[[Motion], Array]) -
 
 
 def usual_bodies(robot: RobotModel) -> dict[str, Array]:
-    """Return body name to a plausible body (10,) for that link.
+    """Return body name to plausible inertial parameters (10,) of each link with mass.
 
-    That is the model's own; where that is only a placeholder, much lighter than the other links, a
-    ball at its place with their median mass and moment per mass.
+    These are the model's own (the identical array). Where the model has only a placeholder, much
+    lighter than the other links or no possible rigid body, they are those of a ball at the
+    placeholder's centre of mass, with the median mass and radius of gyration of the other links.
     """
     bodies = {link.body_name: link.theta for link in robot.links if link.has_mass}
     heaviest = max(theta[0] for theta in bodies.values())

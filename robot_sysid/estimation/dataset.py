@@ -1,5 +1,9 @@
 """One recording as equations: filtered motion, or poses at which the arm rests.
 
+Shapes: N samples of a recording; K rows (instants of equations), fewer than N because low-passed
+signals are decimated; n joints of the chain; "joints" those with equations; p parameters, k of
+which have columns in a joint's equations. An equation reads row (k,) x = right-hand side [N m].
+
 Rows of equations take most of the memory. Long recordings keep theirs in a temporary file
 (``store_rows``), columns that depend on the linearisation point are put beside them on access
 (``AssembledRows``), and ``release_memory`` gives freed rows back to the system.
@@ -25,28 +29,31 @@ from robot_sysid.records import Array, Measurement, Motion, SquareRootInformatio
 from robot_sysid.signals.process import ProcessedSignals, with_delay
 
 Mask = NDArray[np.bool_]
+"""Boolean mask of rows, True where a row is used."""
 BLOCKS = 5
-"""Blocks for held-out errors, each predicted from the others: every fifth stretch of a log."""
+"""Number of blocks of cross-validation: a block is every fifth stretch of a log."""
 LONGEST_STRETCH = 10.0
 """Upper bound of a stretch [s]: a motion may move a joint for some seconds only."""
-# Numbers per pass: a bound on memory that does not change results.
+# Numbers of columns that are computed at once: a bound on memory that does not change results.
 _NUMBERS = 8_000_000
-# Numbers in a recording's rows that stay in memory: half a minute of an arm of seven joints.
+# Largest count of numbers in a recording's rows that stay in memory: half a minute of an arm of
+# seven joints.
 _IN_MEMORY = 250_000
 
 
 @dataclass(frozen=True)
 class DecimatedSamples:
-    """Equations of some joints at K instants; iterating over it is one pass over the data.
+    """Equations of some joints at K instants of one recording; its arrays must not be changed.
 
     Attributes:
         names: (p,) parameter names.
-        joints: the joints that have equations.
-        columns: per joint (k,) indices of the parameters of its rows.
-        time: (K,) [s].
-        rows: per joint (K, k).
-        tau: per joint (K,) right-hand sides [N m]; NaN where a sample is not used.
-        measured: per joint (K,) the whole measured torque [N m].
+        joints: names of the joints that have equations, base to terminal.
+        columns: per joint (k,) indices into ``names`` of the parameters in its rows.
+        time: (K,) instants [s].
+        rows: per joint (K, k) regressor; indexing may assemble it anew or read it from a file.
+        tau: per joint (K,) right-hand sides, the measured torque less the torque that depends on no
+            parameter [N m]; NaN where a row is not used.
+        measured: per joint (K,) the measured torque [N m].
     """
 
     names: tuple[str, ...]
@@ -58,14 +65,15 @@ class DecimatedSamples:
     measured: tuple[Array, ...]
 
     def __len__(self) -> int:
+        """Return the number of rows K."""
         return len(self.time)
 
     def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
-        """Yield (joint number, rows, right-hand sides) of each joint."""
+        """Yield (joint number, rows (K, k), right-hand sides (K,)) of each joint."""
         return zip(range(len(self.rows)), self.rows, self.tau)
 
     def in_use(self, joint: int) -> tuple[Array, Array]:
-        """Return a joint's rows (m, k) and right-hand sides (m,) of the samples in use."""
+        """Return the used rows (m, k) of a joint number and their right-hand sides (m,)."""
         is_used = np.isfinite(self.tau[joint])
         right_side = self.tau[joint][is_used]
         if isinstance(self.rows, AssembledRows):
@@ -73,11 +81,15 @@ class DecimatedSamples:
         return self.rows[joint][is_used], right_side
 
     def information(self) -> SquareRootInformation:
-        """Return the square-root information of the samples in use."""
+        """Return the square-root information of the used rows."""
         return information_of([[self]])[0]
 
     def where(self, used: Mask) -> DecimatedSamples:
-        """Return the samples without those for which ``used``, (K,) or (K, joints), is false."""
+        """Return the equations with fewer rows in use: those where ``used`` is True.
+
+        Args:
+            used: (K,) for all joints, or (K, joints).
+        """
         masks = np.broadcast_to(used.T, (len(self.tau), len(self)))
         pairs = zip(masks, self.tau)
         return replace(
@@ -85,7 +97,10 @@ class DecimatedSamples:
         )
 
     def only(self, names: tuple[str, ...]) -> DecimatedSamples:
-        """Return the samples with the named parameters alone, in the order of ``names``."""
+        """Return the equations with the columns of named parameters only, which become ``names``.
+
+        Columns of all other parameters are dropped, not subtracted from the right-hand sides.
+        """
         order = {name: index for index, name in enumerate(names)}
         new_indices = np.array([order.get(name, -1) for name in self.names])
         columns = []
@@ -97,7 +112,7 @@ class DecimatedSamples:
         return replace(self, names=names, columns=tuple(columns), rows=tuple(rows))
 
     def squared_torque(self) -> Array:
-        """Return (joints,) sum of squares of the measured torque over the rows in use [N^2 m^2]."""
+        """Return the sum of squares (joints,) of the measured torque over used rows [N^2 m^2]."""
         pairs = zip(self.tau, self.measured)
         return np.array(
             [np.sum(measured[np.isfinite(tau)] ** 2) for tau, measured in pairs]
@@ -125,7 +140,14 @@ class _RowFile:
 
 
 class _StoredRows(Sequence[Array]):
-    """Each joint's rows (K, k) in a file, read on access."""
+    """Each joint's rows (K, k) in a file, read on access; indexed by joint number.
+
+    Pickling makes a tuple of arrays in memory.
+
+    Args:
+        rows: per joint (K, k), appended to the file.
+        row_file: may hold rows of other recordings, too.
+    """
 
     def __init__(self, rows: Sequence[Array], row_file: _RowFile) -> None:
         self._row_file = row_file
@@ -149,13 +171,15 @@ class _StoredRows(Sequence[Array]):
 
 
 class AssembledRows(Sequence[Array]):
-    """Each joint's rows, assembled on access from blocks of columns, each with its factor.
+    """Each joint's rows (K, k), assembled on access from blocks of columns, by joint number.
 
-    Most columns are the same around any point: they stay in ``base``, which points share.
+    Most columns do not depend on the linearisation point: they stay in ``base``, which the rows
+    around several points share.
 
     Args:
-        base: per joint (K, k).
-        blocks: per joint (columns (K, m) or a slice of the base's columns, factor).
+        base: per joint (K, m) columns that do not depend on the point.
+        blocks: per joint its blocks, each (columns, factor): columns are (K, b), or a slice of the
+            columns of ``base``; the factor is a number, or (b,) by column.
     """
 
     def __init__(
@@ -173,7 +197,12 @@ class AssembledRows(Sequence[Array]):
         return self.select(joint, slice(None))
 
     def select(self, joint: int, used: Mask | slice) -> Array:
-        """Return the used rows (m, k) of a joint, in less memory than all of them take."""
+        """Return the used rows (m, k) of a joint, without assembling the other rows.
+
+        Args:
+            joint: its number.
+            used: (K,) mask, or a slice of rows.
+        """
         base = self._base[joint]
         columns = []
         for block, factor in self._blocks[joint]:
@@ -185,9 +214,13 @@ class AssembledRows(Sequence[Array]):
 def store_rows(
     samples: Iterable[DecimatedSamples], limit: int = _IN_MEMORY
 ) -> list[DecimatedSamples]:
-    """Return each recording's samples, with rows of more than ``limit`` numbers in a file.
+    """Return each recording's equations, with long rows in one temporary file.
 
     Without a writable folder, all rows stay in memory.
+
+    Args:
+        samples: consumed one by one, so that a generator keeps one recording in memory.
+        limit: largest count of numbers in a recording's rows that stay in memory.
     """
     recordings = []
     row_file = None
@@ -204,7 +237,10 @@ def store_rows(
 def information_of(
     groups: Collection[Sequence[DecimatedSamples]],
 ) -> tuple[SquareRootInformation, ...]:
-    """Return the square-root information of each group of recordings, from the samples in use."""
+    """Return the square-root information of the used rows of each group of recordings.
+
+    All recordings have to have the same names, joints and columns.
+    """
     first = next(iter(groups))[0]
     totals = []
     for _ in groups:
@@ -221,10 +257,14 @@ def information_of(
 def decimated_equations(
     equations: Equations, signals: ProcessedSignals
 ) -> DecimatedSamples:
-    """Build the equations of the motion and pass both sides through the same low-pass.
+    """Return the equations of a recorded motion, both sides passed through the torque's low-pass.
 
     Columns of friction that depends on the load are NaN. Columns of bodies contain no sign of a
     speed, so that they are smooth and computed at fewer instants.
+
+    Args:
+        equations: returns unfiltered rows of a motion.
+        signals: the recording, filtered.
 
     Raises:
         InputError: no joint ever moves fast enough for its equations to be used.
@@ -249,7 +289,7 @@ def decimated_equations(
 
 
 def equations_at(equations: Equations, measurement: Measurement) -> DecimatedSamples:
-    """Return the equations at every sample of a measurement."""
+    """Return the equations at every sample of a measurement, without any filter."""
     tau = measurement.tau[:, list(equations.joint_indices)].T
     return _samples_of(equations, measurement.time, equations.rows(measurement), tau)
 
@@ -260,7 +300,13 @@ def _samples_of(
     pairs: Iterable[tuple[Array, Array]],
     measured: Array,
 ) -> DecimatedSamples:
-    """Return samples from (rows, right-hand sides) per joint and measured torques (joints, K)."""
+    """Return the record of equations at K instants.
+
+    Args:
+        time: (K,) [s].
+        pairs: per joint (rows (K, k), right-hand sides (K,) [N m]).
+        measured: (joints, K) measured torques [N m].
+    """
     rows, tau = zip(*pairs)
     columns = equations.columns
     return DecimatedSamples(
@@ -270,10 +316,12 @@ def _samples_of(
 
 @dataclass(frozen=True)
 class RestingPoses:
-    """Poses at which the arm rests: one sample each, without speed or acceleration.
+    """K poses at which the arm rests: one row each, without speed or acceleration.
 
     Attributes:
-        used: (K, n) whether a joint's friction was averaged out.
+        poses: positions (K, n) and torques (K, n) at rest, averaged over both directions of
+            approach; speeds and accelerations are zero.
+        used: (K, n) whether a joint's torque may be used, because its friction was averaged out.
     """
 
     poses: Measurement
@@ -301,12 +349,12 @@ class Dataset:
 
     @property
     def signals(self) -> ProcessedSignals | None:
-        """The filtered motion; None of resting poses."""
+        """The filtered signals of a motion; None for poses at rest."""
         return None if isinstance(self.source, RestingPoses) else self.source
 
     @property
     def motion(self) -> Motion:
-        """The motion (K, n) at the instants of the rows."""
+        """Positions, speeds, accelerations (K, n) at the instants of rows; poses have no speed."""
         if isinstance(self.source, RestingPoses):
             poses = self.source.poses
             zero = 0.0 * poses.q
@@ -315,32 +363,35 @@ class Dataset:
 
     @property
     def torque(self) -> Array:
-        """The measured torque (N, n) [N m]."""
+        """The measured torque (N, n) [N m] at all samples, before decimation; (K, n) at rest."""
         return (
             self.source.poses if isinstance(self.source, RestingPoses) else self.source
         ).tau
 
     def remove_delay(self, delay: float) -> Dataset:
-        """Return the recording with a delay of its torque [s] taken out."""
+        """Return the recording with its torque shifted earlier by a delay [s]; poses stay."""
         if not delay or isinstance(self.source, RestingPoses):
             return self
         return replace(self, source=with_delay(self.source, delay))
 
     def samples(self, equations: Equations) -> DecimatedSamples:
-        """Return the samples of the equations, NaN where a row is not used."""
+        """Return the recording's equations; the right-hand side of an unused row is NaN."""
         if isinstance(self.source, RestingPoses):
             samples = equations_at(equations, self.source.poses)
             samples = samples.where(self.source.used[:, list(equations.joint_indices)])
         else:
             samples = decimated_equations(equations, self.source)
-        # A delay shortens recordings at their ends.
+        # Removing a delay shortens a recording at its ends, so that the mask may be longer.
         return (
             samples if self.used is None else samples.where(self.used[: len(samples)])
         )
 
 
 def block_masks(log: DecimatedSamples) -> Iterator[Mask]:
-    """Yield the mask (K,) of each block's rows in a recording: every ``BLOCKS``-th stretch of it.
+    """Yield the mask (K,) of the rows of each of the ``BLOCKS`` blocks of cross-validation.
+
+    The used rows of the recording are cut into consecutive stretches of equal size. Block b has the
+    stretches b, b + BLOCKS, b + 2 BLOCKS, ...
 
     Raises:
         InputError: the recording has fewer rows in use than blocks.
@@ -362,7 +413,11 @@ def block_masks(log: DecimatedSamples) -> Iterator[Mask]:
 
 
 def mean_torque(datasets: Sequence[Dataset]) -> Array:
-    """Return (n,) root mean square of each joint's measured torque [N m]."""
+    """Return the root mean square (n,) of each joint's measured torque in all recordings [N m].
+
+    Raises:
+        InputError: the recordings have no sample.
+    """
     squares = sum(np.sum(dataset.torque**2, axis=0) for dataset in datasets)
     count = sum(len(dataset.torque) for dataset in datasets)
     if not count:

@@ -1,4 +1,8 @@
-"""What to estimate from recordings: options, the question, and what the recordings decide."""
+"""Records of an estimation task: the user's options, the question, and the choices from data.
+
+The question says which parameters are wanted; a choice holds the settings that are selected from
+the recordings themselves, such as friction terms.
+"""
 
 from __future__ import annotations
 
@@ -22,20 +26,33 @@ if TYPE_CHECKING:
 
 
 TORQUE_CHOICES = ("chain", "terminal")
-"""Torques in use: those of all joints that carry the link, or of the last joint only."""
+"""Values of the option ``torques``: equations of all joints that carry the terminal link, or of
+the last joint only."""
 DEFAULT_TERMINAL = "coulomb-viscous-offset"
-"""Friction terms with one joint's torque alone, where rotor and link inertia are confounded."""
+"""Default friction model with ``torques="terminal"``; it has no rotor inertia, which one joint's
+torque does not tell from the inertia of the link."""
 CHOSEN = "auto"
-"""Friction model that is chosen from the data."""
+"""Value of the option ``friction_model`` that selects each joint's friction terms from the data."""
 
 
 def _uncertainty(default: float, help: str, unit: str = "%") -> Any:
+    """Return the dataclass field of an option that is a prior standard deviation, zero or more.
+
+    Args:
+        default: value in the given unit.
+        help: text for the user.
+        unit: of the value, as it is printed.
+    """
     return option(default, help, "P >= 0", unit=unit)
 
 
 @dataclass(frozen=True)
 class EstimationOptions(OptionRecord):
-    """How parameters are estimated from torques."""
+    """Options of the user: how parameters are estimated from torques.
+
+    Each field's text says what it means. Uncertainties are standard deviations of priors in the
+    printed unit: percent, milliradians, degrees, milliseconds.
+    """
 
     torques: str = option(
         "chain",
@@ -124,7 +141,7 @@ class EstimationOptions(OptionRecord):
 
     @property
     def friction(self) -> FrictionModel | None:
-        """Friction terms of every joint of measured data; None where the data chooses them."""
+        """Friction terms of every joint; None where they are selected from the data."""
         from robot_sysid.dynamics.friction import FrictionModel, friction_model
 
         if self.no_friction:
@@ -134,27 +151,34 @@ class EstimationOptions(OptionRecord):
         return friction_model(str(self.friction_model))
 
 
-# Parts of a model file that may be kept as they are.
+# Names of the parts of a model file that may stay as they are (``Question.unchanged_parts``).
+# Friction of joints and motors.
 FILE_FRICTION = "friction"
+# Rotor inertia.
 FILE_ROTORS = "rotors"
+# Direction of gravity.
 FILE_GRAVITY = "gravity"
+# All links but the terminal one.
 FILE_LINKS = "links"
 
 
 @dataclass(frozen=True)
 class Question:
-    """What to estimate from recordings.
+    """Which parameters to estimate from recordings, and under which assumptions.
 
     Attributes:
         options: prior uncertainties of the arm, and the other options of the estimate.
-        loaded: whether recordings carry a payload to estimate.
-        drifts: whether to estimate a drift of friction over the recordings.
-        known_mass: of the payload [kg], where torque scales are estimated with it.
-        in_file: whether to estimate only what a model file can hold.
-        file_kind: kind of that file; a "urdf" holds no rotor inertia.
-        unchanged_parts: parts of that file that stay as they are, ``FILE_FRICTION`` and the like.
-        carried: the payload (10,) that loaded recordings carry, where it is known.
-        resting: whether the recordings are poses at rest.
+        loaded: whether some recordings carry a payload, whose parameters are estimated.
+        drifts: whether to estimate a drift of friction from the first to the last recording.
+        known_mass: mass of the payload [kg], from which torque scales are estimated; None where it
+            is not known.
+        in_file: whether to estimate only the parameters that a model file can hold.
+        file_kind: kind of the model file, "mjcf" or "urdf"; a URDF holds no rotor inertia.
+        unchanged_parts: parts of the model file that stay as they are: ``FILE_FRICTION``,
+            ``FILE_ROTORS``, ``FILE_GRAVITY``, ``FILE_LINKS``.
+        carried: inertial parameters (10,) of the payload that loaded recordings carry, where they
+            are known; None to leave the payload out.
+        resting: whether the recordings are poses at rest, which have no dynamic friction.
     """
 
     options: EstimationOptions
@@ -169,6 +193,7 @@ class Question:
 
 
 def _stated_scales() -> LinkScales:
+    """Return factors of one on the uncertainty of links, the default of ``Choice.link_scales``."""
     # Commands read these options before numpy is needed.
     from robot_sysid.estimation.algebra.priors import AS_STATED
 
@@ -177,19 +202,21 @@ def _stated_scales() -> LinkScales:
 
 @dataclass(frozen=True)
 class Choice:
-    """What the recordings themselves decide.
+    """Settings of a fit that are selected from the recordings themselves.
+
+    Joints are the n of the chain; (joints,) counts only those that have equations.
 
     Attributes:
-        friction: per chain joint, its friction terms.
+        friction: (n,) friction terms of each chain joint.
         couplings: motors that turn with several joints.
-        link_scales: factors on the stated uncertainty of the other links.
-        common_scale: standard deviation of an error that all torque scales share, a share; only
-            links identify it.
-        offsets: joint to standard deviation of its torque sensor's offset [N m]; that of others is
-            free.
-        rotors: joint or motor to its rotor's inertia, where that is known [kg m^2].
-        dry_friction: (joints,) approximate dry friction of each row's joint [N m], which sizes the
-            prior of friction curves; None while friction terms are chosen: with such a prior no
+        link_scales: factors on the stated uncertainty of all links but the terminal one.
+        common_scale: prior standard deviation of an error that all torque scales share, as a share
+            of the torque; zero for none. Only the priors of links identify this error.
+        offsets: joint to prior standard deviation of its torque sensor's offset [N m]; offsets of
+            all other joints have no prior.
+        rotors: joint or motor to its rotor inertia, where it is known and held [kg m^2].
+        dry_friction: (joints,) approximate dry friction [N m], which sizes the prior of friction
+            terms that the model lacks; None while friction terms are selected: with such a prior no
             term would lower the held-out error.
         correlation_factors: (joints,) how many rows of a joint count as one independent row; None
             for one row each.
