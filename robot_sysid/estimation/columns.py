@@ -416,9 +416,8 @@ class Columns:
             blocks.append(
                 ((slice(None), factor), *map(point_columns.__getitem__, names))
             )
-            right_sides.append(
-                base.tau[row] + exact * linear + drift * dataset.order * friction
-            )
+            tau = base.tau[row] + exact * linear + drift * dataset.order * friction
+            right_sides.append(tau)
             columns.append(np.concatenate((indices, *map(self.indices, names))))
         return replace(
             base,

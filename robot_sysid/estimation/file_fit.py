@@ -3,6 +3,8 @@
 Effects that a file cannot hold (torque scales, encoder zeros, a delay, friction that grows with the
 load) are left out of the model of the torque; only sensor offsets that the recordings clearly show
 stay in it. Optional terms are written where they lower the held-out error of the whole file.
+
+Shapes: the chain has n joints, "joints" are those with equations, p parameters (``Columns.names``).
 """
 
 from __future__ import annotations
@@ -38,20 +40,20 @@ from robot_sysid.estimation.unknowns import Unknowns, build_unknowns
 from robot_sysid.model.chain import CAN_HOLD_ROTORS
 from robot_sysid.records import Array, RobotModel, Validation
 
-# Linearisations of the fit that begins where a first one ended.
+# Largest number of linearisations of the final fit, which starts at the result of a first one.
 _ROUNDS = 2
 
 
 @dataclass(frozen=True)
 class FileFit:
-    """The best file for some recordings.
+    """The model file that predicts some recordings best.
 
     Attributes:
-        fit: its parameters.
-        validation_before: held-out error of the model as it was, sensor offsets subtracted.
+        fit: the parameters of the file.
+        validation_before: held-out error of the given model, sensor offsets subtracted.
         validation_after: held-out error of the file, sensor offsets subtracted.
-        errors: of its parameters.
-        urdf: the best URDF, where the model is a URDF and this file is an MJCF.
+        errors: of the parameters of the file.
+        urdf: the best URDF, where the given model is a URDF and this file is an MJCF; else None.
     """
 
     fit: Fit
@@ -74,11 +76,13 @@ def fit_file(
     Motors that turn several joints are fixed tendons, which only an MJCF has.
 
     Args:
-        options: prior uncertainty of the arm's links.
-        unchanged_parts: parts of the file that stay as they are.
-        estimate: a fit of all effects; the search begins at it, and rotors are taken from it.
-        pull: see ``errors.fit_errors``.
-        carried: the payload (10,) of loaded recordings.
+        fitter: fits the recordings; its cached rows are replaced.
+        options: prior uncertainty of the arm's links, and which torques to use.
+        unchanged_parts: names of the parts of the file that stay as they are, such as
+            ``FILE_FRICTION``.
+        estimate: a fit of all effects, at which the search starts; rotors are taken from it.
+        pull: (joints, p) sum of ``errors.filtering_bias``; None computes it from the rows.
+        carried: the payload (10,) of loaded recordings; None without one.
     """
     robot = fitter.columns.robot
     keeps_motors = options.torques != "chain" or {FILE_FRICTION, FILE_ROTORS} <= {
@@ -107,7 +111,13 @@ def _fit_kind(
     estimate: Fit,
     pull: Array | None,
 ) -> FileFit:
-    """Return the best file of one kind, which holds these motors that turn several joints."""
+    """Return the best file of the kind ``question.file_kind``.
+
+    Args:
+        motors: motors that turn several joints, which the file holds.
+        estimate: a fit of all effects, at which the search starts; rotors are taken from it.
+        pull: (joints, p) sum of ``errors.filtering_bias``; None computes it from the rows.
+    """
     robot = fitter.columns.robot
     rotors = select_rotors(estimate) if _holds_rotors(question) else {}
     friction = _friction(robot, question, rotors, IN_FILE)
@@ -148,7 +158,11 @@ def _fit_kind(
 
 
 def _holds_rotors(question: Question) -> bool:
-    """Tell whether to write rotors; torques of the last joint alone do not identify its rotor."""
+    """Tell whether the file gets estimated rotor inertia.
+
+    It does not where rotors stay as they are, in a URDF, and with torques of the last joint alone,
+    which do not identify its rotor.
+    """
     is_kept = (
         FILE_ROTORS in question.unchanged_parts
         or question.options.torques == "terminal"
@@ -159,9 +173,13 @@ def _holds_rotors(question: Question) -> bool:
 def _friction(
     robot: RobotModel, question: Question, rotors: Mapping[str, float], name: str
 ) -> tuple[FrictionModel, ...]:
-    """Return each joint's terms of a named friction model that are unknown in a file.
+    """Return the friction terms (n,) to estimate for a file, by chain joint.
 
-    Parts of the file that stay as they are have no terms, nor have rotors of known inertia.
+    Terms of parts of the file that stay as they are, and rotors of known inertia, are left out.
+
+    Args:
+        rotors: joint, or motor that turns several joints, to its known rotor inertia [kg m^2].
+        name: friction model whose terms are estimated.
     """
     excluded: set[str] = set()
     if FILE_FRICTION in question.unchanged_parts:
@@ -182,9 +200,11 @@ def _friction(
 def _validate_model(
     fitter: Fitter, question: Question, choice: Choice, point: Point
 ) -> Validation:
-    """Return the held-out error of the model as it is, with fitted sensor offsets.
+    """Return the held-out error of the given model, with fitted sensor offsets.
 
-    The point has the model's gravity; all its other values make no difference here.
+    Args:
+        choice: selects the unknowns of the file, from which only bounds are taken.
+        point: has the model's gravity; its other values make no difference.
     """
     columns = fitter.columns
     data, _ = fitter.around(point)
@@ -204,7 +224,12 @@ def _validate_model(
 
 
 def holds_polynomial(robot: RobotModel, joint: int, file_kind: str) -> bool:
-    """Tell whether a file can hold nonlinear damping of a joint whose model has none."""
+    """Tell whether a file can hold nonlinear damping of a joint whose model has none.
+
+    Args:
+        joint: index in the chain.
+        file_kind: "mjcf" or "urdf".
+    """
     damping = getattr(robot.mj_model, "dof_dampingpoly", None)
     return (
         file_kind == "mjcf"
@@ -216,7 +241,10 @@ def holds_polynomial(robot: RobotModel, joint: int, file_kind: str) -> bool:
 def _polynomials(
     judge: HeldOut, fit: Fit, question: Question, choice: Choice
 ) -> tuple[FrictionModel, ...]:
-    """Return friction with nonlinear damping at joints whose held-out error it clearly lowers."""
+    """Return the friction terms (n,) of a choice, with nonlinear damping added where it helps.
+
+    It is added at joints whose held-out error it clearly lowers and whose file can hold it.
+    """
     if FILE_FRICTION in question.unchanged_parts:
         return choice.friction
     with_polynomial = _friction(
@@ -235,22 +263,25 @@ def _polynomials(
 
 
 SCALES = (1.0, 2.0, 4.0, 8.0, 16.0)
-"""Factors of the other links' uncertainty to try; 16 times 5 % is nearly all of a link."""
+"""Factors on the uncertainty of all links but the terminal one that are tried; 16 times the default
+of 5 % is nearly all of a link."""
 AS_GOOD = 1.02
 """Ratio of squared errors up to which they count as equal: one per cent of the error."""
 CLEAR_OFFSET = 3.0
-"""Standard errors that a sensor's offset has to be away from zero, and a rotor from the model's."""
+"""Least distance of a sensor's offset from zero, and of a rotor from the model's rotor, in standard
+errors, at which it is significant."""
 OFFSET = 0.01
-"""Prior standard deviation of the offsets that are not clear where others are, as a share of the
-torque: of a KUKA LWR4+, offsets and links are not known better."""
+"""Prior standard deviation of offsets that are not significant where other joints have significant
+ones, as a share of the joint's torque: offsets of a KUKA LWR4+ are not known better."""
 
 
 def select_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
-    """Return the choice with offsets of those torque sensors that clearly have one.
+    """Return the choice with priors of the offsets of torque sensors that have no clear offset.
 
     In a small motion an offset and the weight of links make the same torque, so that noise alone
-    would move weight into offsets: offsets that are not clear become zero, the least clear first.
-    Sensors of an arm are of one kind: beside a clear offset, the others may have small ones.
+    would move weight into offsets: offsets that are not significant become zero, the least
+    significant first. Sensors of an arm are alike: where one offset is significant, the others get
+    a prior standard deviation ``OFFSET``; where none is, all are held at zero.
     """
     deviations = dict(zip(fit.columns.robot.joint_names, OFFSET * fit.evidence.torque))
     unknowns = _unknowns_of(fit, question, choice)
@@ -271,7 +302,7 @@ def select_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
             return replace(
                 choice, offsets={joint: deviations[joint] for joint in zero_joints}
             )
-        # Condition the other offsets on zero for this one.
+        # Set this offset to zero and condition the other offsets on that.
         gain = covariance[:, index] / covariance[index, index]
         others = np.arange(len(free)) != index
         offsets = (offsets - gain * offsets[index])[others]
@@ -281,11 +312,11 @@ def select_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
 
 
 def select_rotors(fit: Fit) -> dict[str, float]:
-    """Return joint, or motor that turns several, to its rotor inertia in a file [kg m^2].
+    """Return joint, or motor that turns several joints, to its rotor inertia in a file [kg m^2].
 
-    That is the estimate of a fit with all friction terms, where it clearly differs from the model's
-    rotor, else the model's. A file lacks most of these terms: in slow motion, a rotor fitted beside
-    its friction would take their torque.
+    This is the estimate of a fit with all friction terms where it differs significantly from the
+    model's rotor, else the model's rotor. A file lacks most of these friction terms: a rotor that
+    is fitted together with the file's few terms would take up their torque in slow motion.
     """
     columns = fit.columns
     unknowns = _unknowns_of(fit, fit.question, fit.choice)
@@ -312,7 +343,8 @@ def predictive_link_scales(
 ) -> LinkScales:
     """Return the least factor on the links' uncertainty whose held-out error is about the lowest.
 
-    Factors are tried until the error rises. They are for a file, which has to predict well; the
+    The factor applies to all kinds of parameters alike. Factors of ``SCALES`` are tried until the
+    error rises. The result is meant for a file, which has to predict well; the
     uncertainty of links is estimated by ``priors.average_scales``.
     """
     scores = list[float]()

@@ -3,6 +3,9 @@
 In-sample errors fall with every parameter. So each block of time is predicted from the others
 (cross-validation). Blocks are compared by ratios of their errors, because friction may matter far
 more in one of them.
+
+Shapes: "blocks" and "joints" count the blocks of cross-validation and the joints with equations; p
+parameters (``Columns.names``), of which k are estimated.
 """
 
 from __future__ import annotations
@@ -35,13 +38,15 @@ from robot_sysid.records import Array, SquareRootInformation, Validation
 from robot_sysid.records.data import validation_of
 
 OWN_SOURCE = "the logs, each fifth predicted from the others"
+"""Source of a validation on the fitted recordings, in words for the user."""
 CLEAR_SHARE = 0.1
 """Least relative decrease of the held-out squared error that counts as clear."""
 CLEARLY = 2.0
-"""Least decrease of its logarithm that counts as clear, in standard errors over the blocks."""
-# Less than every squared error [N^2 m^2].
+"""Least mean decrease of the logarithm of the held-out squared error that counts as clear, in
+standard errors over the blocks."""
+# Less than every squared error [N^2 m^2]; avoids the logarithm of zero.
 _TINY = 1e-30
-# Keeps normal equations regular where parameters have no data.
+# Added to the diagonal of scaled normal equations, which stay regular without data on a parameter.
 _RIDGE = 1e-12
 
 
@@ -49,13 +54,13 @@ _RIDGE = 1e-12
 class HeldOut:
     """Cross-validation of recordings in blocks, each of which is predicted from the others.
 
-    Sums over the blocks are cached, so that one instance compares many choices of unknowns.
+    Sums over the blocks are cached, so that one instance compares many sets of unknowns.
 
     Attributes:
-        data: evidence of each block.
-        noise: (joints,) effective standard deviation of each joint's torque [N m].
-        superset: unknowns that contain those of every choice to compare, which saves memory with
-            many joints; None for all parameters.
+        data: evidence (triangles of equations) of each block.
+        noise: (joints,) effective standard deviation of each joint's torque noise [N m].
+        superset: unknowns that contain those of every set to compare, which saves memory with many
+            joints; None for all parameters.
     """
 
     data: Evidence
@@ -82,7 +87,8 @@ class HeldOut:
     def _grams(self) -> Array:
         """Gram matrices (blocks, s+2, s+2) of the whitened equations of all blocks but one in turn.
 
-        Columns are the s available parameters, the right sides, and zeros for all other parameters.
+        Columns are the s available parameters, the right-hand sides, and one column of zeros that
+        stands for every other parameter.
         """
         indices = np.append(np.flatnonzero(self._available), -1)
         grams = np.zeros((len(self.data.blocks), len(indices) + 1, len(indices) + 1))
@@ -104,10 +110,14 @@ class HeldOut:
     def _normal_equations(
         self, unknowns: Unknowns
     ) -> Iterator[tuple[Array, Array, Array]]:
-        """Yield scaled normal equations (k, k), right side (k,) and scale (k,) without each block.
+        """Yield the normal equations of data and priors without each block in turn.
 
         Friction terms that the other blocks do not identify stay near zero; all other parameters
         without data have priors.
+
+        Yields:
+            (scaled matrix (k, k), scaled right side (k,), scale (k,)): the solution times the scale
+            is the estimate.
         """
         available = self._available
         held = unknowns.held.copy()
@@ -133,7 +143,7 @@ class HeldOut:
             yield matrix, scale * right_side, scale
 
     def _values(self, unknowns: Unknowns) -> Array:
-        """Return the estimate (blocks, p) from all blocks but one in turn."""
+        """Return the parameters (blocks, p), estimated from all blocks but one in turn."""
         values = []
         for matrix, right_side, scale in self._normal_equations(unknowns):
             values.append(unknowns.full(scale * np.linalg.solve(matrix, right_side)))
@@ -158,7 +168,10 @@ class HeldOut:
         return expected
 
     def consistent_squared_errors(self, unknowns: Unknowns) -> Array:
-        """Return ``squared_errors`` (blocks, joints), bodies physically consistent [N^2 m^2]."""
+        """Return the squared error (blocks, joints) of blocks predicted from the others [N^2 m^2].
+
+        Bodies are physically consistent in every one of these estimates.
+        """
         values = self._values(unknowns)
         problem = links_problem(unknowns)
         prior_rows = _prior_rows(unknowns)
@@ -175,7 +188,7 @@ class HeldOut:
         return self.data.squared_residuals(values[..., None])[..., 0]
 
     def _other_triangles(self, unknowns: Unknowns) -> Sequence[Array]:
-        """Return triangles (., k+1) of the equations of all blocks but one in turn."""
+        """Return per block the triangle (., k+1) of the whitened equations of all other blocks."""
         key = unknowns.estimated.tobytes(), unknowns.held.tobytes()
         if key not in self._triangles:
             restriction = unknowns.estimated_names, unknowns.held
@@ -188,12 +201,21 @@ class HeldOut:
         return self._triangles[key]
 
     def score(self, squared: Array) -> Array:
-        """Return the mean (blocks,) of squared errors (blocks, joints), over the noise variance."""
+        """Return the mean squared error (blocks,) of all rows, in units of the noise variance.
+
+        Args:
+            squared: (blocks, joints) sums of squared errors [N^2 m^2].
+        """
         counts = np.maximum(np.sum(self.counts, axis=1), 1.0)
         return np.asarray(np.sum(squared / self.noise**2, axis=-1) / counts)
 
     def validation(self, squared: Array, source: str = OWN_SOURCE) -> Validation:
-        """Return squared errors (blocks, joints) [N^2 m^2] of all blocks together as one record."""
+        """Return the record of prediction errors of all blocks together.
+
+        Args:
+            squared: (blocks, joints) sums of squared errors [N^2 m^2].
+            source: which rows were predicted, in words for the user.
+        """
         joints = [joint.joint for joint in self.data.blocks[0].joints]
         torque = np.sum(self.data.squared_torque, axis=0)
         counts = np.sum(self.counts, axis=0)
@@ -201,17 +223,24 @@ class HeldOut:
 
 
 def held_out(fit: Fit, superset: Unknowns | None = None) -> HeldOut:
-    """Return the cross-validation of choices around a fit, see ``HeldOut``."""
+    """Return the cross-validation of a fit's data, with the weights of its equations.
+
+    Args:
+        superset: see ``HeldOut``; None for all parameters.
+    """
     return HeldOut(fit.evidence, 1.0 / fit.weights, superset)
 
 
 def _sums_of_others(
     summands: Sequence[Array], add: Callable[[Array, Array], Array]
 ) -> list[Array]:
-    """Return for each summand, two at least, the sum of all others.
+    """Return for each of two or more summands the sum of all other summands.
 
-    They are added up from both ends: subtracting a summand from the total would leave rounding
+    Sums are accumulated from both ends: subtracting a summand from the total would leave rounding
     errors where the others have no data.
+
+    Args:
+        add: returns the sum of two summands, which are matrices or triangles.
     """
     sums_before = list(accumulate(summands[:-1], add))
     sums_after = list(accumulate(summands[:0:-1], add))[::-1]
@@ -219,15 +248,21 @@ def _sums_of_others(
 
 
 def _prior_rows(unknowns: Unknowns) -> Array:
+    """Return the priors as equations [A b] (m, k+1) of unit variance in the k unknowns."""
     rows = [group.prior_rows(unknowns.estimated_names) for group in unknowns.groups]
     return np.vstack(rows) if rows else np.zeros((0, len(unknowns.estimated) + 1))
 
 
 def is_clearly_lower(errors: Array, reference: Array) -> bool:
-    """Tell whether squared errors (blocks,) are clearly lower than those of a reference (blocks,).
+    """Tell whether squared errors are clearly lower than those of a reference, over all blocks.
 
-    Blocks are compared by the logarithm of the ratio of their errors. Errors that are not finite
-    are higher than all others.
+    The sum over blocks, and the geometric mean of the ratios of the blocks' errors, have to be
+    lower by more than ``CLEAR_SHARE``; the mean logarithm of these ratios has to be negative by
+    more than ``CLEARLY`` standard errors. Errors that are not finite are higher than all others.
+
+    Args:
+        errors: (blocks,) squared held-out errors, in any unit.
+        reference: (blocks,) in the unit of ``errors``.
     """
     if not np.all(np.isfinite(errors)) or not np.all(np.isfinite(reference)):
         return bool(np.all(np.isfinite(errors)))
@@ -240,6 +275,7 @@ def is_clearly_lower(errors: Array, reference: Array) -> bool:
 
 
 def _unknowns_of(fit: Fit, question: Question, choice: Choice) -> Unknowns:
+    """Return the unknowns of a question and a choice, with the torques and data of a fit."""
     return build_unknowns(
         fit.columns, question, choice, fit.evidence.torque, fit.evidence.nonzero
     )
@@ -248,7 +284,10 @@ def _unknowns_of(fit: Fit, question: Question, choice: Choice) -> Unknowns:
 def squared_errors(
     judge: HeldOut, columns: Columns, question: Question, choice: Choice
 ) -> Array:
-    """Return held-out squared errors (blocks, joints) of a choice [N^2 m^2]."""
+    """Return the held-out squared errors (blocks, joints) of a choice [N^2 m^2].
+
+    Bodies may be physically inconsistent here.
+    """
     data = judge.data
     return judge.squared_errors(
         build_unknowns(columns, question, choice, data.torque, data.nonzero)
@@ -256,14 +295,20 @@ def squared_errors(
 
 
 def score_of(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> Array:
-    """Return ``HeldOut.score`` (blocks,) of a choice, bodies physically consistent."""
+    """Return the mean squared held-out error (blocks,) of a choice, over the noise variance.
+
+    Bodies are physically consistent.
+    """
     return judge.score(
         judge.consistent_squared_errors(_unknowns_of(fit, question, choice))
     )
 
 
 def held_out_validation(fit: Fit) -> Validation:
-    """Return the held-out errors of a fit's own recordings in blocks, and whether they test it."""
+    """Return the cross-validated error of the recordings that were fitted.
+
+    ``is_informative`` of the record says whether the error tests the fit.
+    """
     judge = held_out(fit, fit.unknowns)
     errors = judge.consistent_squared_errors(fit.unknowns)
     noise = judge.counts * fit.noise**2
@@ -276,11 +321,16 @@ def held_out_validation(fit: Fit) -> Validation:
 
 
 NOISE_EXPLAINS = 3.0
-"""Held-out error over noise up to which noise, and not a wrong model, may be its cause."""
+"""Ratio of held-out error to noise up to which noise, and not a wrong model, may be the cause."""
 
 
 def _error_ratio(squared: Array, expected: Array) -> float:
-    """Return root mean square errors over expected ones, of squares (blocks, joints) of both."""
+    """Return the ratio of actual to expected root mean square errors, over joints with data.
+
+    Args:
+        squared: (blocks, joints) squared errors [N^2 m^2].
+        expected: (blocks, joints) expected squared errors [N^2 m^2].
+    """
     used = np.any(expected > 0.0, axis=0)
     return float(
         np.sqrt(np.mean(squared.sum(axis=0)[used] / expected.sum(axis=0)[used]))
@@ -290,16 +340,17 @@ def _error_ratio(squared: Array, expected: Array) -> float:
 def is_informative_test(
     squared: Array, noise: Array, variance: Callable[[], Array]
 ) -> bool:
-    """Tell whether held-out errors say something about a fit.
+    """Tell whether held-out errors test a fit.
 
     They do if they are as small as noise, or if they exceed the variance of the prediction. Large
     errors that this variance explains only mean that the fitted rows do not identify the torque.
 
     Args:
         squared: (blocks, joints) squared errors [N^2 m^2].
-        noise: (blocks, joints) their expected values by torque noise alone.
-        variance: returns (blocks, joints) their expected values by noise and the errors of the fit,
-            infinite where the fit does not identify a joint's friction.
+        noise: (blocks, joints) squared errors to expect from torque noise alone [N^2 m^2].
+        variance: returns the squared errors (blocks, joints) to expect from noise and the errors of
+            the fit [N^2 m^2], infinite where the fit does not identify a joint's friction; called
+            only where errors are larger than noise.
     """
     if _error_ratio(squared, noise) <= NOISE_EXPLAINS:
         return True
@@ -315,7 +366,15 @@ def is_informative_test(
 def validate_datasets(
     fit: Fit, errors: FitErrors, datasets: Sequence[Dataset], source: str
 ) -> Validation:
-    """Return the error of a fit in other recordings; InputError as in ``validate_rows``."""
+    """Return the error with which a fit predicts the torques of other recordings.
+
+    Args:
+        errors: of the fit's parameters.
+        source: name of these recordings for the user.
+
+    Raises:
+        InputError: the recordings hold no usable samples.
+    """
     columns = Columns(
         fit.columns.robot, datasets, fit.columns.torques, fit.columns.couplings
     )
@@ -329,6 +388,11 @@ def validate_rows(
     fit: Fit, errors: FitErrors, data: Evidence, source: str
 ) -> Validation:
     """Return the error with which a fit predicts the torques of rows that were not fitted.
+
+    Args:
+        errors: of the fit's parameters.
+        data: evidence of these rows, linearised around the fit.
+        source: name of these rows for the user.
 
     Raises:
         InputError: the rows hold no usable samples.
@@ -352,8 +416,10 @@ def validate_rows(
 def _prediction_variance(
     fit: Fit, errors: FitErrors, data: SquareRootInformation
 ) -> Array:
-    """Return the variance (joints,) of the torques that a fit predicts, summed over the rows of
-    other data [N^2 m^2]; infinite where the fit does not identify a parameter of a joint's torque.
+    """Return the variance (joints,) of predicted torques due to a fit's errors [N^2 m^2].
+
+    It is summed over the rows of ``data``, and infinite where the fit does not identify a parameter
+    of a joint's torque.
     """
     indices = fit.unknowns.estimated
     variances = np.zeros(len(data.joints))
