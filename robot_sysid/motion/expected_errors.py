@@ -1,9 +1,9 @@
-"""Standard errors that are expected of an identification of a planned motion's recording.
+"""Standard errors to expect of an identification from a recording of a planned motion.
 
-The planned motion is treated as a log of it would be: its ends are cut off, all columns pass the
-low-pass, and moments in which a joint is too slow are left out. The estimate's covariance is then
+The motion is simulated and processed like a log: its ends are cut off, all columns pass the
+low-pass, and rows in which a joint is too slow are left out. The covariance of the estimate is then
 computed for the remaining rows with the unknowns and priors of the identification, cause by cause.
-The search for a motion gets these priors from here.
+``prior_knowledge`` returns these priors for the search of a motion too.
 """
 
 from __future__ import annotations
@@ -74,23 +74,25 @@ from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks, sample_count
 
 ALL_SAMPLES = "that is from all samples, but they cannot all be used"
-"""Caveat of errors for a motion that cannot be processed as a log."""
+"""Beginning of the caveat of errors of a motion that cannot be processed like a log."""
 HIGHEST_RATE_HZ = 200.0
-"""Rate at which the motion is processed: far above its band. Noise is scaled to it."""
+"""Highest rate at which a motion is simulated and processed [Hz], far above its band. The noise of
+a sample is scaled to the lower rate."""
 MOST_SAMPLES = 200_000
-"""Samples beyond which processing a motion beforehand would take too long."""
+"""Number of samples beyond which simulating and processing a motion would take too long."""
 LONGER = 4.0
-"""How many times as long the longer motion is that is suggested."""
+"""Duration of the longer motion that is suggested, over that of the plan."""
 FASTER = 1.5
-"""How many times as fast the faster motion is that is suggested."""
+"""Speed of the faster motion that is suggested, over that of the plan."""
 BETTER_LINKS = 0.5
 """Share of the links' uncertainty that remains in the suggestion to know them better."""
 _NO_NOISE = 1e-4
-"""Torque noise that makes no error beside that of the priors [N m]."""
+"""Torque noise whose error is negligible beside that of the priors [N m]."""
 _WEIGHED_SHARE = 1.0 - 1e-6
 """Share of the variance of a mass that weighing removes."""
 _LARGEST_ERROR = 100.0
-"""Standard error over the parameter's size beyond which the information is mere rounding."""
+"""Standard error over the parameter's size beyond which a parameter counts as not identifiable: its
+variance is then rounding."""
 NOISE = "torque noise"
 """Cause of errors that is in every recording."""
 SUSPICION = (
@@ -99,7 +101,7 @@ SUSPICION = (
 )
 """Why a scale of all torques may be suspected."""
 _SUSPICION_SHARE = 0.05
-"""Share of recordings from which this is reported."""
+"""Share of recordings with a suspected scale above which the suspicion is reported."""
 _PAYLOAD = PAYLOAD_MASS * np.eye(10)[0]
 """Parameters (10,) of a payload at the origin of the last link."""
 
@@ -127,11 +129,17 @@ class RecordingPlan:
 def prior_knowledge(
     problem: ExcitationProblem, options: EstimationOptions, target: str
 ) -> PriorKnowledge:
-    """Return what an identification knows about an arm before there is a recording."""
+    """Return the priors of an identification of an arm before there is a recording.
+
+    Args:
+        problem: the arm, its limits and the joints whose torques are used.
+        options: of the identification, with the uncertainties that the user states.
+        target: "link", "arm" or "payload", see ``PriorKnowledge``.
+    """
     robot = problem.robot
     deviations = np.zeros((len(JOINT_TERMS), len(problem.rows)))
     if target == "payload":
-        # Of the difference of two recordings only what changes between them is left.
+        # In the difference of two recordings only the drift of friction between them remains.
         joints = list(problem.rows)
         deviations[0] = DRIFTS * robot.friction.coulomb[joints]
         deviations[1] = DRIFTS * robot.friction.viscous[joints]
@@ -163,7 +171,9 @@ def prior_knowledge(
 
 
 def _initial_choice(problem: ExcitationProblem, options: EstimationOptions) -> Choice:
-    """Return the friction terms that an estimate begins with, and the couplings that are known."""
+    """Return the choice of friction terms and known couplings of motors with which an
+    identification begins.
+    """
     if not options.friction:
         options = replace(options, friction_model=CANDIDATES[0])
     assert options.friction is not None
@@ -176,10 +186,10 @@ def _initial_choice(problem: ExcitationProblem, options: EstimationOptions) -> C
 def predict(
     problem: ExcitationProblem, plan: MotionPlan, recording: RecordingPlan
 ) -> Prediction:
-    """Return the standard errors that are expected of an identification of a motion.
+    """Return the standard errors to expect of an identification from a recording of a motion.
 
-    Where the motion cannot be processed as a log, the errors are those of all its samples, and the
-    caveat says so.
+    Where the motion cannot be processed like a log, the errors are a lower bound, computed from all
+    samples, and ``Prediction.caveat`` states the reason.
     """
     robot = problem.robot
     knowledge = prior_knowledge(problem, recording.options, recording.target)
@@ -247,21 +257,23 @@ def _bound_from_all_samples(
 def _common_scale_error(
     problem: ExcitationProblem, options: EstimationOptions
 ) -> float:
-    """Return the share by which all torques, and so a payload's mass, may be read too large."""
+    """Return the relative standard error of a common scale of all torques, and so of a payload's
+    mass.
+    """
     columns = Columns(problem.robot, (), options.torques)
     return common_error(scale_spread(columns, options, loaded=True))
 
 
 @dataclass(frozen=True)
 class ExpectedPosterior:
-    """Errors that an estimate from a recording will have.
+    """Errors that an estimate from a recording of a planned motion will have.
 
     Attributes:
-        unknowns: parameters of the estimate.
-        errors: their errors.
-        causes: cause to rows (m, k) whose squares are the covariance it adds to that of noise.
+        unknowns: the k parameters of the estimate.
+        errors: covariance of these parameters.
+        causes: cause of errors to rows R (m, k); the cause adds R^T R to the covariance by noise.
         suspicion: share of recordings in which a scale of all torques is suspected.
-        suspected_errors: errors of the parameters that are stated then.
+        suspected_errors: covariance of the parameters that is stated in these recordings.
     """
 
     unknowns: Unknowns
@@ -271,7 +283,9 @@ class ExpectedPosterior:
     suspected_errors: Uncertainty
 
     def errors_of(self, names: Sequence[str]) -> tuple[Array, dict[str, Array]]:
-        """Return the covariance (10, 10) of the named parameters, and its part by each cause."""
+        """Return the covariance (10, 10) of ten parameters with these names, and a dict from each
+        cause to its share (10, 10) of that covariance.
+        """
         indices = self._indices(names)
         block = np.ix_(indices, indices)
         by_cause = {NOISE: self.errors.noise[block]}
@@ -282,8 +296,12 @@ class ExpectedPosterior:
         return covariance, by_cause
 
     def suspicion_case(self, names: Sequence[str], theta: Array) -> Improvement:
-        """Return the errors of the body theta (10,) with these parameters, where a scale of all
-        torques is suspected.
+        """Return the errors of a body's mass and centre of mass in recordings in which a scale of
+        all torques is suspected.
+
+        Args:
+            names: of the body's ten parameters.
+            theta: (10,) their values.
         """
         indices = self._indices(names)
         covariance = self.suspected_errors.covariance[np.ix_(indices, indices)]
@@ -301,6 +319,11 @@ def predict_posterior(
     problem: ExcitationProblem, plan: MotionPlan, recording: RecordingPlan
 ) -> ExpectedPosterior:
     """Return the errors that an estimate from a recording of a motion will have.
+
+    Args:
+        problem: the arm and its torque noise.
+        plan: the motion.
+        recording: sample rate, options and target of the identification.
 
     Raises:
         InputError: the motion cannot be processed as a log.
@@ -325,9 +348,9 @@ def predict_posterior(
     question = Question(options, loaded=is_loaded, drifts=is_loaded)
     unknowns = build_unknowns(columns, question, choice, torque, data.nonzero)
     information = data.of(unknowns)
-    # Rows are weighted by the noise that is left in each. They are slow: of white noise that passed
-    # the filter, its density at low frequencies counts, which the filter leaves alone, spread over
-    # the samples each row stands for.
+    # Rows are weighted by the standard deviation of their filtered noise. The regressor's columns
+    # vary slowly along the rows, so the variance of an estimate depends on the density of the noise
+    # at low frequencies, which the filter does not change: sigma^2 over the samples per row.
     low_pass = dataset.signals.low_pass
     filtered_sigma = sigma * np.sqrt(np.sum(low_pass.kernel**2))
     weights = 1.0 / filtered_sigma
@@ -378,11 +401,11 @@ def _suspected_scale(
     separate: tuple[Unknowns, Uncertainty], common: tuple[Unknowns, Uncertainty]
 ) -> tuple[float, Uncertainty]:
     """Return the share of recordings in which a scale of all torques is suspected although there is
-    none, and the errors that are stated then.
+    none, and the errors that an estimate states in these recordings.
 
     Args:
-        separate: unknowns and errors without a scale of all torques.
-        common: unknowns and errors with one.
+        separate: unknowns and errors of an estimate without a scale of all torques.
+        common: unknowns and errors of an estimate with a scale of all torques.
     """
     covariances = []
     for unknowns, errors in (separate, common):
@@ -402,8 +425,8 @@ def friction_lines(
     rate: float,
     options: EstimationOptions,
 ) -> Iterator[str]:
-    """Yield the standard errors that an identification of one recording at a rate [Hz] will have of
-    each joint's friction; nothing where the motion cannot be processed.
+    """Yield a line per friction term with its expected standard error at each joint, for an
+    identification from one recording at a rate [Hz]; nothing where the motion cannot be processed.
     """
     try:
         posterior = predict_posterior(problem, plan, RecordingPlan(rate, options))
@@ -451,7 +474,9 @@ def _link_mass_errors(
 def _invisible_combinations(
     problem: ExcitationProblem, criterion: Criterion
 ) -> tuple[str, ...]:
-    """Return the combinations of parameters that no motion of these joints shows, in words."""
+    """Return, in words, the combinations of the terminal link's parameters that no motion of these
+    joints identifies.
+    """
     visible = criterion.visible / problem.scale[:, None]
     left, singular, _ = np.linalg.svd(visible, full_matrices=True)
     space = left[:, len(singular) :]
@@ -467,10 +492,10 @@ def _improvements(
     knowledge: PriorKnowledge,
     criterion: Criterion,
 ) -> tuple[Improvement, ...]:
-    """Return changes of motion or knowledge with the errors of mass and centre of mass after each,
-    the one with the smallest error of the centre of mass first.
+    """Return changes of the motion or the priors with the errors of mass and centre of mass after
+    each, the change with the smallest error of the centre of mass first.
 
-    Nothing for a motion that rests, or of which one torque alone is used.
+    () for a motion that rests, and where the torque of only one joint is used.
     """
     poses = plan.evaluate(np.linspace(0.0, plan.duration, 9)).q
     if len(problem.rows) == 1 or np.all(poses == poses[0]):
@@ -531,9 +556,17 @@ def _improvement(
     is_payload: bool = False,
     plan_options: tuple[str, ...] = (),
 ) -> Improvement:
-    """Return a change with the errors of a body theta (10,) with covariance (10, 10) after it.
+    """Return a suggested change with the errors of mass and centre of mass after it.
 
-    A payload's mass has the error of torque scales besides; a link is made consistent.
+    Args:
+        problem: the arm.
+        theta: (10,) parameters of the body.
+        options: of the identification.
+        description: of the change, in words.
+        covariance: (10, 10) of theta after the change.
+        is_payload: whether the body is a payload, whose mass also has the error of torque scales;
+            the covariance of a link is projected onto physically consistent bodies instead.
+        plan_options: command-line options that plan such a motion, if any.
     """
     scale_error = 0.0
     if is_payload:
@@ -548,11 +581,12 @@ def _improvement(
 def identifiability_note(
     problem: ExcitationProblem, plan: MotionPlan, recording: RecordingPlan
 ) -> str:
-    """Return, before a search, what no motion can identify of a link, and what would help; "" where
-    a motion can.
+    """Return a note that no motion can identify the terminal link's mass well, with suggestions; ""
+    where a motion can, and for payloads.
 
-    Without noise any motion leaves the errors that the priors leave. What would help is computed
-    along a motion that is not designed yet.
+    The lower bound of the errors is that of a recording without noise, in which only the priors
+    leave errors. The effects of the suggestions are computed along ``plan``, which may be any
+    motion: no designed one exists before the search.
     """
     if recording.is_payload:
         return ""

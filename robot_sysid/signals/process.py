@@ -1,4 +1,4 @@
-"""From a measured log to signals a regressor can be built on.
+"""Process a measured log into the signals from which regressors are computed.
 
 1. a uniform time grid (``resampling``);
 2. one low-pass for everything, its cut-off chosen from the data (``cutoff``, ``filters``);
@@ -63,29 +63,34 @@ LARGEST_SLOW_SHARE = 0.07
 """Share of the filter's weight that samples inside the deadband may have in a row that is used;
 benchmarks/reversal_masking.py compares it with others."""
 DEADBAND_SHARE = 0.005
-"""Share of its own peak speed below which a joint has hardly left stiction (chosen)."""
+"""Deadband over a joint's peak speed: below it the joint has hardly left stiction (chosen)."""
 LEAST_DIRECTION_SHARE = 0.05
 """Share of the samples in each direction below which a joint is reported (chosen)."""
 _LEAST_DEADBAND = 1e-3
-"""Speed below which a joint is at rest [rad/s]: encoder noise moves it as fast."""
+"""Least deadband [rad/s]: encoder noise alone can look like this speed."""
 _HARMLESS_GAP = 0.25
 """Longest hole, as a share of the cut-off's period, that splines bridge to 0.01 rad/s^2
 (tests/signals/test_process.py)."""
 _RIPPLE_SHARE = 0.0045
-"""Ripple of the pass band over the noise of single samples, below which it is lost in the noise of
-a result: that of the usual filter, beside the noise at a cut-off as high as noise allows."""
+"""Ripple of the position filter's pass band over the relative noise of the acceleration. With this
+ratio the error of a result by the ripple is small beside its error by noise; it is the ratio of the
+usual filter at the highest cut-off that noise allows."""
 _LARGEST_ATTENUATION = 150.0
-"""Of the filter of positions with little noise [dB]; more is lost in rounding."""
+"""Largest attenuation of the filter of positions with little noise [dB]; more is lost in
+rounding."""
 _NOISELESS = 1e-3 / 67.0
-"""Difference of derivatives of orders sixteen and fourteen, relative to the acceleration, up to
-which positions need no filter. It is a 67th of the noise of the acceleration, which is 1e-3."""
+"""Largest median difference of second derivatives of orders sixteen and fourteen, relative to the
+acceleration, at which positions need no filter. The noise of the acceleration is 67 times this
+difference, so at most 1e-3."""
 _CORNER_RATIO = 20.0
-"""Multiple of its median by which that difference shows a corner of the motion."""
+"""Multiple of its median above which the difference of the two derivatives shows a corner of the
+motion: a jump of a higher derivative."""
 _LEAST_CLEAN_SHARE = 0.5
-"""Share of the log that must be free of corners."""
+"""Least share of the log that has to be free of corners for positions to pass no filter."""
 SEPARATION = 6.0
-"""By how many standard deviations of their noise two readings differ that do not differ by chance;
-of readings that are rounded, by more than one step and less than two (chosen)."""
+"""Difference of two readings, in standard deviations of their noise, beyond which they do not
+differ by chance. For readings that are rounded to steps this is between one step and two
+(chosen)."""
 
 
 @dataclass(frozen=True)
@@ -99,14 +104,16 @@ class ProcessedSignals:
         qdd: (N, n) accelerations [rad/s^2].
         tau: (N, n) torques, uniform but not filtered, so that they pass the low-pass exactly as
             often as the regressor columns do [N m].
-        bridged: (N,) whether a long hole in the log, or a corner of motion without noise, is near.
+        bridged: (N,) whether the motion of a sample was computed from samples over a long hole in
+            the log, or across a corner of motion without noise.
         deadband: (n,) speed below which the direction of a joint's friction is not sure [rad/s].
         turning: (N, n) whether a joint may be standing because it turns round.
         low_pass: the filter for regressor columns and torques.
         position_filter: the filter that positions have passed; of one weight where they are free
             of noise.
         notes: what a reader should know about the log.
-        acceleration_error: expected, relative to the acceleration; 0 where the cut-off was given.
+        acceleration_error: expected error of the acceleration over its root mean square; 0 where
+            the cut-off was given.
         standing: numbers of the joints whose rows over turns are not used, because they stand.
     """
 
@@ -125,6 +132,7 @@ class ProcessedSignals:
     standing: tuple[int, ...] = ()
 
     def __len__(self) -> int:
+        """Return the number N of samples."""
         return len(self.time)
 
     @property
@@ -151,9 +159,9 @@ class ProcessedSignals:
         """Return arrays (K, ...) that are computed from the motion, low-passed and decimated.
 
         Args:
-            make_columns: returns the arrays (m, ...) of a motion of m samples.
-            smooth: whether they follow the motion without signs of speeds, so that fewer samples
-                are enough (``LowPass.at_lower_rate``).
+            make_columns: takes a motion of m samples and yields arrays (m, ...), always as many.
+            smooth: whether the arrays are smooth functions of the motion (no sign of a speed), so
+                that they need fewer samples (``LowPass.at_lower_rate``).
             chunk: largest number m of samples at a time; never more than ``CHUNK``.
         """
         stride = self.low_pass.stride if smooth else 1
@@ -181,9 +189,12 @@ class ProcessedSignals:
 
     @cached_property
     def refiltered_motion(self) -> tuple[NDArray[np.int64], Motion]:
-        """Numbers (R,) of decimated rows, the ends left out, and there a second estimate (R, n) of
-        the motion: after a second pass of its low-pass or, where positions passed none, by
-        derivatives of the next lower order. The difference shows what the filter does.
+        """Indices (R,) of decimated rows, the ends left out, and a second estimate (R, n) of the
+        motion in these rows.
+
+        Motion that passed a low-pass passes it a second time; motion without noise is
+        differentiated by the next lower order. The difference from ``decimated_motion`` is an
+        estimate of the error that the first pass makes.
         """
         noiseless = self.is_noiseless
         inset = FINE_REACH - 1 if noiseless else 0
@@ -228,7 +239,7 @@ class ProcessedSignals:
         return weights.decimate(slow)
 
     def one_way_joints(self, joint_names: Sequence[str]) -> Iterator[str]:
-        """Yield a sentence per joint whose sign(qd) hardly takes both values."""
+        """Yield a sentence per joint that hardly moves in one of its two directions."""
         forward = np.mean(self.qd > self.deadband, axis=0)
         backward = np.mean(self.qd < -self.deadband, axis=0)
         is_one_way = np.minimum(forward, backward) < LEAST_DIRECTION_SHARE
@@ -241,7 +252,9 @@ class ProcessedSignals:
             )
 
     def usable(self) -> NDArray[np.bool_]:
-        """Return (K, n) whether each joint's decimated row may be used."""
+        """Return (K, n) whether each decimated row of each joint may be used: the filter's window
+        holds no bridged sample and little weight of slow or standing samples.
+        """
         centres = self.low_pass.centres(len(self))
         moving = self.slow_share() <= LARGEST_SLOW_SHARE
         holes = np.concatenate(([0], np.cumsum(self.bridged)))
@@ -252,7 +265,7 @@ class ProcessedSignals:
 
 @dataclass(frozen=True)
 class LogPiece(Measurement):
-    """A piece of a log whose spectra are computed once, however often it is processed."""
+    """A piece of a log; its spectra are computed once and cached, however often it is processed."""
 
     @classmethod
     def of(cls, measurement: Measurement) -> LogPiece:
@@ -269,7 +282,7 @@ class LogPiece(Measurement):
     def spectra(self) -> Spectra | None:
         """Spectra that a cut-off is chosen from; None where the piece is too short for them."""
         uniform = resample_uniformly(self)
-        # Steps are seen in the readings themselves; interpolation rounds them off.
+        # The steps of encoders are found in the raw readings: interpolation rounds them off.
         steps = resample_uniformly(replace(self, q=_reading_errors(self))).q
         return acceleration_spectra(uniform.q, uniform.rate, steps)
 
@@ -291,13 +304,16 @@ def process(
     cutoff: float | None = None,
     chosen_by: str = "as given",
 ) -> ProcessedSignals:
-    """Turn a log into signals, or raise InputError where the cut-off does not fit it.
+    """Return the processed signals of a log: resampled, positions low-passed and differentiated.
 
     Args:
         measurement: the log; it is not changed.
         joint_names: for the notes; numbers stand for joints without a name.
         cutoff: of the low-pass [Hz]; None chooses it from the data.
         chosen_by: where a given cut-off comes from, in words.
+
+    Raises:
+        InputError: the log is too short, or the cut-off does not fit its sample rate.
     """
     uniform = resample_uniformly(measurement)
     expected_error = 0.0
@@ -352,9 +368,10 @@ def process(
 
 
 def with_delay(signals: ProcessedSignals, delay: float) -> ProcessedSignals:
-    """Return the signals with a torque corrected that lags by ``delay`` [s]; negative if it leads.
+    """Return the signals with the torque moved ``delay`` [s] earlier, for a torque that lags by
+    that much; negative if it leads.
 
-    Samples at the ends for which the shifted torque has none are cut off.
+    Samples at the ends for which the shifted torque has no value are cut off.
     """
     tau, first = shift_samples(signals.tau, delay * signals.rate)
     if len(tau) < len(signals.low_pass.kernel):
@@ -399,7 +416,9 @@ def turning_samples(readings: Array, qd: Array, noise: Array) -> NDArray[np.bool
 
 
 def _reading_errors(measurement: Measurement) -> Array:
-    """Return the quantisation errors (N, n) of the readings; zero in rows without a new one."""
+    """Return the quantisation errors (N, n) of the positions [rad]; zero in rows that repeat an
+    older reading of a joint with its own time stamps.
+    """
     if measurement.joint_time is None:
         return quantisation_error(measurement.q)
     errors = np.zeros_like(measurement.q)
@@ -426,7 +445,7 @@ def _corners(uniform: UniformSignals, low_pass: LowPass) -> NDArray[np.bool_] | 
     median = np.median(difference[moves]) if np.any(moves) else math.inf
     if median > _NOISELESS * largest:
         return None
-    # At the ends of its reach a corner is where the two may agree by chance.
+    # Two samples more on each side: near a corner the two derivatives may agree by chance.
     is_rough = difference > _CORNER_RATIO * median
     corners = np.convolve(is_rough, np.ones(5), "same") > 0.0
     count = np.concatenate(([0], np.cumsum(corners)))
@@ -440,9 +459,14 @@ def _position_filter(
 ) -> tuple[LowPass, int]:
     """Return the low-pass for positions and the reach of their derivatives.
 
-    Positions pass their filter alone: it scales motion by up to 1 + ripple, and with it the
-    identified parameters. So it is as flat as the noise of positions is low, at the cost of more
-    samples at the ends.
+    Torques do not pass the filter of positions, so its ripple scales motion, and with it the
+    identified parameters, by up to 1 + ripple. The lower the noise of positions, the flatter is the
+    filter, at the cost of more samples at the ends.
+
+    Args:
+        low_pass: the filter of regressor columns and torques.
+        uniform: the log; its length bounds that of the filter.
+        spectra: of the log's accelerations; None where it is too short for them.
     """
     noise = acceleration_noise(spectra, low_pass.cutoff)
     ripple = max(_RIPPLE_SHARE * noise, 10.0 ** (-_LARGEST_ATTENUATION / 20.0))
@@ -461,7 +485,9 @@ def _fewest_samples(low_pass: LowPass) -> int:
 
 
 def _notes(signals: ProcessedSignals, joint_names: Sequence[str]) -> Iterator[str]:
-    """Yield what a reader should know about the rows; details on demand."""
+    """Yield sentences for the user on the rows of processed signals; a ``Detail`` is printed on
+    demand only.
+    """
     usable = signals.usable()
     lost = signals.low_pass.half_width + signals.position_filter.half_width + REACH
     yield Detail(

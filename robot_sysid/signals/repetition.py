@@ -1,7 +1,7 @@
 """States that a motion visits more than once: repeated passes, and poses approached from two sides.
 
-What a model leaves unexplained comes again with a motion that repeats, and does not average out.
-Noise is new each time an arm passes a state (q, qd); friction that follows another law, or the
+Residuals that a model leaves unexplained repeat with a motion that repeats: they do not average
+out. Noise is new each time an arm passes a state (q, qd); friction that follows another law, or the
 error that a filter makes at a reversal, is the same each time. With e the residuals and N(p) the
 rows that pass the state of row p at another time, the variance of a sum of the equations is
 
@@ -34,14 +34,15 @@ from robot_sysid.estimation.algebra.uncertainty import residual_correlation_time
 from robot_sysid.records import Array, Measurement, Motion
 
 PROBES = 2000
-"""Rows, spread evenly, that stand for all; a third of all estimates D within a quarter (tests)."""
+"""Rows, spread evenly over a log, whose visits are searched for; the visits of a third of all rows
+give D within a quarter (tests)."""
 RADIUS_SHARE = 0.7
-"""Radius within which another row passes the same state, over the distance to the next row: of
-another passage, with a row each step, about one lies within."""
+"""Radius within which another row counts as passing the same state, over the distance between
+successive rows: about one row of each other passage lies within the radius."""
 PASSAGE_ROWS = 20
-"""Rows that are nearer in time belong to the same passage: ten periods of the cut-off."""
+"""Rows that are at most so many rows apart belong to one passage: ten periods of the cut-off."""
 _LEAST_SPREAD = 0.01
-"""Least spread of a joint relative to that of the widest joint."""
+"""Least spread of a joint's positions or speeds, over the spread of the joint that moves most."""
 _CHUNK = 100
 """Probes whose distances from all rows are in memory at a time."""
 MOST_ROWS = 2000
@@ -63,11 +64,16 @@ class Visits:
     repeats: float
 
     def inflation(self, residuals: Iterable[Array]) -> tuple[Array, Array]:
-        """Return (D (joints,), M (joints,)) of each joint's residuals (K,) [N m]; NaN where unused.
+        """Return (D (joints,), M (joints,)): factors by which the variance of sums of each joint's
+        residuals is larger than that of independent residuals.
 
-        D is the variance inflation by repetition; 1 where the motion does not repeat as a whole. M
-        is the factor by which the autocorrelation of a joint's residuals inflates the variance of a
-        slow sum.
+        D is the variance inflation by repetition; 1 where the motion hardly repeats. M is the
+        factor by which the autocorrelation of a joint's residuals inflates the variance of a slow
+        sum.
+
+        Args:
+            residuals: per joint (K,) [N m], NaN in rows that are not used; K is the number of rows
+                that ``find_visits`` got.
         """
         inflations = []
         memories = []
@@ -85,8 +91,10 @@ class Visits:
 
 
 def find_visits(motions: Sequence[Motion]) -> Visits:
-    """Return which rows of logs (K, n each), numbered one log after the other, pass the same states
-    as others.
+    """Return which rows of logs pass the states of other rows.
+
+    Args:
+        motions: of the rows of each log; rows are numbered one log after the other.
     """
     q = np.concatenate([motion.q for motion in motions])
     qd = np.concatenate([motion.qd for motion in motions])
@@ -135,9 +143,9 @@ class RowSample:
     """At most ``MOST_ROWS`` M of ``total`` rows, drawn at random.
 
     Attributes:
-        drawn: (M,) the random number that each row drew, ascending.
+        drawn: (M,) the random number from 0 to 1 that each row drew, ascending.
         log: (M,) number of the log that a row is from.
-        place: (M,) number of the row in its log.
+        place: (M,) index of the row in its log.
         q: (M, n) positions [rad].
         qd: (M, n) velocities [rad/s].
         qdd: (M, n) accelerations [rad/s^2].
@@ -166,8 +174,8 @@ class RowSample:
                 pair = (getattr(self, field.name), getattr(other, field.name))
                 columns[field.name] = np.concatenate(pair)[order]
         log = columns["log"]
-        place = columns["place"]
-        if np.any((log[1:] == log[:-1]) & (place[1:] == place[:-1])):
+        row = columns["place"]
+        if np.any((log[1:] == log[:-1]) & (row[1:] == row[:-1])):
             raise InputError(
                 "the same log is in both parts of a sum; add each log once"
             )
@@ -205,7 +213,7 @@ class RowSample:
 
 
 def sample_rows(motion: Motion, residual: Array, log: int) -> RowSample:
-    """Return a random sample of one log's rows.
+    """Return a random sample of at most ``MOST_ROWS`` of one log's rows.
 
     Args:
         motion: at all rows (K, n).
@@ -215,7 +223,7 @@ def sample_rows(motion: Motion, residual: Array, log: int) -> RowSample:
     drawn = np.random.default_rng(log).random(len(motion.time))
     rows = np.argsort(drawn, kind="stable")[:MOST_ROWS]
     moved = np.diff(np.hstack([motion.q, motion.qd]), axis=0)
-    # The last row has no next one; it is as far from the one before.
+    # The last row has no next row; its change is taken from the row before.
     moved = np.vstack([moved, moved[-1:]])
     return RowSample(
         drawn=drawn[rows],
@@ -244,16 +252,17 @@ SAME_POSE = 0.02
 APPROACH = 0.3
 """Time before a rest over which a joint's direction is determined [s]."""
 LEAST_APPROACH = 1e-3
-"""Motion within that time below which a joint has no direction [rad]."""
+"""Motion within ``APPROACH`` below which a joint has no direction of approach [rad]."""
 FEWEST_POSES = 5
-"""Fewer say little about mass and centre of mass, four unknowns, and nothing about their errors."""
+"""Fewest poses: mass and centre of mass are four unknowns, and their errors need more equations."""
 
 
 def resting_poses(samples: Measurement) -> tuple[Measurement, NDArray[np.bool_]]:
     """Return (the K poses in which a log rests, (K, n) whether a joint's friction cancels there).
 
-    A pose is two rests one after the other; its torque is the mean of theirs, zero for joints that
-    approached both from the same side.
+    A pose is two successive rests at nearly equal positions; its torque is the mean of the torques
+    of both rests, and zero for joints that approached both rests from one side. Its velocities and
+    accelerations are zero.
 
     Raises:
         InputError: there are too few poses that were approached from both sides.
@@ -277,14 +286,16 @@ def resting_poses(samples: Measurement) -> tuple[Measurement, NDArray[np.bool_]]
         raise InputError(
             "no joint approaches its poses from both sides; --static needs that"
         )
-    still = np.zeros_like(q)
+    zeros = np.zeros_like(q)
     tau = np.where(is_balanced, tau, 0.0)
-    poses = Measurement(time[:-1][is_same_pose, 0], q, still, tau, still)
+    poses = Measurement(time[:-1][is_same_pose, 0], q, zeros, tau, zeros)
     return poses, is_balanced
 
 
 def _rests(samples: Measurement) -> Iterator[Array]:
-    """Yield (1 + 3 n,) of each rest: its time, mean position and torque, direction of approach."""
+    """Yield a row (1 + 3 n,) per rest of a log: its time [s], mean position (n,) [rad], mean torque
+    (n,) [N m] and direction of approach (n,), which is 1, -1 or 0.
+    """
     time = samples.time
     q = samples.q
     # The ends of each run of samples around which all joints stay within STILL.
@@ -295,11 +306,11 @@ def _rests(samples: Measurement) -> Iterator[Array]:
         settled = [time[first] + SETTLING, time[end - 1] - SETTLING]
         start, stop = np.searchsorted(time, settled).tolist()
         earlier = int(np.searchsorted(time, time[first] - APPROACH))
-        rest = slice(start, stop + 1)
-        mean = np.mean(q[rest], axis=0)
+        resting = slice(start, stop + 1)
+        mean = np.mean(q[resting], axis=0)
         moved = mean - q[earlier]
         direction = np.where(np.abs(moved) < LEAST_APPROACH, 0.0, np.sign(moved))
-        tau = np.mean(samples.tau[rest], axis=0)
+        tau = np.mean(samples.tau[resting], axis=0)
         yield np.hstack([time[first], mean, tau, direction])
 
 

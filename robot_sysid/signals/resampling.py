@@ -1,9 +1,9 @@
-"""Long and irregular logs: gaps and length split a log into pieces, a dense log is decimated, and a
-piece is put on a uniform time grid.
+"""Long and irregular logs: split a log into pieces at gaps and by length, decimate a dense log, and
+resample a piece to a uniform time grid.
 
-Each piece is filtered by itself. Two hours at 1 kHz say no more about an arm than the same hours
-at 60 Hz, and take sixteen times the memory: times, positions and torques pass one zero-phase
-low-pass and are decimated, which leaves a log recorded at a lower rate behind a proper filter.
+Each piece is filtered by itself. Two hours at 1 kHz hold no more information about an arm than two
+hours at 60 Hz, and take sixteen times the memory. So times, positions and torques of a dense log
+pass one zero-phase low-pass and are decimated.
 """
 
 from __future__ import annotations
@@ -21,12 +21,14 @@ from robot_sysid.records import Array, Measurement
 from robot_sysid.signals.filters import Decimator, design_low_pass
 
 GAP_STEPS = 1.75
-"""A step of time this many times as long as the median has lost at least one sample; a late sample
-comes up to 1.7 periods after an early one (tests/signals/test_resampling.py)."""
+"""Multiple of the median step of time beyond which a step counts as a hole with at least one lost
+sample; a late sample comes up to 1.7 periods after an early one (tests/signals/test_resampling.py).
+"""
 _CLOCK_ERROR = 0.01
 """Deviation from an even grid, in sampling periods, that most clocks have (chosen)."""
 _LOST_ROW_SHARE = 0.01
-"""Share of long steps of time beyond which they come from rounded stamps and not from lost rows."""
+"""Largest share of long steps of time that count as lost rows; more of them come from time stamps
+that are rounded."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +56,9 @@ class UniformSignals:
 def resample_uniformly(measurement: Measurement) -> UniformSignals:
     """Return a log on a uniform grid, or raise InputError where it has fewer than 8 samples.
 
-    A log that is even up to the digits of its time stamps is returned as it is, except for single
-    rows that are lost (``count_lost_rows``); else every joint is interpolated by cubic splines, at
-    its own time stamps where it has them.
+    The samples of a log with evenly spaced time stamps (up to their number of digits) are not
+    changed, except that lost rows are bridged by cubic splines (``count_lost_rows``). In any other
+    log every joint is interpolated by cubic splines, at its own time stamps where it has them.
     """
     time = measurement.time
     if len(time) < 8:
@@ -84,8 +86,8 @@ def resample_uniformly(measurement: Measurement) -> UniformSignals:
 def count_lost_rows(measurement: Measurement) -> NDArray[np.int64]:
     """Return (N - 1,) how many rows are missing after each row but the last of a log.
 
-    With coarse time stamps, a step that is twice as long is a lost row or a clock that is a little
-    slow. Positions decide: over a lost row they move twice as far as over the steps around it.
+    A step of time that is twice as long is a lost row or, with coarse time stamps, a rounded stamp.
+    Positions decide: over a lost row they move twice as far as over the steps around it.
     """
     step = np.diff(measurement.time)
     lost = np.zeros(len(step), dtype=np.int64)
@@ -128,7 +130,7 @@ def _last_decimal(time: Array) -> float:
 
 
 def _interpolate(measurement: Measurement, rate: float, reason: str) -> UniformSignals:
-    """Return a log interpolated by cubic splines at a rate [Hz]; the note says the reason."""
+    """Return a log interpolated by cubic splines at a rate [Hz], with the reason in its note."""
     from scipy.interpolate import CubicSpline
 
     time = measurement.time
@@ -165,20 +167,21 @@ def is_new_sample(stamps: Array) -> NDArray[np.bool_]:
 
 
 SPLITTING_GAP = 0.5
-"""Gap that no spline bridges and no filter reaches over (chosen) [s]."""
+"""Step of time beyond which a log is split into pieces (chosen) [s]."""
 SPLITTING_STEPS = 20.0
-"""Shortest such gap of a slow log, in sampling periods."""
+"""Shortest step of time at which a log of a low sample rate is split, in sampling periods."""
 SHORTEST_PIECE = 4.0
 """Length below which a piece is not worth filtering, as its ends are cut off (chosen) [s]."""
 MOST_PIECE_ROWS = 100_000
-"""Rows beyond which a piece is cut, so that filtering it takes little memory."""
+"""Rows of a piece beyond which it is cut into several, so that filtering takes little memory."""
 MOST_TIME = 600.0
 """Length of a log beyond which pieces of it, spread evenly, stand for the entire log [s]: half a
-minute tells nearly as much about the link as an hour (docs/logs.md)."""
+minute holds nearly as much information about the link as an hour (docs/logs.md)."""
 PIECE_TIME = 60.0
-"""Length of these pieces [s]."""
+"""Length of the pieces of a log that is longer than ``MOST_TIME`` [s]."""
 _MOVING_SHARE = 0.1
-"""Share of a joint's largest range over all pieces, below which it does not move in a piece."""
+"""Share of a joint's largest range of positions in any piece, up to which the joint counts as not
+moving in a piece."""
 
 
 def splitting_gap(period: float) -> float:
@@ -272,8 +275,8 @@ MOST_ROWS_KEPT = 300_000
 LEAST_RATE = 60.0
 """Rows per second that decimation leaves at least (docs/logs.md) [Hz]."""
 _CUTOFF_SHARE = 0.45
-"""Cut-off over the rate that is left: flat below 0.4 times the cut-off, and what folds back stays
-above that."""
+"""Cut-off of the low-pass over the decimated rate: its gain is flat below 0.4 times the cut-off,
+and aliases fold back to frequencies above that."""
 
 
 def condense_run(
@@ -300,7 +303,7 @@ def condense_run(
 
 
 def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
-    """Return consecutive chunks with the same columns as one measurement."""
+    """Return consecutive chunks of a log, whose optional columns are alike, as one measurement."""
     measurements = list(chunks)
     columns: dict[str, Any] = {"qd": None}
     for field in fields(Measurement):
@@ -311,10 +314,14 @@ def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
 
 
 class Thinning:
-    """Decimates the rows of a log that arrive in blocks; ``every`` rows become one."""
+    """Low-passes and decimates the rows of a log that arrive in blocks.
+
+    Args:
+        every: number of rows that become one; 1 leaves the rows as they are.
+        period: sampling period of the log [s].
+    """
 
     def __init__(self, every: int, period: float) -> None:
-        """Keep every ``every``-th row of a log with a sampling period [s], low-passed before."""
         self.every = every
         self._longest_step = splitting_gap(period)
         self._last_time = np.nan
@@ -326,7 +333,13 @@ class Thinning:
 
     @classmethod
     def of(cls, time: Array, expected: float) -> Thinning:
-        """Return what suits a log of about ``expected`` rows, first time stamps (N,) [s]."""
+        """Return the thinning that leaves about ``MOST_ROWS_KEPT`` rows of a log, or
+        ``LEAST_RATE``.
+
+        Args:
+            time: (N,) first time stamps of the log [s].
+            expected: estimated number of rows of the log.
+        """
         period = sampling_period(time)
         coarsest = 1
         if period > 0.0:
@@ -334,7 +347,10 @@ class Thinning:
         return cls(min(math.ceil(expected / MOST_ROWS_KEPT), coarsest), period)
 
     def push(self, rows: Array) -> Array:
-        """Take the next rows (N, 2 + C), line and time first, and return the decimated ones."""
+        """Take the next rows (N, 2 + C) of the log and return the decimated rows (K, 2 + C).
+
+        The first column is the number of the line in the file, the second the time [s].
+        """
         if self.every == 1 or not len(rows):
             return rows
         step = np.diff(rows[:, 1], prepend=self._last_time)
