@@ -118,10 +118,13 @@ def export_updated_xml(
     """Write an MJCF or URDF file with one body's inertia replaced.
 
     Args:
+        source: the model file to change; it stays as it is.
         body: name of the terminal body, or "#7" for the nameless body with id 7.
-        rmse: of the identification [N m], for the comment.
+        plan: the new inertia of the body.
+        rmse: error of the identification, for the comment in the file [N m].
+        destination: the file to write; paths in it are relative to its folder.
         mesh_dir: the user's mesh folder, if any.
-        principal: see ``mjcf.inertial.mjcf_inertial``.
+        principal: whether to write principal moments and axes instead of a full inertia matrix.
     """
     change = ModelChange((BodyChange(body, 0, plan),), rmse, principal=principal)
     folder = destination.absolute().parent
@@ -198,10 +201,12 @@ def save(
 def _write_models(
     result: Result, target: ModelTarget, as_body: str | None
 ) -> tuple[list[Path], tuple[str, ...]]:
-    """Write the model into the folder ``target.path``, with a URDF beside an MJCF of a URDF's arm.
+    """Write the updated model into the folder ``target.path``; return (paths, notes).
 
-    Returns their paths and notes. Where one cannot be written, ExportError is raised and the drafts
-    of all are withdrawn.
+    An arm from a URDF whose best model needs an MJCF gets both: that MJCF, and the best URDF.
+
+    Raises:
+        ExportError: one of them cannot be written; then neither is.
     """
     results = [result]
     if result.file is not None and result.file.urdf_file is not None:

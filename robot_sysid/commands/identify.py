@@ -241,7 +241,12 @@ def build_parser(command: str = "", full: bool = True) -> Parser:
 
 
 def main(arguments: Sequence[str], command: str = "") -> int:
-    """Run a command and return its exit code."""
+    """Run a command of ``SPECS`` and return its exit code.
+
+    Args:
+        arguments: words behind the command's name on the command line.
+        command: "plan", "identify" or "payload"; "" for ``robot-sysid MODEL`` alone.
+    """
     values, console = parse_command(partial(build_parser, command), arguments)
     preview = record_from(PreviewOptions, values)
     require_preview(preview)

@@ -429,31 +429,44 @@ _STEP = 1e-4
 def gravity_check(
     robot: RobotModel, joints: tuple[DamiaoJoint, ...], is_chain: bool = True
 ) -> HoldingCheck:
-    """Return the check of holding torques by a model's gravity.
+    """Return the check that compares measured torques at rest with those of a model's gravity.
 
-    For a serial chain it also watches the torques of motions, see ``MovedZeroCheck``.
+    Args:
+        robot: the model of the arm.
+        joints: the arm's motors, base to terminal.
+        is_chain: whether every joint carries all later ones; then the torques during a motion are
+            also watched for joints whose zero has moved (``MovedZeroCheck``).
     """
     arm = ArmTorque(robot)
 
-    def holding(q: Array) -> Array:
+    def holding_torque(q: Array) -> Array:
+        """Return the torque (n,) that holds the arm at rest in a pose q (n,) [N m]."""
         zero = np.zeros((1, len(q)))
         return np.asarray(arm(Motion(np.zeros(1), q[None], zero, zero))[0])
 
     stepper = ArmStepper(robot)
     gravity = np.array(robot.mj_model.opt.gravity)
 
-    def tip(q: Array) -> Array:
+    def tip_position(q: Array) -> Array:
+        """Return the position (3,) of the arm's end in a pose q (n,) [m]."""
         stepper.q = q
         return stepper.tip()
 
-    def load(q: Array) -> Array:
-        # Torque of a mass at the end of the arm: minus gravity times the slope of its position.
-        steps = _STEP * np.eye(len(q))
-        slopes = np.array([tip(q + step) - tip(q - step) for step in steps]) / (
-            2.0 * _STEP
-        )
-        return -slopes @ gravity
+    def load_torque(q: Array) -> Array:
+        """Return the torque (n,) that holds a mass of 1 kg at the arm's end [N m].
 
-    needs = f"the model {robot.path.name} needs"
-    watch = partial(MovedZeroCheck, robot, joints) if is_chain else None
-    return HoldingCheck(joints, holding, robot.friction.largest_dry, needs, load, watch)
+        By virtual work it is minus gravity times the derivative of the end's position by q.
+        """
+        differences = []
+        for step in _STEP * np.eye(len(q)):
+            differences.append(tip_position(q + step) - tip_position(q - step))
+        return -np.array(differences) / (2.0 * _STEP) @ gravity
+
+    return HoldingCheck(
+        joints,
+        holding_torque,
+        robot.friction.largest_dry,
+        source=f"the model {robot.path.name} needs",
+        load=load_torque,
+        watch=partial(MovedZeroCheck, robot, joints) if is_chain else None,
+    )

@@ -343,9 +343,13 @@ def _resample(trajectory: DamiaoTrajectory, time: Array) -> list[Array]:
 
 
 def _merge_times(first: Array, second: Array) -> Array:
-    """Return the moments of both arrays [s], of moments that are nearly equal only one.
+    """Return the union of two time grids [s] without times that differ by rounding only.
 
-    Two that rounding keeps apart would allow any slope between them, and any slack.
+    Times closer than half of the shortest step count as one: a slope between two of them would be
+    rounding error over rounding error.
+
+    Args:
+        first, second: (N,) increasing times that begin at 0 [s].
     """
     shortest = 0.5 * min(
         np.diff(times).min(initial=np.inf) for times in (first, second)

@@ -332,7 +332,12 @@ class TorqueScales:
 
     @property
     def penalty(self) -> float:
-        """Log prior odds against the scales [nats]: the common one is wide, the others narrow."""
+        """Loss of log evidence for scales that fit the data instead of being 1 [nats].
+
+        It is the Occam factor of a normal prior P of the log scales s with posterior covariance C,
+        (log det P - log det C + s^T P^-1 s) / 2. P has a wide standard deviation for a scale that
+        all joints share and a narrow one for each joint's own. Nearly equal scales count as one.
+        """
         logarithm = np.log(self.scale[self.identified])
         covariance = self.covariance
         if self.spread < _SAME:

@@ -334,7 +334,11 @@ class Columns:
         return self._arm[1]
 
     def _equations(self, arm: RobotModel) -> Equations:
-        """Return the equations of all columns that do not depend on the estimate."""
+        """Return the equations of an arm's joint torques in the columns that are always linear.
+
+        These are links, linear friction and couplings: their columns stay the same whatever the
+        estimate is.
+        """
         friction = friction_per_joint(arm, self.torques, FrictionModel(LINEAR))
         links = other_links(arm) if self.torques == "chain" else ()
         return Equations(arm, self.torques, friction, self.couplings, links)

@@ -512,14 +512,25 @@ def _solve_within_bounds(
     correlation: Array,
     noise: Array | None,
 ) -> tuple[Unknowns, Array, Array]:
-    """Return (unknowns, values (p,), effective noise (joints,) [N m]).
+    """Return the weighted solution with parameters that would cross a bound held at it.
 
-    Values that would cross a bound are held at it; equations are divided by the effective noise.
+    Args:
+        columns: the parameters of the fit, whose model values start the solution.
+        unknowns: which of them are estimated, and their priors.
+        data: the equations of all joints.
+        inflation: (joints,) variance inflation of the noise of an equation.
+        correlation: (joints,) further variance inflation, by autocorrelated residuals, that counts
+            where the data widens priors.
+        noise: (joints,) noise to begin with [N m]; None estimates it from the data alone.
+
+    Returns:
+        (unknowns with held parameters and widened priors, values (p,), effective noise (joints,)
+        [N m], by which equations are divided).
     """
     while True:  # each round holds at least one more parameter
-        prior = columns.model_values[unknowns.estimated]
+        model_values = columns.model_values[unknowns.estimated]
         unknowns, values, effective_noise, noise = _solve_weighted(
-            unknowns, data, prior, inflation, correlation, noise
+            unknowns, data, model_values, inflation, correlation, noise
         )
         bounded = unknowns.hold_at_bounds(values)
         if bounded is None:

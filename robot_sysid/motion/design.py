@@ -308,9 +308,9 @@ class Design:
 class Constraints(NamedTuple):
     """Constraint values of a motion at N samples, and their gradient.
 
-    The columns are position, velocity, acceleration and torque of each joint and the speed of the
-    tool, as share of the limit minus one, and last the missing distance from obstacles over
-    ``OBSTACLE_LENGTH``.
+    The columns are, of each joint, the distance of its position from the middle of its range, its
+    velocity, acceleration and torque, then the speed of the tool, each as share of the limit minus
+    one; the last column is the missing distance from obstacles over ``OBSTACLE_LENGTH``.
 
     Attributes:
         value: (N, 4 n + 2) g; fulfilled where <= 0.
@@ -338,6 +338,7 @@ def constraints_of(
     """
     # The constraints do not depend on the time of a sample, so any times will do.
     samples = Motion(np.arange(float(len(motion[0]))), *motion)
+    # Positions count from the middle of each joint's range, so that limits are symmetric.
     signals = problem.signals(samples)
     slack = problem.obstacles.slack(samples.q)
     limits = share * problem.limits.columns

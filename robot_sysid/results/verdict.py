@@ -329,7 +329,11 @@ def _weak_parameters(body: BodyEstimate) -> Iterator[str]:
 
 
 def _prior_conflicts(result: Result) -> Iterator[str]:
-    """Yield a sentence per prior that the data contradicts."""
+    """Yield a sentence per prior that the data contradicts, with the three worst members.
+
+    It is a warning where the prior had to be widened (``conflict.scale`` above 1), and a detail
+    where the errors allow for the deviation.
+    """
     for conflict in result.conflicts:
         text = _CONFLICT_TEXTS.get(
             conflict.cause, f"{conflict.cause}: not as was thought"

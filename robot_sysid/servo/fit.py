@@ -63,6 +63,7 @@ _TOLERANCE = 1e-4
 # A servo that is at its limit again and again makes the error rough on smaller scales.
 _DIFFERENCE_STEP = 0.04
 _LEAST_SIZE = 1e-3
+"""Least typical size of dry friction [N m]; a hundredth of it is that of rotor inertia [kg m^2]."""
 UNSEEN_SPREAD = 1.0 / 3.0
 """Standard error, in units of the search, from which on the data does not show a number: thrice it
 is as large as the number typically is."""
@@ -245,7 +246,10 @@ class Parametrisation:
 def initial_parametrisation(
     robot: RobotModel, q: Array, period: float, moves: NDArray[np.bool_]
 ) -> Parametrisation:
-    """Return where a search starts: the model's numbers, or typical ones where it has none.
+    """Return the start values of a search, typical sizes of all numbers, and which are free.
+
+    Stiffness and damping start at the model's value, or at a typical one where it has none. Every
+    free number starts at 0.1 of its typical size at least.
 
     Args:
         q: (m, n) positions that stand for the whole log [rad or m].

@@ -406,9 +406,14 @@ def _play_on(
     holds: bool = False,
     is_real: bool = False,
 ) -> int:
-    """Check a plan on inspected motors, play it and conclude; return the exit code 0.
+    """Check a plan on inspected motors, ask the user, play it, and print how it ended.
+
+    Returns 0. A check that forbids the run, or a stopped run, raises HardwareAbort; an unconfirmed
+    one InputError.
 
     Args:
+        link: the open bus.
+        plan: the motion, or the pose to hold.
         checks: the checks that were made without a bus.
         holds: the plan holds the arm until somebody stops it.
         is_real: the motors are real ones.

@@ -75,15 +75,18 @@ def ordinary(information: SquareRootInformation, solve: Solve) -> Array:
 def estimate_noise(
     information: SquareRootInformation, solve: Solve, start: Array | None = None
 ) -> Array:
-    """Return the noise of each joint (joints,) [N m], iterated with the estimate to convergence.
+    """Return the standard deviation of each joint's torque noise (joints,) [N m].
+
+    Estimate and noise are computed from each other until the noise converges.
 
     Iterated feasible generalised least squares; for independent normal noise the fixed point is
     the maximum-likelihood estimate (Oberhofer, Kmenta 1974).
 
     Args:
         information: equations of all joints.
-        solve: ``solver`` of these equations.
-        start: (joints,) noise to begin with [N m]; None for that of ``ordinary``.
+        solve: takes weights (joints,) [1/(N m)], returns (the weighted estimate (p,), leverage
+            (joints,)); made by ``solver``.
+        start: (joints,) first noise [N m]; None for that of the unweighted estimate.
     """
     noise = ordinary(information, solve) if start is None else start
     floor = noise_floor(information)
