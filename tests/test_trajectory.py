@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 
 from robot_sysid import trajectory
 from robot_sysid.records import JointLimits
@@ -123,9 +124,7 @@ def test_sample_times_do_not_depend_on_the_chunk(duration, rate, chunk):
         patch.setattr(trajectory, "CHUNK", chunk)
         times = np.concatenate(list(sample_times(duration, rate)))
     assert len(times) == sample_count(duration, rate)
-    np.testing.assert_array_equal(
-        times, np.concatenate(list(sample_times(duration, rate)))
-    )
+    assert_array_equal(times, np.concatenate(list(sample_times(duration, rate))))
     assert times[0] == 0.0
     assert duration - 1.0 / rate < times[-1] <= duration
     assert np.all(np.diff(times) > 0.0)

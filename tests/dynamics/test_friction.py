@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics.friction import TERMS, FrictionModel, friction_model
 from robot_sysid.errors import InputError
@@ -21,8 +22,8 @@ def test_reversed_motion_reverses_every_torque_except_the_offset(qd, qdd, load):
     forward = EVERYTHING.columns(qd, qdd, load)
     backward = EVERYTHING.columns(-qd, -qdd, load)
     odd = [term != "offset" for term in EVERYTHING.terms]
-    np.testing.assert_array_equal(backward[:, odd], -forward[:, odd])
-    np.testing.assert_array_equal(forward[:, 2], 1.0)
+    assert_array_equal(backward[:, odd], -forward[:, odd])
+    assert_array_equal(forward[:, 2], 1.0)
 
 
 @given(VELOCITIES, SIGNALS, SIGNALS)
@@ -37,15 +38,11 @@ def test_columns_at_hand_computed_values():
         np.array([-4.0, 0.1]), np.array([3.0, 5.0]), np.array([2.0, -7.0])
     )
     coulomb_to_sqrt = [[-1.0, -4.0, 1.0, 3.0, -2.0], [1.0, 0.1, 1.0, 5.0, np.sqrt(0.1)]]
-    np.testing.assert_allclose(columns[:, :5], coulomb_to_sqrt, rtol=1e-15)
-    np.testing.assert_allclose(
-        columns[:, 5], [0.0, np.exp(-1.0)], rtol=1e-12, atol=1e-300
-    )
-    np.testing.assert_array_equal(columns[:, 6], [-2.0, 7.0])
-    np.testing.assert_allclose(
-        columns[:, 7:9], [[-16.0, -64.0], [0.01, 0.001]], rtol=1e-12
-    )
-    np.testing.assert_allclose(columns[:, 9], [-1.0, np.tanh(2.0)], rtol=1e-12)
+    assert_allclose(columns[:, :5], coulomb_to_sqrt, rtol=1e-15)
+    assert_allclose(columns[:, 5], [0.0, np.exp(-1.0)], rtol=1e-12, atol=1e-300)
+    assert_array_equal(columns[:, 6], [-2.0, 7.0])
+    assert_allclose(columns[:, 7:9], [[-16.0, -64.0], [0.01, 0.001]], rtol=1e-12)
+    assert_allclose(columns[:, 9], [-1.0, np.tanh(2.0)], rtol=1e-12)
 
 
 def test_a_leading_plus_adds_to_the_default():

@@ -7,6 +7,7 @@ import copy
 import numpy as np
 import pytest
 from hypothesis import given
+from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
@@ -47,7 +48,7 @@ def assert_reproduces(robot, theta, motion):
     metre_away = composite[0] * (10.0 + np.max(np.abs(qdd)) + np.max(qd**2))
     rounding = 1e-13 * (np.max(np.abs(actual)) + metre_away)
     tolerance = 1e-9 * np.max(np.abs(link)) + rounding
-    np.testing.assert_allclose(other_torque + link, actual, rtol=0.0, atol=tolerance)
+    assert_allclose(other_torque + link, actual, rtol=0.0, atol=tolerance)
 
 
 @given(random_chain(), rigid_bodies(), SEEDS)
@@ -77,7 +78,7 @@ def test_the_users_model_is_not_changed():
     motion = random_motion(np.random.default_rng(0), robot.n_joints, 2)
     arms.rows_and_rest(robot, motion)
     ArmDynamics(robot).torque(*motion)
-    np.testing.assert_array_equal(robot.mj_model.body_mass, masses)
+    assert_array_equal(robot.mj_model.body_mass, masses)
     assert robot.mj_model.opt.disableflags == flags
 
 
@@ -99,9 +100,7 @@ def plain_torque(xml, motion):
 def test_torque_is_that_of_the_rigid_bodies_alone(name):
     motion = random_motion(np.random.default_rng(1), 3, 20)
     expected = plain_torque(arms.THREE, motion)
-    np.testing.assert_allclose(
-        plain_torque(arms.MODELS[name], motion), expected, rtol=1e-12
-    )
+    assert_allclose(plain_torque(arms.MODELS[name], motion), expected, rtol=1e-12)
 
 
 FIELDS_BESIDE_ARMATURE = [
@@ -150,14 +149,11 @@ def test_a_branch_may_stand_in_front_of_the_link_or_behind_it(first):
 def test_held_joints_stay_at_the_home_keyframe():
     robot = robot_of(arms.HOME_KEYFRAME)
     motion = random_motion(np.random.default_rng(4), robot.n_joints, SAMPLES)
-    wide = np.array([0.03, 0.01])
-    closed = np.array([0.0, 0.0])
-    moved = [
-        composite_theta(robot.mj_model, np.append(np.zeros(4), f), 4)
-        for f in (wide, closed)
-    ]
-    assert np.max(np.abs(moved[0] - moved[1])) > 1e-4
-    np.testing.assert_allclose(robot.prior.theta, moved[0], rtol=1e-14)
+    closed = np.zeros(6)
+    wide = np.append(closed[:4], [0.03, 0.01])
+    theta = composite_theta(robot.mj_model, wide, 4)
+    assert np.max(np.abs(theta - composite_theta(robot.mj_model, closed, 4))) > 1e-4
+    assert_allclose(robot.prior.theta, theta, rtol=1e-14)
     assert_reproduces(robot, body_theta(robot.mj_model, robot.body_id), motion)
 
 
@@ -165,11 +161,9 @@ def test_springs_and_armature_stay_in_the_torque():
     motion = random_motion(np.random.default_rng(2), 3, 20)
     rigid = plain_torque(arms.THREE, motion)
     springs = plain_torque(arms.SPRINGS, motion) - rigid
-    np.testing.assert_allclose(
-        springs, 30.0 * (motion[0] - 0.7), rtol=1e-10, atol=1e-10
-    )
+    assert_allclose(springs, 30.0 * (motion[0] - 0.7), rtol=1e-10, atol=1e-10)
     armature = plain_torque(arms.ARMATURE, motion) - rigid
-    np.testing.assert_allclose(armature, 0.3 * motion[2], rtol=1e-10, atol=1e-10)
+    assert_allclose(armature, 0.3 * motion[2], rtol=1e-10, atol=1e-10)
 
 
 # --- the motion of all links, by a formula of our own -------------------------------------------
@@ -183,9 +177,9 @@ def assert_equals_mujoco(robot, motion):
         robot
     ).beyond_rigid_bodies(*motion)
     tolerance = 1e-11 * np.max(np.abs(actual)) + 1e-13
-    np.testing.assert_allclose(links.torque(thetas), actual, rtol=0.0, atol=tolerance)
+    assert_allclose(links.torque(thetas), actual, rtol=0.0, atol=tolerance)
     columns = links.columns(range(robot.n_joints)) @ thetas.ravel()
-    np.testing.assert_allclose(columns, actual, rtol=0.0, atol=tolerance)
+    assert_allclose(columns, actual, rtol=0.0, atol=tolerance)
 
 
 @given(random_chain(), SEEDS)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics.newton_euler import (
     LinkDynamics,
@@ -26,22 +27,18 @@ angle = st.floats(-0.3, 0.3)
 def test_turning_keeps_the_strength_and_turns_by_the_angle(seed, first, second):
     down = 9.81 * np.random.default_rng(seed).normal(size=3)
     turned = turn_gravity(down, np.array([first, second]))
-    np.testing.assert_allclose(np.linalg.norm(turned), np.linalg.norm(down), rtol=1e-12)
+    assert_allclose(np.linalg.norm(turned), np.linalg.norm(down), rtol=1e-12)
     # Both axes are perpendicular to gravity, so the whole turn shows.
     sine = np.linalg.norm(np.cross(down, turned)) / (down @ down)
-    np.testing.assert_allclose(
-        sine, np.sin(np.hypot(first, second)), rtol=0.0, atol=1e-12
-    )
+    assert_allclose(sine, np.sin(np.hypot(first, second)), rtol=0.0, atol=1e-12)
 
 
 @given(SEEDS, st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))
 def test_tilt_angles_invert_turn_gravity(seed, first, second):
     level = 9.81 * np.random.default_rng(seed).normal(size=3)
     angles = np.array([first, second])
-    np.testing.assert_allclose(
-        tilt_angles(level, turn_gravity(level, angles)), angles, atol=1e-9
-    )
-    np.testing.assert_allclose(tilt_angles(level, -level), [np.pi, 0.0])
+    assert_allclose(tilt_angles(level, turn_gravity(level, angles)), angles, atol=1e-9)
+    assert_allclose(tilt_angles(level, -level), [np.pi, 0.0])
 
 
 @given(SEEDS, st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
@@ -51,13 +48,13 @@ def test_transported_axes_stay_orthonormal_and_small_turns_add_up(seed, first, s
     tilted = turn_gravity(level, angles)
     axes = tilt_axes(level, tilted)
     directions = np.array([*axes, tilted / np.linalg.norm(tilted)])
-    np.testing.assert_allclose(directions @ directions.T, np.eye(3), atol=1e-9)
+    assert_allclose(directions @ directions.T, np.eye(3), atol=1e-9)
     # A small turn of a tilted arm adds to its tilt, but for the curvature of the sphere.
     small = 1e-4 * np.array([0.6, 0.8])
     added = tilt_angles(level, turn_gravity(tilted, small, axes)) - angles
     curvature = (first**2 + second**2) / 3.0
-    np.testing.assert_allclose(added, small, rtol=0.0, atol=1e-4 * (curvature + 1e-3))
-    np.testing.assert_allclose(tilt_axes(level, level), tilt_axes(level), atol=1e-12)
+    assert_allclose(added, small, rtol=0.0, atol=1e-4 * (curvature + 1e-3))
+    assert_allclose(tilt_axes(level, level), tilt_axes(level), atol=1e-12)
 
 
 def test_without_gravity_there_is_no_tilt():
@@ -74,17 +71,13 @@ def test_columns_of_encoder_zeros_equal_differences(xml, seed):
     thetas = robot.thetas
     dynamics = LinkDynamics(robot)
     offsets = step * np.eye(robot.n_joints)
-    below, above = (
-        np.stack(
-            [dynamics.motion(q + at, qd, qdd).torque(thetas) for at in side], axis=-1
-        )
-        for side in (-offsets, offsets)
-    )
+    torques = []
+    for offset in (*-offsets, *offsets):
+        torques.append(dynamics.motion(q + offset, qd, qdd).torque(thetas))
+    below, above = np.split(np.stack(torques, axis=-1), 2, axis=-1)
     columns = zero_columns(robot, thetas, Motion(np.arange(5.0), q, qd, qdd))
     rounding = 1e-9 * np.max(np.abs(above), initial=1.0)
-    np.testing.assert_allclose(
-        columns, (below - above) / (2.0 * step), rtol=1e-6, atol=rounding
-    )
+    assert_allclose(columns, (below - above) / (2.0 * step), rtol=1e-6, atol=rounding)
 
 
 @given(st.integers(0, 40), st.integers(0, 10**6))
@@ -92,6 +85,6 @@ def test_split_motion_gives_small_chunks_of_the_motion(samples, width):
     motion = np.arange(3.0 * samples).reshape(-1, 3), np.arange(samples)
     chunks = list(split_motion(width, *motion))
     for pieces, signal in zip(zip(*chunks), motion):
-        np.testing.assert_array_equal(np.concatenate(pieces), signal)
+        assert_array_equal(np.concatenate(pieces), signal)
     # Up to one sample more, where they do not divide evenly.
     assert all(width * (len(chunk) - 1) < 10**6 for chunk, _ in chunks)

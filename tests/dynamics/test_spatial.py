@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
@@ -54,9 +55,7 @@ def test_theta_from_com_is_the_sum_over_point_masses(seed):
     actual = spatial.theta_from_com(
         np.sum(masses), com, spatial.symmetric_from_six(about_com[4:])
     )
-    np.testing.assert_allclose(
-        actual, theta_of_points(masses, points), rtol=0.0, atol=1e-12
-    )
+    assert_allclose(actual, theta_of_points(masses, points), rtol=0.0, atol=1e-12)
 
 
 @given(SEEDS)
@@ -65,7 +64,7 @@ def test_pseudo_inertia_is_the_second_moment_of_the_points(seed):
     homogeneous = np.column_stack((points, np.ones(len(points))))
     expected = np.einsum("n,ni,nj->ij", masses, homogeneous, homogeneous)
     actual = spatial.pseudo_inertia(theta_of_points(masses, points))
-    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=1e-12)
+    assert_allclose(actual, expected, rtol=0.0, atol=1e-12)
 
 
 @given(SEEDS)
@@ -77,16 +76,14 @@ def test_moving_the_frame_moves_the_points(seed):
     actual = spatial.transform_theta(
         theta_of_points(masses, points), rotation, translation
     )
-    np.testing.assert_allclose(actual, moved, rtol=0.0, atol=1e-11)
+    assert_allclose(actual, moved, rtol=0.0, atol=1e-11)
 
 
 @given(SEEDS, SPREADS)
 def test_origin_to_com_and_back_is_the_identity(seed, spread):
     theta = random_body(np.random.default_rng(seed), spread)
     back = spatial.theta_from_com(*spatial.com_from_theta(theta))
-    np.testing.assert_allclose(
-        scale_theta(back), scale_theta(theta), rtol=0.0, atol=1e-13
-    )
+    assert_allclose(scale_theta(back), scale_theta(theta), rtol=0.0, atol=1e-13)
 
 
 @given(SEEDS, st.booleans())
@@ -113,9 +110,9 @@ def inconsistent_change(rng, theta):
 def test_both_orders_of_an_inertia_name_the_same_matrix():
     six = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     matrix = spatial.symmetric_from_six(six)
-    np.testing.assert_array_equal(matrix, matrix.T)
-    np.testing.assert_array_equal(spatial.six_from_symmetric(matrix), six)
-    np.testing.assert_array_equal(
+    assert_array_equal(matrix, matrix.T)
+    assert_array_equal(spatial.six_from_symmetric(matrix), six)
+    assert_array_equal(
         spatial.fullinertia_from_symmetric(matrix), [1.0, 4.0, 6.0, 2.0, 3.0, 5.0]
     )
 
@@ -124,8 +121,8 @@ def test_a_massless_body_has_its_com_at_the_origin_and_is_not_possible():
     theta = np.zeros(10)
     mass, com, inertia = spatial.com_from_theta(theta)
     assert mass == 0.0
-    np.testing.assert_array_equal(com, 0.0)
-    np.testing.assert_array_equal(inertia, 0.0)
+    assert_array_equal(com, 0.0)
+    assert_array_equal(inertia, 0.0)
     assert not spatial.is_consistent(theta)
     assert spatial.characteristic_length(theta) == 1.0
 
@@ -170,10 +167,10 @@ def test_angles_and_quaternions_turn_back_into_the_rotation(seed, family):
     rotation = draw_rotation(np.random.default_rng(seed), family)
     roll, pitch, yaw = spatial.roll_pitch_yaw(rotation)
     back = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
-    np.testing.assert_allclose(back, rotation, rtol=0.0, atol=3e-14)
+    assert_allclose(back, rotation, rtol=0.0, atol=3e-14)
     w, *xyz = spatial.quaternion(rotation)
     assert np.linalg.norm([w, *xyz]) == pytest.approx(1.0, abs=1e-14)
-    np.testing.assert_allclose(
+    assert_allclose(
         Rotation.from_quat([*xyz, w]).as_matrix(), rotation, rtol=0.0, atol=1e-14
     )
     assert w >= 0.0
@@ -187,10 +184,8 @@ def test_principal_axes_restore_the_inertia_with_the_smallest_turn(seed, spread)
         drawn_axes @ np.diag(1.0 + spread * rng.uniform(0.0, 1.0, 3)) @ drawn_axes.T
     )
     moments, axes = spatial.principal_axes(inertia)
-    np.testing.assert_allclose(
-        axes @ np.diag(moments) @ axes.T, inertia, rtol=0.0, atol=1e-14
-    )
-    np.testing.assert_allclose(axes.T @ axes, np.eye(3), rtol=0.0, atol=1e-14)
+    assert_allclose(axes @ np.diag(moments) @ axes.T, inertia, rtol=0.0, atol=1e-14)
+    assert_allclose(axes.T @ axes, np.eye(3), rtol=0.0, atol=1e-14)
     assert np.linalg.det(axes) > 0.0
     # No frame is further than 62.8 degrees from the nearest of its 24 turns.
     assert np.trace(axes) >= 1.0 + 2.0 * np.cos(np.radians(62.8))

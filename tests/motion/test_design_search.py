@@ -96,9 +96,8 @@ def test_limits_hold_for_a_slide_joint_and_over_a_floor(xml):
 
 def test_the_seed_alone_decides_the_trajectory():
     """The process_id of workers does not."""
-    alone, together = (
-        run_search(make_design(arms.THREE, workers=w, starts=2), 1) for w in (1, 2)
-    )
+    alone = run_search(make_design(arms.THREE, starts=2), 1)
+    together = run_search(make_design(arms.THREE, workers=2, starts=2), 1)
     other = run_search(make_design(arms.THREE, starts=2), 2)
     assert np.array_equal(
         alone.trajectory.coefficients, together.trajectory.coefficients
@@ -169,9 +168,9 @@ def test_the_best_start_is_improved_until_a_round_gains_little(monkeypatch):
         )
     )
     assert progress == [1, 2, 3, 4, 5]
-    assert [
-        (candidate.rounds, candidate.feasible_score) for candidate in candidates
-    ] == [(1, -1.0), (4, -1.505)]
+    first, second = candidates
+    assert (first.rounds, first.feasible_score) == (1, -1.0)
+    assert (second.rounds, second.feasible_score) == (4, -1.505)
 
 
 def interrupt_after(count):
@@ -252,9 +251,8 @@ def test_the_tool_uses_the_speed_that_its_limit_allows():
 
 def test_a_load_within_the_reserve_breaks_no_torque_limit():
     """The load's torque is added by hand to the arm's own torque."""
-    unloaded, loaded = (
-        make_problem(arms.THREE, max_torque=8.0, payload_reserve=m) for m in (0.0, 3.0)
-    )
+    unloaded = make_problem(arms.THREE, max_torque=8.0)
+    loaded = make_problem(arms.THREE, max_torque=8.0, payload_reserve=3.0)
     plan = search_problem(loaded, rounds=0).trajectory
     motion = plan.evaluate(np.arange(600) / 100.0)
     torque = unloaded.torque(motion) + 3.0 * unloaded.torque_per_kilogram(motion)
@@ -291,15 +289,11 @@ def test_the_target_decides_the_motion():
     """Improving a link's motion for a payload makes it worse for the link."""
     arm = make_problem(arms.serial_arm((arms.Z, arms.Y, arms.X)))
     motion = TrajectoryOptions(duration=4.0, sample_rate=100.0)
-    link, payload = (
-        Design(
-            arm,
-            options(draws=5, rounds=4, iterations=30),
-            motion,
-            prior_knowledge(arm, DEFAULTS, target),
-        )
-        for target in ("link", "payload")
-    )
+    search_options = options(draws=5, rounds=4, iterations=30)
+    link_prior = prior_knowledge(arm, DEFAULTS, "link")
+    payload_prior = prior_knowledge(arm, DEFAULTS, "payload")
+    link = Design(arm, search_options, motion, link_prior)
+    payload = Design(arm, search_options, motion, payload_prior)
     x = design_excitation(link, np.random.default_rng(3)).trajectory.coefficients
     other = design_module.improve(
         payload, design_module.first_candidate(payload, x)
@@ -348,9 +342,8 @@ def test_workers_end_when_their_parent_is_killed():
     with subprocess.Popen(
         [sys.executable, "-c", code], cwd=ROOT, stdin=pipe, stdout=pipe
     ) as run:
-        workers = [
-            Path("/proc", word.decode()) for word in run.stdout.readline().split()
-        ]
+        ids = run.stdout.readline().decode().split()
+        workers = [Path("/proc", worker_id) for worker_id in ids]
         assert workers and all(worker.is_dir() for worker in workers)
         run.kill()
     limit = time.monotonic() + 20.0

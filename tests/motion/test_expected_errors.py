@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.estimation.algebra import consistent_bodies
@@ -109,7 +110,7 @@ def test_predicted_errors_of_an_uncertain_arm_include_its_model_errors():
 def test_covariances_by_cause_add_up_to_the_covariance():
     expected = predict_errors(EstimationOptions())
     total = np.sum(list(expected.covariance_by_cause.values()), axis=0)
-    np.testing.assert_allclose(total, expected.covariance, atol=1e-9 * np.max(total))
+    assert_allclose(total, expected.covariance, atol=1e-9 * np.max(total))
 
 
 @pytest.mark.parametrize(
@@ -137,10 +138,9 @@ def test_predicted_friction_errors_equal_reported_errors():
     lines = friction_lines(make_problem(ARM, noise_torque=SIGMA), PLAN, RATE, options)
     for term, line in zip(("coulomb", "viscous"), lines):
         predictions = re.findall(r"(joint\d) ([\d.e-]+)", line)
-        ratio = [
-            float(error) / errors[f"{term}[{joint}]"] for joint, error in predictions
-        ]
-        assert len(ratio) == 4 and np.all(np.abs(np.array(ratio) - 1.0) < 0.4)
+        assert len(predictions) == 4
+        for joint, error in predictions:
+            assert abs(float(error) / errors[f"{term}[{joint}]"] - 1.0) < 0.4
 
 
 def test_payload_errors_come_from_the_difference_of_two_recordings():
@@ -167,11 +167,8 @@ def test_different_torque_scales_are_averaged_by_their_weights():
 
 def test_the_payload_mass_is_as_uncertain_as_the_torque_scale():
     improvements = predict_errors(EstimationOptions(scale_uncertainty=6.0)).improvements
-    mass_error = next(
-        improvement.mass_error
-        for improvement in improvements
-        if "by difference" in improvement.description
-    )
+    errors = {entry.description: entry.mass_error for entry in improvements}
+    (mass_error,) = [errors[name] for name in errors if "by difference" in name]
     mass = robot(ARM).prior.mass
     joints = robot(ARM).n_joints
     assert 0.06 / np.sqrt(joints) * mass < mass_error < 0.1 * mass

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
+from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics.equations import Equations, other_links
 from robot_sysid.dynamics.friction import TERMS, FrictionModel
@@ -63,11 +64,9 @@ def schur_complement(robot, motion, torques, sigma, prior_deviations):
         n_distal = 10 * sum(link >= joint for link in links)
         bodies[:, len(total) - n_distal :] = rows[:, rows.shape[1] - n_distal :]
         torque = bodies @ theta
-        lacking = [
-            TERMS[name](qd[:, joint], qdd[:, joint], torque)
-            for name in ("load", "sqrt")
-        ]
-        nuisance = np.column_stack((rows[:, 10:14], torque, *lacking))
+        load = TERMS["load"](qd[:, joint], qdd[:, joint], torque)
+        root = TERMS["sqrt"](qd[:, joint], qdd[:, joint], torque)
+        nuisance = np.column_stack((rows[:, 10:14], torque, load, root))
         has_prior = np.isfinite(prior_deviations)
         nuisance = np.vstack(
             (
@@ -144,7 +143,7 @@ def test_the_criterion_is_the_volume_of_the_posterior_covariance():
     expected = 0.05 * np.linalg.slogdet(scale @ covariance[:10, :10] @ scale)[1]
     value = criterion.evaluate(rows.T @ rows)[0]
     assert value == pytest.approx(expected, abs=1e-9)
-    np.testing.assert_allclose(
+    assert_allclose(
         criterion.covariance(rows.T @ rows), covariance[:10, :10], rtol=1e-8
     )
     more = np.vstack((rows, rng.normal(size=(1, 30))))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from robot_sysid.errors import InputError
 from robot_sysid.model.contacts import count_moving_joints
@@ -72,9 +73,7 @@ def test_peaks_equal_those_of_dense_samples(seed, size):
 
 def test_a_torque_that_is_nan_breaks_its_limit():
     problem = make_problem(arms.THREE)
-    lost = dataclasses.replace(
-        problem, arm_torque=lambda motion: np.full_like(motion.q, np.nan)
-    )
+    lost = replace(problem, arm_torque=lambda motion: np.full_like(motion.q, np.nan))
     plan = plan_of(problem, 0, 1e-3)
     assert keeps_limits(problem, plan) and not keeps_limits(lost, plan)
     assert "torque limit of joint" in check_limits(lost, plan).failure
@@ -86,8 +85,8 @@ def test_position_limits_need_not_lie_around_zero(middle, reach, position):
     problem = make_problem(arms.THREE)
     lower = np.full(3, middle - reach)
     upper = np.full(3, middle + reach)
-    limits = dataclasses.replace(problem.limits, lower=lower, upper=upper)
-    problem = dataclasses.replace(problem, limits=limits)
+    limits = replace(problem.limits, lower=lower, upper=upper)
+    problem = replace(problem, limits=limits)
     resting = FourierTrajectory(BRIEF, np.full(3, position), np.zeros((3, 7)))
     assert keeps_limits(problem, resting) == (abs(position - middle) <= reach)
 
@@ -132,7 +131,7 @@ class ThinWall:
 
 
 def test_a_wall_between_two_samples_is_detected():
-    problem = dataclasses.replace(make_problem(arms.THREE), obstacles=ThinWall())
+    problem = replace(make_problem(arms.THREE), obstacles=ThinWall())
     coefficients = np.zeros((3, 7))
     coefficients[0, 0] = 0.4
     plan = FourierTrajectory(BASIS, problem.rest, coefficients)
@@ -180,7 +179,7 @@ class Stopping:
 @pytest.mark.parametrize(("end", "touches"), [(0.1988, False), (0.19945, True)])
 def test_a_motion_that_stops_inside_a_wall_is_detected(end, touches):
     """Between two samples the speed is that at the start of the step."""
-    problem = dataclasses.replace(make_problem(arms.THREE), obstacles=ThinWall())
+    problem = replace(make_problem(arms.THREE), obstacles=ThinWall())
     assert (first_contact(problem, Stopping(end)) is not None) == touches
 
 
@@ -213,9 +212,7 @@ def test_checking_one_period_and_both_ends_covers_the_motion(seed, base, fade, s
     )
     assert checked_time(plan) < 0.6 * plan.duration
     for name in ("lowest", "highest", "largest"):
-        np.testing.assert_allclose(
-            getattr(check, name), getattr(full_check, name), rtol=1e-9
-        )
+        assert_allclose(getattr(check, name), getattr(full_check, name), rtol=1e-9)
     assert len(check.excesses) == len(full_check.excesses)
 
 
@@ -249,13 +246,13 @@ def test_only_joints_beyond_their_limits_are_scaled(seed, v, a):
     """Without torque limits and obstacles nothing couples the joints."""
     problem = make_problem(arms.THREE)
     unlimited = np.full(3, np.inf)
-    limits = dataclasses.replace(
+    limits = replace(
         problem.limits,
         velocity=np.full(3, v),
         acceleration=np.full(3, a),
         torque=unlimited,
     )
-    problem = dataclasses.replace(problem, limits=limits)
+    problem = replace(problem, limits=limits)
     plan, _ = generate_excitation_trajectory(
         robot(arms.THREE), np.random.default_rng(seed), 1.0
     )
@@ -263,13 +260,9 @@ def test_only_joints_beyond_their_limits_are_scaled(seed, v, a):
     check = check_limits(problem, plan)
     scaled_check = check_limits(problem, scaled)
     share = np.maximum(check.joints[1] / v, check.joints[2] / a)
-    np.testing.assert_allclose(
-        factors, np.minimum(1.0, (1.0 - RESERVE) / share), rtol=1e-9
-    )
+    assert_allclose(factors, np.minimum(1.0, (1.0 - RESERVE) / share), rtol=1e-9)
     scaled_share = np.maximum(scaled_check.joints[1] / v, scaled_check.joints[2] / a)
-    np.testing.assert_allclose(
-        scaled_share, np.minimum(1.0 - RESERVE, share), rtol=1e-9
-    )
+    assert_allclose(scaled_share, np.minimum(1.0 - RESERVE, share), rtol=1e-9)
     assert keeps_limits(problem, scaled)
 
 
@@ -302,13 +295,11 @@ LINK = """
 def pair(tmp_path_factory):
     """Two arms side by side along x, 0.5 m apart, that can reach each other."""
     path = tmp_path_factory.mktemp("arms") / "two.xml"
-    bodies = "".join(
-        LINK.format(side=side, y=y) for side, y in (("left", 0.25), ("right", -0.25))
-    )
+    bodies = LINK.format(side="left", y=0.25) + LINK.format(side="right", y=-0.25)
     head = "<mujoco><compiler angle='radian'/><worldbody>"
     path.write_text(f"{head}{bodies}</worldbody></mujoco>")
-    return tuple(
-        load_robot_model(path, joint=f"{side}_b") for side in ("left", "right")
+    return load_robot_model(path, joint="left_b"), load_robot_model(
+        path, joint="right_b"
     )
 
 
@@ -320,7 +311,7 @@ def test_two_arms_as_one_need_the_torques_of_each(pair):
     torque = ArmTorque(both)(Motion(np.arange(5.0), *derivatives))
     for arm, joints in zip(pair, (slice(0, 2), slice(2, 4))):
         alone = ArmTorque(arm)(Motion(np.arange(5.0), *derivatives[:, :, joints]))
-        np.testing.assert_allclose(torque[:, joints], alone, atol=1e-12)
+        assert_allclose(torque[:, joints], alone, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from robot_sysid.errors import InputError
 from robot_sysid.motion.plan_options import TOP_FREQUENCY_HZ, LimitOptions
@@ -121,11 +122,9 @@ def test_the_gradient_of_the_speed_equals_differences(seed):
 
 def test_the_tip_is_the_farthest_point():
     far = Tool(np.array([[0.1, 0.0, 0.0], [0.0, 0.0, 0.2]]), np.array([0.3, 0.05]))
-    np.testing.assert_allclose(far.tip, [0.4, 0.0, 0.0])
+    assert_allclose(far.tip, [0.4, 0.0, 0.0])
     # The last tube of this arm ends 0.2 m from its joint, in a ball of 3 cm.
-    np.testing.assert_allclose(
-        make_problem(TUBES).tool.tip, [0.0, 0.0, 0.23], atol=1e-12
-    )
+    assert_allclose(make_problem(TUBES).tool.tip, [0.0, 0.0, 0.23], atol=1e-12)
 
 
 def random_motion(joints, seed, count=6):
@@ -152,9 +151,7 @@ def test_the_torque_of_a_load_equals_that_of_a_loaded_arm(seed, mass):
     motion = random_motion(7, seed)
     more = mass * problem.torque_per_kilogram(motion)
     loaded = ArmTorque(with_load(arm, mass, problem.tool.tip))(motion)
-    np.testing.assert_allclose(
-        problem.torque(motion) + more, loaded, rtol=1e-7, atol=1e-7
-    )
+    assert_allclose(problem.torque(motion) + more, loaded, rtol=1e-7, atol=1e-7)
 
 
 @given(SEEDS, st.floats(0.0, 3.0))

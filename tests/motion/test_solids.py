@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
+from numpy.testing import assert_allclose
 
 from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.motion.solids import (
@@ -92,10 +93,8 @@ def test_a_solid_uses_collision_geoms_then_visuals_then_the_origin():
     solids = solids_of(model, range(1, 6))
     assert [solid.body for solid in solids] == [1, 2, 3, 5]
     reach = [np.diag(solid.farthest(np.eye(3))) for solid in solids]
-    np.testing.assert_allclose(
-        reach[:3], np.outer([0.1, 0.3, 0.0], np.ones(3)), atol=1e-12
-    )
-    np.testing.assert_allclose(reach[3], (0.2, 0.3, 0.4), atol=1e-7)
+    assert_allclose(reach[:3], np.outer([0.1, 0.3, 0.0], np.ones(3)), atol=1e-12)
+    assert_allclose(reach[3], (0.2, 0.3, 0.4), atol=1e-7)
 
 
 def test_each_half_space_binds_its_own_bodies():
@@ -133,8 +132,8 @@ def test_the_swept_space_encloses_all_capsules_in_all_poses(seed):
             axis = model.geom_size[geom, 1] * data.geom_xmat[geom].reshape(3, 3)[:, 2]
             ends += [data.geom_xpos[geom] + axis, data.geom_xpos[geom] - axis]
             names += 2 * [model.body(model.geom_bodyid[geom]).name]
-    np.testing.assert_allclose(lower, np.min(ends, axis=0) - 0.03, atol=1e-12)
-    np.testing.assert_allclose(upper, np.max(ends, axis=0) + 0.03, atol=1e-12)
+    assert_allclose(lower, np.min(ends, axis=0) - 0.03, atol=1e-12)
+    assert_allclose(upper, np.max(ends, axis=0) + 0.03, atol=1e-12)
     assert lowest == names[int(np.argmin(np.array(ends)[:, 2]))]
 
 
@@ -149,7 +148,7 @@ def test_the_outermost_points_include_bodies_fixed_to_the_last_one():
     )
     points, radius = outermost_points(robot(world(link(hinge("yaw", Z), tip, "base"))))
     assert sorted(radius) == pytest.approx([0.0] * 8 + [0.05])
-    np.testing.assert_allclose(points[radius > 0.0], [[0.0, 0.0, -0.1]], atol=1e-12)
+    assert_allclose(points[radius > 0.0], [[0.0, 0.0, -0.1]], atol=1e-12)
     # A quarter turn about y: the tool's z is the tip's x.
     corners = points[radius == 0.0] - [0.0, 0.0, 0.1]
-    np.testing.assert_allclose(np.max(corners, axis=0), [0.3, 0.2, 0.1], atol=1e-12)
+    assert_allclose(np.max(corners, axis=0), [0.3, 0.2, 0.1], atol=1e-12)

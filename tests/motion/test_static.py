@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
 from robot_sysid.motion import static
@@ -157,18 +158,16 @@ def test_rows_of_poses_count_in_units_of_each_joints_noise(posing):
     rows = static._gravity_rows(posing, pose)
     assert np.all(np.any(rows[:, 1:] != 0.0, axis=(0, 2)))
     noisier_rows = static._gravity_rows(noisier, pose)
-    np.testing.assert_allclose(noisier_rows * factor[:, None], rows)
+    assert_allclose(noisier_rows * factor[:, None], rows)
 
 
 def test_each_pose_is_approached_from_both_sides(poses):
     rests = np.flatnonzero(poses.dwells > 0.0)
     assert len(rests) == 12
     for first, second in rests.reshape(-1, 2):
-        np.testing.assert_array_equal(poses.points[first], poses.points[second])
-        np.testing.assert_allclose(
-            poses.points[first] - poses.points[first - 1], static.APPROACH
-        )
-        np.testing.assert_allclose(
+        assert_array_equal(poses.points[first], poses.points[second])
+        assert_allclose(poses.points[first] - poses.points[first - 1], static.APPROACH)
+        assert_allclose(
             poses.points[second] - poses.points[second - 1], -static.APPROACH
         )
 
@@ -189,8 +188,8 @@ def sweeps(sweeping):
 def test_all_limits_are_kept_and_the_ends_are_at_rest(sweeping, sweeps):
     assert check_limits(sweeping, sweeps).failure is None
     ends = sweeps.evaluate(np.array([0.0, sweeps.duration]))
-    np.testing.assert_allclose(ends.q, np.tile(sweeping.rest, (2, 1)), atol=1e-12)
-    np.testing.assert_allclose(ends.qd, 0.0, atol=1e-12)
+    assert_allclose(ends.q, np.tile(sweeping.rest, (2, 1)), atol=1e-12)
+    assert_allclose(ends.qd, 0.0, atol=1e-12)
 
 
 def test_one_joint_moves_at_a_time_both_ways_at_every_speed(sweeps):

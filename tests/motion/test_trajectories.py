@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
 from robot_sysid.motion.trajectories import (
@@ -92,20 +93,16 @@ def test_every_kind_rests_at_its_ends_scales_in_time_and_survives_a_file(
     loaded = saved.plan
     for name, power in (("q", 0), ("qd", 1), ("qdd", 2)):
         exact = getattr(later, name)
-        np.testing.assert_array_equal(
-            getattr(loaded.evaluate(time / speed), name), exact
-        )
-        np.testing.assert_allclose(exact, speed**power * getattr(full, name), atol=1e-6)
+        assert_array_equal(getattr(loaded.evaluate(time / speed), name), exact)
+        assert_allclose(exact, speed**power * getattr(full, name), atol=1e-6)
 
     ends = plan.evaluate(np.array([0.0, plan.duration]))
-    np.testing.assert_allclose((ends.qd, ends.qdd), 0.0, atol=1e-8)
+    assert_allclose((ends.qd, ends.qdd), 0.0, atol=1e-8)
     time = np.linspace(0.01, plan.duration - 0.01, 40)
     ahead, behind, middle = (plan.evaluate(time + s) for s in (1e-5, -1e-5, 0.0))
     error = 1e-4 * (1.0 + np.max(np.abs(middle.qdd)))
-    np.testing.assert_allclose((ahead.q - behind.q) / 2e-5, middle.qd, atol=error)
-    np.testing.assert_allclose(
-        (ahead.qd - behind.qd) / 2e-5, middle.qdd, atol=200.0 * error
-    )
+    assert_allclose((ahead.q - behind.q) / 2e-5, middle.qd, atol=error)
+    assert_allclose((ahead.qd - behind.qd) / 2e-5, middle.qdd, atol=200.0 * error)
 
 
 @given(SEEDS)
@@ -113,17 +110,22 @@ def test_each_pose_is_held_and_each_speed_of_a_sweep(seed):
     plan = poses(seed)
     for arrival, dwell, point in zip(plan.arrivals, plan.dwells, plan.points):
         motion = plan.evaluate(arrival + np.linspace(0.0, 1.0, 5) * dwell)
-        np.testing.assert_allclose(motion.q, np.broadcast_to(point, (5, 3)), atol=1e-9)
-        np.testing.assert_allclose(motion.qd, 0.0, atol=1e-9)
+        assert_allclose(motion.q, np.broadcast_to(point, (5, 3)), atol=1e-9)
+        assert_allclose(motion.qd, 0.0, atol=1e-9)
     plan = sweeps(seed)
     at_ends = plan.evaluate(plan.arrivals)
-    np.testing.assert_allclose(at_ends.q, plan.points, atol=1e-12)
-    np.testing.assert_allclose(at_ends.qd, 0.0, atol=1e-12)
+    assert_allclose(at_ends.q, plan.points, atol=1e-12)
+    assert_allclose(at_ends.qd, 0.0, atol=1e-12)
     middle = plan.evaluate(plan.arrivals[:-1] + 0.5 * plan.moves)
-    np.testing.assert_allclose(middle.qd, plan.speeds, atol=1e-12)
+    assert_allclose(middle.qd, plan.speeds, atol=1e-12)
     along = plan.evaluate(np.linspace(0.0, plan.duration, 2000))
     peak = np.max(PEAK_OF_RAMP * np.abs(plan.speeds) / plan.ramps[:, None], axis=0)
     assert np.all(np.max(np.abs(along.qdd), axis=0) <= peak * (1.0 + 1e-12))
+
+
+def line_with_ramp(ramp):
+    """Return a move of one joint in 1 s that takes ``ramp`` seconds to reach its speed."""
+    return LineTrajectory(np.zeros((2, 1)), np.ones(1), np.zeros(2), [ramp])
 
 
 def test_peaks_of_the_step():
@@ -147,15 +149,8 @@ def test_peaks_of_the_step():
             lambda: LineTrajectory(np.zeros((2, 1)), np.zeros(1), np.zeros(2)),
             "take time",
         ),
-        *(
-            (
-                lambda r=r: LineTrajectory(
-                    np.zeros((2, 1)), np.ones(1), np.zeros(2), [r]
-                ),
-                "ramps f",
-            )
-            for r in (0.0, 0.6)
-        ),
+        (lambda: line_with_ramp(0.0), "ramps f"),
+        (lambda: line_with_ramp(0.6), "ramps f"),
         (lambda: at_speed(sines(0), 1.2), "--speed must be above 0 and at most 1"),
         (
             lambda: at_speed(sines(0), float("nan")),
@@ -199,7 +194,7 @@ def test_files_of_earlier_versions_are_read(tmp_path):
     plan = load_trajectory(path).plan
     assert plan.duration == 10.0
     rising = 0.1 * np.sin(2.0 * np.pi * 0.05 * 4.0)
-    np.testing.assert_allclose(plan.evaluate(np.array([4.0])).q, rising)
+    assert_allclose(plan.evaluate(np.array([4.0])).q, rising)
     # Speed: a_1 + 2 a_2 = 0; acceleration: b_1 + 4 b_2 = 0.
     wave = [[-0.05, 2.0, -1.0, 0.0, 0.08, -0.02, 0.0]] * 3
     series = {"kind": "fourier", "fade": 0.0, "base_frequency_hz": 0.2, "harmonics": 3}
@@ -208,7 +203,7 @@ def test_files_of_earlier_versions_are_read(tmp_path):
     phase = 2.0 * np.pi * 0.2 * 1.3
     by_hand = 2.0 * np.sin(phase) - np.sin(2.0 * phase) - 0.05
     by_hand += 0.08 * np.cos(phase) - 0.02 * np.cos(2.0 * phase)
-    np.testing.assert_allclose(plan.evaluate(np.array([1.3])).q, by_hand)
+    assert_allclose(plan.evaluate(np.array([1.3])).q, by_hand)
     wave[0][1] = 2.1
     path.write_text(saved_text(**series, rest=[0.0] * 3, coefficients=wave))
     with pytest.raises(InputError, match="does not start and end at rest"):

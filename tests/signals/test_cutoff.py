@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from robot_sysid.records import Measurement
 from robot_sysid.signals.cutoff import (
@@ -36,9 +37,7 @@ def test_the_encoder_noise_is_estimated_from_the_spectrum(seed, rate, sigma):
     spectra = acceleration_spectra(q, rate, quantisation_error(q))
     # Over 1500 seeds it scatters by 1.31 / sqrt(N) and is 0.4 % too high; six of the former.
     tolerance = 0.005 + 6.0 * 1.31 / np.sqrt(len(q))
-    np.testing.assert_allclose(
-        np.sqrt(spectra.level * rate / 2.0), sigma, rtol=tolerance
-    )
+    assert_allclose(np.sqrt(spectra.level * rate / 2.0), sigma, rtol=tolerance)
     assert 1.4 < choose_cutoff(spectra)[0] < 25.0
 
 
@@ -49,7 +48,7 @@ def test_quantisation_counts_as_its_own_noise():
     noise = np.sqrt(
         acceleration_spectra(q, 1000.0, quantisation_error(q)).level * 1000.0 / 2.0
     )
-    np.testing.assert_allclose(noise, resolution / np.sqrt(12.0), rtol=0.12)
+    assert_allclose(noise, resolution / np.sqrt(12.0), rtol=0.12)
 
 
 def test_a_fast_small_motion_beside_a_slow_large_one_is_kept():
@@ -161,8 +160,6 @@ def test_the_predicted_acceleration_noise_equals_that_of_the_filter(seed, magnit
         acceleration_spectra(motion + noise, rate, np.zeros_like(motion)), cutoff
     )
     low_pass = design_low_pass(cutoff, rate)
-    noise_deviation, motion_deviation = (
-        np.std(second_derivative(low_pass.filter(signal), rate))
-        for signal in (noise, motion)
-    )
+    noise_deviation = np.std(second_derivative(low_pass.filter(noise), rate))
+    motion_deviation = np.std(second_derivative(low_pass.filter(motion), rate))
     assert 0.5 < share / (noise_deviation / motion_deviation) < 2.0

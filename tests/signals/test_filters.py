@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
 from robot_sysid.signals.filters import (
@@ -31,9 +32,9 @@ def test_chunks_of_any_size_give_the_same_decimated_samples(cutoff, sizes, seed)
     stream = Decimator(low_pass)
     cuts = [0, *np.cumsum(sizes), len(values)]
     pieces = [stream.push(values[a:b]) for a, b in zip(cuts, cuts[1:])]
-    np.testing.assert_array_equal(np.concatenate(pieces), low_pass.decimate(values))
+    assert_array_equal(np.concatenate(pieces), low_pass.decimate(values))
     every = low_pass.filter(values)[:: low_pass.step]
-    np.testing.assert_allclose(low_pass.decimate(values), every, rtol=0.0, atol=1e-12)
+    assert_allclose(low_pass.decimate(values), every, rtol=0.0, atol=1e-12)
     assert len(low_pass.centres(len(values))) == len(every)
 
 
@@ -69,9 +70,7 @@ def test_derivatives_are_exact_for_polynomials_of_their_order(reach, coefficient
     inner = time[reach:-reach]
     for function, order in ((first_derivative, 1), (second_derivative, 2)):
         expected = polynomial.deriv(order)(inner)
-        np.testing.assert_allclose(
-            function(polynomial(time), 20.0, reach), expected, atol=5e-9
-        )
+        assert_allclose(function(polynomial(time), 20.0, reach), expected, atol=5e-9)
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -93,4 +92,4 @@ def test_a_shift_evaluates_the_signal_at_later_instants(samples, seed):
     time = seconds(6.0, rate)
     shifted, first = shift_samples(swing.q(time), samples)
     expected = swing.q(time[first : first + len(shifted)] + samples / rate)
-    np.testing.assert_allclose(shifted, expected, rtol=0.0, atol=2e-5)
+    assert_allclose(shifted, expected, rtol=0.0, atol=2e-5)

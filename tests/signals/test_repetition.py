@@ -7,6 +7,7 @@ from operator import add
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import lfilter
 
 from robot_sysid.errors import InputError
@@ -138,7 +139,7 @@ def test_a_sampled_motion_consists_of_rows_of_the_log():
     sample = sample_rows(full, np.zeros((150, 1)), 3).motion(20)
     rows = [int(np.flatnonzero((full.q == q).all(axis=1))[0]) for q in sample.q]
     assert len(set(rows)) == 20
-    np.testing.assert_array_equal(sample.qdd, full.qdd[rows])
+    assert_array_equal(sample.qdd, full.qdd[rows])
 
 
 APPROACH = 0.05
@@ -178,8 +179,8 @@ def test_friction_cancels_at_poses_approached_from_both_sides():
     assert len(resting_poses(noisy)[0]) == 6
     poses, used = resting_poses(log)
     assert len(poses) == 6 and np.all(used)
-    np.testing.assert_allclose(poses.q, POSES, atol=1e-6)
-    np.testing.assert_allclose(poses.tau, 3.0 * POSES, atol=1e-6)
+    assert_allclose(poses.q, POSES, atol=1e-6)
+    assert_allclose(poses.tau, 3.0 * POSES, atol=1e-6)
     assert not np.any(poses.qd) and not np.any(poses.qdd)
 
 

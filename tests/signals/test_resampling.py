@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.records import Measurement
 from robot_sysid.signals import resampling
@@ -26,7 +27,7 @@ from tests.support.swing import Swing, seconds
 def test_an_even_log_is_unchanged():
     log = Swing().measurement(5.0 + seconds(3.0, 200.0))
     uniform = resample_uniformly(log)
-    np.testing.assert_array_equal(uniform.q, log.q)
+    assert_array_equal(uniform.q, log.q)
     assert (uniform.start, uniform.notes, np.max(uniform.gap)) == (5.0, (), 0.0)
     assert abs(uniform.rate - 200.0) < 1e-9
 
@@ -45,8 +46,8 @@ def test_uneven_samples_are_interpolated(seed, jitter):
     time = even + rng.uniform(-jitter, jitter, len(even)) / rate
     uniform = resample_uniformly(swing.measurement(time))
     grid = uniform.start + np.arange(len(uniform.q)) / uniform.rate
-    np.testing.assert_allclose(uniform.q, swing.q(grid), rtol=0.0, atol=1e-7)
-    np.testing.assert_allclose(uniform.tau, swing.tau(grid), rtol=0.0, atol=1e-6)
+    assert_allclose(uniform.q, swing.q(grid), rtol=0.0, atol=1e-7)
+    assert_allclose(uniform.tau, swing.tau(grid), rtol=0.0, atol=1e-6)
 
 
 def test_joint_time_stamps_are_used_for_each_joint():
@@ -58,8 +59,8 @@ def test_joint_time_stamps_are_used_for_each_joint():
     tau = np.column_stack([swing.tau(joint_time[:, j])[:, j] for j in range(3)])
     uniform = resample_uniformly(Measurement(time, q, None, tau, joint_time=joint_time))
     grid = uniform.start + np.arange(len(uniform.q)) / uniform.rate
-    np.testing.assert_allclose(uniform.q, swing.q(grid), rtol=0.0, atol=1e-7)
-    np.testing.assert_allclose(uniform.tau, swing.tau(grid), rtol=0.0, atol=1e-6)
+    assert_allclose(uniform.q, swing.q(grid), rtol=0.0, atol=1e-7)
+    assert_allclose(uniform.tau, swing.tau(grid), rtol=0.0, atol=1e-6)
     assert "own time stamps" in uniform.notes[0]
 
 
@@ -76,7 +77,7 @@ def test_the_length_of_a_hole_is_marked_at_its_samples(seed, missing):
     keep[first : first + missing] = False
     uniform = resample_uniformly(Swing().measurement(even[keep]))
     expected = np.where(keep, 0.0, (missing + 1) / rate)
-    np.testing.assert_allclose(uniform.gap, expected, rtol=0.0, atol=1e-9)
+    assert_allclose(uniform.gap, expected, rtol=0.0, atol=1e-9)
 
 
 @given(st.integers(0, 2**32))
@@ -88,7 +89,7 @@ def test_samples_that_come_early_and_late_leave_no_hole(seed):
     time = even + rng.uniform(-0.35, 0.35, len(even)) / rate
     uniform = resample_uniformly(Swing().measurement(time))
     assert np.max(np.diff(time)) > 1.5 / rate
-    np.testing.assert_array_equal(uniform.gap, 0.0)
+    assert_array_equal(uniform.gap, 0.0)
 
 
 @given(st.integers(0, 2**32), st.integers(1, 3), st.sampled_from([0.0, 1e-4]))
@@ -104,12 +105,8 @@ def test_rows_lost_from_coarse_time_stamps_leave_a_hole(seed, missing, resolutio
     log = swing.measurement(even[keep], resolution)
     uniform = resample_uniformly(log)
     assert len(uniform.q) == len(even) and abs(uniform.rate - 1000.0) < 1e-6
-    np.testing.assert_allclose(
-        uniform.q, swing.q(even), rtol=0.0, atol=1e-7 + 2.0 * resolution
-    )
-    np.testing.assert_allclose(
-        uniform.gap, np.where(keep, 0.0, 1e-3 * (missing + 1)), atol=1e-9
-    )
+    assert_allclose(uniform.q, swing.q(even), rtol=0.0, atol=1e-7 + 2.0 * resolution)
+    assert_allclose(uniform.gap, np.where(keep, 0.0, 1e-3 * (missing + 1)), atol=1e-9)
     assert "resampled to a uniform 1000 Hz" in uniform.notes[0]
 
 
@@ -119,22 +116,21 @@ def test_a_clock_that_is_a_little_slow_loses_no_rows(seed, rate):
     even = seconds(4.0, rate)
     log = replace(swing.measurement(even), time=np.floor(1e3 * even + 0.3) / 1e3)
     uniform = resample_uniformly(log)
-    np.testing.assert_array_equal(uniform.q, log.q)
+    assert_array_equal(uniform.q, log.q)
     assert uniform.notes == ()
 
 
 def test_a_long_simulated_run_is_thinned(monkeypatch):
     log = Swing().measurement(seconds(8.0, 500.0))
-    chunks = [
-        slice_samples(log, start, start + 700) for start in range(0, len(log), 700)
-    ]
+    starts = range(0, len(log), 700)
+    chunks = [slice_samples(log, start, start + 700) for start in starts]
     (full,), notes = condense_run(chunks, len(log))
-    np.testing.assert_array_equal(full.q, log.q)
+    assert_array_equal(full.q, log.q)
     assert notes == ()
     monkeypatch.setattr(resampling, "MOST_ROWS_KEPT", 1000)
     (thinned,), notes = condense_run(chunks, len(log))
     assert 700 < len(thinned) <= len(log) / 5.0 and notes == ()
-    np.testing.assert_allclose(thinned.q, Swing().q(thinned.time), atol=1e-3)
+    assert_allclose(thinned.q, Swing().q(thinned.time), atol=1e-3)
 
 
 def log(time: np.ndarray) -> Measurement:
@@ -162,7 +158,7 @@ def test_a_log_is_split_at_gaps(lengths_and_gaps):
         return
     assert [len(piece) for piece in pieces] == [len(time) for time in long]
     for piece, time in zip(pieces, long):
-        np.testing.assert_array_equal(piece.time, time)
+        assert_array_equal(piece.time, time)
     assert bool(piece_notes(recording, pieces)) == (len(times) > 1)
 
 
@@ -197,16 +193,14 @@ def test_thinning_does_not_depend_on_the_blocks(cuts):
     at_once = Thinning(8, 1e-3).push(rows)
     other = Thinning(8, 1e-3)
     blocks = np.split(rows, np.cumsum(cuts))
-    np.testing.assert_allclose(
+    assert_allclose(
         np.concatenate([other.push(block) for block in blocks]),
         at_once,
         rtol=0,
         atol=1e-12,
     )
     assert 440 < len(at_once) < 500
-    np.testing.assert_allclose(
-        at_once[:, 2], np.sin(3.0 * at_once[:, 1]), rtol=0, atol=1e-4
-    )
+    assert_allclose(at_once[:, 2], np.sin(3.0 * at_once[:, 1]), rtol=0, atol=1e-4)
     assert np.allclose(np.diff(at_once[:, 1]), 8e-3)
 
 
@@ -214,7 +208,7 @@ def test_thinning_does_not_reach_over_a_gap():
     time = np.concatenate((np.arange(2000), 5000 + np.arange(2000))) / 1000.0
     rows = np.column_stack((np.arange(4000), time, np.where(time < 3.0, 1.0, -1.0)))
     thinned = Thinning(8, 1e-3).push(rows)
-    np.testing.assert_allclose(np.abs(thinned[:, 2]), 1.0, atol=1e-12)
+    assert_allclose(np.abs(thinned[:, 2]), 1.0, atol=1e-12)
     assert not np.any((thinned[:, 1] > 2.0) & (thinned[:, 1] < 5.0))
 
 
