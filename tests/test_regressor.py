@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 from hypothesis import given
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_less
 
 from robot_sysid.dynamics import spatial
@@ -33,7 +34,7 @@ def regressor_of(omega, alpha, v, acceleration):
 
 def test_numeric_regressor_is_the_symbolic_one():
     matrix, symbols = derive_regressor()
-    values = np.random.default_rng(0).normal(size=12)
+    values = default_rng(0).normal(size=12)
     expected = np.array(matrix.subs(dict(zip(symbols, values))), dtype=float)
     actual = wrench_regressor(values[None, :6], values[None, 6:])[:, :, 0]
     assert_allclose(actual, expected, rtol=1e-14, atol=1e-14)
@@ -54,7 +55,7 @@ def free_body(theta):
 
 def round_body(seed):
     """Return random parameters (10,) that MuJoCo's compiler accepts."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     factor = rng.normal(size=(3, 3))
     second = factor @ factor.T + 0.01 * np.eye(3)
     return spatial.theta_from_com(
@@ -65,7 +66,7 @@ def round_body(seed):
 @given(SEEDS)
 def test_the_wrench_of_a_free_body_equals_mujoco(seed):
     """A free joint takes the force in the world's axes and the moment in the body's."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     model = free_body(round_body(seed))
     rotation = random_rotation(rng)
     # Some releases round the axes they find for a fullinertia to six digits.

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 
 from robot_sysid import trajectory
@@ -29,9 +30,7 @@ DURATIONS = st.one_of(st.floats(0.02, 3.0), st.floats(3.0, 60.0))
 
 def excitation(robot, seed, duration=15.0, torque=None):
     """Return an excitation trajectory for a seed and its notes."""
-    return generate_excitation_trajectory(
-        robot, np.random.default_rng(seed), duration, torque
-    )
+    return generate_excitation_trajectory(robot, default_rng(seed), duration, torque)
 
 
 def dense(plan, points=4001):

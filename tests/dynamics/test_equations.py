@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_less
 
 from robot_sysid.dynamics import spatial
@@ -74,9 +75,7 @@ def plant_with(robot, theta, friction):
 
 def measure(plant, seed, rate=RATE, duration=DURATION):
     """One chunk of noise-free measurements along an excitation trajectory of the plant."""
-    plan, _ = generate_excitation_trajectory(
-        plant, np.random.default_rng(seed), duration
-    )
+    plan, _ = generate_excitation_trajectory(plant, default_rng(seed), duration)
     return list(simulate_inverse(plant, motion_chunks(plan, rate)))
 
 
@@ -131,7 +130,7 @@ def scale_of(truth):
 @given(st.sampled_from(ARM_NAMES), rigid_bodies(), SEEDS)
 def test_noise_free_torques_identify_any_possible_link(name, theta, seed):
     robot = ARMS[name]
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     plant, truth = plant_with(robot, theta, rng.uniform(0.0, 2.0, size=2))
     estimate = identify(robot, measure(plant, seed))
     assert estimate.space.rank == 12

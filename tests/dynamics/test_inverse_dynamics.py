@@ -7,6 +7,7 @@ import copy
 import numpy as np
 import pytest
 from hypothesis import given
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics.inverse_dynamics import (
@@ -54,7 +55,7 @@ def assert_reproduces(robot, theta, motion):
 @given(random_chain(), rigid_bodies(), SEEDS)
 def test_link_and_other_bodies_give_mujocos_torque_on_any_chain(xml, theta, seed):
     robot = robot_of(xml)
-    motion = random_motion(np.random.default_rng(seed), robot.n_joints, SAMPLES)
+    motion = random_motion(default_rng(seed), robot.n_joints, SAMPLES)
     assert_reproduces(robot, theta, motion)
 
 
@@ -64,7 +65,7 @@ def test_link_and_other_bodies_give_mujocos_torque(name):
         robot = robot_of({**arms.MODELS, **arms.NEWER_MODELS}[name])
     except ValueError:
         pytest.skip("this MuJoCo does not know the attribute")
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     for _ in range(3):
         motion = random_motion(rng, robot.n_joints, SAMPLES)
         assert_reproduces(robot, random_theta(rng, 10.0 ** rng.uniform(-2, 1)), motion)
@@ -75,7 +76,7 @@ def test_the_users_model_is_not_changed():
     robot = robot_of(arms.COUPLED_FINGERS)
     masses = robot.mj_model.body_mass.copy()
     flags = robot.mj_model.opt.disableflags
-    motion = random_motion(np.random.default_rng(0), robot.n_joints, 2)
+    motion = random_motion(default_rng(0), robot.n_joints, 2)
     arms.rows_and_rest(robot, motion)
     ArmDynamics(robot).torque(*motion)
     assert_array_equal(robot.mj_model.body_mass, masses)
@@ -98,7 +99,7 @@ def plain_torque(xml, motion):
     ],
 )
 def test_torque_is_that_of_the_rigid_bodies_alone(name):
-    motion = random_motion(np.random.default_rng(1), 3, 20)
+    motion = random_motion(default_rng(1), 3, 20)
     expected = plain_torque(arms.THREE, motion)
     assert_allclose(plain_torque(arms.MODELS[name], motion), expected, rtol=1e-12)
 
@@ -142,13 +143,13 @@ def test_a_branch_may_stand_in_front_of_the_link_or_behind_it(first):
         arms.world(arms.link(arms.hinge("joint0", arms.Z), inside)), "joint1"
     )
     assert list(robot.dof_index) == ([0, 2] if first else [0, 1])
-    motion = random_motion(np.random.default_rng(7), 2, SAMPLES)
+    motion = random_motion(default_rng(7), 2, SAMPLES)
     assert_reproduces(robot, body_theta(robot.mj_model, robot.body_id), motion)
 
 
 def test_held_joints_stay_at_the_home_keyframe():
     robot = robot_of(arms.HOME_KEYFRAME)
-    motion = random_motion(np.random.default_rng(4), robot.n_joints, SAMPLES)
+    motion = random_motion(default_rng(4), robot.n_joints, SAMPLES)
     closed = np.zeros(6)
     wide = np.append(closed[:4], [0.03, 0.01])
     theta = composite_theta(robot.mj_model, wide, 4)
@@ -158,7 +159,7 @@ def test_held_joints_stay_at_the_home_keyframe():
 
 
 def test_springs_and_armature_stay_in_the_torque():
-    motion = random_motion(np.random.default_rng(2), 3, 20)
+    motion = random_motion(default_rng(2), 3, 20)
     rigid = plain_torque(arms.THREE, motion)
     springs = plain_torque(arms.SPRINGS, motion) - rigid
     assert_allclose(springs, 30.0 * (motion[0] - 0.7), rtol=1e-10, atol=1e-10)
@@ -185,12 +186,12 @@ def assert_equals_mujoco(robot, motion):
 @given(random_chain(), SEEDS)
 def test_links_and_columns_give_mujocos_torque_on_any_chain(xml, seed):
     robot = robot_of(xml)
-    motion = random_motion(np.random.default_rng(seed), robot.n_joints, SAMPLES)
+    motion = random_motion(default_rng(seed), robot.n_joints, SAMPLES)
     assert_equals_mujoco(robot, motion)
 
 
 @pytest.mark.parametrize("name", sorted(arms.MODELS))
 def test_links_give_mujocos_torque_on_odd_arms(name):
     robot = robot_of(arms.MODELS[name])
-    motion = random_motion(np.random.default_rng(0), robot.n_joints, SAMPLES)
+    motion = random_motion(default_rng(0), robot.n_joints, SAMPLES)
     assert_equals_mujoco(robot, motion)

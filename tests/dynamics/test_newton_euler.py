@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics.newton_euler import (
@@ -25,7 +26,7 @@ angle = st.floats(-0.3, 0.3)
 
 @given(SEEDS, angle, angle)
 def test_turning_keeps_the_strength_and_turns_by_the_angle(seed, first, second):
-    down = 9.81 * np.random.default_rng(seed).normal(size=3)
+    down = 9.81 * default_rng(seed).normal(size=3)
     turned = turn_gravity(down, np.array([first, second]))
     assert_allclose(np.linalg.norm(turned), np.linalg.norm(down), rtol=1e-12)
     # Both axes are perpendicular to gravity, so the whole turn shows.
@@ -35,7 +36,7 @@ def test_turning_keeps_the_strength_and_turns_by_the_angle(seed, first, second):
 
 @given(SEEDS, st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))
 def test_tilt_angles_invert_turn_gravity(seed, first, second):
-    level = 9.81 * np.random.default_rng(seed).normal(size=3)
+    level = 9.81 * default_rng(seed).normal(size=3)
     angles = np.array([first, second])
     assert_allclose(tilt_angles(level, turn_gravity(level, angles)), angles, atol=1e-9)
     assert_allclose(tilt_angles(level, -level), [np.pi, 0.0])
@@ -43,7 +44,7 @@ def test_tilt_angles_invert_turn_gravity(seed, first, second):
 
 @given(SEEDS, st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
 def test_transported_axes_stay_orthonormal_and_small_turns_add_up(seed, first, second):
-    level = 9.81 * np.random.default_rng(seed).normal(size=3)
+    level = 9.81 * default_rng(seed).normal(size=3)
     angles = np.array([first, second])
     tilted = turn_gravity(level, angles)
     axes = tilt_axes(level, tilted)
@@ -65,7 +66,7 @@ def test_without_gravity_there_is_no_tilt():
 @given(random_chain(), SEEDS)
 def test_columns_of_encoder_zeros_equal_differences(xml, seed):
     robot = robot_of(xml)
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     step = 1e-5
     q, qd, qdd = random_motion(rng, robot.n_joints, 5)
     thetas = robot.thetas

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
 from tests.support.arms import random_rotation
 from tests.support.synthetic_data import random_body
+
+assert_close = partial(assert_allclose, rtol=0.0)
+"""Compare arrays within the absolute tolerance ``atol`` alone."""
 
 SEEDS = st.integers(0, 2**32 - 1)
 # Down to a needle: the shortest direction holds 1e-12 of the mass's second moment.
@@ -49,46 +55,46 @@ def theta_of_points(masses, points):
 
 @given(SEEDS)
 def test_theta_from_com_is_the_sum_over_point_masses(seed):
-    masses, points = point_masses(np.random.default_rng(seed))
+    masses, points = point_masses(default_rng(seed))
     com = masses @ points / np.sum(masses)
     about_com = theta_of_points(masses, points - com)
     actual = spatial.theta_from_com(
         np.sum(masses), com, spatial.symmetric_from_six(about_com[4:])
     )
-    assert_allclose(actual, theta_of_points(masses, points), rtol=0.0, atol=1e-12)
+    assert_close(actual, theta_of_points(masses, points), atol=1e-12)
 
 
 @given(SEEDS)
 def test_pseudo_inertia_is_the_second_moment_of_the_points(seed):
-    masses, points = point_masses(np.random.default_rng(seed))
+    masses, points = point_masses(default_rng(seed))
     homogeneous = np.column_stack((points, np.ones(len(points))))
     expected = np.einsum("n,ni,nj->ij", masses, homogeneous, homogeneous)
     actual = spatial.pseudo_inertia(theta_of_points(masses, points))
-    assert_allclose(actual, expected, rtol=0.0, atol=1e-12)
+    assert_close(actual, expected, atol=1e-12)
 
 
 @given(SEEDS)
 def test_moving_the_frame_moves_the_points(seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     masses, points = point_masses(rng)
     rotation, translation = random_frame(rng)
     moved = theta_of_points(masses, points @ rotation.T + translation)
     actual = spatial.transform_theta(
         theta_of_points(masses, points), rotation, translation
     )
-    assert_allclose(actual, moved, rtol=0.0, atol=1e-11)
+    assert_close(actual, moved, atol=1e-11)
 
 
 @given(SEEDS, SPREADS)
 def test_origin_to_com_and_back_is_the_identity(seed, spread):
-    theta = random_body(np.random.default_rng(seed), spread)
+    theta = random_body(default_rng(seed), spread)
     back = spatial.theta_from_com(*spatial.com_from_theta(theta))
-    assert_allclose(scale_theta(back), scale_theta(theta), rtol=0.0, atol=1e-13)
+    assert_close(scale_theta(back), scale_theta(theta), atol=1e-13)
 
 
 @given(SEEDS, st.booleans())
 def test_consistency_does_not_depend_on_the_frame(seed, possible):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     theta = random_body(rng)
     if not possible:
         theta = theta + inconsistent_change(rng, theta)
@@ -129,7 +135,7 @@ def test_a_massless_body_has_its_com_at_the_origin_and_is_not_possible():
 
 @given(SEEDS)
 def test_the_size_of_a_body_is_the_root_mean_square_distance_of_its_mass(seed):
-    masses, points = point_masses(np.random.default_rng(seed), 3)
+    masses, points = point_masses(default_rng(seed), 3)
     expected = np.sqrt(masses @ np.sum(points**2, axis=1) / np.sum(masses))
     size = spatial.characteristic_length(theta_of_points(masses, points))
     assert size == pytest.approx(expected, rel=1e-12)
@@ -164,28 +170,26 @@ ROTATIONS = st.sampled_from(["any", "right angles", "nearly locked"])
 
 @given(SEEDS, ROTATIONS)
 def test_angles_and_quaternions_turn_back_into_the_rotation(seed, family):
-    rotation = draw_rotation(np.random.default_rng(seed), family)
+    rotation = draw_rotation(default_rng(seed), family)
     roll, pitch, yaw = spatial.roll_pitch_yaw(rotation)
     back = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
-    assert_allclose(back, rotation, rtol=0.0, atol=3e-14)
+    assert_close(back, rotation, atol=3e-14)
     w, *xyz = spatial.quaternion(rotation)
     assert np.linalg.norm([w, *xyz]) == pytest.approx(1.0, abs=1e-14)
-    assert_allclose(
-        Rotation.from_quat([*xyz, w]).as_matrix(), rotation, rtol=0.0, atol=1e-14
-    )
+    assert_close(Rotation.from_quat([*xyz, w]).as_matrix(), rotation, atol=1e-14)
     assert w >= 0.0
 
 
 @given(SEEDS, st.sampled_from([1.0, 1e-6, 1e-12, 0.0]))
 def test_principal_axes_restore_the_inertia_with_the_smallest_turn(seed, spread):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     drawn_axes = random_rotation(rng)
     inertia = (
         drawn_axes @ np.diag(1.0 + spread * rng.uniform(0.0, 1.0, 3)) @ drawn_axes.T
     )
     moments, axes = spatial.principal_axes(inertia)
-    assert_allclose(axes @ np.diag(moments) @ axes.T, inertia, rtol=0.0, atol=1e-14)
-    assert_allclose(axes.T @ axes, np.eye(3), rtol=0.0, atol=1e-14)
+    assert_close(axes @ np.diag(moments) @ axes.T, inertia, atol=1e-14)
+    assert_close(axes.T @ axes, np.eye(3), atol=1e-14)
     assert np.linalg.det(axes) > 0.0
     # No frame is further than 62.8 degrees from the nearest of its 24 turns.
     assert np.trace(axes) >= 1.0 + 2.0 * np.cos(np.radians(62.8))

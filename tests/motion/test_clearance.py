@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.model.contacts import ContactFinder
@@ -69,7 +70,7 @@ def test_bodies_of_several_geoms_are_detected_within_the_margin(gap):
 def test_gradient_equals_differences(seed):
     """The gradient of the slack equals one of its two one-sided difference quotients."""
     clearance = clearance_of(TUBES_AND_POST, ((0.1, 0.2, 1.0, -0.2),))
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     q, direction = rng.uniform(-1.0, 1.0, size=(2, 4))
     step = 1e-6
     three = clearance.slack(q + step * np.outer([-1.0, 0.0, 1.0], direction))
@@ -81,18 +82,23 @@ def test_gradient_equals_differences(seed):
     assert min(abs(one_sided - exact)) < 1e-3 * (1.0 + abs(exact))
 
 
+def assert_slack_is_bounded(clearance, start, end):
+    """Check the slack at joint positions ``end`` (n,) against its lower bound from ``start``."""
+    _, budget = clearance.slack_at(start)
+    bound = np.min(budget - clearance.rates @ np.abs(end - start))
+    assert clearance.slack_at(end)[0] >= bound - 1e-6
+
+
 @given(SEEDS)
 def test_no_move_uses_up_more_slack_than_its_bound(seed):
     """A move reduces the slack by at most the rates times the joint displacements."""
     clearance = clearance_of(TUBES_AND_POST, ((0.0, 0.0, 1.0, -0.2),))
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     start = rng.uniform(-2.0, 2.0, size=4)
     end = start + rng.uniform(0.01, 0.3) * rng.normal(size=4)
-    both = clearance.slack(np.vstack((start, end)))
-    moved = clearance.rates @ np.abs(end - start)
-    value, budget = clearance.slack_at(start)
-    assert value == both.value[0]
-    assert both.value[1] >= np.min(budget - moved) - 1e-6
+    assert_slack_is_bounded(clearance, start, end)
+    both = clearance.slack(np.vstack((start, end))).value
+    assert both.tolist() == [clearance.slack_at(q)[0] for q in (start, end)]
 
 
 @pytest.mark.parametrize("offset, is_by_design", [(0.05, True), (0.18, False)])
@@ -113,7 +119,7 @@ def test_negative_slack_wherever_the_contact_finder_sees_a_contact():
     arm = robot(TUBES_AND_POST)
     clearance = clearance_of(TUBES_AND_POST)
     finder = ContactFinder(arm)
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     touching = 0
     for q in rng.uniform(-2.5, 2.5, size=(300, 4)):
         if finder.new_pairs(q):
@@ -127,29 +133,29 @@ def balls_with_gap(gap):
     return BALLS.replace('pos="0 .3 0"/></body>', f'pos="0.3 {0.07 + gap} 0"/></body>')
 
 
-def test_a_pair_nearer_than_the_clearance_keeps_half_its_distance_at_rest():
-    clearance = clearance_of(balls_with_gap(0.004))
+@pytest.mark.parametrize(
+    ("gap", "state", "depth", "slack"),
+    [
+        (0.004, "near", "4 mm apart", KEPT_SHARE * 0.004),
+        (-0.0005, "touching", "0.5 mm deep", 1e-4),
+        (-0.005, "deep", "5 mm deep", -KEEP - 0.005),
+    ],
+)
+def test_the_slack_of_a_pair_depends_on_its_gap_at_rest(gap, state, depth, slack):
+    """A near pair keeps half its gap, a grazing one its depth; a deep contact is a collision."""
+    clearance = clearance_of(balls_with_gap(gap))
+    assert clearance.at_rest[state] == [f"#1 and ball ({depth})"]
     closest = clearance.closest(np.zeros(2))
-    assert closest.distance == pytest.approx(0.004, abs=1e-6)
-    assert closest.slack == pytest.approx(KEPT_SHARE * 0.004, abs=1e-6)
-    assert clearance.at_rest["near"] == ["#1 and ball (4 mm apart)"]
+    assert closest.distance == pytest.approx(gap, abs=1e-6)
+    assert closest.slack == pytest.approx(slack, abs=1e-6)
+    assert clearance.slack(np.zeros((1, 2))).value[0] == pytest.approx(slack, abs=1e-6)
 
 
 def test_a_contact_that_grazes_at_rest_must_not_get_deeper():
     """A table 0.5 mm too high still must not be penetrated."""
     clearance = clearance_of(balls_with_gap(-0.0005))
-    assert clearance.at_rest["touching"] == ["#1 and ball (0.5 mm deep)"]
-    assert clearance.slack(np.zeros((1, 2))).value[0] == pytest.approx(1e-4, abs=1e-6)
     away, deeper = clearance.slack(np.array([[-0.02, 0.0], [0.001, 0.0]])).value
     assert away > 0.0 > deeper
-
-
-def test_bodies_deep_inside_each_other_at_rest_are_a_collision():
-    clearance = clearance_of(balls_with_gap(-0.005))
-    assert clearance.at_rest["deep"] == ["#1 and ball (5 mm deep)"]
-    assert clearance.slack(np.zeros((1, 2))).value[0] == pytest.approx(
-        -KEEP - 0.005, abs=1e-6
-    )
 
 
 def test_only_the_start_pose_reduces_the_clearance_of_a_pair():
@@ -163,7 +169,7 @@ def test_only_the_start_pose_reduces_the_clearance_of_a_pair():
 def test_a_clearance_can_be_pickled():
     clearance = clearance_of(TUBES_AND_POST, ((0.0, 0.0, 1.0, -0.2),))
     copied = pickle.loads(pickle.dumps(clearance))
-    q = np.random.default_rng(0).uniform(-1.0, 1.0, size=(20, 4))
+    q = default_rng(0).uniform(-1.0, 1.0, size=(20, 4))
     assert np.array_equal(copied.slack(q).value, clearance.slack(q).value)
 
 
@@ -187,7 +193,7 @@ def crowd(filters):
 def contacts(model, seed):
     """Return the pairs of geoms that touch when the bodies lie at random positions."""
     data = mujoco.MjData(model)
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     for k in range(BODIES):
         data.qpos[7 * k : 7 * k + 3] = rng.uniform(-0.15, 0.15, size=3)
     mujoco.mj_kinematics(model, data)
@@ -205,7 +211,7 @@ def test_drop_pairs_keeps_the_pairs_of_different_groups(filters, groups, seed):
     """No pair inside a group remains, and no relevant pair is lost."""
     model = crowd(filters)
     body_groups = np.array([0, *groups])
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     ignored = rng.uniform(size=(BODIES + 1, BODIES + 1)) < 0.3
     ignored |= ignored.T
     decimated = copy.copy(model)
@@ -246,10 +252,7 @@ def test_slack_bounds_hold_for_a_slide_joint():
         + '<geom type="plane" size="1 1 .1"/>'
     )
     clearance = clearance_of(xml)
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     for _ in range(100):
         start = rng.uniform(-0.6, 0.6, size=2)
-        step = 0.1 * rng.normal(size=2)
-        moved = clearance.rates @ np.abs(step)
-        (_, budget) = clearance.slack_at(start)
-        assert clearance.slack_at(start + step)[0] >= np.min(budget - moved) - 1e-6
+        assert_slack_is_bounded(clearance, start, start + 0.1 * rng.normal(size=2))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 
 from robot_sysid.errors import InputError
 from robot_sysid.motion import design as design_module
@@ -64,7 +65,7 @@ def objective_of(design, multipliers):
 @given(SEEDS)
 def test_gradient_equals_differences(seed):
     design = make_design(arms.THREE)
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     multipliers = rng.uniform(size=(len(design.grid), 14))
     x = random_x(design, seed)
     direction = random_x(design, seed + 1, 1.0)
@@ -113,7 +114,7 @@ def test_unidentifiable_directions_have_no_information_on_any_motion(seed):
     assert design.criterion.visible.shape == (10, 7)
     scale = np.diag(design.problem.scale)
     model = information_model(design.problem, np.ones(1), known_arm(design.problem))
-    q, qd, qdd = np.random.default_rng(seed).normal(size=(3, 50, 7))
+    q, qd, qdd = default_rng(seed).normal(size=(3, 50, 7))
     matrix = scale @ model.evaluate(q, qd, qdd).information[:10, :10] @ scale
     visible = np.linalg.solve(scale, design.criterion.visible)
     hidden = np.eye(10) - visible @ visible.T
@@ -155,7 +156,7 @@ def test_the_gradient_of_constraints_equals_differences(limits, seed):
     constraints = partial(
         design_module.constraints_of, make_problem(STRONG_MOTORS, **limits), share=0.99
     )
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     motion, direction = rng.normal(size=(2, 3, 3, 3))
     cache = constraints(motion)
     weight = rng.uniform(size=cache.value.shape)
@@ -171,7 +172,7 @@ def test_the_gradient_of_constraints_equals_differences(limits, seed):
 
 def test_gradient_of_the_clearance_equals_differences():
     problem = make_problem(TUBES_AND_POST)
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     checked = 0
     at_rest = np.zeros((1, 4))
     weight = np.eye(18)[-1:]

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.question import EstimationOptions
@@ -55,13 +56,13 @@ def run_search(design, seed, progress=None, clock=design_module.clock):
     """Return the result of a search with the seed, a progress listener and a clock in seconds."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(design_module, "clock", clock)
-        return design_excitation(design, np.random.default_rng(seed), progress)
+        return design_excitation(design, default_rng(seed), progress)
 
 
 def search_problem(problem, **changes):
     """Return the result of a search with limits that are set on the problem itself."""
     design = Design(problem, options(**changes), TrajectoryOptions(duration=DURATION))
-    return design_excitation(design, np.random.default_rng(0))
+    return design_excitation(design, default_rng(0))
 
 
 def assert_obeys(xml, seed, **changes):
@@ -294,7 +295,7 @@ def test_the_target_decides_the_motion():
     payload_prior = prior_knowledge(arm, DEFAULTS, "payload")
     link = Design(arm, search_options, motion, link_prior)
     payload = Design(arm, search_options, motion, payload_prior)
-    x = design_excitation(link, np.random.default_rng(3)).trajectory.coefficients
+    x = design_excitation(link, default_rng(3)).trajectory.coefficients
     other = design_module.improve(
         payload, design_module.first_candidate(payload, x)
     ).feasible_x

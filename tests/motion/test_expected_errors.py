@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
@@ -60,7 +61,7 @@ def predict_errors(options, **changes):
 def identify_recording(options, seed):
     """Return the answer of identifying one noisy recording of PLAN with measured friction."""
     exact = join_measurements(simulate_inverse(robot(ARM), motion_chunks(PLAN, RATE)))
-    noise = SIGMA * np.random.default_rng([seed, 1]).normal(size=exact.tau.shape)
+    noise = SIGMA * default_rng([seed, 1]).normal(size=exact.tau.shape)
     recording = replace(exact, tau=exact.tau + noise, qd=None, qdd=None)
     measured_options = replace(options, friction_model=DEFAULT_MEASURED)
     datasets, _ = low_pass_recordings(

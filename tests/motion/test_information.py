@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics.equations import Equations, other_links
@@ -96,7 +97,7 @@ def test_information_equals_the_schur_complement_of_the_equations(
     xml, torques, prior_deviations
 ):
     robot = robot_of(xml)
-    motion = random_motion(np.random.default_rng(0), robot.n_joints, SAMPLES)
+    motion = random_motion(default_rng(0), robot.n_joints, SAMPLES)
     rows = None if torques == "chain" else (robot.n_joints - 1,)
     model = make_model(robot, prior_deviations, rows=rows)
     ours = model.evaluate(*motion).information
@@ -110,7 +111,7 @@ def test_information_equals_the_schur_complement_of_the_equations(
 @pytest.mark.parametrize("prior_deviations", PRIORS.values(), ids=PRIORS)
 def test_the_gradient_of_the_criterion_equals_differences(target, prior_deviations):
     robot = robot_of(arms.THREE)
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     model = make_model(robot, prior_deviations, 0.3)
     factor = (
         np.zeros((0, 0)) if target == "payload" else 0.1 * rng.normal(size=(20, 20))
@@ -131,7 +132,7 @@ def test_the_gradient_of_the_criterion_equals_differences(target, prior_deviatio
 
 def test_the_criterion_is_the_volume_of_the_posterior_covariance():
     """More rows or a narrower prior improve the value."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     rows = rng.normal(size=(60, 30))
     factor = 0.3 * rng.normal(size=(20, 20))
     visible = np.diag(rng.uniform(0.1, 1.0, 10))
@@ -210,7 +211,7 @@ def test_motion_of_the_last_link_equals_mujoco(xml, seed):
     robot = arm_or_none(xml)
     if robot is None:
         return
-    motion = random_motion(np.random.default_rng(seed), robot.n_joints, 5)
+    motion = random_motion(default_rng(seed), robot.n_joints, 5)
     ours = LinkDynamics(robot).motion(*motion)
     jacobian = np.einsum("nab,bin->nai", ours.to_links[-1], ours.joint_twists)
     quantities = jacobian, ours.velocity[-1].T, ours.acceleration[-1].T

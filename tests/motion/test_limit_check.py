@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from robot_sysid.errors import InputError
@@ -44,49 +45,49 @@ BRIEF = FourierBasis(0.4, 2.5, 3, 0.15)
 
 def plan_of(problem, seed, size, basis=BRIEF):
     """Return a Fourier trajectory with random coefficients of standard deviation ``size``."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     return FourierTrajectory(
         basis, problem.rest, size * rng.normal(size=(problem.n_joints, 7))
     )
 
 
+THREE = make_problem(arms.THREE)
+
+
 @given(SEEDS, st.floats(0.02, 0.6))
 def test_peaks_equal_those_of_dense_samples(seed, size):
-    problem = make_problem(arms.THREE)
-    plan = plan_of(problem, seed, size)
-    check = check_limits(problem, plan)
+    plan = plan_of(THREE, seed, size)
+    check = check_limits(THREE, plan)
     motion = plan.evaluate(np.arange(401) / 1000.0)
     assert np.allclose(check.lowest, motion.q.min(axis=0), atol=1e-12)
     assert np.allclose(check.highest, motion.q.max(axis=0), atol=1e-12)
     _, velocity, acceleration, torque = check.joints
     assert np.allclose(velocity, np.abs(motion.qd).max(axis=0), atol=1e-12)
     assert np.allclose(acceleration, np.abs(motion.qdd).max(axis=0), atol=1e-12)
-    assert np.allclose(torque, np.abs(problem.torque(motion)).max(axis=0), atol=1e-9)
-    limits = problem.limits
+    assert np.allclose(torque, np.abs(THREE.torque(motion)).max(axis=0), atol=1e-9)
+    limits = THREE.limits
     holds = (
         np.all((motion.q >= limits.lower) & (motion.q <= limits.upper))
         and np.all(np.abs(motion.qd) <= limits.velocity)
         and np.all(np.abs(motion.qdd) <= limits.acceleration)
     )
-    assert check.holds == holds == keeps_limits(problem, plan)
+    assert check.holds == holds == keeps_limits(THREE, plan)
 
 
 def test_a_torque_that_is_nan_breaks_its_limit():
-    problem = make_problem(arms.THREE)
-    lost = replace(problem, arm_torque=lambda motion: np.full_like(motion.q, np.nan))
-    plan = plan_of(problem, 0, 1e-3)
-    assert keeps_limits(problem, plan) and not keeps_limits(lost, plan)
+    lost = replace(THREE, arm_torque=lambda motion: np.full_like(motion.q, np.nan))
+    plan = plan_of(THREE, 0, 1e-3)
+    assert keeps_limits(THREE, plan) and not keeps_limits(lost, plan)
     assert "torque limit of joint" in check_limits(lost, plan).failure
 
 
 @given(st.floats(-1.0, 1.0), st.floats(0.1, 1.0), st.floats(-2.0, 2.0))
 def test_position_limits_need_not_lie_around_zero(middle, reach, position):
     assume(abs(abs(position - middle) - reach) > 1e-6)
-    problem = make_problem(arms.THREE)
     lower = np.full(3, middle - reach)
     upper = np.full(3, middle + reach)
-    limits = replace(problem.limits, lower=lower, upper=upper)
-    problem = replace(problem, limits=limits)
+    limits = replace(THREE.limits, lower=lower, upper=upper)
+    problem = replace(THREE, limits=limits)
     resting = FourierTrajectory(BRIEF, np.full(3, position), np.zeros((3, 7)))
     assert keeps_limits(problem, resting) == (abs(position - middle) <= reach)
 
@@ -131,7 +132,7 @@ class ThinWall:
 
 
 def test_a_wall_between_two_samples_is_detected():
-    problem = replace(make_problem(arms.THREE), obstacles=ThinWall())
+    problem = replace(THREE, obstacles=ThinWall())
     coefficients = np.zeros((3, 7))
     coefficients[0, 0] = 0.4
     plan = FourierTrajectory(BASIS, problem.rest, coefficients)
@@ -179,7 +180,7 @@ class Stopping:
 @pytest.mark.parametrize(("end", "touches"), [(0.1988, False), (0.19945, True)])
 def test_a_motion_that_stops_inside_a_wall_is_detected(end, touches):
     """Between two samples the speed is that at the start of the step."""
-    problem = replace(make_problem(arms.THREE), obstacles=ThinWall())
+    problem = replace(THREE, obstacles=ThinWall())
     assert (first_contact(problem, Stopping(end)) is not None) == touches
 
 
@@ -194,7 +195,7 @@ class PlanWithoutPeriod:
 def check_with_and_without_period(problem, seed, base, fade, speed):
     """Return a periodic motion, its check, and the check of its full duration."""
     basis = FourierBasis(3.0, base, 4, fade)
-    shape = 0.05 * np.random.default_rng(seed).normal(size=(3, 9))
+    shape = 0.05 * default_rng(seed).normal(size=(3, 9))
     plan = at_speed(FourierTrajectory(basis, problem.rest, shape), speed)
     return (
         plan,
@@ -208,7 +209,7 @@ def check_with_and_without_period(problem, seed, base, fade, speed):
 def test_checking_one_period_and_both_ends_covers_the_motion(seed, base, fade, speed):
     """Also slowed down, and where a period is no integer number of samples."""
     plan, check, full_check = check_with_and_without_period(
-        make_problem(arms.THREE), seed, base, fade, speed
+        THREE, seed, base, fade, speed
     )
     assert checked_time(plan) < 0.6 * plan.duration
     for name in ("lowest", "highest", "largest"):
@@ -217,22 +218,19 @@ def test_checking_one_period_and_both_ends_covers_the_motion(seed, base, fade, s
 
 
 def test_the_failure_counts_the_limits_and_names_the_worst():
-    problem = make_problem(arms.THREE)
     slow = FourierBasis(8.0, 0.125, 3, 4.0)
     coefficients = np.zeros((3, 7))
     assert (
-        check_limits(
-            problem, FourierTrajectory(slow, problem.rest, coefficients)
-        ).failure
+        check_limits(THREE, FourierTrajectory(slow, THREE.rest, coefficients)).failure
         is None
     )
-    coefficients[2, 0] = 1.05 * (problem.limits.upper[2] - problem.rest[2])
-    one = check_limits(problem, FourierTrajectory(slow, problem.rest, coefficients))
+    coefficients[2, 0] = 1.05 * (THREE.limits.upper[2] - THREE.rest[2])
+    one = check_limits(THREE, FourierTrajectory(slow, THREE.rest, coefficients))
     assert one.failure.startswith(
         "this trajectory must not be run: it breaks the position limit of joint joint2 (5.0 % "
     )
     several = check_limits(
-        problem, FourierTrajectory(BASIS, problem.rest, coefficients + 3.0)
+        THREE, FourierTrajectory(BASIS, THREE.rest, coefficients + 3.0)
     )
     count = len(several.excesses)
     worst = several.excesses[0]
@@ -244,18 +242,15 @@ def test_the_failure_counts_the_limits_and_names_the_worst():
 @given(SEEDS, st.floats(0.1, 2.0), st.floats(0.3, 5.0))
 def test_only_joints_beyond_their_limits_are_scaled(seed, v, a):
     """Without torque limits and obstacles nothing couples the joints."""
-    problem = make_problem(arms.THREE)
     unlimited = np.full(3, np.inf)
     limits = replace(
-        problem.limits,
+        THREE.limits,
         velocity=np.full(3, v),
         acceleration=np.full(3, a),
         torque=unlimited,
     )
-    problem = replace(problem, limits=limits)
-    plan, _ = generate_excitation_trajectory(
-        robot(arms.THREE), np.random.default_rng(seed), 1.0
-    )
+    problem = replace(THREE, limits=limits)
+    plan, _ = generate_excitation_trajectory(robot(arms.THREE), default_rng(seed), 1.0)
     scaled, factors = scale_to_limits(problem, plan, 0.0)
     check = check_limits(problem, plan)
     scaled_check = check_limits(problem, scaled)
@@ -305,7 +300,7 @@ def pair(tmp_path_factory):
 
 def test_two_arms_as_one_need_the_torques_of_each(pair):
     both = as_one(*pair)
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     assert both.joint_names == ("left_a", "left_b", "right_a", "right_b")
     derivatives = rng.uniform(-1.0, 1.0, (3, 5, 4))
     torque = ArmTorque(both)(Motion(np.arange(5.0), *derivatives))

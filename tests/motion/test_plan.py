@@ -7,6 +7,7 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from robot_sysid.errors import InputError
 from robot_sysid.motion.plan import MotionRequest, make_plan
@@ -95,7 +96,7 @@ def test_a_planned_motion_reserves_torque_for_errors_of_the_links(
     problem = motion_plan.problem
     motion = motion_plan.plan.evaluate(np.linspace(0.0, motion_plan.plan.duration, 300))
     links = problem.dynamics.motion(motion.q, motion.qd, motion.qdd)
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     torques = []
     for errors in (
         rng.normal(size=(2000, problem.link_errors.shape[1])) @ problem.link_errors.T

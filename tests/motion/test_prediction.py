@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import FrictionModel
@@ -53,7 +54,7 @@ def empirical_deviation_of(arm, plan, rate, sigma, draws, seed=0):
         draws: number of noise draws.
         seed: of the noise.
     """
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     equations = Equations(arm, "chain", (FULL_FRICTION,) * arm.n_joints)
     size = len(equations.names)
     normal = np.zeros((size, size))
@@ -88,7 +89,7 @@ def test_predicted_deviations_equal_monte_carlo(xml):
 def test_the_error_of_the_centre_of_mass_equals_monte_carlo():
     """To first order in the covariance."""
     theta = make_problem(arms.SEVEN).robot.prior.theta
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     root = 1e-3 * rng.normal(size=(10, 10))
     drawn = rng.multivariate_normal(theta, root @ root.T, size=4000)
     spread = np.sqrt(np.sum(np.var(drawn[:, 1:4] / drawn[:, :1], axis=0)))
@@ -107,9 +108,7 @@ def report(problem, plan):
 
 def sines(xml, seed=0):
     """Return random sinusoids of 2 s."""
-    return generate_excitation_trajectory(robot(xml), np.random.default_rng(seed), 2.0)[
-        0
-    ]
+    return generate_excitation_trajectory(robot(xml), default_rng(seed), 2.0)[0]
 
 
 def find_line(lines, start):

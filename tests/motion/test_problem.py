@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
+from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
 from robot_sysid.motion.plan_options import TOP_FREQUENCY_HZ, LimitOptions
 from robot_sysid.motion.problem import Tool, _space_above_base, build_problem
@@ -22,11 +24,10 @@ from tests.support.arms import SEEDS, robot_of
 from tests.support.excitation_arms import TUBES, make_problem, robot, slope
 
 
-def limits(lower=-2.0, upper=2.0, velocity=1.0, torque=np.inf, joints=3):
-    """Return JointLimits with equal values for all joints [rad, rad/s, N m]."""
-    return JointLimits(
-        *(np.full(joints, float(v)) for v in (lower, upper, velocity, torque))
-    )
+def limited_arm(lower=-2.0, upper=2.0, velocity=1.0, torque=np.inf):
+    """Return an arm of three joints with equal limits [rad, rad/s, N m]."""
+    limits = [np.full(3, limit) for limit in (lower, upper, velocity, torque)]
+    return replace(robot_of(arms.THREE), limits=JointLimits(*limits))
 
 
 def build(arm, *arguments, **changes):
@@ -35,9 +36,7 @@ def build(arm, *arguments, **changes):
 
 
 def test_limits_are_those_of_the_model_less_margins():
-    problem = build(
-        replace(robot_of(arms.THREE), limits=limits(torque=100.0)), "chain", 0.3, 0.5
-    )
+    problem = build(limited_arm(torque=100.0), "chain", 0.3, 0.5)
     assert np.allclose(problem.limits.lower, -2.0 + 0.02 * 4.0)
     assert np.allclose(problem.limits.upper, 2.0 - 0.02 * 4.0)
     assert np.allclose(problem.limits.velocity, 1.0)
@@ -46,7 +45,7 @@ def test_limits_are_those_of_the_model_less_margins():
 
 
 def test_limit_options_tighten_those_of_the_model():
-    arm = replace(robot_of(arms.THREE), limits=limits(torque=100.0))
+    arm = limited_arm(torque=100.0)
     problem = build(arm, max_acceleration=3.0, max_torque=(50.0, 60.0, 200.0))
     assert np.allclose(problem.limits.acceleration, 3.0)
     assert np.allclose(problem.limits.torque, [47.5, 57.0, 95.0])
@@ -56,7 +55,7 @@ def test_limit_options_tighten_those_of_the_model():
     "changes", [{"lower": -np.inf, "upper": np.inf}, {"upper": np.inf}]
 )
 def test_a_joint_without_a_limit_gets_an_assumed_range(changes):
-    problem = build(replace(robot_of(arms.THREE), limits=limits(**changes)))
+    problem = build(limited_arm(**changes))
     assert np.all(np.isfinite(problem.limits.upper)) and np.all(
         problem.limits.upper > problem.rest
     )
@@ -66,7 +65,7 @@ def test_a_joint_without_a_limit_gets_an_assumed_range(changes):
 
 
 def test_a_reference_beyond_a_limit_is_moved_to_it_and_noted():
-    problem = build(replace(robot_of(arms.THREE), limits=limits(lower=0.5)))
+    problem = build(limited_arm(lower=0.5))
     assert np.allclose(problem.rest, 0.5 + 0.02 * 1.5)
     assert any("joint1 at 0.530 instead of 0.000" in note for note in problem.notes)
 
@@ -80,21 +79,18 @@ def test_without_a_band_only_an_option_limits_accelerations():
     assert np.array_equal(acceleration, np.where(arm.is_slide, np.inf, 3.0))
 
 
-TOOL = Tool(
-    np.random.default_rng(0).normal(size=(7, 3)),
-    np.array([0.0, 0.0, 0.3, 0, 0.1, 0, 0]),
-)
+TOOL = Tool(default_rng(0).normal(size=(7, 3)), np.array([0.0, 0.0, 0.3, 0, 0.1, 0, 0]))
 
 
 def twists(seed, count=5):
     """Return random twists (6, count): angular velocity above linear velocity."""
-    return np.random.default_rng(seed).normal(size=(6, count))
+    return default_rng(seed).normal(size=(6, count))
 
 
 @given(SEEDS)
 def test_no_point_of_the_tool_exceeds_its_speed(seed):
     """Points inside the hull of the balls, by v + w x p."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     twist = twists(seed)
     share = rng.dirichlet(np.ones(7), size=50)
     away = rng.normal(size=(50, 7, 3))
@@ -127,75 +123,69 @@ def test_the_tip_is_the_farthest_point():
     assert_allclose(make_problem(TUBES).tool.tip, [0.0, 0.0, 0.23], atol=1e-12)
 
 
+SEVEN = make_problem(arms.SEVEN)
+
+
 def random_motion(joints, seed, count=6):
     """Return a random Motion of ``count`` samples."""
-    q, qd, qdd = np.random.default_rng(seed).normal(size=(3, count, joints))
-    return Motion(np.arange(float(count)), q, qd, qdd)
+    return Motion(
+        np.arange(float(count)), *default_rng(seed).normal(size=(3, count, joints))
+    )
 
 
-def with_load(arm, mass, tip):
-    """Return the arm with a point mass [kg] at ``tip`` (3,) in its last body's frame."""
-    model = copy.copy(arm.mj_model)
-    from robot_sysid.dynamics import spatial
-
-    load = spatial.theta_from_com(mass, tip, np.zeros((3, 3)))
-    arms.write_body(model, arm.body_id, arm.prior.theta + load)
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-    return robot_of(model)
+def loaded_torque(motion, mass):
+    """Return the torque (N, 7) of SEVEN with a point mass [kg] at the tip of its tool."""
+    return SEVEN.torque(motion) + mass * SEVEN.torque_per_kilogram(motion)
 
 
 @given(SEEDS, st.floats(0.1, 5.0))
 def test_the_torque_of_a_load_equals_that_of_a_loaded_arm(seed, mass):
     arm = robot(arms.SEVEN)
-    problem = make_problem(arms.SEVEN)
     motion = random_motion(7, seed)
-    more = mass * problem.torque_per_kilogram(motion)
-    loaded = ArmTorque(with_load(arm, mass, problem.tool.tip))(motion)
-    assert_allclose(problem.torque(motion) + more, loaded, rtol=1e-7, atol=1e-7)
+    load = spatial.theta_from_com(mass, SEVEN.tool.tip, np.zeros((3, 3)))
+    model = copy.copy(arm.mj_model)
+    arms.write_body(model, arm.body_id, arm.prior.theta + load)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    expected = ArmTorque(robot_of(model))(motion)
+    assert_allclose(loaded_torque(motion, mass), expected, rtol=1e-7, atol=1e-7)
 
 
 @given(SEEDS, st.floats(0.0, 3.0))
-def test_the_torque_with_a_reserve_covers_every_load_up_to_it(seed, share):
-    problem = make_problem(arms.SEVEN)
+def test_the_torque_with_a_reserve_covers_every_load_up_to_it(seed, mass):
     motion = random_motion(7, seed)
-    loaded = problem.torque(motion) + share * problem.torque_per_kilogram(motion)
-    assert np.all(
-        np.abs(loaded) <= np.abs(replace(problem, reserve=3.0).torque(motion)) + 1e-12
-    )
+    reserved = np.abs(replace(SEVEN, reserve=3.0).torque(motion))
+    assert np.all(np.abs(loaded_torque(motion, mass)) <= reserved + 1e-12)
 
 
-def with_torque_limit(problem, torque):
-    """Return the problem with other torque limits (n,)."""
-    return replace(problem, limits=replace(problem.limits, torque=torque))
+def largest_load(problem, torque, motion):
+    """Return the largest load [kg] under torque limits (n,), and the joint that limits it."""
+    limits = replace(problem.limits, torque=torque)
+    return replace(problem, limits=limits).load_left(motion)
 
 
 @given(SEEDS)
 def test_the_largest_load_brings_one_joint_to_its_limit(seed):
-    problem = make_problem(arms.SEVEN)
     motion = random_motion(7, seed)
-    limit = 1.5 * np.max(np.abs(problem.torque(motion)), axis=0)
-    left, joint = with_torque_limit(problem, limit).load_left(motion)
-    loaded = problem.torque(motion) + left * problem.torque_per_kilogram(motion)
-    share = np.max(np.abs(loaded), axis=0) / limit
-    assert left > 0.0
+    limit = 1.5 * np.max(np.abs(SEVEN.torque(motion)), axis=0)
+    load, joint = largest_load(SEVEN, limit, motion)
+    share = np.max(np.abs(loaded_torque(motion, load)), axis=0) / limit
+    assert load > 0.0
     assert share[joint] == pytest.approx(1.0, rel=1e-9) and np.max(share) <= 1.0 + 1e-9
 
 
 def test_the_largest_load_is_infinite_without_limits_and_negative_beyond():
     """Also where the load relieves a joint that the arm alone brings beyond its limit."""
-    problem = make_problem(arms.SEVEN)
     motion = random_motion(7, 0)
-    assert with_torque_limit(problem, np.full(7, np.inf)).load_left(motion)[0] == np.inf
-    relieved = replace(
-        problem, arm_torque=lambda m: -2.0 * np.sign(problem.torque_per_kilogram(m))
-    )
-    assert with_torque_limit(relieved, np.full(7, 3.0)).load_left(motion)[0] > 0.0
-    assert with_torque_limit(relieved, np.full(7, 1.0)).load_left(motion)[0] < 0.0
+    assert largest_load(SEVEN, np.full(7, np.inf), motion)[0] == np.inf
+    torque = -2.0 * np.sign(SEVEN.torque_per_kilogram(motion))
+    relieved = replace(SEVEN, arm_torque=lambda _: torque)
+    assert largest_load(relieved, np.full(7, 3.0), motion)[0] > 0.0
+    assert largest_load(relieved, np.full(7, 1.0), motion)[0] < 0.0
 
 
 @pytest.mark.parametrize("top", [0.6, 5.0, 15.0])
 def test_faster_harmonics_do_not_raise_the_acceleration_limit(top):
-    problem = build(replace(robot_of(arms.THREE), limits=limits()), "chain", 0.3, top)
+    problem = build(limited_arm(), "chain", 0.3, top)
     assert np.allclose(problem.limits.acceleration, 2.0 * np.pi * TOP_FREQUENCY_HZ)
 
 
@@ -213,7 +203,7 @@ def test_terminal_torques_use_one_row():
     )
     assert problem.rows == (6,)
     assert problem.sigma.tolist() == [7.0]
-    assert make_problem(arms.SEVEN).rows == tuple(range(7))
+    assert SEVEN.rows == tuple(range(7))
 
 
 BLOCK = '<geom type="box" size=".1 .1 .4" pos="0 0 -.4"/>'
@@ -258,11 +248,10 @@ def torque_variance(problem, motion):
 @given(SEEDS, st.floats(1.0, 20.0))
 def test_the_torque_reserve_is_two_deviations_of_the_link_errors(seed, uncertainty):
     """A joint without a torque limit needs no reserve."""
-    arm = replace(robot_of(arms.THREE), limits=limits(torque=100.0))
+    arm = limited_arm(torque=100.0)
     arm.limits.torque[1] = np.inf
     problem = build_problem(arm, LimitOptions(), link_uncertainty=uncertainty)
-    q, qd, qdd = np.random.default_rng(seed).normal(size=(3, 5, 3))
-    motion = Motion(np.arange(5.0), q, qd, qdd)
+    motion = random_motion(3, seed, 5)
     reserve = 2.0 * np.sqrt(torque_variance(problem, motion)) * [1.0, 0.0, 1.0]
     assert np.allclose(problem.torque_reserve(motion), reserve)
     assert np.allclose(
@@ -272,9 +261,7 @@ def test_the_torque_reserve_is_two_deviations_of_the_link_errors(seed, uncertain
 
 def test_exact_links_and_unlimited_torques_need_no_reserve():
     motion = Motion(np.zeros(1), *np.zeros((3, 1, 3)))
-    exact_arm = build_problem(
-        replace(robot_of(arms.THREE), limits=limits(torque=9.0)), LimitOptions()
-    )
+    exact_arm = build_problem(limited_arm(torque=9.0), LimitOptions())
     unlimited = build_problem(
         robot_of(arms.THREE), LimitOptions(), link_uncertainty=5.0
     )

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from robot_sysid.motion.plan_options import LimitOptions
@@ -56,7 +57,7 @@ def all_shapes():
 def test_the_farthest_point_of_a_shape_lies_on_its_boundary(seed):
     """No point of the shape is farther along the direction."""
     data, solids = all_shapes()
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     direction = rng.normal(size=(1, 3))
     direction /= np.linalg.norm(direction)
     for geom, (shape, solid) in enumerate(zip(SHAPES, solids)):
@@ -121,7 +122,7 @@ def test_the_swept_space_encloses_all_capsules_in_all_poses(seed):
     arm = robot(TUBES)
     model = arm.mj_model
     data = mujoco.MjData(arm.mj_model)
-    positions = np.random.default_rng(seed).uniform(-2.0, 2.0, size=(5, 4))
+    positions = default_rng(seed).uniform(-2.0, 2.0, size=(5, 4))
     lower, upper, lowest = swept_space(arm, positions)
     ends = []
     names = []

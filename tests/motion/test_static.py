@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
@@ -140,7 +141,7 @@ def posing():
 def poses(posing):
     """Six poses for a payload."""
     options = PoseOptions("payload", True, poses=6, dwell=1.0)
-    return static.design_poses(posing, options, np.random.default_rng(0))
+    return static.design_poses(posing, options, default_rng(0))
 
 
 @pytest.mark.slow
@@ -152,7 +153,7 @@ def test_all_limits_are_kept_and_the_motion_is_gentle(posing, poses):
 
 def test_rows_of_poses_count_in_units_of_each_joints_noise(posing):
     """A joint whose torque is twice as noisy shows half as much of the payload."""
-    pose = np.random.default_rng(0).uniform(-1.0, 1.0, (5, 4))
+    pose = default_rng(0).uniform(-1.0, 1.0, (5, 4))
     factor = np.arange(1.0, 5.0)
     noisier = replace(posing, sigma=factor * posing.sigma)
     rows = static._gravity_rows(posing, pose)

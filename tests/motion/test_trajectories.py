@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
@@ -32,7 +33,7 @@ NAMES = ("base", "elbow", "wrist")
 
 def sines(seed):
     """Return random sinusoids of three joints."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     amplitude, frequency, phase = rng.normal(size=(3, 3, 4))
     return SineTrajectory(
         rng.normal(size=3), amplitude, np.abs(frequency), phase, 7.3, 1.1
@@ -41,7 +42,7 @@ def sines(seed):
 
 def fourier(seed):
     """Return a random Fourier series of three joints."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     duration = rng.uniform(1.0, 60.0)
     harmonics = int(rng.integers(3, 12))
     fade = rng.uniform(0.05, 0.5) * duration
@@ -53,7 +54,7 @@ def fourier(seed):
 
 def poses(seed):
     """Return a random sequence of resting poses of three joints."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     count = int(rng.integers(2, 7))
     moves = rng.uniform(0.3, 2.0, count - 1)
     dwells = rng.uniform(0.0, 1.0, count)
@@ -62,7 +63,7 @@ def poses(seed):
 
 def sweeps(seed):
     """Return random sweeps of three joints at constant speed."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     count = int(rng.integers(2, 7))
     ramps = rng.uniform(0.1, 0.5, count - 1)
     moves = ramps * rng.uniform(2.0, 6.0, count - 1)

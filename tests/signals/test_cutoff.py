@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from robot_sysid.records import Measurement
@@ -19,6 +20,7 @@ from robot_sysid.signals.cutoff import (
 )
 from robot_sysid.signals.filters import design_low_pass, second_derivative
 from robot_sysid.signals.process import process
+from tests.support.arms import SEEDS
 from tests.support.swing import FREQUENCIES, Swing, seconds
 
 
@@ -31,7 +33,7 @@ def cutoff_of(q, rate):
     ("seed", "rate", "sigma"), [(0, 200.0, 1e-3), (1, 500.0, 3e-5)]
 )
 def test_the_encoder_noise_is_estimated_from_the_spectrum(seed, rate, sigma):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     q = Swing(seed).q(seconds(10.0, rate))
     q = q + sigma * rng.normal(size=q.shape)
     spectra = acceleration_spectra(q, rate, quantisation_error(q))
@@ -53,7 +55,7 @@ def test_quantisation_counts_as_its_own_noise():
 
 def test_a_fast_small_motion_beside_a_slow_large_one_is_kept():
     time = seconds(15.0, 1000.0)
-    noise = 1e-5 * np.random.default_rng(0).normal(size=time.shape)
+    noise = 1e-5 * default_rng(0).normal(size=time.shape)
     q = 0.5 * np.sin(0.2 * np.pi * time) + 0.01 * np.sin(10.0 * np.pi * time) + noise
     assert cutoff_of(q[:, None], 1000.0) > 12.5
 
@@ -90,9 +92,7 @@ def test_interpolated_steps_are_not_taken_for_motion(seed, scale, jitter):
     """Splines through uneven samples smooth the steps of a coarse encoder."""
     even = seconds(15.0, 500.0)
     rate = 500.0
-    time = (
-        even + jitter * np.random.default_rng(seed).uniform(-1.0, 1.0, len(even)) / rate
-    )
+    time = even + jitter * default_rng(seed).uniform(-1.0, 1.0, len(even)) / rate
     log = Swing(seed).measurement(time)
     signals = process(replace(log, q=encoder_reading(log.q * scale, 1e-3)))
     assert "uneven time stamps" in signals.notes[0]
@@ -102,7 +102,7 @@ def test_interpolated_steps_are_not_taken_for_motion(seed, scale, jitter):
 def test_stale_readings_with_their_own_time_stamps_are_no_steps():
     """Without time stamps per joint, a stale reading looks like a joint at rest."""
     seed = 0
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     time = seconds(15.0, 500.0)
     drawn = np.where(rng.random((len(time), 3)) < 0.4, time[:, None], 0.0)
     stamps = np.maximum.accumulate(drawn)
@@ -123,7 +123,7 @@ def test_fine_encoders_and_pauses_have_no_quantisation_error():
     q = Swing().q(time)
     assert not np.any(quantisation_error(q))
     assert not np.any(
-        quantisation_error(q + 1e-5 * np.random.default_rng(0).normal(size=q.shape))
+        quantisation_error(q + 1e-5 * default_rng(0).normal(size=q.shape))
     )
     assert not np.any(quantisation_error(encoder_reading(q, 1e-8)))
     late_start = np.where(time[:, None] < 5.0, q[5000], q)
@@ -146,10 +146,10 @@ def test_positions_repeated_over_rows_keep_their_cutoff():
     assert 0.5 * cutoff_of(q, 1000.0) < slow < 1.5 * cutoff_of(q, 1000.0)
 
 
-@given(st.integers(0, 2**32), st.floats(-5.0, -3.5))
+@given(SEEDS, st.floats(-5.0, -3.5))
 def test_the_predicted_acceleration_noise_equals_that_of_the_filter(seed, magnitude):
     """White noise on a sine: ratio of the low-passed second differences of both."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     rate = 200.0
     cutoff = 20.0
     sigma = 10.0**magnitude

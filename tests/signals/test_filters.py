@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
@@ -28,7 +29,7 @@ from tests.support.swing import Swing, seconds
 )
 def test_chunks_of_any_size_give_the_same_decimated_samples(cutoff, sizes, seed):
     low_pass = design_low_pass(cutoff, 200.0)
-    values = np.random.default_rng(seed).normal(size=(sum(sizes) + 500, 2, 3))
+    values = default_rng(seed).normal(size=(sum(sizes) + 500, 2, 3))
     stream = Decimator(low_pass)
     cuts = [0, *np.cumsum(sizes), len(values)]
     pieces = [stream.push(values[a:b]) for a, b in zip(cuts, cuts[1:])]

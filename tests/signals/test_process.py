@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
@@ -20,7 +22,11 @@ from robot_sysid.signals.process import (
     turning_samples,
     with_delay,
 )
+from tests.support.arms import SEEDS
 from tests.support.swing import FREQUENCIES, Swing, seconds
+
+assert_close = partial(assert_allclose, rtol=0.0)
+"""Compare arrays within the absolute tolerance ``atol`` alone."""
 
 
 def root_mean_square(values: np.ndarray) -> float:
@@ -37,7 +43,7 @@ def test_motion_of_a_quantised_log_is_recovered(seed):
         true = swing.q(signals.time, order)
         got = (signals.q, signals.qd, signals.qdd)[order]
         assert root_mean_square(got - true) < limit * root_mean_square(true)
-    assert_allclose(signals.tau, swing.tau(signals.time), rtol=0.0, atol=1e-12)
+    assert_close(signals.tau, swing.tau(signals.time), atol=1e-12)
 
 
 def low_pass_with_deadband(log, deadband):
@@ -55,7 +61,7 @@ def test_exactly_the_rows_with_too_many_slow_samples_are_masked(deadband):
     slow = np.abs(signals.qd) < deadband
     centres = signals.low_pass.centres(len(signals))
     share = np.array([weight @ slow[at - half : at + half + 1] for at in centres])
-    assert_allclose(signals.slow_share(), share, rtol=0.0, atol=1e-12)
+    assert_close(signals.slow_share(), share, atol=1e-12)
     assert_array_equal(signals.usable(), share <= LARGEST_SLOW_SHARE)
     assert np.any(~signals.usable() & ~slow[centres])
     rows = signals.low_pass.decimate(signals.tau)
@@ -76,7 +82,7 @@ def test_smooth_functions_of_motion_need_few_samples(cutoff, rate, seed, chunk, 
     """
     time = seconds(30.0 / cutoff, rate)[: -1 - seed]
     swing = Swing(seed, 0.3 * cutoff * FREQUENCIES)
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     log = swing.measurement(time)
     noise = rng.normal(0.0, 1e-4 * noisy, log.q.shape)
     try:
@@ -97,7 +103,7 @@ def test_smooth_functions_of_motion_need_few_samples(cutoff, rate, seed, chunk, 
         ) * root_mean_square(full)
     (signs,) = signals.filter_columns(lambda motion: (np.sign(motion.qd),), chunk=chunk)
     expected = signals.low_pass.decimate(np.sign(signals.qd))
-    assert_allclose(signs, expected, rtol=0.0, atol=1e-12)
+    assert_close(signs, expected, atol=1e-12)
 
 
 def test_the_deadband_is_a_share_of_the_peak_speed():
@@ -139,7 +145,7 @@ def corner_motion(time: np.ndarray, corner: float) -> tuple[np.ndarray, np.ndarr
     return tuple(np.where(time > corner, value, 0.0)[:, None] for value in pair)
 
 
-@given(st.integers(0, 2**32), st.floats(10.0, 30.0))
+@given(SEEDS, st.floats(10.0, 30.0))
 def test_rows_over_a_corner_of_exact_motion_are_masked_and_no_others(seed, corner):
     """Ten samples per second do not resolve the corner; the other rows are exact to 1e-8."""
     swing = Swing(seed)
@@ -189,7 +195,7 @@ def test_a_second_pass_repeats_the_change_of_the_first():
     first = true - once.q[rows]
     second = once.q[rows] - refiltered.q
     assert np.max(np.abs(first)) > 1e-3
-    assert_allclose(second, first, rtol=0.0, atol=0.1 * np.max(np.abs(first)))
+    assert_close(second, first, atol=0.1 * np.max(np.abs(first)))
 
 
 def test_joints_that_move_in_one_direction_are_named():
@@ -249,7 +255,7 @@ def test_an_injected_delay_is_estimated_and_compensated(delay, seed):
     Stiffness and inertia are fitted jointly.
     """
     swing = Swing(seed)
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     time = seconds(12.0, 200.0)
     late = 2.0 * swing.q(time - delay) + 0.5 * swing.q(time - delay, 2)
     late = late + 0.004 * root_mean_square(late) * rng.normal(size=late.shape)
@@ -292,7 +298,7 @@ def test_samples_near_a_turn_may_be_at_rest(outward, standing):
     time = np.arange(-1.0, 1.0, 1.0 / RATE) + 0.5 / RATE
     moving = np.sign(time) * np.maximum(np.abs(time) - 0.5 * standing, 0.0)
     position = -(moving**2)
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     reading = outward * (position + NOISE * rng.standard_normal(len(time)))
     smooth_speed = -2.0 * outward * time
     readings = np.column_stack((reading, reading))

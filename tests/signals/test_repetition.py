@@ -7,6 +7,7 @@ from operator import add
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import lfilter
 
@@ -54,7 +55,7 @@ def inflation(motions, samples):
 
 @pytest.mark.parametrize(("seed", "count"), [(0, 1), (0, 2), (1, 12)])
 def test_repeated_residuals_count_once(seed, count):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     motions, samples = repeat_motion(count, np.tile(rng.normal(size=COUNT), count))
     assert inflation(motions, samples) == pytest.approx(count, rel=1e-9)
     assert (find_visits(motions).repeats < 1.0) == (count == 1)
@@ -62,7 +63,7 @@ def test_repeated_residuals_count_once(seed, count):
 
 @pytest.mark.parametrize(("seed", "count"), [(0, 2), (1, 12)])
 def test_new_residuals_count_every_time(seed, count):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     factor = inflation(*repeat_motion(count, rng.normal(size=count * COUNT)))
     # The sum of count - 1 others per row, COUNT rows: six standard deviations.
     assert factor <= 1.0 + 6.0 * np.sqrt((count - 1) / COUNT)
@@ -74,7 +75,7 @@ def test_a_passage_between_the_rows_of_another_is_detected():
     """
     factors = []
     for seed in range(20):
-        fine = np.random.default_rng(seed).normal(size=COUNT)
+        fine = default_rng(seed).normal(size=COUNT)
         between = np.sinc(np.arange(COUNT)[:, None] + 0.5 - np.arange(COUNT)) @ fine
         motions, samples = repeat_motion(2, np.concatenate((fine, between)), phase=0.5)
         factors.append(inflation(motions, samples))
@@ -95,7 +96,7 @@ def samples_of(motions, samples):
 @pytest.mark.parametrize("keep", [0.0, 0.8, 0.95])
 def test_the_correlation_time_of_first_order_noise(keep):
     """It is (1 + a) / (1 - a) for coefficient a; missing values change nothing."""
-    drawn = np.random.default_rng(3).normal(size=20000)
+    drawn = default_rng(3).normal(size=20000)
     residual = lfilter([1.0], [1.0, -keep], drawn)
     residual[5000:6000] = np.nan
     assert residual_correlation_time(residual) == pytest.approx(
@@ -106,7 +107,7 @@ def test_the_correlation_time_of_first_order_noise(keep):
 
 @pytest.mark.parametrize(("seed", "count"), [(0, 3), (1, 12)])
 def test_the_inflation_of_samples_equals_that_of_visits(seed, count):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     shared = np.tile(rng.normal(size=150), count) + rng.normal(size=150 * count)
     motions, samples = repeat_motion(count, shared)
     factors = reduce(add, samples_of(motions, samples)).inflation()
@@ -115,7 +116,7 @@ def test_the_inflation_of_samples_equals_that_of_visits(seed, count):
 
 @pytest.mark.parametrize(("seed", "comes_again"), [(0, True), (1, False)])
 def test_a_sample_of_many_rows_detects_repetition(seed, comes_again):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     count = 40
     passage = rng.normal(size=150)
     noise = np.tile(passage, count) if comes_again else rng.normal(size=150 * count)
@@ -169,12 +170,12 @@ def log_of(poses, dwell=1.5, friction=2.0, both_sides=True):
     return Measurement(time, motion.q, None, tau)
 
 
-POSES = np.random.default_rng(0).uniform(-1.0, 1.0, (6, 2))
+POSES = default_rng(0).uniform(-1.0, 1.0, (6, 2))
 
 
 def test_friction_cancels_at_poses_approached_from_both_sides():
     log = log_of(POSES)
-    q = log.q + 1e-4 * np.random.default_rng(1).standard_normal(log.q.shape)
+    q = log.q + 1e-4 * default_rng(1).standard_normal(log.q.shape)
     noisy = Measurement(log.time, q, None, log.tau)
     assert len(resting_poses(noisy)[0]) == 6
     poses, used = resting_poses(log)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.records import Measurement
@@ -21,7 +23,11 @@ from robot_sysid.signals.resampling import (
     slice_samples,
     split_at_gaps,
 )
+from tests.support.arms import SEEDS
 from tests.support.swing import Swing, seconds
+
+assert_close = partial(assert_allclose, rtol=0.0)
+"""Compare arrays within the absolute tolerance ``atol`` alone."""
 
 
 def test_an_even_log_is_unchanged():
@@ -37,17 +43,17 @@ def test_time_stamps_rounded_to_milliseconds_are_still_even():
     assert not is_even(seconds(3.0, 333.0) + 1e-3 * np.sin(np.arange(1000)))
 
 
-@given(st.integers(0, 2**32), st.floats(0.05, 0.4))
+@given(SEEDS, st.floats(0.05, 0.4))
 def test_uneven_samples_are_interpolated(seed, jitter):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     swing = Swing(seed)
     rate = 200.0
     even = seconds(4.0, rate)
     time = even + rng.uniform(-jitter, jitter, len(even)) / rate
     uniform = resample_uniformly(swing.measurement(time))
     grid = uniform.start + np.arange(len(uniform.q)) / uniform.rate
-    assert_allclose(uniform.q, swing.q(grid), rtol=0.0, atol=1e-7)
-    assert_allclose(uniform.tau, swing.tau(grid), rtol=0.0, atol=1e-6)
+    assert_close(uniform.q, swing.q(grid), atol=1e-7)
+    assert_close(uniform.tau, swing.tau(grid), atol=1e-6)
 
 
 def test_joint_time_stamps_are_used_for_each_joint():
@@ -59,17 +65,17 @@ def test_joint_time_stamps_are_used_for_each_joint():
     tau = np.column_stack([swing.tau(joint_time[:, j])[:, j] for j in range(3)])
     uniform = resample_uniformly(Measurement(time, q, None, tau, joint_time=joint_time))
     grid = uniform.start + np.arange(len(uniform.q)) / uniform.rate
-    assert_allclose(uniform.q, swing.q(grid), rtol=0.0, atol=1e-7)
-    assert_allclose(uniform.tau, swing.tau(grid), rtol=0.0, atol=1e-6)
+    assert_close(uniform.q, swing.q(grid), atol=1e-7)
+    assert_close(uniform.tau, swing.tau(grid), atol=1e-6)
     assert "own time stamps" in uniform.notes[0]
 
 
-@given(st.integers(0, 2**32), st.integers(1, 40))
+@given(SEEDS, st.integers(1, 40))
 # Here the grid's instant on the hole's first edge is rounded into the hole.
 @example(5494522, 28)
 def test_the_length_of_a_hole_is_marked_at_its_samples(seed, missing):
     """The gap is zero at every other instant."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     rate = 200.0
     even = seconds(4.0, rate)
     first = int(rng.integers(50, 700))
@@ -77,13 +83,13 @@ def test_the_length_of_a_hole_is_marked_at_its_samples(seed, missing):
     keep[first : first + missing] = False
     uniform = resample_uniformly(Swing().measurement(even[keep]))
     expected = np.where(keep, 0.0, (missing + 1) / rate)
-    assert_allclose(uniform.gap, expected, rtol=0.0, atol=1e-9)
+    assert_close(uniform.gap, expected, atol=1e-9)
 
 
-@given(st.integers(0, 2**32))
+@given(SEEDS)
 def test_samples_that_come_early_and_late_leave_no_hole(seed):
     """Up to 1.7 periods apart."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     rate = 200.0
     even = seconds(4.0, rate)
     time = even + rng.uniform(-0.35, 0.35, len(even)) / rate
@@ -92,10 +98,10 @@ def test_samples_that_come_early_and_late_leave_no_hole(seed):
     assert_array_equal(uniform.gap, 0.0)
 
 
-@given(st.integers(0, 2**32), st.integers(1, 3), st.sampled_from([0.0, 1e-4]))
+@given(SEEDS, st.integers(1, 3), st.sampled_from([0.0, 1e-4]))
 def test_rows_lost_from_coarse_time_stamps_leave_a_hole(seed, missing, resolution):
     """At 1 kHz with stamps in milliseconds, where the stamps are even up to their last digit."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     swing = Swing(seed)
     even = seconds(4.0, 1000.0)
     fast = np.flatnonzero(np.linalg.norm(swing.q(even, 1), axis=1) > 0.5)
@@ -105,12 +111,12 @@ def test_rows_lost_from_coarse_time_stamps_leave_a_hole(seed, missing, resolutio
     log = swing.measurement(even[keep], resolution)
     uniform = resample_uniformly(log)
     assert len(uniform.q) == len(even) and abs(uniform.rate - 1000.0) < 1e-6
-    assert_allclose(uniform.q, swing.q(even), rtol=0.0, atol=1e-7 + 2.0 * resolution)
+    assert_close(uniform.q, swing.q(even), atol=1e-7 + 2.0 * resolution)
     assert_allclose(uniform.gap, np.where(keep, 0.0, 1e-3 * (missing + 1)), atol=1e-9)
     assert "resampled to a uniform 1000 Hz" in uniform.notes[0]
 
 
-@given(st.integers(0, 2**32), st.floats(999.0, 999.99))
+@given(SEEDS, st.floats(999.0, 999.99))
 def test_a_clock_that_is_a_little_slow_loses_no_rows(seed, rate):
     swing = Swing(seed)
     even = seconds(4.0, rate)
@@ -193,14 +199,11 @@ def test_thinning_does_not_depend_on_the_blocks(cuts):
     at_once = Thinning(8, 1e-3).push(rows)
     other = Thinning(8, 1e-3)
     blocks = np.split(rows, np.cumsum(cuts))
-    assert_allclose(
-        np.concatenate([other.push(block) for block in blocks]),
-        at_once,
-        rtol=0,
-        atol=1e-12,
+    assert_close(
+        np.concatenate([other.push(block) for block in blocks]), at_once, atol=1e-12
     )
     assert 440 < len(at_once) < 500
-    assert_allclose(at_once[:, 2], np.sin(3.0 * at_once[:, 1]), rtol=0, atol=1e-4)
+    assert_close(at_once[:, 2], np.sin(3.0 * at_once[:, 1]), atol=1e-4)
     assert np.allclose(np.diff(at_once[:, 1]), 8e-3)
 
 
