@@ -31,66 +31,49 @@ def motion(phase: float = 0.0, rate: float = 15.0) -> Motion:
     )
 
 
-class Samples:
-    """One joint's regressor rows (N, 3) and torque (N,)."""
-
-    def __init__(self, rows, tau):
-        self.rows = rows
-        self.tau = tau
+def passes(count, phase=0.0):
+    """Return ``count`` passes of the motion, each ``phase`` samples later than the last."""
+    return [motion(phase * k) for k in range(count)]
 
 
-def repeat_motion(count, noise, phase=0.0):
-    """Return ``count`` passes of the motion, each ``phase`` samples later, and their Samples."""
-    motions = [motion(phase * k) for k in range(count)]
-    rows = np.concatenate([np.column_stack((m.q, m.qd[:, 0])) for m in motions])
-    return motions, Samples(rows, rows @ np.array([1.0, 2.0, 3.0]) + noise)
+def visit_inflation(motions, residual):
+    """Return the variance inflation by the visits of all rows, for residuals (N,)."""
+    return find_visits(motions).inflation([residual])[0]
 
 
-def inflation(motions, samples):
-    """Return the variance inflation of the residuals that TRUTH leaves."""
-    return find_visits(motions).inflation(
-        [samples.tau - samples.rows @ [1.0, 2.0, 3.0]]
-    )[0]
+def sample_inflation(motions, residual):
+    """Return the variance inflation (1,) by samples of the rows, each motion a log of its own."""
+    samples = []
+    for k, errors in enumerate(np.split(residual, len(motions))):
+        samples.append(sample_rows(motions[k], errors[:, None], 7 + k))
+    return reduce(add, samples).inflation()
 
 
 @pytest.mark.parametrize(("seed", "count"), [(0, 1), (0, 2), (1, 12)])
 def test_repeated_residuals_count_once(seed, count):
-    rng = default_rng(seed)
-    motions, samples = repeat_motion(count, np.tile(rng.normal(size=COUNT), count))
-    assert inflation(motions, samples) == pytest.approx(count, rel=1e-9)
+    motions = passes(count)
+    residual = np.tile(default_rng(seed).normal(size=COUNT), count)
+    assert visit_inflation(motions, residual) == pytest.approx(count, rel=1e-9)
     assert (find_visits(motions).repeats < 1.0) == (count == 1)
 
 
 @pytest.mark.parametrize(("seed", "count"), [(0, 2), (1, 12)])
 def test_new_residuals_count_every_time(seed, count):
-    rng = default_rng(seed)
-    factor = inflation(*repeat_motion(count, rng.normal(size=count * COUNT)))
+    residual = default_rng(seed).normal(size=count * COUNT)
+    factor = visit_inflation(passes(count), residual)
     # The sum of count - 1 others per row, COUNT rows: six standard deviations.
     assert factor <= 1.0 + 6.0 * np.sqrt((count - 1) / COUNT)
 
 
 def test_a_passage_between_the_rows_of_another_is_detected():
-    """Rows follow each other at twice the cut-off, so that the signal between two rows is band-
-    limited.
-    """
+    """Between two rows, at twice the cut-off, the signal is band-limited."""
     factors = []
     for seed in range(20):
         fine = default_rng(seed).normal(size=COUNT)
         between = np.sinc(np.arange(COUNT)[:, None] + 0.5 - np.arange(COUNT)) @ fine
-        motions, samples = repeat_motion(2, np.concatenate((fine, between)), phase=0.5)
-        factors.append(inflation(motions, samples))
+        residual = np.concatenate((fine, between))
+        factors.append(visit_inflation(passes(2, 0.5), residual))
     assert np.mean(factors) == pytest.approx(2.0, abs=0.3)
-
-
-TRUTH = np.array([1.0, 2.0, 3.0])
-
-
-def samples_of(motions, samples):
-    """Return a sample of the rows of each motion, as of different logs."""
-    left = np.split(samples.tau - samples.rows @ TRUTH, len(motions))
-    return [
-        sample_rows(m, e[:, None], 7 + k) for k, (m, e) in enumerate(zip(motions, left))
-    ]
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.8, 0.95])
@@ -108,31 +91,28 @@ def test_the_correlation_time_of_first_order_noise(keep):
 @pytest.mark.parametrize(("seed", "count"), [(0, 3), (1, 12)])
 def test_the_inflation_of_samples_equals_that_of_visits(seed, count):
     rng = default_rng(seed)
-    shared = np.tile(rng.normal(size=150), count) + rng.normal(size=150 * count)
-    motions, samples = repeat_motion(count, shared)
-    factors = reduce(add, samples_of(motions, samples)).inflation()
-    assert factors == pytest.approx(inflation(motions, samples), rel=0.05)
-
-
-@pytest.mark.parametrize(("seed", "comes_again"), [(0, True), (1, False)])
-def test_a_sample_of_many_rows_detects_repetition(seed, comes_again):
-    rng = default_rng(seed)
-    count = 40
-    passage = rng.normal(size=150)
-    noise = np.tile(passage, count) if comes_again else rng.normal(size=150 * count)
-    factor = reduce(add, samples_of(*repeat_motion(count, noise))).inflation()[0]
-    assert (
-        0.75 * count < factor < 1.25 * count
-        if comes_again
-        else 1.0 <= factor < 0.1 * count
+    residual = np.tile(rng.normal(size=150), count) + rng.normal(size=150 * count)
+    expected = visit_inflation(passes(count), residual)
+    assert sample_inflation(passes(count), residual) == pytest.approx(
+        expected, rel=0.05
     )
+
+
+def test_a_sample_of_many_rows_detects_repetition():
+    repeated = np.tile(default_rng(0).normal(size=150), 40)
+    assert 30.0 < sample_inflation(passes(40), repeated)[0] < 50.0
+
+
+def test_a_sample_of_many_rows_detects_independent_residuals():
+    independent = default_rng(1).normal(size=150 * 40)
+    assert 1.0 <= sample_inflation(passes(40), independent)[0] < 4.0
 
 
 def test_the_same_log_twice_is_refused(monkeypatch):
     monkeypatch.setattr(repetition, "MOST_ROWS", 50)
-    one, same = (sample_rows(motion(), np.zeros((150, 1)), 3) for _ in range(2))
+    sample = sample_rows(motion(), np.zeros((150, 1)), 3)
     with pytest.raises(InputError, match="add each log once"):
-        _ = one + same
+        _ = sample + sample_rows(motion(), np.zeros((150, 1)), 3)
 
 
 def test_a_sampled_motion_consists_of_rows_of_the_log():

@@ -30,6 +30,19 @@ assert_close = partial(assert_allclose, rtol=0.0)
 """Compare arrays within the absolute tolerance ``atol`` alone."""
 
 
+def uneven_times(seed, jitter):
+    """Return 801 instants at 200 Hz, each off by at most ``jitter`` periods."""
+    even = seconds(4.0, 200.0)
+    return even + default_rng(seed).uniform(-jitter, jitter, len(even)) / 200.0
+
+
+def assert_equals_swing(uniform, swing):
+    """Check resampled positions and torques against the exact ones on the grid."""
+    grid = uniform.start + np.arange(len(uniform.q)) / uniform.rate
+    assert_close(uniform.q, swing.q(grid), atol=1e-7)
+    assert_close(uniform.tau, swing.tau(grid), atol=1e-6)
+
+
 def test_an_even_log_is_unchanged():
     log = Swing().measurement(5.0 + seconds(3.0, 200.0))
     uniform = resample_uniformly(log)
@@ -45,15 +58,9 @@ def test_time_stamps_rounded_to_milliseconds_are_still_even():
 
 @given(SEEDS, st.floats(0.05, 0.4))
 def test_uneven_samples_are_interpolated(seed, jitter):
-    rng = default_rng(seed)
     swing = Swing(seed)
-    rate = 200.0
-    even = seconds(4.0, rate)
-    time = even + rng.uniform(-jitter, jitter, len(even)) / rate
-    uniform = resample_uniformly(swing.measurement(time))
-    grid = uniform.start + np.arange(len(uniform.q)) / uniform.rate
-    assert_close(uniform.q, swing.q(grid), atol=1e-7)
-    assert_close(uniform.tau, swing.tau(grid), atol=1e-6)
+    uniform = resample_uniformly(swing.measurement(uneven_times(seed, jitter)))
+    assert_equals_swing(uniform, swing)
 
 
 def test_joint_time_stamps_are_used_for_each_joint():
@@ -64,9 +71,7 @@ def test_joint_time_stamps_are_used_for_each_joint():
     q = np.column_stack([swing.q(joint_time[:, j])[:, j] for j in range(3)])
     tau = np.column_stack([swing.tau(joint_time[:, j])[:, j] for j in range(3)])
     uniform = resample_uniformly(Measurement(time, q, None, tau, joint_time=joint_time))
-    grid = uniform.start + np.arange(len(uniform.q)) / uniform.rate
-    assert_close(uniform.q, swing.q(grid), atol=1e-7)
-    assert_close(uniform.tau, swing.tau(grid), atol=1e-6)
+    assert_equals_swing(uniform, swing)
     assert "own time stamps" in uniform.notes[0]
 
 
@@ -89,12 +94,9 @@ def test_the_length_of_a_hole_is_marked_at_its_samples(seed, missing):
 @given(SEEDS)
 def test_samples_that_come_early_and_late_leave_no_hole(seed):
     """Up to 1.7 periods apart."""
-    rng = default_rng(seed)
-    rate = 200.0
-    even = seconds(4.0, rate)
-    time = even + rng.uniform(-0.35, 0.35, len(even)) / rate
+    time = uneven_times(seed, 0.35)
     uniform = resample_uniformly(Swing().measurement(time))
-    assert np.max(np.diff(time)) > 1.5 / rate
+    assert np.max(np.diff(time)) > 1.5 / 200.0
     assert_array_equal(uniform.gap, 0.0)
 
 
