@@ -23,38 +23,42 @@ from robot_sysid.damiao.safety.guards import (
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
-# A frame may be lost; five in a row are not, and 2 ms lets a full queue of 14 frames empty [s].
 _DISABLE_REPEATS = 5
+"""How often each motor is commanded to disable: single frames may be lost, five are not."""
 _DISABLE_SPACING = 2e-3
-# Far more than the slowest adapter takes (16 ms) [s].
+"""Time between these commands [s], in which a full queue of 14 frames empties."""
 _CONFIRM_TIMEOUT = 0.02
-# A bus that comes back within this time still gets its motors disabled.
+"""Time for which an answer to a single request is waited for [s]: adapters take up to 16 ms."""
 _CONFIRM_PATIENCE = 0.5
+"""Time for which confirmations are requested again [s], in case the bus fails for a while."""
 _ENABLE_TRIES = 3
-# An arm that nobody drives yet stays this near to where it was between two questions [rad].
+"""How often a motor is commanded to enable."""
 _SAME_PLACE = 0.02
-# However long nothing was sent, a command goes no farther than in this time [s].
+"""Difference up to which two positions of an arm that is not driven yet agree [rad]."""
 _LONGEST_PAUSE = 0.2
-# How late a cycle may be, see ``PlaySettings.max_lateness`` [s].
+"""Longest time since the last command that counts for how far the next one may move [s]."""
 _MOST_CREDIT = 0.02
+"""Longest unused time that counts for the next command [s], see ``PlaySettings.max_lateness``."""
 
 
 PAUSE = 4
-"""Cycles of silence after which a missing answer counts as lost: 16 ms at 250 Hz, the latest that
-a slow adapter was seen to deliver."""
+"""Number of cycles without any answer of a motor after which a missing answer counts as lost.
+
+It is 16 ms at 250 Hz, the largest delay that has been observed with a slow adapter.
+"""
 
 
 class Outstanding:
     """Assigns answers to the commands of n motors, although answers carry no number.
 
     Each command is answered once, in order. Where an answer is missing at the end of its cycle, the
-    next thing heard from that motor may be it, late, or the answer to the next command. So it gets
-    no new command until the missing answer has come or is long overdue: what a slow adapter holds
-    back is out of the way then, and each answer that is believed belongs to the command before it.
+    motor's next answer may be the missing one, late, or the answer to the next command. So the
+    motor gets no new command until the missing answer has come or is long overdue. Then no late
+    answers are left in a slow adapter, and each answer belongs to the command before it.
 
     Attributes:
-        surplus: number (n,) of answers in this cycle that no command had asked for; the caller sets
-            it to zero.
+        surplus: number (n,) of answers in this cycle that no command had requested; the caller
+            sets this to zero before each cycle.
     """
 
     def __init__(self, n: int) -> None:
@@ -64,7 +68,7 @@ class Outstanding:
         self.surplus = np.zeros(n, int)
 
     def may_be_commanded(self, motors: Mask) -> Mask:
-        """Begin a cycle: return which of the motors (n,) get a command in it."""
+        """Begin a cycle; return which of the motors (n,) may get a command in this cycle."""
         self._silent = np.where(self._commanded, 0, self._silent + 1)
         self._owed[self._silent >= PAUSE] = 0
         self._commanded = np.asarray(motors & (self._owed == 0))
@@ -83,26 +87,29 @@ class Outstanding:
 class MotorSession:
     """The n motors of an arm, for as long as they may be enabled.
 
-    A context manager: however the block is left, every motor that could be enabled is commanded
-    five times to disable, and has to confirm it. Before ``enable`` nothing is sent on the way out.
+    A context manager: however the block is left, every motor that may be enabled is commanded five
+    times to disable, and has to confirm this. If ``enable`` was not called, nothing is sent.
 
-    Commands and measurements are in joint space, see ``JointSpace``. The scaling is that of the
-    motors' registers; half a quantisation step is added to what they measure, because motors drop
-    the fraction. Every command passes ``CommandBounds``, and every answer ``SampleFilter``.
+    Commands and measurements are in joint space, see ``JointSpace``. Half a quantisation step is
+    added to measured values, because motors truncate them. Every command is checked by
+    ``CommandBounds`` and every answer by ``SampleFilter``.
 
     Args:
-        link: of the motors' buses.
-        joints: one per motor.
-        scaling: of the motors' registers.
-        command_range: where commands may go; None as far and as fast as frames can carry.
+        link: link of the motors' buses.
+        joints: joints with their motors, n in all.
+        scaling: ranges of the frames, from the motors' registers.
+        command_range: range of commands; None for the range that frames can carry.
 
     Attributes:
-        clock, joints, scaling: as given; ``n_joints`` is n.
+        clock: clock of the link.
+        joints: as given.
+        scaling: as given.
+        n_joints: number n of joints.
         space: mounting of the motors.
         steps: one quantisation step (n,) of position, velocity and torque [rad, rad/s, N m].
-        peak_torque: (n,) of each joint [N m].
-        last_replies: of the last exchange, also where an error cut it short.
-        unconfirmed: joints whose motors could be enabled and have not confirmed that they are off.
+        peak_torque: peak torque (n,) of each joint [N m].
+        last_replies: replies of the last exchange, even if an error ended it early.
+        unconfirmed: joints whose motors may be enabled: they have not confirmed to be disabled.
     """
 
     def __init__(
@@ -121,14 +128,14 @@ class MotorSession:
         self.space = JointSpace.of(joints)
         position_step, velocity_step, torque_step = scaling.steps
         self.steps = position_step, velocity_step, torque_step * self.space.ratio
-        # A frame cannot say more than the scale's end either.
+        # A frame cannot command more than TMAX either.
         peaks = np.minimum([j.spec.peak_torque for j in joints], scaling.limits[:, 2])
         self.peak_torque: Array = peaks * self.space.ratio
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         self.last_replies: Replies | None = None
         self._command: protocol.MitCommand | None = None
         scale = self._scale()
-        # In a stop a command that fits into no frame would not be sent at all.
+        # In a stop commands are limited to the range, which must not exceed what frames can carry.
         sendable = scale if command_range is None else command_range.within(scale)
         self._bounds = CommandBounds(sendable, self.peak_torque, *self.steps)
         self._sent_position = np.full(self.n_joints, np.nan)
@@ -153,7 +160,7 @@ class MotorSession:
 
     @property
     def believed_motion(self) -> tuple[Array, Array]:
-        """Positions and velocities (n,) as believed last, NaN where never heard [rad, rad/s]."""
+        """Last believed positions and velocities (n,) [rad, rad/s]; NaN before the first answer."""
         return self._filter.q, self._filter.qd
 
     @property
@@ -163,19 +170,19 @@ class MotorSession:
 
     @property
     def sent_position(self) -> Array:
-        """Positions (n,) that were commanded last, at first where the arm stood [rad]."""
+        """Positions (n,) commanded last, or those of the arm when it was enabled [rad]."""
         return self._sent_position
 
     def open_range(self) -> None:
-        """Let positions go as far as frames can carry, no faster than before.
+        """Widen the range of commanded positions to that of the frames; speeds stay limited.
 
-        For lowering an arm of which no model tells how far its load may take it.
+        This is for lowering an arm without a model, whose end position is unknown.
         """
         scale = self._scale()
         self._bounds = self._bounds.including(scale.lower).including(scale.upper)
 
     def is_off(self, motor: Address) -> bool:
-        """Tell whether a motor was never enabled or has confirmed that it is disabled."""
+        """Return whether a motor was never enabled or has confirmed that it is disabled."""
         return motor not in [joint.address for joint in self.unconfirmed]
 
     def __enter__(self) -> MotorSession:
@@ -195,9 +202,10 @@ class MotorSession:
             ) from error
 
     def enable(self) -> Array:
-        """Enable every motor, or raise HardwareAbort; return where each was then (n,) [rad].
+        """Enable every motor and return the joint positions (n,) [rad].
 
-        Where a motor stands is believed when two of its answers agree.
+        HardwareAbort where a motor has a fault, does not answer, or two answers disagree about its
+        position.
         """
         self.unconfirmed = self.joints
         requests = [protocol.refresh_frame(joint.address) for joint in self.joints]
@@ -215,9 +223,10 @@ class MotorSession:
     def _enable_one(
         self, j: int, joint: DamiaoJoint, status: int, position: float
     ) -> float:
-        """Enable motor j, whose last answer is given; return where it stands [rad].
+        """Enable the motor of joint number j and return the joint's position [rad].
 
-        HardwareAbort where it has a fault, does not answer, or its answers disagree.
+        ``status`` and ``position`` [rad] are those of the motor's last answer. HardwareAbort where
+        the motor has a fault, does not answer, or its answers disagree.
         """
         for _ in range(_ENABLE_TRIES):
             last_status = status
@@ -234,7 +243,10 @@ class MotorSession:
         raise HardwareAbort(f"{joint.label} did not enable: {reason}")
 
     def _ask(self, j: int, request: Frame) -> tuple[int, float]:
-        """Send a request to a motor; return the status and the position [rad] it answers."""
+        """Send a request to the motor of joint j; return its status and position [rad].
+
+        Without an answer these are ``NO_STATUS`` and NaN.
+        """
         self._link.drain()
         self._link.send(request)
         this_motor = np.arange(self.n_joints) == j
@@ -253,15 +265,15 @@ class MotorSession:
         """Command joints and return their replies, each the state before its command acted.
 
         Args:
-            command: for all n joints.
-            until: when replies have to be there, in the clock's time [s].
-            joints: which joints (n,) are commanded; None for all.
-            braking: whether joints are commanded also where answers are missing, see
-                ``Outstanding``, and a command beyond the bounds is confined to them.
+            command: command of all n joints, fields (n,), in joint space.
+            until: time in the clock at which replies are no longer waited for [s].
+            joints: whether each joint (n,) is commanded; None for all.
+            braking: whether joints are commanded even if answers are missing, see
+                ``Outstanding``, and commands are limited to the bounds instead of refused.
 
         Raises:
             BeyondBounds: the command exceeds the bounds; nothing was sent.
-            InputError: it does not fit into a frame; nothing was sent.
+            InputError: the command does not fit into a frame; nothing was sent.
             LinkError: the bus does not work.
         """
         self.last_replies = None
@@ -269,7 +281,7 @@ class MotorSession:
         self._outstanding.surplus[:] = 0
         self._foreign[:] = 0
         motors = np.ones(self.n_joints, bool) if joints is None else joints
-        # What has arrived since the last exchange is late, but it is known whose answer it was.
+        # Frames since the last exchange are late answers, which are only counted.
         while (frame := self._link.receive(self.clock.now())) is not None:
             self._note_foreign(frame)
             if (sender := self._sender(frame)) is not None:
@@ -280,7 +292,7 @@ class MotorSession:
             self.space.command_to_motors(command), self.scaling
         )
         commanded = motors if braking else self._outstanding.may_be_commanded(motors)
-        # As the motors read it; one that gets no command stays under its old one.
+        # The command as the motors read it; a motor that gets none keeps its old command.
         new = self.space.command_to_joints(protocol.decode_mit(packed, self.scaling))
         acted = self._command
         old = acted or new
@@ -305,8 +317,8 @@ class MotorSession:
     def _time_to_move(self, now: float) -> Array:
         """Return the time (n,) in which each commanded position may move from its last one [s].
 
-        A cycle that began late is followed by one that begins sooner after it than their references
-        are apart; what the late one did not use counts for that, up to how late a cycle may be.
+        After a cycle that began late, the next one follows in less time than there is between
+        their references; the time that the late command did not use is added, up to a limit.
         """
         return np.minimum(now - self._sent_at, _LONGEST_PAUSE) + self._credit
 
@@ -324,14 +336,14 @@ class MotorSession:
         return command
 
     def switch_off(self, joints: Mask) -> None:
-        """Command the motors of joints (n,) to disable; ``disable`` has it confirmed at the end."""
+        """Command the motors of joints (n,) to disable, once and without confirmation."""
         for j in np.flatnonzero(joints).tolist():
             self._send_disable(self.joints[j])
 
     def disable(self) -> None:
-        """Disable every motor; ``unconfirmed`` names those that did not confirm it.
+        """Disable every motor; ``unconfirmed`` then has the joints whose motors did not confirm.
 
-        An error of one motor, or of the bus, does not keep the others from being commanded.
+        An error of one motor, or of the bus, does not prevent commands to the others.
         """
         self._takes_any_answer = True
         for repeat in range(_DISABLE_REPEATS):
@@ -372,11 +384,13 @@ class MotorSession:
         acted: protocol.MitCommand | None = None,
         believe: bool = False,
     ) -> Replies:
-        """Return the replies of motors (n,) that come ``until`` then [s], also ``last_replies``.
+        """Wait for the replies of motors, return them and store them as ``last_replies``.
 
         Args:
-            command: that the replies answer.
-            acted: the command in force when the samples were taken.
+            motors: whether an answer of each motor (n,) is waited for.
+            until: time in the clock at which the waiting ends [s].
+            command: command that the replies answer, in joint space.
+            acted: command in force when the samples were taken.
             believe: whether the sample filter judges the replies.
         """
         raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
@@ -416,10 +430,14 @@ class MotorSession:
         received: Array,
         sent: Array,
     ) -> bool:
-        """Sort a frame into the arrays; return whether it is a missing answer of a motor (n,).
+        """Store a frame in the arrays; return whether it is an answer that was waited for.
 
-        ``raw`` (n, 8) takes an answer's data, ``received`` (n,) the time at which it came and
-        ``sent`` (n,) the time at which a command was on the bus [s].
+        Args:
+            frame: received frame.
+            motors: whether an answer of each motor (n,) is waited for.
+            raw: gets an answer's data (n, 8).
+            received: gets the time (n,) at which an answer came [s]; NaN before.
+            sent: gets the time (n,) at which a command was on the bus [s].
         """
         commanded = self._by_command.get(Address(frame.bus, frame.id))
         if frame.echo and commanded is not None:
@@ -437,13 +455,13 @@ class MotorSession:
         return True
 
     def _note_foreign(self, frame: Frame) -> None:
-        """Count a command to one of our motors that is not what we sent it last."""
+        """Count a frame to a motor of this session that this session did not send."""
         j = self._by_command.get(Address(frame.bus, frame.id))
         if j is not None and not frame.echo and frame.data != self._sent_data.get(j):
             self._foreign[j] += 1
 
     def _sender(self, frame: Frame) -> int | None:
-        """Return the joint whose feedback a frame is, or None."""
+        """Return the index of the joint whose motor sent a feedback frame, or None."""
         if frame.error or frame.echo or len(frame.data) != 8:
             return None
         j = self._by_reply.get((frame.bus, frame.id))

@@ -27,21 +27,27 @@ from robot_sysid.records.option_fields import (
     option,
 )
 
-# A judgement: half way from a warm room to the limit, so that a run does not end in its middle.
 _START_TEMPERATURE = 60.0
-# Stiffness per rated torque [1/rad], and damping per stiffness [s]: between what makers of arms
-# with these motors use for the strong (240 and 5 at 9 N m) and for the weak ones (10 and 1.5 at 3).
+"""Highest temperature at which a run may begin [deg C].
+
+A judgement: half way from a warm room to the limit, so that motors do not reach it during a run.
+"""
+# Makers of arms with these motors use a stiffness of 240 N m/rad and a damping of 5 N m s/rad for
+# motors with a rated torque of 9 N m, 10 and 1.5 for 3 N m; the defaults are between these.
 _STIFFNESS = 20.0
+"""Default stiffness divided by the rated torque [1/rad]."""
 _DAMPING = 0.025
+"""Default damping divided by the stiffness [s]."""
 _LEAST_DAMPING = 0.05
-# Of the peak torque: more push than any excitation needs, less than the motor has.
+"""Least default damping [N m s/rad]."""
 _TORQUE_ERROR = 2.0 / 3.0
-# Models often lack the rotors' inertia: never less than this share of the usual damping.
+"""Default torque error limit divided by the peak torque: more than any excitation needs."""
 _LEAST_SHARE = 0.4
+"""Least share of the usual damping for light joints: models often lack the rotors' inertia."""
 LONGEST_SET_WATCHDOG = 1.0
 """No run needs a motor's watchdog above this [s]: a judgement."""
-# Commands may move by a tenth faster than the trajectory: rows are rounded.
 _SPEED_MARGIN = 1.1
+"""Largest speed of commands relative to the trajectory's, whose rows are rounded."""
 _EACH = "one for all or one per joint"
 _BY_TYPE: dict[str, Any] = {"takes_many": True, "default_text": "by motor type"}
 _ANGLE = "ANGLE [rad] >= 0"
@@ -65,19 +71,19 @@ def _damping_problem(kd: float) -> str | None:
 class PlaySettings(OptionRecord):
     """Gains, speeds and limits of a run; ``for_motors`` completes gains and rate.
 
-    Each option's text says what it is; ``kp``, ``kd`` and ``max_torque_error`` are empty, or have
-    one value for all joints or one per joint.
+    The text of each option describes it, with its unit. ``kp``, ``kd`` and ``max_torque_error`` are
+    empty (for defaults by motor type), or have one value for all joints or one per joint.
 
     Attributes:
-        max_missed: unanswered commands in a row that stop the run; three cycles are a third of the
-            shortest watchdog that is allowed.
-        max_lateness: how late a control cycle may be [s]: far more than a busy computer's pauses
+        max_missed: number of unanswered commands in a row that stop the run; three cycles are a
+            third of the shortest watchdog that is allowed.
+        max_lateness: largest delay of a control cycle [s]: far more than a busy computer's pauses
             (99 % are shorter than 1.3 ms), far less than a watchdog's time.
-        ramp_time: how long the gains take to rise [s]; short, because meanwhile the arm sinks under
-            whatever load the feed-forward torque does not know.
-        approach_time: least duration of the way to the first point [s].
-        rest_time: how long the arm is held still before and after moving [s].
-        deceleration: of a controlled stop [rad/s^2].
+        ramp_time: time in which the gains are raised [s]; short, because the arm sinks meanwhile
+            under a load that the feed-forward torque does not include.
+        approach_time: least duration of the transfer to the first point [s].
+        rest_time: time for which the arm is held still before and after moving [s].
+        deceleration: deceleration of a controlled stop [rad/s^2].
     """
 
     kp: tuple[float, ...] = option(
@@ -140,18 +146,17 @@ class PlaySettings(OptionRecord):
         timing: BusTiming,
         inertia: Array | None = None,
     ) -> PlaySettings:
-        """Return the settings with gains per joint and a rate that suit motors and bus.
+        """Return these settings with a cycle rate and one gain and torque limit for each motor.
 
-        By default an error of a twentieth of a radian makes rated torque: an arm whose model is off
-        by a third of that sags by a degree. Damping is what such stiffness takes at the motors that
-        carry arms of this kind. Where the arm's inertia is known, a light joint is damped less, so
-        that its speed does not settle within a cycle: it would have used up the torque step that is
-        to be measured.
+        With the default stiffness, an error of a twentieth of a radian makes rated torque: an arm
+        whose model is wrong by a third of the rated torque sags by a degree. Where the arm's
+        inertia is known, a light joint is damped less, so that its velocity does not settle within
+        a cycle: the torque step that is to be measured would have vanished by then.
 
         Args:
             specs: types of the n motors.
-            timing: of the bus, from which the default rate follows.
-            inertia: that each joint moves (n,) [kg m^2]; None without a model.
+            timing: frame format and bit rates of the bus, which determine the default rate.
+            inertia: inertia (n,) that each joint moves [kg m^2]; None without a model.
 
         Raises:
             InputError: a setting has neither one value nor one per motor.
@@ -178,7 +183,7 @@ class PlaySettings(OptionRecord):
 
     @property
     def period(self) -> float:
-        """Length of a control cycle [s]; the rate has to be known."""
+        """Length of a control cycle [s]; ``rate`` must not be None."""
         assert self.rate is not None
         return 1.0 / self.rate
 
@@ -270,18 +275,20 @@ class SecondArm(OptionRecord):
 
 @dataclass(frozen=True)
 class Plan:
-    """A trajectory and how to play it; open settings are chosen for its motors and bus.
+    """A trajectory of n joints and all settings with which it is played.
 
     Attributes:
-        trajectory: at least two rows.
-        settings: gains, speeds and limits; complete once the plan is made.
-        timing: bit rates of the bus.
-        permissions: deviations that the user allows.
+        trajectory: trajectory with at least two rows; fewer raise InputError.
+        settings: gains, speeds and limits; open ones are chosen for the motors and the bus.
+        timing: frame format and bit rates of the bus.
+        permissions: deviations from the checks that the user allows.
         recording: files to write.
-        inertia: that each joint moves (n,) [kg m^2]; None without a model.
-        limits: of the trajectory and of the transfers to its first point and to the parking pose.
+        inertia: inertia (n,) that each joint moves [kg m^2]; None without a model.
+        limits: user's limits of the trajectory and of the transfers to its first point and to the
+            parking pose.
         model_range: least and greatest joint positions (n,) of the model [rad]; None without one.
-        ripple: how torque steps show in sampled positions and velocities; None without a model.
+        ripple: computes the effect of torque steps on sampled positions and velocities; None
+            without a model.
     """
 
     trajectory: DamiaoTrajectory
@@ -310,7 +317,7 @@ class Plan:
 
     @property
     def parking_pose(self) -> Array | None:
-        """Positions (n,) [rad] in the file that --park names; None where it names no file."""
+        """Positions (n,) [rad] in the file of option --park; None where this names no file."""
         park = self.settings.park
         n = self.trajectory.n_joints
         if park in (None, "rest", "start"):
@@ -330,10 +337,10 @@ class Plan:
         return pose
 
     def command_range(self, held_positions: Array) -> CommandRange:
-        """Return the range of positions and the speeds that commands of a run may reach.
+        """Return the range of commands for the n joints and m further motors that are only held.
 
-        Joints keep to the model's range, or else to that of the trajectory; the motors behind them
-        that are only held keep to their ``held_positions`` (m,) [rad].
+        Joints keep to the model's range, or else to that of the trajectory and the parking pose;
+        the m held motors keep to their ``held_positions`` (m,) [rad].
         """
         q = self.trajectory.q
         if self.model_range is not None:
@@ -355,10 +362,10 @@ class Plan:
         )
 
     def transfers(self, q: Array) -> Iterator[tuple[str, Array, Array]]:
-        """Yield the motions before and after the trajectory: name, begin and end (n,) [rad].
+        """Yield name, begin and end (n,) [rad] of the motions before and after the trajectory.
 
-        The first leads from q (n,), where the arm stands, to the first point; the other one, only
-        where the arm is to be parked in a pose, from the last point to that.
+        The first leads from q (n,) [rad], where the arm stands, to the first point. A second, from
+        the last point to the parking pose, is yielded only if the arm is to be parked in a pose.
         """
         pose = q if self.settings.park == "start" else self.parking_pose
         yield "on the way to the first point", q, self.trajectory.q[0]
@@ -366,7 +373,7 @@ class Plan:
             yield "on the way to where it is parked", self.trajectory.q[-1], pose
 
     def joint_positions(self, inspection: Inspection) -> Array:
-        """Return positions of the joints (n,) [rad]; NaN where a motor does not report it."""
+        """Return the joint positions (n,) [rad] at an inspection, NaN where unknown."""
         joints = self.trajectory.joints
         positions = np.full(len(joints), np.nan)
         for j, joint in enumerate(joints):
@@ -382,5 +389,5 @@ class Plan:
 
 
 def row_slopes(trajectory: DamiaoTrajectory) -> Array:
-    """Return the velocity (N - 1, n) of the positions between rows, at the file's speed [rad/s]."""
+    """Return the slope (N - 1, n) of the positions between rows, at the file's speed [rad/s]."""
     return np.diff(trajectory.q, axis=0) / np.diff(trajectory.time)[:, None]
