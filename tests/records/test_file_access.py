@@ -1,4 +1,4 @@
-"""Files appear whole or not at all, and a set of files never beside another run's first file."""
+"""A file appears complete or not at all, and the first file of a set never beside another set's."""
 
 from __future__ import annotations
 
@@ -31,13 +31,15 @@ from robot_sysid.records.file_access import (
     refuse_special_file,
     write_atomically,
 )
+from tests.support.model_files import write_files
 from tests.support.places import ROOT
 
 NAMES = ("model.xml", "b.csv", "a.json")
-"""In the order of drafting: the first takes its place last."""
+"""Names of a set of files in the order of drafting: the first is moved into the folder last."""
 
 
-def everything_in(folder: Path) -> dict[str, str]:
+def texts_in(folder: Path) -> dict[str, str]:
+    """The text of each file of a folder by its name."""
     return {p.name: p.read_text() for p in folder.iterdir() if p.is_file()}
 
 
@@ -81,30 +83,25 @@ def instants(old_set, monkeypatch):
 
         watch_commit(observe, patch.setattr)
         write_set(old_set, "new")
-    assert everything_in(old_set) == dict.fromkeys(NAMES, "new")
+    assert texts_in(old_set) == dict.fromkeys(NAMES, "new")
     assert len(counts) >= 2 * len(NAMES)
     write_set(old_set, "old")
     return counts
 
 
 def assert_whole(folder):
-    """Every file is there, old or new, and the first one only where all are of its set."""
-    contents = {
-        name: (folder / name).read_text() for name in NAMES if (folder / name).exists()
-    }
-    assert set(contents.values()) <= {"old", "new"} and set(NAMES) - set(contents) <= {
-        NAMES[0]
-    }
-    assert NAMES[0] not in contents or len(set(contents.values())) == 1
+    """Every file is old or new, only the first may be missing, and it is there only where all
+    files are of its set."""
+    texts = {n: text for n, text in texts_in(folder).items() if n in NAMES}
+    assert set(texts.values()) <= {"old", "new"} and {*NAMES[1:]} <= set(texts)
+    assert NAMES[0] not in texts or len(set(texts.values())) == 1
 
 
 def test_an_error_at_any_instant_leaves_whole_files_and_nothing_else(
     old_set, instants, monkeypatch
 ):
-    for problem in (
-        KeyboardInterrupt,
-        OSError(errno.ENOSPC, "No space left on device"),
-    ):
+    full_disk = OSError(errno.ENOSPC, "No space left on device")
+    for problem in (KeyboardInterrupt, full_disk):
         for instant in instants:
 
             def interrupt(count, instant=instant, problem=problem):
@@ -116,7 +113,7 @@ def test_an_error_at_any_instant_leaves_whole_files_and_nothing_else(
                 watch_commit(interrupt, patch.setattr)
                 write_set(old_set, "new")
             assert_whole(old_set)
-            assert set(everything_in(old_set)) <= set(NAMES)
+            assert set(texts_in(old_set)) <= set(NAMES)
             write_set(old_set, "old")
 
 
@@ -133,7 +130,7 @@ def test_a_signal_at_any_instant_waits_for_the_whole_new_set(
         with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
             watch_commit(send, patch.setattr)
             write_set(old_set, "new")
-        assert everything_in(old_set) == dict.fromkeys(NAMES, "new")
+        assert texts_in(old_set) == dict.fromkeys(NAMES, "new")
         write_set(old_set, "old")
 
 
@@ -151,7 +148,7 @@ def test_a_process_that_is_killed_leaves_whole_files_and_keeps_no_folder(old_set
     assert_whole(old_set)
     with lock_folder(old_set):
         write_set(old_set, "new")
-    assert {name: everything_in(old_set)[name] for name in NAMES} == dict.fromkeys(
+    assert {name: texts_in(old_set)[name] for name in NAMES} == dict.fromkeys(
         NAMES, "new"
     )
 
@@ -164,7 +161,7 @@ def test_one_file_appears_when_the_block_ends_without_an_error(tmp_path):
     with pytest.raises(ZeroDivisionError), atomic_file(path) as file:
         file.write("half")
         raise ZeroDivisionError
-    assert everything_in(tmp_path) == {"a.csv": "1\n"}
+    assert texts_in(tmp_path) == {"a.csv": "1\n"}
 
 
 def test_a_failed_group_leaves_nothing_not_even_its_folder(tmp_path):
@@ -189,7 +186,7 @@ def test_a_draft_can_be_read_before_and_withdrawn(tmp_path):
         assert (draft.read_text(), draft.suffix) == ("<a/>", ".xml")
         outputs.write(tmp_path / "out" / "b", "{}")
         outputs.withdraw(tmp_path / "out" / "model.xml")
-    assert everything_in(tmp_path / "out") == {"b": "{}"}
+    assert texts_in(tmp_path / "out") == {"b": "{}"}
 
 
 @pytest.mark.parametrize("fails", [False, True])
@@ -213,7 +210,7 @@ def test_what_is_to_go_goes_last_and_only_where_nothing_fails(
         outputs.remove(tmp_path / "gone")
         if fails:
             raise ZeroDivisionError
-    assert everything_in(tmp_path) == (old_files if fails else {"a": "new"})
+    assert texts_in(tmp_path) == (old_files if fails else {"a": "new"})
     assert contents == [] if fails else ["new"]
 
 
@@ -237,7 +234,7 @@ def test_only_one_run_at_a_time_has_a_folder(tmp_path):
         ):
             raise AssertionError("two at once")
         (folder / "result").write_text("")
-    assert everything_in(folder) == {"result": ""}
+    assert texts_in(folder) == {"result": ""}
     with lock_folder(folder):
         pass
 
@@ -331,24 +328,24 @@ def test_a_device_is_neither_read_nor_replaced(tmp_path, pipe):
     assert not (tmp_path / "null").is_file() and pipe.is_fifo()
 
 
-def test_parts_of_a_recording_are_files(tmp_path, pipe):
+def assert_pipe_is_refused(path, folder):
+    with pytest.raises(InputError, match=f"{path.name} is a pipe or a device"):
+        open_table(folder, ("a",), LogOptions())
+
+
+def test_a_pipe_is_refused_as_a_file_of_a_lerobot_recording(tmp_path, pipe):
     pytest.importorskip("pyarrow")
-    (tmp_path / "meta").mkdir()
-    (tmp_path / "data").mkdir()
     names = {"names": ["a.pos", "a.torque"]}
     content = {"features": {"observation.state": names}}
-    (tmp_path / "meta" / "info.json").write_text(json.dumps(content))
-    pipe.rename(tmp_path / "data" / "part.parquet")
-    with pytest.raises(InputError, match="part.parquet is a pipe or a device"):
-        open_table(tmp_path, ("a",), LogOptions())
+    write_files(tmp_path, {"meta/info.json": json.dumps(content)})
+    (tmp_path / "data").mkdir()
+    assert_pipe_is_refused(pipe.rename(tmp_path / "data" / "part.parquet"), tmp_path)
 
 
-def test_parts_of_a_bag_are_files(tmp_path, pipe):
+def test_a_pipe_is_refused_as_a_file_of_a_bag(tmp_path, pipe):
     pytest.importorskip("rosbags")
-    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
-    pipe.rename(tmp_path / "part.db3")
-    with pytest.raises(InputError, match="part.db3 is a pipe or a device"):
-        open_table(tmp_path, ("a",), LogOptions())
+    write_files(tmp_path, {"metadata.yaml": "rosbag2_bagfile_information:\n"})
+    assert_pipe_is_refused(pipe.rename(tmp_path / "part.db3"), tmp_path)
 
 
 def test_python_programs_get_the_same_refusal(pipe):

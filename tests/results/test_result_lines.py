@@ -1,4 +1,4 @@
-"""What is printed: the specified block first, no number without its error; and every limit."""
+"""The printed lines: the specified block first, then every number with its error and its unit."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from tests.support import results as made
 
 
 def line_starting(lines, start):
+    """The only line that starts so."""
     (match,) = [text for text in lines if text.startswith(start)]
     return match
 
@@ -38,43 +39,31 @@ def test_the_readmes_block_line_by_line():
 
 
 def brief_lines(lines):
-    """What is printed without --verbose."""
+    """The lines that are printed without --verbose."""
     return [line for line in lines if not isinstance(line, Detail)]
 
 
-def test_what_stands_under_it_of_measured_data():
+def test_measured_data_gets_a_table_validation_and_limits():
     lines = more_lines(made.found(validation=(made.validation_of(0.05),)))
     table = brief_lines(lines)
-    heading = ["Before", "->", "after", "model", "identified", "±", "unit", "change"]
-    assert table[0].split() == heading
-    assert line_starting(table, "  mass").split()[1:5] == [
-        "1.0000",
-        "2.0000",
-        "0.0020",
-        "kg",
+    heading = "Before -> after model identified ± unit change"
+    assert " ".join(table[0].split()) == heading
+    names = ["mass", *(f"centre of mass {axis}" for axis in "xyz")]
+    names += ["Coulomb fri", "viscous fri"]
+    for row, name in zip(table[1:7], names):
+        assert row.startswith(f"  {name}")
+    assert table[7:] == [
+        "Validation on other.csv: 0.0500 N·m (2 %)",
+        "  Limit: torques of other.csv are predicted 1.7 times worse than the fitted ones: the "
+        "model misses something that motion shows",
     ]
-    names = (
-        "mass",
-        *(f"centre of mass {axis}" for axis in "xyz"),
-        "Coulomb fri",
-        "viscous fri",
-    )
-    assert [text[2 : 2 + len(name)] for text, name in zip(table[1:], names)] == list(
-        names
-    )
-    assert table[7] == "Validation on other.csv: 0.0500 N·m (2 %)"
-    limit = "  Limit: torques of other.csv are predicted 1.7 times worse than the fitted ones: the "
-    assert table[8:] == [f"{limit}model misses something that motion shows"]
-    assert line_starting(lines, "  CoM moment x").split()[3:] == [
-        "0",
-        "0",
-        "0.000010",
-        "kg·m",
-        "none",
-    ]
-    assert lines[
-        lines.index("Error of the mass by cause, kg: links 0.0016, noise 0.0012") + 1 :
-    ][:3] == [
+    mass_cells = line_starting(lines, "  mass").split()
+    assert mass_cells[1:5] == ["1.0000", "2.0000", "0.0020", "kg"]
+    moment_cells = line_starting(lines, "  CoM moment x").split()
+    assert moment_cells[3:] == ["0", "0", "0.000010", "kg·m", "none"]
+    budget = "Error of the mass by cause, kg: links 0.0016, noise 0.0012"
+    friction_index = lines.index(budget) + 1
+    assert lines[friction_index : friction_index + 3] == [
         "Friction of the joints (coulomb-viscous), model -> identified ± error:",
         "  j5: coulomb 0.3 -> 0.50000 ± 0.00050 N·m, viscous 0.1 -> 0.20000 ± 0.00020 N·m·s/rad",
         "  j6: coulomb 0.2 -> 0.40000 ± 0.00040 N·m, viscous 0 -> 0.10000 ± 0.00010 N·m·s/rad",
@@ -83,90 +72,79 @@ def test_what_stands_under_it_of_measured_data():
 
 def test_the_models_own_simulation_has_a_block_alone():
     assert brief_lines(more_lines(made.itself())) == []
-    assert not any(
-        "inf" in text or "±" in text
-        for text in more_lines(made.itself(made.without_mass()))
-    )
+    text = "".join(more_lines(made.itself(made.without_mass())))
+    assert "inf" not in text and "±" not in text
 
 
-def test_the_file_is_told_by_its_errors_before_and_after():
-    """... on held-out data in the verdict; on other logs here."""
+def test_the_written_file_is_judged_by_its_torque_error_on_other_logs():
+    """The torque error on held-out data is one of the verdict's."""
     lines = more_lines(made.whole())
-    torque_lines = [
-        text for text in brief_lines(lines) if text.startswith("Torque error")
-    ]
-    assert torque_lines == ["Torque error of the model on other.csv: 30 % -> 1.2 %"]
+    torque_line = line_starting(brief_lines(lines), "Torque error")
+    assert torque_line == "Torque error of the model on other.csv: 30 % -> 1.2 %"
     assert "The fit itself reaches a torque error of 0.22 % on held-out data" in lines
     assert "Left in the file as it was: rotor inertia" in lines
-    assert not any(text.startswith("Validation") for text in lines)
+    assert not any(line.startswith("Validation") for line in lines)
 
 
 def test_a_result_takes_no_more_than_a_screen():
-    """25 lines, of which stages take four."""
+    """A screen has 25 lines, of which stages take four."""
     complete_result = made.whole(validation=(), rollout=None, delay=None, tilt=None)
     for result in (complete_result, made.payload(), made.itself()):
         assert len(result_lines.result_lines(result)) <= 21
 
 
-def test_what_the_data_does_not_see_has_no_error_but_a_reason():
+def test_a_parameter_that_the_data_does_not_show_has_a_reason_instead_of_an_error():
     lines = more_lines(made.found(made.without_mass()))
     assert line_starting(lines, "  mass").endswith("  not seen")
-    assert not any("inf" in text for text in lines)
+    assert "inf" not in "".join(lines)
     lines = more_lines(made.found(made.with_value("coulomb[j5]", 0.0, np.inf)))
-    assert line_starting(lines, "  j5:").startswith(
-        "  j5: coulomb not visible, viscous 0.1 -> 0.2"
-    )
+    assert line_starting(lines, "  j5: coulomb not visible, viscous 0.1 -> 0.2")
 
 
-def subtree_body(name, mass, welded=True):
-    return SubtreeBody(0, name, mass / 2.0 * made.THETA, welded)
+def subtree_body(name, mass, is_welded=True):
+    return SubtreeBody(0, name, mass / 2.0 * made.THETA, is_welded)
 
 
-def robot_with(bodies):
+def robot_with(*bodies):
     return replace(made.ARM, bodies=bodies)
 
 
-def test_a_link_of_several_bodies_says_what_its_mass_is_the_mass_of():
+def test_the_mass_of_a_link_of_several_bodies_is_explained():
     start = "The mass is that"
-    bodies = (
-        subtree_body("link7", 0.7),
-        subtree_body("hand", 0.3),
-        subtree_body("finger", 0.2, False),
-        subtree_body("eye", 0.0),
-    )
-    mass_line = line_starting(more_lines(made.found(robot=robot_with(bodies))), start)
-    assert (
-        mass_line
-        == f"{start} of link7 + hand + finger; link7 alone, as written in the file: 1.5 kg"
+    link = subtree_body("link7", 0.7)
+    finger = subtree_body("finger", 0.2, False)
+    bodies = (link, subtree_body("hand", 0.3), finger, subtree_body("eye", 0.0))
+    robot = robot_with(*bodies)
+    assert line_starting(more_lines(made.found(robot=robot)), start) == (
+        f"{start} of link7 + hand + finger; link7 alone, as written in the file: 1.5 kg"
     )
     # The file's own terminal link weighs 1.8 kg.
-    assert line_starting(
-        more_lines(made.whole(robot=robot_with(bodies))), start
-    ).endswith("in the file: 1.3 kg")
-    assert not any(
-        start in text for text in more_lines(made.found(robot=robot_with(bodies[:1])))
-    )
-    many_bodies = (*bodies, *(subtree_body(f"pad{k}", 0.01) for k in range(6)))
+    mass_line = line_starting(more_lines(made.whole(robot=robot)), start)
+    assert mass_line.endswith("in the file: 1.3 kg")
+    lines = more_lines(made.found(robot=robot_with(link)))
+    assert not any(start in line for line in lines)
+    pads = [subtree_body(f"pad{k}", 0.01) for k in range(6)]
     mass_line = line_starting(
-        more_lines(made.found(robot=robot_with(many_bodies))), start
+        more_lines(made.found(robot=robot_with(*bodies, *pads))), start
     )
     assert "link7 + hand + finger + 6 more; link7" in mass_line
 
 
 def test_a_payloads_block():
-    lines = [*block_lines(made.payload()), *more_lines(made.payload())]
+    result = made.payload()
+    lines = [*block_lines(result), *more_lines(result)]
     assert lines[0] == "Identified payload, in the frame of site 'flange':"
     assert len(brief_lines(lines)) == 12
-    table = [re.split(r"  +", text.strip()) for text in lines[1:11]]
+    table = [re.split(r"  +", line.strip()) for line in lines[1:11]]
     assert table[0] == ["identified", "±", "unit"]
     assert table[1] == ["mass", "1.200", "0.010", "kg"]
     assert table[2][:2] == ["centre of mass x", "0.03000"] and table[2][3] == "m"
     assert table[5][:2] == ["inertia xx about it", "0.00600"] and table[5][3] == "kg·m²"
     assert "Error of the mass by cause, kg: torque scale 0.008, noise 0.006" in lines
-    link_line = line_starting(
-        lines, "Terminal link without it: 0.800 ± 0.010 kg, centre of mass ["
+    assert line_starting(lines, "Terminal link without it") == (
+        "Terminal link without it: 0.800 ± 0.010 kg, centre of mass "
+        "[0.0300 ± 0.0013, -0.0200 ± 0.0013, 0.0800 ± 0.0016] m"
     )
-    assert link_line.endswith("[0.0300 ± 0.0013, -0.0200 ± 0.0013, 0.0800 ± 0.0016] m")
     assert line_starting(lines, "Terminal link with it: 2.000 ± 0.010 kg")
     assert "  b.csv (loaded): 1.190 ± 0.010 kg" in lines
 
@@ -189,35 +167,30 @@ def test_no_number_that_is_not_zero_prints_as_zero(rows):
 def test_a_terminal_link_has_its_ten_parameters_centre_of_mass_and_friction():
     rows = {row.name: row for row in parameter_rows(made.found())}
     assert len(rows) == 15
-    assert (rows["mass"].before, rows["mass"].after, rows["mass"].unit) == (
-        1.0,
-        2.0,
-        "kg",
-    )
-    center_row = rows["centre of mass z"]
-    assert (center_row.after, center_row.unit) == (approx(0.1), "m")
-    assert center_row.error == load_errors(made.terminal(made.estimate()))[3]
-    assert (rows["Coulomb friction"].before, rows["Coulomb friction"].after) == (
-        0.2,
-        0.4,
-    )
-    assert rows["Coulomb friction"].error == approx(4e-4)
+    mass = rows["mass"]
+    assert (mass.before, mass.after, mass.unit) == (1.0, 2.0, "kg")
+    center = rows["centre of mass z"]
+    assert (center.after, center.unit) == (approx(0.1), "m")
+    assert center.error == load_errors(made.terminal(made.estimate()))[3]
+    friction = rows["Coulomb friction"]
+    assert (friction.before, friction.after) == (0.2, 0.4)
+    assert friction.error == approx(4e-4)
+
+
+def test_viscous_friction_of_a_slide_has_the_unit_of_a_force():
     slider = replace(made.ARM, is_slide=np.array([False, True]))
-    slider_rows = {
-        row.name: row for row in parameter_rows(made.found(robot=slider, joints={}))
-    }
-    assert slider_rows["viscous friction"].unit == "N·s/m"
-    self_test_rows = parameter_rows(
-        made.itself()
-    )  # a simulation of the model itself states no errors
-    assert len(self_test_rows) == 15 and all(
-        row.error is None for row in self_test_rows
-    )
+    rows = parameter_rows(made.found(robot=slider, joints={}))
+    (viscous,) = (row for row in rows if row.name == "viscous friction")
+    assert viscous.unit == "N·s/m"
 
 
-def test_a_payload_has_mass_place_and_inertia_about_it():
+def test_a_simulation_of_the_model_itself_states_no_errors():
+    assert [row.error for row in parameter_rows(made.itself())] == [None] * 15
+
+
+def test_a_payload_has_mass_centre_of_mass_and_inertia_about_it():
     rows = parameter_rows(made.payload())
-    assert len(rows) == 10 and all(row.before is None for row in rows)
+    assert [row.before for row in rows] == [None] * 10
     assert (rows[0].after, rows[0].error) == (1.2, approx(0.01))
     assert (rows[1].name, rows[1].after) == ("centre of mass x", approx(0.03))
     assert (rows[4].name, rows[4].after) == ("inertia xx about it", approx(0.006))
