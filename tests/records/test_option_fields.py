@@ -1,4 +1,4 @@
-"""Options as fields of records: what is said once is known everywhere."""
+"""Fields of records are options: they are parsed, converted, checked and refused by name."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_a_value_of_another_kind_is_refused(values, message):
     assert str(caught.value) == message
 
 
-def test_numbers_of_numpy_lists_and_text_are_what_they_say():
+def test_numpy_numbers_lists_and_text_are_converted_to_the_annotation():
     values = {
         "heat": np.float32(2.0),
         "fan": None,

@@ -1,4 +1,4 @@
-"""Torque factors as they are typed and as files."""
+"""Torque factors are read from command-line text and from files."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_a_written_scale_reads_back_to_the_last_bit(tmp_path, scale):
 
 
 @given(st.lists(st.floats(1e-3, 1e3), min_size=3, max_size=3))
-def test_what_is_typed_is_what_is_used(values):
+def test_factors_given_as_text_are_used_to_the_last_bit(values):
     typed = parse_factors(",".join(map(repr, values)))
     assert_array_equal(joint_factors(typed, JOINTS, SCALE)[0], values)
     one = joint_factors(parse_factors(repr(values[0])), JOINTS, SCALE)
@@ -80,14 +80,14 @@ def test_a_file_is_read_by_joint_names(tmp_path):
         ('{"version": 1, "torque_scale": {"a": "x"}}', "joint a must be positive"),
     ],
 )
-def test_a_broken_file_says_what_is_wrong(tmp_path, text, message):
+def test_a_damaged_file_is_refused_with_the_reason(tmp_path, text, message):
     path = tmp_path / "scale.json"
     path.write_text(text)
     with pytest.raises(InputError, match=message):
         read_factors(path)
 
 
-def test_wrong_words_are_refused():
+def test_factors_that_are_no_numbers_or_too_few_are_refused():
     with pytest.raises(InputError, match="neither a number"):
         parse_factors("nofile.json")
     with pytest.raises(

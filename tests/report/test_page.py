@@ -1,4 +1,4 @@
-"""The page as a file: alone, escaped, complete, the same every time."""
+"""The page is one file that loads no other, escapes names, is complete and reproducible."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ VOID = {"meta", "link", "br", "img", "input", "hr"}
 
 
 class Tags(HTMLParser):
-    """Every tag, and whether all are closed."""
+    """Every tag with its attributes, and the end tags that close no open one."""
 
     def __init__(self, text):
         super().__init__()
-        self.opened = []
-        self.seen = []
+        self.open_tags = []
+        self.tags = []
         self.faults = []
         self.feed(text)
 
     def handle_starttag(self, tag, attrs):
-        self.seen.append((tag, dict(attrs)))
+        self.tags.append((tag, dict(attrs)))
         if tag not in VOID:
-            self.opened.append(tag)
+            self.open_tags.append(tag)
 
     def handle_startendtag(self, tag, attrs):
-        self.seen.append((tag, dict(attrs)))
+        self.tags.append((tag, dict(attrs)))
 
     def handle_endtag(self, tag):
-        if not self.opened or self.opened.pop() != tag:
+        if not self.open_tags or self.open_tags.pop() != tag:
             self.faults.append(tag)
 
 
@@ -42,42 +42,41 @@ def text(page):
 
 
 def test_every_tag_is_closed_names_are_text_and_nothing_is_loaded_from_elsewhere(text):
-    tags = Tags(text)
-    assert tags.faults == [] and tags.opened == []
+    page = Tags(text)
+    assert page.faults == [] and page.open_tags == []
     assert not any(
-        tag in ("script", "iframe", "object", "link") for tag, _ in tags.seen
+        tag in ("script", "iframe", "object", "link") for tag, _ in page.tags
     )
-    assert not any(name.startswith("on") for _, attrs in tags.seen for name in attrs)
+    assert not any(name.startswith("on") for _, attrs in page.tags for name in attrs)
     assert "&lt;script&gt;alert(1)" in text and "$x^{1}&amp;" in text and "関節" in text
-    for _, attrs in tags.seen:
+    for _, attrs in page.tags:
         for name in ("src", "href", "xlink:href", "action", "data"):
             assert str(attrs.get(name, "#")).startswith(("#", "data:image/png;base64,"))
-    policies = [a for tag, a in tags.seen if tag == "meta" and "http-equiv" in a]
+    policies = [a for tag, a in page.tags if tag == "meta" and "http-equiv" in a]
     assert policies[0]["content"].startswith("default-src 'none'")
     sections = ("section", "details")
-    ids = [attrs["id"] for tag, attrs in tags.seen if "id" in attrs and tag in sections]
+    ids = [attrs["id"] for tag, attrs in page.tags if "id" in attrs and tag in sections]
     assert len(ids) == len(set(ids)) > 8
-    anchors = {attrs["id"] for _, attrs in tags.seen if "id" in attrs}
+    anchors = {attrs["id"] for _, attrs in page.tags if "id" in attrs}
     assert set(re.findall(r"url\(#([^)]+)\)", text)) <= anchors
-    assert {a["xlink:href"][1:] for tag, a in tags.seen if tag == "use"} <= anchors
+    assert {a["xlink:href"][1:] for tag, a in page.tags if tag == "use"} <= anchors
 
 
 def test_every_part_is_there_and_every_figure_has_a_caption_a_unit_and_its_numbers(
     text,
 ):
     for phrase in (
-        *(
-            "torque error 27\u00a0% → 0.25\u00a0%",
-            "Before and after",
-            "Identified, kept, not visible",
-        ),
-        *(
-            "Measured and predicted torque",
-            "What is left over",
-            "Excitation",
-            "Friction",
-        ),
-        *("Prediction errors", "truth", "Inertia on the arm", "fifths of arm.csv"),
+        "torque error 27\u00a0% → 0.25\u00a0%",
+        "Before and after",
+        "Identified, kept, not visible",
+        "Measured and predicted torque",
+        "What is left over",
+        "Excitation",
+        "Friction",
+        "Prediction errors",
+        "truth",
+        "Inertia on the arm",
+        "fifths of arm.csv",
     ):
         assert phrase in text, phrase
     figures = re.findall(r"<figure.*?</figure>", text, re.DOTALL)
@@ -90,11 +89,8 @@ def test_every_part_is_there_and_every_figure_has_a_caption_a_unit_and_its_numbe
 
 def test_the_first_screen_is_the_verdict_with_one_figure_and_the_rest_is_folded(text):
     first_screen, *folds = text.partition("<main>")[2].split('<details class="fold"')
-    assert (
-        first_screen.count("<figure") == 1
-        and 'class="headline"' in first_screen
-        and "Next: " in first_screen
-    )
+    assert first_screen.count("<figure") == 1
+    assert 'class="headline"' in first_screen and "Next: " in first_screen
     assert len(folds) > 7 and not any(fold.startswith(" open") for fold in folds)
 
 

@@ -8,7 +8,7 @@ import io
 import json
 import re
 import shutil
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -55,17 +55,12 @@ def traces(count=500, joints=2):
     )
 
 
-def test_what_is_written_is_read(tmp_path):
+def test_report_data_is_read_as_it_was_written(tmp_path):
     data = report_data(traces(), "hash")
     (tmp_path / DATA_NAME).write_bytes(data_bytes(data))
     loaded = load_data(tmp_path / DATA_NAME)
-    for field in fields(data):
-        expected = getattr(data, field.name)
-        actual = getattr(loaded, field.name)
-        if isinstance(expected, np.ndarray):
-            assert_array_equal(expected, actual)
-        else:
-            assert expected == actual
+    for name, expected in vars(data).items():
+        assert_array_equal(getattr(loaded, name), expected)
     assert data_bytes(data) == data_bytes(report_data(traces(), "hash"))
 
 
@@ -78,7 +73,7 @@ def test_a_huge_log_is_thinned_and_says_so():
     assert report_data(traces(500)).thinning_text == ""
 
 
-def test_logs_follow_one_another():
+def test_times_of_several_logs_follow_one_another():
     log = traces(10)
     time = np.concatenate((log.time[:5], log.time[:5]))
     data = report_data(Traces(**{**vars(log), "time": time}))
@@ -96,20 +91,18 @@ def test_logs_follow_one_another():
         ({"q": np.array([{}], dtype=object)}, "cannot read"),
     ],
 )
-def test_a_file_that_is_not_ours_is_refused(tmp_path, changes, message):
+def test_report_data_of_another_version_or_shape_is_refused(tmp_path, changes, message):
     arrays = dict(np.load(io.BytesIO(data_bytes(report_data(traces())))))
-    spoiled = {
-        name: array
-        for name, array in {**arrays, **changes}.items()
-        if array is not None
-    }
-    np.savez(tmp_path / DATA_NAME, **spoiled)
+    arrays |= changes
+    for name in [name for name, array in arrays.items() if array is None]:
+        del arrays[name]
+    np.savez(tmp_path / DATA_NAME, **arrays)
     with pytest.raises(InputError, match=f"{message}.*identify again"):
         load_data(tmp_path / DATA_NAME)
 
 
 @pytest.mark.parametrize("content", [None, b"", b"PK\x03\x04 cut"])
-def test_what_is_no_archive_is_refused(tmp_path, content):
+def test_a_missing_or_damaged_archive_is_refused(tmp_path, content):
     if content is not None:
         (tmp_path / DATA_NAME).write_bytes(content)
     with pytest.raises(InputError, match="identify again"):
@@ -117,7 +110,7 @@ def test_what_is_no_archive_is_refused(tmp_path, content):
 
 
 @given(seed=SEEDS, count=st.integers(1, 300), missing=st.floats(0.0, 1.0))
-def test_every_sample_in_use_is_counted_once(seed, count, missing):
+def test_the_histogram_counts_every_residual_once(seed, count, missing):
     rng = np.random.default_rng(seed)
     residual = rng.standard_t(2.0, (count, 2))
     residual[rng.random((count, 2)) < missing] = np.nan
@@ -127,7 +120,7 @@ def test_every_sample_in_use_is_counted_once(seed, count, missing):
 
 
 @given(seed=SEEDS)
-def test_the_autocorrelation_is_that_of_the_pairs_in_use(seed):
+def test_the_autocorrelation_skips_missing_residuals(seed):
     noise = np.random.default_rng(seed).normal(size=(300, 2))
     noise[40:90, 0] = np.nan
     noise[:, 1] = np.nan
@@ -142,7 +135,7 @@ def test_the_autocorrelation_is_that_of_the_pairs_in_use(seed):
     )
 
 
-def test_means_by_speed_are_those_of_the_samples_in_use():
+def test_means_by_speed_skip_missing_torques():
     qd = np.linspace(-2.0, 2.0, 4001)[:, None]
     torque = 3.0 * qd + 1.0
     torque[qd > 1.0] = np.nan
@@ -197,7 +190,7 @@ def test_a_run_is_read_as_it_was_written(link_run):
     assert np.isnan(run.content["sensors"]["zero[j6]"].error)
 
 
-def test_the_verdict_and_the_errors_tell_the_same_of_the_written_file(folder):
+def test_the_verdict_and_the_errors_state_the_same_torque_error(folder):
     run = load_run(folder)
     section = verdict(run)
     assert (
@@ -233,25 +226,18 @@ def test_the_verdict_and_the_errors_tell_the_same_of_the_written_file(folder):
 
 
 def test_a_model_of_its_own_simulation_has_one_body(folder):
-    self_test = {
-        "source": "simulation of the model itself",
-        "links": [],
-        "file": None,
-        "joints": {},
-    }
-    run = run_with_changes(
-        folder, **self_test, standard_errors=None, validation=[], rollout=None
-    )
+    source = "simulation of the model itself"
+    absent = dict.fromkeys(("file", "standard_errors", "rollout"))
+    absent |= {"links": [], "joints": {}, "validation": []}
+    run = run_with_changes(folder, source=source, **absent)
     (body,) = run.bodies
     section, *_ = sections_of([run])
-    assert "before" not in body.thetas and (section.headline, section.figures) == (
-        "",
-        (),
-    )
+    assert "before" not in body.thetas
+    assert (section.headline, section.figures) == ("", ())
 
 
 def test_of_several_models_in_the_folder_the_runs_own_is_to_be_loaded(folder):
-    """A model that a run reads from its own folder stays there, whatever it writes."""
+    """A run that reads its model from its own output folder leaves two models there."""
     model = folder / "updated_model.xml"
     other = re.sub(r"RMSE [\d.]+ Nm", "RMSE 0.123456 Nm", model.read_text())
     (folder / "updated_model.urdf").write_text(other)
@@ -271,7 +257,7 @@ def test_torques_of_another_run_are_not_drawn(folder):
 
 
 @pytest.mark.parametrize("version", [3, None, "x" * 1000])
-def test_a_file_of_another_version_is_one_line(folder, version):
+def test_a_result_of_another_version_is_refused_in_one_line(folder, version):
     with pytest.raises(
         InputError, match="this program reads 4; identify again"
     ) as caught:
@@ -280,7 +266,7 @@ def test_a_file_of_another_version_is_one_line(folder, version):
 
 
 @pytest.mark.parametrize("odd", [{"sensors": "much"}, {"joints": {"j5": 7}}])
-def test_an_odd_entry_is_one_line(folder, odd):
+def test_a_result_with_an_entry_of_another_type_is_refused(folder, odd):
     with pytest.raises(InputError, match="a result cannot be shown"):
         sections_of([run_with_changes(folder, **odd)])
 
@@ -288,16 +274,14 @@ def test_an_odd_entry_is_one_line(folder, odd):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        *(
-            ("{", "cannot read"),
-            ("[]", "no result of this program"),
-            ("{}", "schema_version None"),
-        ),
+        ("{", "cannot read"),
+        ("[]", "no result of this program"),
+        ("{}", "schema_version None"),
         ('{"schema_version": 4}', "damaged"),
         ('{"schema_version": 4, "mass": 1, "center_of_mass_moment": [1]}', "damaged"),
     ],
 )
-def test_a_damaged_file_is_one_line(tmp_path, text, message):
+def test_a_damaged_result_is_refused(tmp_path, text, message):
     (tmp_path / "params.json").write_text(text)
     with pytest.raises(InputError, match=message):
         load_run(tmp_path)
@@ -338,22 +322,19 @@ def test_a_payload_whose_inertia_is_not_known_is_not_all_good(link_run, tmp_path
     assert rows["Izz"][::2] == ("not known", "not known") and rows["m"][0] == "the data"
 
 
-def test_errors_of_every_joint_stand_beside_each_other(link_run):
+def test_a_comparison_has_the_error_table_of_each_run(link_run):
     run = load_run(link_run)
     runs = [replace(run, folder=run.folder.parent / f"run{k}") for k in range(5)]
     (table,) = compare_errors(runs).tables
     single = errors(run).figures[0].table
-    assert table.header == single.header and len(table.rows) == 5 * len(single.rows)
-    for k, row in enumerate(table.rows):
-        run_index, row_index = divmod(k, len(single.rows))
-        assert row == (
-            f"run{run_index}: {single.rows[row_index][0]}",
-            *single.rows[row_index][1:],
-        )
+    expected = []
+    for k in range(5):
+        expected += [(f"run{k}: {label}", *cells) for label, *cells in single.rows]
+    assert table.header == single.header and list(table.rows) == expected
 
 
 def test_runs_are_compared_in_the_bodies_that_they_share(link_run):
-    """Whatever comes first in each: the terminal link of another joint is another body."""
+    """Bodies are compared by name: the terminal link of another joint is another body."""
     run = load_run(link_run)
     other = replace(run, folder=run.folder.parent / "other", bodies=run.bodies[::-1])
     tables = compare_bodies([run, other]).tables

@@ -1,4 +1,4 @@
-"""Cards for controllers, read back by each target's own definition: the same body every time."""
+"""Cards for controllers, read back by the definition of each controller, give the body again."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from tests.support.arms import SEEDS, random_rotation
 
 FLANGE = Flange("site 'tool'", np.eye(3), np.array([0.0, 0.0, 0.107]), "link7")
 COVARIANCE = np.diag(np.square([0.0153, *[2e-4] * 3, *[1e-4] * 6]))
-SHAPES = (
+SHAPES = [
     "any",
     "nearly round",
     "nearly a disc",
@@ -41,11 +41,11 @@ SHAPES = (
     "point",
     "tiny",
     "heavy",
-)
+]
 
 
 def random_body(rng, shape):
-    """(mass, centre of mass, inertia about it) of a body that can exist."""
+    """Mass [kg], centre of mass (3,) [m], inertia about it (3, 3) [kg m^2] of a possible body."""
     second_moments = {
         "any": rng.uniform(0.01, 1.0, 3),
         "nearly round": 0.3 + 10.0 ** rng.uniform(-14, -6) * rng.uniform(size=3),
@@ -58,12 +58,9 @@ def random_body(rng, shape):
     }[shape]
     mass = {"tiny": 1e-3, "heavy": 40.0}.get(shape, rng.uniform(0.1, 5.0))
     axes = random_rotation(rng)
-    second_moment_matrix = axes @ np.diag(0.01 * mass * second_moments) @ axes.T
-    return (
-        mass,
-        0.2 * rng.normal(size=3),
-        np.trace(second_moment_matrix) * np.eye(3) - second_moment_matrix,
-    )
+    spread = axes @ np.diag(0.01 * mass * second_moments) @ axes.T
+    inertia = np.trace(spread) * np.eye(3) - spread
+    return mass, 0.2 * rng.normal(size=3), inertia
 
 
 def symmetric(xx, yy, zz, xy, xz, yz):
@@ -71,6 +68,7 @@ def symmetric(xx, yy, zz, xy, xz, yz):
 
 
 def floats(text):
+    """All numbers of a text."""
     return [
         float(number)
         for number in re.findall(r"(?<![\w.])-?\d+\.?\d*(?:e[+-]?\d+)?", text)
@@ -78,6 +76,7 @@ def floats(text):
 
 
 def rotate_moments(rotation, moments):
+    """The inertia (3, 3) of principal moments (3,) whose axes are turned by a rotation."""
     axes = rotation.as_matrix()
     return axes @ np.diag(moments) @ axes.T
 
@@ -104,19 +103,15 @@ def read_kuka(text):
         "{M #, CM {X #, Y #, Z #, A #, B #, C #}, J {X #, Y #, Z #}}"
     )
     mass, x, y, z, a, b, c, *moments = floats(text)
-    rotation = Rotation.from_euler(
-        "ZYX", [a, b, c], degrees=True
-    )  # each about the axes so far
+    # Each angle turns about the axes that the ones before it have turned.
+    rotation = Rotation.from_euler("ZYX", [a, b, c], degrees=True)
     return mass, 1e-3 * np.array([x, y, z]), rotate_moments(rotation, moments)
 
 
 def read_abb(text):
     mass, com, (w, x, y, z), *moments = json.loads(text)
-    return (
-        mass,
-        1e-3 * np.array(com),
-        rotate_moments(Rotation.from_quat([x, y, z, w]), moments),
-    )
+    rotation = Rotation.from_quat([x, y, z, w])
+    return mass, 1e-3 * np.array(com), rotate_moments(rotation, moments)
 
 
 def read_point(text):
@@ -162,7 +157,7 @@ EXAMPLE = (1.517, [0.001, -0.02, 0.0453], np.diag([2e-3, 2.5e-3, 1e-3]))
 
 
 def body_estimate(mass, com, inertia, covariance=COVARIANCE, n_identified=10):
-    """A body of whose parameters the first are shown."""
+    """A body of whose ten parameters the first n_identified are identified."""
     theta = InertialParameters(spatial.theta_from_com(mass, np.array(com), inertia))
     return BodyEstimate(
         "it", theta, covariance, np.arange(10) < n_identified, np.zeros(10)
@@ -175,31 +170,28 @@ def cards_by_name(mass, com, inertia, flange=FLANGE, n_identified=10):
 
 
 @given(SEEDS, st.sampled_from(SHAPES))
-def test_every_card_gives_the_body_back(seed, shape):
+def test_every_card_read_back_is_the_body(seed, shape):
     mass, com, inertia = random_body(np.random.default_rng(seed), shape)
     cards = cards_by_name(mass, com, inertia)
-    assert (
-        list(cards)
-        == ["payload", *(form.name for form in FORMS)]
-        == ["payload", *READERS]
-    )
+    assert list(cards) == ["payload", *READERS]
+    assert [form.name for form in FORMS] == list(READERS)
     # An inertia about a distant origin knows the one about the centre of mass to its own rounding.
     rounding = 1e-14 * mass * (com @ com)
+    size = np.max(np.abs(inertia))
     for name, read in READERS.items():
         card_mass, card_com, card_inertia = read(cards[name].text)
         assert card_mass == pytest.approx(mass, rel=1e-6, abs=0.0), name
         assert_allclose(card_com, com, rtol=1e-6, atol=1e-9, err_msg=name)
-        if card_inertia is not None:
-            # Angles have their own digits; single elements keep theirs.
-            is_exact = name not in WITH_AXES
-            tolerance = (1e-11 if is_exact else 1e-6) * np.max(
-                np.abs(inertia)
-            ) + rounding
-            limits = {"rtol": 1e-8 if is_exact else 0.0, "atol": tolerance}
-            assert_allclose(card_inertia, inertia, err_msg=name, **limits)
+        if card_inertia is None:
+            continue
+        # Angles have their own digits; single elements keep theirs.
+        rtol, share = (0.0, 1e-6) if name in WITH_AXES else (1e-8, 1e-11)
+        atol = share * size + rounding
+        assert_allclose(card_inertia, inertia, rtol, atol, err_msg=name)
 
 
 def leaves(value):
+    """All values of nested lists and dictionaries."""
     if isinstance(value, (dict, list)):
         children = value.values() if isinstance(value, dict) else value
         return [leaf for child in children for leaf in leaves(child)]
@@ -207,7 +199,7 @@ def leaves(value):
 
 
 @given(SEEDS, st.sampled_from(SHAPES))
-def test_the_values_are_the_numbers_of_the_text_which_has_no_exponents(seed, shape):
+def test_values_of_a_card_are_the_numbers_of_its_text_without_exponents(seed, shape):
     cards = cards_by_name(*random_body(np.random.default_rng(seed), shape))
     for name in READERS:
         values = json.loads(json.dumps(cards[name].values, allow_nan=False))
@@ -216,7 +208,7 @@ def test_the_values_are_the_numbers_of_the_text_which_has_no_exponents(seed, sha
             assert not re.search(r"\d[eE]", cards[name].text), cards[name].text
 
 
-def test_a_whole_card_says_what_it_has_to():
+def test_a_card_states_flange_mass_errors_and_commands():
     flange = replace(FLANGE, note="found by name")
     cards = cards_by_name(*EXAMPLE, flange)
     text = card_text(list(cards.values()), "A heading.")
@@ -247,10 +239,10 @@ def test_a_round_body_is_not_turned():
     ("n_identified", "inertia_note"),
     [(10, "xx 0.00011, xy 0.0001, xz 0.0001, yy 0.00011, yz"), (4, NOT_KNOWN)],
 )
-def test_every_card_states_how_far_each_of_its_numbers_may_be_off(
+def test_every_card_states_the_standard_errors_of_its_numbers(
     n_identified, inertia_note
 ):
-    """... or that the inertia is not known; two cards take no inertia."""
+    """An inertia that is not identified is said to be not known; two cards take no inertia."""
     cards = cards_by_name(*EXAMPLE, n_identified=n_identified)
     axes_note = (
         "turn about the axes X, Y, Z 3.9, 5.8, 11 degrees; moments 0.00011, 0.00011, 0"
@@ -266,7 +258,7 @@ def test_every_card_states_how_far_each_of_its_numbers_may_be_off(
 
 
 @pytest.mark.parametrize(("largest", "is_refused"), [(133.0, False), (133.001, True)])
-def test_what_a_ur_controller_refuses_is_said(largest, is_refused):
+def test_an_inertia_that_a_ur_controller_refuses_is_noted(largest, is_refused):
     inertia = np.diag([100.0, 120.0, largest])
     cards = cards_by_name(50.0, np.zeros(3), inertia)
     for name, card in cards.items():
@@ -278,44 +270,42 @@ def test_what_a_ur_controller_refuses_is_said(largest, is_refused):
     ("mass", "moments"),
     [(0.0, (1, 1, 1)), (-1.0, (1, 1, 1)), (1.0, (1, 1, 2.1)), (1.0, (1, 1, -0.1))],
 )
-def test_no_controller_gets_an_impossible_body(mass, moments):
+def test_an_impossible_body_has_no_card(mass, moments):
     with pytest.raises(
         ExportError, match="not a possible rigid body, so there is no card"
     ):
         cards_by_name(mass, [0.1, 0.0, 0.0], np.diag(np.array(moments, dtype=float)))
 
 
-def random_estimate(seed):
-    """(a body, a factor of its covariance, which is small)."""
+def random_body_estimate(seed):
+    """A random body with a small covariance (10, 10), and a factor of the covariance."""
     rng = np.random.default_rng(seed)
     factor = 1e-7 * rng.normal(size=(10, 10))
     return body_estimate(*random_body(rng, "any"), factor @ factor.T), factor
 
 
-def spread_of(outcome, theta, factor):
-    """Standard errors of what follows from theta, by finite differences along the factor."""
-    outcomes = [
-        (outcome(theta + column), outcome(theta - column)) for column in factor.T
-    ]
-    return np.linalg.norm([0.5 * (plus - minus) for plus, minus in outcomes], axis=0)
+def propagated_errors(outcome, theta, factor):
+    """Standard errors of outcome(theta), by central differences along columns of the factor."""
+    changes = [outcome(theta + step) - outcome(theta - step) for step in factor.T]
+    return 0.5 * np.linalg.norm(changes, axis=0)
 
 
 @given(SEEDS)
-def test_errors_of_place_and_inertia_follow_from_those_of_theta(seed):
-    body, factor = random_estimate(seed)
+def test_errors_of_centre_of_mass_and_inertia_follow_from_those_of_theta(seed):
+    body, factor = random_body_estimate(seed)
 
     def outcome(theta):
         mass, com, inertia = spatial.com_from_theta(theta)
         return np.array([mass, *com, *spatial.six_from_symmetric(inertia)])
 
     errors = load_errors(body)
-    expected = spread_of(outcome, body.inertial.theta, factor)
+    expected = propagated_errors(outcome, body.inertial.theta, factor)
     assert_allclose(errors, expected, rtol=1e-4)
     assert ERROR_NAMES[:5] == ("mass", "com_x", "com_y", "com_z", "Ixx_about_com")
 
 
 @pytest.mark.parametrize("mass_error", [0.1, 0.3, 0.5])
-def test_intervals_of_a_centre_of_mass_hold_where_the_mass_is_hardly_known(mass_error):
+def test_intervals_of_a_centre_of_mass_cover_it_where_the_mass_is_uncertain(mass_error):
     rng = np.random.default_rng(0)
     inertia = np.eye(3)
     com = np.array([0.1, -0.05, 0.2])
@@ -333,26 +323,23 @@ def test_intervals_of_a_centre_of_mass_hold_where_the_mass_is_hardly_known(mass_
 
 
 @given(SEEDS)
-def test_errors_of_moments_and_axes_are_those_of_the_turned_matrix(seed):
-    body, factor = random_estimate(seed)
+def test_errors_of_principal_moments_and_axes_follow_from_those_of_theta(seed):
+    body, factor = random_body_estimate(seed)
     moments, errors, angle_errors = principal_moments(body)
     eigenvalues, axes = np.linalg.eigh(body.inertial.inertia_com)
     order = [int(np.argmin(np.abs(eigenvalues - moment))) for moment in moments]
     assume(np.min(np.diff(eigenvalues)) > 1e-3 * eigenvalues[-1])
 
-    def outcome(theta):
-        """Moments, and by how much each axis leans to the next one."""
-        moments_now, axes_now = np.linalg.eigh(spatial.com_from_theta(theta)[2])
-        axis_tilts = np.cross(
-            axes[:, order].T,
-            (axes_now * np.sign(np.sum(axes_now * axes, axis=0)))[:, order].T,
-        )
-        tilt_angles = np.stack(
-            [axis_tilts[(k + 1) % 3] @ axes[:, order[k]] for k in range(3)]
-        )
-        return np.array([*moments_now[order], *np.degrees(tilt_angles)])
+    axes = axes[:, order]
 
-    expected = spread_of(outcome, body.inertial.theta, factor)
+    def outcome(theta):
+        """Principal moments, and the small angles [deg] by which their axes have turned."""
+        eigenvalues, vectors = np.linalg.eigh(spatial.com_from_theta(theta)[2])
+        cosines = axes.T @ vectors[:, order]
+        x, y, z = cosines * np.sign(np.diag(cosines))
+        return np.array([*eigenvalues[order], *np.degrees([z[1], x[2], y[0]])])
+
+    expected = propagated_errors(outcome, body.inertial.theta, factor)
     assert_allclose([*errors, *angle_errors], expected, rtol=1e-2)
 
 
@@ -362,16 +349,12 @@ def test_errors_of_moments_and_axes_are_those_of_the_turned_matrix(seed):
         ((1e-3, 1e-3, 1e-3), 0.39e-3, 10, True),
         ((1e-3, 1e-3, 1e-3), 0.41e-3, 10, False),
         ((1e-9, 1e-3, 1e-3), 0.39e-3, 10, True),  # a rod
-        (
-            (1e-9, 1e-3, 1e-3),
-            1.2e-3,
-            10,
-            False,
-        ),  # what only the bound of a possible body holds up
+        # A rod whose moments are smaller than their standard errors.
+        ((1e-9, 1e-3, 1e-3), 1.2e-3, 10, False),
         ((1e-3, 1e-3, 1e-3), 1e-9, 4, False),
     ],
 )
-def test_inertia_is_known_where_one_moment_is_told_from_zero(
+def test_inertia_is_known_where_one_moment_differs_significantly_from_zero(
     moments, error, n_identified, is_known
 ):
     covariance = np.diag([0.0] * 4 + [error**2] * 6)

@@ -97,9 +97,7 @@ BETTER = "Usable: torque error on held-out data 27 % -> 0.25 %; "
         ),
     ],
 )
-def test_it_says_whether_to_use_it_what_limits_it_and_what_next(
-    result, verdict, next_step
-):
+def test_the_verdict_states_use_and_limit_and_the_next_step(result, verdict, next_step):
     assert verdict_lines(result) == (verdict, next_step)
 
 
@@ -113,7 +111,7 @@ def test_a_file_that_only_predicts_torques_says_for_what_it_may_be_used():
 
 
 @pytest.mark.parametrize("verdict", [v for v in Verdict if not v.writes_model])
-def test_what_is_not_usable_says_so_why_and_nothing_else(verdict):
+def test_a_result_that_is_not_usable_has_one_sentence_with_the_reason(verdict):
     for result in (
         made.found(verdict=verdict, reasons=("because",)),
         made.payload(verdict=verdict),
@@ -127,7 +125,7 @@ def test_what_is_not_usable_says_so_why_and_nothing_else(verdict):
     )
 
 
-def test_a_planned_motion_is_followed_by_what_it_was_planned_for():
+def test_the_next_step_after_a_plan_is_the_command_of_its_purpose():
     next_steps = {
         purpose: plan_verdict(["an arm.xml"], (), None, purpose)[1]
         for purpose in PURPOSES
@@ -180,7 +178,7 @@ def test_a_plan_that_misses_its_purpose_is_not_called_usable(share, contact, phr
     assert (next_step == f"Next: {remedy}") is bool(phrases)
 
 
-def test_what_comes_next_may_be_given():
+def test_a_given_next_step_replaces_the_default():
     next_step = "robot-sysid plan updated_model.xml --config trajectory.toml --for link"
     assert verdict_lines(made.whole(), None, next_step)[1] == f"Next: {next_step}"
 
@@ -212,7 +210,7 @@ def test_a_weak_parameter_is_named_with_its_error(name, share):
     assert not sentences or f"{name} (± {percent(share)})" in sentences[0]
 
 
-def test_a_prior_that_outweighs_the_data_is_told():
+def test_parameters_with_more_prior_than_data_are_named():
     share = np.ones(10)
     share[[4, 9]] = 0.3, 0.49
     link = replace(made.terminal(made.estimate()), data_share=share)
@@ -221,7 +219,7 @@ def test_a_prior_that_outweighs_the_data_is_told():
 
 
 @pytest.mark.parametrize("delay", [-0.003, -0.0019, 0.003])
-def test_a_torque_before_its_motion_is_told_where_it_is_sure(delay):
+def test_a_torque_that_precedes_its_motion_is_reported_where_significant(delay):
     sensors = {"delay": Quantity(-0.003, 0.001)}
     sentences = limitations_of(delay=delay, sensors=sensors)
     assert len(sentences) == (delay == -0.003)
@@ -234,7 +232,7 @@ def test_a_torque_before_its_motion_is_told_where_it_is_sure(delay):
     st.sampled_from(["coulomb", "viscous"]), st.floats(-1.0, 1.0), st.floats(0.01, 1.0)
 )
 @example("coulomb", -0.5, 0.01)
-def test_friction_that_drives_is_told_where_it_is_sure(term, value, error):
+def test_negative_friction_is_reported_where_significant(term, value, error):
     sentences = limitations_of(made.with_value(f"{term}[j5]", value, error))
     assert len(sentences) == (value < -SURE * error)
     for sentence in sentences:
@@ -243,7 +241,7 @@ def test_friction_that_drives_is_told_where_it_is_sure(term, value, error):
 
 
 @given(st.floats(0.01, 1.0))
-def test_slow_residuals_are_told(share):
+def test_correlated_residuals_are_reported(share):
     result = made.estimate(effective_samples={"j5": 200.0 * share, "j6": 200.0})
     sentences = limitations_of(result)
     assert bool(sentences) == (result.independent_share["j5"] < COLOURED)
@@ -252,7 +250,7 @@ def test_slow_residuals_are_told(share):
 
 @given(st.floats(0.5, 5.0))
 @example(3.0)
-def test_a_prediction_worse_than_the_fit_is_told(factor):
+def test_a_prediction_worse_than_the_fit_is_reported(factor):
     errors = (0.03, 0.03 * factor)
     sentences = limitations_of(validation=tuple(map(made.validation_of, errors)))
     assert len(sentences) == (errors[1] > WORSE * 0.03)
@@ -278,7 +276,7 @@ def test_a_prediction_within_the_noise_is_not_worse_than_an_exact_fit(factor):
         (None, False),
     ],
 )
-def test_a_plan_follows_where_this_arm_was_weighed(tmp_path, content, is_planned):
+def test_after_weighing_this_arm_the_next_step_is_a_plan(tmp_path, content, is_planned):
     if content is not None:
         (tmp_path / "trajectory.toml").write_text(content)
     model_path = tmp_path / "updated_model.xml"

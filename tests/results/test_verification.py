@@ -70,6 +70,7 @@ def model(text=FULL):
 
 
 def require_same_after_edit(original_text: str, replacement: str):
+    """Require that the model with one text replaced differs in the inertia of link2 alone."""
     original = model()
     other = model(FULL.replace(original_text, replacement))
     require_same_model(
@@ -126,7 +127,7 @@ def test_the_inertia_of_the_terminal_body_may_differ_with_all_that_follows(
         ('<geom size="0.1"/>', '<geom size="0.1"/><site/>', "n"),
     ],
 )
-def test_every_other_difference_is_named(original_text, replacement, field):
+def test_any_other_difference_is_refused_by_name(original_text, replacement, field):
     assert original_text in FULL
     with pytest.raises(
         ExportError, match=f"differs from the original in {field}"
@@ -139,6 +140,7 @@ THETA = random_theta(np.random.default_rng(3), 1.5)
 
 
 def compile_body(theta):
+    """A model of one body with these parameters (10,)."""
     inertial = mjcf_inertial(theta, principal=True)
     return model(
         f"<mujoco><worldbody><body name='b'>{inertial}</body></worldbody></mujoco>"
@@ -157,7 +159,7 @@ def test_a_parameter_that_is_off_by_more_than_a_billionth_is_found(k):
         require_theta(compile_body(THETA), 1, wrong_theta, THETA)
 
 
-def test_a_small_inertia_far_from_the_origin_is_held_to_its_own_size():
+def test_an_error_of_a_small_inertia_far_from_the_origin_is_relative_to_it():
     small = spatial.theta_from_com(1.0, np.array([1.0, 0.0, 0.0]), 1e-6 * np.eye(3))
     other = spatial.theta_from_com(1.0, np.array([1.0, 0.0, 0.0]), 1.001e-6 * np.eye(3))
     with pytest.raises(ExportError, match="off by 1.0e-03"):
@@ -216,8 +218,10 @@ def test_gravity_may_differ_only_where_it_was_written_and_only_as_written(tmp_pa
         ),
     ],
 )
-def test_a_number_that_is_not_there_is_named(tmp_path, change, message):
-    """Whatever the joint is called."""
+def test_a_joint_or_actuator_without_its_new_number_is_refused_by_name(
+    tmp_path, change, message
+):
+    """The joint's name has braces, which mean something in formats."""
     text = FULL.replace('"j1"', '"j{1}"').replace(RATIO, "")
     source = write_files(tmp_path, {"m.xml": text})
     field = "actuators" if isinstance(change, ActuatorChange) else "joints"
@@ -319,7 +323,7 @@ SMALL = 1e-7
         ),
     ],
 )
-def test_what_is_not_in_the_file_is_missed_in_its_torque(three_joints, change):
+def test_a_change_that_the_file_lacks_is_found_by_its_torque(three_joints, change):
     assert is_refused_for_torque(
         three_joints, compile_model(three_joints.path).mj_model, change=change
     )
@@ -342,6 +346,7 @@ PLACE = '<inertial pos="0 0 0" mass="0.2" diaginertia="1e-4 1e-4 1e-4"/>'
 
 
 def with_load(load_xml=NEW, original_text="", replacement=""):
+    """The arm with a load welded to its tool, and optionally with one text replaced."""
     text = WITH_CUP.replace(PLACE, PLACE + load_xml)
     assert original_text in text
     return mujoco.MjModel.from_xml_string(
@@ -360,7 +365,9 @@ def with_load(load_xml=NEW, original_text="", replacement=""):
         ('name="grip" type="slide"', 'name="grip" type="hinge"', "jnt_type"),
     ],
 )
-def test_everything_else_that_is_new_is_named(original_text, replacement, field):
+def test_a_difference_beside_the_welded_body_is_refused_by_name(
+    original_text, replacement, field
+):
     with pytest.raises(ExportError, match=f"differs from the original in {field}"):
         require_change(
             with_load(""),
@@ -386,7 +393,7 @@ def test_everything_else_that_is_new_is_named(original_text, replacement, field)
         (NEW.replace(str(LOAD[0]), str(LOAD[0] + 1e-8)), "an inertia that is off"),
     ],
 )
-def test_a_body_that_is_not_the_wanted_one_is_refused(load_xml, message):
+def test_a_welded_body_of_another_name_pose_or_inertia_is_refused(load_xml, message):
     with pytest.raises(ExportError, match=message):
         require_change(with_load(""), with_load(load_xml), ONE_MORE)
 
@@ -396,7 +403,7 @@ def test_a_body_that_is_not_the_wanted_one_is_refused(load_xml, message):
 TRUTH = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=test_playback.JOINT.format(0.2))
 
 
-def test_the_model_that_is_the_arm_wins_whichever_comes_first():
+def test_the_better_of_two_models_is_found_in_either_order():
     truth = test_playback.arm()
     heavy_rotor = test_playback.arm(0.5)
     recordings = [test_playback.recording(truth)]
@@ -418,7 +425,7 @@ def test_the_model_that_is_the_arm_wins_whichever_comes_first():
 
 @pytest.fixture(scope="module")
 def signals():
-    """What the true arm does for a while, processed."""
+    """Processed signals of 8 s of the true arm's motion."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(test_playback, "SECONDS", 8.0)
         log = test_playback.recording(test_playback.arm())
@@ -430,6 +437,7 @@ def signals():
 
 
 def writes(xml):
+    """A function that writes an MJCF text to its target."""
     return lambda target: target.files.write(target.path, xml)
 
 
@@ -438,8 +446,7 @@ def horizons(test):
     return {error.horizon for error in test.errors}
 
 
-def test_what_is_played_was_not_fitted_for_it(signals):
-    """The written file is played, on the end of the log."""
+def test_the_written_file_is_played_on_the_held_out_end_of_the_log(signals):
     test = play(
         test_playback.arm(0.5), [signals], writes(TRUTH), None, split_time, LAST_FIFTH
     )
@@ -451,14 +458,14 @@ def test_what_is_played_was_not_fitted_for_it(signals):
     assert np.max(time[rows]) + reach < split_time(signals) - reach
 
 
-def test_another_log_is_played_whole(signals):
+def test_a_validation_log_is_played_from_its_beginning(signals):
     test = play(test_playback.arm(0.5), [signals], writes(TRUTH), None)
     assert test.is_better and test.held_out == "the validation log"
     assert 3.0 in horizons(test)
 
 
 @pytest.mark.parametrize("error", [InputError, ExportError])
-def test_nothing_played_is_no_proof(signals, error):
+def test_a_model_that_cannot_be_written_for_playing_is_refused(signals, error):
     def fails(_):
         raise error("it cannot hold this")
 
@@ -541,7 +548,9 @@ def test_a_perfect_file_is_off_by_its_sensors_offsets_alone(tmp_path, xml):
         ("<joint ", '<joint stiffness="1" ', lambda motion: motion.q),
     ],
 )
-def test_each_number_of_a_joint_counts(original_text, replacement, torque_change):
+def test_each_joint_attribute_counts_in_the_torque_error(
+    original_text, replacement, torque_change
+):
     motion = random_motion(0, 3, 40)
     robot = arms.robot_of(arms.DRY_FRICTION)
     tau = ArmTorque(robot)(motion)
@@ -560,7 +569,7 @@ def test_each_number_of_a_joint_counts(original_text, replacement, torque_change
         assert report.rmse_per_joint[joint] == approx(rmse[k])
 
 
-def test_what_is_not_usable_does_not_count():
+def test_samples_that_are_not_usable_do_not_count():
     motion = random_motion(0, 3, 40)
     robot = arms.robot_of(arms.THREE)
     usable = np.random.default_rng(1).uniform(size=motion.q.shape) < 0.7
