@@ -20,7 +20,7 @@ from robot_sysid.estimation.algebra.consistent_bodies import (
     project_errors,
     projected_covariance,
 )
-from robot_sysid.estimation.algebra.identifiability import describe, triangle_space
+from robot_sysid.estimation.algebra.identifiability import triangle_space
 from robot_sysid.estimation.algebra.priors import (
     EXPECTED,
     NuisanceGroup,
@@ -64,6 +64,7 @@ from robot_sysid.motion.prediction import (
     PAYLOAD_MASS,
     Improvement,
     Prediction,
+    invisible_combinations,
     parameter_sizes,
 )
 from robot_sysid.motion.problem import ExcitationProblem
@@ -225,7 +226,7 @@ def predict(
         covariance=covariance,
         covariance_by_cause=by_cause,
         link_mass_errors=link_errors,
-        invisible=_invisible_combinations(problem, criterion),
+        invisible=invisible_combinations(problem, criterion),
         improvements=_improvements(problem, plan, recording, knowledge, criterion),
         caveat=caveat,
         scale_error=scale_error,
@@ -469,20 +470,6 @@ def _link_mass_errors(
             error = float(posterior.errors.standard_errors[index])
             mass_errors[name] = error / masses[name]
     return mass_errors
-
-
-def _invisible_combinations(
-    problem: ExcitationProblem, criterion: Criterion
-) -> tuple[str, ...]:
-    """Return, in words, the combinations of the terminal link's parameters that no motion of these
-    joints identifies.
-    """
-    visible = criterion.visible / problem.scale[:, None]
-    left, singular, _ = np.linalg.svd(visible, full_matrices=True)
-    space = left[:, len(singular) :]
-    if not space.shape[1]:
-        return ()
-    return tuple(describe(space, problem.scale, PARAMETER_NAMES))
 
 
 def _improvements(

@@ -47,13 +47,14 @@ class MotionRequest:
         excitation: how the trajectory is made.
         limits: that it has to keep beside the model's own.
         torques: "chain" or "terminal": which joint torques will be used.
-        noise_torque: torque noise that is expected [N m]; zero for the usual.
-        played: whether something will play the motion.
+        noise_torque: standard deviation of the torque noise, one number or one per joint [N m];
+            zero for ``DEFAULT_NOISE_TORQUE``.
+        played: whether the motion will be played on an arm.
         poses: purpose of the motion, and its resting poses if it has some.
-        prior_knowledge: returns what an estimate knows about an arm beforehand; None where all but
-            the terminal link and friction is known.
-        identifiability_note: returns, before a search, from a random motion, what no motion
-            identifies; "" for nothing.
+        prior_knowledge: returns the priors of the estimate for an arm; None where all but the
+            terminal link and friction is known.
+        identifiability_note: takes a random motion before a search and returns a note on
+            parameters that no motion identifies; "" for none.
         link_uncertainty: how far the links may be off [%]; torque is reserved for that.
     """
 
@@ -75,7 +76,9 @@ class MotionRequest:
         is_kept = options.plan_only or options.save is not None
         if self.played or is_kept or options.file is not None or self.is_designed:
             return True
-        return any(given.key != "max_velocity" for given in given_options(self.limits))
+        return any(
+            choice.key != "max_velocity" for choice in given_options(self.limits)
+        )
 
     @property
     def is_designed(self) -> bool:
@@ -146,8 +149,8 @@ def _require_checkable(duration: float) -> None:
 def _new_plan(
     request: MotionRequest, robot: RobotModel, seed: int, progress: Progress
 ) -> CheckedPlan:
-    """Return the trajectory at full speed with the limits it has to keep; with the check if the
-    design of the trajectory has made it.
+    """Return the trajectory at full speed and the limits that it has to keep, with the check of the
+    limits where the design of the trajectory includes it.
     """
     options = request.trajectory
     rng = np.random.default_rng(seed)
@@ -263,8 +266,10 @@ def _designed_plan(
 
 
 def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
-    """Return the arm with all limits; of a new motion, its band limits the accelerations too, and
-    its start is a pose that the motors can hold.
+    """Return the arm with all its limits.
+
+    For a new motion (not from a file) the top frequency of its band limits the accelerations too,
+    and the start is a pose that touches nothing and that the motors can hold.
     """
     from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
     from robot_sysid.motion.static import gentle_problem, startable

@@ -1,4 +1,4 @@
-"""What a motion has to obey, and how one is designed: options, each checked once."""
+"""Options of motions: limits, search and purpose of a trajectory; checked when they are made."""
 
 from __future__ import annotations
 
@@ -31,24 +31,31 @@ TOP_FREQUENCY_HZ = 0.6
 """Highest harmonic: the top of the band of the random sinusoids, where full speed takes the usual
 acceleration limit."""
 FEWEST_HARMONICS = 3
+"""Harmonics of a designed trajectory at least, however short it is."""
 LONGEST_PERIOD = 60.0
 """A longer motion repeats itself, so that a search costs in proportion to its length [s]."""
 USUAL_JOINTS = 10
+"""Number of joints above which a search is shortened (``ExcitationOptions.for_joints``)."""
 USUAL_EVALUATIONS = 400
-"""Joints up to which a search is as thorough as it can be; what a long round of it evaluates."""
+"""Evaluations in a long round of a search for ``USUAL_JOINTS``; more joints get a share of them."""
 FEWEST_DRAWS = 5
+"""Least number of random trajectories in a shortened search."""
 FEWEST_EVALUATIONS = 20
-"""Those of the search of an arm with more joints."""
+"""Least number of evaluations per round in a shortened search."""
 WORTH_WORKERS = 5.0
 """Time budget from which on it pays to start other processes, which takes each a second [s]."""
 
 
 @dataclass(frozen=True)
 class HalfSpace:
-    """Space some bodies must stay in: normal . x >= offset.
+    """Space that certain bodies must stay in: points x with normal . x >= offset.
 
-    The normal (3,) is a unit vector of the world, the clearance the distance to keep from the
-    boundary [m].
+    Attributes:
+        normal: (3,) unit vector in the world that points into the space.
+        offset: of the boundary from the world's origin along the normal [m].
+        clearance: distance that the bodies have to keep from the boundary [m].
+        bodies: MuJoCo ids of these bodies.
+        label: name of the boundary for messages.
     """
 
     normal: Array
@@ -60,7 +67,7 @@ class HalfSpace:
 
 @dataclass(frozen=True)
 class LimitOptions(OptionRecord):
-    """What every motion has to obey beside the model's own limits."""
+    """Limits that every motion has to keep in addition to the limits of the model."""
 
     max_velocity: PerJoint = option(
         DEFAULT_MAX_VELOCITY,
@@ -122,7 +129,12 @@ class LimitOptions(OptionRecord):
     def half_spaces(
         self, moving: Sequence[int] = (), link: Sequence[int] = ()
     ) -> tuple[HalfSpace, ...]:
-        """Return what moving bodies (planes) and those of the terminal link (box) stay in."""
+        """Return the half-spaces of keep-out planes and of the sides of the workspace box.
+
+        Args:
+            moving: MuJoCo ids of the bodies that keep-out planes hold for.
+            link: MuJoCo ids of the bodies that the box holds for.
+        """
         planes = [
             _plane(plane, self.clearance, tuple(moving)) for plane in self.keep_out
         ]
@@ -153,7 +165,7 @@ def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> tuple[HalfSpace, ..
 
     if len(sides) != 6:
         raise InputError("--workspace takes six numbers: XMIN XMAX YMIN YMAX ZMIN ZMAX")
-    found = []
+    half_spaces = []
     for axis, low, high in zip(range(3), sides[0::2], sides[1::2]):
         if not low < high:
             raise InputError(
@@ -163,10 +175,10 @@ def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> tuple[HalfSpace, ..
         for sign, bound, side in ((1.0, low, "min"), (-1.0, high, "max")):
             if np.isfinite(bound):
                 label = f"the workspace's {'xyz'[axis]}{side} = {bound:g} m"
-                found.append(
+                half_spaces.append(
                     HalfSpace(sign * np.eye(3)[axis], sign * bound, 0.0, bodies, label)
                 )
-    return tuple(found)
+    return tuple(half_spaces)
 
 
 @dataclass(frozen=True)
@@ -174,10 +186,13 @@ class ExcitationOptions(OptionRecord):
     """How a trajectory is found.
 
     Attributes:
+        kind: "sines" for random sinusoids, "optimal" for a designed trajectory.
+        time_budget: duration of the search [s]; None until it hardly gains any more.
         draws: number of random trajectories to begin with.
         starts: how many of the best are improved by one round; the best of them goes on.
-        rounds: that a start is improved by at most.
-        iterations, evaluations: of the optimiser per round, at most.
+        rounds: largest number of rounds by which a start is improved.
+        iterations: largest number of iterations of the optimiser per round.
+        evaluations: largest number of evaluations of the objective per round.
         workers: processes to use; 1 stays in this one, None takes one per processor.
     """
 
@@ -239,7 +254,14 @@ class ExcitationOptions(OptionRecord):
 
 @dataclass(frozen=True)
 class PoseOptions(OptionRecord):
-    """What a plan is for, in how many poses a payload is looked at, and how long each rests [s]."""
+    """The purpose of a plan, and the resting poses of a static one.
+
+    Attributes:
+        purpose: "link", "payload", "friction", "arm" or "weight".
+        static: whether a payload is identified in resting poses.
+        poses: number of resting poses.
+        dwell: duration of each rest [s].
+    """
 
     purpose: str = option(
         "link",

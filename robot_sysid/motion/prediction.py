@@ -1,4 +1,4 @@
-"""What an identification of a planned motion's recording will state, and what the motion does.
+"""The expected errors of an identification from a planned motion, and the printed lines on a plan.
 
 The standard errors that are expected of the estimate are numbers (``Prediction``); all lines that
 ``robot-sysid plan`` prints about a motion and its limits are written here.
@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.motion.information import mass_and_centre_errors
+from robot_sysid.estimation.algebra.identifiability import describe
+from robot_sysid.motion.information import Criterion, mass_and_centre_errors
 from robot_sysid.motion.limit_check import DISTANCE_RESOLUTION, LimitCheck
 from robot_sysid.motion.problem import (
     ASKED,
@@ -33,13 +34,15 @@ LOOSE_SHARE = 0.2
 _CAUSE_SHARE = 0.2
 """Share of the total error from which a cause is listed: 4 % of its square."""
 _DIAGONAL = (0, 4, 7, 9)
-"""Parameters that are compared with their own value: mass and moments of inertia."""
+"""Indices of the parameters whose errors are compared with their own value: mass and moments of
+inertia."""
 _OFF_DIAGONAL = {5: (4, 7), 6: (4, 9), 8: (7, 9)}
-"""Product of inertia to the two moments whose geometric mean it is compared with."""
+"""Index of a product of inertia to those of the two moments of inertia whose geometric mean its
+error is compared with."""
 _SAME_POSE = 1e-6
 """How near to the model's pose a start counts as that pose [rad or m]."""
 _MOST_POSTURES = 3000
-"""Postures from which the swept box is computed."""
+"""Largest number of postures from which the swept box is computed."""
 PAYLOAD_MASS = 1.0
 """Mass of the payload whose errors are predicted [kg]."""
 
@@ -130,7 +133,8 @@ class Prediction:
 
     def errors_of(self, covariance: Array) -> tuple[float, float]:
         """Return the standard errors of mass [kg] and centre of mass [m] for a covariance (10, 10)
-        of theta; that of the centre is infinite where an entry is.
+        of theta; the error of the centre of mass is infinite where the covariance of mass and first
+        moments is not finite.
         """
         if not np.all(np.isfinite(covariance[:4, :4])):
             return float(np.sqrt(covariance[0, 0])), np.inf
@@ -147,13 +151,29 @@ def parameter_sizes(problem: ExcitationProblem) -> Array:
     return size
 
 
+def invisible_combinations(
+    problem: ExcitationProblem, criterion: Criterion
+) -> tuple[str, ...]:
+    """Return, in words, the combinations of the terminal link's parameters that no motion of these
+    joints identifies.
+    """
+    visible = criterion.visible / problem.scale[:, None]
+    left, singular, _ = np.linalg.svd(visible, full_matrices=True)
+    space = left[:, len(singular) :]
+    if not space.shape[1]:
+        return ()
+    return tuple(describe(space, problem.scale, spatial.PARAMETER_NAMES))
+
+
 def plan_lines(
     problem: ExcitationProblem,
     plan: MotionPlan,
     check: LimitCheck,
     prediction: Prediction,
 ) -> Iterator[str]:
-    """Yield the lines ``robot-sysid plan`` prints; a ``Detail`` is printed on demand only."""
+    """Yield the lines that ``robot-sysid plan`` prints about a checked motion; a ``Detail`` is
+    printed on demand only.
+    """
     yield from limit_lines(problem, plan, check)
     yield from _error_lines(prediction)
     yield from _improvement_lines(prediction)
@@ -221,18 +241,20 @@ def _error_lines(prediction: Prediction) -> Iterator[str]:
 
 
 def _improvement_lines(prediction: Prediction) -> Iterator[str]:
-    """Yield what stays unknown, and what would make the errors smaller."""
+    """Yield lines on parameters with large errors or none at all, and on changes that would make
+    the errors smaller.
+    """
     for combination in prediction.invisible:
         yield (
             f"No motion of these joints shows {combination}: use --torques chain if only the last "
             "joint is used now, or mount the base at another angle"
         )
-    loose = []
+    loose_parameters = []
     for name, error in zip(spatial.PARAMETER_NAMES, prediction.relative_errors):
         if LOOSE_SHARE < error < np.inf:
-            loose.append(f"{name} {percent(error)}")
-    if loose:
-        yield f"Stays loose: {', '.join(loose)}"
+            loose_parameters.append(f"{name} {percent(error)}")
+    if loose_parameters:
+        yield f"Stays loose: {', '.join(loose_parameters)}"
     for number, change in enumerate(prediction.improvements):
         line = f"{change.description}: {change.figures}"
         yield (

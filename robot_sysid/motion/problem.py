@@ -1,4 +1,4 @@
-"""An excitation problem: arm, limits and what must not be touched, as the search sees them."""
+"""The problem of a new motion: the arm, its limits and the distances that bodies have to keep."""
 
 from __future__ import annotations
 
@@ -42,7 +42,8 @@ ROUNDING = 1e-9
 DEFAULT_NOISE_TORQUE = 0.3
 """Torque noise that a plan predicts errors for where none is given [N m]."""
 RESERVED_DEVIATIONS = 2.0
-"""Standard deviations of a joint's torque, as the links' errors make it, that a motion leaves."""
+"""Reserve of torque for errors of the links' parameters, in standard deviations of the torque that
+these errors cause."""
 RESERVE_WORDS = ", with the reserve for errors of the links"
 """End of the name of a torque limit of which a reserve is kept."""
 _LEVEL = 0.9
@@ -153,7 +154,7 @@ def _unit(vectors: Array) -> Array:
 
 @dataclass(frozen=True)
 class ExcitationProblem:
-    """One arm, ready for the search.
+    """One arm with everything that a search for motions and a check of limits need.
 
     Attributes:
         robot: the arm.
@@ -171,8 +172,8 @@ class ExcitationProblem:
         sigma: (len(rows),) standard deviation of their noise [N m].
         origins: per family in ``LIMIT_NAMES`` where the limit of each joint (n,) comes from.
         obstacles: distances between bodies that have to be kept.
-        notes: what the reader should know about these limits.
-        has_floor: whether anything keeps the arm above the ground.
+        notes: sentences for the user on these limits.
+        has_floor: whether a floor, a half-space or a workspace keeps the arm above the ground.
     """
 
     robot: RobotModel
@@ -315,7 +316,7 @@ def build_problem(
     top_frequency_hz: float | None = TOP_FREQUENCY_HZ,
     link_uncertainty: float = 0.0,
 ) -> ExcitationProblem:
-    """Collect what a search or a limit check needs to know about an arm.
+    """Return the problem of a motion of an arm: its limits, obstacles and dynamics.
 
     Args:
         robot: the arm.
@@ -331,9 +332,9 @@ def build_problem(
         InputError: the arm breaks a limit already at rest; says which.
     """
     motion_limits, origins = _limits(robot, limits, top_frequency_hz)
-    rest = np.clip(robot.reference, motion_limits.lower, motion_limits.upper)
+    start_pose = np.clip(robot.reference, motion_limits.lower, motion_limits.upper)
     moved = []
-    for name, q, reference in zip(robot.joint_names, rest, robot.reference):
+    for name, q, reference in zip(robot.joint_names, start_pose, robot.reference):
         if q != reference:
             moved.append(f"{name} at {q:.3f} instead of {reference:.3f}")
     notes: tuple[str, ...] = ()
@@ -342,13 +343,13 @@ def build_problem(
             "the reference configuration is at or beyond a position limit; the motion starts and "
             f"ends with {', '.join(moved)}",
         )
-    base = _space_above_base(robot, limits, rest)
-    obstacles, obstacle_notes = _obstacles(robot, limits, rest, base)
+    base = _space_above_base(robot, limits, start_pose)
+    obstacles, obstacle_notes = _obstacles(robot, limits, start_pose, base)
     links = (robot.n_joints - 1, *reversed(other_links(robot)))
     rows = tuple(range(robot.n_joints)) if torques == "chain" else (robot.n_joints - 1,)
     return ExcitationProblem(
         robot=robot,
-        rest=rest,
+        rest=start_pose,
         limits=motion_limits,
         links=links,
         dynamics=LinkDynamics(robot),
@@ -429,13 +430,13 @@ def _limits(
 
 
 def _space_above_base(
-    robot: RobotModel, options: LimitOptions, rest: Array
+    robot: RobotModel, options: LimitOptions, start_pose: Array
 ) -> tuple[HalfSpace, ...]:
     """Return the half-space above the body that carries the arm.
 
     () where an option allows to go below it, the model has a floor, or a keep-out plane is one.
     """
-    mounting = mounting_height(robot, rest)
+    mounting = mounting_height(robot, start_pose)
     if options.below_base or has_floor(robot) or mounting is None:
         return ()
     up, height, bodies = mounting
@@ -446,7 +447,10 @@ def _space_above_base(
 
 
 def _obstacles(
-    robot: RobotModel, options: LimitOptions, rest: Array, base: tuple[HalfSpace, ...]
+    robot: RobotModel,
+    options: LimitOptions,
+    start_pose: Array,
+    base: tuple[HalfSpace, ...],
 ) -> tuple[Clearance, tuple[str, ...]]:
     """Return the distances that have to be kept, half-spaces included, and notes on them.
 
@@ -456,7 +460,7 @@ def _obstacles(
     model = robot.mj_model
     moving = subtree(model, int(model.jnt_bodyid[model.dof_jntid[robot.dof_index[0]]]))
     spaces = (*options.half_spaces(moving, subtree(model, robot.body_id)), *base)
-    clearance = Clearance(robot, rest, options.clearance, spaces)
+    clearance = Clearance(robot, start_pose, options.clearance, spaces)
     notes = []
     if not clearance.is_solid:
         notes.append(

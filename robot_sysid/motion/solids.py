@@ -38,8 +38,10 @@ class Solid:
 
     Attributes:
         points: (P, 3) corners in the body's frame [m]; none of a body that is a plane.
-        spread: (P, 3, 3) what makes the ellipsoid about each corner out of a ball of radius 1 [m].
-        center, bound: of a ball that holds all of it, (3,) in the body's frame, and its radius [m].
+        spread: (P, 3, 3) matrix that maps the unit ball to the ellipsoid about each corner [m].
+        radius: (P,) largest half axis of this ellipsoid [m].
+        center: (3,) centre of a ball that contains the body, in the body's frame [m].
+        bound: radius of that ball [m].
     """
 
     def __init__(self, mj_model: Any, body: int) -> None:
@@ -145,12 +147,11 @@ class HalfSpaces:
         self._centers = np.array([solid.center for solid in self.solids]).reshape(-1, 3)
         self._bounds = np.array([[solid.bound] for solid in self.solids])
         self._offsets = np.array([space.offset for space in spaces])
-        self.required = np.array(
-            [
-                [s.clearance if each.body in s.bodies else -np.inf for s in spaces]
-                for each in self.solids
-            ]
-        )
+        self.required = np.full((len(self.solids), len(spaces)), -np.inf)
+        for row, solid in zip(self.required, self.solids):
+            for k, space in enumerate(spaces):
+                if solid.body in space.bodies:
+                    row[k] = space.clearance
 
     def heights(
         self, positions: Array, rotations: Array, margin: float = np.inf
@@ -214,14 +215,18 @@ def swept_space(robot: RobotModel, q: Array) -> tuple[Array, Array, str]:
 
 
 def mounting_height(
-    robot: RobotModel, rest: Array
+    robot: RobotModel, start_pose: Array
 ) -> tuple[Array, float, list[int]] | None:
-    """Return (up (3,), height of what carries the arm along it [m], the bodies that are above).
+    """Return (up (3,), height of the ground along it [m], ids of the moving bodies above it).
 
-    It is as low as the origin of the body that carries the arm, and as what is fixed to that one
-    gets, by its meshes where it has any: what collides may be rough. So a pedestal shows where the
-    ground is. None without gravity, or where more of the arm than its first link is below at rest
-    (n,): such an arm hangs, or stands at an edge.
+    The height is the lowest of the origin of the body that carries the arm and of everything that
+    is fixed to that body (its meshes where it has any, as collision geometry may be rough): the
+    foot of a pedestal is on the ground. None without gravity, or where more of the arm than its
+    first link is below that height: such an arm hangs, or stands at an edge.
+
+    Args:
+        robot: the arm.
+        start_pose: (n,) joint positions in which the arm is looked at [rad or m].
     """
     model = robot.mj_model
     link_of_body = count_moving_joints(robot)
@@ -230,7 +235,7 @@ def mounting_height(
         return None
     up = -down / np.linalg.norm(down)
     qpos = robot.reference_qpos.copy()
-    qpos[robot.qpos_index] = rest
+    qpos[robot.qpos_index] = start_pose
     data = data_at_pose(model, qpos)
     carrier = int(model.body_parentid[np.flatnonzero(link_of_body)[0]])
     fixed = np.flatnonzero(model.body_weldid == model.body_weldid[carrier])

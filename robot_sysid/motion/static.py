@@ -32,22 +32,23 @@ from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.trajectory import TORQUE_MARGIN
 
 N_POSES = 1000
-"""Poses that are tried as a start at a time."""
+"""Number of random poses that are tried as a start, and of poses added per spread."""
 N_PARENTS = 50
-"""Poses with the least torque that get others near them."""
+"""Number of poses with the least torque near which further poses are drawn."""
 SPREADS = (0.1, 0.05, 0.02, 0.01, 0.005)
-"""How near these are, one spread after the other, as share of the joints' ranges."""
+"""Standard deviations of the further poses about these, over the joints' ranges; one search
+each."""
 EASY_SHARE = 0.8
 """Share of the torque limits up to which moving off leaves enough torque for a motion."""
 CREEP = 1e-3
 """Speed at which there is dry friction and hardly anything else [rad/s or m/s]."""
 MOST_STARTS = 50
-"""Poses of which the straight line there is checked, in search of a free one."""
+"""Largest number of poses to which the straight line is checked, until one is free."""
 
 FEWEST_POSES = 5
 """Poses that identify a payload's mass and centre of mass, with something left to check them by."""
 APPROACH = 0.05
-"""From how far a pose is approached [rad or m]."""
+"""Distance in every joint from which a pose is approached [rad or m]."""
 GENTLE = 0.6
 """Speed that no joint exceeds between poses, however fast it could be [rad/s or m/s]."""
 UNSURE_SHARE = 0.5
@@ -55,15 +56,15 @@ UNSURE_SHARE = 0.5
 SHORTEST_MOVE = 0.6
 """Shortest time between two points [s]."""
 RESERVE = 1.05
-"""How many times as long as its limits need each move takes."""
+"""Duration of a move over the shortest one that speed and acceleration limits allow."""
 CANDIDATES = 3000
 """Random poses among which the informative ones are chosen."""
 LINE_POINTS = 24
 """Points of a straight line between poses at which clearances are checked."""
 _MOST_SLOWER = 12
-"""How often a motion through poses that breaks a limit is slowed down."""
+"""How often a motion through poses that breaks a limit is slowed down at most."""
 _SLOWER = 1.25
-"""By how much it is slowed down each time: 15 times in all."""
+"""Factor by which a motion through poses is slowed down each time: up to 12 in all."""
 _TINY = 1e-6
 """Information before the first pose, whose own is singular: a millionth of what noise leaves."""
 
@@ -94,7 +95,7 @@ _SMALLER = 0.7
 def startable(problem: ExcitationProblem) -> ExcitationProblem:
     """Return the problem with a start where the arm touches nothing and its motors can hold it.
 
-    That is the model's own pose if possible, else one near it, which a note then says.
+    The start is the model's pose if possible, else a pose near it, which a note then states.
 
     Raises:
         InputError: no pose is free of collisions and held; names the bodies or the joint.
@@ -147,8 +148,8 @@ def _overload(
     unit = "N" if problem.robot.is_slide[joint] else "N·m"
     reserve_note = ""
     if problem.has_torque_reserve:
-        still = np.zeros((2, 1, problem.n_joints))
-        pose = Motion(np.zeros(1), problem.rest[None], *still)
+        rates = np.zeros((2, 1, problem.n_joints))
+        pose = Motion(np.zeros(1), problem.rest[None], *rates)
         reserve = problem.torque_reserve(pose)[0, joint]
         reserve_note = (
             f" ({reserve:.2g} of it for errors of the links, --link-uncertainty)"
@@ -253,8 +254,8 @@ def _gravity_rows(problem: ExcitationProblem, poses: Array) -> Array:
     """Return (K, n, 4) torques per [m, hx, hy, hz] of a payload in poses (K, n), over the noise;
     zero for joints whose torque is not used.
     """
-    still = np.zeros_like(poses)
-    motion = LinkDynamics(problem.robot).motion(poses, still, still)
+    zeros = np.zeros_like(poses)
+    motion = LinkDynamics(problem.robot).motion(poses, zeros, zeros)
     columns = motion.columns((problem.n_joints - 1,))
     length = problem.scale[1] / problem.scale[0]
     sigma = np.full(problem.n_joints, np.inf)
