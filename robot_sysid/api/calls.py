@@ -102,6 +102,7 @@ class _Notes(Progress):
         self.notes: list[str] = []
 
     def note(self, *messages: str) -> None:
+        """Add messages to ``notes``, with keywords in place of command-line options."""
         self.notes += map(python_words, messages)
 
 
@@ -114,6 +115,7 @@ def _quietly() -> Iterator[_Notes]:
 
 
 def _run_quietly(config: Config) -> Identified:
+    """Identify with the options of a config, without printing; the notes are in the result."""
     with _quietly() as notes:
         robot = load_arm(config.model, notes)
         identification = stages.identify(config, robot, notes)
@@ -294,8 +296,8 @@ def identify_from(
     sums_given = [information] if validation is None else [information, validation]
     for record in sums_given:
         if not isinstance(record, LogInformation):
-            kind = type(record).__name__
-            raise InputError(f"a sum of rs.information is needed, not {kind}")
+            type_name = type(record).__name__
+            raise InputError(f"a sum of rs.information is needed, not {type_name}")
     robot = arm_of(model, options)
     config = SysidConfig(
         record_from(ModelOptions, options),
@@ -312,6 +314,7 @@ def identify_from(
 
 
 def _no_traces() -> Traces:
+    """Raise InputError; stands for ``traces`` of a result of sums, which has no samples."""
     raise InputError(
         "added information holds no samples, so there are no torques to draw; identify one of the "
         "logs to see them"

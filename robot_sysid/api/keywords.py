@@ -91,8 +91,11 @@ def arm_of(model: Model, values: Mapping[str, Any]) -> RobotModel:
 
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+"""Type of a decorated function, which the decorator keeps."""
 _ARM = tuple(get_type_hints(SysidConfig).values())
+"""Records of options of the identification of an arm's links."""
 _PAYLOAD = tuple(get_type_hints(PayloadConfig).values())
+"""Records of options of the identification of a payload."""
 _MOTORS = (
     BusAddress,
     BusTiming,
@@ -102,6 +105,7 @@ _MOTORS = (
     ModelOptions,
     SecondArm,
 )
+"""Records of options of the motor commands."""
 RECORDS: Mapping[str, Sequence[Any]] = {
     "identify": (
         ModelOptions,
@@ -126,7 +130,9 @@ RECORDS: Mapping[str, Sequence[Any]] = {
 design: its own simulation plays random swings, or a trajectory from a file; see ``plan``. ``play``
 and ``hold`` are functions of ``robot_sysid.motors``."""
 _COMMAND = "plays models; it needs the command robot-sysid identify"
+"""End of the sentence that refuses options on simulating the written model."""
 _SAVE = "is for the command; the result's save(folder) writes files"
+"""End of the sentence that refuses options on written files."""
 ELSEWHERE = {
     "measurements": "is the argument log",
     "validation_measurements": "is the argument validation",
@@ -138,7 +144,9 @@ ELSEWHERE = {
 """Options of the commands that are keywords of no function, each with the end of a sentence that
 says how to get the same."""
 _DESIGN = "is for designing a motion; see plan"
+"""End of the sentence that refuses options on the design of a motion."""
 _ESTIMATED = keys_of(EstimationOptions, SimulatedArmOptions) - {*PREDICTED}
+"""Keys of options that act on an estimate alone, and not on the prediction of a plan's errors."""
 _USELESS: Mapping[str, Mapping[str, str]] = {
     "identify": dict.fromkeys(
         keys_of(ExcitationOptions, LimitOptions, MotorOptions), _DESIGN
@@ -149,7 +157,7 @@ _USELESS: Mapping[str, Mapping[str, str]] = {
     "play": dict.fromkeys(keys_of(LimitOptions) - {*LIMITS}, _DESIGN),
     "hold": {"also": "is a motion; an arm that is held has none"},
 }
-"""Options in a function's ``RECORDS`` that are no keywords of that function, with the reason."""
+"""Function to the options in its ``RECORDS`` that are no keywords of it, each with the reason."""
 _NAMED = {"measurements": "log", "validation_measurements": "validation"}
 """Keys of options to arguments that have another name."""
 
@@ -171,6 +179,7 @@ def with_keywords(**defaults: Any) -> Callable[[Function], Function]:
     """
 
     def decorate(function: Function) -> Function:
+        """Return a function that checks its keywords and then calls the decorated one."""
         signature = inspect.signature(function)
         refused = refused_by(function.__name__)
         default_by_key = {}
@@ -183,6 +192,7 @@ def with_keywords(**defaults: Any) -> Callable[[Function], Function]:
 
         @functools.wraps(function)
         def call(*arguments: Any, **keywords: Any) -> Any:
+            """Raise InputError for an unknown or refused keyword; else call the function."""
             with in_python():
                 option_keys = [
                     key for key in keywords if key not in signature.parameters
@@ -200,8 +210,8 @@ def with_keywords(**defaults: Any) -> Callable[[Function], Function]:
                 parameters[key] = inspect.Parameter(
                     key, inspect.Parameter.KEYWORD_ONLY, default=default
                 )
-        shown = signature.replace(parameters=list(parameters.values()))
-        call.__signature__ = shown  # type: ignore[attr-defined]
+        full_signature = signature.replace(parameters=list(parameters.values()))
+        call.__signature__ = full_signature  # type: ignore[attr-defined]
         return call  # type: ignore[return-value]
 
     return decorate
@@ -219,6 +229,10 @@ def in_python() -> Iterator[None]:
 
 @functools.cache
 def _option_by_flag() -> Mapping[str, Option]:
+    """Return flag, such as "--no-friction", to option, of all options that a function may take.
+
+    The mapping is cached and shared: callers must not change it.
+    """
     options = {}
     for record in {*_ARM, *_PAYLOAD, *_MOTORS}:
         for option in options_of(record).values():
@@ -233,6 +247,7 @@ _FLAG = re.compile(
 )
 """A motor command with its option, or an option with the word behind it, in a sentence."""
 _UNITS = re.compile(r"(deg|rad|s|ms|us|ns)(,(deg|rad|s|ms|us|ns))?")
+"""Value of the option --units: one unit of angle or time, or two between a comma."""
 
 
 def python_words(text: str) -> str:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from robot_sysid.api.results import PlanResult
 
 Say = Callable[[str], None]
+"""Function that is called with one sentence about each event of a run."""
 
 
 @with_keywords(**dict.fromkeys(LIMITS))
@@ -43,38 +44,40 @@ def play(
 ) -> PlayReport:
     """Play a trajectory on Damiao motors, with all checks of ``robot-sysid motors play``.
 
-    Nobody is asked first. Ctrl-C brings the arm to rest, where this is the main thread.
+    The arm moves without a question to the user first. Ctrl-C brings the arm to rest, if this is
+    called in the main thread.
 
     Args:
         trajectory: a file for motors, or a plan, made with ``export_damiao=True, motor_type=...``.
-        model: MJCF or URDF file of the arm, to compare with; that of the plan where there is one.
-        joint_map: how each joint's motor is mounted.
+        model: MJCF or URDF file of the arm, with which the motors are compared; by default the
+            model of the plan, if ``trajectory`` is a plan.
+        joint_map: file that says how each joint's motor is mounted.
         simulate: play on a simulated arm of the model instead, in simulated time.
         say: called with a sentence for each thing that happens.
         options: those of ``robot-sysid motors play``, such as ``channel="can0"``, ``speed=0.3``,
             ``park="rest"`` or ``record="measured.csv"``.
 
     Returns:
-        How it went: cycles, lateness [s], missed commands and worst tracking [rad] per joint.
+        A report with number of cycles, lateness [s], missed commands and the largest tracking error
+        of each joint [rad].
 
     Raises:
         InputError: an option or a file cannot be used.
         HardwareAbort: a check forbids it, or the run was stopped; its message says whether a motor
             may still be enabled.
     """
-    with _motor_file(trajectory) as (path, own):
-        chosen = {
-            **own,
-            **({} if model is None else {"model": path_of(model)}),
-            **options,
-        }
-        asked = _asked(say, trajectory=path, joint_map=joint_map, **chosen)
-        plan = asked.plan()
-        require_no_stop(asked.checks(plan), "not played")
-        asked.require_free(plan)
-        arm = asked.simulated_arm(plan, DEFAULT_WATCHDOG) if simulate else None
-        with asked.open_guarded() if arm is None else asked.open_simulated(arm) as link:
-            return _played(asked, link, plan, say, real=not simulate)
+    with _motor_file(trajectory) as (path, plan_options):
+        values: dict[str, Any] = {**plan_options}
+        if model is not None:
+            values["model"] = path_of(model)
+        values.update(options)
+        run = _motor_run(say, trajectory=path, joint_map=joint_map, **values)
+        plan = run.plan()
+        require_no_stop(run.checks(plan), "not played")
+        run.require_free(plan)
+        arm = run.simulated_arm(plan, DEFAULT_WATCHDOG) if simulate else None
+        with run.open_guarded() if arm is None else run.open_simulated(arm) as link:
+            return _play_plan(run, link, plan, say, is_real=not simulate)
 
 
 @with_keywords()
@@ -86,38 +89,74 @@ def hold(
     say: Say = lambda sentence: None,
     **options: Unpack[types.HoldKeywords],
 ) -> PlayReport:
-    """Hold an arm where it stands for some time [s], as ``robot-sysid motors hold`` does.
+    """Hold an arm at its present position, as ``robot-sysid motors hold`` does.
 
-    For the other arguments, what is returned and what is raised see ``play``.
+    Args:
+        model: MJCF or URDF file of the arm.
+        seconds: how long the arm is held [s].
+        joint_map: file that says how each joint's motor is mounted.
+        say: called with a sentence for each thing that happens.
+        options: those of ``robot-sysid motors hold``, such as ``channel="can0"``.
+
+    Returns:
+        A report with number of cycles, lateness [s], missed commands and the largest tracking error
+        of each joint [rad].
+
+    Raises:
+        InputError: an option or a file cannot be used, or ``seconds`` is not positive.
+        HardwareAbort: a check forbids it, or the run was stopped; its message says whether a motor
+            may still be enabled.
     """
     if not seconds > 0.0:
         raise InputError(f"seconds must be above 0, got {seconds}")
-    asked = _asked(say, model=path_of(model), joint_map=joint_map, **options)
-    with asked.open_guarded() as link:
-        plan = asked.hold_plan(inspect_bus(link))
-        require_no_stop(asked.checks(plan), "not held")
-        asked.require_free(plan)
-        return _played(asked, link, lengthen_hold(plan, seconds), say, real=False)
+    run = _motor_run(say, model=path_of(model), joint_map=joint_map, **options)
+    with run.open_guarded() as link:
+        plan = run.hold_plan(inspect_bus(link))
+        require_no_stop(run.checks(plan), "not held")
+        run.require_free(plan)
+        return _play_plan(run, link, lengthen_hold(plan, seconds), say, is_real=False)
 
 
-def _asked(say: Say, **values: Any) -> MotorRun:
-    return MotorRun(values, lambda words, last: say(words))
+def _motor_run(say: Say, **values: Any) -> MotorRun:
+    """Return a run with the values of its options by key, which reports to ``say``."""
+    return MotorRun(values, lambda sentence, last: say(sentence))
 
 
-def _played(
-    asked: MotorRun, link: GuardedLink, plan: Plan, say: Say, real: bool
+def _play_plan(
+    run: MotorRun, link: GuardedLink, plan: Plan, say: Say, is_real: bool
 ) -> PlayReport:
+    """Inspect the motors of an open bus, play a plan on them and return the report.
+
+    Args:
+        run: options of the run.
+        link: the open bus.
+        plan: the motion.
+        say: called with a sentence for each thing that happens.
+        is_real: whether the signs of the motors' directions are checked, too: not of a simulated
+            arm, nor of one that is only held.
+
+    Raises:
+        HardwareAbort: a check forbids it, or the run was stopped.
+    """
     stop = StopRequest()
     inspection = inspect_bus(link)
-    require_no_stop(asked.inspection_checks(plan, inspection, real), "not played")
-    return asked.play(link, plan, inspection, stop, say, lambda time: None)
+    require_no_stop(run.inspection_checks(plan, inspection, is_real), "not played")
+    return run.play(link, plan, inspection, stop, say, lambda time: None)
 
 
 @contextlib.contextmanager
 def _motor_file(
     trajectory: Path | str | PlanResult,
 ) -> Iterator[tuple[Path, Mapping[str, Any]]]:
-    """Yield the file of a trajectory, and which arm it is for, where a plan tells."""
+    """Yield the path of a trajectory's motor file, and key to value of the options on its arm.
+
+    The file of a plan is temporary, and its options are those that the plan was made with; a path
+    is yielded as it is, without options.
+
+    Raises:
+        SysidError: the plan must not be played.
+        InputError: the plan was made without motors.
+    """
     from robot_sysid.api.results import PlanResult
     from robot_sysid.pipeline.planning import motor_writer
 
@@ -134,14 +173,13 @@ def _motor_file(
         raise InputError(
             "the plan is for no motors; give rs.plan export_damiao and motor_type"
         )
-    arm = {
-        each.key: getattr(config.model, each.key)
-        for each in given_options(config.model)
-    }
+    arm_options = {"model": config.model.path}
+    for option in given_options(config.model):
+        arm_options[option.key] = getattr(config.model, option.key)
     with (
         temporary_folder() as folder,
         open(folder / DAMIAO_NAME, "w", encoding="utf-8") as file,
     ):
         write(file)
         file.flush()
-        yield folder / DAMIAO_NAME, {"model": config.model.path, **arm}
+        yield folder / DAMIAO_NAME, arm_options

@@ -1,4 +1,7 @@
-"""What the functions of the face return: named values, and what can be made of them."""
+"""Results of the Python functions: identified parameters and planned motions.
+
+A result has its numbers as properties, can be written to files and can be plotted.
+"""
 
 from __future__ import annotations
 
@@ -101,8 +104,9 @@ class Identified:
 
     @property
     def standard_errors(self) -> Mapping[str, float]:
-        """Parameter name ("m", "hx", ..., "coulomb[joint6]") to whole standard error; infinite
-        where the data does not show it. Empty for a simulation of the model itself."""
+        """Parameter name ("m", "hx", ..., "coulomb[joint6]") to standard error of all causes
+        together, in the parameter's unit; infinite where the data does not determine the
+        parameter. Empty for a simulation of the model itself."""
         payload = self.result.payload
         if payload is not None:
             return dict(zip(PARAMETER_NAMES, payload.body.errors.tolist()))
@@ -136,11 +140,11 @@ class Identified:
 
     @property
     def rows(self) -> Sequence[BeforeAfter]:
-        """The table before -> after."""
+        """Rows of the table of parameters in the model and as identified."""
         return parameter_rows(self.result)
 
     def lines(self) -> list[str]:
-        """Return the lines that the command would have printed."""
+        """Return the lines that the command prints of such a result."""
         return result_lines(self.result, self.config.output.links)
 
     def to_dict(self) -> dict[str, Any]:
@@ -167,6 +171,7 @@ class Identified:
             return (*files, *(write_bundle(model, Path(folder)) for model in models))
 
     def _write(self, folder: Path) -> Outcome:
+        """Write params.json and, where the result may be used, the updated model to a folder."""
         output = replace(self.config.output, output_dir=folder)
         config = replace(self.config, output=output)
         return write_results(config, self.identification, Progress())
@@ -226,11 +231,13 @@ class Identified:
 
 
 def _html_row(tag: str, cells: Sequence[str]) -> str:
+    """Return a row of an HTML table, its escaped cells in elements "th" or "td"."""
     columns = [f"<{tag}>{escape(cell)}</{tag}>" for cell in cells]
     return f"<tr>{''.join(columns)}</tr>"
 
 
 def _models_in(files: Sequence[Path]) -> list[Path]:
+    """Return the updated model, MJCF or URDF, among written files; empty if there is none."""
     return [path for path in files if path.name in MODEL_NAMES.values()]
 
 
@@ -239,7 +246,10 @@ _DRAWN_RATE = 100.0
 
 
 def _axes(rows: int, columns: int = 1) -> tuple[Any, Any]:
-    """Return a matplotlib Figure with axes (rows, columns) over one time."""
+    """Return a matplotlib Figure and its axes (rows, columns), which share the time axis.
+
+    InputError if matplotlib is not installed.
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -281,7 +291,10 @@ class PlanResult:
         return self.checked.plan.evaluate(np.asarray(time, dtype=float))
 
     def sampled(self, rate: float | None = None) -> Motion:
-        """Return the whole motion at a rate [Hz]; None takes that of the options."""
+        """Return the motion from its begin to its end, sampled at a rate [Hz].
+
+        By default the rate is the option ``sample_rate`` of the plan.
+        """
         rate = rate or self.config.trajectory.sample_rate
         return self.motion(np.arange(sample_count(self.duration, rate)) / rate)
 

@@ -397,12 +397,9 @@ def _ellipsoid_section(robot: RobotModel, bodies: Bodies) -> Section:
                 _approach_last_link(studio, robot, last[0][1])
             else:
                 # So far away that the largest ellipsoid fits into the picture.
-                thetas: list[Array] = []
-                for _, body in bodies:
-                    thetas += body.thetas.values()
-                distance = _ROOM * max(map(characteristic_length, thetas))
+                largest = max(_largest_length(body) for _, body in bodies)
                 studio.camera.distance = max(
-                    _FARTHER * studio.camera.distance, distance
+                    _FARTHER * studio.camera.distance, _ROOM * largest
                 )
             studio.pose(robot.reference)
             studio.make_transparent(0.35)
@@ -423,6 +420,11 @@ def _ellipsoid_section(robot: RobotModel, bodies: Bodies) -> Section:
     return Section(
         "picture", _TITLE, (explanation,), figures=tuple(figures), points=points
     )
+
+
+def _largest_length(body: Body) -> float:
+    """Return the largest characteristic length [m] of a body in all versions of its parameters."""
+    return max(map(characteristic_length, body.thetas.values()))
 
 
 def _add_ellipsoids(studio: Studio, bodies: Bodies) -> Iterator[str]:

@@ -35,6 +35,7 @@ _CONSISTENCY_TOLERANCE = 1e-6
 """Relative violation of physical consistency that a card tolerates: below the digits that a
 controller keeps."""
 _LINE_WIDTH = 98
+"""Largest number of characters in a line of payload_card.txt, apart from the numbers to copy."""
 INERTIA = PARAMETER_NAMES[4:]
 """Names of the six elements of an inertia matrix: Ixx Ixy Ixz Iyy Iyz Izz."""
 ERROR_NAMES = (
@@ -47,6 +48,7 @@ ERROR_NAMES = (
 """Keys of the standard errors of mass [kg], centre of mass [m] and inertia about the centre of mass
 [kg m^2], in the axes of the body's frame."""
 NOT_KNOWN = "Inertia not known: a ball of aluminium of that mass stands in its place."
+"""Note of a card whose inertia the data does not determine."""
 MOMENT_SIGNIFICANCE = 2.5
 """Standard errors from zero from which on a principal moment counts as known.
 
@@ -93,6 +95,7 @@ _WHOLE_LOAD = (
     "The controller wants everything that is bolted to the flange: where the empty runs carried a "
     "tool already, that tool is not in these numbers and must be added."
 )
+"""End of the explanation of a card whose controller takes the load including all tools."""
 FORMS = (
     Form(
         "franka_set_load",
@@ -515,10 +518,9 @@ def _error_texts(body: BodyEstimate) -> dict[str, str]:
 
 def _errors_with_unit(errors: Array, unit: str) -> str:
     """Return standard errors as text with their unit; "not known" in place of infinite ones."""
-    is_known = np.isfinite(errors)
-    if not np.any(is_known):
+    if not np.any(np.isfinite(errors)):
         return "not known"
-    texts = [f"{e:.2g}" if known else "not known" for e, known in zip(errors, is_known)]
+    texts = [f"{e:.2g}" if np.isfinite(e) else "not known" for e in errors]
     return f"{', '.join(texts)} {unit}"
 
 

@@ -513,9 +513,10 @@ def rollout_entry(test: RolloutTest | None) -> dict[str, Any] | None:
     if test is None:
         return None
 
-    def ratio_entry(before: float, after: float) -> dict[str, float | None]:
-        ratio = after / before if before > 0.0 else None
-        return {"before": before, "after": after, "ratio": ratio}
+    def ratio_entry(old_error: float, new_error: float) -> dict[str, float | None]:
+        """Return the errors of old and new model and their ratio, None if the old one is 0."""
+        ratio = new_error / old_error if old_error > 0.0 else None
+        return {"before": old_error, "after": new_error, "ratio": ratio}
 
     errors = []
     for error in test.errors:

@@ -367,14 +367,14 @@ def rollout_lines(test: RolloutTest) -> Iterator[str]:
     )
     for error in test.errors:
         ratio = "" if error.ratio is None else f", {error.ratio:.3g} times"
-        before, after = error.overall
+        old_error, new_error = error.overall
         yield (
-            f"  {error.loop}, {error.horizon:g} s ({error.windows} windows): {before:.3g} -> "
-            f"{after:.3g}{ratio}"
+            f"  {error.loop}, {error.horizon:g} s ({error.windows} windows): {old_error:.3g} -> "
+            f"{new_error:.3g}{ratio}"
         )
         joint_errors = zip(test.joint_names, error.errors_before, error.errors_after)
-        for name, before, after in joint_errors:
-            yield Detail(f"    {name}: {before:.3g} -> {after:.3g}")
+        for name, old_joint_error, new_joint_error in joint_errors:
+            yield Detail(f"    {name}: {old_joint_error:.3g} -> {new_joint_error:.3g}")
     yield from (f"  {note}" for note in test.notes)
     if test.errors:
         longest = test.errors[-1]
@@ -394,7 +394,9 @@ LABELS: Mapping[str, str] = {
 }
 """Parameter name to its label in a table."""
 HEADINGS = ("", "model", "identified", "±", "unit", "change")
+"""Headings of the table of parameters, in the order of ``BeforeAfter.cells``."""
 _RIGHT_ALIGNED = ("model", "identified", "±")
+"""Headings of the columns whose cells are aligned to the right."""
 _ROUNDING = 1e-9
 """Share of a body's scale below which a number is rounding error: models are written to 1e-9."""
 _MIN_LENGTH = 1e-9
@@ -428,7 +430,7 @@ class BeforeAfter:
 
     @property
     def change(self) -> str:
-        """How the value has changed, and how much of it is the model's."""
+        """How the value has changed, and how much of it comes from the model, as text of a cell."""
         partly = f"partly the model's (data {100.0 * self.share:.0f} %)"
         if self.error is None or np.isfinite(self.error):
             return (
@@ -489,23 +491,28 @@ def table_lines(rows: Sequence[BeforeAfter], title: str = "") -> list[str]:
 def theta_rows(body: BodyEstimate) -> list[BeforeAfter]:
     """Return the rows of the ten inertial parameters; an error of zero counts as not stated."""
     scale = body.inertial.scale
-    before = _prior_values(body, "theta", scale)
-    after = without_rounding(body.inertial.theta, scale).tolist()
+    prior = _prior_values(body, "theta", scale)
+    identified = without_rounding(body.inertial.theta, scale).tolist()
     rows = []
     for k, name in enumerate(spatial.PARAMETER_NAMES):
         error = float(body.errors[k]) or None
         share = float(body.data_share[k])
         unit = PARAMETER_UNITS[k]
-        rows.append(BeforeAfter(LABELS[name], before[k], after[k], error, unit, share))
+        rows.append(
+            BeforeAfter(LABELS[name], prior[k], identified[k], error, unit, share)
+        )
     return rows
 
 
 def _prior_values(
     body: BodyEstimate, name: str, scale: Array | float
 ) -> Sequence[float | None]:
-    """Return "theta" (10,) or "com" (3,) of the model without rounding; Nones of a payload.
+    """Return parameters of a body in the model, zero where they are rounding error.
 
-    The scale says which numbers are rounding error.
+    Args:
+        body: an estimated body; a payload has no model, and ten Nones are returned.
+        name: "theta" for the inertial parameters (10,), "com" for the centre of mass (3,) [m].
+        scale: size of a large value of each parameter, beside which rounding errors are small.
     """
     if body.prior is None:
         return [None] * 10
@@ -516,7 +523,12 @@ def _prior_values(
 
 
 def without_rounding(values: Array, scale: Array | float) -> Array:
-    """Return numbers, zero where they are rounding error beside a scale."""
+    """Return values, zero where they are below ``_ROUNDING`` times their scale.
+
+    Args:
+        values: numbers of any shape.
+        scale: size of a large value, in the unit of the values and of a shape that fits theirs.
+    """
     return np.where(np.abs(values) < _ROUNDING * scale, 0.0, values)
 
 
@@ -536,11 +548,12 @@ def _com_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
     if not np.all(np.isfinite(errors)):
         return
     length = max(spatial.characteristic_length(body.inertial.theta), _MIN_LENGTH)
-    before = _prior_values(body, "com", length)
-    after = without_rounding(body.inertial.com, length).tolist()
+    prior = _prior_values(body, "com", length)
+    identified = without_rounding(body.inertial.com, length).tolist()
     for k, axis in enumerate("xyz"):
         error = float(errors[k]) or None
-        yield BeforeAfter(f"centre of mass {axis}", before[k], after[k], error, "m")
+        label = f"centre of mass {axis}"
+        yield BeforeAfter(label, prior[k], identified[k], error, "m")
 
 
 def _inertia_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
@@ -567,6 +580,6 @@ def _friction_rows(result: Result) -> Iterator[BeforeAfter]:
         value = estimate.value(f"{term}[{joint}]")
         if value is not None:
             error = estimate.error(f"{term}[{joint}]") if result.is_measured else None
-            after = float(without_rounding(np.array(value), 1.0))
+            identified = float(without_rounding(np.array(value), 1.0))
             unit = term_unit(term, is_slide)
-            yield BeforeAfter(label, model.get(term), after, error, unit)
+            yield BeforeAfter(label, model.get(term), identified, error, unit)

@@ -70,11 +70,14 @@ _USE_TEXTS = {
     Verdict.PARTLY_FROM_MODEL: "Usable (not seen, so kept from the model: {unseen})",
     Verdict.INERTIA_NOT_KNOWN: "Usable for mass and centre of mass (the inertia is not known)",
 }
+"""Verdict to the sentence on the result's use, where that is not "Usable"."""
 _AFTER_RECORDING = "robot-sysid identify {model} LOG (the log that was recorded)"
+"""Command that follows on the recording of a planned motion, unless ``_AFTER_PLAN`` has another."""
 _AFTER_PLAN = {
     "arm": "robot-sysid identify {model} LOG --links (the log that was recorded)",
     "payload": "robot-sysid payload {model} --empty LOG --loaded LOG (without and with it)",
 }
+"""Purpose of a plan to the command that follows on the recording of its motion."""
 _CONFLICT_TEXTS = {
     "links": "the model's numbers of other links do not fit this arm",
     "torque scale": "the scale of the torques does not fit the model",
@@ -82,6 +85,7 @@ _CONFLICT_TEXTS = {
     "gravity": "the base is not level as in the model",
     "friction model": "the joints' friction follows another law than the one that was fitted",
 }
+"""Cause of a prior that the data contradicts to a sentence that says so."""
 
 
 def two_lines(use: str, next_step: str) -> tuple[str, ...]:
@@ -276,6 +280,7 @@ def limitations(result: Result) -> tuple[str, ...]:
 
 
 def _limitation_sentences(result: Result) -> Iterator[str]:
+    """Yield the sentences of ``limitations`` on a measured result."""
     estimate = result.estimate
     body = result.body
     if estimate.identifiability.unidentifiable:
