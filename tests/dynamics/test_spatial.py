@@ -79,9 +79,8 @@ def test_moving_the_frame_moves_the_points(seed):
     masses, points = point_masses(rng)
     rotation, translation = random_frame(rng)
     moved = theta_of_points(masses, points @ rotation.T + translation)
-    actual = spatial.transform_theta(
-        theta_of_points(masses, points), rotation, translation
-    )
+    theta = theta_of_points(masses, points)
+    actual = spatial.transform_theta(theta, rotation, translation)
     assert_close(actual, moved, atol=1e-11)
 
 
@@ -150,9 +149,7 @@ def test_numbers_that_are_not_finite_are_inconsistent(invalid):
 
 
 def draw_rotation(rng, family):
-    """Return a random rotation: any, at right angles, or so near gimbal lock that roll and yaw
-    mix.
-    """
+    """Return a random rotation: any, at right angles, or so near gimbal lock that angles mix."""
     if family == "any":
         return random_rotation(rng)
     if family == "right angles":

@@ -72,15 +72,14 @@ def assert_obeys(xml, seed, **changes):
     arm = robot(xml)
     slack = 1.0 + ROUNDING
     for motion in motion_chunks(result.trajectory, 500.0):
-        assert np.all(motion.q >= arm.limits.lower) and np.all(
-            motion.q <= arm.limits.upper
-        )
+        assert np.all(motion.q >= arm.limits.lower)
+        assert np.all(motion.q <= arm.limits.upper)
         assert np.all(np.abs(motion.qd) <= arm.limits.velocity * slack)
         assert np.all(np.abs(motion.qdd) <= problem.limits.acceleration * slack)
         assert np.all(np.abs(problem.torque(motion)) <= problem.limits.torque * slack)
     assert find_new_contacts(arm, motion_chunks(result.trajectory, 500.0)) == ()
     ends = result.trajectory.evaluate(np.array([0.0, result.trajectory.duration]))
-    assert max(np.max(np.abs(ends.qd)), np.max(np.abs(ends.qdd))) < 1e-9
+    assert np.max(np.abs([ends.qd, ends.qdd])) < 1e-9
     assert result.limit_check.holds
 
 

@@ -124,7 +124,7 @@ def test_the_gradient_of_the_criterion_equals_differences(target, prior_deviatio
 
     evaluation = model.evaluate(*motion)
     gradient = evaluation.vjp(criterion.evaluate(evaluation.information)[1])
-    exact = sum(np.sum(g * d) for g, d in zip(gradient, direction))
+    exact = np.sum(np.stack(gradient) * direction)
     assert slope(value, motion, direction, 1e-5) == pytest.approx(
         exact, rel=1e-4, abs=1e-6
     )
