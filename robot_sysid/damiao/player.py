@@ -1,7 +1,7 @@
-"""Playing a trajectory on motors: enable, approach, play, come to rest; or stop when it must.
+"""Playing a trajectory on motors: enable, approach, play, come to rest; or a controlled stop.
 
-The player knows motors and time, not physics: whether a real arm, a simulated one or a test double
-answers makes no difference to it.
+The player only deals with motors and time: whether a real arm, a simulated one or a test double
+answers makes no difference.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ from robot_sysid.records import Array
 class CycleTimer:
     """Waits for the cycles of a control loop; their deadlines are multiples of the period.
 
-    A cycle that is late is followed by one at its own deadline, so lateness does not add up.
+    The deadlines do not depend on when earlier cycles began, so lateness does not accumulate.
 
     Attributes:
         period: length of a cycle [s].
-        max_lateness: how late a cycle may begin [s].
+        max_lateness: largest delay with which a cycle may begin [s].
         skipped: number of cycles that passed while the computer was late.
     """
 
@@ -63,10 +63,10 @@ class CycleTimer:
         return self._start + self._index * self.period
 
     def wait(self, lenient: bool = False) -> float:
-        """Sleep until the next cycle is due and return its deadline [s].
+        """Sleep until the next cycle is due and return its deadline in the clock [s].
 
-        Whole cycles that have already passed are skipped, never replayed. Unless ``lenient``, one
-        that is too late raises HardwareAbort.
+        Whole cycles that have already passed are skipped, never replayed. Unless ``lenient``, a
+        delay of more than ``max_lateness`` raises HardwareAbort.
         """
         deadline = self.next_deadline
         self._clock.sleep_until(deadline)
@@ -86,41 +86,48 @@ class CycleTimer:
         return deadline + n_passed * self.period
 
     def lateness(self, percentile: float) -> float:
-        """Return a percentile of how late cycles started [s]; 0 before the first one."""
+        """Return a percentile (0 to 100) of the cycles' delays [s]; 0 before the first cycle."""
         if not self._lateness:
             return 0.0
         return float(np.percentile(self._lateness, percentile))
 
 
-# Stiffness and the torque that carries the arm come in together, in this share of the ramp: before
-# the arm has sunk. For the rest of it the arm is watched while it should stand.
 _LIFT_SHARE = 0.2
-# In fewer cycles than this an arm falls between two of them: it is lifted in one.
+"""Share of the ramp time in which gains and feed-forward torque rise from zero.
+
+It is short, so that the arm does not sink; for the rest of the ramp the standing arm is observed.
+"""
 _LEAST_LIFT_STEPS = 4.0
-# How long replies are waited for, as a share of a cycle; the rest is for the checks. Motors get it
-# also where the computer began late: that is no fault of theirs, and the next cycle is left out.
+"""Number of cycles below which gains rise in a single cycle: between more, the arm would fall."""
 _REPLY_SHARE = 0.9
-# Judgements: how often the progress is shown [s], and over how many cycles the torque that holds
-# the arm is averaged.
+"""Share of a cycle for which replies are waited for; the rest is for the checks.
+
+Motors get this time even if the computer began the cycle late; then the next cycle is skipped.
+"""
 _PROGRESS_INTERVAL = 0.1
+"""Least time between two calls of ``on_progress`` [s] (a judgement)."""
 _STILL_SAMPLES = 100
-# Nothing heard for longer than this while braking: the watchdogs (0.1 s, and half as much again)
-# have stopped the motors, or the bus is gone [s].
+"""Largest number of last cycles over which holding torques are averaged (a judgement)."""
 _DEAF = 0.15
-# A stopped arm that does not come to rest is disabled all the same after this time [s].
+"""Time without any answer after which a stop ends [s].
+
+By then the watchdogs (0.1 s, plus half of that) have stopped the motors, or the bus has failed.
+"""
 _LONGEST_CARRIED = 2.0
+"""Time after which a stopped arm is disabled even if it has not come to rest [s]."""
 
 
 @dataclass(frozen=True)
 class PlayReport:
-    """How a run of n joints went.
+    """Timing, missed answers and tracking errors of a completed run of n joints.
 
     Attributes:
-        cycles: control cycles while the trajectory was played.
-        skipped: cycles that were skipped because the computer was late.
-        lateness_p50, lateness_p99: percentiles of how late cycles began [s].
-        missed: commands (n,) without an answer.
-        worst_tracking: largest distance (n,) from the path [rad].
+        cycles: number of control cycles in which the trajectory was played.
+        skipped: number of cycles that were skipped because the computer was late.
+        lateness_p50: median delay of the cycles [s].
+        lateness_p99: 99th percentile of the cycles' delays [s].
+        missed: number (n,) of commands without an answer.
+        worst_tracking: largest distance (n,) from the commanded position [rad].
     """
 
     cycles: int
@@ -132,17 +139,21 @@ class PlayReport:
 
 
 class Player:
-    """Plays a trajectory through a session of n motors, once.
+    """Plays a trajectory once through a session of n motors.
 
     Args:
-        stop: polled in every cycle.
-        recorder: gets every cycle of the trajectory itself; None records nothing.
+        session: session of the motors; it is entered and left by the caller.
+        settings: gains, speeds and limits, with one gain per motor.
+        stop: request for a stop, which is checked in every cycle.
+        recorder: gets every cycle of the trajectory, but no transfers; None records nothing.
         on_phase: called with the name of each new phase; may not raise or wait.
         on_progress: called with the time played so far [s]; may not raise or wait.
-        park: where to leave the arm: "rest", "start", or (n,) positions [rad]; None where it ends.
-        holding: knows what holds the arm where it stands, and is called with positions and torques
-            (n,) of the arm held still there and at the first point; may raise HardwareAbort.
-        orders: in which of ``references.ORDERS`` joints go to the first point and are parked.
+        park: how to leave the arm: "rest" lowers it, "start" returns it to where it stood,
+            positions (n,) [rad] are approached, and None leaves it where the trajectory ends.
+        holding: computes the torque that holds the arm, and compares it with the torques measured
+            while the arm stands, before the transfer and at the first point.
+        orders: first and last entry are those of ``references.ORDERS`` in which the joints move to
+            the first point and to the parking pose.
     """
 
     def __init__(
@@ -188,10 +199,10 @@ class Player:
         self._motor_torque: Array
 
     def play(self, trajectory: ReferenceFunction, duration: float) -> PlayReport:
-        """Enable the motors, play a trajectory of some duration [s], and come to rest.
+        """Enable the motors, play a trajectory of ``duration`` [s], come to rest, return a report.
 
-        Disabling is left to the session. Whatever goes wrong, motors that still answer are brought
-        to rest; then HardwareAbort states the cause.
+        The session disables the motors afterwards. After any error, motors that still answer are
+        brought to rest; then HardwareAbort states the cause.
         """
         with undisturbed_processor(self._clock.live):
             try:
@@ -216,7 +227,7 @@ class Player:
         )
 
     def _explain(self, fault: Fault) -> HardwareAbort:
-        """Return a fault with its cause, from the torques that held the arm in the stop."""
+        """Return the fault with its cause, from the mean torques that held the stopped arm."""
         if not self._recent_states:
             return fault
         return self._observer.explain(fault, *np.mean(self._recent_states, axis=0))
@@ -244,7 +255,7 @@ class Player:
         self._phase(hold_reference(standing), settings.ramp_time, standing=True)
         self._rising = False
         self._hold_and_compare(standing)
-        # What held the arm lately, or else what was fed forward.
+        # The torques that held the arm in the last cycles, or else the feed-forward torque.
         torques = [torque for _, torque in self._recent_states] or [standing.torque]
         holding_torque = np.asarray(np.mean(torques, axis=0))
         self._announce(f"moving to the first point, {order} ({approach_time:.1f} s)")
@@ -266,7 +277,10 @@ class Player:
             self._holding(*np.mean(second_half, axis=0))
 
     def _leave(self, last: Reference, at_start: Reference) -> None:
-        """Park an arm that is at the ``last`` reference, or leave it where it is."""
+        """Park the arm as option ``park`` demands.
+
+        ``last`` is the present reference, ``at_start`` the one before the transfer.
+        """
         if self._park is None:
             return
         if isinstance(self._park, str) and self._park == "rest":
@@ -288,7 +302,7 @@ class Player:
         self._phase(hold_reference(target), self._settings.rest_time)
 
     def _lower_from(self, begin: Reference) -> paths.Lowering:
-        """Return the reference that lowers the arm, and let it follow the arm from now on."""
+        """Return the reference that lowers the arm; it gets the arm's state in every cycle."""
         if not self._holding.is_model:
             self._session.open_range()
         speed = self._settings.approach_speed
@@ -300,6 +314,7 @@ class Player:
 
     @property
     def _lowering_is_done(self) -> bool:
+        """Whether the arm has been lowered completely."""
         return isinstance(self._follower, paths.Lowering) and self._follower.is_done
 
     def _phase(
@@ -312,9 +327,9 @@ class Player:
         """Follow a reference for a time [s]; HardwareAbort where the observer finds a fault.
 
         Args:
-            reference: followed from the next cycle on.
-            length: how long [s]; lowering may end earlier.
-            standing: whether the joints are to stand still.
+            reference: reference by the time since the next cycle.
+            length: duration [s]; lowering may end earlier.
+            standing: whether the joints should stand still.
             record: whether cycles are recorded.
         """
         origin = self._timer.next_deadline
@@ -329,7 +344,7 @@ class Player:
             try:
                 replies, acted = self._cycle(target)
             except BaseException:
-                # What the exchange had collected when it was cut short is recorded.
+                # Replies that came before the error are recorded.
                 partial = self._session.last_replies
                 if record and partial is not None and self._command is not None:
                     self._record(time, origin, partial, self._command)
@@ -337,7 +352,7 @@ class Player:
             if record:
                 self._record(time, origin, replies, acted)
             if self._recorder:
-                # Also what is not recorded: its frames would all be written at once later.
+                # Frames of all phases are logged; otherwise they would pile up until the end.
                 self._recorder.end_cycle()
             is_lowered = self._follower is not None
             self._observer.check(
@@ -353,7 +368,7 @@ class Player:
             raise HardwareAbort(f"cannot record: {error_text(failure)}")
 
     def _cycle(self, reference: Reference) -> tuple[Replies, MitCommand]:
-        """Exchange one command; return the replies and the command they were sampled under."""
+        """Exchange one command; return the replies and the command in force at their samples."""
         steps = _LIFT_SHARE * self._settings.ramp_time / self._settings.period
         self._gain = (
             min(self._gain + 1.0 / steps, 1.0) if steps > _LEAST_LIFT_STEPS else 1.0
@@ -372,7 +387,10 @@ class Player:
         return replies, acted
 
     def _update_state(self, replies: Replies, acted: MitCommand) -> None:
-        """Give the arm's state to a reference that follows it, and remember what holds the arm."""
+        """Pass the arm's state to a stop or lowering, and store the torques that hold the arm.
+
+        ``acted`` is the command in force when the replies were sampled.
+        """
         q, qd = self._session.believed_motion
         self._motor_torque = acted.motor_torque(q, qd)
         if isinstance(self._follower, paths.Lowering):
@@ -390,7 +408,7 @@ class Player:
     def _record(
         self, time: float, origin: float, replies: Replies, acted: MitCommand
     ) -> None:
-        """Record a cycle at ``time`` after ``origin`` [s], and show the progress now and then."""
+        """Record a cycle at ``time`` after ``origin`` [s], and report progress at intervals."""
         self._n_recorded += 1
         if self._recorder:
             self._recorder.write(time, origin, replies, acted)
@@ -399,26 +417,30 @@ class Player:
             self._on_progress(time)
 
     def _command_for(self, reference: Reference) -> MitCommand:
-        """Return the command for a reference, with gains and torque at their present share."""
+        """Return the command for a reference; stiffness and torque are scaled while gains rise."""
         position, velocity, torque = reference
         return MitCommand(
             position, velocity, self._gain * self._kp, self._kd, self._gain * torque
         )
 
     def _reply_deadline(self) -> float:
-        """Return until when the replies to a command sent now are waited for [s]."""
+        """Return the time until which replies to a command sent now are waited for [s]."""
         return self._clock.now() + _REPLY_SHARE * self._settings.period
 
     def _stop_gently(self) -> None:
-        """Brake and hold the motors that still answer, whatever else goes wrong meanwhile."""
+        """Brake the motors that still answer, hold the arm until it is at rest, and park it.
+
+        Errors meanwhile are suppressed; the arm is lowered if any parking was asked for.
+        """
         if self._reference is None:
             return
         self._announce("stopping")
-        # What holds an arm that was stopped while the gains rose is its full stiffness.
+        # An arm that is stopped while the gains rise needs the full stiffness.
         self._gain = 1.0
         self._heard_at = self._clock.now()
         self._recent_states.clear()
-        # Drivers raise SystemExit and KeyboardInterrupt too; people's wishes come by ``stop``.
+        # Drivers may raise SystemExit and KeyboardInterrupt too; the user's requests come by
+        # ``self._stop``.
         with contextlib.suppress(BaseException):
             self._session.switch_off(self._observer.to_switch_off)
             self._observer.failed |= self._observer.to_switch_off
@@ -428,10 +450,10 @@ class Player:
                 self._stop_phase(self._lower_from(carried.last), paths.LONGEST_LOWERING)
 
     def _carry_from(self, reference: Reference) -> CarriedStop:
-        """Return the reference that stops the arm, from the last reference and its believed state.
+        """Return the reference that stops the arm, from the last reference and the believed state.
 
-        Where a joint has left its place on the side to which its feed-forward torque pushes, this
-        torque has just proved wrong; where it sank against it, it would sink farther without.
+        A joint that left its path in the direction of its feed-forward torque gets none any more,
+        because this torque is wrong; a joint that sank against it would sink farther without.
         """
         observer = self._observer
         settings = self._settings
@@ -443,7 +465,7 @@ class Player:
             has_left = np.abs(q - reference.position) > settings.max_tracking_error
         is_pushed = observer.is_pushed(q, reference.position, reference.torque)
         model = self._holding.torque(np.where(np.isfinite(q), q, reference.position))
-        # While gains rise, what was fed forward is not yet what carries the arm.
+        # While gains rise, the mean feed-forward torque is less than the torque that carries.
         is_new = np.isnan(observer.fed_torque) | self._rising
         recent_torque = np.where(is_new, reference.torque, observer.fed_torque)
         carrying_torque = model if self._holding.is_model else recent_torque
@@ -467,15 +489,16 @@ class Player:
 
     @property
     def _is_carried_to_rest(self) -> bool:
+        """Whether a stop has brought all joints to rest."""
         return isinstance(self._follower, CarriedStop) and self._follower.is_at_rest
 
     def _stop_phase(self, reference: ReferenceFunction, duration: float) -> None:
-        """Follow a reference in a stop, at most for a duration [s], whatever goes wrong."""
+        """Follow a reference in a stop, at most for ``duration`` [s]; errors are suppressed."""
         origin = self._timer.next_deadline
         while self._timer.next_deadline <= origin + duration:
             deadline = self._timer.wait(lenient=True)
             silent = self._clock.now() - self._heard_at > _DEAF
-            # Where all have failed or are silent, nothing that is sent has an effect any more.
+            # Where all motors have failed or are silent, commands have no effect any more.
             hopeless = bool(np.all(self._observer.failed)) or silent
             done = self._lowering_is_done or self._is_carried_to_rest
             if hopeless or self._stop.insisted or done:
@@ -485,7 +508,7 @@ class Player:
                 self._stop_cycle(reference(deadline - origin))
 
     def _stop_cycle(self, target: Reference) -> None:
-        """Exchange one command in a stop, in which it is confined to the bounds."""
+        """Exchange one command of a stop, limited to the bounds."""
         # A motor that does not answer may still obey, so only failed ones are left out.
         driving = ~self._observer.failed
         command = self._command_for(target)
@@ -499,22 +522,25 @@ class Player:
             self._recorder.end_cycle()
 
 
-# One key press may arrive twice: from the terminal, and passed on by a program that started us.
-# Longer than a busy computer takes to pass it on, shorter than pressing a key twice on purpose [s].
 _SAME_WISH = 0.2
+"""Time within which two interrupts count as one [s].
+
+One key press may arrive twice: from the terminal, and passed on by the program that started this
+one. A busy computer passes it on in less time; a person who presses twice takes longer.
+"""
 
 
 class StopRequest:
-    """Remembers whether somebody wants the run to end, and whether he insists.
+    """Stores requests to end a run, and whether it has to end at once.
+
+    The first request brings the arm to rest before it is disabled. Only a second interrupt by a
+    person (Ctrl-C) means "at once, even if the arm drops": hang-up and termination signals come in
+    bursts when a terminal is closed or a computer shuts down.
 
     Attributes:
-        count: number of wishes so far.
-        reason: the first wish in words, or "".
-        insisted: whether a person asked again.
-
-    The first wish brings the arm to rest before it is disabled. Only a person who asks again is
-    taken to mean "at once, even if the arm drops": hang-ups and terminations come in bursts when a
-    terminal is closed or a computer shuts down.
+        count: number of requests so far.
+        reason: reason of the first request, or "".
+        insisted: whether the run has to end at once.
     """
 
     def __init__(self) -> None:
@@ -524,17 +550,17 @@ class StopRequest:
         self._interrupted_at = float("inf")
 
     def __call__(self, reason: str, insist: bool = False) -> None:
-        """Ask for a stop, with its reason in words; ``insist`` to stop at once."""
+        """Request a stop for a ``reason``; with ``insist``, at once."""
         self.count += 1
         self.reason = self.reason or reason
         self.insisted |= insist
 
     def on_signals(self) -> AbstractContextManager[None]:
-        """Return a block in which signals that ask a program to end are wishes."""
+        """Return a context in which signals that ask the program to end are stop requests."""
         return handle_stop_signals(self._handle)
 
     def _handle(self, number: int, frame: Any) -> None:
-        """Take a signal for a wish; a later interrupt than the first one insists."""
+        """Request a stop for a signal; an interrupt well after the first one insists."""
         insists = False
         if number == signal.SIGINT:
             now = time.monotonic()
