@@ -1,4 +1,4 @@
-"""Looking at a log against the model before anything is estimated from it: what a check finds."""
+"""Checks of a log against the model, before anything is estimated from it; here their findings."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import Enum
 
 
 class Level(Enum):
-    """How much a finding matters."""
+    """Severity of a finding: it forbids an estimate, asks for consent, or only informs."""
 
     REFUSE = "refuse"
     WARN = "warn"
@@ -16,12 +16,18 @@ class Level(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong, or looks so; its name is one of ``logs.options.CHECKS``."""
+    """One fault of a log, or sign of one.
+
+    Attributes:
+        name: of the check, a key of ``logs.CHECKS``.
+        level: severity.
+        text: the fault and what to do, for the user.
+    """
 
     name: str
     level: Level
     text: str
 
     def line(self) -> str:
-        """Return it as one line."""
+        """Return the finding as one line of text: "level: text [name]"."""
         return f"{self.level.value}: {self.text} [{self.name}]"

@@ -39,30 +39,29 @@ RELABELLED_MARGIN = 8.0
 TIE = 6.0
 """Difference in gain within which two explanations count as equally likely [nats]."""
 LEAST_SHARE = 0.015
-"""Least share of the torque that an explanation of one joint has to explain."""
+"""Least share of the torque that an explanation of one joint has to explain to be reported."""
 SURE = 3.0
 """Standard errors by which the coefficients of an explanation have to differ from zero."""
 MATTERS = 1.0
-"""Change of a parameter of the last link above which an explanation is harmful, in its standard
-errors."""
+"""Change of a parameter of the last link, in standard errors, that makes an explanation harmful."""
 HARMFUL_SHARE = 0.05
 """Share of the torque above which an explanation is harmful."""
 MOST_NAMES = 3
 """Largest number of explanations that are named together."""
 UNEXPLAINED = 0.05
-"""Share of unexplained torque above which no explanation is named: right logs have 0.03."""
+"""Share of unexplained torque above which no cause is named: logs without faults have 0.03."""
 OTHER_ARM = 0.3
 """Share of unexplained torque above which the model is taken for that of another arm."""
 GROSS = 0.05
 """Share of unexplained torque above which relabellings of columns are tried."""
 GROSS_JOINT = 0.5
-"""Share of unexplained torque of one joint above which they are tried."""
+"""Share of one joint's torque that is unexplained above which relabellings are tried."""
 SMALL = 0.02
-"""Share of unexplained torque that a relabelling may leave where the log leaves less."""
+"""Share of unexplained torque that a relabelling may always leave, even if the log has less."""
 TYPICAL_STRAIN = 7.0
-"""``Contest.strain`` of the links of typical arms."""
+"""``Contest.strain`` of typical arms: squared deviation of their links from the model."""
 FAR = 40.0
-"""Strain that no arm reaches with its own model."""
+"""``Contest.strain`` that no arm reaches with its own model."""
 ODD_SCALE = 1.3
 """Ratio of measured torque to the model's above which torque scales are tried."""
 STRETCHES = 8
@@ -73,10 +72,11 @@ HEAVIEST = 0.6
 """Largest mass of a plausible last link, as a share of the arm's mass."""
 # Number of explanations whose noise is estimated anew in the first round.
 _REFITTED = 8
-# Number of them in later rounds.
+# Number of explanations whose noise is estimated anew in each later round.
 _REFITTED_AGAIN = 4
-# Least gain of these with the noise of the model [nats].
+# Least gain, with the noise of the model, of explanations whose noise is estimated anew [nats].
 _WORTH = 3.0
+# Largest number of rounds, and so of explanations that act together.
 _MOST_ROUNDS = 5
 
 
@@ -85,12 +85,13 @@ class Score:
     """An explanation fitted to a log together with a model.
 
     Attributes:
-        gain: increase of the log marginal likelihood [nats], minus the penalty for choices.
-        values: (e,) coefficients of the explanation.
+        explanation: the fault that was fitted.
+        gain: increase of the log marginal likelihood [nats], minus the log of ``choices``.
+        values: (e,) coefficients of the explanation, in units of its columns.
         errors: (e,) their standard errors.
         sureness: distance of all coefficients together from zero, in standard errors.
-        hypotheses: equations of the model with the explanation.
-        posterior: of these equations.
+        hypotheses: equations of the model with the explanation's columns.
+        posterior: posterior of these equations.
     """
 
     explanation: Explanation
@@ -119,17 +120,18 @@ class Score:
 
 
 class Contest:
-    """One log and its explanations.
+    """One log, the fit of the base model to it, and the scores of explanations.
 
     Args:
-        signals: low-passed signals of the log, see ``rows.low_pass``.
+        robot: the arm with its model.
+        signals: low-passed signals of the log's pieces, see ``rows.low_pass``.
         options: prior uncertainties of the estimate.
 
     Attributes:
         log: equations of the log.
-        prior: of the base model.
+        prior: prior of the base model.
         base: transformed equations of the base model.
-        posterior: of the base model.
+        posterior: posterior of the base model.
     """
 
     def __init__(
@@ -148,13 +150,13 @@ class Contest:
     def last_mass(
         self, posterior: Posterior, prior: Prior | None = None
     ) -> tuple[float, float]:
-        """Return the last link's mass and its standard error [kg]."""
+        """Return the last link's mass and its standard error [kg]; ``prior`` None: the base's."""
         prior = prior or self.prior
         mass = prior.mean[0] + prior.spread[0] * posterior.values[0]
         return float(mass), float(prior.spread[0] * np.sqrt(posterior.covariance[0, 0]))
 
     def is_plausible(self, posterior: Posterior, prior: Prior | None = None) -> bool:
-        """Tell whether links of a posterior are plausible for this arm, in mass and strain."""
+        """Return whether the last link's mass and the strain of all links are plausible."""
         arm = self.log.robot.mass
         largest_mass = max(HEAVIEST * arm, self.log.robot.prior.mass + 0.3 * arm)
         mass, error = self.last_mass(posterior, prior)
@@ -172,14 +174,14 @@ class Contest:
         return prior.parameters(posterior.values)[indices], error
 
     def friction_share(self, posterior: Posterior) -> Array:
-        """Return a lower bound (n,) of Coulomb friction, as a share of each joint's torque."""
+        """Return a lower bound (n,) of Coulomb friction, as a share of the typical torque."""
         dry, error = self.dry_friction(posterior, self.prior)
         return np.asarray(
             np.maximum(np.abs(dry) - SURE * error, 0.0) / self.log.typical_torque
         )
 
     def reverses_friction(self, mistake: Correction) -> bool:
-        """Tell whether a correction turns friction that brakes a joint into one that drives it.
+        """Return whether a correction turns a joint's friction from braking into driving.
 
         Where links hardly load a joint, everything but its friction fits with either sign.
         """
@@ -188,9 +190,9 @@ class Contest:
         return bool(np.any((dry > SURE * error) & (undone < -SURE * undone_error)))
 
     def strain(self, posterior: Posterior, prior: Prior | None = None) -> float:
-        """Return the squared deviation of the other links from the model, in standard deviations.
+        """Return the other links' squared deviation from the model, in prior standard deviations.
 
-        It is that of the widest of their priors.
+        The prior with the smallest deviation, the widest one, counts.
         """
         prior = prior or self.prior
         robot = self.log.robot
@@ -203,7 +205,7 @@ class Contest:
         return float(min(quadratic_forms))
 
     def corrections(self, divided: Array, winner: Score | None) -> list[Correction]:
-        """Return plausible corrections of mistaken columns, the most likely first.
+        """Return plausible corrections of mistaken columns, the largest gain first.
 
         Corrections that need new rows are tried only where neither the base model nor the best
         explanation fits with plausible links.
@@ -242,7 +244,10 @@ class Contest:
         return sorted(plausible, key=lambda correction: -correction.gain)
 
     def rounds(self) -> list[list[Score]]:
-        """Return the winning explanation of each round and those that tie with it."""
+        """Return, for each round, the winning score and those within ``TIE`` of it, winner first.
+
+        Each round starts from the model with the winners of the previous rounds.
+        """
         trusted = self.is_plausible(self.posterior)
         fit = BaseFit(self.log, self.signals, self.prior, self.posterior, trusted)
         offered = [e for e in explanations(fit) if not self.is_estimated(e)]
@@ -264,7 +269,7 @@ class Contest:
         return winners
 
     def is_estimated(self, explanation: Explanation) -> bool:
-        """Tell whether the cause of an explanation is a free parameter of the estimate."""
+        """Return whether the estimate has a free parameter for the cause of an explanation."""
         settings = {"delay": self.options.delay, "tilt": self.options.tilt}
         return explanation.joint is None and settings.get(explanation.name) == "auto"
 
@@ -276,12 +281,13 @@ class Contest:
         columns: Sequence[Sequence[Array | None]],
         count: int,
     ) -> list[Score]:
-        """Return the scores of the best families of explanations, the best first.
+        """Return the score of the best explanation of each family, the best families first.
 
         Args:
+            model: equations that the explanations are added to, with their ``posterior``.
             offered: explanations to score.
-            columns: of ``transform_columns``.
-            count: number of families whose noise is estimated anew.
+            columns: ``transform_columns`` of these explanations.
+            count: largest number of families, whose noise is estimated anew.
         """
         penalties = np.log([explanation.choices for explanation in offered])
         gains = screen_gains(model, posterior, columns) - penalties
@@ -331,11 +337,11 @@ class Contest:
         )
 
     def _refine(self, model: Hypotheses, posterior: Posterior, score: Score) -> Score:
-        """Return the best score of an explanation and of those similar to it."""
+        """Return the best score of an explanation and of its ``nearby`` ones, searched uphill."""
         best = score
         while nearby := best.explanation.nearby():
             columns = transform_columns(model, nearby)
-            # With its own noise: with that of the model, all gains are nearly equal.
+            # With the noise of the best score: with the model's, all gains are nearly equal.
             quieter = model.at_noise(best.posterior.noise)
             k = int(np.argmax(screen_gains(model, quieter, columns)))
             candidate = self._score(model, posterior, nearby[k], columns[k])
@@ -345,9 +351,9 @@ class Contest:
         return best
 
     def is_reportable(self, score: Score) -> bool:
-        """Tell whether an explanation is significant and worth a finding.
+        """Return whether an explanation is significant and worth a finding.
 
-        It is worth one as a fault of the whole log, or where it explains much of the torque.
+        It is, as a fault of the whole log, or if it explains ``LEAST_SHARE`` of the torque.
         """
         explanation = score.explanation
         if score.sureness < SURE or not score.is_possible:
@@ -356,7 +362,7 @@ class Contest:
         return is_of_log or self.torque_share(score) > LEAST_SHARE
 
     def is_harmful(self, score: Score, previous: Posterior) -> bool:
-        """Tell whether a result without this explanation would be wrong."""
+        """Return whether a result without this explanation (``previous``) would be wrong."""
         explanation = score.explanation
         is_large = bool(abs(score.values[0]) >= explanation.harmful_from)
         if is_large or explanation.level is Level.REFUSE:
@@ -371,7 +377,7 @@ class Contest:
         return float(torque / np.linalg.norm(rms(self.log.torque)))
 
     def moves_link(self, score: Score, previous: Posterior) -> bool:
-        """Tell whether an explanation changes the last link by more than its standard errors."""
+        """Return whether an explanation moves the last link by ``MATTERS`` standard errors."""
         moved = score.posterior.values[:10] - previous.values[:10]
         errors = np.sqrt(np.diag(previous.covariance)[:10])
         return bool(np.any(np.abs(moved) > MATTERS * errors))
@@ -402,7 +408,7 @@ def misfit(log: LogRows, posterior: Posterior) -> float:
 def transform_columns(
     model: Hypotheses, offered: Sequence[Explanation]
 ) -> list[list[Array | None]]:
-    """Return the transformed columns (K, e) of each explanation at each joint, in prior units.
+    """Return, per explanation and joint, its transformed columns (K, e) in prior units.
 
     None stands for a joint that an explanation does not act on.
     """
@@ -426,8 +432,9 @@ def screen_gains(
 ) -> Array:
     """Return the gain of each explanation in log marginal likelihood at fixed noise [nats].
 
-    With E its columns, r the residual and C the posterior covariance, in units of noise and prior,
-    that is 1/2 v' (1 + M)^-1 v - 1/2 log |1 + M|, M = E'E - E'A C A'E and v = E'r.
+    With E the columns of the explanation, A those of the model, r the residual and C the posterior
+    covariance, in units of noise and prior, the gain is 1/2 v' (1 + M)^-1 v - 1/2 log |1 + M|,
+    M = E'E - E'A C A'E and v = E'r. ``columns`` are those of ``transform_columns``.
     """
     widths = [
         next(c.shape[1] for c in of_joints if c is not None) for of_joints in columns
@@ -465,7 +472,7 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
     """Return the findings of a contest; none where the log fits its model.
 
     Mistaken columns are considered first, then unexplained torque, implausible links and too many
-    causes, and last explanations.
+    causes, and last explanations. The first of these kinds that applies is returned alone.
 
     Args:
         divided: (n,) torque scales by which the torques were divided already.
@@ -476,7 +483,7 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
     if odd_unit is not None and not (undone and undone[0].name == "order"):
         return [odd_unit]
     best_gain = rounds[0][0].gain if rounds else 0.0
-    # An explanation of the same name is a part of the same fault, or one joint's: no rival of it.
+    # An explanation of the correction's check is one aspect of that fault and does not compete.
     if rounds and undone and undone[0].name == rounds[0][0].explanation.name:
         best_gain = 0.0
     if undone and undone[0].gain > max(RELABELLED_MARGIN, best_gain - TIE):
@@ -493,12 +500,12 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
         return [implausible_links(contest, last)]
     if len(named) > MOST_NAMES:
         return [too_many_causes(contest, named)]
-    # Later explanations only fit what the first ones leave.
+    # Explanations after the first ``MOST_NAMES`` only fit their residuals.
     return name_causes(contest, rounds[:MOST_NAMES])
 
 
 def name_causes(contest: Contest, rounds: Sequence[Sequence[Score]]) -> list[Finding]:
-    """Return a finding per round whose winner is reportable, each explanation once."""
+    """Return a finding per round of ``Contest.rounds`` whose winner is reportable and new."""
     named: list[Finding] = []
     previous = contest.posterior
     already: set[tuple[str, int | None]] = set()
@@ -522,7 +529,7 @@ def _finding(scores: Sequence[Score], harmful: Sequence[Score]) -> Finding:
     """Return one finding for explanations that tie, the winner first.
 
     Args:
-        harmful: those of them without which a result would be wrong; they set the level.
+        harmful: the scores without which a result would be wrong; their levels set the finding's.
     """
     texts = dict.fromkeys(score.text for score in scores)
     levels = {score.explanation.level for score in harmful}
@@ -532,7 +539,7 @@ def _finding(scores: Sequence[Score], harmful: Sequence[Score]) -> Finding:
 
 
 def unexplained_torque(contest: Contest, posterior: Posterior) -> Finding:
-    """Return the finding that torque is unexplained: how much, at which joints and when."""
+    """Return the finding that torque is unexplained: its share, its worst joints and its time."""
     log = contest.log
     by_joint = misfit_by_joint(log, posterior)
     share = misfit(log, posterior)
@@ -549,7 +556,7 @@ def unexplained_torque(contest: Contest, posterior: Posterior) -> Finding:
 
 
 def stretch_of_misfit(contest: Contest, posterior: Posterior) -> str:
-    """Return in words the stretch with most of the unexplained torque; "" where there is none."""
+    """Return a phrase on the stretch of time with ``CONCENTRATED`` of the residual; else ""."""
     residual = (
         contest.base.transform.inverse(posterior.residual) / contest.log.typical_torque
     )

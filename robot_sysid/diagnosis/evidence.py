@@ -1,16 +1,16 @@
 """Log marginal likelihood of a log under a linear model with normal priors and noise.
 
-With rows A_j of joint j in units of prior standard deviations, x ~ N(0, P), and noise of variance
-S_j(f) at each frequency f of a cosine transform,
+With rows A_j of joint j in units of prior standard deviations, x ~ N(0, P), P the prior
+correlations, and noise of variance S_j(f) at each frequency f of a cosine transform over time,
 
     log p(tau) = -1/2 [sum_jf (r^2 / S + log 2 pi S) + x' P^-1 x + log |I + P sum_j A_j' S^-1 A_j|]
 
-at the most likely x, with residuals r = tau - A x. Noise is white plus exponentially correlated
-noise; its size and mix per joint are the most likely ones, found by expectation maximisation with
-the expected squares r^2 + diag(A L^-1 A'), L the inverse posterior covariance.
+at the most likely x, with residuals r = tau - A x. A joint's noise is white plus exponentially
+correlated noise; its power and mixture are the most likely ones, found by expectation maximisation
+with the expected squares r^2 + diag(A L^-1 A'), L the inverse posterior covariance.
 
-This mixture is the noise of explanations that compete, in the frequency domain. Standard errors of
-an estimate have their own model of correlated noise (``estimation.algebra.uncertainty``).
+This noise model, in the frequency domain, serves to compare explanations. Standard errors of an
+estimate have another model of correlated noise (``estimation.algebra.uncertainty``).
 """
 
 from __future__ import annotations
@@ -27,16 +27,17 @@ from robot_sysid.diagnosis.rows import LogRows, Prior
 from robot_sysid.records import Array
 
 SHARES = (0.4, 0.75, 0.95)
-"""Shares of correlated noise in the noise's power to choose from, beside none."""
+"""Candidate shares of correlated noise in the noise's power; zero is a candidate as well."""
 MEMORIES = (0.15, 0.5, 1.5)
-"""Time constants of correlated noise to choose from [s]."""
+"""Candidate time constants of correlated noise [s]."""
 LEAST_NOISE = 0.003
-"""Least noise of a joint, as a share of its typical torque: no model is more exact."""
-# Rounds of expectation maximisation without a noise to begin with.
+"""Least standard deviation of a joint's noise, as a share of its typical torque: no model is more
+exact."""
+# Rounds of expectation maximisation that begin with white noise.
 _ROUNDS = 5
-# Rounds from the noise of a similar hypothesis.
+# Rounds of expectation maximisation that begin with the noise of a similar hypothesis.
 _MORE_ROUNDS = 2
-# Noise to begin with, as a share of the typical torque.
+# Standard deviation of the white noise to begin with, as a share of the typical torque.
 _FIRST_NOISE = 0.05
 
 
@@ -61,10 +62,12 @@ class Posterior:
 
 
 class Transform:
-    """Orthonormal cosine transform of each window of a log's rows; unused rows become zero.
+    """Orthonormal cosine transform over time of each window of a log's K rows.
+
+    Rows that ``log.used`` excludes are set to zero before.
 
     Attributes:
-        frequency: (K,) of each transformed row [rad per row].
+        frequency: (K,) angular frequency of each transformed row [rad per row].
         period: time between rows [s].
     """
 
@@ -78,7 +81,7 @@ class Transform:
             self.frequency[window] = np.pi / count * np.arange(count)
 
     def of_joint(self, joint: int, rows: Array) -> Array:
-        """Return a joint's rows (K, m) transformed."""
+        """Return the transform (K, m) of rows (K, m) of the joint with the index ``joint``."""
         from scipy.fft import dct
 
         used = rows * self._used[:, joint, None]
@@ -98,14 +101,18 @@ class Transform:
 class Hypotheses:
     """The transformed equations of a log: of its base model and of explanations added to it.
 
+    Coefficients are deviations from the prior's means in units of its standard deviations. Copies
+    share arrays: do not change them.
+
     Attributes:
-        prior: of the base model.
-        transform: of rows.
-        count: (n,) rows of each joint that are used.
-        rows: per joint (K, k) transformed rows in units of the prior's standard deviations.
-        indices: per joint (k,) which parameters of the prior these are.
+        prior: prior of the base model.
+        transform: cosine transform of the log's rows.
+        count: (n,) number of rows of each joint that are used, at least one.
+        rows: per joint (K, k) transformed columns, in units of the prior's standard deviations.
+        indices: per joint (k,) indices of its columns among the prior's estimated parameters.
         right_sides: (K, n) transformed right-hand sides minus the torque at the prior's mean [N m].
-        explained: per joint (K, e) the columns of explanations that were added.
+        explained: per joint (K, e) transformed columns of the explanations that were added.
+        determinants: log determinant of each of the prior's precisions.
     """
 
     def __init__(self, log: LogRows, prior: Prior) -> None:
@@ -129,6 +136,7 @@ class Hypotheses:
         ]
 
     def _transform_right_sides(self, log: LogRows) -> Array:
+        """Return ``right_sides`` (K, n) for the torques of a log with these rows."""
         columns = []
         for joint, (indices, rows) in enumerate(zip(log.indices, log.rows)):
             right_side = log.right_sides[:, joint] - rows @ self.prior.mean[indices]
@@ -136,7 +144,7 @@ class Hypotheses:
         return np.hstack(columns)
 
     def with_columns(self, columns: Sequence[Array]) -> Hypotheses:
-        """Return a copy with further transformed columns (K, e) per joint in prior units."""
+        """Return a copy with further transformed columns, per joint (K, e), in prior units."""
         wider = copy(self)
         wider.explained = tuple(map(np.hstack, zip(self.explained, columns)))
         return wider
@@ -148,7 +156,10 @@ class Hypotheses:
         return other
 
     def equations(self, joint: int) -> tuple[NDArray[np.int64], Array]:
-        """Return a joint's indices (k + e,) and rows (K, k + e), explanations last."""
+        """Return (indices (k + e,), rows (K, k + e)) of a joint, those of explanations last.
+
+        The indices are those of the columns among all coefficients.
+        """
         size = len(self.prior.estimated)
         added = self.explained[joint]
         indices = np.append(self.indices[joint], size + np.arange(added.shape[1]))
@@ -156,7 +167,9 @@ class Hypotheses:
 
     @cached_property
     def spectra(self) -> Array:
-        """Candidate spectra (m, K) of noise, of unit mean: white, then each mix of both tables."""
+        """Candidate spectra (m, K) of noise, of unit mean: white, then each pair of memory and
+        share of correlated noise.
+        """
         cosine = np.cos(self.transform.frequency)
         spectra = [np.ones_like(cosine)]
         for memory in MEMORIES:
@@ -171,8 +184,8 @@ class Hypotheses:
         """Return the posterior under the most likely noise.
 
         Args:
-            noise: (K, n) variances at which the search begins; None for white noise.
-            rounds: of expectation maximisation; more without ``noise``.
+            noise: (K, n) variances at which the search begins [N^2 m^2]; None for white noise.
+            rounds: rounds of expectation maximisation; ``_ROUNDS`` where ``noise`` is None.
         """
         if noise is None:
             noise = np.tile(
@@ -185,7 +198,10 @@ class Hypotheses:
         return posterior
 
     def at_noise(self, noise: Array) -> Posterior:
-        """Return the posterior under noise of given variances (K, n) [N^2 m^2]."""
+        """Return the posterior under noise of given variances (K, n) [N^2 m^2].
+
+        Its log evidence is averaged over the prior's precisions; all else is of the likeliest one.
+        """
         size = len(self.prior.estimated)
         total = size + self.explained[0].shape[1]
         normal = np.zeros((total, total))
@@ -209,7 +225,7 @@ class Hypotheses:
             residual = self.right_sides.copy()
             for joint, (indices, rows) in enumerate(equations):
                 residual[:, joint] -= rows @ values[indices]
-            # From residuals: a difference of large sums would lose digits.
+            # Computed from residuals: the difference of large sums would lose digits.
             squares = float(
                 np.sum(residual**2 / noise) + values @ prior_precision @ values
             )
@@ -223,7 +239,14 @@ class Hypotheses:
         return replace(best, log_evidence=mean)
 
     def gain_of_torque(self, log: LogRows, posterior: Posterior) -> float:
-        """Return by how many nats another log's torques are likelier, under the noise of these."""
+        """Return the gain in log likelihood [nats] if the torques are replaced by another log's.
+
+        Noise and covariance stay those of the posterior of the present torques.
+
+        Args:
+            log: the other log, which has the same rows.
+            posterior: posterior of the present torques.
+        """
         change = []
         for right_sides in (self._transform_right_sides(log), self.right_sides):
             pull = np.zeros(len(posterior.values))

@@ -1,8 +1,10 @@
 """Faults of a log or its model as explanations: each is a few columns with a normal prior.
 
 An explanation adds torque that is linear in its coefficients to the base model, linearised around
-the base model's estimate. A new one is one more function of ``LINEAR``: it yields the name of a
-check, columns, the prior's standard deviations, and a description with what to do.
+the base model's estimate. To add one, add a function to ``LINEAR`` that takes the base model's fit
+and yields explanations.
+
+Throughout, K is the number of instants, n that of joints, e that of coefficients.
 """
 
 from __future__ import annotations
@@ -24,33 +26,34 @@ from robot_sysid.records.messages import percent, with_error
 from robot_sysid.signals.process import ProcessedSignals
 
 STEPS = 17
-"""Number of instants at which a payload may change."""
+"""Number of evenly spaced instants at which a change of payload is tried."""
 PUSHES = (0.5, 1.5, 3.0, 6.0)
-"""Durations of pushes that are tried [s]."""
+"""Durations of contacts that are tried [s]."""
 RIPPLES = tuple(range(4, 41, 3))
-"""Numbers of waves per turn of ripples that are tried."""
+"""Numbers of torque waves per turn of a joint that are tried."""
 GROSS_ZERO = 0.05
 """Error of a joint's zero above which it is harmful in any case [rad]."""
 WARM_UP = (10.0, 30.0, 100.0)
 """Time constants over which friction falls as a gear warms up [s]."""
 Description = Callable[[Array, Array], str]
-"""Returns the text of an explanation from its coefficients (e,) and their standard errors (e,)."""
+"""Function of an explanation's coefficients (e,) and their standard errors (e,) that returns its
+text for the user."""
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """One way in which a log may be wrong.
+    """One fault that a log may have, as torque that is linear in e coefficients.
 
     Attributes:
-        name: of the check that finds it.
-        level: of the finding, where a result without the explanation would be wrong.
-        columns: (K, n, e) torque per unit of each coefficient, (K, e) where one joint has it.
+        name: of the check that reports it, a key of ``logs.CHECKS``.
+        level: severity of the finding, where a result without the explanation would be wrong.
+        columns: torque per unit of each coefficient: (K, n, e), or (K, e) with a ``joint``.
         spread: (e,) prior standard deviations of the coefficients.
-        describe: returns what it is and what to do.
+        describe: returns the fault and what to do, for the user.
         joint: index of the joint that it acts on; None for all.
-        choices: number of similar explanations of which it is the best one.
+        choices: number of similar explanations that are tried, the best of which counts.
         is_possible: whether coefficients (e,) with standard errors (e,) fit the description.
-        nearby: returns similar explanations, among which a winner is refined.
+        nearby: returns similar explanations, with which a winner is refined.
         harmful_from: size of the first coefficient above which the explanation is harmful even if
             the last link does not change with it.
     """
@@ -84,20 +87,28 @@ class Explanation:
 
 
 class BaseFit:
-    """Torques of the fitted base model along a log, of which explanations make their columns.
+    """Torques of the fitted base model along a log, from which explanations make their columns.
 
-    All of them are low-passed like the rows: an unfiltered one would explain the filter's effect.
+    All torques are low-passed like the rows: an unfiltered one would explain the filter's effect.
+
+    Args:
+        signals: low-passed signals of the log's pieces.
+        prior: prior of the base model.
+        posterior: posterior of the base model.
+        trusted: whether the estimated last link is plausible; if not, its prior's mean is used.
 
     Attributes:
-        log: rows around the base model.
-        values: (p,) parameters of the base model.
+        log: equations of the log.
+        values: (p,) parameters of the fitted base model.
         time: (K,) from -1 at the first row to 1 at the last.
-        rigid: (K, n) torque of the links, those before the last one as in the model [N m].
-        weight: (K, n) the part of it due to gravity [N m].
-        tip_force: (K, n, 12) torque per newton at the last link's origin [m], and per newton metre
-            of the same force's offset along the link's axes, for each of the world's axes.
-        last_weight: (K, n, 4) weight of the last link per unit of its mass and first moment.
-        residual: (K, n) residual torque of the base model [N m].
+        rigid: (K, n) inverse-dynamics torque of the links [N m], the last one as fitted, all others
+            as in the model.
+        weight: (K, n) the torque of gravity in ``rigid`` [N m].
+        tip_force: (K, n, 12) for each world axis, joint torque per unit of force on the last link:
+            at its origin [N m per N], then offset along the link's x, y, z [N m per N m].
+        last_weight: (K, n, 4) torque of gravity on the last link, per unit of its mass and of each
+            first moment.
+        residual: (K, n) residual torque of the base model, zero in unused rows [N m].
     """
 
     def __init__(
@@ -129,10 +140,10 @@ class BaseFit:
         )
 
     def _of_positions(self, motion: Motion) -> tuple[Array, Array, Array]:
-        """Return (weight, tip_force, last_weight), see the attributes."""
+        """Return (weight, tip_force, last_weight) of the class, unfiltered, along a motion."""
         zero_speed = np.zeros_like(motion.q)
         last = self.robot.n_joints - 1
-        # A mass of one kilogram under an acceleration of one: the torque that holds it.
+        # The weight of one kilogram under a gravity of one along an axis stands for a unit force.
         pulls = [LinkDynamics(self.robot, axis) for axis in np.eye(3)]
         forces = [
             -pull.motion(motion.q, zero_speed, zero_speed).columns([last])[:, :, :4]
@@ -144,11 +155,11 @@ class BaseFit:
 
     @cached_property
     def inertial(self) -> Array:
-        """The torque (K, n) of the links without that of gravity [N m]."""
+        """The torque (K, n) of the links' inertia, without gravity [N m]."""
         return self.rigid - self.weight
 
     def derivative(self, torque: Array) -> Array:
-        """Return the time derivative (K, n) of a torque (K, n) [N m/s]."""
+        """Return the time derivative (K, n) [N m/s] of a torque (K, n) [N m], window by window."""
         derivative = np.empty_like(torque)
         for window in self.log.windows:
             derivative[window] = np.gradient(
@@ -160,14 +171,15 @@ class BaseFit:
 def _first_coefficient(
     text: str, factor: float = 1.0, unit: str = "", shift: float = 0.0
 ) -> Description:
-    """Return a description with the first coefficient and its error in place of {}.
+    """Return a description: ``text`` with the first coefficient and its error in place of {}.
 
     Args:
         factor: from the coefficient's unit to ``unit``.
-        shift: added to the coefficient before.
+        shift: added to the coefficient before it is multiplied by the factor.
     """
 
     def describe(v: Array, e: Array) -> str:
+        """Return the text for coefficients v (e,) with standard errors e (e,)."""
         return text.format(
             with_error(factor * (float(v[0]) + shift), abs(factor) * e[0], unit)
         )
@@ -176,7 +188,10 @@ def _first_coefficient(
 
 
 def _norm(text: str, factor: float = 1.0, unit: str = "") -> Description:
-    """Return a description with the Euclidean norm of the coefficients in place of {}."""
+    """Return a description: ``text`` with the coefficients' Euclidean norm in place of {}.
+
+    ``factor`` converts from the coefficients' unit to ``unit``.
+    """
 
     def describe(v: Array, e: Array) -> str:
         size = factor * float(np.linalg.norm(v))
@@ -192,7 +207,13 @@ def _of_each_joint(
     spread: float,
     description_of: Callable[[str], Description],
 ) -> Iterator[Explanation]:
-    """Yield one explanation per joint, whose columns are its own torque (K, n)."""
+    """Yield one explanation per joint, whose column is the joint's column of a torque (K, n).
+
+    Args:
+        name: of the check.
+        spread: prior standard deviation of the coefficient.
+        description_of: returns the description for a joint name.
+    """
     for joint, joint_name in enumerate(fit.robot.joint_names):
         column = torque[:, joint, None]
         sizes = np.array([spread])
@@ -202,7 +223,9 @@ def _of_each_joint(
 
 
 def torque_scales(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield an error of one joint's torque scale, of the links' torque without rotors."""
+    """Yield an error of one joint's torque scale; it scales the torque of the links alone, not that
+    of friction and rotors.
+    """
     text = "torque of joint {0} reads {{}} what links and the other joints say; weigh a known mass "
     text += "(payload --known-mass) and pass the file that it writes as --torque-scale"
     yield from _of_each_joint(
@@ -233,7 +256,7 @@ def drifting_scales(fit: BaseFit) -> Iterator[Explanation]:
 
 
 def _columns(fit: BaseFit, names: Sequence[str]) -> Array:
-    """Return the columns (K, n, e) of some parameters of the estimate."""
+    """Return the columns (K, n, e) of the estimate's parameters ``names`` (e,)."""
     joints = range(fit.robot.n_joints)
     return np.transpose(
         [[fit.log.column(j, name) for j in joints] for name in names], (2, 1, 0)
@@ -270,7 +293,7 @@ def tilt(fit: BaseFit) -> Iterator[Explanation]:
 
 
 def time_base(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield an error and a drift of the time stamps, by inertial torque over weight."""
+    """Yield an error and a drift of the time stamps' scale, which change inertial torque alone."""
     slope = 2.0 * fit.inertial[:, :, None]
     advice = "record the controller's own time stamps"
 
@@ -321,7 +344,7 @@ def delays(fit: BaseFit) -> Iterator[Explanation]:
 
 
 def weight_share(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield that a share of the weight of links and load is missing from the torque."""
+    """Yield the fault that a share of the weight of links and load is missing from the torque."""
     total = fit.robot.mass
     text = "{} of the links' weight is missing from the torque: is there a spring balancer that "
     text += "the model lacks, or is gravity compensated in part? record the measured joint torque, "
@@ -343,10 +366,10 @@ def payload_steps(fit: BaseFit) -> Iterator[Explanation]:
 
 
 def _payload_step(fit: BaseFit, row: int, spacing: int, choices: int) -> Explanation:
-    """Return the explanation that the last link's load changes at a row.
+    """Return the explanation that the last link's load changes at the instant with index ``row``.
 
     Args:
-        spacing: rows between the instants that are tried.
+        spacing: number of rows between the instants that are tried.
         choices: number of instants that are tried.
     """
     total = fit.robot.mass
@@ -383,7 +406,7 @@ def _more(mass: float, error: float) -> str:
 
 
 def forces(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield a constant force on the last link, and a share of its weight that is carried."""
+    """Yield a constant force on the last link, and a weight that contradicts its inertia."""
     total = fit.robot.mass
     down = float(np.linalg.norm(gravity_vector(fit.robot))) or 9.81
     text = "a constant force of {} acts on the last link, as of a hand, a cable or a spring; take "
@@ -428,7 +451,7 @@ def springs(fit: BaseFit) -> Iterator[Explanation]:
 
 
 def pushes(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield a contact for each duration of ``PUSHES``, where the residual torque is largest."""
+    """Yield a contact for each duration of ``PUSHES``, when the residual torque is largest."""
     step = float(np.median(np.diff(fit.log.motion.time)))
     power = np.sum((fit.residual / np.maximum(rms(fit.residual), 1e-12)) ** 2, axis=1)
     for length in PUSHES:
@@ -439,7 +462,13 @@ def pushes(fit: BaseFit) -> Iterator[Explanation]:
 
 
 def _push(fit: BaseFit, start: int, width: int, choices: int) -> Explanation:
-    """Return the explanation of a push that begins at row ``start`` and lasts ``width`` rows."""
+    """Return the explanation of a contact, half a sine wave of torque at all joints.
+
+    Args:
+        start: index of its first row; may be outside the log.
+        width: number of rows.
+        choices: number of contacts that are tried.
+    """
     time = fit.log.motion.time
     rows = np.arange(max(start, 0), min(start + width, len(time)))
     wave = np.zeros(len(time))
@@ -562,9 +591,9 @@ LINEAR: tuple[Callable[[BaseFit], Iterator[Explanation]], ...] = (
     *(torque_scales, drifting_scales, zeros, tilt, time_base, delays, weight_share),
     *(payload_steps, forces, springs, pushes, hums, ripples, couplings, warming),
 )
-"""Functions that yield all explanations."""
+"""Functions that together yield all explanations; they are linear in their coefficients."""
 
 
 def explanations(fit: BaseFit) -> list[Explanation]:
-    """Return every explanation of what the base model leaves."""
+    """Return all explanations of the base model's residual torque."""
     return [explanation for family in LINEAR for explanation in family(fit)]

@@ -1,9 +1,10 @@
 """All checks of a log: of the recording by itself, then the contest of explanations.
 
-A recording shows without a model: its length, its clock, its torque channels. A joint that moves
-goes about as far in one step of time as in the steps around it. A step with twice the speed has
-lost a sample that its time stamp does not show; one without speed repeats the sample before it; a
-long step of time with the way of a short one is a jump of the clock.
+Without a model, a recording can be checked for its length, its clock and its torque channels. For
+the clock, the displacement of the joints in each step (from one sample to the next) is compared
+with that of the steps around it. A step with twice their speed lacks a sample and its time stamp
+does not show that; a step without displacement repeats the previous sample; a long step of time
+with the displacement of a short one is a jump of the clock.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ from robot_sysid.signals.resampling import sampling_period
 SHORTEST = 1.0
 """Length of a log below which no arm does anything worth fitting [s]."""
 ROWS = 40
-"""Independent samples per joint that ten parameters and its friction need at least."""
+"""Least number of independent samples per joint, for ten parameters and the joint's friction."""
 SLOWEST_RATE = 10.0
-"""Samples per second below which a motion cannot be differentiated [Hz]."""
+"""Sampling rate below which a motion cannot be differentiated [Hz]."""
 SLOWEST = 0.05
-"""Speed that one joint at least has to reach [rad/s]."""
+"""Speed that at least one joint has to reach [rad/s]."""
 
 
 def length_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
@@ -44,6 +45,7 @@ def length_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
 
 
 def _length(pieces: Sequence[Measurement]) -> float:
+    """Return the duration of all pieces together [s]."""
     return sum(float(piece.time[-1] - piece.time[0]) for piece in pieces)
 
 
@@ -56,7 +58,10 @@ def slow_findings(qd: Array) -> Iterator[Finding]:
 
 
 def enough_findings(pieces: Sequence[Measurement], cutoff: float) -> Iterator[Finding]:
-    """Yield findings where a sample rate, or the rows behind a low-pass [Hz], are too few."""
+    """Yield findings where the sampling rate, or the number of independent samples, is too low.
+
+    A low-pass with a cut-off f [Hz] leaves 2 f independent samples per second.
+    """
     span = _length(pieces)
     rows = int(2.0 * cutoff * span)
     rate = 1.0 / sampling_period(pieces[0].time)
@@ -72,18 +77,19 @@ def enough_findings(pieces: Sequence[Measurement], cutoff: float) -> Iterator[Fi
 REPEATED = 0.3
 """Largest speed of a step that repeats a sample, over that of the steps around it."""
 LOST = (1.6, 4.0)
-"""Speed of a step with lost samples, over that of the steps around it: 2 for one lost sample."""
+"""Least and largest speed of a step with lost samples, over that of the steps around it: 2 for one
+lost sample."""
 FEW = 0.003
-"""Share of lost or repeated samples above which a finding is made."""
+"""Share of steps with lost or repeated samples above which a finding is made."""
 MANY = 0.02
-"""Share of them above which the finding is more severe."""
-# Least length of a step of time that is a jump of the clock, in typical steps.
+"""Share of steps with lost or repeated samples above which the finding is more severe."""
+# Least duration of a step that is a jump of the clock, over the median duration.
 _JUMP = 1.75
-# Largest distance in such a step, in those of the steps around it.
+# Largest displacement in a jump of the clock, over that of the steps around it.
 _NO_WAY = 1.4
-# Least distance of a step that counts, over noise.
+# Least displacement of a step that counts, over the noise of positions.
 _CLEAR = 8.0
-# Least number of steps.
+# Least number of steps from which findings are made.
 _ENOUGH = 100
 
 
@@ -109,7 +115,7 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
         if share > FEW:
             problem = f"{100.0 * share:.2g} % of the steps {description}"
             text = f"{problem}; record the time of each sample"
-            # A low-pass takes out a repeated sample, not a time that was lost.
+            # A low-pass smooths a repeated sample away, but not a wrong time.
             levels = (Level.NOTE, Level.WARN, Level.REFUSE)
             severity = int("lost" in description) + int(share > MANY)
             yield Finding("clock", levels[severity], text)
@@ -119,20 +125,23 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
 
 
 WINDOW = 1.0
-"""Time over which recorded velocities are summed [s]: a drive's filter does little to such sums."""
+"""Time over which recorded velocities are integrated [s]: filters of a drive hardly change such
+integrals."""
 WRONG_TIME = 0.03
-"""Relative error of the time above which a log is refused: a right log has 0.001, one whose
-velocities pass a low-pass of 3 Hz 0.028."""
+"""Relative error of the time stamps above which a log is refused: correct logs have 0.001, a log
+whose velocities pass a low-pass of 3 Hz has 0.028."""
 OTHER = 0.5
-"""Relative difference above which recorded velocities are not those of the positions."""
+"""Relative difference above which recorded velocities are not the derivatives of the positions."""
 ALIKE = 0.02
-"""Largest difference between joints in the relative error of the time."""
+"""Largest difference between joints in the relative error of the time stamps."""
 
 
 def velocity_findings(
     pieces: Sequence[Measurement], joint_names: Sequence[str]
 ) -> Iterator[Finding]:
-    """Yield where positions and recorded velocities disagree about the time, or altogether."""
+    """Yield findings where recorded velocities are not the derivatives of positions: by a common
+    factor, which is an error of the time stamps, or for single joints.
+    """
     recordings = [piece for piece in pieces if piece.qd is not None]
     if not recordings:
         return
@@ -172,8 +181,8 @@ def velocity_findings(
 def _products(pieces: Sequence[Measurement], joint: int) -> Array:
     """Return Y^T Y (2, 2) of a joint's displacements Y in all windows of ``WINDOW`` seconds.
 
-    The first column is from positions, the second from recorded velocities. It is made joint by
-    joint: arrays of all joints at once would need twice the memory of a long log.
+    The first column of Y is from positions, the second from integrated velocities; both minus their
+    mean. One joint at a time: arrays of all joints would take twice the memory of a long log.
     """
     displacements = []
     for piece in pieces:
@@ -187,7 +196,7 @@ def _products(pieces: Sequence[Measurement], joint: int) -> Array:
             (q[length:] - q[:-length], summed[length:] - summed[:-length])
         )
     displacement = np.concatenate(displacements, axis=1)
-    # A drive's constant error of the speed is neither a time nor another motion.
+    # A constant error of a drive's speed is neither an error of time nor another motion.
     displacement -= np.sum(displacement, axis=1, keepdims=True) / max(
         displacement.shape[1], 1
     )
@@ -195,9 +204,10 @@ def _products(pieces: Sequence[Measurement], joint: int) -> Array:
 
 
 def _steps(piece: Measurement) -> tuple[Array, Array]:
-    """Return (speed over that of the steps around it, duration over the typical one) of each step.
+    """Return (relative speed (S,), relative duration (S,)) of the S steps with motion above noise.
 
-    Only steps whose motion is clearly above noise are returned.
+    The speed of a step, from one sample to the next, is relative to that of the two steps before
+    and the two after it, over all joints; its duration to the median one.
     """
     step = np.diff(piece.time)
     typical_step = float(np.median(step))
@@ -222,14 +232,14 @@ def _steps(piece: Measurement) -> tuple[Array, Array]:
 LONG = 0.3
 """Time for which a torque is constant above which its channel holds its last value [s]."""
 OFTEN = 0.005
-"""Share of samples at the largest value above which a sensor saturates."""
-# A channel of fewer values has coarse steps, which repeat by themselves.
+"""Share of samples at the end of the range above which a sensor saturates."""
+# Number of different values below which a channel has coarse steps, which repeat by chance.
 _MANY_VALUES = 100
 # Least mean speed of an arm that moves [rad/s].
 _MOVING = 0.05
-# Number of equal samples in a row that is no chance.
+# Number of equal samples in a row that does not occur by chance.
 _RUN = 4
-# Number of equal samples in a log that is no chance.
+# Number of equal samples in a log that does not occur by chance.
 _SEEN = 20
 
 
@@ -261,7 +271,11 @@ def sensor_findings(
 
 
 def _at_end(tau: Array, sign: float) -> tuple[float, float]:
-    """Return (share of samples exactly at the end of the range, that value)."""
+    """Return (share of samples at which a torque (N,) saturates, value of the end of its range).
+
+    ``sign`` is 1 for the upper and -1 for the lower end. The share is zero where equal samples at
+    the end may be chance.
+    """
     end = float(np.max(sign * tau))
     is_at_end = sign * tau == end
     is_near_end = (sign * tau > end - 0.02 * float(np.ptp(tau))) & ~is_at_end
@@ -284,7 +298,7 @@ def _longest_hold(piece: Measurement, joint: int) -> float:
         first = edges[start]
         last = edges[start + 1] - 1
         length = float(piece.time[last] - piece.time[first])
-        # An arm that comes back to where it was has moved as well.
+        # The range of positions, not the difference: an arm may return to where it was.
         moved = np.max(np.ptp(piece.q[first : last + 1], axis=0))
         if length > longest and moved > _MOVING * min(length, 1.0):
             longest = length
@@ -301,12 +315,12 @@ OF_LINKS = (
     "gravity",
     "force",
 )
-"""Checks that links other than the model's fail as well."""
-# Largest residual of a computed torque, as a share of the typical torque.
+"""Checks that a faultless log fails if its links differ from the model's."""
+# Largest rms residual of a torque that was computed, as a share of the typical torque.
 _EXACT = 0.004
-# Its largest noise.
+# Largest rms noise of a torque that was computed, as a share of the typical torque.
 _QUIET = 5e-4
-# Its largest friction.
+# Largest Coulomb friction of a torque that was computed, as a share of the typical torque.
 _FRICTIONLESS = 0.002
 
 
@@ -320,6 +334,8 @@ def check_against_model(
     """Return the findings of all checks of a log.
 
     Args:
+        robot: the arm with its model.
+        pieces: the log, cut at gaps.
         options: prior uncertainties of the estimate; None for the defaults.
         links_known: whether the model's links are taken as right; if not, findings of ``OF_LINKS``
             are only notes.
@@ -377,7 +393,7 @@ def check_log(
             robot, log.pieces, options, links_known, log.torque_scale
         )
     for finding in findings:
-        # What stops a log becomes the error below.
+        # Findings that forbid an estimate become the error below.
         if finding.level is Level.NOTE or (
             finding.level is Level.WARN and finding.name in accepted
         ):
@@ -393,7 +409,12 @@ def check_log(
 def require_acceptable(
     log: str, findings: Iterable[Finding], accepted: Collection[str] = ()
 ) -> None:
-    """Raise an error where a finding forbids an estimate; ``accepted`` names accepted warnings.
+    """Raise an error where a finding forbids an estimate.
+
+    Args:
+        log: the log's name for messages.
+        findings: of all checks.
+        accepted: names of checks whose warnings are accepted.
 
     Raises:
         InputError: a finding refuses the log.
@@ -419,7 +440,7 @@ def require_acceptable(
 
 
 def _computed_findings(contest: Contest) -> list[Finding]:
-    """Return a finding where the torque is the model's own, without noise and friction."""
+    """Return a finding where the torque was computed from the model: no noise and no friction."""
     log = contest.log
     posterior = contest.posterior
     model = model_torque(log)
@@ -437,7 +458,7 @@ def _computed_findings(contest: Contest) -> list[Finding]:
 
 
 def _fast_torque(signals: Sequence[ProcessedSignals]) -> Array:
-    """Return (n,) the usual torque above the low-pass, noise where it was measured [N m]."""
+    """Return the rms torque (n,) above the cut-off of the low-pass [N m]: noise, if measured."""
     residuals = []
     for log_signals in signals:
         half = log_signals.low_pass.half_width

@@ -1,8 +1,11 @@
 """Mistaken columns of a log: signs, exchanged joints, degrees, units of torque.
 
-These mistakes are finite in number, or a factor per joint. Each is corrected and the rows made
-again; the gain in log marginal likelihood is comparable with that of an explanation. Corrections of
-torques alone need no new rows and are tried for every log, others where the model does not fit.
+There is a finite number of such mistakes, or each is a factor per joint. A mistake is corrected and
+the log's equations are made again; the gain in log marginal likelihood is comparable with that of
+an explanation (``contest``). Corrections of torques alone need no new rows and are tried for every
+log, others where the model does not fit.
+
+Throughout, K is the number of rows per joint, n that of joints.
 """
 
 from __future__ import annotations
@@ -32,47 +35,48 @@ from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.signals.process import ProcessedSignals
 
 REFUSED = 1.6
-"""Error of the torque scale above which a log is refused, as a factor."""
+"""Torque scale, or its inverse, above which a log is refused."""
 WARNED = 1.3
-"""Error of the torque scale above which a log gets a warning, as a factor."""
+"""Torque scale, or its inverse, above which a log gets a warning."""
 UNITS = {1e3: "mN·m", 100.0: "N·cm", 10.197: "kgf·cm", 8.851: "lbf·in"}
 UNITS.update({0.7376: "lbf·ft", 141.6: "ozf·in", 1e-3: "kN·m"})
-"""Newton metre in other units."""
+"""One newton metre in other units of torque, to the unit's name."""
 SMALL = 0.6
 """Ratio of measured torque to the model's below which gravity may be missing from it."""
 ODD_UNIT = 20.0
 """Ratio of one joint's torque to the model's, over that of the other joints, above which the joint
 has a unit of its own."""
 SHORT = 6.0
-"""Length of the stretch on which relabelled motions are tried first [s]."""
-# Largest ratio of scales that have one cause.
+"""Length of the stretch of a log on which relabelled motions are tried first [s]."""
+# Largest ratio between the torque scales of joints that have one common cause.
 _SAME = 1.35
-# Largest ratio between a scale and a unit's factor.
+# Largest ratio between a torque scale and the factor of a unit that explains it.
 _CLOSE = 1.25
 # Torque at the joint per ampere of its motor, at least and at most [N m/A]: a UR10e's is 10 to 12.
 _PER_AMPERE = (2.0, 25.0)
 # Prior standard deviation of the logarithm of a scale that all joints share.
 _COMMON_RANGE = 4.0
-# Prior standard deviation of the logarithm of each joint's own scale.
+# Prior standard deviation of the logarithm of a joint's scale over the common one.
 _OWN_RANGE = 0.4
 # Rounds of Gauss-Newton for the scales.
 _ROUNDS = 5
 # Prior standard deviation of a scale's relative change in a round.
 _FAR = 0.7
-# Bounds of the scales of any unit and gear.
+# Smallest torque scale of any unit and gear.
 _LEAST = 1e-4
+# Largest torque scale of any unit and gear.
 _MOST = 1e5
-# Standard error of a scale above which the median of the other joints is taken.
+# Relative standard error of a scale above which the median of the other joints is taken.
 _KNOWN = 0.3
-# Least load of a joint whose torque ratio is a scale, as a share of the strongest joint's.
+# Least model torque of a joint whose torque ratio is a scale, over that of the strongest joint.
 _LOADED = 0.1
-# Load below which a joint's torque is mostly friction.
+# Model torque below which a joint's torque is mostly friction, over that of the strongest joint.
 _LEAST_LOAD = 0.03
-# Largest factor between a scale and the torque ratio of a loaded joint.
+# Largest factor between a scale and the torque ratio of a joint that links load.
 _FARTHEST = 3.0
-# The largest factor for a joint whose torque is mostly friction.
+# Largest factor between a scale and the torque ratio of a joint whose torque is mostly friction.
 _FRICTION = 10.0
-# Number of relabellings, the best ones of a stretch, that are scored on the whole log.
+# Number of corrections, the best of a first comparison, that are scored in full.
 _FINALISTS = 3
 
 
@@ -81,10 +85,12 @@ class Relabelling:
     """A mistake in the columns of a log, and its correction.
 
     Attributes:
-        name: of the check.
-        text: what is wrong and what to do.
-        motion: returns the corrected (N, n) position, velocity or acceleration; None where right.
-        torque: returns the corrected (N, n) torque; None where right.
+        name: of the check that reports it.
+        text: the mistake and what to do, for the user.
+        motion: function of recorded positions, velocities or accelerations (N, n) that returns the
+            corrected ones; None where they are right.
+        torque: function of recorded torques (N, n) that returns the corrected ones; None where
+            they are right.
     """
 
     name: str
@@ -97,6 +103,7 @@ class Relabelling:
         return [self._of(log) for log in signals]
 
     def _of(self, signals: ProcessedSignals) -> ProcessedSignals:
+        """Return a copy of one piece's signals with the mistake corrected."""
         arrays: dict[str, Any] = {}
         if self.motion is not None:
             arrays = {
@@ -131,6 +138,7 @@ def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
         for text, order in orders:
 
             def arrange(values: Array, order: list[int] = order) -> Array:
+                """Return values (N, n) with the joints in the corrected order."""
                 return values[:, order]
 
             advice = "put the columns right with --columns FILE"
@@ -155,6 +163,7 @@ def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
 
 
 def _orders(names: Sequence[str]) -> Iterator[tuple[str, list[int]]]:
+    """Yield (text, joint indices (n,) in their correct order) of every mistaken order of joints."""
     plain = list(range(len(names)))
     for first, second in combinations(plain, 2):
         order = plain.copy()
@@ -169,13 +178,13 @@ class Correction:
     """A corrected mistake and the log after its correction.
 
     Attributes:
-        name: of the check.
-        level: of the finding.
-        text: what is wrong and what to do.
-        gain: in log marginal likelihood by the correction [nats].
-        posterior: of the base model after it.
-        prior: of the base model after it.
-        log: the corrected equations.
+        name: of the check that reports the mistake.
+        level: severity of the finding.
+        text: the mistake and what to do, for the user.
+        gain: increase of the log marginal likelihood by the correction [nats].
+        posterior: posterior of the base model after the correction.
+        prior: prior of the base model after the correction.
+        log: equations of the corrected log.
     """
 
     name: str
@@ -193,7 +202,14 @@ def find_wrong_torques(
     base: Hypotheses,
     base_posterior: Posterior,
 ) -> list[Correction]:
-    """Return the best corrections of torques alone, which keep the rows of the log."""
+    """Return the best corrections of torques alone, which keep the rows of the log.
+
+    Args:
+        log: equations of the log.
+        signals: low-passed signals of the log's pieces.
+        base: transformed equations of the base model.
+        base_posterior: posterior of the base model.
+    """
     mistakes = [m for m in relabellings(log.robot) if m.motion is None]
     if typical_scale(log) < SMALL:
         mistakes += _without_links(log, signals)
@@ -225,10 +241,11 @@ def find_wrong_torques(
 def _without_links(
     log: LogRows, signals: Sequence[ProcessedSignals]
 ) -> Iterator[Relabelling]:
-    """Yield the mistakes that the links' weight, or all of their torque, was subtracted already."""
+    """Yield the mistakes that the recorded torque lacks the links' weight, or all their torque."""
     robot = log.robot
 
     def torques(motion: Motion) -> tuple[Array, Array]:
+        """Return (weight, inverse dynamics) of the model's links, (N, n) each [N m]."""
         zero_speed = np.zeros_like(motion.q)
         dynamics = LinkDynamics(robot)
         weight = dynamics.motion(motion.q, zero_speed, zero_speed).torque(robot.thetas)
@@ -237,7 +254,7 @@ def _without_links(
         )
         return weight, inverse_dynamics
 
-    # Low-passed like the torque: what the filter removes may be more than the noise.
+    # Low-passed like the torque: the part that the filter removes may exceed the noise.
     filtered = [log.filter_columns(torques, smooth=True) for log in signals]
     weight = np.concatenate([of_log[0] for of_log in filtered])
     inverse_dynamics = np.concatenate([of_log[1] for of_log in filtered])
@@ -261,7 +278,14 @@ def find_wrong_columns(
     base_posterior: Posterior,
     options: EstimationOptions,
 ) -> list[Correction]:
-    """Return corrections that need new rows, those that are most likely on a short stretch."""
+    """Return the corrections of motions, with or without torques, that are best on a short stretch.
+
+    Args:
+        log: equations of the log.
+        signals: low-passed signals of the log's pieces.
+        base_posterior: posterior of the base model without a correction.
+        options: prior uncertainties of the estimate.
+    """
     stretch = [_busiest(signals)]
     short = log_rows(log.robot, stretch)
     candidates = []
@@ -283,13 +307,14 @@ def find_wrong_columns(
 def _correction(
     mistake: Relabelling, gain: float, posterior: Posterior, prior: Prior, log: LogRows
 ) -> Correction:
+    """Return the correction of a mistake, which refuses the log; fields as in ``Correction``."""
     return Correction(
         mistake.name, Level.REFUSE, mistake.text, float(gain), posterior, prior, log
     )
 
 
 def _busiest(signals: Sequence[ProcessedSignals]) -> ProcessedSignals:
-    """Return the stretch of a log, ``SHORT`` seconds, in which the joints move most."""
+    """Return ``SHORT`` seconds of the longest piece, those in which the joints move most."""
     best = max(signals, key=len)
     count = round(SHORT * best.rate)
     if len(best) <= count:
@@ -304,12 +329,12 @@ def _busiest(signals: Sequence[ProcessedSignals]) -> ProcessedSignals:
 
 @dataclass(frozen=True)
 class TorqueScales:
-    """Torque columns over true torques.
+    """Torque scales: recorded torque over true torque of each joint.
 
     Attributes:
-        scale: (n,) of each joint; the median of the others where it is not identified.
-        identified: (k,) joints whose scale is identified.
-        covariance: (k, k) of the logarithms of their scales.
+        scale: (n,) of each joint; the median of the identified ones where it is not identified.
+        identified: (k,) indices of the joints whose scale is identified.
+        covariance: (k, k) covariance of the logarithms of these joints' scales.
     """
 
     scale: Array
@@ -318,7 +343,7 @@ class TorqueScales:
 
     @cached_property
     def common(self) -> tuple[float, float]:
-        """The common scale of all joints and the standard error of its logarithm."""
+        """The weighted mean scale of all joints, and the standard error of its logarithm."""
         precision = np.linalg.inv(self.covariance)
         weight = np.sum(precision, axis=0) / np.sum(precision)
         mean = float(weight @ np.log(self.scale[self.identified]))
@@ -355,7 +380,14 @@ def find_wrong_scales(
     """Return the correction of torque scales: a unit, a common scale or a scale per joint.
 
     Args:
-        divided: (n,) torque scales by which the torques were divided already.
+        log: equations of the log.
+        base_posterior: posterior of the base model without a correction.
+        options: prior uncertainties of the estimate.
+        divided: (n,) torque scales by which the torques were divided already, as the user gave
+            them.
+
+    Returns:
+        One correction, none where no scale is identified.
     """
     scales = torque_scales(log, options)
     if not len(scales.identified):
@@ -385,7 +417,7 @@ def find_wrong_scales(
 
 
 def typical_scale(log: LogRows) -> float:
-    """Return the median ratio of measured torque to the model's, of joints that links load."""
+    """Return the median ratio of rms measured torque to the model's, of joints that links load."""
     model = model_torque(log)
     loaded = model > _LOADED * float(np.max(model))
     return float(np.median((rms(log.torque) / np.maximum(model, 1e-12))[loaded]))
@@ -399,7 +431,7 @@ def model_torque(log: LogRows) -> Array:
 
 
 def odd_unit_finding(log: LogRows) -> Finding | None:
-    """Return the finding that one joint's torque has a unit of its own; None where none has."""
+    """Return the finding that one joint's torque has another unit than the others', or None."""
     model = model_torque(log)
     ratio = rms(log.torque) / np.maximum(model, _LEAST_LOAD * float(np.max(model)))
     joint = int(np.argmax(ratio))
@@ -418,9 +450,10 @@ def odd_unit_finding(log: LogRows) -> Finding | None:
 
 
 def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
-    """Return the torque scale of each joint, by Gauss-Newton from the ratio of typical torques.
+    """Return the torque scale of each joint, by Gauss-Newton from the ratio of rms torques.
 
-    In each round the torque of the estimated links is one more column of each joint's equation.
+    In each round the torque of the estimated links is one more column of each joint's equations;
+    its coefficient is the relative change of the scale.
     """
     model = model_torque(log)
     loaded = model > _LOADED * float(np.max(model))
@@ -465,7 +498,10 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
 
 
 def _unit_near(typical: float, error: float) -> float | None:
-    """Return the factor of the unit that a scale with a relative error fits; None for none."""
+    """Return the factor in ``UNITS`` that agrees with the scale ``typical``, or None.
+
+    ``error`` is the relative standard error of the scale.
+    """
     nearest = min(UNITS, key=lambda factor: abs(np.log(typical / factor)))
     off = abs(np.log(typical / nearest))
     return (
@@ -488,6 +524,7 @@ def _meaning(typical: float, spread: float, error: float, divided: Array) -> str
     scales = divided[:1] if np.ptp(divided) == 0.0 else divided
 
     def in_all(scale: float, digits: str = ".4g") -> str:
+        """Return the value of --torque-scale: a further scale times those in use already."""
         return ",".join(format(value, digits) for value in (scale * scales).tolist())
 
     if spread > _SAME:

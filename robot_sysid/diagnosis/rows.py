@@ -1,10 +1,12 @@
 """A log as linear equations, with the estimate's own columns and priors.
 
 Rows are those of ``estimation.columns`` around the model, with every friction term. Two more kinds
-of friction have columns here, because torque that they leave would pass for other faults: friction
+of friction have columns here, because their torque would be mistaken for other faults: friction
 that builds up over some distance after a reversal, and dry friction that varies over a turn. Rows
 are uniform in time, so that a cosine transform makes autocorrelated noise independent: its variance
 is then a function of the frequency alone (``evidence``).
+
+Throughout, K is the number of instants (rows per joint), n that of joints.
 """
 
 from __future__ import annotations
@@ -34,10 +36,10 @@ from robot_sysid.records import DELAY_NAME, Array, Measurement, Motion, RobotMod
 from robot_sysid.signals.process import LogPiece, ProcessedSignals, process
 
 CUTOFF_HZ = 8.0
-"""Highest cut-off of the low-pass [Hz]: faster motion says little of links."""
+"""Highest cut-off of the low-pass [Hz]: faster motion has little information on links."""
 CUTOFF_SHARE = 0.6
-"""Cut-off over the one that suits accelerations: columns of explanations are derivatives of torques
-with accelerations, and position noise that two columns share would count as evidence for them."""
+"""Cut-off over the one that suits accelerations. It is lower because explanations have columns that
+are time derivatives of torques: their noise of positions would count as evidence."""
 WINDOW = 16.0
 """Longest window of rows that are transformed together [s]."""
 MOST_WINDOWS = 4
@@ -47,17 +49,19 @@ LINK_SCALES = tuple(replace(EXPECTED, mass=scale) for scale in (2.0, 6.0))
 PAYLOAD = 0.3
 """Prior standard deviation of the last link's mass, as a share of the arm's mass."""
 REACH = 0.15
-"""Size of the last link in its prior, as a share of the arm's reach."""
+"""Least size of the last link in its prior, as a share of the arm's reach."""
 FRICTION = {
     **{"coulomb": 1.0, "viscous": 1.0, "offset": 0.3, "armature": 0.5},
     **{"sqrt": 0.05, "stribeck": 0.05, "load": 0.04},
 }
-"""Prior standard deviation of each friction term, as a share of a joint's typical torque at its
-typical speed and acceleration; of a gear's loss, as a share of its load."""
+"""Prior standard deviation of each friction term: its torque at the joint's typical speed and
+acceleration, as a share of the typical torque; of "load" (a gear's loss), as a share of the load.
+"""
 BUILD_UP = (0.004, 0.02)
 """Distances after a reversal over which friction builds up [rad]."""
 BUILT_UP = 0.15
-"""Prior standard deviation of friction that builds up, as a share of the typical torque."""
+"""Prior standard deviation of friction that builds up after a reversal, as a share of the typical
+torque."""
 UNEVEN = 0.03
 """Prior standard deviation of dry friction that varies over a turn, as a share of the typical
 torque."""
@@ -66,25 +70,28 @@ WIDE_TILT = 0.15
 WIDE_DELAY = 0.04
 """Prior standard deviation of the delay where the estimate is asked to find it [s]."""
 WORTH_A_WORD = 2.0
-"""Largest prior standard deviation of the delay where it is not estimated [ms]."""
+"""Largest prior standard deviation of the delay where the estimate is not asked to find it [ms]: a
+larger delay is worth a finding."""
 LEAST_TORQUE = 0.02
 """Least typical torque of a joint, as a share of the strongest joint's."""
-# Share of its top speed below which the direction of a joint's friction is not certain.
+# Speed below which the direction of a joint's friction is uncertain, as a share of its top speed.
 _SLOW = 0.01
 
 
 def rms(values: Array) -> Array:
-    """Return (n,) the root mean square over samples (K, n)."""
+    """Return the root mean square (n,) over samples (K, n)."""
     return np.asarray(np.sqrt(np.mean(np.square(values), axis=0)))
 
 
 def low_pass(
     pieces: Sequence[Measurement], cutoff: float | None
 ) -> list[ProcessedSignals]:
-    """Return the low-passed signals of a log, of evenly spread windows where it is long.
+    """Return the low-passed signals of each piece of a log, or of evenly spread windows of it where
+    the log is longer than ``MOST_WINDOWS`` windows.
 
     Args:
-        cutoff: of the low-pass [Hz]; None chooses it from the data.
+        pieces: the log without gaps.
+        cutoff: cut-off of the low-pass [Hz]; None chooses it from the data.
     """
     signals = []
     for piece in _spread_windows(pieces):
@@ -115,6 +122,7 @@ def _spread_windows(pieces: Sequence[Measurement]) -> list[Measurement]:
 
 
 def _cut(piece: Measurement, rows: NDArray[np.int64]) -> Measurement:
+    """Return the samples of a measurement with the indices ``rows`` (N,)."""
     arrays: dict[str, Any] = {
         name: None if v is None else v[rows] for name, v in vars(piece).items()
     }
@@ -129,15 +137,16 @@ class LogRows:
 
     Attributes:
         columns: names and indices of the estimate's parameters.
-        motion: (K, n) at the instants.
-        torque: (K, n) measured, low-passed [N m].
-        indices: per joint (k,) which parameters its rows contain; indices above the estimate's are
-            those of friction that only this prior has.
-        rows: per joint (K, k).
+        motion: (K, n) positions, velocities and accelerations at the instants.
+        torque: (K, n) measured torque, low-passed [N m].
+        indices: per joint (k,) indices of the parameters of its columns; indices from
+            len(columns.names) on are those of friction that only ``Prior`` has.
+        rows: per joint (K, k) torque per unit of each parameter.
         right_sides: (K, n) right-hand sides [N m].
-        used: (K, n) whether a joint moves fast enough for its friction to have a direction.
-        windows: stretches of the rows without holes.
-        point_values: (p,) parameters around which the rows are made.
+        used: (K, n) bool, whether a row counts: the joint moves fast enough for its friction to
+            have a direction, and all numbers are finite.
+        windows: slices of instants without gaps, which are transformed together.
+        point_values: (p,) parameters around which the rows are linearised.
     """
 
     columns: Columns
@@ -167,7 +176,7 @@ class LogRows:
         return replace(self, torque=torque, right_sides=right_sides)
 
     def links_torque(self, values: Array) -> Array:
-        """Return the torque (K, n) of the links' parameters among all values (p,) [N m]."""
+        """Return the torque (K, n) of all links [N m] for parameters ``values`` (p,)."""
         bodies = np.zeros_like(values)
         links = np.concatenate([*self.columns.bodies().values()])
         bodies[links] = values[links]
@@ -175,7 +184,7 @@ class LogRows:
         return np.column_stack(torques)
 
     def column(self, joint: int, name: str) -> Array:
-        """Return a parameter's column (K,) in a joint's rows; zero where it has none."""
+        """Return the column (K,) of the parameter ``name`` in a joint's rows; zero without one."""
         at = np.flatnonzero(self.indices[joint] == self.columns.index.get(name, -1))
         return self.rows[joint][:, at[0]] if len(at) else np.zeros(len(self.torque))
 
@@ -189,8 +198,10 @@ def log_rows(
     """Return the equations of a log.
 
     Args:
-        used: (K, n) which rows to use; None for those in which the joint moves.
-        values: (p,) parameters around which the rows are made; None for the model's.
+        robot: the arm with its model.
+        signals: of ``low_pass``, one per piece of the log.
+        used: (K, n) bool, the rows that count; None for those in which the joint moves.
+        values: (p,) parameters around which the rows are linearised; None for the model's.
     """
     datasets = [Dataset("log", piece) for piece in signals]
     columns = Columns(robot, datasets, couplings=tuple(neighbours(robot)))
@@ -232,7 +243,10 @@ def log_rows(
 
 
 def _windows(counts: Sequence[int], signals: ProcessedSignals) -> tuple[slice, ...]:
-    """Return the slices of rows that are transformed together: pieces, or parts of long ones."""
+    """Return the slices of rows that are transformed together: pieces, or parts of long ones.
+
+    ``counts`` are the numbers of rows of the pieces.
+    """
     longest = int(WINDOW * signals.rate / signals.low_pass.step)
     windows = []
     start = 0
@@ -247,8 +261,8 @@ def _windows(counts: Sequence[int], signals: ProcessedSignals) -> tuple[slice, .
 def _friction_beside(signals: ProcessedSignals) -> Array:
     """Return columns (K, n, k) of friction that builds up after reversals and of uneven friction.
 
-    The first ones are the difference to dry friction, which is there at once; the last two are dry
-    friction times sine and cosine of the position.
+    The first len(BUILD_UP) columns are this friction minus dry friction, which acts at once; the
+    last two are dry friction times sine and cosine of the position.
     """
     stride = signals.low_pass.stride
     q = signals.q[::stride]
@@ -266,7 +280,7 @@ def _friction_beside(signals: ProcessedSignals) -> Array:
 
 @dataclass(frozen=True)
 class Prior:
-    """The normal prior of the base model's parameters.
+    """The normal prior of the base model's parameters, a mixture over the widths of links' priors.
 
     Attributes:
         estimated: (k,) indices of the estimated parameters.
@@ -282,14 +296,21 @@ class Prior:
     precisions: tuple[Array, ...]
 
     def parameters(self, coefficients: Array) -> Array:
-        """Return the parameters (p,); the first k coefficients are in units of ``spread``."""
+        """Return the parameters (p,) for deviations from the mean in units of ``spread``.
+
+        The first k ``coefficients`` are these deviations; further ones, of explanations, do not
+        count.
+        """
         values = self.mean.copy()
         values[self.estimated] += self.spread * coefficients[: len(self.estimated)]
         return values
 
 
 def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
-    """Return the prior of a log without faults: the estimate's own, with wide friction."""
+    """Return the prior of a log without faults: that of the estimate, with wider friction.
+
+    ``options`` holds the prior uncertainties of the estimate.
+    """
     columns = log.columns
     robot = log.robot
     more = 2 + len(BUILD_UP)
