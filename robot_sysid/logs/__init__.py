@@ -1,6 +1,6 @@
 """Recordings of real arms, read into Measurement records; here the options of reading them.
 
-The options stand apart from ``logs.reader``, whose import a run without logs does not wait for.
+The options are apart from ``logs.reader``, so that a run without logs need not import that module.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ CHECKS = {
     "too-little": "too few independent samples",
     "rollout": "new model that does not move more like the arm than the old one",
 }
-"""Name of every check of a log, as ``--accept`` takes it, to what it looks for."""
+"""Name of every check of a log, as ``--accept`` takes it, to the fault that it looks for."""
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
-"""Logs kept as named arrays: NumPy's .npz, MATLAB's .mat, HDF5 (also as ALOHA writes it),
+"""Logs in the form of named arrays: NumPy's .npz, MATLAB's .mat, HDF5 (also as ALOHA writes it),
 Parquet, Feather, and LeRobot data sets, which are folders with meta/info.json and Parquet files.
 
-Each form has a guard of its own against a file that unpacks to more than ``table.unpacked_limit``,
-because each states in its own place how much that is; a process with a memory limit would work on
-Linux alone and report no size. Only .mat files, at which SciPy may end its process, have one.
+The reader of each form refuses files that unpack to more than ``table.unpacked_limit``, by the size
+that the file states; a process with a memory limit would work on Linux alone and report no size.
+Only .mat files are read in a process of their own, because SciPy may end its process at them.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ def recordings_table(
     titles: Sequence[str],
     recordings: Sequence[Sequence[Array]],
 ) -> LogTable:
-    """Return recordings in memory as a table, one after the other.
+    """Return recordings in memory as one table, the rows of one after those of the other.
 
     Args:
-        titles: (C,) of the columns of all arrays of a recording together.
-        recordings: each the arrays (N,) or (N, k) that stand side by side, each with N of its own.
+        titles: (C,) of the columns of all arrays of a recording, from left to right.
+        recordings: per recording its arrays, (N,) or (N, k), side by side; N may vary.
     """
     return LogTable(path, layout, tuple(titles), partial(_blocks, recordings))
 
@@ -65,7 +65,7 @@ def recordings_table(
 def _blocks(
     recordings: Sequence[Sequence[Array]], columns: Sequence[int]
 ) -> Iterator[Block]:
-    """Yield the rows of recordings, with the columns of these indices."""
+    """Yield the rows of ``recordings_table`` in blocks, with the columns of these indices."""
     total = max(1, sum(len(arrays[0]) for arrays in recordings))
     end = 0
     for number, arrays in enumerate(recordings):
@@ -83,8 +83,8 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
     """Return a recording of named arrays with one row, or one column, per sample.
 
     A column of a two-dimensional array ``q`` is called ``q[0]``; dates become seconds from the
-    first. An array of another length or shape, or without numbers, is left out. Of ``group/q`` the
-    last name is taken where no other array has it. InputError where no array has rows.
+    first. An array of another length or shape, or without numbers, is left out. ``group/q`` is
+    called ``q`` unless another array has that last name. InputError where no array has rows.
     """
     short_names = [name.rsplit("/", 1)[-1] for name in arrays]
     uses = Counter(short_names)
@@ -93,7 +93,7 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
         values = _dates_as_seconds(array)
         if can_be_column(values):
             columns[short_name if uses[short_name] == 1 else name] = values
-    # As many samples as times, else the length that most arrays have.
+    # The number of samples is that of the times, else the most frequent length of arrays.
     times = [n for n in columns if read_title(n).measured_quantity == "time"]
     lengths = [max(columns[name].shape) for name in times or columns]
     if not lengths:
@@ -137,7 +137,7 @@ def _dates_as_seconds(array: Any) -> Any:
 
 
 def npz_table(source: LogSource) -> LogTable:
-    """Return the arrays of an .npz file: time (N,), q, qd, tau (N, n), by these or like names."""
+    """Return an .npz file as a table: time (N,), q, qd, tau (N, n), by these or similar names."""
     return arrays_table(source.path, "NumPy .npz", npz_arrays(source.path))
 
 
@@ -220,7 +220,7 @@ except MemoryError:
 except Exception as error:
     sys.exit(" ".join(str(error).split()) or type(error).__name__)
 """
-"""Makes an .npz file of a .mat file; SciPy ends the process on some damaged ones.
+"""Program that makes an .npz file of a .mat file; SciPy ends the process on some damaged files.
 
 Arguments: .mat file, .npz file, limit [bytes], processor time [s].
 """
@@ -255,7 +255,7 @@ def matlab_table(source: LogSource) -> LogTable:
 
 
 _MAX_LINKS = 3
-"""Links to other files that a message names at most."""
+"""Largest number of links to other files that a message names."""
 _COPY = "copy what is in it into this one (h5copy -f ext, or h5repack)"
 
 
@@ -299,11 +299,11 @@ def _list_datasets(
     count = 0
 
     def visit(name: str, member: Any) -> None:
-        """Note a data set, or the external links of a group."""
+        """Add a data set to ``datasets``, or the external links of a group to ``links``."""
         nonlocal count
         refuse_many_arrays(path, count)
         count += 1
-        # What is called #refs# holds the cells of a MATLAB file.
+        # The group #refs# holds the cell arrays of a MATLAB file.
         if isinstance(member, h5py.Dataset) and not name.startswith("#"):
             datasets[name] = member
         for key in member if isinstance(member, h5py.Group) else ():
@@ -321,7 +321,7 @@ def _read_datasets(path: Path, columns: Mapping[str, Any]) -> dict[str, Array]:
     unpacked = 0.0
     for name, data in columns.items():
         _refuse_other_files(path, name, data)
-        # A chunk is unpacked whole, however little of it belongs to the array.
+        # A chunk is unpacked completely, however little of it belongs to the array.
         chunk = math.prod(data.chunks or ()) * data.dtype.itemsize
         unpacked += max(data.nbytes, chunk)
     refuse_bomb(path, unpacked, path.stat().st_size)
@@ -452,7 +452,7 @@ def _arrow_table(path: Path, layout: str, columns: Any) -> LogTable:
 
 
 def _arrow_array(name: str, column: Any) -> Array:
-    """Return a column (N,), or (N, k) of one with lists; NaN for a list that is missing."""
+    """Return an Arrow column as (N,), or (N, k) for lists of k numbers; NaN for a missing list."""
     combined = column.combine_chunks()
     if "list" not in str(combined.type):
         return _arrow_numbers(combined)
@@ -471,16 +471,16 @@ def _arrow_array(name: str, column: Any) -> Array:
 
 
 def _arrow_numbers(column: Any) -> Array:
-    """Return an Arrow array as floats, dates and lengths of time as they are."""
+    """Return an Arrow array (N,) as floats; dates and durations stay NumPy's."""
     values = column.to_numpy(zero_copy_only=False)
     return values if values.dtype.kind in "Mm" else np.asarray(values, float)
 
 
 def _unpacked_bytes(metadata: Any, columns: Sequence[str]) -> float:
-    """Return what columns of a Parquet file take [bytes]: as numbers, and while put together."""
-    # Pages of equal numbers say a few bytes of thousands; a page may hold more than its numbers.
+    """Return the memory that reading columns of a Parquet file takes at most [bytes]."""
+    # Pages state too little where numbers are equal, and may hold more than their numbers.
     size = 0.0
-    # Of a list: its name, then such as ".list.element".
+    # A column of lists is called by its name and a suffix such as ".list.element".
     prefixes = tuple(f"{name}." for name in columns)
     for group in map(metadata.row_group, range(metadata.num_row_groups)):
         for chunk in map(group.column, range(group.num_columns)):
@@ -501,13 +501,13 @@ _SUFFIXES = {
     "torque": "torque [Nm]",
     "effort": "torque [Nm]",
 }
-# Features whose names are joints, to their quantity.
+# Features (arrays of a frame) whose names are those of joints, to their quantity.
 _FEATURES = {"observation.velocity": "velocity", "observation.effort": "torque"}
 _DOWNLOAD = "download the data set whole"
 
 
 def lerobot_table(source: LogSource) -> LogTable:
-    """Return the selected episodes of a data set, or all, each a recording of its own."""
+    """Return the selected episodes of a LeRobot data set, or all, each as one recording."""
     path = source.path
     commanded = source.options.commanded
     info = _as_mapping(read_json(path / "meta" / "info.json", _DOWNLOAD))
@@ -580,7 +580,7 @@ def _lerobot_titles(names: Any, feature: str, joint_names: Sequence[str]) -> lis
 
 
 def _read_frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:
-    """Return the columns of all Parquet files of a data set, (N,), or (N, k) of lists."""
+    """Return the columns of all Parquet files of a data set: (N,), or (N, k) for lists."""
     parquet = import_optional("pyarrow.parquet", "lerobot", LEROBOT)
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:

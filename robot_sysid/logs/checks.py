@@ -1,8 +1,8 @@
 """Checks of a log's form, before anything is estimated from it.
 
 A check takes the usable rows and the robot. It returns notes (the run goes on) or raises InputError
-(the numbers cannot mean what they seem to). Both name the first line and a remedy; a log is refused
-with all that is wrong with it at once.
+(the numbers cannot be those of this arm). Both name the first line and a remedy; the error of a log
+that is refused lists the faults of all checks.
 """
 
 from __future__ import annotations
@@ -29,18 +29,25 @@ from robot_sysid.records.messages import Detail, position_unit
 from robot_sysid.signals.resampling import GAP_STEPS, sampling_period
 
 Check = Callable[[LogRows, RobotModel], "Iterable[str] | None"]
+"""Function that returns notes on the rows of a log, or None, and raises InputError for a fault."""
 
 
 class _Tolerance(NamedTuple):
-    """Share of rows with an anomaly beyond which a log is refused, and the texts for both cases."""
+    """Share of rows with an anomaly above which a log is refused, and the texts of the message.
+
+    Attributes:
+        share: from 0 to 1.
+        description: the anomaly, behind "... rows".
+        remedy: what to do where the log is refused.
+    """
 
     share: float
     description: str
     remedy: str
 
 
-# Chosen: beyond a hundredth a file is not what it seems to be; holes of a twentieth still leave
-# most filter windows complete.
+# The shares are choices: with more than 1 % of unreadable rows a file is no such table; with 5 % of
+# rows missing, most filter windows are still complete.
 _TOLERANCES = {
     UNREADABLE: _Tolerance(
         0.01,
@@ -64,8 +71,9 @@ _TOLERANCES = {
     ),
 }
 _ALWAYS_TOLERATED = 1
-"""Rows that may be left out whatever their share: the last one of a recording is often cut off."""
+"""Number of rows with an anomaly that is always allowed: the last row is often cut off."""
 _FEWEST_ROWS = 10
+"""Least number of usable rows for which the other checks are run."""
 _LONGEST_PERIOD = 0.5
 """A longer sampling period is in the wrong unit of time [s]: 1 to 1000 Hz are usual."""
 _SHORTEST_PERIOD = 1e-5
@@ -111,10 +119,12 @@ def check_log(
 
     Args:
         name: of the log, for the error.
-        in_radians: whether the unit of angles was declared, so that it is not questioned.
+        rows: the usable rows in SI units.
+        robot: the arm.
+        in_radians: whether the unit of angles was declared, so that it is not checked.
 
     Raises:
-        InputError: all faults, but not those that only follow from another one.
+        InputError: lists all faults, but not those that only follow from another one.
     """
     notes = list[str]()
     faults = list[str]()
@@ -152,7 +162,10 @@ def _too_few_rows(rows: LogRows, robot: RobotModel) -> str:
 
 
 def require_few(anomaly: str, rows: LogRows, robot: RobotModel) -> Iterator[str]:
-    """Yield a note on the rows left out for an anomaly; refuse a log where they are too many."""
+    """Yield a note on the rows left out for an anomaly; refuse a log where they are too many.
+
+    ``anomaly`` is a key of ``_TOLERANCES``.
+    """
     share, description, remedy = _TOLERANCES[anomaly]
     count = rows.anomalies[anomaly].count
     first = rows.anomalies[anomaly].first
@@ -172,7 +185,7 @@ def require_few(anomaly: str, rows: LogRows, robot: RobotModel) -> Iterator[str]
 
 
 def _refuse_empty_columns(rows: LogRows) -> None:
-    """Refuse columns without any number, and joints that do not stand in one row."""
+    """Raise InputError for columns without any number, and for joints that are in separate rows."""
     counts = rows.empty_cells.items()
     empty = [repr(title) for title, count in counts if count == rows.n_read]
     if empty:
@@ -193,13 +206,13 @@ def _refuse_empty_columns(rows: LogRows) -> None:
 
 
 def _emptiest_column(rows: LogRows) -> str:
-    """Return which column is empty most often, and how often."""
+    """Return a phrase with the column that is empty most often, and how often."""
     title = max(rows.empty_cells, key=lambda title: rows.empty_cells[title])
     return f"column {title!r}, in {rows.empty_cells[title]} of {rows.n_read}"
 
 
 def _mending_notes(rows: LogRows) -> Iterator[str]:
-    """Yield notes on unwrapped positions, rows of other arms, and thinning."""
+    """Yield notes on unwrapped positions, rows without this arm's data, and thinning."""
     if rows.anomalies[WRAPPED].count:
         first = rows.anomalies[WRAPPED].first
         yield f"unwrapped positions that jump by a full turn (first: {first})"
@@ -243,7 +256,7 @@ def _longer_unit_remedy(period: float) -> str:
 
 
 def require_one_clock(rows: LogRows, robot: RobotModel) -> None:
-    """Refuse joints' own time stamps that run backwards or belong to another clock."""
+    """Raise InputError where the joints' time stamps run backwards or are of another clock."""
     stamps = rows.samples.joint_time
     if stamps is None:
         return
@@ -262,7 +275,10 @@ def require_one_clock(rows: LogRows, robot: RobotModel) -> None:
 
 
 def require_radians(rows: LogRows, robot: RobotModel) -> None:
-    """Refuse positions or speeds that no arm has in radians and seconds; name a likely unit."""
+    """Raise InputError for positions or speeds that no arm has in radians and seconds.
+
+    The error names a probable unit.
+    """
     time = rows.samples.time
     q = rows.samples.q
     limit = np.maximum(np.abs(robot.limits.lower), np.abs(robot.limits.upper))
@@ -294,10 +310,13 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
 
 
 def _offset_turns(q: Array, limit: Array, is_far: Mask) -> Array:
-    """Return the full turns (n,) by which joints are off the model's zero.
+    """Return the number of full turns (n,) by which positions q (N, n) are off the model's zero.
 
-    Zero for all, unless taking the turns off puts every far joint within its limits; ``limit`` (n,)
-    [rad], infinite for none.
+    Zero for all joints, unless subtracting the turns brings every far joint within its limits.
+
+    Args:
+        limit: (n,) largest absolute position [rad]; infinite without a limit.
+        is_far: (n,) whether a joint's positions are implausibly large.
     """
     turns = np.round(np.median(q, axis=0) / _TURN)
     bound = np.where(limit < np.inf, limit, np.pi)
@@ -307,9 +326,9 @@ def _offset_turns(q: Array, limit: Array, is_far: Mask) -> Array:
 
 
 def _are_often_fast(q: Array, step: Array) -> Mask:
-    """Return (n,) whether joints at positions q (N, n) are often faster than _FAST.
+    """Return whether each joint (n,) at positions q (N, n) [rad] is often faster than _FAST.
 
-    Speeds are taken over N - R rows; ``step`` (R,) is the time that so many rows take [s].
+    Speeds are mean speeds over N - R rows; ``step`` (R,) are the durations of N - R rows [s].
     """
     n_rows = len(q) - len(step)
     is_fast = np.abs(q[n_rows:] - q[:-n_rows]) > _FAST * step[:, None]
@@ -317,7 +336,14 @@ def _are_often_fast(q: Array, step: Array) -> Mask:
 
 
 def _explain_speed(time: Array, q: Array, name: str, is_fast: Mask) -> str:
-    """Return why positions q (N, n) look fast, and a remedy; ``name``: the first fast joint."""
+    """Return the probable reason for implausible speeds, and a remedy.
+
+    Args:
+        time: (N,) [s].
+        q: (N, n) positions [rad].
+        name: of the first joint that is too fast.
+        is_fast: (n,) whether a joint is too fast.
+    """
     step = np.diff(time)
     period = sampling_period(time)
     symptom = f"joint {name} would often exceed {_FAST:g} rad/s"
@@ -346,7 +372,7 @@ def _explain_speed(time: Array, q: Array, name: str, is_fast: Mask) -> str:
 
 
 def require_no_jumps(rows: LogRows, robot: RobotModel) -> None:
-    """Refuse single positions no joint can reach within one step."""
+    """Raise InputError for single positions that no joint can reach within one step."""
     threshold = np.maximum(_JUMP, _JUMP_SPEED * np.diff(rows.samples.time))
     faults = []
     for name, q in zip(robot.joint_names, rows.samples.q.T):
@@ -407,7 +433,10 @@ def limit_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
 
 
 def require_torque(rows: LogRows, robot: RobotModel) -> None:
-    """Refuse torques that are constant over the log, which commanded positions may be."""
+    """Raise InputError for torques that are constant over the log.
+
+    Logs of commanded positions are not checked: these may be constant.
+    """
     if rows.samples.command is not None:
         return
     tau = rows.samples.tau

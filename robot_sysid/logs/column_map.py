@@ -1,10 +1,10 @@
-"""Which column of a log is which quantity of which joint, by its title or by a columns file.
+"""The map from a log's columns to quantities of joints, by column titles or by a columns file.
 
 A column belongs to a joint because its title carries the joint's name (``elbow_effort``), or else
 by counting from 0 or 1 (``q1 .. q6``, ``j0_pos ..``). ``ColumnMap.describe`` states every choice in
 one line; where two columns could be one quantity, an error lists both.
 
-The file behind ``--columns`` declares what titles leave open, in lines of ``key = value``::
+The file of ``--columns`` declares columns that titles do not determine, as ``key = value``::
 
     # lines starting with # are comments
     time = Zeit
@@ -48,21 +48,23 @@ from robot_sysid.logs.titles import (
 )
 from robot_sysid.records import Array
 
+# Keys of a columns file; those of quantities may be followed by ".joint".
 _KEYS = ("time", *QUANTITIES, "acceleration", "units", "rate")
+# A factor and a title: "0.95 * I3".
 _SCALED = re.compile(
     r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*\s*(.+)", re.ASCII
 )
 _ANGLE_UNITS = ("rad", "deg")
 _TIME_UNITS = ("s", "ms", "us", "ns")
 _LONGEST = 1_000_000
-"""Characters of a columns file that are read: 10 000 long lines."""
+"""Largest number of characters of a columns file that are read: 10 000 long lines."""
 _BLANK = "?"
-"""Stands in a draft for a column that the user has to name."""
+"""Placeholder in a draft for a column that the user has to name."""
 
 
 @dataclass(frozen=True)
 class ColumnChoices:
-    """What the user, or the form of a file, declares of a log's columns; None where undeclared.
+    """Declarations on a log's columns, by the user or by the form of a file; None for undeclared.
 
     Attributes:
         time: title of the time column.
@@ -145,7 +147,14 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
 def _titles_by_joint(
     path: Path, quantity: str, joint: str, value: str, joint_names: Sequence[str]
 ) -> dict[str, str]:
-    """Return joint name to title, from the value of a line about one joint, or "" for all."""
+    """Return joint name to title, from the value of one line of a columns file.
+
+    Args:
+        quantity: the line's key before the dot.
+        joint: the key behind the dot, a joint name; "" where the line is about all joints.
+        value: the text behind "=".
+        joint_names: (n,) of the chain, base to terminal.
+    """
     if joint and joint not in joint_names:
         valid = f"the chain's joints are {', '.join(joint_names)}"
         raise InputError(
@@ -184,7 +193,13 @@ def _parse_rate(path: Path, value: str) -> float:
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the file, by its index from 0, and the factor that turns it into SI units."""
+    """A column of the file.
+
+    Attributes:
+        index: of the column, from 0.
+        title: as the file has it.
+        factor: by which the column's numbers are multiplied to be in SI units.
+    """
 
     index: int
     title: str
@@ -193,11 +208,13 @@ class Column:
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """The column of each quantity; of joints one per chain joint, base to terminal.
+    """The column of each quantity of a log; tuples hold one per chain joint, base to terminal.
 
     Attributes:
-        rate: samples per second of a log without time stamps.
-        joint_time: time stamps of the joints' own, where the log has them.
+        time: None for a log without time stamps.
+        rate: samples per second of a log without time stamps [Hz].
+        velocity: None where velocities are differentiated from positions.
+        joint_time: time stamps of each joint, where the log has them.
         unused: titles of all other columns.
         angle_declared: whether the unit of angles was declared (option or title), not assumed.
         commanded: whether ``torque`` holds commanded positions in place of torques.
@@ -223,7 +240,7 @@ class ColumnMap:
         return [*time, *chain.from_iterable(self.groups())]
 
     def with_torque_factor(self, factor: Array) -> ColumnMap:
-        """Return the map with each joint's torque multiplied by a factor (n,)."""
+        """Return a copy in which each joint's torque is multiplied by a factor (n,) as well."""
         pairs = zip(self.torque, factor.tolist())
         torque = tuple(replace(column, factor=k * column.factor) for column, k in pairs)
         return replace(self, torque=torque)
@@ -293,10 +310,12 @@ def recognise_columns(
 
     Args:
         titles: header cells; "#1", "#2", ... where the file has no header.
-        choices: what was declared; it outranks the titles.
+        joint_names: (n,) of the chain, base to terminal.
+        choices: declarations, which outrank the titles.
         first_row: the first row of data (it may hold joint names, as ROS logs do).
         is_slide: (n,) whether a joint is a slide, whose positions are never angles.
-        currents, commanded: as in ``titles.interpret_titles``.
+        currents: whether columns of motor currents are read in place of torques.
+        commanded: whether columns of commanded positions are read in place of torques.
 
     Raises:
         ColumnsError: a quantity is missing, has two candidates, or contradicts the declared units.
@@ -333,7 +352,7 @@ class _ColumnFinder:
     recognised: dict[str, Sequence[Column] | None] = field(default_factory=dict)
 
     def find_all(self, first_row: Sequence[str]) -> ColumnMap:
-        """Return the map, or raise InputError with all that is wrong; fills ``recognised``."""
+        """Return the map, or raise InputError that lists all faults; fills ``recognised``."""
         candidates = match_joints(self._open_titles(), self._joint_names, first_row)
         faults = list[str]()
         time = None
@@ -369,8 +388,8 @@ class _ColumnFinder:
         )
 
     def _open_titles(self) -> list[Title]:
-        """Return the titles, empty ones in the place of quantities declared for every joint."""
-        # What is declared in full need not be recognised, and cannot be ambiguous.
+        """Return the titles, with empty ones for quantities that are declared for every joint."""
+        # These need not be recognised, and cannot be ambiguous.
         count = len(self._joint_names)
         declared = self._choices.columns.items()
         settled = {quantity for quantity, titles in declared if len(titles) == count}
