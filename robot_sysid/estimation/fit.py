@@ -1,4 +1,9 @@
-"""The one fit: linearise, weight rows, widen priors, solve, make bodies consistent; repeat."""
+"""The fit of parameters: linearise, weight rows, widen priors, solve, make bodies consistent.
+
+Shapes: n joints of the chain, "joints" those with equations; p parameters (``Columns.names``), k of
+them estimated; K rows of a joint. Equations are weighted by 1 / effective noise, which counts rows
+that are not independent: noise times sqrt(inflation by repeated motion times correlation factor).
+"""
 
 from __future__ import annotations
 
@@ -43,11 +48,11 @@ from robot_sysid.signals.repetition import Visits
 
 # Largest number of linearisations without a delay or tilt to estimate.
 _MAX_ROUNDS = 8
-# Largest number of linearisations with one.
+# Largest number of linearisations with a delay or tilt to estimate.
 _AUTO_ROUNDS = 20
-# Largest number of solutions that each hold more parameters at bounds.
+# Largest number of solutions, each of which holds more parameters at their bounds.
 _MAX_BOUND_ROUNDS = 6
-# Change of predictions and priors at convergence, in standard deviations.
+# Change of predicted torques and unknowns at convergence, in standard deviations of noise, priors.
 _SETTLED = 0.05
 # Change of the delay at convergence [s].
 _SETTLED_DELAY = 1e-6
@@ -62,10 +67,10 @@ class Evidence:
     """Information of recordings around a point, of a size that does not grow with their length.
 
     Attributes:
-        blocks: the information of each block of rows that is held out in turn.
+        blocks: square-root information of each block of rows, about all p parameters.
         squared_torque: (blocks, joints) sum of squares of the measured torque [N^2 m^2].
         torque: (n,) root mean square of each joint's measured torque [N m].
-        total: the information of all blocks.
+        total: square-root information of all blocks together.
     """
 
     blocks: tuple[SquareRootInformation, ...]
@@ -84,17 +89,20 @@ class Evidence:
         return Evidence((self.total,), squared_torque, self.torque)
 
     def of(self, unknowns: Unknowns) -> SquareRootInformation:
-        """Return the information of all blocks about the unknowns, other parameters held."""
+        """Return the information of all blocks about the unknowns, without their priors."""
         return restrict(self.total, unknowns.estimated_names, unknowns.held)
 
     def squared_residuals(self, values: Array) -> Array:
-        """Return squared residuals (blocks, joints, m) at values (blocks, p, m) [N^2 m^2]."""
+        """Return sums of squared residuals (blocks, joints, m) at values (blocks, p, m) [N^2 m^2].
+
+        Every block has m sets of parameters of its own.
+        """
         pairs = zip(self.blocks, values)
         return np.array([block.squared_residuals(x) for block, x in pairs])
 
     @cached_property
     def nonzero(self) -> np.ndarray:
-        """Which parameters (p,) have a column that is not zero."""
+        """Mask (p,) of the parameters that have a column which is not zero."""
         nonzero = np.zeros(len(self.total.names), dtype=bool)
         for joint in self.total.joints:
             nonzero[joint.columns] |= np.any(joint.triangle[:, :-1] != 0.0, axis=0)
@@ -143,6 +151,7 @@ class EstimatedRows:
             yield (joint, *self._joint_rows(joint))
 
     def _joint_rows(self, joint: int) -> tuple[Array, Array]:
+        """Return a joint's (rows, right-hand sides (rows,)) of all recordings, in new arrays."""
         columns = self.samples[0].columns[joint]
         is_estimated = np.isin(columns, self.unknowns.estimated)
         held = self.unknowns.held[columns[~is_estimated]]
@@ -179,17 +188,18 @@ class Fit:
 
     Attributes:
         columns: parameter names, and the rows of recordings.
-        question: what to estimate.
-        choice: what the recordings decided.
+        question: which parameters are wanted.
+        choice: settings that were selected from the recordings.
         point: around which the equations were linearised.
-        samples: each recording's rows; () where only their evidence is available.
-        evidence: of these rows.
+        samples: rows of each recording; () where only their evidence is available.
+        evidence: of the rows of all recordings.
         unknowns: which parameters were estimated, and their priors, widened by the data.
-        weights: (joints,) of each joint's equations [1/(N m)].
+        weights: (joints,) of each joint's equations, 1 / effective noise [1/(N m)].
         inflation: (joints,) variance inflation of each joint's noise, because motion repeats.
         residual_correlation: (joints,) rows per independent row, by the residuals' autocorrelation.
-        free: (p,) the estimate before bodies had to be physically consistent.
-        values: (p,) the estimate; delay, tilt and speeds are increments of those of the point.
+        free: (p,) the estimate with bodies that may be physically inconsistent.
+        values: (p,) the estimate with consistent bodies; its delay, tilt and friction speeds are
+            increments on those of the point, and ``final`` has their totals.
     """
 
     columns: Columns
@@ -207,7 +217,7 @@ class Fit:
 
     @property
     def information(self) -> SquareRootInformation:
-        """Information of data and priors about the k unknowns, made anew on each access."""
+        """Information of data and priors about the k unknowns, computed on each access."""
         return with_prior(self.evidence.of(self.unknowns), self.unknowns.groups)
 
     @property
@@ -222,31 +232,31 @@ class Fit:
 
     @property
     def noise_per_joint(self) -> dict[str, float]:
-        """Joint to standard deviation of its torque noise [N m], of joints with samples."""
+        """Joint to standard deviation of its torque noise [N m], only joints with used rows."""
         pairs = zip(self.evidence.total.joints, self.noise.tolist())
         return {joint.joint: noise for joint, noise in pairs if joint.n_samples}
 
     @property
     def is_constrained(self) -> bool:
-        """Whether the plain estimate was replaced by one with physically consistent bodies."""
+        """Whether bodies were made physically consistent: ``values`` differ from ``free``."""
         return bool(np.any(self.values != self.free))
 
     @property
     def rows(self) -> EstimatedRows:
-        """Rows of the unknowns."""
+        """Rows of all recordings in the columns of the unknowns, needs ``samples``."""
         return EstimatedRows(self.samples, self.unknowns)
 
     def value(self, name: str) -> float:
-        """Return one parameter of ``final``."""
+        """Return a named parameter of ``final`` in its SI unit."""
         return float(self.final[self.columns.index[name]])
 
     @property
     def next_point(self) -> Point:
-        """The point for the next linearisation, with the increments of this fit added.
+        """The point for the next linearisation: this estimate, its increments added to the point.
 
         Recordings given as loaded and empty the wrong way round have a payload of negative mass.
-        Around a consistent one, which is far from it, torque scales would fit its torque, so that
-        the point of a payload is the unconstrained estimate.
+        Around a consistent payload, far from that estimate, torque scales would fit its torque, so
+        that with a payload the point is the unconstrained estimate.
         """
         values = self.free if self.question.loaded else self.values
         return self.columns.move_point(self.point, values, self.unknowns.increments)
@@ -273,12 +283,12 @@ class Fit:
 
 @dataclass
 class Fitter:
-    """Fits one question to recordings; each fit begins with the noise of the previous one.
+    """Fits recordings; each fit starts with the noise of the previous one.
 
     Attributes:
         columns: parameter names, and the rows of recordings.
         torque: (n,) root mean square of each joint's measured torque [N m].
-        visits: which rows pass the same states; None where there are none.
+        visits: which rows pass states that other rows pass, too; None where that is not used.
         on_pass: called before every pass over the recordings.
     """
 
@@ -290,9 +300,10 @@ class Fitter:
     _noise: Array | None = None
 
     def around(self, point: Point) -> tuple[Evidence, tuple[DecimatedSamples, ...]]:
-        """Return the evidence of the rows around a point, and the rows of each recording.
+        """Return (evidence of all rows around a point, rows of each recording).
 
-        Those of the last point are cached: they take most of the memory.
+        The results of the last point (the identical object) are cached and shared: callers drop
+        their references before other rows are computed, as rows take most of the memory.
         """
         if self._cache is None or self._cache[0] is not point:
             self.on_pass()
@@ -303,27 +314,25 @@ class Fitter:
         return self._cache[1:]
 
     def forget_rows(self) -> None:
-        """Free the cached rows before others are made."""
+        """Drop the cached rows, to have memory for others."""
         self._cache = None
 
     def correlation_factors(self, fit: Fit) -> Array:
-        """Return how many rows (joints,) of each joint count as one independent row.
+        """Return how many rows (joints,) of each joint count as one independent row in a fit.
 
-        That is the autocorrelation time of their residuals, or the concentration of residuals in a
-        few bursts, whichever is larger.
+        It is the larger one of the autocorrelation time of the residuals, and the concentration of
+        residuals in a few bursts.
         """
         residuals = list(_residuals(fit.samples, fit.values))
         burst_factors = [concentration(residual) for residual in residuals]
         if self.visits is None:
-            times = np.array(
-                [residual_correlation_time(residual) for residual in residuals]
-            )
+            times = np.array(list(map(residual_correlation_time, residuals)))
         else:
             times = self.visits.inflation(residuals)[1]
         return np.maximum(times, burst_factors)
 
     def solve_around(self, point: Point, question: Question, choice: Choice) -> Fit:
-        """Return the solution of the equations around a point."""
+        """Return the solution of the equations linearised around a point, without iterating."""
         data, samples = self.around(point)
         visits = self.visits
         noise = self._noise
@@ -342,14 +351,14 @@ class Fitter:
 
         Args:
             choice: friction terms, couplings, and priors of the links.
-            point: where to begin; None for the model.
-            rounds: how often to linearise at most.
+            point: at which to start; None for the model's own values.
+            rounds: largest number of linearisations; more with a delay or tilt to estimate.
 
         Raises:
             SysidError: a delay or a tilt to estimate does not converge.
         """
-        # Columns of the load and those with a speed depend on the estimate. While friction is
-        # chosen, a load that only its prior allows for needs no exact columns.
+        # Columns of load and of nonlinear terms depend on the estimate. While friction terms are
+        # selected, load-dependent friction that only a prior allows for needs no exact columns.
         terms = {term for model in choice.friction for term in model.terms}
         has_nonlinear_terms = not terms.isdisjoint(("load", *NONLINEAR_TERMS))
         exact_load = has_nonlinear_terms or choice.dry_friction is not None
@@ -380,9 +389,9 @@ class Fitter:
 
 
 def squared_effect(fit: Fit, change: Array) -> float:
-    """Return the sum of squares by which a change (p,) moves predicted torques and priors.
+    """Return the sum of squares by which a change (p,) of parameters moves torques and unknowns.
 
-    Each is in standard deviations: torques in those of the noise, unknowns in those of the prior.
+    Torques count in standard deviations of the noise, unknowns in those of their priors.
     """
     effects = []
     for joint, weight in zip(fit.evidence.total.joints, fit.weights):
@@ -394,7 +403,7 @@ def squared_effect(fit: Fit, change: Array) -> float:
 
 
 def _has_converged(fit: Fit, next_point: Point) -> bool:
-    """Tell whether prediction, delay, gravity and speeds change less than the limits above."""
+    """Tell whether a fit's point and the next one differ less than the limits above."""
     point = fit.point
     change = np.zeros(len(fit.values))
     indices = np.setdiff1d(
@@ -427,15 +436,16 @@ def solve(
     noise: Array | None = None,
     residual_correlation: Array | None = None,
 ) -> Fit:
-    """Solve the equations around a point.
+    """Return the solution of the equations around a point, within bounds, with consistent bodies.
 
     Args:
         data: evidence of the rows around the point.
-        samples: these rows of each recording, for motion that repeats.
-        visits: which rows pass the same states.
-        inflation: (joints,) as ``Visits.inflation`` returns it, without visits.
-        noise: (joints,) to begin with [N m].
-        residual_correlation: (joints,) as ``Visits.inflation`` returns it, without visits.
+        samples: rows of each recording around the point, which ``visits`` needs.
+        visits: which rows pass states that other rows pass, too; None to use ``inflation``.
+        inflation: (joints,) variance inflation by repeated motion; None for one.
+        noise: (joints,) standard deviation of noise at which to start [N m]; None for a default.
+        residual_correlation: (joints,) rows per independent row, by the residuals' autocorrelation;
+            None for those of the choice.
     """
     factors = correlation_factors_of(choice, len(columns.joints))
     repetition = np.ones_like(factors) if inflation is None else inflation
@@ -453,13 +463,9 @@ def solve(
             widens = any(group.may_widen for group in unknowns.groups)
             if widens or not np.array_equal(assumed, repetition):
                 variance_factors = repetition * factors
+                ratio = correlation / factors
                 unknowns, free, effective_noise = _solve_within_bounds(
-                    columns,
-                    unknowns,
-                    data,
-                    variance_factors,
-                    correlation / factors,
-                    noise,
+                    columns, unknowns, data, variance_factors, ratio, noise
                 )
                 noise = effective_noise / np.sqrt(variance_factors)
         weights = 1.0 / effective_noise
@@ -487,20 +493,22 @@ def solve(
 
 
 def correlation_factors_of(choice: Choice, n_joints: int) -> Array:
-    """Return how many rows (joints,) of each joint count as one independent row."""
+    """Return how many rows (joints,) count as one independent row by a choice; one as default."""
     factors = choice.correlation_factors
     return np.ones(n_joints) if factors is None else np.array(factors)
 
 
 def _residuals(samples: Sequence[DecimatedSamples], values: Array) -> Iterator[Array]:
-    """Yield residual torques (K,) of each joint at values (p,) [N m], all recordings together."""
+    """Yield each joint's residual torques (K,) of all recordings at parameters (p,) [N m].
+
+    Rows that are not used have NaN.
+    """
     for joint in range(len(samples[0].joints)):
         residuals = []
         for recording in samples:
             coefficients = values[recording.columns[joint]]
-            residuals.append(
-                recording.tau[joint] - recording.rows[joint] @ coefficients
-            )
+            torque = recording.rows[joint] @ coefficients
+            residuals.append(recording.tau[joint] - torque)
         yield np.concatenate(residuals)
 
 
@@ -515,9 +523,6 @@ def _solve_within_bounds(
     """Return the weighted solution with parameters that would cross a bound held at it.
 
     Args:
-        columns: the parameters of the fit, whose model values start the solution.
-        unknowns: which of them are estimated, and their priors.
-        data: the equations of all joints.
         inflation: (joints,) variance inflation of the noise of an equation.
         correlation: (joints,) further variance inflation, by autocorrelated residuals, that counts
             where the data widens priors.
@@ -551,6 +556,10 @@ def _solve_weighted(
 
     Bounds do not count here. It is a function of its own because returning from it frees the rows
     and their squares, which take most of the memory.
+
+    Args:
+        prior: (k,) values for unknowns that neither data nor priors identify.
+        inflation, correlation, noise: as in ``_solve_within_bounds``.
     """
     information = data.of(unknowns)
     posterior = with_prior(information, unknowns.groups)
@@ -574,7 +583,9 @@ def make_consistent(
 ) -> Array:
     """Return the best values (p,) with which all unknown bodies are physically consistent.
 
-    Where they are consistent already, that is the plain estimate ``free`` (p,).
+    Args:
+        weights: (joints,) of each joint's equations [1/(N m)].
+        free: (p,) the unconstrained estimate, which is returned where its bodies are consistent.
     """
     bodies = [free[indices] for indices, _ in unknowns.bodies.values()]
     if all(map(spatial.is_consistent, bodies)):
@@ -584,7 +595,7 @@ def make_consistent(
 
 
 def links_problem(unknowns: Unknowns) -> LinksProblem:
-    """Return the indices of each body among the unknowns, with its usual body there."""
+    """Return each unknown body's indices among the k unknowns, with usual bodies (k,) there."""
     prior = np.zeros(len(unknowns.estimated))
     links = []
     for indices, usual_body in unknowns.bodies.values():
