@@ -499,10 +499,7 @@ def correlation_factors_of(choice: Choice, n_joints: int) -> Array:
 
 
 def _residuals(samples: Sequence[DecimatedSamples], values: Array) -> Iterator[Array]:
-    """Yield each joint's residual torques (K,) of all recordings at parameters (p,) [N m].
-
-    Rows that are not used have NaN.
-    """
+    """Yield each joint's residuals (K,) at parameters (p,) [N m]; NaN where a row is not used."""
     for joint in range(len(samples[0].joints)):
         residuals = []
         for recording in samples:

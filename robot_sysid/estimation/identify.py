@@ -1,4 +1,8 @@
-"""From recordings to an answer: filter, choose, fit, and the file that follows."""
+"""From recordings to an answer: filter, select friction and couplings, fit, fit the model file.
+
+Shapes: n joints of the chain; K rows (instants of equations) of a recording; p parameters
+(``Columns.names``), k of them estimated; a body has ten inertial parameters (``PARAMETER_NAMES``).
+"""
 
 from __future__ import annotations
 
@@ -38,9 +42,10 @@ from robot_sysid.signals.process import LogPiece, process
 from robot_sysid.signals.repetition import find_visits
 
 AT_REST = FrictionModel(("offset",))
-"""Friction terms of poses at rest, which were approached from both sides."""
+"""Friction model for poses at rest: approached from both sides, they have a torque offset only."""
 _PASSES = 18
-"""Passes over the recordings in an identification: 15 to 18 with three real arms and an example."""
+"""Number of passes over the recordings that progress is counted against: an identification takes 15
+to 18 with three real arms and an example."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +54,10 @@ class Piece:
 
     Attributes:
         name: the recording's name in messages.
-        is_loaded: whether it carries the payload.
-        order: its position in the order of recording, as in ``Dataset``.
+        samples: measured positions and torques.
+        is_loaded: whether the arm carries the payload.
+        order: its position in the order of recording, from -1 for the first to 1 for the last; 0
+            where the order is not known.
     """
 
     name: str
@@ -66,8 +73,10 @@ def low_pass_recordings(
 
     The cut-off is the lowest that any of them requires.
 
+    Rows over turns at which a joint stands are left out (``without_standing``).
+
     Returns:
-        (recordings, notes on them, one sentence each).
+        (recordings, one per piece; notes on them, one sentence each).
 
     Raises:
         InputError: a recording is too short.
@@ -95,7 +104,11 @@ def low_pass_recordings(
 
 
 def shared_notes(notes_by_name: Mapping[str, Sequence[str]]) -> Iterator[str]:
-    """Yield each note once, with the names of its recordings where there are several."""
+    """Yield each note once, with the names of its recordings where there are several recordings.
+
+    Args:
+        notes_by_name: name of a recording to its notes; a note may be a subclass of ``str``.
+    """
     for note in dict.fromkeys(
         note for notes in notes_by_name.values() for note in notes
     ):
@@ -114,9 +127,10 @@ def answer_link(
     unchanged_parts: tuple[str, ...] | None = (),
     tests: Mapping[str, Sequence[Dataset]] | None = None,
 ) -> Answer:
-    """Identify an arm from recordings without a payload.
+    """Return the answer for an arm from recordings without a payload.
 
     Args:
+        datasets: filtered recordings, as from ``low_pass_recordings``.
         unchanged_parts: parts of the model file that stay as they are; None for no file.
         tests: name to recordings that only test the result.
 
@@ -172,9 +186,11 @@ def answer_payload(
     progress: Progress,
     unchanged_parts: tuple[str, ...] | None = (),
 ) -> tuple[Answer, Answer]:
-    """Identify a payload from recordings without and with it.
+    """Return the answers for a payload from recordings without and with it.
 
     Args:
+        datasets: filtered recordings, or poses at rest.
+        question: may contain the known mass of the payload.
         unchanged_parts: parts of the model file that stay as they are; None for no file.
 
     Returns:
@@ -211,10 +227,11 @@ def answer_payload(
 def refit(
     answer: Answer, used: Sequence[Mask], unchanged_parts: tuple[str, ...]
 ) -> Answer:
-    """Return the answer from a part of its recordings' rows, with all choices made again.
+    """Return an answer from some of the rows of an answer's recordings, all choices made again.
 
     Args:
-        used: (K,) rows of each recording to use.
+        answer: gives recordings and options.
+        used: mask (K,) for each recording of the rows to use.
         unchanged_parts: parts of the model file that stay as they are.
     """
     fit = answer.fit
@@ -227,10 +244,11 @@ def refit(
 
 
 def _passes(progress: Progress) -> Callable[[], None]:
-    """Return the function that reports progress, which a fitter calls before each pass."""
+    """Return a function that counts passes over the recordings and reports progress by them."""
     done = itertools.count()
 
     def report() -> None:
+        """Count one more pass and report it; later passes than ``_PASSES`` count as the last."""
         progress.advance("Identifying", min(next(done), _PASSES - 1), _PASSES, "")
 
     return report
@@ -243,7 +261,11 @@ def _fitter(
     model: FrictionModel | None,
     progress: Progress,
 ) -> Fitter:
-    """Return the fitter, with the given couplings and those that the recordings call for."""
+    """Return a fitter of recordings with the stated couplings and those with clear evidence.
+
+    Args:
+        model: friction of every joint, where the user states it; None to select it later.
+    """
     options = question.options
     repetitions = None
     if options.tilt == "auto":
@@ -264,19 +286,20 @@ def _fitter(
 
 
 WORSE = 2.0
-"""Ratio of mean squared residuals from which on rows make an estimate worse: the variance s^2 / n
-of one from n rows falls by m more of variance r s^2 for as long as r < 2 + m / n."""
+"""Ratio of mean squared residuals above which additional rows make an estimate worse: with n rows
+of variance s^2 its variance is s^2 / n, and m more rows of variance r s^2 lower it only while
+r < 2 + m / n."""
 
 
 def without_standing(
     robot: RobotModel, dataset: Dataset, options: EstimationOptions
 ) -> Dataset:
-    """Return a recording without the rows over turns at which joints stand for a while.
+    """Return a recording without the rows at reversals where joints stand still for a while.
 
     Low-passed positions do not show standing (``signals.turning``), but residuals do. Rows over
     turns also have the most information on inertia, so they are left out only where they fit worse
-    than all others. Every recording is judged by itself: logs that are added up one by one then
-    give the same estimate as together.
+    than all others. Every recording is judged by itself, with a flexible friction model: logs that
+    are added up one by one then give the estimate of all logs together.
 
     Raises:
         InputError: no joint moves fast enough, or the recording is too short.
@@ -308,9 +331,11 @@ def without_standing(
 
 
 def _are_worse(residual: Array, doubtful: NDArray[np.bool_]) -> bool:
-    """Tell whether doubtful rows (K,) have clearly larger residuals (K,) than others.
+    """Tell whether doubtful rows have clearly larger residuals than all other rows.
 
-    Residuals of rows that are not in use are NaN.
+    Args:
+        residual: (K,) residual torques of a joint [N m]; NaN where a row is not used.
+        doubtful: (K,) mask of rows.
     """
     used = np.isfinite(residual)
     doubted = residual[used & doubtful]
@@ -325,8 +350,9 @@ def _are_worse(residual: Array, doubtful: NDArray[np.bool_]) -> bool:
 
 
 SURE_MISFIT = 4.0
-"""Root mean square difference of recordings of one kind, in standard errors, beyond which they are
-refused: no set of 60 simulated ones exceeds 1.9, a real arm with elastic joints reaches 3.3."""
+"""Root mean square difference of recordings of one kind (empty or loaded), in standard errors,
+above which they are refused: none of 60 simulated sets exceeds 1.9, a real arm with elastic joints
+reaches 3.3."""
 LEAST_MASS = 0.03
 """Difference in mass below which recordings agree, as a share of the payload's mass."""
 LEAST_PLACE = 0.01
@@ -334,11 +360,15 @@ LEAST_PLACE = 0.01
 LEAST_GYRATION = 0.05
 """Difference in the payload's radius of gyration below which recordings agree [m]."""
 UNSEEN = 100.0
-"""Prior standard deviation of a body's parameters, which bounds those without data [SI]."""
+"""Prior standard deviation of a body's parameters, which bounds parameters without data [SI]."""
 
 
 def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[RecordingPayload, ...]:
-    """Return the payload from each recording and all of the other kind, in the flange's frame."""
+    """Return the payload according to each recording, compared with all of the other kind.
+
+    The kinds are recordings without and with the payload. A recording that is the only one of its
+    kind gets no entry. Payloads are in the flange frame. The fit needs its rows (``Fit.samples``).
+    """
     unknowns = fit.unknowns
     recordings = fit.columns.datasets
     payloads = []
@@ -369,9 +399,13 @@ def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[RecordingPayload, .
 def contradiction(fit: Fit, flange: Flange) -> str:
     """Return a sentence on recordings of one kind that contradict each other; "" where they agree.
 
-    Bodies are in the flange's frame. Torque scales of the fit may have been adapted to a
-    recording of the wrong kind, so that a difference has to show in a second linearisation, around
-    the model's own values, too.
+    The kinds are recordings without and with the payload. Torque scales of the fit may have been
+    adapted to a recording of the wrong kind, so that a difference has to show in a second
+    linearisation, around the model's own values, too.
+
+    Args:
+        fit: with the rows of recordings (``Fit.samples``).
+        flange: frame in which the sentence states bodies.
     """
     recordings = fit.columns.datasets
     kinds = np.array([log.is_loaded for log in recordings])
@@ -405,7 +439,11 @@ def contradiction(fit: Fit, flange: Flange) -> str:
 
 
 def _describe_body(theta: Array, least: float) -> str:
-    """Return mass and centre of mass of a body (10,) in words, "nothing" up to a mass [kg]."""
+    """Return a phrase with mass and centre of mass of a body (10,).
+
+    Args:
+        least: mass up to which the phrase is "nothing" [kg].
+    """
     if theta[0] <= least:
         return "nothing"
     position = ", ".join(f"{1e3 * x:.0f}" for x in theta[1:4] / theta[0])
@@ -415,13 +453,18 @@ def _describe_body(theta: Array, least: float) -> str:
 def _differences(
     kinds: NDArray[np.bool_], bodies: Array, covariance: Array
 ) -> Iterator[tuple[float, int, str]]:
-    """Yield (rms difference in standard errors, recording number, quantity) of each recording that
-    differs from the others of its kind.
+    """Yield the differences of each recording from the others of its kind that are significant.
+
+    Differences that are small compared with the payload are left out.
 
     Args:
         kinds: (d,) whether each recording carries the payload.
-        bodies: (d, 10) on the arm.
+        bodies: (d, 10) on the arm in each recording, in the frame of the terminal body.
         covariance: (d, 10, d, 10) of the bodies.
+
+    Yields:
+        (root mean square difference in standard errors, number of the recording, quantity that
+        differs: "mass", "centre of mass" or "inertia").
     """
     payload = np.mean(bodies[kinds], axis=0) - np.mean(bodies[~kinds], axis=0)
     mass = max(abs(float(payload[0])), np.finfo(float).tiny)
@@ -452,10 +495,15 @@ def _differences(
 
 
 def bodies_apart(fit: Fit, samples: Sequence[DecimatedSamples]) -> tuple[Array, Array]:
-    """Return (bodies (d, 10), covariance (d, 10, d, 10)): what each recording carries on the arm.
+    """Return (bodies (d, 10), covariance (d, 10, d, 10)) on the arm in each of d recordings.
 
-    The first recording is the reference: its body and its error are zero. Whether a recording is
-    called empty or loaded is not used.
+    Each recording gets a body of its own in place of the payload. The first recording is the
+    reference: its body and its error are zero. Labels of recordings as empty or loaded are not
+    used. Bodies are in the frame of the terminal body.
+
+    Args:
+        fit: gives all other unknowns and their priors.
+        samples: rows of each recording.
     """
     count = len(samples) - 1
     common = np.setdiff1d(fit.unknowns.estimated, fit.columns.indices(PAYLOAD_NAMES))
@@ -464,6 +512,7 @@ def bodies_apart(fit: Fit, samples: Sequence[DecimatedSamples]) -> tuple[Array, 
     names = (*fewer.estimated_names, *added)
 
     def add_body_columns(number: int, samples: DecimatedSamples) -> DecimatedSamples:
+        """Return a recording's rows with columns of all bodies, zero but for that of its number."""
         narrow = restrict_samples(samples, fewer)
         rows = []
         for block, full in zip(narrow.rows, samples.rows):

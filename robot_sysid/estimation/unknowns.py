@@ -1,7 +1,11 @@
 """Parameters to estimate and their priors: the only place where questions differ.
 
-Unknowns come in groups, each with a cause. A question chooses which are free, which have a prior
-and which are held; everything after that is the same for the last link, all links and a payload.
+Nuisance parameters come in groups, each with one cause of error. A question selects which
+parameters are free, which have a prior and which are held; all later steps are common to the last
+link, all links and a payload.
+
+Shapes: n joints of the chain, "joints" those with equations; p parameters (``Columns.names``), k of
+them unknown. A body has ten inertial parameters in the order of ``PARAMETER_NAMES``.
 """
 
 from __future__ import annotations
@@ -48,14 +52,14 @@ COMMON = "common torque scale"
 WEIGHT = "known mass"
 OFFSETS = "sensor offsets"
 CURVATURE = 5.0
-"""Standard deviation of friction's curvature, over dry friction and the share of its load that a
-gear may lose (documented with --friction-uncertainty)."""
+"""Prior standard deviation of the term "sqrt", divided by dry friction times the option
+``friction_uncertainty`` (a share, the default is 2 %)."""
 FADING = 15.0
-"""Standard deviation of the friction that fades with speed, in the units of ``CURVATURE``: a
-Stribeck curve of 30 %."""
+"""Prior standard deviation of each term that fades with speed, divided by dry friction times the
+option ``friction_uncertainty``: a Stribeck curve of 30 % with the default of 2 %."""
 LARGEST_USUAL_LOSS = 2.5
-"""Largest standard deviation of a gear's loss where dry friction is large, over the share of its
-load that a gear may lose."""
+"""Largest prior standard deviation of the share of its load that a gear loses, which is reached
+where dry friction is large, divided by the option ``friction_uncertainty``."""
 LEAST_COULOMB = 0.02
 """Least dry friction before a fit, as a share of the joint's root mean square torque."""
 LEAST_FITTED_COULOMB = 1e-3
@@ -63,7 +67,8 @@ LEAST_FITTED_COULOMB = 1e-3
 LARGEST_LOSS = 0.3
 """Share of its load that a gear loses at most: one that lost half of it would lock backwards."""
 DRIFTS = 0.2
-"""Standard deviation of friction's drift from the middle of the recordings to their ends."""
+"""Prior standard deviation of friction's relative drift from the middle of the recordings to their
+ends."""
 LOADED_LOSS = 0.1
 """Standard deviation of the share of its load that a gear loses, where loads differ."""
 FILE_TILT = np.radians(2.0)
@@ -76,11 +81,11 @@ depends on it alone: motor currents of a UR10e read 3 % low to 5 % high."""
 COMMON_SCALE = 0.15
 """Standard deviation of an error that all torque scales share, where the logs show one and no
 option states it: constants of a motor's data sheet and losses of its gear are off by as much."""
-# Standard deviation of a coefficient that is known exactly.
+# Prior standard deviation of a coefficient that is known exactly [SI].
 _EXACT = 1e-9
-# Standard deviation of a mass that is known exactly, as a share of it.
+# Prior standard deviation of a mass that is known exactly, as a share of the mass.
 _EXACT_MASS = 1e-6
-# Friction terms of either sign.
+# Friction terms whose coefficient may be negative.
 _FREE_SIGN = ("offset", "sqrt")
 PER_CENT = 0.01
 """One per cent."""
@@ -95,9 +100,9 @@ class Unknowns:
     Attributes:
         names: (p,) of all parameters.
         estimated: (k,) indices of the unknown parameters, ascending.
-        held: (p,) values of the others.
-        groups: priors of unknown parameters.
-        lower, upper: (p,) bounds.
+        held: (p,) values of all other parameters, which are held.
+        groups: priors of unknown parameters; the others have none.
+        lower, upper: (p,) bounds; infinite where there is none.
         bodies: name to (indices of its ten parameters, a usual body (10,)) of each unknown body,
             which has to be physically consistent.
         increments: names of the unknown parameters that are increments of the linearisation point.
@@ -158,9 +163,9 @@ class Unknowns:
 def _restrict_groups(
     groups: Iterable[NuisanceGroup], names: set[str]
 ) -> Iterator[NuisanceGroup]:
-    """Yield the priors of the named parameters, each independent of the others of its group.
+    """Yield the priors restricted to named parameters; groups without any of them are left out.
 
-    A group without any of the names is left out.
+    Only groups with independent errors may be cut; their aspects are dropped.
     """
     for group in groups:
         indices = [k for k, name in enumerate(group.names) if name in names]
@@ -187,6 +192,7 @@ def build_unknowns(
     """Return the unknowns of a question, with their priors and bounds.
 
     Args:
+        columns: names of all parameters, the model's values, and the arm.
         torque: (n,) root mean square of each joint's measured torque [N m].
         nonzero: (p,) which parameters have a column that is not zero.
     """
@@ -231,7 +237,11 @@ def build_unknowns(
 
 
 def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:
-    """Yield (joint or motor, its friction terms); a motor has those of all joints that it turns."""
+    """Yield (joint or motor, names of its friction terms), with speeds of nonlinear terms.
+
+    A motor that turns several joints has the terms of all these joints that a motor can have; its
+    rotor is left out where its inertia is known.
+    """
     for row, joint in zip(columns.joint_indices, columns.joints):
         model = choice.friction[row]
         yield (
@@ -267,7 +277,11 @@ def _increment_names(
 
 
 def _held_values(columns: Columns, question: Question, choice: Choice) -> Array:
-    """Return the values (p,) of parameters that are not estimated; zero for all others."""
+    """Return the values (p,) at which parameters are held where they are not estimated.
+
+    Links, friction and rotors that stay as they are have the model's values, a carried payload and
+    known rotors their own; all other values are zero. Those of unknown parameters have no effect.
+    """
     held = np.zeros(len(columns.names))
     for name, indices in columns.bodies().items():
         if name != "payload":
@@ -315,14 +329,22 @@ def independent_prior(
     standard_deviation: float | Array,
     may_widen: bool = False,
 ) -> NuisanceGroup:
-    """Return the prior of nuisances with independent errors, of one or (k,) standard deviations."""
+    """Return the prior of k nuisances with independent errors around zero.
+
+    Args:
+        cause: cause of the errors, as it is called in results.
+        names: (k,) names of the parameters.
+        members: (k,) name of each nuisance's link or joint, for messages.
+        standard_deviation: one for all, or (k,) [SI].
+        may_widen: whether the data may widen the prior.
+    """
     mean = np.zeros(len(names))
     factor = standard_deviation * np.eye(len(names))
     return NuisanceGroup(cause, tuple(names), mean, factor, tuple(members), may_widen)
 
 
 def with_common(group: NuisanceGroup, common_deviation: float) -> NuisanceGroup:
-    """Return the prior of nuisances that also share an error of one standard deviation."""
+    """Return the prior of nuisances that share an additional error of a standard deviation [SI]."""
     if not common_deviation:
         return group
     covariance = group.factor @ group.factor.T + common_deviation**2
@@ -333,7 +355,11 @@ def with_common(group: NuisanceGroup, common_deviation: float) -> NuisanceGroup:
 def _prior_groups(
     columns: Columns, question: Question, choice: Choice, torque: Array
 ) -> Iterator[NuisanceGroup]:
-    """Yield the priors of a question, one group per cause of error; torques (n,) are in N m."""
+    """Yield the priors of a question, one group per cause of error.
+
+    Args:
+        torque: (n,) root mean square of each joint's measured torque [N m].
+    """
     links = _link_group(columns, question, choice)
     if links is not None:
         yield links
@@ -376,7 +402,13 @@ def _prior_groups(
 def _friction_group(
     columns: Columns, question: Question, choice: Choice, torque: Array
 ) -> Iterator[NuisanceGroup]:
-    """Yield the prior of friction terms that the model lacks, sized by the joint's dry friction."""
+    """Yield the prior of friction terms that the friction model lacks; nothing where it has all.
+
+    Standard deviations follow from the joint's dry friction.
+
+    Args:
+        torque: (n,) root mean square of each joint's measured torque [N m].
+    """
     share = PER_CENT * question.options.friction_uncertainty
     if share == 0.0:
         return
@@ -412,8 +444,12 @@ def _friction_group(
 
 
 def expected_dry_friction(columns: Columns, torque: Array) -> tuple[float, ...]:
-    """Return the dry friction (joints,) to expect before a fit [N m]: the file's, or a share of the
-    root mean square torques (n,) [N m].
+    """Return the dry friction (joints,) to expect before a fit [N m].
+
+    It is the model's Coulomb friction, and at least a share ``LEAST_COULOMB`` of the torque.
+
+    Args:
+        torque: (n,) root mean square of each joint's measured torque [N m].
     """
     rows = list(columns.joint_indices)
     dry = np.maximum(columns.robot.friction.coulomb[rows], LEAST_COULOMB * torque[rows])
@@ -423,9 +459,10 @@ def expected_dry_friction(columns: Columns, torque: Array) -> tuple[float, ...]:
 def _link_group(
     columns: Columns, question: Question, choice: Choice
 ) -> NuisanceGroup | None:
-    """Return the model's prior of all links but the terminal one; None where none is unknown.
+    """Return the prior of all links but the terminal one; None where none of them is unknown.
 
-    A placeholder gets a wide prior, from zero to two usual bodies.
+    Its mean is the model's body with the stated uncertainty. For a placeholder, it is a usual body
+    with a standard deviation as large as that body.
     """
     robot = columns.robot
     bodies = dict(_bodies(columns, question))
@@ -462,7 +499,11 @@ def _link_group(
 
 
 def scale_spread(columns: Columns, options: EstimationOptions, loaded: bool) -> Array:
-    """Return the prior standard deviation (joints,) of each row's torque scale, a share."""
+    """Return the prior standard deviation (joints,) of each joint's torque scale, a share.
+
+    Args:
+        loaded: whether a payload is weighed, for which the default is larger.
+    """
     percent = options.scale_uncertainty
     if percent is None:
         percent = LOADED_SCALE if loaded else USUAL_SCALE
@@ -471,14 +512,20 @@ def scale_spread(columns: Columns, options: EstimationOptions, loaded: bool) -> 
 
 
 def common_error(spread: Array) -> float:
-    """Return the standard deviation of the mean of scales, of standard deviations (joints,), each
-    weighted by 1 / its variance; zero where one is known exactly.
+    """Return the standard deviation of the mean of torque scales, weighted by 1 / variance.
+
+    It is zero where one scale is known exactly.
+
+    Args:
+        spread: (joints,) standard deviations of the scales.
     """
     return 1.0 / float(np.linalg.norm(1.0 / spread)) if np.all(spread > 0.0) else 0.0
 
 
 def _no_common_scale(scales: NuisanceGroup) -> NuisanceGroup:
-    """Return a prior that holds the mean of all torque scales, weighted by 1 / variance, at one.
+    """Return a prior that holds the mean error of all torque scales at zero, 1/variance weighted.
+
+    It comes in addition to the prior of the scales, ``scales``.
 
     A scale that all joints have in common scales every mass alike. Only the model's masses could
     identify it, and they are not trusted here, so it goes into the errors instead. Of scales with
