@@ -526,8 +526,7 @@ def _solve_within_bounds(
         noise: (joints,) noise to begin with [N m]; None estimates it from the data alone.
 
     Returns:
-        (unknowns with held parameters and widened priors, values (p,), effective noise (joints,)
-        [N m], by which equations are divided).
+        (unknowns with widened priors, values (p,), effective noise (joints,) [N m]).
     """
     while True:  # each round holds at least one more parameter
         model_values = columns.model_values[unknowns.estimated]

@@ -1,7 +1,10 @@
 """Whether a result is trustworthy: reasons against a fit, a link, a file or a payload.
 
 A large standard error alone is no reason. Refused are bodies that this arm cannot carry, torques
-that do not follow from the motion, and files that predict no better than the model's own.
+that do not follow from the motion, and files that predict no better than the given model.
+
+A body has ten inertial parameters (``PARAMETER_NAMES``); the chain has n joints. "Independent
+samples" are those that count after the autocorrelation of residuals.
 """
 
 from __future__ import annotations
@@ -28,20 +31,23 @@ from robot_sysid.records.messages import percent, with_error
 from robot_sysid.results.record import BodyEstimate, JointEstimate, Verdict
 
 HARMLESS = 0.02
-"""Held-out error, as a share of the torque, that is accepted whatever the noise is."""
+"""Held-out error, as a share of the torque, up to which the noise of the fit does not matter."""
 UNUSUAL = 0.035
 """Share of all torque that neither model nor noise explains, above which a note is added."""
 UNEXPLAINED = 0.05
-"""That share above which a result is not trustworthy: logs of right models have 0.4 to 3 %."""
+"""Share of all torque that neither model nor noise explains, above which a result is not
+trustworthy: logs of right models have 0.4 to 3 %."""
 ODD_JOINT = 10.0
-"""Noise over torque of a joint, in medians of the other joints', above which it is a misfit."""
+"""Ratio of noise to torque of a joint, over the median ratio of the other joints, above which the
+joint is a misfit."""
 ODD_NOISE = 0.3
-"""Noise over torque of a joint that is accepted whatever the other joints have."""
+"""Ratio of noise to torque of a joint up to which the other joints' ratios do not matter."""
 MEMORY = 0.5
 """Share of independent samples above which residuals are noise and no misfit: white noise has 0.6
 to 1, torque with another cause 0.1."""
 DRY_FRICTION = 3.0
-"""Dry friction over the usual torque of the strongest other joint above which it is refused."""
+"""Ratio of a joint's dry friction to the root mean square torque of the strongest other joint,
+above which the friction is implausible."""
 COM_BEYOND = 0.3
 """Distance of the centre of mass beyond the model's link that is accepted, as a share of the arm's
 reach: a tool that the model does not have may be bolted to it."""
@@ -49,32 +55,35 @@ GYRATION_BEYOND = 0.1
 """Excess of the radius of gyration over the model's link that is accepted, as a share of the
 arm's reach."""
 MOVED_UNSEEN = 2.0
-"""Largest factor between the model's mass and a mass that the data does not identify."""
+"""Largest factor, up or down, between the model's mass and a mass that the data does not identify
+but that follows from consistent bodies."""
 COARSE = 0.2
 """Expected relative error of the acceleration above which a log is refused."""
 LEAST_WRONG = 0.1
 """Relative error of a link's first moment above which the link is named as wrong."""
 LARGEST_RATIO = 20.0
-"""Largest factor between another link's mass and the model's."""
+"""Largest factor, up or down, between the mass of any link but the last one and the model's."""
 FARTHEST_LINK = 1.5
-"""Largest move of a link's centre of mass, and largest radius of gyration, in sizes of the link."""
+"""Largest distance between estimated and modelled centre of mass, and largest radius of gyration,
+of any link but the last one, in sizes of the link."""
 WORST = 0.5
 """Held-out error of a file, as a share of the torque, above which no file is written."""
 CLEARLY_LOWER = 0.9
-"""Error of the new file over that of the model below which it is better."""
+"""Ratio of the written file's held-out error to the given model's below which it is better."""
 WORSE = 1.1
-"""Error of the new file over that of the model above which it is worse."""
+"""Ratio of the written file's held-out error to the given model's above which it is worse."""
 NEGLIGIBLE = 1e-3
-"""Held-out error, as a share of the torque, that counts as none."""
+"""Held-out error, as a share of the torque, up to which a model counts as exact."""
 FARTHEST_PAYLOAD = 0.5
 """Largest distance of a payload's centre of mass from the flange, as a share of the arm's reach."""
 LEAST_REACH = 0.6
-"""Least reach of an arm for that bound [m]."""
+"""Reach that arms with a smaller one are given in the bound by ``FARTHEST_PAYLOAD`` [m]."""
 MOST_FACTOR = 2.0
-"""Largest factor between a known mass and its estimate: gears lose a third at most."""
+"""Largest factor, up or down, between a payload's known mass and its estimate: gears lose a third
+of the torque at most."""
 # Standard errors of a mass from zero, and of a size beyond its bound, that are significant (95 %).
 _SURE = 2.0
-# A link's smallest size [m].
+# Size that smaller links are given in the bounds by ``FARTHEST_LINK`` [m].
 _LEAST_SIZE = 0.02
 Judgement = tuple[Verdict, str]
 """A verdict and the reason for it, one sentence without a full stop."""
@@ -83,7 +92,10 @@ Judgement = tuple[Verdict, str]
 def first(
     findings: Iterable[Judgement], otherwise: Verdict
 ) -> tuple[Verdict, tuple[str, ...]]:
-    """Return (verdict of the first finding, ``otherwise`` without findings; reasons of all)."""
+    """Return (verdict of the first finding, reasons of all findings).
+
+    Without findings, the verdict is ``otherwise``.
+    """
     judged = list(findings)
     return (judged[0][0] if judged else otherwise), tuple(
         reason for _, reason in judged
@@ -99,6 +111,7 @@ def find_misfits(
     """Yield reasons why the torques do not follow from the motion within their noise.
 
     Args:
+        tests: held-out errors and errors on other logs; only informative ones count.
         acceleration_error: expected relative error of the acceleration; 0 where unknown.
         independent_share: joint to the share of its residuals that are independent samples.
     """
@@ -166,7 +179,11 @@ def unexplained_share(
 
 
 def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judgement]:
-    """Yield reasons why this arm cannot have the estimated terminal link."""
+    """Yield reasons why this arm cannot have the estimated terminal link.
+
+    Bounds on its centre of mass and radius of gyration follow from the extent of the link's
+    geometry in the model and from the reach of the arm.
+    """
     body = link.inertial
     errors = link.errors
     if not body.mass > 0.0:
@@ -200,7 +217,12 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judgemen
 def implausible_joints(
     robot: RobotModel, joints: Mapping[str, JointEstimate], torque: Array
 ) -> Iterator[Judgement]:
-    """Yield friction and rotor inertia too large for this arm, by usual torques (n,) [N m]."""
+    """Yield reasons why this arm cannot have the estimated friction and rotor inertia.
+
+    Args:
+        joints: name of each chain joint to its estimate.
+        torque: (n,) root mean square of each joint's measured torque [N m].
+    """
     inertia = robot.mass * robot.length**2
     for index, (name, slide) in enumerate(zip(robot.joint_names, robot.is_slide)):
         terms = {
@@ -225,11 +247,14 @@ def implausible_joints(
 
 
 def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[WrongLink]:
-    """Yield the links of the model that the recordings contradict.
+    """Yield the links whose first moment in the model the recordings contradict.
 
-    Mass and centre of mass of a link are confounded with each other and with its neighbours'; the
-    first moment along the model's centre of mass, which makes the torque of the link's weight, is
-    identified better.
+    Mass and centre of mass of a link are confounded with each other and with those of neighbouring
+    links; the first moment along the model's centre of mass, which makes the torque of the link's
+    weight, is identified better.
+
+    Args:
+        links: estimates, with the model's bodies as their ``prior``.
     """
     for link in links:
         if link.prior is None or not np.any(link.prior.theta[1:4]):
@@ -246,7 +271,11 @@ def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[WrongLink]:
 
 
 def implausible_links(robot: RobotModel, thetas: Array) -> Iterator[Judgement]:
-    """Yield reasons why this arm cannot have the other estimated links (n, 10)."""
+    """Yield reasons why this arm cannot have its estimated links but the last one.
+
+    Args:
+        thetas: (n, 10) estimated parameters of all links; the last one is not judged here.
+    """
     typical = float(np.median([body[0] for body in usual_bodies(robot).values()]))
     for index, (link, theta) in enumerate(zip(robot.links[:-1], thetas)):
         if link.has_mass and link.theta[0] >= PLACEHOLDER * typical:
@@ -259,7 +288,13 @@ def implausible_links(robot: RobotModel, thetas: Array) -> Iterator[Judgement]:
 
 
 def _strangeness(name: str, model_theta: Array, theta: Array, size: float) -> str:
-    """Return why a link of that size [m] is implausible; "" where it is plausible."""
+    """Return why an estimated link is implausible, as a sentence; "" where it is plausible.
+
+    Args:
+        model_theta: (10,) the link's parameters in the model.
+        theta: (10,) the estimated parameters.
+        size: of the link [m].
+    """
     if not spatial.is_consistent(theta):
         return f"{name} is no possible rigid body"
     mass, com, inertia = spatial.com_from_theta(theta)
@@ -276,17 +311,22 @@ def _strangeness(name: str, model_theta: Array, theta: Array, size: float) -> st
 
 
 def noise_share(fit: Fit) -> float:
-    """Return the torque noise of a fit as a share of the torque."""
+    """Return the ratio of torque noise to measured torque in a fit, both root mean squares."""
     squares = float(np.sum(fit.noise**2 * sample_counts(fit.evidence.total)))
     torque = float(np.sum(fit.evidence.squared_torque))
     return float(np.sqrt(squares / torque)) if torque > 0.0 else 0.0
 
 
 def judge_file(model: Validation, written: Validation, noise: float = 0.0) -> Judgement:
-    """Return the verdict on a written file from its held-out error and that of the model.
+    """Return the verdict on a written file from its held-out error and that of the given model.
 
-    A model whose error is no larger than the noise, a share of the torque, was right: a file that
-    is worse than that model is still as good.
+    A model whose error is no larger than the noise is right: a file that is worse than such a model
+    still counts as good.
+
+    Args:
+        model: held-out error of the given model.
+        written: held-out error of the written file.
+        noise: ratio of torque noise to torque.
     """
     old = model.relative_error
     new = written.relative_error
@@ -307,8 +347,9 @@ def judge_payload(
     """Yield reasons why a payload is not trustworthy.
 
     Args:
-        payload: in the flange frame, before it was made physically consistent.
-        contradicting: the contradiction between recordings of one kind; "" where there is none.
+        payload: in the flange frame, from the estimate with bodies that may be inconsistent.
+        contradicting: sentence on a contradiction between recordings; "" where there is none.
+        validation: held-out error of the fit.
     """
     # The errors contain those of the projection to consistent bodies, which this estimate lacks.
     moved = payload.budget.get(BODIES, np.zeros(10))[0]
@@ -333,6 +374,10 @@ def judge_payload(
 
 
 def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Judgement]:
+    """Yield a reason for each size of a payload that is too large for the reach of the arm.
+
+    Sizes are the distance of the centre of mass from the flange, and the radius of gyration.
+    """
     lengths = [float(np.linalg.norm(link.translation)) for link in robot.links[1:]]
     farthest = FARTHEST_PAYLOAD * max(sum(lengths), LEAST_REACH)
     distance = float(np.linalg.norm(payload.com))
@@ -357,8 +402,9 @@ def judge_known_mass(
     """Yield reasons why torque scales may not be taken from a known mass [kg].
 
     Args:
-        findings: reasons against the payload as if its mass were not known.
-        weighed: its mass in that estimate [kg].
+        findings: reasons against the payload that was estimated without the known mass.
+        weighed: the payload's mass in that estimate [kg].
+        mass: the known mass [kg].
     """
     # An implausible size may come from the torque scales, which a known mass corrects.
     yield from (
