@@ -240,6 +240,7 @@ def test_two_runs_do_not_write_into_one_folder(command, arm):
 
 
 def run_process(*arguments, cwd, **streams):
+    """The completed process of a command line, with its standard error."""
     call = [sys.executable, "-m", "robot_sysid", *map(str, arguments)]
     return subprocess.run(call, cwd=cwd, **{"stderr": subprocess.PIPE, **streams})
 

@@ -48,23 +48,28 @@ OTHERS = {
 
 @pytest.fixture
 def robot(tmp_path):
+    """An arm whose file is not in the output folder."""
     return load_robot_model(write_files(tmp_path / "in", {"m.xml": ARM}), joint="j2")
 
 
 @pytest.fixture
 def out(tmp_path):
+    """An output folder, which does not exist yet."""
     return tmp_path / "out"
 
 
 def save_result(robot, result, out, **options):
+    """Save a result as a run does."""
     return save(result, out, checkpoints(robot), **options)
 
 
 def heavier(robot):
+    """A result whose terminal link is 2 kg heavier than the model's."""
     return result_of(robot, robot.prior.theta + THETA)
 
 
 def names_in(folder):
+    """Sorted names of the files and folders in a folder."""
     return sorted(path.name for path in folder.iterdir())
 
 

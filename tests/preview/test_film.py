@@ -33,6 +33,7 @@ needs_renderer = pytest.mark.skipif(
 
 @pytest.fixture
 def arm(arm_file):
+    """The file of a three-joint arm."""
     return arm_file(arms.THREE)
 
 
@@ -98,11 +99,13 @@ def test_a_body_is_drawn_and_an_impossible_one_is_not(robot):
 
 @pytest.fixture(scope="module")
 def robot():
+    """A three-joint arm without torque limits."""
     return arms.robot_of(arms.THREE)
 
 
 @pytest.fixture(scope="module")
 def plan(robot):
+    """A planned motion of 6 s."""
     return measured_logs.plan_of(robot, duration=6.0)
 
 

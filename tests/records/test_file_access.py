@@ -44,6 +44,7 @@ def texts_in(folder: Path) -> dict[str, str]:
 
 
 def write_set(folder, text):
+    """Write the same text to all files of the set, all or none."""
     with atomic_files() as outputs:
         for name in NAMES:
             outputs.write(folder / name, text)
@@ -67,6 +68,7 @@ def watch_commit(observe, replace_attribute=setattr):
 
 @pytest.fixture
 def old_set(tmp_path):
+    """A folder with a complete set of files whose text is 'old'."""
     write_set(tmp_path, "old")
     return tmp_path
 
@@ -297,6 +299,7 @@ def test_an_integer_beyond_all_floats_is_infinite(tmp_path):
 
 @pytest.fixture
 def pipe(tmp_path):
+    """A named pipe."""
     if sys.platform == "win32":
         pytest.skip("needs named pipes")
     os.mkfifo(tmp_path / "pipe")
@@ -329,6 +332,7 @@ def test_a_device_is_neither_read_nor_replaced(tmp_path, pipe):
 
 
 def assert_pipe_is_refused(path, folder):
+    """A recording in the folder is refused for the pipe at the path."""
     with pytest.raises(InputError, match=f"{path.name} is a pipe or a device"):
         open_table(folder, ("a",), LogOptions())
 

@@ -38,6 +38,7 @@ class Tags(HTMLParser):
 
 @pytest.fixture(scope="module")
 def text(page):
+    """The HTML of a page."""
     return page.read_text(encoding="utf-8")
 
 

@@ -40,19 +40,16 @@ from tests.support.arms import SEEDS
 from tests.support.reports import ODD, payload_result, saved
 
 
-def traces(count=500, joints=2):
-    rng = np.random.default_rng(0)
-    table = rng.normal(size=(count, joints))
+def traces(count=500):
+    """Random signals of two joints at 100 Hz, with one missing torque sample."""
+    table = np.random.default_rng(0).normal(size=(count, 2))
     measured = table.copy()
     measured[count // 2] = np.nan
-    full = np.full(joints, np.inf)
-    limits = JointLimits(-full, full, np.ones(joints), full)
-    names = tuple(f"j{k}" for k in range(joints))
+    infinite = np.full(2, np.inf)
+    limits = JointLimits(-infinite, infinite, np.ones(2), infinite)
     time = np.arange(count) * 0.01
-    slides = (False,) * joints
-    return Traces(
-        names, slides, time, table, table, measured, 0.9 * table, table, table, limits
-    )
+    columns = (table, table, measured, 0.9 * table, table, table)
+    return Traces(("j0", "j1"), (False, False), time, *columns, limits)
 
 
 def test_report_data_is_read_as_it_was_written(tmp_path):
@@ -155,11 +152,13 @@ def test_means_by_speed_skip_missing_torques():
 
 @pytest.fixture
 def folder(link_run, tmp_path):
+    """A copy of a run's folder, which a test may change."""
     shutil.copytree(link_run, tmp_path / "run")
     return tmp_path / "run"
 
 
 def run_with_changes(folder, **values):
+    """The run of a folder after some keys of its params.json have got other values."""
     path = folder / "params.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), **values}))
     return load_run(folder)

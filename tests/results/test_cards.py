@@ -64,6 +64,7 @@ def random_body(rng, shape):
 
 
 def symmetric(xx, yy, zz, xy, xz, yz):
+    """The symmetric matrix (3, 3) of its six elements."""
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
@@ -81,12 +82,17 @@ def rotate_moments(rotation, moments):
     return axes @ np.diag(moments) @ axes.T
 
 
+# Readers return the mass [kg], centre of mass (3,) [m] and inertia about it (3, 3) [kg m^2].
+
+
 def read_franka(text):
+    """Read a body from setLoad: mass, centre of mass, inertia by columns."""
     mass, *numbers = floats(text)
     return mass, numbers[:3], np.reshape(numbers[3:], (3, 3), order="F")
 
 
 def read_desk(text):
+    """Read a body from an end effector of Franka Desk, in the flange frame."""
     content = json.loads(text)
     assert content["transformation"] == np.eye(4).ravel().tolist()
     inertia = np.reshape(content["inertia"], (3, 3), order="F")
@@ -94,11 +100,13 @@ def read_desk(text):
 
 
 def read_six(text):
+    """Read a body from its mass, centre of mass and elements xx, yy, zz, xy, xz, yz."""
     mass, *numbers = floats(text)
     return mass, numbers[:3], symmetric(*numbers[3:])
 
 
 def read_kuka(text):
+    """Read a body from principal moments about axes turned by A, B, C [deg]; lengths in mm."""
     assert re.sub(r"-?[\d.]+", "#", text) == (
         "{M #, CM {X #, Y #, Z #, A #, B #, C #}, J {X #, Y #, Z #}}"
     )
@@ -109,17 +117,20 @@ def read_kuka(text):
 
 
 def read_abb(text):
+    """Read a body from loaddata: principal moments, axes as a quaternion, lengths in mm."""
     mass, com, (w, x, y, z), *moments = json.loads(text)
     rotation = Rotation.from_quat([x, y, z, w])
     return mass, 1e-3 * np.array(com), rotate_moments(rotation, moments)
 
 
 def read_point(text):
+    """Read a mass and a centre of mass in mm; the card has no inertia."""
     mass, *com = floats(text)
     return mass, 1e-3 * np.array(com), None
 
 
 def read_urdf(text):
+    """Read a body from an inertial element of a URDF without rotation."""
     element = etree.fromstring(text)
     origin = element.find("origin")
     tensor = element.find("inertia")
@@ -130,6 +141,7 @@ def read_urdf(text):
 
 
 def read_mjcf(text):
+    """Read a body from an inertial element of an MJCF."""
     element = etree.fromstring(text)
     tensor = floats(element.get("fullinertia") or element.get("diaginertia") + " 0 0 0")
     return float(element.get("mass")), floats(element.get("pos")), symmetric(*tensor)
@@ -165,6 +177,7 @@ def body_estimate(mass, com, inertia, covariance=COVARIANCE, n_identified=10):
 
 
 def cards_by_name(mass, com, inertia, flange=FLANGE, n_identified=10):
+    """The cards of a body (kg, m, kg m^2) by name."""
     body = body_estimate(mass, com, inertia, n_identified=n_identified)
     return {card.name: card for card in payload_cards(body, flange)}
 

@@ -102,10 +102,12 @@ def test_a_parameter_that_the_data_does_not_show_has_a_reason_instead_of_an_erro
 
 
 def subtree_body(name, mass, is_welded=True):
+    """A body of the terminal link with this mass [kg]; welded, or on a joint of its own."""
     return SubtreeBody(0, name, mass / 2.0 * made.THETA, is_welded)
 
 
 def robot_with(*bodies):
+    """The two-joint arm whose terminal link consists of these bodies."""
     return replace(made.ARM, bodies=bodies)
 
 

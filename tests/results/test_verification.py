@@ -66,6 +66,7 @@ FULL = ARM.replace("</mujoco>", EXTRAS).replace(
 
 
 def model(text=FULL):
+    """The compiled model of an MJCF text."""
     return mujoco.MjModel.from_xml_string(text)
 
 

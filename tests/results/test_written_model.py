@@ -67,8 +67,9 @@ def robots(tmp_path_factory):
     }
 
 
-def checkpoints(robot, seed=0):
-    q, qd, qdd = arms.random_motion(np.random.default_rng(seed), robot.n_joints, 5)
+def checkpoints(robot):
+    """A random motion of 5 samples at which torques are compared."""
+    q, qd, qdd = arms.random_motion(np.random.default_rng(0), robot.n_joints, 5)
     return records.Motion(np.arange(5.0), 0.3 * q, qd, qdd)
 
 
@@ -131,6 +132,7 @@ def result_of(robot, theta=None, file=None, payload=None, **changes):
 
 
 def some_payload(rng):
+    """Parameters (10,) of a random body of 0.01 to 10 kg."""
     return random_theta(rng, 10.0 ** rng.uniform(-2.0, 1.0))
 
 
