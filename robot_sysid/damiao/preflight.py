@@ -37,8 +37,11 @@ from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
 OK = "ok"
+"""Severity of a check that was passed."""
 NOTE = "note"
+"""Severity of a finding that the user should know."""
 STOP = "stop"
+"""Severity of a finding that forbids to play."""
 # A quarter of the speed at which an arm goes to its first point [rad/s].
 _REST_SPEED = 0.05
 # A motor whose answer is missing gets no command for some cycles; twice that, and both ends.
@@ -124,6 +127,7 @@ def plan_checks(plan: Plan) -> list[Check]:
 
 
 def _id_checks(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
+    """Yield whether the ids of the joints' motors are valid and unique on each bus."""
     ids = [(*joint.address, joint.master_id) for joint in joints]
     problems = [_stop(problem) for problem in id_problems(ids)]
     unique = f"ids are unique: {', '.join(str(joint.can_id) for joint in joints)}"

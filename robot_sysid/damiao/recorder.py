@@ -1,20 +1,21 @@
-"""The measurement file of a run: written row by row, so that whatever happens, rows are kept.
+"""The measurement file of a run, which is written row by row so that an error loses no rows.
 
-Comment lines say how it was made (motors, register values, gains, time stamps). Then one row per
-control cycle: ``time``, position, velocity and torque of each joint, and per joint the time stamp
-of its own sample, the command in force when it was sampled, whether an answer was doubted, status
-and temperatures. Cells of a joint that did not answer, or whose answer was not believed, are empty.
+Comment lines describe the run (motors, register values, gains, time stamps). Then there is a row
+for each control cycle: ``time``, position, velocity and torque of each joint, and per joint the
+time stamp of its own sample, the command in force when it was sampled, whether an answer was
+doubted, status and temperatures. Cells of a joint that did not answer, or whose answer was not
+believed, are empty.
 
-Printing and recording happen beside a run. A terminal that is gone, held (Ctrl-S) or full, a disk
-that is full or does not answer: a control loop that printed by itself would fail or wait with it,
-and the motors' watchdogs would let the arm go. So what is to be said and written is handed over.
+Printing and recording are done by another thread than the control loop. A terminal that is closed,
+held (Ctrl-S) or full, or a disk that is full or does not answer, would otherwise stop or delay the
+loop, and the motors' watchdogs would release the arm.
 
-The recorded torque is the mean torque of held commands.
-A motor samples its torque when the next command arrives, after the joint has used up what the last
-one asked for; then that command steps the torque up again. What acts on the arm at frequencies far
-below those of the commands differs from the samples in three ways:
+The recorded torque is the mean torque while commands are held.
+A motor samples its torque when the next command arrives, at which time the joint has moved towards
+the last command and the torque has decreased; then the new command increases the torque by a step.
+The torque that acts on the arm at low frequencies differs from the samples in three ways:
 
-- Half a step is missing: kp qd / (2 rate) for a steadily moving joint, which passes for negative
+- Half a step is missing: kp qd / (2 rate) for a steadily moving joint, which looks like negative
   viscous friction. It is known exactly, because position and velocity do not jump.
 - Where steps grow, both sides of one are on average above the commands' mean, by a twelfth of the
   growth: an apparent armature of kp / (12 rate^2).
@@ -25,8 +26,9 @@ below those of the commands differs from the samples in three ways:
   takes back most of a step before it is sampled. Where joints are coupled and sampled one after the
   other, their positions follow each other's steps too.
 
-Commands tell the first two; the third takes the arm's inertia. Measured velocities would show it
-too, but a motor's filter delays them by an unknown time, which would pass for armature.
+The first two are computed from the commands; the third needs the arm's inertia. Measured velocities
+would show it too, but a motor's filter delays them by an unknown time, which would look like
+armature.
 """
 
 from __future__ import annotations
@@ -49,15 +51,22 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
 Action = Callable[[], object]
-# A judgement: longer than a healthy disk takes, shorter than a person waits for the end of a run.
+"""A function without arguments that prints or writes."""
 _PATIENCE = 2.0
+"""Time for which the last actions are waited for at the end of a run [s].
+
+A judgement: longer than a healthy disk takes, shorter than a person waits.
+"""
 
 
 class Aside:
-    """Runs actions beside a control loop, one after the other, and stores their first error.
+    """Runs actions in order without delaying the control loop, and stores their first error.
 
-    After an error no more actions are run. Threaded, it has a thread of its own; without, actions
-    are run at once (for simulated time, where nobody waits).
+    After an error no more actions are run.
+
+    Args:
+        threaded: run actions in a thread of their own; False runs each at once in the caller's
+            thread, for simulated time.
 
     Attributes:
         failure: the error that an action raised, or None.
@@ -79,12 +88,12 @@ class Aside:
             self._waiting.put(action)
 
     def if_idle(self, action: Action) -> None:
-        """Run an action unless others wait: one that may be left out, such as a progress bar."""
+        """Run an action that may be dropped, such as a progress bar, unless others are waiting."""
         if self._waiting.empty():
             self(action)
 
     def finish(self, patience: float = _PATIENCE) -> None:
-        """Wait until all actions are done, at most for ``patience`` [s]; then it has failed."""
+        """Wait at most ``patience`` [s] until all actions are done, or else set ``failure``."""
         if self._thread is None:
             return
         self._waiting.put(None)
@@ -93,10 +102,12 @@ class Aside:
             self.failure = TimeoutError("it takes nothing any more")
 
     def _work(self) -> None:
+        """Run the actions in the queue until None comes."""
         while (action := self._waiting.get()) is not None:
             self._do(action)
 
     def _do(self, action: Action) -> None:
+        """Run an action and store its error; do nothing after an earlier error."""
         if self.failure is not None:
             return
         try:
@@ -111,7 +122,9 @@ _EXTRA = ("time", *_COMMANDS, "doubted", "status", "temp_mos", "temp_rotor")
 
 
 class RawFrameLog:
-    """Observes a link in its block and writes all frames to a file, replacing one that is there.
+    """Writes all frames on a link to a file while its ``with`` block lasts.
+
+    An existing file is replaced.
 
     The format follows the file's suffix: .log (candump), .asc, .blf, .csv, .trc, ... Time stamps
     are seconds since 1970.
@@ -135,14 +148,14 @@ class RawFrameLog:
 
     def __exit__(self, *_: object) -> None:
         self._link.observer = None
-        # What a recorder did not take: without one, everything; if there is room for it.
+        # Frames that no recorder has taken are written if the disk allows it.
         with contextlib.suppress(Exception):
             self.write(self.take_frames())
         with contextlib.suppress(Exception):
             self._writer.stop()
 
     def __call__(self, frame: Frame, sent: bool) -> None:
-        """Take a frame."""
+        """Store a frame until ``take_frames``; ``sent`` is whether this program sent it."""
         self._waiting.append((frame, sent))
 
     def take_frames(self) -> list[tuple[Frame, bool]]:
@@ -152,7 +165,7 @@ class RawFrameLog:
         return frames
 
     def write(self, frames: list[tuple[Frame, bool]]) -> None:
-        """Write frames in order of time; may be called from another thread than the rest."""
+        """Write frames (with whether each was sent) in order of time; any thread may call this."""
         for frame, sent in sorted(frames, key=lambda entry: entry[0].time):
             message = can_message(
                 self._can,
@@ -168,18 +181,19 @@ class RawFrameLog:
 
 
 class MeasurementRecorder:
-    """Writes a run to a CSV file, row by row, beside the control loop.
+    """Writes a run to a CSV file, row by row, without delaying the control loop.
 
-    A context manager; the file's last line says how the run ended. Only opening raises; a later
-    error is stored as ``failure``, so that the arm is brought to rest first.
+    A context manager; the last line of the file states how the run ended. Only opening the file
+    raises; a later error is stored as ``failure``, so that the arm is brought to rest first.
 
     Args:
-        path: the file; an existing one is only replaced with ``overwrite``.
-        head: comment lines, without their sign.
-        labels: of the joints, which begin the titles of their columns.
-        aside: does the writing.
-        centring: makes mean torques of the sampled ones.
-        frames: log of all frames, written with every row; None without one.
+        path: file to write.
+        head: comment lines, without the leading "# ".
+        labels: label of each of the n joints, with which the titles of its columns begin.
+        aside: runs the writing.
+        centring: corrects sampled torques to mean torques.
+        frames: log of all frames, written after each cycle; None without one.
+        overwrite: replace an existing file; otherwise it raises InputError.
     """
 
     def __init__(
@@ -247,6 +261,7 @@ class MeasurementRecorder:
     def _row(
         self, time: float, origin: float, replies: Replies, acted: MitCommand
     ) -> str:
+        """Return the line of a cycle in the file; arguments as for ``write``."""
         measured = replies.feedback
         step, centre = self._centring.torques(replies, acted)
         cells = [f"{time:.6f}"]
@@ -264,12 +279,12 @@ class MeasurementRecorder:
 
 
 def _numbers(values: Iterable[float]) -> list[str]:
-    """Return the cells of values; empty where one is not finite."""
+    """Return the text of each value with six decimals; "" for one that is not finite."""
     return [f"{value:.6f}" if np.isfinite(value) else "" for value in values]
 
 
-# Product of a mode's rate and the period below which its change is lost in rounding.
 _SLOWEST_CHANGE = 1e-3
+"""Least product of a mode's rate and the period: smaller ones are raised to it (rounding)."""
 
 
 class SamplingRipple:
@@ -294,7 +309,7 @@ class SamplingRipple:
         time: Array,
         period: float,
     ) -> tuple[Array, Array]:
-        """Return what the ripple adds to sampled positions and velocities (n,) [rad, rad/s].
+        """Return the ripple's share of sampled positions and velocities (n,) [rad, rad/s].
 
         At a share u of the period after its step, joint j has the torque
         -step_j B1(u) + growth_j / 2 B2(u) beside the mean of held commands, with Bernoulli's
@@ -302,18 +317,18 @@ class SamplingRipple:
 
         Args:
             q: positions (n,) [rad].
-            acted: the command in force; its first n joints are the arm's.
-            step: torque step (n,) of each joint at its moment of sampling [N m].
-            growth: by which the step grows from period to period (n,) [N m].
-            time: moments of sampling (n,) [s].
-            period: of the steps [s].
+            acted: command in force; its first n joints are those of the arm.
+            step: torque step (n,) of each joint at its time of sampling [N m].
+            growth: growth (n,) of the step from one period to the next [N m].
+            time: times of sampling (n,) [s].
+            period: time between steps [s].
         """
         n = self.n_joints
         mobility = self._mobility(q)
         if not (
             np.all(np.isfinite(mobility)) and np.linalg.eigvalsh(mobility)[0] > 0.0
         ):
-            # The model states no inertia that could tell.
+            # The model has no usable inertia.
             return np.zeros(n), np.zeros(n)
 
         # Positions and velocities (2n,) change at the rates of these modes, driven by torques.
@@ -324,7 +339,7 @@ class SamplingRipple:
         try:
             drive = np.linalg.solve(modes, np.vstack((np.zeros((n, n)), mobility)))
         except np.linalg.LinAlgError:
-            # Two modes in one, as of a joint without gains: a sample is not worth the run.
+            # Modes coincide, as of a joint without gains: no correction rather than an error.
             return np.zeros(n), np.zeros(n)
         change = rates * period
         change = np.where(np.abs(change) < _SLOWEST_CHANGE, -_SLOWEST_CHANGE, change)
@@ -346,8 +361,10 @@ class SamplingRipple:
 class Centring:
     """Corrects sampled torques of a run to mean torques of held commands, cycle by cycle.
 
-    Without a ``ripple``, where the arm's inertia is not known, the third difference that the
-    module's text names is not corrected. ``period`` is that of the cycles [s].
+    Args:
+        period: length of a control cycle [s].
+        ripple: ripple of the arm; None where its inertia is unknown, then the third difference in
+            the module's docstring is not corrected.
     """
 
     def __init__(self, period: float, ripple: SamplingRipple | None = None) -> None:
@@ -356,14 +373,14 @@ class Centring:
         self._last: Array | None = None
 
     def torques(self, replies: Replies, acted: MitCommand) -> tuple[Array, Array]:
-        """Return a cycle's torque steps and the corrections of its sampled torques (n,) [N m].
+        """Return a cycle's torque steps (n,) and corrections (n,) to add to its torques [N m].
 
-        ``acted`` is the command in force at the samples. Call it once per cycle, in order.
+        ``acted`` is the command in force at the samples. To be called once per cycle, in order.
         """
         step = torque_step(replies, acted)
         state = np.array([replies.feedback.position, replies.time, step])
         last = state if self._last is None else self._last
-        # A joint that did not answer is where it was, and steps as it did.
+        # A joint that did not answer gets its last position and torque step.
         state = np.where(np.isfinite(state), state, last)
         growth = np.nan_to_num(state[2] - last[2])
         self._last = state
@@ -371,10 +388,10 @@ class Centring:
         return step, 0.5 * step - growth / 12.0 + rippling
 
     def _ripple_torque(self, state: Array, growth: Array, acted: MitCommand) -> Array:
-        """Return the torque (n,) that ripple takes from the samples [N m]; 0 where unknown.
+        """Return the torque (n,) to add to samples to correct the ripple [N m]; 0 where unknown.
 
-        ``state`` (3, n) has positions, times and torque steps, which have grown by ``growth`` (n,)
-        since the last cycle.
+        ``state`` (3, n) has positions [rad], times [s] and torque steps [N m]; the steps have grown
+        by ``growth`` (n,) [N m] since the last cycle.
         """
         torque = np.zeros(state.shape[1])
         if self._ripple is None:
@@ -391,7 +408,10 @@ class Centring:
 
 
 def torque_step(replies: Replies, acted: MitCommand) -> Array:
-    """Return the torque step (n,) that the command just sent makes in each motor [N m]."""
+    """Return the torque step (n,) [N m] of each joint by the command that was sent last.
+
+    It is the torque of ``replies.command`` minus that of ``acted``, the command before.
+    """
     command = replies.command or acted
     q = replies.feedback.position
     qd = replies.feedback.velocity
