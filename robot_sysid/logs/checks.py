@@ -81,32 +81,34 @@ _SHORTEST_PERIOD = 1e-5
 _SLOW_RATE = 50.0
 """Rate below which a note is made [Hz]: 100 do for a slow arm, 30 hardly ever (docs/logs.md)."""
 _OTHER_CLOCK = 0.1
-"""Difference of a joint's own stamp from the row's beyond which it is of another clock [s]: it is a
-few periods of however slow a log."""
+"""Difference of a joint's time stamp from the row's above which it is of another clock [s]: a few
+sampling periods of the slowest logs."""
 _FAST = 30.0
 """Speed that no arm's joint reaches [rad/s]; a log in degrees passes it at half a radian per
 second."""
 _OFTEN = 0.01
-"""Share of fast steps beyond which positions are not in radians."""
+"""Share of steps faster than _FAST above which positions are not in radians."""
 _TURN = 2.0 * np.pi
+"""A full turn [rad]."""
 _MAX_TURNS = 3.0
-"""Full turns from the model's zero that an encoder that counts turns may show (chosen)."""
+"""Largest number of full turns from the model's zero that a multi-turn encoder shows; a choice."""
 _WINDOW = 0.1
-"""Time over which noise makes no speed [s] (chosen)."""
+"""Time over which the mean speed is hardly affected by noise of positions [s]; a choice."""
 _DENSE = 2.4e-4
-"""A shorter period is in a longer unit of time [s] (chosen): arms record at 4 kHz at most."""
+"""A shorter sampling period is in a wrong unit of time [s]; a choice: arms record at 4 kHz at most.
+"""
 _JUMP_SPEED = 100.0
 """Speed within one step that no joint reaches [rad/s]; above _FAST, as noise adds to it."""
 _JUMP = 0.5
-"""Step that no encoder's noise makes [rad]."""
+"""Change of position in one step that an encoder's noise does not reach [rad]."""
 _AT_REST = 0.01
 """Range of positions below which a joint does not move [rad]."""
 _STILL = 0.002
-"""Farthest that an encoder strays while its joint stands still [rad]."""
+"""Largest deviation of an encoder while its joint stands still [rad]."""
 _SHORT_REST = 0.5
-"""Rest at either end of a log below which no note is made [s]."""
+"""Duration of rest at either end of a log below which no note is made [s]."""
 _SHORT_SHARE = 0.02
-"""Rest at either end, as a share of the log, below which no note is made."""
+"""Duration of rest at either end, as a share of the log's, below which no note is made."""
 _LIMIT_MARGIN = 1e-3
 """Excess over a joint limit below which no note is made [rad]: limits are written with three or
 more digits."""

@@ -2,8 +2,8 @@
 
 A log is a table with a row per sample: time, and position and torque of every chain joint;
 velocity and other columns where the file has them. ``table`` describes its form, ``titles`` and
-``column_map`` find the columns, ``checks`` judges the rows. A log is read in blocks; what is left
-of it after thinning is held in memory.
+``column_map`` find the columns, ``checks`` judges the rows. A log is read in blocks; its rows after
+thinning are held in memory.
 """
 
 from __future__ import annotations
@@ -48,11 +48,12 @@ class MeasurementLog:
     """A log that was read and checked.
 
     Attributes:
-        columns: which column of the file each quantity was read from.
+        path: of the file or folder, as the user gave it.
+        columns: the column of the file that each quantity was read from.
         samples: all usable rows (N rows, n joints) in SI units.
         pieces: the stretches between gaps that are long enough to be used.
-        notes: sentences for the user on what was recognised, left out or mended.
-        torque_scale: (n,) what torques were divided by, as the user gave it.
+        notes: sentences for the user on columns, rows left out and corrections.
+        torque_scale: (n,) factors that torques were divided by, as the user gave them.
     """
 
     path: Path
@@ -89,9 +90,13 @@ def open_log(
     options: LogOptions,
     progress: Progress | None = None,
 ) -> MeasurementLog:
-    """Recognise, read and check a log of an arm, or raise InputError.
+    """Return a log of an arm, read and checked, or raise InputError.
 
-    ``source`` is a file, a table, or a log that was opened before, which is returned as it is.
+    Args:
+        robot: the arm, whose joints the columns are for.
+        source: a file, a table, or a log that was opened before, which is returned unchanged.
+        options: declared columns, units and torque scale.
+        progress: receives the progress of reading.
     """
     if isinstance(source, MeasurementLog):
         return source
@@ -113,7 +118,10 @@ def open_log(
 def _torque_factors(
     factors: Factors | None, joint_names: Sequence[str], table: str
 ) -> Array:
-    """Return one factor per joint (n,), from an option or the file that it names; else ones."""
+    """Return one factor per joint (n,), from an option or the file that it names; ones for None.
+
+    ``table`` is the name of the factors' table in such a file.
+    """
     if factors is None:
         return np.ones(len(joint_names))
     return joint_factors(factors, joint_names, table)[0]
@@ -122,7 +130,10 @@ def _torque_factors(
 def _map_columns(
     table: LogTable, path: Path, robot: RobotModel, options: LogOptions
 ) -> ColumnMap:
-    """Return which column of a log each quantity is in, declared or recognised."""
+    """Return the column of each quantity of a log, declared or recognised.
+
+    ``path`` is the log's, for messages. ColumnsError with a draft where columns are missing.
+    """
     names = robot.joint_names
     choices = parse_units(options.units) if options.units else ColumnChoices()
     draft_name = f"{path.stem}_columns.txt"
@@ -187,7 +198,7 @@ _FORM_OPTIONS: Mapping[str, tuple[str, TableReader]] = {
     "topic": ("a ROS bag", bag_table),
     "episode": ("a LeRobot data set", arrays.lerobot_table),
 }
-"""Option that only one form has, to the form and its reader."""
+"""Option that is about one form alone, to the form's name and its reader."""
 STANDARD_INPUT = Path("-")
 """Stands for a log that is piped in."""
 _READ_TWICE = "a log is read twice: write it to a file, or pipe it into this command and call it -"
@@ -197,7 +208,7 @@ _FOLDERS: list[tempfile.TemporaryDirectory[str]] = []
 
 @functools.cache
 def _piped_file() -> Path:
-    """Return a file with the log that is piped in, which can be read only once itself."""
+    """Return a temporary copy of the log that is piped in: standard input can be read only once."""
     if sys.stdin is None or sys.stdin.isatty():
         raise InputError("- stands for a log that is piped in, and nothing is")
     _FOLDERS.append(tempfile.TemporaryDirectory(prefix="robot-sysid-"))
@@ -208,7 +219,13 @@ def _piped_file() -> Path:
 
 
 def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:
-    """Return a log as a table, its form recognised; InputError where it is of no known form."""
+    """Return a log as a table, its form recognised; InputError where it is of no known form.
+
+    Args:
+        path: file or folder; ``STANDARD_INPUT`` for a log that is piped in.
+        joint_names: (n,) of the arm, which joints of a ROS bag or data set are matched with.
+        options: topic, episodes and whether commands are read.
+    """
     path = _piped_file() if path == STANDARD_INPUT else path
     is_folder = os.path.isdir(path)  # Path.is_dir raises where a name is too long
     first_bytes = b""
@@ -235,7 +252,7 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
 
 
 def _find_reader(path: Path, is_folder: bool, first_bytes: bytes) -> TableReader:
-    """Return the reader of a file's or folder's form; ``text_table`` where it is of no other."""
+    """Return the reader of a file's or folder's form; ``text_table`` where no other one fits."""
     if is_folder:
         for name, reader in _FOLDER_READERS.items():
             if (path / name).is_file():

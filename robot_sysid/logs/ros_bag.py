@@ -10,8 +10,8 @@ those of one stamp are put together; where stamps differ, each joint keeps its o
 ``rosbags`` unpacks each chunk, message or file completely: a few kilobytes may become the
 computer's whole memory, or disk. Its public interface (``AnyReader``, ``typesys``) has no limit and
 no hook for one: the unpackers are names in its private modules, bound when these are imported. So
-``bounded_reader`` runs these modules once more under our own hands and exchanges the names there;
-the ``rosbags`` that others import stays as it is. The alternative, a limit on the memory of the
+``bounded_reader`` makes private copies of these modules and replaces the names there; the
+``rosbags`` that others import does not change. The alternative, a limit on the memory of the
 process, would not protect the disk and would work on Linux alone.
 """
 
@@ -50,9 +50,13 @@ from robot_sysid.logs.table import (
 from robot_sysid.records.file_access import refuse_special_file
 
 FORM = "a ROS bag"
+"""Name of the form in messages."""
 POSITION = ("position",)
+"""Names of positions in messages of a bag."""
 TORQUE = ("effort", "current")
+"""Names, in messages of a bag, of quantities that stand for torque."""
 QUANTITIES = (*POSITION, "velocity", *TORQUE)
+"""Names of all quantities that are read from messages of a bag."""
 _FIRST_MESSAGES = 200
 """Messages of a topic from which its joints are listed: a second or more, in which each publisher
 of the topic has sent one."""
@@ -67,13 +71,13 @@ _DEFINITIONS = {
 }
 
 Key = tuple[str, str]
-"""Joint and quantity."""
+"""Names of a joint and of a quantity."""
 Sample = Mapping[Key, float]
-"""The numbers of a message."""
+"""The numbers of a message, in the units of the message."""
 Message = tuple[tuple[int, int], Sample]
-"""When a message was sampled and when it was recorded [ns], and its numbers."""
+"""((time of the header, time of recording) [ns since 1970], sample)."""
 StampedSample = tuple[int, Sample]
-"""The stamp that counts [ns], and the numbers."""
+"""(time stamp in use [ns since 1970], sample)."""
 
 
 def bag_table(source: LogSource) -> LogTable:
@@ -128,7 +132,10 @@ def _has_all(
 def _topic_table(
     path: Path, bag: Any, topic: str, joint_names: Sequence[str]
 ) -> LogTable | None:
-    """Return a topic with time and a column per joint and quantity in its first messages."""
+    """Return a topic as a table with time and a column per joint and quantity.
+
+    Joints and quantities are those of its first messages; None where these hold none.
+    """
     messages = list(islice(_read_messages(bag, topic), _FIRST_MESSAGES))
     keys = tuple(dict.fromkeys(chain.from_iterable(sample for _, sample in messages)))
     if not keys:
@@ -155,9 +162,9 @@ def _blocks(
     pattern: MessagePattern,
     columns: Sequence[int],
 ) -> Iterator[Block]:
-    """Yield the samples of a topic in their order, with the columns of these indices.
+    """Yield the samples of a topic in order of time, with the columns of these indices.
 
-    Column 0 is time, column k + 1 the number of ``keys[k]``.
+    Column 0 is time from the start [s], column k + 1 the number of ``keys[k]``.
     """
     column_of_key = {key: k + 1 for k, key in enumerate(keys)}
     with _open_bag(path) as bag:
@@ -177,7 +184,7 @@ def _blocks(
 
 
 def _read_messages(bag: Any, topic: str) -> Iterator[Message]:
-    """Yield the messages of a topic as recorded."""
+    """Yield the messages of a topic in the order in which they were recorded."""
     connections = [c for c in bag.connections if c.topic == topic]
     for connection, received, raw in bag.messages(connections=connections):
         message = bag.deserialize(raw, connection.msgtype)
@@ -268,7 +275,7 @@ def bounded_reader() -> ModuleType:
 
 
 def _copy_module(name: str) -> Any:
-    """Return a module once more, beside the one that everybody imports."""
+    """Return a private copy of a module, which ``import`` does not find."""
     spec = importlib.util.find_spec(name)
     if spec is None or spec.loader is None:
         raise ImportError(name)
@@ -278,9 +285,9 @@ def _copy_module(name: str) -> Any:
 
 
 class BoundedUnpacker:
-    """Stands for a compression library, a module like ``bz2``, and unpacks within a bound.
+    """Substitute for a compression library, a module such as ``bz2``, that unpacks within a bound.
 
-    A packed piece may unpack to ``table.MAX_RATIO`` times its size, or to ALWAYS_ALLOWED bytes.
+    Packed bytes may unpack to ``table.MAX_RATIO`` times their size, or to ALWAYS_ALLOWED bytes.
     """
 
     def __init__(self, library: Any) -> None:
@@ -309,6 +316,7 @@ class BoundedUnpacker:
         unpacked = 0
 
         def read(size: int) -> bytes:
+            """Return at most ``size`` unpacked bytes, or raise ValueError beyond the bound."""
             nonlocal unpacked
             content: bytes = stream.read(size)
             unpacked += len(content)
@@ -322,12 +330,13 @@ class BoundedUnpacker:
 
 
 _QUEUE = 100
-"""Messages that may overtake a late one: half a second of a log at 200 Hz."""
+"""Largest number of messages recorded before an older one that are reordered: half a second of a
+log at 200 Hz."""
 _MAX_LATE_RUN = 3
-"""Late messages in a row beyond which a clock was set back, or another recording begins: they stay
-where they are, and the log is refused for them."""
+"""Number of late messages in a row above which a clock was set back, or another recording begins:
+messages are not reordered then, and the log is refused for times that run backwards."""
 _MAX_AGE = 50_000_000
-"""Age up to which a joint's sample is put into a row [ns]; half of what ``checks`` refuses as
+"""Largest age of a joint's sample in a row [ns]; half of the difference that ``checks`` refuses as
 another clock."""
 
 
@@ -337,9 +346,9 @@ class MessagePattern:
 
     Attributes:
         groups: joints that share a message, the rarest message last; () where all come in one.
-        has_own_times: whether the groups are sampled at times of their own.
-        stamp_index: which of a message's two stamps counts.
-        start: stamp from which time counts [ns].
+        has_own_times: whether the groups are sampled at different times.
+        stamp_index: index of the stamp of a ``Message`` in use: 0 header, 1 recording.
+        start: stamp at which time is zero [ns since 1970].
     """
 
     groups: tuple[frozenset[str], ...]
@@ -349,7 +358,7 @@ class MessagePattern:
 
     @classmethod
     def of(cls, messages: Sequence[Message], joints: Sequence[str]) -> MessagePattern:
-        """Return the pattern of a recording's first messages, for these joints of the arm."""
+        """Return the pattern of a topic's first messages, for these joints of the arm."""
         # Where no header has a time stamp, the time of recording stands in.
         stamp_index = 0 if any(stamps[0] for stamps, _ in messages) else 1
         times: dict[frozenset[str], list[int]] = defaultdict(list)
@@ -383,7 +392,9 @@ class MessagePattern:
         return f", joints of {len(self.groups)} kinds of message {manner}"
 
     def join(self, messages: Iterator[Message]) -> Iterator[tuple[float, Sample]]:
-        """Yield time from the start [s] and sample of an arm's messages, in order."""
+        """Yield (time from the start [s], sample of all joints) from an arm's messages, in order of
+        time.
+        """
         ordered = sort_late(messages) if self.stamp_index == 0 else messages
         samples: Iterator[StampedSample]
         samples = ((stamps[self.stamp_index], sample) for stamps, sample in ordered)
@@ -395,7 +406,10 @@ class MessagePattern:
             yield 1e-9 * (stamp - self.start), sample
 
     def _join_newest(self, samples: Iterator[StampedSample]) -> Iterator[StampedSample]:
-        """Yield the newest sample of all groups at each message of the rarest group."""
+        """Yield the newest samples of all groups as one, at each message of the rarest group.
+
+        Each joint's time stamp from the start [s] is added as its quantity "time".
+        """
         newest: dict[frozenset[str], StampedSample] = {}
         for stamp, sample in samples:
             sent = {joint for joint, quantity in sample if quantity == "position"}
@@ -415,10 +429,10 @@ class MessagePattern:
 
 
 def sort_late(messages: Iterator[Message]) -> Iterator[Message]:
-    """Yield messages by the stamps of their headers, those of an equal one as recorded.
+    """Yield messages in the order of their headers' stamps; equal stamps in the order of recording.
 
     From the first run of more than _MAX_LATE_RUN late messages of a publisher on, messages are
-    yielded as recorded.
+    yielded in the order of recording.
     """
     queue: list[tuple[int, int, Message]] = []
     newest: dict[frozenset[str], int] = {}

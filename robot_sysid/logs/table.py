@@ -7,8 +7,8 @@ line, for ``checks`` to judge. A log that is longer than any identification need
 thinned while it is read.
 
 Limits: a compressed file of a few kilobytes may unpack to more than the computer's memory. Each
-form's reader therefore asks ``refuse_bomb`` with the size that the file's own directory states,
-before anything is unpacked, and ``memory_limit`` stops a library where that directory lies.
+form's reader therefore calls ``refuse_bomb`` with the size that the file's directory states,
+before anything is unpacked, and ``memory_limit`` stops a library where that size is wrong.
 """
 
 from __future__ import annotations
@@ -36,8 +36,9 @@ from robot_sysid.signals.resampling import Thinning
 Lines = NDArray[np.int64]
 """Numbers of lines, messages or rows, counted from 1."""
 Mask = NDArray[np.bool_]
+"""One truth value per row or joint."""
 BLOCK = 10_000
-"""Rows that are in memory as text or messages at a time: some 10 MB of a wide log."""
+"""Number of rows that are in memory as text or messages at a time: some 10 MB of a wide log."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,9 @@ class Block:
     """Consecutive rows of a log.
 
     Attributes:
-        lines: (R,) their numbers in the file.
+        lines: (R,) numbers of the rows in the file, from 1.
         cells: (R, C) the requested columns; NaN where empty, infinite in a row that is not numbers.
-        complaint: what is wrong with the first of those rows.
+        complaint: the fault of the first row that is not numbers, for the user; "" for none.
         recording: index of the recording, such as an episode, that the rows belong to; each
             recording of a file has a clock of its own.
         share_read: share of the file that has been read, 0 to 1.
@@ -66,12 +67,13 @@ class LogTable:
 
     Attributes:
         layout: the form in a few words, for the user.
+        path: of the file or folder, for messages.
         titles: of its columns; "#1", "#2", ... where the file has none.
-        blocks: yields all rows in their order, with the columns of the given indices.
-        choices: what the form itself declares of its columns and units.
+        blocks: function of column indices that yields all rows in order, with these columns.
+        choices: columns and units that the form itself declares.
         row_noun: what a row is called in messages: "line", "message" or "row".
         first_row: the cells of the first row as text, where they may hold names; else empty.
-        external_links: which numbers are in other files, and what to do about it; "" for none.
+        external_links: sentence on numbers that are in other files, and what to do; "" for none.
     """
 
     path: Path
@@ -92,7 +94,14 @@ class LogTable:
 
 @dataclass(frozen=True)
 class LogSource:
-    """A file or folder that is to be read as a log; ``first_bytes`` of a folder are empty."""
+    """A file or folder that is to be read as a log.
+
+    Attributes:
+        path: of the file or folder.
+        first_bytes: of the file, at most 4096; empty for a folder.
+        joint_names: (n,) of the arm.
+        options: of reading logs.
+    """
 
     path: Path
     first_bytes: bytes
@@ -121,13 +130,14 @@ def nanoseconds(cell: str) -> int:
 LARGEST = 8e8
 """Largest recording of arrays that is unpacked [bytes]: three hours of seven joints at 1 kHz."""
 MAX_RATIO = 100
-"""A recording may unpack to so many times its size; real ones shrink to a tenth."""
+"""Largest unpacked size of a recording over its packed size; real recordings have ten."""
 ALWAYS_ALLOWED = 10**8
-"""Bytes that a recording may unpack to however small its file is."""
+"""Unpacked size that is always allowed, however small the file is [bytes]."""
 MAX_ARRAYS = 10_000
-"""Arrays in a recording, and columns of them; with ten times as many, names take a minute."""
+"""Largest number of arrays, and of their columns; with ten times as many, names take a minute."""
 _OVERHEAD = 2e8
-"""Memory that reading takes beside the arrays: caches, a chunk packed and unpacked [bytes]."""
+"""Memory that reading takes in addition to the arrays: caches, a packed and unpacked chunk [bytes].
+"""
 
 
 def unpacked_limit(packed_bytes: float) -> float:
@@ -157,10 +167,10 @@ def refuse_many_arrays(path: Path, count: int) -> None:
 
 @contextlib.contextmanager
 def memory_limit(more_bytes: float) -> Iterator[None]:
-    """Let this process take so many bytes more, and an overhead, within a block; Linux only.
+    """Limit the memory that this process may take in addition, within a block; Linux only.
 
-    A library may unpack all that is in a file, whatever the file states; beyond the limit it gets a
-    MemoryError.
+    A library may unpack more than a file states; beyond the limit, ``more_bytes`` and an overhead,
+    it gets a MemoryError.
     """
     if not sys.platform.startswith("linux"):
         yield
@@ -180,10 +190,14 @@ def memory_limit(more_bytes: float) -> Iterator[None]:
 
 
 def model_spelling(names: Sequence[str], joint_names: Sequence[str]) -> list[str]:
-    """Return a recording's joint names, those that only differ in a prefix as the model has them.
+    """Return a recording's joint names, replaced by the model's where they differ in a prefix only.
 
     ``fr3_joint1`` becomes ``joint1`` where no other name ends in it; upper case and underscores
-    make no difference. A name that could be two joints', or two names that could be one's, stay.
+    make no difference. Ambiguous names stay: one that fits two joints, two that fit one.
+
+    Args:
+        names: of the recording, the result is in their order.
+        joint_names: (n,) of the model.
     """
     spelling = []
     for name in names:
@@ -245,11 +259,11 @@ _TURN = 2.0 * np.pi
 # A wrap differs from a full turn by the motion within one sample: here 100 rad/s at 200 Hz.
 _WRAP_TOLERANCE = 0.5
 _IMPOSSIBLE = 1e7
-"""No joint position, speed or torque is beyond this in SI units; such a cell was not written."""
+"""Largest absolute position, speed or torque in SI units; larger numbers are faults of a file."""
 _IMPOSSIBLE_TIME = 1e24
-"""No time is beyond this [s], even of a clock of nanoseconds that is taken for seconds."""
+"""Largest absolute time [s], even of a clock of nanoseconds that is read as seconds."""
 SEPARATION = 10.0
-"""Time between recordings with clocks of their own [s]: farther than any filter reaches."""
+"""Time that is put between recordings with separate clocks [s]: longer than any filter."""
 
 
 @dataclass(frozen=True)
@@ -296,7 +310,14 @@ def read_rows(
     is_slide: Sequence[bool],
     progress: Progress | None = None,
 ) -> LogRows:
-    """Read and clean all rows of a log; a joint that is a slide (n,) has no full turn."""
+    """Return the usable rows of a log, cleaned and thinned.
+
+    Args:
+        table: the log.
+        columns: the column of each quantity.
+        is_slide: (n,) whether a joint is a slide, whose positions are not unwrapped.
+        progress: receives the progress of reading.
+    """
     cleaner = _RowCleaner(table, columns, is_slide)
     indices = [column.index for column in columns.columns()]
     thinning = None
@@ -304,7 +325,7 @@ def read_rows(
     for block in read_blocks(table, indices, progress or Progress()):
         rows = cleaner.clean(block)
         if thinning is None:
-            # The first rows tell how many there will be, and in which steps of time.
+            # The number of rows and the sampling period are estimated from the first rows.
             rows = np.concatenate((*chunks, rows))
             chunks = [rows]
             if len(rows) < 2 or (len(rows) < BLOCK and block.share_read < 1.0):
@@ -357,7 +378,9 @@ def read_blocks(
 
 
 class _RowCleaner:
-    """Leaves out and mends rows, block by block; ``is_slide`` (n,) marks joints without turns.
+    """Leaves out unusable rows and unwraps positions, block by block, in the order of the log.
+
+    Args: as of ``read_rows``.
 
     Attributes:
         n_read, n_foreign, anomalies: of all blocks so far, as in ``LogRows``.

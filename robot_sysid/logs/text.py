@@ -29,14 +29,14 @@ from robot_sysid.records import Array, Measurement
 from robot_sysid.records.file_access import atomic_file
 
 _EMPTY = frozenset({"", "nan", "null", "none", "na", "n/a", "-nan", "-", "missing"})
-"""Cells, in lower case, that are marked empty."""
+"""Texts, in lower case, of cells that count as empty."""
 _SEPARATORS = {";": "semicolon", "\t": "tab", "|": "bar", ",": "comma", " ": "blanks"}
 """Separator to its name in messages, in the order in which a line is searched for them."""
 _LONGEST_LINE = 100_000
-"""Characters beyond which a line is no row of a table; csv refuses cells of 131072."""
+"""Number of characters from which on a line is no row of a table; csv refuses cells of 131072."""
 CHUNK = 1_000_000
-"""Characters of a log that are in memory as lines at a time."""
-# How a line begins that may be empty or a comment.
+"""Number of characters of a log that are in memory as lines at a time."""
+# First characters of lines that may be empty or a comment.
 _NO_ROW = frozenset({"", *" \t\v\f#%"})
 _CONTROL = bytes({*range(32)} - {*b"\t\n\v\f\r"})
 """Control characters that a text file does not hold."""
@@ -50,6 +50,8 @@ class Dialect:
     """Layout of one text log.
 
     Attributes:
+        path: of the file.
+        encoding: of the file, as Python calls it.
         separator: "," ";" tab, "|", or " " for any run of blanks.
         header: column titles as written; empty where the file has none.
         header_line: file line of the header; 0 where it has none, or in a comment.
@@ -71,7 +73,7 @@ class Dialect:
         return self.header or tuple(f"#{k + 1}" for k in range(len(self.first_row)))
 
     def cells(self, line: str) -> list[str]:
-        """Return the cells of a row, without an empty one behind a last separator."""
+        """Return the cells of a line, without an empty cell behind a trailing separator."""
         cells = split_line(line, self.separator)
         has_extra = len(cells) == len(self.titles) + 1 and not cells[-1]
         return cells[:-1] if has_extra else cells
@@ -180,10 +182,10 @@ def _start_of_time(cell: str) -> int:
 def _read_lines(
     path: Path, encoding: str, size: int
 ) -> Iterator[tuple[int, list[str], float]]:
-    """Yield (number of the first line, lines, share of the file that is read).
+    """Yield (number of the first line, lines, share of the file that is read) in chunks.
 
-    Each time about ``size`` characters, to the end of a line; of a line that is too long for a
-    table only the beginning.
+    A chunk has about ``size`` characters and ends with a line; a line that is too long for a table
+    is cut off.
     """
     file_size = max(1, path.stat().st_size)
     number = 1
@@ -242,7 +244,7 @@ def _header_in_comment(comment: str, width: int) -> tuple[str, ...]:
 
 
 def _drop_last_empty(cells: Sequence[str]) -> tuple[str, ...]:
-    """Return the cells without an empty one behind a last separator."""
+    """Return the cells without an empty cell behind a trailing separator."""
     return tuple(cells[:-1] if len(cells) > 1 and not cells[-1] else cells)
 
 
@@ -258,7 +260,7 @@ def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
         numbers = range(first, first + len(lines))
         rows = list(zip(numbers, lines))
         has_header = dialect.header_line in numbers
-        # The first characters tell of most chunks that every line is a row.
+        # In most chunks the first characters show that every line is a row.
         if has_header or not _NO_ROW.isdisjoint(line[:1] for line in lines):
             rows = [row for row in rows if _is_data(row, dialect.header_line)]
         if not rows:
@@ -317,8 +319,10 @@ def _with_seconds(
 def _read_rows(
     dialect: Dialect, columns: Sequence[int], rows: Sequence[tuple[int, str]]
 ) -> tuple[Array, str]:
-    """Return the cells (R, C) of (line number, line) each, and what is wrong with the first row
-    that is not numbers, "" for none; such a row is infinite.
+    """Return (cells (R, C), complaint) of rows given as (line number, line).
+
+    A row that is not numbers becomes infinite; the complaint is the fault of the first such row, ""
+    without one.
     """
     cells = np.full((len(rows), len(columns)), np.inf)
     complaint = ""
@@ -330,7 +334,7 @@ def _read_rows(
 
 
 def _read_row(dialect: Dialect, columns: Sequence[int], line: str, row: Array) -> str:
-    """Write the numbers of a line's columns into ``row`` (C,); return "", or what is wrong."""
+    """Write the numbers of a line's columns into ``row`` (C,); return "", or the line's fault."""
     cells = dialect.cells(line)
     titles = dialect.titles
     if len(cells) != len(titles):

@@ -1,13 +1,13 @@
-"""What the column titles of a log mean: which quantity, of which joint, in which unit.
+"""The meaning of a log's column titles: quantity, joint and unit.
 
 A title is cut into tokens: ``j0_pos`` gives j, 0, pos; ``jointVelocity[3] (deg/s)`` gives joint,
 velocity, 3 and the unit deg/s; ``q1`` gives q, 1. Every token has to be in the vocabulary: a title
 with a foreign token (``joint1_position_std``, ``q1_filtered``) does not stand for the plain
 quantity.
 
-A column belongs to a joint by the joint's name, or else by counting. Both are tried. A quantity
-whose titles carry every joint's name goes by the names; else the numbers in the titles have to be
-exactly 0..n-1 or 1..n. Two answers for one quantity are an error.
+A column is matched with a joint by the joint's name, or else by its number. Both are tried. Names
+are used for a quantity whose titles carry every joint's name; else the numbers in the titles have
+to be exactly 0..n-1 or 1..n. It is an error if names and numbers give different columns.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def _token_set(text: str) -> frozenset[str]:
 
 
 def _by_token(vocabulary: Mapping[T, str]) -> dict[str, T]:
-    """Return token to meaning, of a table of meaning to its tokens, separated by blanks."""
+    """Return token to meaning, from a table of meaning to tokens that are separated by blanks."""
     meanings: dict[str, T] = {}
     for meaning, tokens in vocabulary.items():
         meanings.update(dict.fromkeys(tokens.split(), meaning))
@@ -52,19 +52,24 @@ QUANTITY_OF_TOKEN = _by_token(
 )
 """Token of a title to the quantity that it stands for."""
 
+# Tokens that mark a command or a reference.
 _COMMANDED = _token_set(
     "cmd command commanded commands des desired ref reference target setpoint sp goal planned "
     "plan ff feedforward d action actions"
 )
 _FEED_FORWARD = _token_set("ff feedforward")
-"""Of the tokens for commands, those that no commanded position is called by."""
+"""Tokens of commands that do not stand for commanded positions."""
+# Tokens that may be in a title without changing its quantity.
 _NEUTRAL = _token_set(
     "j jnt joint joints axis ax a m motor motors dof arm robot field state states js jointstate "
     "jointstates header meas measured measurement act actual fb feedback msr present current "
     "sensor data values value currents as"
 )
+# Tokens of a motor's current; "current" may mean "present" as well.
 _CURRENT = frozenset({"current", "currents"})
+# Units of a motor's current.
 _AMPERES = _token_set("a amp amps ampere amperes")
+# Sequences of tokens to the single token that they stand for.
 _JOINED = {
     " q dot ": " qd ",
     " q ddot ": " qdd ",
@@ -108,15 +113,15 @@ _BRACKETS = re.compile(r"[\[({]([^\])}]*)[\])}]")
 
 @dataclass(frozen=True)
 class Title:
-    """A column title, and what was read from it.
+    """A column title, cut into tokens, numbers and unit.
 
     Attributes:
         text: the title as the file has it.
-        tokens: its words in lower case, without units and numbers.
-        numbers: the numbers in it.
+        tokens: the title's words in lower case, without units and numbers.
+        numbers: the whole numbers in the title.
         unit: in lower case, letters and digits alone ("deg/s" is "degs"); "" for none.
-        override: the quantity that it stands for whatever its tokens say, "" for none; None leaves
-            the decision to the tokens.
+        override: quantity of the title in place of that of its tokens, "" for no quantity; None
+            where the tokens decide.
     """
 
     text: str
@@ -169,11 +174,13 @@ class Title:
 def interpret_titles(
     titles: Sequence[Title], joint_names: Sequence[str], currents: bool, commanded: bool
 ) -> list[Title]:
-    """Return titles with their unit and override set, units read outside the joints' names.
+    """Return titles with their unit and override set; joint names are not searched for units.
 
     Args:
-        currents: whether motor currents stand for torque and torques for nothing; not where there
-            are fewer currents than joints: then the torque columns hold them.
+        titles: of ``read_title``.
+        joint_names: (n,) of the arm.
+        currents: whether columns of motor currents are read in place of torques. Where there are
+            fewer such columns than joints, the torque columns are taken to hold the currents.
         commanded: whether commanded positions are read, such as ``q_des[0]``, ``action 1``.
     """
     count = sum(title.is_current for title in titles)
