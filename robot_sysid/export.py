@@ -267,6 +267,7 @@ def _card_file(result: Result, payload: Payload) -> tuple[tuple[Card, ...], str]
 
 
 SCHEMA_VERSION = 4
+"""Version of the format of params.json; readers refuse other versions."""
 FORMULAS = {
     "coulomb": "sign(qd)",
     "viscous": "qd",
@@ -436,6 +437,7 @@ def _body_entry(body: BodyEstimate) -> dict[str, Any]:
     """Return the parameters of a body, in the model, too, with their errors by cause."""
 
     def by_name(values: Any) -> dict[str, Any]:
+        """Return parameter name to value, of values (10,)."""
         return dict(zip(PARAMETER_NAMES, values))
 
     from_data = body.is_determined & (body.data_share >= PRIOR_SHARE)

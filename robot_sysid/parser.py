@@ -125,6 +125,7 @@ def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:
 
 
 def _keyframe_names(mj_model: Any) -> list[str]:
+    """Return the names of a model's keyframes in their order, "#0" for a nameless one with id 0."""
     return [mj_model.key(index).name or f"#{index}" for index in range(mj_model.nkey)]
 
 
@@ -190,6 +191,7 @@ def _closes_a_loop(mj_model: Any, chain: tuple[int, ...], eq: int) -> bool:
 
 
 _PACKAGE = "robot_descriptions"
+"""Python package that fetches models of many robots by name."""
 _NAME = re.compile(r"\w+_description", re.ASCII)
 """``ur5e_mj_description``, an MJCF, and ``panda_description``, a URDF."""
 

@@ -22,15 +22,20 @@ from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.documents import Edits, ModelDocument, Node, SourceFile, reference
 
 _CUBE_SIDES = ("fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
+"""Attributes of a texture that name the files of a cube's sides."""
 _FILE_ATTRIBUTES = {
     **dict.fromkeys(("mesh", "hfield", "skin", "flexcomp", "model"), ("file",)),
     "texture": ("file", *_CUBE_SIDES),
 }
 """Tag of an MJCF element to its attributes that name a file."""
 SHAPES = ("visual", "collision")
+"""Tags of a URDF's elements that contain meshes."""
 _SCHEME = re.compile(r"^(package|model|file)://")
+"""Begin of a mesh's file name that is a URI."""
 _FOLDERS = ("assetdir", "meshdir", "texturedir")
+"""Attributes of MuJoCo's <compiler> that name a folder of assets."""
 _FOLDER_SETTINGS = (*_FOLDERS, "strippath")
+"""Attributes of MuJoCo's <compiler> that determine where assets are found."""
 
 
 @dataclass(frozen=True)

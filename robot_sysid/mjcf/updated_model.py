@@ -430,6 +430,7 @@ def _compiled_order(document: ModelDocument, element: str) -> Iterator[Node]:
 
 
 _WITH_JOINTS = ("worldbody", "body")
+"""Tags of the elements that may contain joints."""
 
 
 def _without_frames(body: Node) -> Iterator[Node]:

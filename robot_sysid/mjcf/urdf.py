@@ -22,7 +22,9 @@ from robot_sysid.mjcf.inertial import urdf_inertial_about_com
 from robot_sysid.records import Array
 
 _READABLE_MESHES = (".stl", ".obj", ".msh")
+"""Suffixes of the mesh files that MuJoCo reads."""
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+"""Attributes of a URDF's <inertia> [kg m^2]."""
 _MINIMUM_MASS = 1e-6
 """Mass that a moving link without mass gets [kg]: MuJoCo refuses less than 1e-15."""
 _MINIMUM_INERTIA = 1e-9

@@ -29,11 +29,17 @@ from robot_sysid.records import Array, JointFriction, JointLimits
 from robot_sysid.records.option_fields import PerJoint, joint_values
 
 _JAW_JOINT = re.compile(r"grip|finger|jaw|claw|knuckle|pinch", re.IGNORECASE)
+"""Part of the name of a gripper's joint."""
 _JAW_BODY = re.compile(r"finger|jaw|claw|knuckle", re.IGNORECASE)
+"""Part of the name of a gripper's moving body."""
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+"""MuJoCo's type of a hinge joint."""
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
+"""MuJoCo's type of a slide joint."""
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+"""MuJoCo's types of transmission by which an actuator acts on a joint directly."""
 _ONLY_THESE = "only hinge and slide joints can be identified"
+"""Part of the errors on joints of other types."""
 RIVAL_SHARE = 0.6
 """A run beside the longest one that has at least this share of its joints may be an arm too: a head
 of two or three joints beside a seven-joint arm is none, an arm of five is."""

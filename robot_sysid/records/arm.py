@@ -14,11 +14,19 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
 
 Array = NDArray[np.float64]
+"""Array of floats, of any shape."""
 
 
 def checked_array(value: Any, shape: tuple[int | None, ...], name: str) -> Array:
-    """Return a read-only float view of ``value``, or raise InputError naming what is wrong: each
-    axis has the expected length, any where that is None.
+    """Return a read-only float array of a shape, a view of ``value`` if that is a float array.
+
+    Args:
+        value: an array, or anything that numpy converts to one.
+        shape: expected length of each axis; None for any length.
+        name: names the value in the error.
+
+    Raises:
+        InputError: the shape differs, or an element is not finite.
     """
     array = np.asarray(value, dtype=np.float64).view()
     fits = array.ndim == len(shape) and all(
@@ -36,7 +44,15 @@ def checked_array(value: Any, shape: tuple[int | None, ...], name: str) -> Array
 
 
 def check_arrays(record: Any, **shapes: tuple[int | None, ...]) -> None:
-    """Replace fields of a frozen record by ``checked_array`` of a shape each."""
+    """Replace fields of a frozen record by read-only float arrays, see ``checked_array``.
+
+    Args:
+        record: the record, which is changed in place.
+        shapes: name of a field to the expected length of each axis; None for any length.
+
+    Raises:
+        InputError: a shape differs, or an element is not finite.
+    """
     for name, shape in shapes.items():
         object.__setattr__(
             record, name, checked_array(getattr(record, name), shape, name)
@@ -81,7 +97,7 @@ class InertialParameters:
 
     @property
     def scale(self) -> Array:
-        """What is much for each parameter (10,) of a body of this mass and size."""
+        """Typical size of each parameter (10,) of such a body [kg, kg m, kg m^2]."""
         length = spatial.characteristic_length(self.theta)
         return spatial.parameter_scale(max(self.mass, 1e-9), length)
 
@@ -173,8 +189,13 @@ class Flange:
 
 @dataclass(frozen=True)
 class JointLimits:
-    """What each chain joint may do (n,): positions [rad or m], speed [rad/s or m/s] and torque,
-    symmetric [N m or N]; infinite where there is no limit.
+    """Limits of the n chain joints; infinite where there is none.
+
+    Attributes:
+        lower: (n,) smallest positions [rad or m].
+        upper: (n,) largest positions [rad or m].
+        velocity: (n,) largest speeds in both directions [rad/s or m/s].
+        torque: (n,) largest torques in both directions [N m or N].
     """
 
     lower: Array
@@ -226,8 +247,12 @@ class JointFriction:
         return self.dry(qd) + self.viscous * qd
 
     def dry(self, qd: Array, direction: Callable[[Array], Array] = np.sign) -> Array:
-        """Return the part (N, n) that is independent of the size of velocities qd (N, n); the
-        direction of a velocity is its sign, or what turns round smoothly in place of that.
+        """Return the dry friction torque (N, n), which depends on directions of motion alone.
+
+        Args:
+            qd: (N, n) velocities [rad/s or m/s].
+            direction: returns the direction, -1 to 1, of each element of an array of velocities:
+                their sign, or a smooth function in place of it.
         """
         assert self.shared is not None
         speed = (

@@ -290,6 +290,7 @@ def validation_of(
     """
 
     def relative(error: float, torque: float) -> float | None:
+        """Return the relative error of sums of squares; None where the torque is zero."""
         return float(np.sqrt(error / torque)) if torque > 0.0 else None
 
     total = float(np.sum(squared_errors))

@@ -22,15 +22,23 @@ from robot_sysid.errors import InputError, delay_signals, error_text
 MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
 """Format of the robot's model file to the name of the written model: a URDF stays one."""
 PARAMS_NAME = "params.json"
+"""Name of the file with all identified numbers of a run."""
 PLAN_NAME = "trajectory.json"
+"""Name of the file with the coefficients of a planned motion."""
 SETTINGS_NAME = "trajectory.toml"
 """Settings that a plan writes beside its motion, from which it can be planned again."""
 DAMIAO_NAME = "damiao_trajectory.csv"
+"""Name of the file with a motion for Damiao motors."""
 CARD_NAME = "payload_card.txt"
+"""Name of the file with a payload in the form of each controller."""
 SERVO_NAME = "servo.json"
+"""Name of the file with all numbers identified for an arm without torque measurement."""
 RUN_NAME = "run.toml"
+"""Name of the file with all options of a run, from which it can be repeated."""
 LOCK_NAME = ".robot-sysid.lock"
+"""Name of the file that locks a folder while a run writes to it."""
 _DRAFT_PREFIX = ".robot-sysid-"
+"""Begin of the name of a draft, a hidden file that is renamed when it is complete."""
 _MAX_INTEGER_DIGITS = 300
 """Digits up to which an integer of a JSON file fits into a float, of at most 1.8e308."""
 _MAX_JSON_BYTES = 30_000_000

@@ -21,7 +21,9 @@ _TERM_UNITS: Mapping[str, tuple[str, str]] = {
 }
 """Friction term, speed parameter of one, or joint zero to its unit in a hinge and in a slide."""
 _MAX_DECIMALS = 6
+"""Decimals up to which a number is written without exponent."""
 _MAX_PERCENT = 1000.0
+"""Percentage beyond which only "over 1000 %" is written."""
 
 
 def number_text(value: float, error: float | None = None) -> str:
@@ -86,10 +88,13 @@ class Detail(str):
 
 
 class Progress:
-    """Receives the progress of a long run. This one ignores all; the console's one prints it."""
+    """Receives the progress of a long run; the methods of this base class print nothing.
+
+    The console's subclass prints lines and a progress bar.
+    """
 
     def stage(self, *messages: str) -> None:
-        """Announce a stage of the run, or tell its outcome."""
+        """Print lines that announce a stage of the run or state its outcome."""
 
     def track(self, items: Iterator[Any], label: str, total: int) -> Iterator[Any]:
         """Yield the items, with ``advance`` after each and a line "LABEL: 100%" after the last."""
@@ -99,7 +104,14 @@ class Progress:
         self.stage(f"{label}: 100%")
 
     def advance(self, label: str, done: float, total: float, text: str) -> None:
-        """Tell that ``done`` of ``total`` steps are finished; ``text`` tells the state."""
+        """Show that ``done`` of ``total`` steps are finished.
+
+        Args:
+            label: names the stage.
+            done: number of finished steps.
+            total: number of all steps.
+            text: state of the stage, such as an error so far; "" for none.
+        """
 
     def note(self, *messages: str) -> None:
-        """Tell the user something that does not stop the run, such as a warning."""
+        """Print notes, such as warnings, which do not stop the run."""

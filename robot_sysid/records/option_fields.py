@@ -33,7 +33,9 @@ Check = Callable[[Any], Optional[str]]
 """Returns what is wrong with a value, as the end of a sentence that begins with the option's flag,
 or None where nothing is."""
 Record = TypeVar("Record")
+"""Any class of records of options."""
 _VALUE_FORM = re.compile(r"((?![\[>])\S+)? ?(?:\[(.*)\])? ?(?:(>=?) 0)?")
+"""Name of a value, unit in brackets and range, all optional, as in "V [rad/s] > 0"."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +133,7 @@ def options_of(record: Any) -> Mapping[str, Option]:
 
 @cache
 def _options_of_class(record_class: Any) -> Mapping[str, Option]:
+    """Return field name to option, with flag and parser completed, of a class of records."""
     options = {}
     for record_field in fields(record_class):
         if "option" in record_field.metadata:
@@ -196,12 +199,20 @@ def record_from(record_class: type[Record], values: Mapping[str, Any]) -> Record
     return record_class(**arguments)
 
 
-def _checked_value(stated: Option, given: Any) -> Any:
-    """Return a value as the record holds it, or raise InputError where its type is wrong."""
+def _checked_value(stated: Option, raw_value: Any) -> Any:
+    """Return the value of an option in the form that its record holds.
+
+    Args:
+        stated: the option.
+        raw_value: value of a keyword: of the option's type, a text, a list or an array.
+
+    Raises:
+        InputError: the value is of another type than the option's.
+    """
     try:
-        value = immutable_value(given, stated.parse)
+        value = immutable_value(raw_value, stated.parse)
     except ValueError:
-        value = given
+        value = raw_value
     except InputError as error:
         raise InputError(f"{stated.flag}: {error}") from None
     has_rows = isinstance(stated.metavar, tuple)
@@ -220,7 +231,7 @@ def _checked_value(stated: Option, given: Any) -> Any:
         for leaf in _leaves(value)
     )
     if not fits or not (takes_many or is_single):
-        raise InputError(f"{stated.flag} must be {type_text} (got {given!r:.60})")
+        raise InputError(f"{stated.flag} must be {type_text} (got {raw_value!r:.60})")
     return value
 
 
@@ -332,8 +343,11 @@ _PARSERS: Mapping[str, Callable[[str], Any]] = {
 }
 """Name of a type in a field's annotation to what parses its text."""
 _PER_JOINT = "one per joint"
+"""End of the description of a value that may be one number per joint."""
 _WHOLE_NUMBER = ((Integral,), "a whole number")
+"""Types of a whole number, and its description."""
 _PATH = ((os.PathLike,), "a path")
+"""Types of a path, and its description."""
 _VALUE_TYPES: Mapping[str, tuple[tuple[type, ...], str]] = {
     "float": ((Real,), "a number"),
     "int": _WHOLE_NUMBER,

@@ -25,8 +25,11 @@ if TYPE_CHECKING:
     from robot_sysid.records import Array
 
 VERSION = 2
+"""Version of the files that are written, and the newest that is read."""
 SCALE = "torque_scale"
+"""Key of the table of torque scales in a file."""
 CONSTANTS = "torque_constants"
+"""Key of the table of torque constants in a file [N m/A]."""
 Factors = Union[PerJoint, Path]
 """One number for all joints, one per joint, or the file that lists them by name."""
 
