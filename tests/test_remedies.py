@@ -20,7 +20,7 @@ from robot_sysid.config import Config
 from robot_sysid.records.option_fields import OptionRecord
 from tests.test_architecture import FUNCTIONS, nodes_of, package_sources
 
-Place = tuple[str, str]
+Symbol = tuple[str, str]
 """A module and a name in it."""
 MODULES = {"log": log, "report": report, "example": example}
 COMMANDS = (
@@ -36,13 +36,13 @@ WHOSE = re.compile(rf"({'|'.join(COMMANDS)})( [^\s;:,()]*[^\s;:,().])*? $")
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")
 
 
-def places(module: str, *names: str) -> tuple[Place, ...]:
+def symbols_of(module: str, *names: str) -> tuple[Symbol, ...]:
     return tuple((f"robot_sysid.{module}", name) for name in names)
 
 
 ONLY = {
-    "identify": places("pipeline.recordings", "identify_logs")
-    + places("servo", "run_servo")
+    "identify": symbols_of("pipeline.recordings", "identify_logs")
+    + symbols_of("servo", "run_servo")
 }
 """Command to the stage that it takes of those that all questions share."""
 UNSAID = {
@@ -53,59 +53,61 @@ UNSAID = {
 that is held has no file of its own."""
 RUNS = ("run", "identify", "payload")
 """Commands whose options a page speaks of."""
-OF_PLANS = places("pipeline.planning", "write_plan")
-CHOSEN = places("signals.filters", "design_low_pass")  # a cut-off that nobody gave fits
-USUAL = places(
+OF_PLANS = symbols_of("pipeline.planning", "write_plan")
+CHOSEN = symbols_of(
+    "signals.filters", "design_low_pass"
+)  # a cut-off that nobody gave fits
+USUAL = symbols_of(
     "records.option_fields", "require_countable"
 )  # the motion that nobody asked for is short
-SECOND = places("damiao.settings", "SecondArm")  # one arm at a time
-LIFTED = places(
-    "motion.problem", "_above_base"
+SECOND = symbols_of("damiao.settings", "SecondArm")  # one arm at a time
+LIFTED = symbols_of(
+    "motion.problem", "_space_above_base"
 )  # what was planned below the base may be played
-EXPORT = places("damiao.joints", "damiao_joints")
-QUESTIONS = set(places("commands.identify", "ALONE", "PLAN", "IDENTIFY", "PAYLOAD"))
-SHOWN = places("preview", "require_preview", "show_plan")
+EXPORT = symbols_of("damiao.joints", "damiao_joints")
+QUESTIONS = set(symbols_of("commands.identify", "ALONE", "PLAN", "IDENTIFY", "PAYLOAD"))
+SHOWN = symbols_of("preview", "require_preview", "show_plan")
 
 
-def others(name: str, *shown: Place) -> tuple[Place, ...]:
+def other_questions(name: str, *preview: Symbol) -> tuple[Symbol, ...]:
     """Return what stands beside a question in its module and is not of it."""
-    return (*(QUESTIONS - set(places("commands.identify", name))), *shown)
+    return (*(QUESTIONS - set(symbols_of("commands.identify", name))), *preview)
 
 
 NEVER = {
-    "run": places("pipeline.payload", "identify_payload")
-    + (*places("motion.static", "design_poses"), *others("ALONE", *SHOWN)),
+    "run": symbols_of("pipeline.payload", "identify_payload")
+    + (*symbols_of("motion.static", "design_poses"), *other_questions("ALONE", *SHOWN)),
     "plan": (
         *ONLY["identify"],
         *CHOSEN,
-        *places("pipeline.stages", "identify", "write_results"),
+        *symbols_of("pipeline.stages", "identify", "write_results"),
     )
-    + others("PLAN"),
-    "identify": places("pipeline.stages", "identify")
-    + places("pipeline.planning", "design_motion", "motor_writer")
-    + (*OF_PLANS, *USUAL, *EXPORT, *others("IDENTIFY", *SHOWN)),
+    + other_questions("PLAN"),
+    "identify": symbols_of("pipeline.stages", "identify")
+    + symbols_of("pipeline.planning", "design_motion", "motor_writer")
+    + (*OF_PLANS, *USUAL, *EXPORT, *other_questions("IDENTIFY", *SHOWN)),
     "payload": (
-        *places("pipeline.stages", "identify"),
-        *places("pipeline.self_test", "run_self_test"),
-        *places("pipeline.planning", "design_motion", "motor_writer"),
+        *symbols_of("pipeline.stages", "identify"),
+        *symbols_of("pipeline.self_test", "run_self_test"),
+        *symbols_of("pipeline.planning", "design_motion", "motor_writer"),
         *USUAL,
     )
     + (
-        *others("PAYLOAD", *SHOWN),
+        *other_questions("PAYLOAD", *SHOWN),
         *OF_PLANS,
         *EXPORT,
-        *places("results.record", "Verdict.PARTLY_FROM_MODEL"),
+        *symbols_of("results.record", "Verdict.PARTLY_FROM_MODEL"),
     ),
     "log": CHOSEN + USUAL + LIFTED,
     # A page names the joint that the run found.
-    "report": places("model.chain", "_require_end")
-    + (*places("errors", "AmbiguousJointError"), *places("parser", "_notes")),
-    "example": places("commands.example", "_record_logs"),  # with files of its own
+    "report": symbols_of("model.chain", "_require_end")
+    + (*symbols_of("errors", "AmbiguousJointError"), *symbols_of("parser", "_notes")),
+    "example": symbols_of("commands.example", "_record_logs"),  # with files of its own
     **dict.fromkeys(
         [f"motors {word}" for word in ("check", "play", "simulate")], LIFTED
     ),
     "motors hold": LIFTED + SECOND,
-    "motors map": places(
+    "motors map": symbols_of(
         *(
             "damiao.preflight",
             "plan_checks",
@@ -114,12 +116,15 @@ NEVER = {
             "limit_checks",
         )
     )
-    + places("damiao.model_check", "model_checks", "torque_checks", "transfer_check")
+    + symbols_of(
+        "damiao.model_check", "model_checks", "torque_checks", "transfer_check"
+    )
     + SECOND
-    + places("damiao.execution", "MotorRun"),  # nothing is played
+    + symbols_of("damiao.execution", "MotorRun"),  # nothing is played
     # No model.
     **dict.fromkeys(
-        ("motors monitor", "motors setup"), places("commands.motors.session", "Session")
+        ("motors monitor", "motors setup"),
+        symbols_of("commands.motors.session", "Session"),
     ),
 }
 """Command to what it never comes to: stages of other questions, and what it does not ask."""
@@ -151,57 +156,63 @@ def options_of(command: str) -> frozenset[str]:
 @cache
 def definitions(module: str) -> dict[str, ast.AST]:
     """Return what stands at the top of a module, and constants of its classes, by name."""
-    found: dict[str, ast.AST] = {}
+    nodes: dict[str, ast.AST] = {}
     for node in nodes_of(package_sources()[module])[0].body:
         if isinstance(node, (*FUNCTIONS, ast.ClassDef)):
-            found[node.name] = node
+            nodes[node.name] = node
         if isinstance(node, ast.ClassDef):
-            inner = [
-                each
-                for each in node.body
-                if isinstance(each, (ast.Assign, ast.AnnAssign))
+            constants = [
+                statement
+                for statement in node.body
+                if isinstance(statement, (ast.Assign, ast.AnnAssign))
             ]
-            found |= {
-                f"{node.name}.{name}": each for each in inner for name in targets(each)
+            nodes |= {
+                f"{node.name}.{name}": statement
+                for statement in constants
+                for name in targets(statement)
             }
-        found |= dict.fromkeys(targets(node), node)
-    return found
+        nodes |= dict.fromkeys(targets(node), node)
+    return nodes
 
 
 def targets(node: ast.AST) -> list[str]:
     """Return the names that a statement assigns to."""
-    told = getattr(node, "targets", [getattr(node, "target", None)])
+    assigned = getattr(node, "targets", [getattr(node, "target", None)])
     return [
-        n.id for each in told if each for n in ast.walk(each) if isinstance(n, ast.Name)
+        n.id
+        for target in assigned
+        if target
+        for n in ast.walk(target)
+        if isinstance(n, ast.Name)
     ]
 
 
 @cache
-def imported(module: str) -> dict[str, Place]:
+def imported_symbols(module: str) -> dict[str, Symbol]:
     """Return name in a module to what of the package it stands for; "" is a module itself."""
-    found = {}
+    symbols = {}
     for node in nodes_of(package_sources()[module]):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(
             "robot_sysid"
         ):
-            for each in node.names:
-                whole = f"{node.module}.{each.name}"
-                known = whole in package_sources()
-                found[each.asname or each.name] = (
-                    (whole, "") if known else (node.module, each.name)
+            for alias in node.names:
+                full_name = f"{node.module}.{alias.name}"
+                is_module = full_name in package_sources()
+                symbols[alias.asname or alias.name] = (
+                    (full_name, "") if is_module else (node.module, alias.name)
                 )
-    return found
+    return symbols
 
 
-def place_of(module: str, name: str) -> Place | None:
+def origin_of(module: str, name: str) -> Symbol | None:
     """Return where a name of a module is defined, through those that only pass it on."""
     if name in definitions(module):
         return module, name
-    there = imported(module).get(name)
-    return there if there is None or not there[1] else place_of(*there) or there
+    origin = imported_symbols(module).get(name)
+    return origin if origin is None or not origin[1] else origin_of(*origin) or origin
 
 
-def parts(node: ast.AST) -> Iterator[ast.AST]:
+def code_nodes(node: ast.AST) -> Iterator[ast.AST]:
     """Yield all of a definition but docstrings, a class's constants and bits of a longer text."""
     yield node
     left_out = {
@@ -211,40 +222,42 @@ def parts(node: ast.AST) -> Iterator[ast.AST]:
     }.get(type(node), ())
     for child in ast.iter_child_nodes(node):
         if not isinstance(child, left_out):
-            yield from parts(child)
+            yield from code_nodes(child)
 
 
 @cache
-def parts_of(place: Place) -> tuple[ast.AST, ...]:
+def nodes_of_symbol(symbol: Symbol) -> tuple[ast.AST, ...]:
     """Return the parts of a definition."""
-    return tuple(parts(definitions(place[0])[place[1]]))
+    return tuple(code_nodes(definitions(symbol[0])[symbol[1]]))
 
 
 @cache
-def leads_to(place: Place) -> frozenset[Place]:
+def leads_to(source: Symbol) -> frozenset[Symbol]:
     """Return what a definition names."""
-    module, name = place
-    found = set()
-    own = parts_of(place)
-    local = {n.arg for n in own if isinstance(n, ast.arg)}
+    module, name = source
+    symbols = set()
+    nodes = nodes_of_symbol(source)
+    local = {n.arg for n in nodes if isinstance(n, ast.arg)}
     local |= {
-        n.id for n in own if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
+        n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
     }
     local = local if isinstance(definitions(module)[name], FUNCTIONS) else set()
-    for node in own:
+    for node in nodes:
         if isinstance(node, ast.Name) and node.id not in local:
-            found.add(place_of(module, node.id))
+            symbols.add(origin_of(module, node.id))
         elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-            there = place_of(module, node.value.id)
-            if there is not None and not there[1]:
-                found.add(place_of(there[0], node.attr))
-            elif there is not None:
-                found.add((there[0], f"{there[1]}.{node.attr}"))
-    return frozenset(each for each in found if each and each[1] in definitions(each[0]))
+            origin = origin_of(module, node.value.id)
+            if origin is not None and not origin[1]:
+                symbols.add(origin_of(origin[0], node.attr))
+            elif origin is not None:
+                symbols.add((origin[0], f"{origin[1]}.{node.attr}"))
+    return frozenset(
+        symbol for symbol in symbols if symbol and symbol[1] in definitions(symbol[0])
+    )
 
 
 @cache
-def reached(command: str) -> frozenset[Place]:
+def reachable(command: str) -> frozenset[Symbol]:
     """Return what a command may run."""
     word, _, name = command.partition(" ")
     if name:
@@ -253,35 +266,40 @@ def reached(command: str) -> frozenset[Place]:
         ]
     else:
         start = f"robot_sysid.commands.{NAMES.get(word, 'identify')}"
-        waiting = [*((start, each) for each in definitions(start)), *ONLY.get(word, ())]
-        waiting = [each for each in waiting if each not in NEVER.get(word, ())]
-    found = set(waiting)
+        waiting = [
+            *((start, symbol) for symbol in definitions(start)),
+            *ONLY.get(word, ()),
+        ]
+        waiting = [symbol for symbol in waiting if symbol not in NEVER.get(word, ())]
+    reached_symbols = set(waiting)
     while waiting:
-        for each in leads_to(waiting.pop()) - found - set(NEVER.get(command, ())):
-            found.add(each)
-            waiting.append(each)
-    return frozenset(found)
+        for symbol in (
+            leads_to(waiting.pop()) - reached_symbols - set(NEVER.get(command, ()))
+        ):
+            reached_symbols.add(symbol)
+            waiting.append(symbol)
+    return frozenset(reached_symbols)
 
 
-def is_record(place: Place) -> bool:
+def is_record(symbol: Symbol) -> bool:
     """Tell whether it checks options: what it says, it says of one that was given."""
-    found = getattr(import_module(place[0]), place[1], None)
-    return isinstance(found, type) and issubclass(found, (OptionRecord, Config))
+    record = getattr(import_module(symbol[0]), symbol[1], None)
+    return isinstance(record, type) and issubclass(record, (OptionRecord, Config))
 
 
 @cache
-def texts(place: Place) -> tuple[str, ...]:
+def texts(symbol: Symbol) -> tuple[str, ...]:
     """Return the texts with options in a definition, {} for what is filled in."""
-    found = []
-    for node in parts_of(place):
+    texts_in_code = []
+    for node in nodes_of_symbol(symbol):
         if isinstance(node, ast.JoinedStr):
             filled = [
                 p.value if isinstance(p, ast.Constant) else "{}" for p in node.values
             ]
-            found.append("".join(map(str, filled)))
+            texts_in_code.append("".join(map(str, filled)))
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            found.append(node.value)
-    return tuple(text for text in found if OPTION.search(text))
+            texts_in_code.append(node.value)
+    return tuple(text for text in texts_in_code if OPTION.search(text))
 
 
 def faults(command: str, text: str) -> Iterator[str]:
@@ -291,38 +309,44 @@ def faults(command: str, text: str) -> Iterator[str]:
     """
     for match in OPTION.finditer(text):
         named = WHOSE.search(text[: match.start()])
-        known = options_of(named[1]) if named else frozenset()
-        if match[0] not in options_of(command) | known and match.start():
+        named_options = options_of(named[1]) if named else frozenset()
+        if match[0] not in options_of(command) | named_options and match.start():
             yield match[0]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_what_a_command_may_say_names_its_own_options(command):
-    wrong = [
+    foreign_options = [
         f"{module}.{name}: {option} in {text!r}"
-        for module, name in sorted(reached(command))
+        for module, name in sorted(reachable(command))
         if not is_record((module, name))
         for text in texts((module, name))
         if text != UNSAID.get(command)
         for reader in (RUNS if module.startswith("robot_sysid.report.") else (command,))
         for option in faults(reader, text)
     ]
-    assert wrong == []
+    assert foreign_options == []
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_help_of_a_command_names_its_own_options(command):
     parser = parser_of(command)
-    told = [
+    help_texts = [
         parser._example,
         parser.description,
-        *(each.help for each in parser._actions),
+        *(action.help for action in parser._actions),
     ]
     assert [
-        (text, each) for text in told for each in faults(command, f"{text or ''}")
+        (text, option)
+        for text in help_texts
+        for option in faults(command, f"{text or ''}")
     ] == []
 
 
 def test_what_is_left_out_is_there():
-    left_out = {place for each in (*ONLY.values(), *NEVER.values()) for place in each}
-    assert [place for place in left_out if place[1] not in definitions(place[0])] == []
+    left_out = {
+        symbol for symbols in (*ONLY.values(), *NEVER.values()) for symbol in symbols
+    }
+    assert [
+        symbol for symbol in left_out if symbol[1] not in definitions(symbol[0])
+    ] == []
