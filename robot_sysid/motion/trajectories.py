@@ -102,8 +102,12 @@ class FourierBasis:
 
 @dataclass(frozen=True)
 class FourierTrajectory:
-    """A Fourier series per joint, from rest in a configuration (n,) back to it [rad]: offset, K
-    sine and K cosine coefficients (n, 2 K + 1) [rad].
+    """A Fourier series per joint that starts and ends at rest in one configuration.
+
+    Attributes:
+        basis: the 2 K + 1 functions of time.
+        rest: (n,) configuration at both ends [rad or m].
+        coefficients: (n, 2 K + 1) offset, K sine and K cosine coefficients [rad or m].
     """
 
     basis: FourierBasis
@@ -120,7 +124,7 @@ class FourierTrajectory:
 
     @property
     def cycle(self) -> tuple[float, float]:
-        """Period after which it repeats itself, but for so much time at both ends [s]."""
+        """Period of the motion [s], and the time at each end in which it is not periodic [s]."""
         return 1.0 / self.basis.base_frequency_hz, self.basis.fade
 
     def evaluate(self, time: Array) -> Motion:
@@ -295,7 +299,13 @@ def at_speed(plan: _Plan, speed: float) -> _Plan:
 
 @dataclass(frozen=True)
 class SavedTrajectory:
-    """A trajectory from a file; the joints, and model file (its sha256 or ""), it was made for."""
+    """A trajectory from a file.
+
+    Attributes:
+        plan: the trajectory.
+        joint_names: names of the joints that it was made for, in the order of its columns.
+        sha256: checksum of the model file that it was made for; "" if unknown.
+    """
 
     plan: MotionPlan
     joint_names: tuple[str, ...]

@@ -51,11 +51,13 @@ RATE = 20.0
 """Pictures per second of a film."""
 _MAX_CLEARANCE = 0.3
 """Clearance above which the plot stays level [m]: thirty times the least that a plan keeps."""
-# Multiples of sixteen, which every player can show.
+# Widths and heights of films are multiples of sixteen, which every player can show.
 _SIZE = (640, 480)
+"""Width and height of the picture of the arm [pixels]."""
 _PANEL = 400
+"""Width of the panel of plots beside the picture [pixels]."""
 _GIF_STEP = 2
-"""Every which picture goes into a .gif: half of them, as it compresses each one by itself."""
+"""A .gif has every second picture only, as it compresses each picture by itself."""
 _PAUSE = 1.0
 """Rest before the viewer plays the motion again [s]."""
 _INK = "#1b1f24"
@@ -285,7 +287,7 @@ def plan_preview(problem: ExcitationProblem, plan: MotionPlan) -> Preview:
 
 
 def log_preview(robot: RobotModel, log: Measurement) -> Preview:
-    """Return the preview of a recorded motion with the model's limits."""
+    """Return the preview of a recorded motion with position, speed and torque over the limits."""
     time = log.time - log.time[0]
     picture_times = _picture_times(float(time[-1]))
     q = interpolate(picture_times, time, log.q)

@@ -85,7 +85,9 @@ _SLOPES = {"degrees": 180.0 / np.pi, "steps of 4096 a turn": 4096 / (2 * np.pi)}
 _COPIED_SHARE = 0.98
 """Share of commands that equal a position from which on they are a copy of the positions."""
 _LEAST_CORRELATION = 0.5
+"""Least correlation of commands and positions, at the best delay, of a joint that follows them."""
 _LARGEST_OFFSET = 0.3
+"""Largest median difference of commands and positions that is plausible [rad or m]."""
 
 
 def commanded_pieces(
@@ -117,7 +119,7 @@ def is_moving(pieces: Sequence[Measurement]) -> NDArray[np.bool_]:
 
 
 def _command_faults(pairs: Sequence[tuple[Array, Array]]) -> Iterator[str]:
-    """Yield each fault of a joint's commands, as the end of a sentence.
+    """Yield each fault of a joint's commands, as the predicate of a sentence about them.
 
     Args:
         pairs: positions (N,) and commands (N,) of the joint in each piece of a log.
@@ -487,8 +489,10 @@ def play_servos(
     """Play held-out pieces with two sets of parameters, over every horizon that fits into them.
 
     Args:
-        pair: parameters before and after identification.
-        held_out: what the pieces are, as printed.
+        pair: the parameters before and after identification.
+        rollouts: of the arm.
+        pieces: of the logs that were not fitted.
+        held_out: name of these pieces in printed lines.
     """
     errors = []
     notes = ["open loop was not played: no torque was measured"]

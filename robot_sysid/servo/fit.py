@@ -51,6 +51,7 @@ GAIN_FACTORS = (0.03, 0.1, 0.3, 1.0, 3.0)
 """Factors on the start's gains on the grid before the search. With a larger one a servo is at its
 limit all the time, and chance decides which fits best."""
 _GRID_WINDOWS = 6
+"""Largest number of windows that are played for the grid of start gains and delays."""
 MAX_RATIO = 100.0
 """Upper bound of a number, in typical sizes."""
 LOG_OFFSET = 0.3
@@ -60,13 +61,17 @@ PRIOR_DEVIATION = 2.5
 MAX_EVALUATIONS = 8
 """Largest number of evaluations in one search."""
 _TOLERANCE = 1e-4
+"""Relative change of the unknowns, or of the cost, at which a search ends."""
+# Step of the central differences of the unknowns, in units of ``Parametrisation.unit``.
 # A servo that is at its limit again and again makes the error rough on smaller scales.
 _DIFFERENCE_STEP = 0.04
 _LEAST_SIZE = 1e-3
+"""Least typical size of a joint's dry friction [N m]; a hundredth of it is that of rotor inertia
+[kg m^2]."""
 """Least typical size of dry friction [N m]; a hundredth of it is that of rotor inertia [kg m^2]."""
 UNSEEN_SPREAD = 1.0 / 3.0
-"""Standard error, in units of the search, from which on the data does not show a number: thrice it
-is as large as the number typically is."""
+"""Standard error, in units of the search (``Parametrisation.unit``), from which on a number counts
+as not identified: three standard errors are then as large as the typical number."""
 _FRICTION = 2
 """Position of friction among the four numbers of a joint."""
 _DEFAULT_RATE = 20.0
@@ -223,7 +228,7 @@ class Parametrisation:
         )
 
     def derivative(self, servos: ServoParameters) -> Array:
-        """Return the derivative (4 n + 1,) of each number in its own unknown."""
+        """Return the derivative (4 n + 1,) of each number by its own unknown."""
         size = self.typical.vector()
         size[:-1] = servos.vector()[:-1] + LOG_OFFSET * size[:-1]
         return size
@@ -426,7 +431,8 @@ class ErrorDerivatives:
         self._cache: dict[int, Array] = {}
 
     def at(self, parametrisation: Parametrisation, servos: ServoParameters) -> Array:
-        """Return the derivative (M, n, p) of the errors in each free number, not its unknown.
+        """Return the derivative (M, n, p) of the errors by each free number itself, not by the
+        unknown that stands for it in the search.
 
         By central differences: one-sided ones would hide the directions in which hardly anything
         changes. Friction changes by as much as is typical: behind a stiff servo a small change

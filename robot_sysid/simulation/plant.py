@@ -26,7 +26,7 @@ from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks, sample_times
 
 GEOMETRY_TOLERANCE = 1e-6
-"""Distance of the terminal bodies of model and plant up to which no note is made [m]."""
+"""Distance between the terminal bodies of model and plant above which a note is made [m]."""
 _PROBE_STEP = 0.5
 """Shift of all joints from the reference to the second pose that is compared [rad or m]."""
 
@@ -34,7 +34,8 @@ _PROBE_STEP = 0.5
 class PlantSimulation:
     """Measurements of a plant that follows a trajectory exactly, with Coulomb's dry friction.
 
-    Iterate over it as often as wanted: every reading is the same.
+    It may be iterated over any number of times and yields equal measurements, noise included, each
+    time.
 
     Args:
         plant: the arm that plays the real one, see ``load_plant``.

@@ -52,9 +52,10 @@ TRACKING_RATE = 2.0
 MAX_WINDOWS = 60
 """Number of windows of one horizon that are played, spread evenly over the pieces of the logs."""
 LARGEST_ERROR = {False: np.pi, True: 1.0}
-"""Position error beyond which a rollout has run away: by "is a slide joint", [rad] or [m]."""
+"""Position error beyond which a rollout counts as run away: of hinges (key False) [rad] and of
+slides (key True) [m]."""
 NO_ACTUATOR = -1
-"""Stands for a MuJoCo actuator id where a joint has none that a rollout can use."""
+"""Value in place of a MuJoCo actuator id for a joint without an actuator that a rollout can use."""
 _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 _INPUTS = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 
@@ -163,7 +164,7 @@ class RolloutRunner:
 
 
 def _has_threads() -> bool:
-    """Tell whether the installed MuJoCo rolls several models out at a time."""
+    """Return whether the installed MuJoCo can play rollouts of several models at a time."""
     try:
         from mujoco import rollout
     except ImportError:
@@ -254,7 +255,10 @@ def interpolate(
 
     Args:
         at: new times (K,), or one time.
-        outside: value before the first and after the last sample; default those samples' own.
+        time: (N,) ascending times of the samples.
+        values: (N, n) one column per quantity.
+        outside: value before the first and after the last sample; None for the values of the first
+            and the last sample.
 
     Returns:
         (K, n), or (n,) for one time.
@@ -407,7 +411,7 @@ def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float, f
 
 
 def _is_position_actuator(model: Any, actuator: int) -> bool:
-    """Tell whether an actuator's force is Kp (control - length) - kv speed."""
+    """Return whether an actuator's force is Kp (control - length) - kv speed."""
     kp = model.actuator_gainprm[actuator, 0]
     bias = model.actuator_biasprm[actuator, :2]
     gain_type = int(model.actuator_gaintype[actuator])
