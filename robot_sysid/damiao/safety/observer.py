@@ -64,52 +64,36 @@ _ENOUGH = 3
 _MEMORY = 0.9  # Factor per cycle by which counts of surplus answers and foreign commands decay.
 _FEW = 2.5  # Decayed count above which the run stops: a single wrong one is a damaged frame.
 _OTHER_TORQUE = 0.15  # Accepted error of a reported torque [share of the peak torque].
-_NO_SCALE = (
-    0.4  # Reported / commanded torque below which a wrong TMAX cannot be the cause.
-)
-_EFFORT_WAY = (
-    0.05  # Position error [rad] that makes the limit of a sudden change of effort.
-)
-_LEAST_EFFORT = (
-    0.1  # Least limit of a sudden change of effort [share of the peak torque].
-)
-_MOST_EFFORT = (
-    0.25  # Largest limit of a sudden change of effort [share of the peak torque].
-)
-_STILL_EFFORT = (
-    0.03  # Least such limit for a standing joint [share of the peak torque].
-)
+# Reported / commanded torque below which a wrong TMAX cannot be the cause.
+_NO_SCALE = 0.4
+# Position error [rad] that makes the limit of a sudden change of effort.
+_EFFORT_WAY = 0.05
+_LEAST_EFFORT = 0.1  # Least such limit [share of the peak torque].
+_MOST_EFFORT = 0.25  # Largest such limit [share of the peak torque].
+_STILL_EFFORT = 0.03  # Least such limit of a standing joint [share of the peak torque].
 _MOMENT = 0.25  # Time over which the effort before a sudden change is averaged [s].
 _LONG = 1.5  # Time over which the usual effort is averaged, by which a change is explained [s].
-_LOADED_DOUBTS = (
-    2.0  # Feed-forward torque above which opposite loads are judged [doubts].
-)
-_OPPOSITE_DOUBTS = (
-    0.5  # Load opposite to the feed-forward torque that stops the run [doubts].
-)
-_MODEL_SHARE = (
-    0.5  # Relative error of a model in the change of the feed-forward torque.
-)
+# Feed-forward torque above which opposite loads are judged [doubts].
+_LOADED_DOUBTS = 2.0
+# Load opposite to the feed-forward torque that stops the run [doubts].
+_OPPOSITE_DOUBTS = 0.5
+_MODEL_SHARE = 0.5  # Relative error of a model's change of feed-forward torque.
 _FED_TIME = 0.3  # Time over which the feed-forward torque is averaged [s].
-_STILL_STEPS = (
-    20.0  # Change of command at which an unchanged position is frozen [steps].
-)
+# Change of command at which an unchanged position is frozen [steps].
+_STILL_STEPS = 20.0
 _STILL_CYCLES = 3  # Number of cycles in which a frozen position does not change.
 _FROZEN_DOUBTS = 2.0  # Change of torque that overcomes dry friction [doubts].
 _MOMENTS = 25  # Number of last cycles in which a blocked joint is looked for.
 _LED_BY = 0.015  # Least change of command by which a joint is judged as blocked [rad].
-_CAME_SHARE = (
-    0.3  # A blocked joint moves by less than this share of its command's change.
-)
+# A blocked joint moves by less than this share of its command's change.
+_CAME_SHARE = 0.3
 
 
 class Fault(HardwareAbort):
     """A fault of one joint, which stops the run.
 
-    Args:
-        joint: index of the joint; kept as an attribute.
-        label: name of the joint in messages.
-        description: what is wrong: the end of a sentence that begins with the label.
+    ``joint`` is its index, ``label`` its name, and ``description`` the rest of a sentence that
+    begins with this name.
     """
 
     def __init__(self, joint: int, label: str, description: str) -> None:
