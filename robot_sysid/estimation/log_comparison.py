@@ -51,9 +51,9 @@ from robot_sysid.records.data import validation_of
 from robot_sysid.records.messages import percent
 
 DISAGREE = 2.0
-"""Scatter over stated errors beyond which logs do not agree."""
+"""Ratio of the scatter of masses to their standard errors above which logs do not agree."""
 MOST_NAMED = 2
-"""Joints whose friction differs between logs that are named; ``params.json`` has all."""
+"""Largest number of joints with different friction that the note names; ``params.json`` has all."""
 LEAST_DIFFERENCE = 0.02
 """Share of a joint's friction torque below which a difference between logs is not reported."""
 NOISE_FLOOR = 0.01
@@ -74,7 +74,10 @@ def estimate_alone(
     a contradiction to other recordings does not count as noise.
 
     Args:
-        start: (joints,) noise at which the iteration starts [N m].
+        logs: rows of the recordings in the k estimated parameters.
+        groups: priors of these parameters.
+        prior: (k,) values for parameters that are not identified.
+        start: (joints,) noise at which the iteration starts [N m]; None for a default.
 
     Returns:
         (values (k,), covariance (k, k) due to torque noise, covariance (k, k) of the whole error,
@@ -105,7 +108,7 @@ class FrictionOfLogs:
     Attributes:
         logs: (L,) their names.
         names: (f,) friction terms, such as "coulomb[joint_1]".
-        between: their values and errors by log.
+        between: values and errors of these terms by log.
         differences: joint or coupled motor to the largest difference of its friction between two
             logs, as a share of its friction torque; only where it exceeds its errors; the largest
             first.
@@ -306,8 +309,8 @@ def _weights_beside_friction(
 
 
 def _largest_difference(values: Array, squares: Array) -> float:
-    """Return the largest difference of a joint's friction between two logs, as a share of its
-    friction torque.
+    """Return the largest difference of a joint's friction torque between two logs (rms),
+    as a share of its mean friction torque.
 
     Args:
         values: (L, m) friction coefficients by log.
@@ -385,7 +388,12 @@ class BetweenLogs:
         return np.asarray(np.sqrt(np.square(errors) + more * self.spread**2))
 
     def differ(self, numbers: NDArray[np.int64], tests: int) -> bool:
-        """Tell whether the logs contradict each other in these numbers, as one of several tests."""
+        """Tell whether the logs contradict each other in the numbers of given indices.
+
+        Args:
+            numbers: (m,) indices among the f numbers.
+            tests: number of such tests, by which the significance of one is corrected.
+        """
         off = self.contrasts[:, numbers].ravel()
         noise = self.noise[:, numbers][:, :, :, numbers].reshape(len(off), len(off))
         squared = float(off @ np.linalg.solve(noise, off))
@@ -437,7 +445,10 @@ def _of_each_log(
     center: Array,
     sizes: Array,
 ) -> tuple[Array, Array]:
-    """Return estimates (L, f) of each log with all else in common, and their covariance."""
+    """Return (estimates (L, f) by log, covariance (L, f, L, f)), all other parameters in common.
+
+    The arguments are those of ``compare_logs``.
+    """
     size = len(prior)
     number = len(indices)
     common = np.setdiff1d(np.arange(size - 1), indices)

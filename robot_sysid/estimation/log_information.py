@@ -61,6 +61,7 @@ from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.signals.repetition import RowSample, sample_rows
 
 MOST_NOTES = 20
+"""Largest number of notes that a record keeps."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ class CommonSettings:
     estimation: EstimationOptions
 
     def differences(self, other: CommonSettings) -> list[str]:
-        """Return the settings that differ, in words."""
+        """Return a phrase for each setting that differs from the other record's; [] without any."""
         labels = {
             "model": "the model",
             "joint": "the terminal joint",
@@ -171,11 +172,11 @@ class LogInformation:
 
     @property
     def checkpoints(self) -> Motion:
-        """Motion of some rows; its time only counts them."""
+        """Motion at a sample of the rows; its time is the number of each row, in no unit."""
         return self.rows.motion(CHECKPOINTS)
 
     def digest(self) -> str:
-        """Return a hash of the equations."""
+        """Return the SHA-256 hash of all equations, in hexadecimal digits."""
         triangles = [joint.triangle.tobytes() for joint in self.evidence.total.joints]
         return hashlib.sha256(b"".join(triangles)).hexdigest()
 
@@ -244,6 +245,7 @@ class _Fixed(Fitter):
         return self._residual_memory()
 
     def _residual_memory(self) -> Array:
+        """Return the autocorrelation time (joints,) of residuals [rows]; one in the first round."""
         residuals = self._information.residuals
         if not residuals:
             return np.ones(len(self.columns.joints))
@@ -269,7 +271,7 @@ def log_information(
     around: LogInformation | None = None,
     notes: Sequence[str] = (),
 ) -> LogInformation:
-    """Return the information of some logs.
+    """Return the information of a log about the arm, linearised around the first round's estimate.
 
     Args:
         logs: whole logs, or the pieces of one, each filtered on its own.
@@ -326,7 +328,7 @@ def log_information(
 
 
 def _fit_sum(robot: RobotModel, information: LogInformation) -> Fit:
-    """Return the fit to the sum of all logs."""
+    """Return the fit to the sum of all logs, around the linearisation point of their records."""
     options = information.settled.estimation
     fitter = _Fixed(robot, information)
     question = Question(options)
@@ -340,6 +342,7 @@ def _fit_sum(robot: RobotModel, information: LogInformation) -> Fit:
 def _sample_rows(
     dataset: Dataset, samples: DecimatedSamples, values: Array
 ) -> RowSample:
+    """Return a random sample of a recording's rows, with the residuals at parameters (p,)."""
     pairs = zip(samples, samples.columns)
     residuals = [tau - rows @ values[columns] for (_, rows, tau), columns in pairs]
     assert dataset.signals is not None
