@@ -12,9 +12,8 @@ everything else: scales, drift, encoder zeros z, two angles of gravity, the dela
 a gear that grows with its load, and speeds that friction is nonlinear in.
 
 Without a payload s_j multiplies the last estimate of the last link, and the model's values of the
-others, however far off their estimate is. The most likely links and scales together would be
-scales that make links less off, in as many directions as the data shows: 5 % too large for an iiwa
-whose links are 5 % off.
+others. With all links' estimates in their place, scales would be too large by as much as links are
+off: by 5 % for an iiwa whose links are 5 % off.
 """
 
 from __future__ import annotations

@@ -76,6 +76,7 @@ def test_a_damage_changes_the_field_it_is_about(field_name, size, byte):
     assert changed[0] == byte and damaged.time == frame.time
 
 
+@pytest.mark.slow
 def test_an_undisturbed_run_completes_and_departs_from_nothing():
     setup = SetUp(duration=2.5)
     case = Case("nothing", setup, lambda run: None, after=0.2, patience=None)

@@ -94,6 +94,7 @@ def test_limits_hold_for_a_slide_joint_and_over_a_floor(xml):
     assert_obeys(xml, 1)
 
 
+@pytest.mark.slow
 def test_the_seed_alone_decides_the_trajectory():
     """The process_id of workers does not."""
     alone = run_search(make_design(arms.THREE, starts=2), 1)
