@@ -494,7 +494,16 @@ def _surrounding_rows(steps: Array) -> Array:
 
 
 def _window_mismatch(time: Array, q: Array, qd: Array, slope: Array) -> Mismatch | None:
-    """Return the first window over which velocities do not add up to the change of position."""
+    """Return the first window over which velocities do not add up to the change of position.
+
+    Positions may be half a row early or late, the trapezoid rule misses at most a sixth of a step
+    times the variation of the velocity, and each printed number is rounded by ``_ROUNDING``.
+
+    Args:
+        time: (N,) of the rows [s].
+        q, qd: (N, n) positions and velocities [rad, rad/s].
+        slope: (N - 1, n) change of position per time between rows [rad/s].
+    """
     step = np.diff(time)[:, None]
     rows = np.arange(len(time))
     ends = np.maximum(np.searchsorted(time, time + _WINDOW), rows + _LEAST_ROWS)

@@ -435,8 +435,7 @@ class Columns:
     ) -> DecimatedSamples:
         """Return one recording's rows in the parameters of a model file and in gravity's tilt.
 
-        Args:
-            tilt: (K, n, 2) columns of gravity's direction.
+        A block is (columns, or a slice of the base columns; their factor); tilt: (K, n, 2).
         """
         loaded = PAYLOAD_NAMES if PAYLOAD_NAMES[0] not in self._nowhere else ()
         indices = self.indices((*self._tilts, *loaded))

@@ -445,9 +445,17 @@ def _of_each_log(
     center: Array,
     sizes: Array,
 ) -> tuple[Array, Array]:
-    """Return (estimates (L, f) by log, covariance (L, f, L, f)), all other parameters in common.
+    """Return estimates of f numbers for each of L logs, with all other parameters in common.
 
-    The arguments are those of ``compare_logs``.
+    Args:
+        normals: (L) matrices (p + 1, p + 1) [A b]^T [A b] of each log's weighted equations.
+        prior: (p + 1, p + 1) [A b]^T [A b] of the priors of all other parameters.
+        indices: (f,) of the numbers among the p parameters.
+        center: (f,) their values from all logs together, of a weak prior for what a log hides.
+        sizes: (f,) their typical sizes, which scale that prior.
+
+    Returns:
+        (estimates (L, f), covariance (L, f, L, f)).
     """
     size = len(prior)
     number = len(indices)

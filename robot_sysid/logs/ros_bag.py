@@ -228,7 +228,7 @@ _READERS = {
 def _open_bag(path: Path) -> Iterator[Any]:
     """Yield a bag that is open within a block; what goes wrong in it is an InputError."""
     typesys = import_optional("rosbags.typesys", "rosbag", FORM)
-    import_optional("rosbags.highlevel", "rosbag", FORM)
+    import_optional("rosbags.highlevel", "rosbag", FORM)  # the reader below needs it
     is_in_bag = path.suffix in (".db3", ".mcap")
     is_in_bag = is_in_bag and (path.parent / "metadata.yaml").is_file()
     folder = path.parent if is_in_bag else path

@@ -164,7 +164,8 @@ def is_number(cell: str) -> bool:
 def _parse_cell(cell: str, start: str = "") -> float:
     """Return the number in a cell, NaN where it is marked empty, or raise ValueError.
 
-    A comma is a decimal one. A date becomes the time since ``start`` [s], another date or "".
+    A comma is a decimal one. A date becomes the time [s] since the date ``start``, or since 1970
+    where that is "".
     """
     if cell.lower() in _EMPTY:
         return float("nan")

@@ -138,7 +138,10 @@ class ContactFinder:
 
 
 def find_new_contacts(robot: RobotModel, motions: Iterable[Motion]) -> tuple[str, ...]:
-    """Return in words which bodies collide at rest, and when others first do along a motion."""
+    """Return in words which bodies collide at rest, and when others first do along a motion.
+
+    ``motions`` are the pieces of that motion in the order of time.
+    """
     finder = ContactFinder(robot)
     first_time: dict[tuple[int, int], float] = {}
     for motion in motions:

@@ -78,7 +78,8 @@ class Prediction:
         subject: which body is identified, in words.
         theta: (10,) of that body.
         size: (10,) magnitude each parameter is compared with: its own value in the model, for a
-            first moment m L, for a product of inertia sqrt(Iii Ijj).
+            first moment the mass times a length of the body, for a product of inertia
+            sqrt(Iii Ijj).
         covariance: (10, 10) of theta; infinite on the diagonal where the model's value stays.
         covariance_by_cause: cause of errors to its part (10, 10) of the covariance.
         link_mass_errors: name of every other link to the standard error of its mass relative to it.
@@ -86,8 +87,8 @@ class Prediction:
         improvements: changes that would make the errors smaller, the best first.
         caveat: why the errors are only a lower bound, computed from all samples; "" where not.
         scale_error: error of a payload's mass by torque scales, relative to the mass.
-        common_scale: with how often a scale of all torques is suspected, and the errors that are
-            then stated; None where hardly ever.
+        common_scale: how often the identification will suspect one wrong scale of all torques, with
+            the larger errors that it will then state; None where that is rare.
     """
 
     subject: str
@@ -156,6 +157,9 @@ def invisible_combinations(
 ) -> tuple[str, ...]:
     """Return, in words, the combinations of the terminal link's parameters that no motion of these
     joints identifies.
+
+    ``criterion.visible`` (10, r) spans the r combinations that a motion can identify, in units of
+    ``problem.scale``.
     """
     visible = criterion.visible / problem.scale[:, None]
     left, singular, _ = np.linalg.svd(visible, full_matrices=True)

@@ -68,7 +68,6 @@ _DIFFERENCE_STEP = 0.04
 _LEAST_SIZE = 1e-3
 """Least typical size of a joint's dry friction [N m]; a hundredth of it is that of rotor inertia
 [kg m^2]."""
-"""Least typical size of dry friction [N m]; a hundredth of it is that of rotor inertia [kg m^2]."""
 UNSEEN_SPREAD = 1.0 / 3.0
 """Standard error, in units of the search (``Parametrisation.unit``), from which on a number counts
 as not identified: three standard errors are then as large as the typical number."""

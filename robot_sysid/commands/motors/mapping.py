@@ -209,7 +209,7 @@ def _find_motor(
 
 
 def verify_directions(session: Session, link: GuardedLink, plan: Plan) -> int:
-    """Move each joint of a plan with an unknown direction, ask, and write the joint map.
+    """Move each joint of a plan with an unknown direction, ask, write the joint map, return 0.
 
     Raises:
         InputError: there is no model, the map would replace a file, or a joint did not move as

@@ -327,7 +327,7 @@ class ScaledBodies:
         return primal, self.aim(t) - self._here - correction - primal
 
     def second_order(self, primal: Array, dual: Array) -> Array:
-        """Return Mehrotra's correction (links, 4, 4) for the product of both scaled changes."""
+        """Return the second-order term (links, 4, 4) of a primal-dual Newton step (Mehrotra)."""
         product = primal @ dual
         both = self._diagonal[:, :, None] + self._diagonal[:, None, :]
         return np.asarray((product + _transpose(product)) / both)
