@@ -39,8 +39,8 @@ def kuka(folder, tested, *options):
 
 def torque_errors(params):
     """Relative torque errors of the model and of the written file on the other log."""
-    ((before, after),) = (pair.values() for pair in params["file"]["others"])
-    return before["relative_error"], after["relative_error"]
+    ((old_error, new_error),) = (pair.values() for pair in params["file"]["others"])
+    return old_error["relative_error"], new_error["relative_error"]
 
 
 def on_the_page(row, column):
@@ -58,10 +58,10 @@ def on_the_page(row, column):
 def test_kukas_file_predicts_its_other_runs(tmp_path, capsys, tested, limit):
     """A last link of 0.3 kg among torques of 60 N m is not known, and that is no failure."""
     code, params = kuka(tmp_path, tested)
-    before, after = torque_errors(params)
-    assert after < min(limit, 0.5 * before)
-    assert before == on_the_page("catalogue model, as it came", tested - 2)
-    assert after == on_the_page("the URDF that robot-sysid writes", tested - 2)
+    old_error, new_error = torque_errors(params)
+    assert new_error < min(limit, 0.5 * old_error)
+    assert old_error == on_the_page("catalogue model, as it came", tested - 2)
+    assert new_error == on_the_page("the URDF that robot-sysid writes", tested - 2)
     assert (code, params["status"]) == (0, "BETTER")
     assert (tmp_path / "updated_model.urdf").exists()
     assert params["known_to"] > 0.5
@@ -133,10 +133,10 @@ def test_tx40s_motor_is_found_again_in_its_file(tx40, tmp_path):
     model = tx40 / "out" / "updated_model.xml"
     log = tx40 / "first.csv"
     code, params = identified(tmp_path, model, log)
-    before, after = (
+    old_error, new_error = (
         params["file"]["torque_error"][which] for which in ("before", "after")
     )
-    assert before < 0.06 and after < 0.06
+    assert old_error < 0.06 and new_error < 0.06
     assert list(params["couplings"]) == ["joint_5+joint_6"]
     assert not any("a motor turns" in note for note in params["notes"])
 
@@ -146,8 +146,8 @@ def test_tx40s_file_is_better_on_held_out_stretches_and_its_flange_weighs_nothin
     tmp_path,
 ):
     code, params = identified(tmp_path, TX40 / "tx40.urdf", TX40 / "tx40_500Hz.csv")
-    before, after = (
+    old_error, new_error = (
         params["file"]["torque_error"][which] for which in ("before", "after")
     )
-    assert code == 0 and after < 0.2 * before
+    assert code == 0 and new_error < 0.2 * old_error
     assert (tmp_path / "updated_model.urdf").exists()

@@ -131,7 +131,7 @@ def test_files_are_written_where_a_command_says_and_no_network_is_opened(tmp_pat
     home.mkdir()
     temporary.mkdir()
     cache = home / "cache"
-    places = {"HOME": str(home), "TMPDIR": str(temporary)}
+    folders = {"HOME": str(home), "TMPDIR": str(temporary)}
     settings = {
         "MPLCONFIGDIR": str(cache),
         "PYTHONDONTWRITEBYTECODE": "1",
@@ -141,15 +141,17 @@ def test_files_are_written_where_a_command_says_and_no_network_is_opened(tmp_pat
     done = subprocess.run(
         call,
         cwd=tmp_path,
-        env={**os.environ, **places, **settings},
+        env={**os.environ, **folders, **settings},
         capture_output=True,
         text=True,
     )
-    codes, seen = json.loads(done.stdout.splitlines()[-1])
+    codes, events = json.loads(done.stdout.splitlines()[-1])
     assert set(codes) <= {0, 1}, done.stderr
-    assert [event for event in seen if event[0] != "write"] == []
-    written = {Path(path) for _, path in seen} - {Path(os.devnull)}
-    allowed = {tmp_path / "out", cache, temporary}
-    assert {path for path in written if not allowed & {path, *path.parents}} == set()
+    assert [event for event in events if event[0] != "write"] == []
+    written = {Path(path) for _, path in events} - {Path(os.devnull)}
+    allowed_folders = {tmp_path / "out", cache, temporary}
+    assert {
+        path for path in written if not allowed_folders & {path, *path.parents}
+    } == set()
     assert tmp_path / "out" / "report.html" in written
     assert list(temporary.iterdir()) == [] and list(home.iterdir()) == [cache]

@@ -47,8 +47,8 @@ def test_where_the_data_shows_nothing_the_prior_stays_exactly(seed):
     assert values[0] == prior[0]
     assert values[3] == prior[3]
     assert values[4] + values[7] == pytest.approx(prior[4] + prior[7], rel=1e-12)
-    seen = [1, 2, 5, 6, 8, 9, 10, 11]
-    assert_allclose(values[seen], truth[seen], rtol=0.0, atol=1e-11)
+    identified = [1, 2, 5, 6, 8, 9, 10, 11]
+    assert_allclose(values[identified], truth[identified], rtol=0.0, atol=1e-11)
     assert values[4] - values[7] == pytest.approx(truth[4] - truth[7], abs=1e-11)
 
 
@@ -92,12 +92,12 @@ def test_an_estimate_carries_what_it_was_made_of(seed):
     assert estimate.samples == dict.fromkeys(joints, 40)
     assert not estimate.constrained
     assert estimate.identifiability.rank == 12
-    for kept in (
+    for fixed in (
         estimate.rmse_per_joint,
         estimate.noise_per_joint,
         estimate.effective_samples,
     ):
-        assert tuple(kept) == joints
+        assert tuple(fixed) == joints
     residuals = [rows @ estimate.values[c] - tau
                  for (rows, c), tau in zip(samples.equations, samples.torques)]  # fmt: skip
     rmse = [np.sqrt(np.mean(r**2)) for r in residuals]
@@ -123,14 +123,14 @@ def test_a_body_that_has_to_be_possible_is_and_a_possible_one_stays(
         information = terminal_information(rng, truth, noise=noise)
     else:
         information = information_of(*arm_equations(rng), truth, noise, rng)
-    plain, found = (
-        identify_parameters(information, prior, own) for own in (False, True)
+    plain, estimate = (
+        identify_parameters(information, prior, possible) for possible in (False, True)
     )
-    wrong = not spatial.is_consistent(plain.values[:10])
-    assert found.constrained is wrong and not plain.constrained
-    assert spatial.is_consistent(found.values[:10])
-    if not wrong:
-        assert_array_equal(found.values, plain.values)
+    is_impossible = not spatial.is_consistent(plain.values[:10])
+    assert estimate.constrained is is_impossible and not plain.constrained
+    assert spatial.is_consistent(estimate.values[:10])
+    if not is_impossible:
+        assert_array_equal(estimate.values, plain.values)
 
 
 def test_data_at_rest_gives_the_prior_or_its_nearest_possible_body():
@@ -139,7 +139,7 @@ def test_data_at_rest_gives_the_prior_or_its_nearest_possible_body():
     accumulator = InformationAccumulator(names, ["held"], [np.arange(10)])
     accumulator.add(0, np.zeros((20, 10)), np.zeros(20))
     information = accumulator.result()
-    found = identify_parameters(information, body, possible=True)
-    assert_array_equal(found.values, body)
+    estimate = identify_parameters(information, body, possible=True)
+    assert_array_equal(estimate.values, body)
     repaired = identify_parameters(information, -body, possible=True)
     assert spatial.is_consistent(repaired.values)

@@ -194,12 +194,10 @@ def test_solution_and_inverse_are_those_of_least_squares_in_scaled_columns(
     assert_allclose(basis.T @ basis, np.eye(12), atol=1e-13)
     if count == 0 or space.singular[0] / space.singular[-1] < 1e4:
         pseudo = np.linalg.pinv(scaled, rcond=1e-8)
-        right = rng.normal(size=count)
+        tau = rng.normal(size=count)
         unit = 1.0 / (scale * (1.0 + np.max(np.abs(pseudo), initial=0.0)) ** 2)
-        solution = scale * (pseudo @ right)
-        assert_allclose(
-            space.solve(right) * unit, solution * unit, rtol=0.0, atol=1e-10
-        )
+        solution = scale * (pseudo @ tau)
+        assert_allclose(space.solve(tau) * unit, solution * unit, rtol=0.0, atol=1e-10)
         inverse = scale[:, None] * (pseudo @ pseudo.T) * scale
         units = np.outer(unit, unit)
         assert_allclose(space.inverse() * units, inverse * units, rtol=0.0, atol=1e-10)
@@ -274,16 +272,16 @@ def test_rounding_does_not_choose_among_equal_columns(seed):
 def test_elimination_keeps_the_parameters_that_the_data_requires():
     rng = np.random.default_rng(3)
     base = rng.normal(size=(400, 4))
-    right = base @ np.array([5.0, 1e-6, -3.0, 0.0]) + 0.1 * rng.normal(size=400)
-    is_essential = essential(base, rng.normal(size=(400, 2)), right)
+    tau = base @ np.array([5.0, 1e-6, -3.0, 0.0]) + 0.1 * rng.normal(size=400)
+    is_essential = essential(base, rng.normal(size=(400, 2)), tau)
     assert is_essential.tolist() == [True, False, True, False]
 
 
 def test_a_well_known_parameter_is_kept_beside_a_far_better_known_one():
     rng = np.random.default_rng(5)
     base = rng.normal(size=(400, 2))
-    right = base @ np.array([1000.0, 1.0]) + rng.normal(size=400)
-    assert np.all(essential(base, rng.normal(size=(400, 1)), right))
+    tau = base @ np.array([1000.0, 1.0]) + rng.normal(size=400)
+    assert np.all(essential(base, rng.normal(size=(400, 1)), tau))
 
 
 def test_elimination_lets_nuisances_explain_what_they_can():
@@ -291,8 +289,8 @@ def test_elimination_lets_nuisances_explain_what_they_can():
     shared = rng.normal(size=(200, 1))
     nearly_shared = shared + 1e-4 * rng.normal(size=(200, 1))
     base = np.column_stack((nearly_shared, rng.normal(size=200)))
-    right = shared[:, 0] + 2.0 * base[:, 1] + 0.01 * rng.normal(size=200)
-    assert essential(base, shared, right).tolist() == [False, True]
+    tau = shared[:, 0] + 2.0 * base[:, 1] + 0.01 * rng.normal(size=200)
+    assert essential(base, shared, tau).tolist() == [False, True]
 
 
 # --- against MuJoCo alone -----------------------------------------------------------------------
@@ -364,12 +362,12 @@ def visibility_of(columns):
     is_zero = scale <= CUT * np.max(length, initial=0.0)
     scale = 1.0 / np.where(is_zero, 1.0, scale)
     scaled = np.where(is_zero, 0.0, matrix * scale)
-    _, singular, right = np.linalg.svd(scaled)
+    _, singular, tau = np.linalg.svd(scaled)
     shares = np.zeros(12)
     shares[: len(singular)] = singular / max(np.max(singular, initial=0.0), 1e-300)
     cuts = CUT * np.array([[10.0], [1.0], [0.1]])
     least, rank, largest = np.count_nonzero(shares > cuts, axis=1)
-    return Visibility(scaled, scale, right[rank:].T, (least, largest))
+    return Visibility(scaled, scale, tau[rank:].T, (least, largest))
 
 
 def random_states(robot, rng, joints, samples):
