@@ -163,6 +163,7 @@ def test_what_others_import_unpacks_as_ever():
 
 
 def test_several_topics_need_a_choice_but_not_one_without_the_arm_or_effort(tmp_path):
+    pytest.importorskip("rosbags")
     store = recorded.typestore()
     types = store.types
     state = recorded.joint_state
@@ -189,6 +190,7 @@ def test_several_topics_need_a_choice_but_not_one_without_the_arm_or_effort(tmp_
 
 
 def test_names_that_differ_in_a_prefix_are_the_models_unless_two_do(tmp_path):
+    pytest.importorskip("rosbags")
     store = recorded.typestore()
     names = [f"{side}_{joint}" for side in ("left", "right") for joint in JOINTS]
     rows = zip(DATA.time, *(np.tile(a, 2) for a in (DATA.q, DATA.qd, DATA.tau)))
