@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
@@ -15,6 +15,7 @@ from robot_sysid.dynamics.friction import NONLINEAR_TERMS
 from robot_sysid.dynamics.newton_euler import gravity_vector, with_gravity
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation import fit as fit_module
+from robot_sysid.estimation.choices import posterior_of
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.question import EstimationOptions, Question
@@ -74,16 +75,22 @@ def fit_payload(recordings, friction=BASIC, **question):
 
 @settings(max_examples=4)
 @given(arms.SEEDS)
+@example(60121)  # the estimate of a link of 0.16 kg that the default priors pull most
 def test_another_last_link_is_recovered_whatever_is_uncertain(seed):
+    """Priors pull by the square of the noise, and exact data leaves the least noise of weights."""
     arm = TrueArm(ROBOT, seed, model_error=0.0)
     arm.thetas[-1] = random_body(np.random.default_rng(seed))
     recording = arm.recording(wide_motion(seed), False)
     torque = np.sqrt(np.mean(recording.torque**2))
-    for uncertainties, tolerance in (({}, 1e-8), (NOISE_ONLY, 1e-10)):
+    for uncertainties, tolerance in (({}, 1e-6), (NOISE_ONLY, 1e-10)):
         fit = fit_recordings(ROBOT, [recording], EstimationOptions(**uncertainties))
-        assert body_error(fit.values[:10], arm.thetas[-1]) < tolerance
+        link = fit.values[:10]
+        assert body_error(link, arm.thetas[-1]) < tolerance
         # Exact data makes no error smaller than a millionth of the torque would.
         assert uncertainties or np.all(1.0 / fit.weights > 0.9e-6 * torque)
+        _, covariance = posterior_of(fit, fit.unknowns, fit.columns.names[:10])
+        deviations = np.abs(link - arm.thetas[-1])
+        assert uncertainties or np.all(deviations < 1e-6 * np.sqrt(np.diag(covariance)))
         estimated = fit.unknowns.estimated
         truth = arm.values(fit.columns)[estimated]
         assert_allclose(fit.values[estimated], truth, atol=1e-6)
