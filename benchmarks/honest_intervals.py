@@ -44,7 +44,7 @@ from robot_sysid.estimation.algebra.priors import link_factor
 from robot_sysid.estimation.build_result import WIDER, payload_of
 from robot_sysid.estimation.identify import Piece, answer_payload, low_pass_recordings
 from robot_sysid.estimation.question import EstimationOptions, Question
-from robot_sysid.model.flange import find_flange
+from robot_sysid.model.bodies import find_flange
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.messages import Progress

@@ -22,7 +22,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.build_result import payload_of
 from robot_sysid.estimation.identify import Piece, answer_payload, low_pass_recordings
 from robot_sysid.estimation.question import EstimationOptions, Question
-from robot_sysid.model.flange import find_flange
+from robot_sysid.model.bodies import find_flange
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Progress
 from robot_sysid.simulator import ArmTorque

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.errors import InputError, ModelError, error_text
+from robot_sysid.model.bodies import arm_links, subtree_bodies
 from robot_sysid.model.chain import (
     arm_without_base,
     body_label,
@@ -28,7 +29,6 @@ from robot_sysid.model.chain import (
     resolve_joint,
 )
 from robot_sysid.model.compilation import CompiledModel, compile_model
-from robot_sysid.model.inertia import arm_links, subtree_bodies
 from robot_sysid.records import InertialParameters, RobotModel, SubtreeBody
 from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY, PerJoint
 

@@ -13,7 +13,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.model.inertia import body_theta
+from robot_sysid.model.bodies import body_theta
 from tests.support.places import EXAMPLE
 
 MODELS = ("kinova_fullinertia_guess.xml", "kinova_fullinertia.xml")

@@ -9,7 +9,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_less
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.model.inertia import body_theta
+from robot_sysid.model.bodies import body_theta
 from robot_sysid.regressor import derive_regressor, wrench_regressor
 from tests.support.arms import SEEDS, random_rotation
 

@@ -16,7 +16,7 @@ from tests.support.arms import X, Y, Z, serial_arm
 from tests.support.places import ROOT
 
 DOCUMENTS = "mjcf/test_documents.py::"
-HAZARDS = "mjcf/test_hazards.py::"
+HAZARDS = "mjcf/test_assets.py::"
 ARRAYS = "logs/test_arrays.py::"
 STOPS = f"{HAZARDS}test_what_would_end_or_stop_the_process_is_refused"
 HELD = {

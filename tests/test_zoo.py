@@ -23,8 +23,7 @@ from robot_sysid.dynamics.equations import (
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimation.question import EstimationOptions
-from robot_sysid.model.contacts import find_new_contacts
-from robot_sysid.model.inertia import body_theta, composite_theta
+from robot_sysid.model.bodies import body_theta, composite_theta, find_new_contacts
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation
 from robot_sysid.motion.plan_options import (

@@ -14,8 +14,8 @@ from benchmarks.fuzz.mutations import damaged_xml
 from robot_sysid.mjcf.documents import mask_comments
 from robot_sysid.mjcf.inertial import plan_write_back
 from robot_sysid.mjcf.updated_model import BodyChange, ModelChange, changed_model_text
+from robot_sysid.model.bodies import subtree_bodies
 from robot_sysid.model.compilation import captured_warnings
-from robot_sysid.model.inertia import subtree_bodies
 from robot_sysid.parser import load_robot_model
 from tests.support import arms, model_files, urdf
 from tests.support.places import MODELS

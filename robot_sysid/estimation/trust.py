@@ -19,7 +19,7 @@ from robot_sysid.estimation.columns import PLACEHOLDER, usual_bodies
 from robot_sysid.estimation.errors import BODIES
 from robot_sysid.estimation.fit import Fit
 from robot_sysid.estimation.held_out import NOISE_EXPLAINS
-from robot_sysid.model.inertia import link_reach
+from robot_sysid.model.bodies import link_reach
 from robot_sysid.records import (
     Array,
     InertialParameters,

@@ -3,7 +3,7 @@
 MuJoCo's warnings become notes and its errors ModelErrors. Before release 3.14 it finds the
 principal axes of a full inertia matrix to about six digits. A URDF cannot state them any other way,
 so its compiled inertias are replaced by accurate ones. Models at which MuJoCo would wait for ever,
-end the process or eat the memory are refused by ``mjcf.hazards``.
+end the process or eat the memory are refused by ``mjcf.assets``.
 """
 
 from __future__ import annotations
@@ -25,16 +25,15 @@ import mujoco
 import numpy as np
 
 from robot_sysid.errors import ModelError, error_text
-from robot_sysid.mjcf.assets import check_assets, relocated_text
+from robot_sysid.mjcf.assets import check_assets, refuse_hazards, relocated_text
 from robot_sysid.mjcf.documents import Edits, ModelDocument, read_document
-from robot_sysid.mjcf.hazards import refuse_hazards
 from robot_sysid.mjcf.urdf import (
     LARGEST,
     compilable_urdf,
     link_inertias,
     velocity_limits,
 )
-from robot_sysid.model.inertia import inertia_about_com
+from robot_sysid.model.bodies import inertia_about_com
 from robot_sysid.records import Array
 from robot_sysid.records.messages import Progress
 

@@ -26,8 +26,8 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
+from robot_sysid.model.bodies import count_moving_joints
 from robot_sysid.model.chain import joint_friction
-from robot_sysid.model.contacts import count_moving_joints
 from robot_sysid.motion.clearance import Clearance, Closest, approach_rates
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
 from robot_sysid.records import Array, JointLimits, Motion, MotionPlan, RobotModel

@@ -11,7 +11,7 @@ import numpy as np
 
 from robot_sysid import trajectory
 from robot_sysid.errors import InputError
-from robot_sysid.model.contacts import CHECK_RATE_HZ, find_new_contacts
+from robot_sysid.model.bodies import CHECK_RATE_HZ, find_new_contacts
 from robot_sysid.motion.plan_options import (
     WEIGHT,
     ExcitationOptions,

@@ -24,13 +24,13 @@ from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.inertial import mjcf_inertial
 from robot_sysid.mjcf.updated_model import ModelChange, WeldedBody
+from robot_sysid.model.bodies import body_theta
 from robot_sysid.model.chain import body_label, joint_friction, joint_label
 from robot_sysid.model.compilation import (
     CompiledModel,
     captured_warnings,
     compile_model,
 )
-from robot_sysid.model.inertia import body_theta
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, Motion, RobotModel, Validation
 from robot_sysid.records.data import validation_of

@@ -34,10 +34,9 @@ from robot_sysid.mjcf.updated_model import (
     WeldedBody,
     changed_model_text,
 )
+from robot_sysid.model.bodies import body_theta, link_bodies, place_in_carrier
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.compilation import compile_model, file_of
-from robot_sysid.model.flange import place_in_carrier
-from robot_sysid.model.inertia import body_theta, link_bodies
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, RobotModel, SubtreeBody
 from robot_sysid.records.file_access import draft_folder, lock_folder

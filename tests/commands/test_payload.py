@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from robot_sysid.logs.text import write_measurement_csv
+from robot_sysid.model.bodies import composite_theta
 from robot_sysid.model.compilation import compile_model
-from robot_sysid.model.inertia import composite_theta
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import PlantSimulation

@@ -21,7 +21,7 @@ from robot_sysid.dynamics.equations import (
 )
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.identifiability import VisibleSpace, visible_space
-from robot_sysid.model.inertia import composite_theta
+from robot_sysid.model.bodies import composite_theta
 from robot_sysid.records import JointFriction
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks

@@ -16,7 +16,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     has_only_armature,
 )
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.model.inertia import body_theta, composite_theta
+from robot_sysid.model.bodies import body_theta, composite_theta
 from tests.support import arms
 from tests.support.arms import (
     SEEDS,

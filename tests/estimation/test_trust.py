@@ -12,7 +12,7 @@ from robot_sysid.estimation import trust
 from robot_sysid.estimation.algebra.least_squares import sample_counts
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.held_out import held_out, held_out_validation
-from robot_sysid.model.inertia import link_reach
+from robot_sysid.model.bodies import link_reach
 from robot_sysid.records import InertialParameters, Validation
 from robot_sysid.results.record import BodyEstimate, JointEstimate, Quantity, Verdict
 from tests.support import arms

@@ -22,7 +22,7 @@ from robot_sysid.mjcf.inertial import (
 )
 from robot_sysid.mjcf.inertial import urdf_inertial_about_com as urdf_inertial
 from robot_sysid.mjcf.updated_model import BodyChange, ModelChange, find_element
-from robot_sysid.model.inertia import body_label, body_theta
+from robot_sysid.model.bodies import body_label, body_theta
 from robot_sysid.records import SubtreeBody
 from robot_sysid.results.verification import (
     reads_fullinertia_exactly,

@@ -24,9 +24,9 @@ from robot_sysid.mjcf.updated_model import (
     write_actuator,
     write_joint,
 )
+from robot_sysid.model.bodies import composite_theta, subtree_bodies
 from robot_sysid.model.chain import find_terminal_joint
 from robot_sysid.model.compilation import compile_model
-from robot_sysid.model.inertia import composite_theta, subtree_bodies
 from robot_sysid.results.verification import (
     reads_fullinertia_exactly,
     verify_written_model,

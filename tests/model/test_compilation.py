@@ -16,12 +16,12 @@ from scipy.spatial.transform import Rotation
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.inertial import mjcf_inertial
+from robot_sysid.model.bodies import body_theta, inertia_about_com, subtree_bodies
 from robot_sysid.model.compilation import (
     compile_model,
     meshes_not_kept,
     restore_exact_inertias,
 )
-from robot_sysid.model.inertia import body_theta, inertia_about_com, subtree_bodies
 from tests.support import urdf
 from tests.support.model_files import (
     ARM,

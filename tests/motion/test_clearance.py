@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 
 from robot_sysid.dynamics.inverse_dynamics import subtree
-from robot_sysid.model.contacts import ContactFinder
+from robot_sysid.model.bodies import ContactFinder
 from robot_sysid.motion.clearance import KEPT_SHARE, Clearance, drop_pairs
 from robot_sysid.motion.plan_options import LimitOptions
 from tests.support.arms import SEEDS, X, Y, Z, compile_xml, hinge, link, world

@@ -18,7 +18,7 @@ from numpy.random import default_rng
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.question import EstimationOptions
-from robot_sysid.model.contacts import find_new_contacts
+from robot_sysid.model.bodies import find_new_contacts
 from robot_sysid.motion import design as design_module
 from robot_sysid.motion import design_search as search
 from robot_sysid.motion.design import Candidate, Design, constraints_of

@@ -12,7 +12,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from robot_sysid.errors import InputError
-from robot_sysid.model.contacts import count_moving_joints
+from robot_sysid.model.bodies import count_moving_joints
 from robot_sysid.motion import limit_check
 from robot_sysid.motion.limit_check import (
     CLEARANCE_RESOLUTION,

@@ -26,8 +26,8 @@ from robot_sysid.mjcf.updated_model import (
     WeldedBody,
     changed_model_text,
 )
+from robot_sysid.model.bodies import subtree_bodies
 from robot_sysid.model.compilation import compile_model
-from robot_sysid.model.inertia import subtree_bodies
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, Motion
 from robot_sysid.results.verification import (

@@ -23,9 +23,13 @@ from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import ExportError
 from robot_sysid.estimation.choices import coupling, couplings_of_model
+from robot_sysid.model.bodies import (
+    body_theta,
+    composite_theta,
+    find_flange,
+    subtree_bodies,
+)
 from robot_sysid.model.compilation import compile_model
-from robot_sysid.model.flange import find_flange
-from robot_sysid.model.inertia import body_theta, composite_theta, subtree_bodies
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.file_access import atomic_files
 from robot_sysid.results import record, verification

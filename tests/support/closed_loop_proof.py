@@ -16,7 +16,7 @@ import numpy as np
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.estimation.algebra.least_squares import InformationAccumulator
-from robot_sysid.model.inertia import composite_theta
+from robot_sysid.model.bodies import composite_theta
 from robot_sysid.records import InertialParameters, JointFriction, Measurement
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import ArmTorque

@@ -1,4 +1,4 @@
-"""The flange: whatever names it, it is where MuJoCo puts it, and never something that moves."""
+"""Bodies of an arm: each is in one link; the flange is where MuJoCo puts it; which bodies touch."""
 
 from __future__ import annotations
 
@@ -7,9 +7,42 @@ import numpy as np
 import pytest
 from hypothesis import given
 
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import ModelError
-from robot_sysid.model.flange import find_flange
-from tests.support.arms import SEEDS, X, Y, Z, robot_of, serial_arm
+from robot_sysid.model.bodies import (
+    ContactFinder,
+    adjacent_bodies,
+    composite_theta,
+    find_flange,
+    find_new_contacts,
+    link_reach,
+)
+from robot_sysid.records import Motion
+from tests.support import arms
+from tests.support.arms import SEEDS, X, Y, Z, hinge, link, robot_of, serial_arm, world
+
+
+@pytest.mark.parametrize("name", sorted(arms.MODELS))
+def test_links_weigh_together_what_the_first_joint_moves(name):
+    robot = arms.robot_of(arms.MODELS[name])
+    model = robot.mj_model
+    first = robot.links[0].body_id
+    masses = [link.theta[0] for link in robot.links]
+    moved = model.body_mass[list(subtree(model, first))]
+    assert sum(masses) == pytest.approx(np.sum(moved), rel=1e-12)
+    composite = composite_theta(model, robot.reference_qpos, robot.body_id)
+    np.testing.assert_array_equal(robot.links[-1].theta, composite)
+    np.testing.assert_array_equal(robot.prior.theta, composite)
+
+
+@pytest.mark.parametrize("name", sorted(arms.MODELS))
+def test_a_link_reaches_at_least_to_its_centre_of_mass(name):
+    robot = arms.robot_of(arms.MODELS[name])
+    reach = link_reach(robot.mj_model, robot.reference_qpos, robot.body_id)
+    com = spatial.com_from_theta(robot.prior.theta)[1]
+    assert reach >= np.linalg.norm(com)
+
 
 TIP = (
     '<site name="attachment_site" pos=".01 -.02 .1" quat="1 .2 -.3 .4"/>'
@@ -144,3 +177,101 @@ def test_numbers_that_are_none_say_what_is_wanted(text):
 def test_millimetres_are_noticed():
     with pytest.raises(ModelError, match="metres, not millimetres"):
         find_flange(ROBOT, "0,0,107")
+
+
+BALL = '<geom size=".08"/>'
+WALL = '<body name="wall" pos="0 .5 .5"><geom type="box" size=".5 .05 .5"/></body>'
+
+
+def arm_with_tip(neighbour="", extra=""):
+    """Two joints; the tip is a ball 0.4 m from a vertical axis."""
+    tip = link(hinge("twist", Y), BALL, "tip", pos=".4 0 0")
+    return world(
+        link(hinge("turn", Z), tip, "upper", pos="0 0 .5") + neighbour, extra=extra
+    )
+
+
+def sweep(angles):
+    """Turn about the vertical axis, one step per second."""
+    q = np.column_stack((angles, np.zeros(len(angles))))
+    zeros = np.zeros_like(q)
+    return Motion(np.arange(len(q), dtype=float), q, zeros, zeros)
+
+
+def contacts(xml, angles):
+    return find_new_contacts(robot_of(xml), [sweep(angles)])
+
+
+def test_first_touch_of_a_pair_is_told_once_with_time_and_names():
+    (contact,) = contacts(arm_with_tip(WALL), [0.0, 0.3, 1.5, 0.0, 1.5])
+    assert contact == "tip and wall touch at 2.00 s"
+
+
+def test_what_touches_at_rest_is_told_once_and_is_no_news_later():
+    stand = '<body name="stand" pos=".4 0 .42"><geom size=".05"/></body>'
+    texts = contacts(arm_with_tip(stand), [0.0, 0.05, -0.05])
+    assert texts == ("tip and stand touch at rest",)
+
+
+def names_of_neighbours(xml):
+    model = robot_of(xml).mj_model
+    label = [model.body(k).name for k in range(model.nbody)]
+    return {
+        (label[a], label[b]) for a, b in np.argwhere(np.triu(adjacent_bodies(model)))
+    }
+
+
+def test_neighbours_are_what_carries_and_what_is_carried():
+    camera = '<body name="camera"><geom size=".01"/></body>'
+    arm = link(
+        hinge("turn", Z),
+        link(hinge("bend", Y), camera, "tip", pos=".4 0 0")
+        + camera[:-7].replace("camera", "lamp")
+        + "</body>",
+        "upper",
+        pos="0 0 .5",
+    )
+    base = f'<body name="base"><geom size=".1"/><body name="cover"/>{arm}</body>'
+    table = '<body name="table"><geom size=".1"/></body>'
+    assert names_of_neighbours(world(base + table)) == {
+        ("base", "upper"),
+        ("base", "lamp"),
+        ("cover", "upper"),
+        ("cover", "lamp"),
+        ("upper", "tip"),
+        ("upper", "camera"),
+        ("tip", "lamp"),
+        ("camera", "lamp"),
+    }
+
+
+def test_things_that_touch_each_other_beside_the_arm_are_no_news():
+    falling = '<body name="cup" pos="0 .5 1.0"><freejoint/><geom size=".05" mass=".1"/></body>'
+    assert contacts(arm_with_tip(WALL + falling), np.zeros(3)) == ()
+
+
+def test_links_of_the_arm_touching_each_other_are_found():
+    base = '<body name="base" pos=".2 0 .3"><geom size=".1"/></body>'
+    folded = world(
+        base
+        + link(
+            hinge("bend", Y), link(hinge("end", Y), BALL, "tip"), "upper", pos="0 0 .5"
+        )
+    )
+    (contact,) = contacts(folded, [0.0, 2.2])
+    assert contact == "base and tip touch at 1.00 s"
+
+
+def test_a_near_miss_inside_the_contact_margin_is_no_touch():
+    wide_wall = WALL.replace("<geom ", '<geom margin=".5" ')
+    finder = ContactFinder(robot_of(arm_with_tip(wide_wall)))
+    assert finder.new_pairs(np.array([0.3, 0.0])) == set()
+    assert len(finder.new_pairs(np.array([1.5, 0.0]))) == 1
+
+
+def test_more_contacts_than_mujoco_holds_are_a_matter_of_the_model():
+    crowd = '<body><geom size=".1"/></body>' * 1500
+    bodies = arms.serial_bodies((arms.Y,))
+    robot = arms.robot_of(arms.world(bodies + crowd, extra='<size memory="3M"/>'))
+    with pytest.raises(ModelError, match="<size memory="):
+        find_new_contacts(robot, [])

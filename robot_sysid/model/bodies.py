@@ -1,0 +1,421 @@
+"""The bodies of a compiled arm: their inertia, the links that they make up, the flange on the last
+one, and which of them touch.
+
+The flange is the frame, fixed to the terminal body, in which controllers want a payload: a site or
+a body of the model, or plain numbers. A frame that moves against the terminal body is no flange.
+
+Links next to each other often overlap in a model: one carries the other, and it does not matter
+that a model leaves out their joint's housing. Any other two bodies that touch are a collision.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
+from robot_sysid.errors import InputError, ModelError
+from robot_sysid.model.chain import body_label
+from robot_sysid.records import ArmLink, Array, Flange, Motion, RobotModel, SubtreeBody
+
+
+def body_theta(mj_model: Any, body_id: int) -> Array:
+    """Return theta (10,) of one compiled body in its own frame, inertia about its origin."""
+    mass = float(mj_model.body_mass[body_id])
+    com = mj_model.body_ipos[body_id]
+    return spatial.theta_from_com(mass, com, inertia_about_com(mj_model, body_id))
+
+
+def inertia_about_com(mj_model: Any, body_id: int) -> Array:
+    """Return the inertia (3, 3) of one compiled body about its centre of mass, in body axes."""
+    flat = np.empty(9)
+    mujoco.mju_quat2Mat(flat, mj_model.body_iquat[body_id])
+    axes = flat.reshape(3, 3)
+    return axes @ np.diag(mj_model.body_inertia[body_id]) @ axes.T
+
+
+def subtree_bodies(
+    mj_model: Any, qpos: Array, body_id: int, excluded: Collection[int] = ()
+) -> tuple[SubtreeBody, ...]:
+    """Return a body and all below it but the excluded ones, held at ``qpos`` (nq,).
+
+    Their theta are in the frame of the first body, which ``body_id`` names.
+    """
+    data = data_at_pose(mj_model, qpos)
+    axes = data.xmat[body_id].reshape(3, 3)
+    bodies: dict[int, SubtreeBody] = {}
+    for i in subtree(mj_model, body_id):
+        if i in excluded:
+            continue
+        theta = body_theta(mj_model, i)
+        if i != body_id:
+            rotation = axes.T @ data.xmat[i].reshape(3, 3)
+            translation = axes.T @ (data.xpos[i] - data.xpos[body_id])
+            theta = spatial.transform_theta(theta, rotation, translation)
+        parent = bodies.get(int(mj_model.body_parentid[i]))
+        is_jointless = bool(mj_model.body_jntnum[i] == 0)
+        is_welded = parent is None or (parent.welded and is_jointless)
+        bodies[i] = SubtreeBody(i, body_label(mj_model, i), theta, is_welded)
+    return tuple(bodies.values())
+
+
+def composite_theta(mj_model: Any, qpos: Array, body_id: int) -> Array:
+    """Return theta (10,), in its own frame, of a body with everything below it, at ``qpos``."""
+    bodies = subtree_bodies(mj_model, qpos, body_id)
+    return np.sum([body.theta for body in bodies], axis=0)
+
+
+def link_reach(mj_model: Any, qpos: Array, body_id: int) -> float:
+    """Return how far a body and all below it, held at ``qpos``, reach from its origin [m].
+
+    The farthest point of its geoms' bounding spheres, and at least the length of the uniform rod
+    whose mass is as far from its end.
+    """
+    data = data_at_pose(mj_model, qpos)
+    geoms = np.isin(mj_model.geom_bodyid, subtree(mj_model, body_id))
+    distances = np.linalg.norm(data.geom_xpos[geoms] - data.xpos[body_id], axis=1)
+    spheres = distances + mj_model.geom_rbound[geoms]
+    theta = composite_theta(mj_model, qpos, body_id)
+    rod = np.sqrt(3.0) * spatial.characteristic_length(theta)
+    return float(max(rod, np.max(spheres, initial=0.0)))
+
+
+def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink, ...]:
+    """Return one link per chain joint, base to terminal.
+
+    A link is the body that the joint moves with all that hangs on it, apart from the bodies that a
+    later chain joint moves. Where several joints move one body, all but the last have a link
+    without mass. Joints outside the chain (ids, base to terminal) are held at ``qpos`` (nq,).
+    """
+    data = data_at_pose(mj_model, qpos)
+    mujoco.mj_comPos(mj_model, data)
+    body_ids = [int(mj_model.jnt_bodyid[joint]) for joint in chain]
+    links = []
+    # Pose of the previous link.
+    axes = np.eye(3)
+    origin = np.zeros(3)
+    jacobian = np.zeros((2, 3, mj_model.nv))
+    for index, body_id in enumerate(body_ids):
+        new_axes = data.xmat[body_id].reshape(3, 3)
+        new_origin = data.xpos[body_id]
+        mujoco.mj_jacBody(mj_model, data, jacobian[1], jacobian[0], body_id)
+        dof = int(mj_model.jnt_dofadr[chain[index]])
+        # Rotation of the joint's axis, then translation, in world axes.
+        turn, slide = jacobian[..., dof]
+        bodies = link_bodies(mj_model, qpos, body_id, body_ids[index + 1 :])
+        links.append(
+            ArmLink(
+                body_id=body_id,
+                body_name=body_label(mj_model, body_id),
+                screw=np.concatenate([new_axes.T @ turn, new_axes.T @ slide]),
+                rotation=axes.T @ new_axes,
+                translation=axes.T @ (new_origin - origin),
+                theta=np.sum([np.zeros(10), *(body.theta for body in bodies)], axis=0),
+            )
+        )
+        axes = new_axes
+        origin = new_origin
+    return tuple(links)
+
+
+def link_bodies(
+    mj_model: Any, qpos: Array, body_id: int, later_bodies: Sequence[int]
+) -> tuple[SubtreeBody, ...]:
+    """Return the bodies of the link of a joint's body, that one first, at ``qpos`` (nq,).
+
+    ``later_bodies``: ids of the bodies that later chain joints move; no bodies are returned where
+    ``body_id`` is one of them.
+    """
+    if body_id in later_bodies:
+        return ()
+    excluded = set(subtree(mj_model, later_bodies[0])) if later_bodies else ()
+    return subtree_bodies(mj_model, qpos, body_id, excluded)
+
+
+# Names by which models call the frame that a tool is bolted to, the surest first.
+_NAMES = ("attachment", "(?:tool_?)?flange", "tool0", "eef?|end_?effector")
+_PATTERNS = tuple(
+    re.compile(rf"(?:.*[/_.:-])?(?:{name})(?:[_-](?:site|frame|link))?", re.IGNORECASE)
+    for name in _NAMES
+)
+_DOUBT = "; an end effector's frame may also be the tip of the tool: check"
+REACH = 3.0
+"""Distance of a flange from its link beyond which the numbers must be millimetres [m]: no arm is as
+long."""
+
+
+def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
+    """Return the frame that a user named, or the one that looks like a flange.
+
+    Args:
+        text: name of a site or body fixed to the terminal body; "x,y,z" in metres or
+            "x,y,z,roll,pitch,yaw" with degrees about the fixed axes x, y, z, in the terminal body's
+            frame; None for the site or body that is called like a flange, else the terminal body.
+
+    Raises:
+        ModelError: no frame, or several, could be meant, or it moves against the terminal body.
+    """
+    sites, bodies = _fixed_frames(robot)
+    if text is None:
+        return _guess_flange(robot, sites, bodies)
+    name = text.strip()
+    frames = {**bodies, **sites}
+    if name in frames:
+        return frames[name]
+    if "," in name:
+        return _parse_flange(robot, name)
+    fault = "no such site or body"
+    for object_type, mj_type in _OBJECTS.items():
+        if mujoco.mj_name2id(robot.mj_model, int(mj_type), name) >= 0:
+            fault = f"{object_type} '{name}' moves against the terminal body, or stands before it"
+    listed = _list_names([*sites.values(), *bodies.values()])
+    remedy = f"fixed to body '{robot.body_name}' are: {listed}; or give x,y,z in metres"
+    raise ModelError(f"flange {name}: {fault}; {remedy}")
+
+
+def _list_names(flanges: Sequence[Flange]) -> str:
+    """Return the names of frames, separated by commas."""
+    return ", ".join(flange.name for flange in flanges)
+
+
+def place_in_carrier(robot: RobotModel, flange: Flange) -> tuple[Array, Array]:
+    """Return (rotation (3, 3), translation (3,)) of a flange in the frame of its carrier [m]."""
+    bodies = _fixed_frames(robot)[1].values()
+    carrier = next(body for body in bodies if body.carrier == flange.carrier)
+    rotation = carrier.rotation.T @ flange.rotation
+    translation = carrier.rotation.T @ (flange.translation - carrier.translation)
+    # A distance that is left after adding and subtracting it is no distance.
+    return np.round(rotation, 15), np.round(translation, 15)
+
+
+_OBJECTS = {"site": mujoco.mjtObj.mjOBJ_SITE, "body": mujoco.mjtObj.mjOBJ_BODY}
+_Frames = Mapping[str, Flange]
+"""Name of a site or body to its frame."""
+
+
+def _fixed_frames(robot: RobotModel) -> tuple[_Frames, _Frames]:
+    """Return the frames of all sites, and of all bodies, that are fixed to the terminal body."""
+    mj_model = robot.mj_model
+    terminal = robot.body_id
+    data = data_at_pose(mj_model, robot.reference_qpos)
+    axes = data.xmat[terminal].reshape(3, 3)
+    origin = data.xpos[terminal]
+    fixed = {body.body_id: body.name for body in robot.bodies if body.welded}
+
+    def frame(label: str, carrier: int, xmat: Array, xpos: Array) -> Flange:
+        """Return a frame, at world axes (9,) and position (3,), relative to the terminal body."""
+        rotation = axes.T @ xmat.reshape(3, 3)
+        translation = axes.T @ (xpos - origin)
+        return Flange(label, rotation, translation, robot.body_name, carrier)
+
+    sites = {}
+    for i, carrier in enumerate(mj_model.site_bodyid.tolist()):
+        name = mj_model.site(i).name
+        if name and carrier in fixed:
+            label = f"site '{name}'"
+            sites[name] = frame(label, carrier, data.site_xmat[i], data.site_xpos[i])
+    bodies = {}
+    for i, name in fixed.items():
+        bodies[name] = frame(f"body '{name}'", i, data.xmat[i], data.xpos[i])
+    return sites, bodies
+
+
+def _guess_flange(robot: RobotModel, sites: _Frames, bodies: _Frames) -> Flange:
+    """Return the frame that is called like a flange, else the terminal body, with a note."""
+    others = {**bodies}
+    terminal = others.pop(robot.body_name)
+    for pattern in _PATTERNS:
+        # A site counts more than a body.
+        matches = [sites[name] for name in sites if pattern.fullmatch(name)]
+        if not matches:
+            matches = [others[name] for name in others if pattern.fullmatch(name)]
+        if not matches:
+            continue
+        poses = [np.column_stack((f.rotation, f.translation)) for f in matches]
+        if not np.allclose(poses, poses[0], rtol=0.0, atol=1e-9):
+            listed = _list_names(matches)
+            raise ModelError(
+                f"{listed} could each be the flange; choose one by its name"
+            )
+        note = f"{matches[0].name} was taken for the flange, because of its name"
+        note += _DOUBT if pattern is _PATTERNS[-1] else ""
+        return replace(matches[0], note=note)
+    listed = _list_names([*sites.values(), *others.values()]) or "none"
+    note = (
+        f"no site or body that is fixed to body '{robot.body_name}' is called like a flange, so "
+        f"the frame of that body is taken; others that can be named: {listed}"
+    )
+    return replace(terminal, note=note)
+
+
+def _parse_flange(robot: RobotModel, text: str) -> Flange:
+    """Return the frame of "x,y,z" or "x,y,z,roll,pitch,yaw", or raise ModelError."""
+    from scipy.spatial.transform import Rotation
+
+    try:
+        numbers = [float(number) for number in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (3, 6) or not np.all(np.isfinite(numbers)):
+        remedy = "wanted are x,y,z in metres or x,y,z,roll,pitch,yaw with degrees"
+        raise ModelError(f"flange {text}: neither a name nor numbers; {remedy}")
+    translation = np.array(numbers[:3])
+    if np.max(np.abs(translation)) > REACH:
+        fault = f"more than {REACH:g} m away from body '{robot.body_name}'"
+        raise ModelError(
+            f"flange {text}: {fault}; the numbers are metres, not millimetres"
+        )
+    # Rz(yaw) Ry(pitch) Rx(roll), as in a URDF.
+    angles = numbers[3:] or [0.0] * 3
+    rotation = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
+    name = text.replace(" ", "")
+    return Flange(name, rotation, translation, robot.body_name, robot.body_id)
+
+
+CHECK_RATE_HZ = 40.0
+"""How often a trajectory is checked; at 2 rad/s and 0.5 m that is every 25 mm."""
+_POSITIONS = 7
+"""Positions of each joint at which two bodies are tried for whether they can part."""
+_MAX_JOINTS_BETWEEN = 3
+"""Joints between two bodies beyond which they are taken to part."""
+
+
+def joint_ranges(robot: RobotModel) -> tuple[Array, Array]:
+    """Return the positions (n,), (n,) between which each joint can be; a turn where unlimited."""
+    lower = robot.limits.lower
+    upper = robot.limits.upper
+    return (
+        np.where(np.isfinite(lower), lower, robot.reference - np.pi),
+        np.where(np.isfinite(upper), upper, robot.reference + np.pi),
+    )
+
+
+def count_moving_joints(robot: RobotModel) -> NDArray[np.int64]:
+    """Return how many chain joints move each body (nbody,): the first so many of the chain.
+
+    Bodies with equal counts keep their distances. InputError for joints of two arms, which do not
+    move the bodies one after the other.
+    """
+    model = robot.mj_model
+    counts = np.zeros(model.nbody, dtype=np.int64)
+    for index, joint in enumerate(model.dof_jntid[robot.dof_index]):
+        moved = subtree(model, int(model.jnt_bodyid[joint]))
+        if np.any(counts[moved] != index):
+            names = ", ".join(robot.joint_names)
+            raise InputError(f"{names} are no serial chain: take one arm")
+        counts[moved] += 1
+    return counts
+
+
+def adjacent_bodies(mj_model: Any) -> NDArray[np.bool_]:
+    """Return whether two bodies are next to each other in the tree, (nbody, nbody).
+
+    Bodies welded together count as one. A body that stands still is next to a link only if it
+    carries it or is fixed to the body that does: the arm's base and its housing are, a table in the
+    same world is not.
+    """
+    weld = mj_model.body_weldid
+    bodies = np.arange(mj_model.nbody)
+    parent = mj_model.body_parentid[weld]
+    carries = (weld[:, None] == weld[parent]) & (weld[:, None] != weld)
+    below = np.array([np.isin(bodies, subtree(mj_model, int(body))) for body in bodies])
+    stands_still = (weld == 0)[:, None]
+    is_fixed = below | below[parent].T & (parent != 0)
+    carries &= ~stands_still | (is_fixed & (bodies != 0)[:, None])
+    return np.asarray(carries | carries.T)
+
+
+class ContactFinder:
+    """Finds which bodies touch in a configuration.
+
+    Attributes:
+        resting_pairs: pairs of body ids that touch in the robot's reference configuration.
+    """
+
+    def __init__(self, robot: RobotModel) -> None:
+        self._robot = robot
+        self._model: Any = robot.mj_model
+        self._data = data_at_pose(self._model, robot.reference_qpos)
+        self._joint_counts = count_moving_joints(robot)
+        self.resting_pairs = self._touching()
+
+    def by_design(self, pairs: Collection[tuple[int, int]]) -> set[tuple[int, int]]:
+        """Return those of some touching pairs of body ids that touch by the model's design.
+
+        One carries the other, or they touch whatever the joints between them do (MuJoCo takes the
+        convex hull of a mesh): no position would be free of it. A pair of the arm and something
+        beside it is not by design.
+        """
+        is_adjacent = adjacent_bodies(self._model)
+        return {pair for pair in pairs if is_adjacent[pair] or self._never_part(pair)}
+
+    def _never_part(self, pair: tuple[int, int]) -> bool:
+        """Return whether two bodies touch at all tried positions of the joints between them."""
+        first, last = sorted(self._joint_counts[list(pair)].tolist())
+        first_root, second_root = self._model.body_rootid[list(pair)]
+        if last - first > _MAX_JOINTS_BETWEEN or first_root != second_root:
+            return False
+        low, high = (ends[first:last] for ends in joint_ranges(self._robot))
+        q = self._robot.reference.copy()
+        for positions in product(*np.linspace(low, high, _POSITIONS).T):
+            q[first:last] = positions
+            self._data.qpos[self._robot.qpos_index] = q
+            if pair not in self._touching():
+                return False
+        return True
+
+    def new_pairs(self, q: Array) -> set[tuple[int, int]]:
+        """Return pairs of body ids that touch at chain positions q (n,) but not at rest."""
+        self._data.qpos[self._robot.qpos_index] = q
+        return self._touching() - self.resting_pairs
+
+    def _touching(self) -> set[tuple[int, int]]:
+        """Return pairs of body ids, the lower first, that touch in the current configuration."""
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+        try:
+            mujoco.mj_collision(self._model, self._data)
+        except mujoco.FatalError:
+            raise ModelError(
+                "so many parts of the model touch each other that MuJoCo's memory does not hold "
+                'their contacts; give it more with <size memory="1G"/>, or let fewer parts collide'
+            ) from None
+        if not self._data.ncon:
+            return set()
+        geoms = self._data.contact.geom[self._data.contact.dist <= 0.0]
+        geoms = geoms[np.all(geoms >= 0, axis=1)]
+        bodies = np.sort(self._model.geom_bodyid[geoms], axis=1)
+        pairs = {(int(a), int(b)) for a, b in bodies}
+        counts = self._joint_counts
+        return {(a, b) for a, b in pairs if counts[a] != counts[b]}
+
+
+def find_new_contacts(robot: RobotModel, motions: Iterable[Motion]) -> tuple[str, ...]:
+    """Return in words which bodies collide at rest, and when others first do along a motion.
+
+    ``motions`` are the pieces of that motion in the order of time.
+    """
+    finder = ContactFinder(robot)
+    first_time: dict[tuple[int, int], float] = {}
+    for motion in motions:
+        for time, q in zip(motion.time, motion.q):
+            for pair in finder.new_pairs(q):
+                first_time.setdefault(pair, float(time))
+
+    def contact(pair: tuple[int, int]) -> str:
+        """Return a sentence on two bodies (ids), without the time."""
+        first, second = (body_label(robot.mj_model, body) for body in pair)
+        return f"{first} and {second} touch"
+
+    resting = finder.resting_pairs - finder.by_design(finder.resting_pairs)
+    at_rest = sorted(f"{contact(pair)} at rest" for pair in resting)
+    later = [f"{contact(pair)} at {t:.2f} s" for pair, t in first_time.items()]
+    return (*at_rest, *later)
