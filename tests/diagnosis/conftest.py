@@ -1,4 +1,4 @@
-"""One arm with a correct log, which the tests of all checks spoil."""
+"""Two arms with correct logs, which the tests of all checks spoil."""
 
 from __future__ import annotations
 
@@ -10,15 +10,25 @@ from robot_sysid.estimation.question import EstimationOptions
 from tests.support import arms
 from tests.support.wrong_logs import truth_of
 
-ARM = arms.serial_arm(arms.SEVEN_AXES[:5], joint='range="-2.5 2.5" armature=".02"')
+FOUR_AXES = (arms.Z, arms.Y, arms.Y, arms.X)
+JOINT = 'range="-2.5 2.5" frictionloss=".4" damping=".2"'
 
 
 @pytest.fixture(scope="session")
 def truth():
-    return truth_of(arms.robot_of(ARM), seed=3)
+    """Return a correct log of an arm of five joints and its truth."""
+    joint = 'range="-2.5 2.5" armature=".02"'
+    robot = arms.robot_of(arms.serial_arm(arms.SEVEN_AXES[:5], joint=joint))
+    return truth_of(robot, seed=3)
 
 
 @pytest.fixture(scope="session")
 def contest(truth):
-    """Return the contest of explanations of the correct log."""
+    """Return the contest of explanations of the five-joint arm's log."""
     return Contest(truth.robot, low_pass([truth.log], None), EstimationOptions())
+
+
+@pytest.fixture(scope="session")
+def four_joints():
+    """Return a correct log of an arm of four joints with friction and its truth."""
+    return truth_of(arms.robot_of(arms.serial_arm(FOUR_AXES, joint=JOINT)), seed=4)

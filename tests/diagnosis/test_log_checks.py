@@ -30,6 +30,7 @@ from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Progress
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
+from tests.diagnosis.conftest import FOUR_AXES, JOINT
 from tests.support import arms
 from tests.support.closed_loop_proof import excitation
 from tests.support.log_files import JOINTS, motion, read_measurements
@@ -166,22 +167,11 @@ def test_a_torque_in_coarse_steps_is_no_fault():
 # ---- against the model
 
 
-AXES = (arms.Z, arms.Y, arms.Y, arms.X)
-JOINT = 'range="-2.5 2.5" frictionloss=".4" damping=".2"'
-ROBOT = arms.robot_of(arms.serial_arm(AXES, joint=JOINT))
-
-
-@pytest.fixture(scope="module")
-def four_joints():
-    """Return a correct log of an arm of four joints and its truth."""
-    return truth_of(ROBOT, 4)
-
-
 def test_a_log_that_is_too_short_for_anything_is_called_that(four_joints):
     log = four_joints.log
     is_short = log.time - log.time[0] < 0.6
     short = Measurement(log.time[is_short], log.q[is_short], None, log.tau[is_short])
-    first = check_against_model(ROBOT, [short])[0]
+    first = check_against_model(four_joints.robot, [short])[0]
     assert first.level is Level.REFUSE
     assert re.match(r"the log is 0\.(59|6)\d* s long, too short; record", first.text)
 
@@ -198,7 +188,7 @@ def test_a_note_is_printed_without_a_second_prefix(four_joints, monkeypatch):
     monkeypatch.setattr(
         "robot_sysid.diagnosis.log_checks.check_against_model", lambda *_: (finding,)
     )
-    check_log(ROBOT, log, (), progress)
+    check_log(four_joints.robot, log, (), progress)
     assert notes == ["it lags [delay]"] and finding.line() == "note: it lags [delay]"
 
 
@@ -210,20 +200,24 @@ def test_a_log_that_cannot_be_checked_is_named(four_joints):
         InputError,
         match=r"^log\.csv: the log's 12 s are too short for a cut-off of 0.001 Hz",
     ):
-        check_log(ROBOT, log, (), Progress(), EstimationOptions(cutoff=1e-3))
+        check_log(
+            four_joints.robot, log, (), Progress(), EstimationOptions(cutoff=1e-3)
+        )
 
 
 # ---- correct logs
 
 
-@pytest.mark.parametrize("axes", [arms.SEVEN_AXES[:5], AXES])
+@pytest.mark.parametrize("axes", [arms.SEVEN_AXES[:5], FOUR_AXES])
 def test_correct_logs_draw_no_alarm(axes):
     robot = arms.robot_of(arms.serial_arm(axes, joint='range="-2 2" armature=".02"'))
     findings = check_against_model(robot, [truth_of(robot, 103).log])
     assert [finding for finding in findings if finding.level is not Level.NOTE] == []
 
 
-@pytest.mark.parametrize("axes", [AXES, (arms.Y,), (arms.Z, arms.Y), (arms.Y, arms.X)])
+@pytest.mark.parametrize(
+    "axes", [FOUR_AXES, (arms.Y,), (arms.Z, arms.Y), (arms.Y, arms.X)]
+)
 def test_dry_friction_at_rest_is_no_contact_and_a_short_arm_no_odd_one(axes):
     """A light arm with much dry friction, which acts until the very end of its creep to rest."""
     robot = arms.robot_of(arms.serial_arm(axes, joint=JOINT))

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from robot_sysid.diagnosis.contest import MARGIN
 from robot_sysid.diagnosis.evidence import Hypotheses
-from robot_sysid.diagnosis.relabelling import relabellings, torque_scales
+from robot_sysid.diagnosis.relabelling import (
+    find_wrong_scales,
+    relabellings,
+    torque_scales,
+)
 from robot_sysid.estimation.question import EstimationOptions
 
 OPTIONS = EstimationOptions()
@@ -38,3 +45,16 @@ def test_scales_of_single_joints_are_found_within_their_errors(contest):
     error = np.log(scales.scale / truth)[scales.identified]
     assert len(error) > 2
     assert error @ np.linalg.solve(scales.covariance, error) < 3.0 * len(error)
+
+
+@pytest.mark.parametrize(("factor", "cause"), [(1e3, "mN·m"), (1 / 101, "gear of 1:")])
+def test_the_advised_scale_includes_the_applied_ones(contest, factor, cause):
+    log = contest.log.with_torque(factor * contest.log.torque)
+    applied = np.array([2.0, 3.0, 4.0, 5.0, 6.0])
+    advised = []
+    for divided in (np.ones(5), applied):
+        (correction,) = find_wrong_scales(log, contest.posterior, OPTIONS, divided)
+        assert cause in correction.text
+        numbers = re.search(r"--torque-scale ([0-9.,]+[0-9])", correction.text)[1]
+        advised.append([float(number) for number in numbers.split(",")])
+    assert_allclose(advised[1], advised[0] * applied, rtol=0.01)
