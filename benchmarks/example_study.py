@@ -20,9 +20,9 @@ random_plan = noise_study.random_plan
 
 def designed_plan(robot, seed=1):
     """Return the trajectory that ``--excitation optimal`` designs; it takes about 20 s."""
+    from robot_sysid.motion import ExcitationOptions, LimitOptions
     from robot_sysid.motion.design import Design
     from robot_sysid.motion.design_search import design_excitation
-    from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
     from robot_sysid.motion.problem import build_problem
     from robot_sysid.trajectory import TrajectoryOptions
 

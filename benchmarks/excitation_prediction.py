@@ -44,6 +44,7 @@ from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.estimation.unknowns import LINKS, build_unknowns
+from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation
 from robot_sysid.motion.expected_errors import (
@@ -53,7 +54,6 @@ from robot_sysid.motion.expected_errors import (
     prior_knowledge,
 )
 from robot_sysid.motion.information import mass_and_centre_errors
-from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import DELAY_NAME, Measurement

@@ -22,13 +22,13 @@ import mujoco
 import numpy as np
 
 from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion import design as design_module
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation
 from robot_sysid.motion.expected_errors import prior_knowledge
 from robot_sysid.motion.information import mass_and_centre_errors, random_information
 from robot_sysid.motion.limit_check import DISTANCE_RESOLUTION
-from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.motion.prediction import parameter_sizes
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model

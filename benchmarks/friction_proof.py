@@ -22,10 +22,10 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation
 from robot_sysid.motion.expected_errors import prior_knowledge
-from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.static import design_sweeps
 from robot_sysid.parser import load_robot_model

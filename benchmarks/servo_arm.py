@@ -11,7 +11,7 @@ import numpy as np
 
 from robot_sysid.records import JointFriction
 from robot_sysid.records.arm import RobotModel
-from robot_sysid.simulation.forward_dynamics import ArmStepper
+from robot_sysid.simulation.plant import ArmStepper
 from robot_sysid.simulation.playback import chain_actuators
 
 TICK = 1e-3

@@ -6,6 +6,7 @@ from functools import cache
 
 import pytest
 
+from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.design import (
     Design,
     first_candidate,
@@ -14,7 +15,6 @@ from robot_sysid.motion.design import (
 )
 from robot_sysid.motion.design_search import draw_trajectories
 from robot_sysid.motion.limit_check import check_limits
-from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.trajectory import TrajectoryOptions

@@ -15,7 +15,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
-from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions, PoseOptions
+from robot_sysid.motion import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.records import file_access, option_fields
 from robot_sysid.records.option_fields import (
     Option,

@@ -24,13 +24,9 @@ from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.model.bodies import body_theta, composite_theta, find_new_contacts
+from robot_sysid.motion import TOP_FREQUENCY_HZ, ExcitationOptions, LimitOptions
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation
-from robot_sysid.motion.plan_options import (
-    TOP_FREQUENCY_HZ,
-    ExcitationOptions,
-    LimitOptions,
-)
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse

@@ -42,7 +42,7 @@ from robot_sysid.model.compilation import (
     file_of,
     is_in_memory,
 )
-from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
+from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.parser import load_robot_model, robot_from_compiled
 from robot_sysid.records import RobotModel
 from robot_sysid.records import option_fields as option_records

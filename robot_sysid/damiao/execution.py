@@ -68,7 +68,7 @@ from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort, InputError, SysidError, error_text
 from robot_sysid.model import ModelOptions
-from robot_sysid.motion.plan_options import LimitOptions
+from robot_sysid.motion import LimitOptions
 from robot_sysid.records import Array
 from robot_sysid.records.option_fields import given_options, record_from
 
@@ -173,7 +173,7 @@ class MotorRun:
         ripple = None
         model_range = None
         if self.robot is not None:
-            from robot_sysid.simulation.forward_dynamics import ArmStepper
+            from robot_sysid.simulation.plant import ArmStepper
 
             arm = ArmStepper(self.robot, trajectory.q[0])
             inertia = arm.moved_inertia()
@@ -369,7 +369,7 @@ class MotorRun:
         """
         if self.robot is None:
             raise InputError("a simulated arm needs a model; add --model")
-        from robot_sysid.simulation.forward_dynamics import ArmStepper
+        from robot_sysid.simulation.plant import ArmStepper
 
         motors = [simulated_motor(joint, watchdog) for joint in plan.trajectory.joints]
         return SimulatedArm(

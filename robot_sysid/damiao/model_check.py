@@ -37,15 +37,15 @@ from robot_sysid.damiao.trajectory import (
 )
 from robot_sysid.errors import InputError
 from robot_sysid.model import ModelOptions
+from robot_sysid.motion import WEIGHT, LimitOptions
 from robot_sysid.motion.limit_check import BetweenArms, first_contact
-from robot_sysid.motion.plan_options import WEIGHT, LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.trajectories import straight_way
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.file_access import plan_settings
 from robot_sysid.records.option_fields import record_from
-from robot_sysid.simulation.forward_dynamics import ArmStepper
+from robot_sysid.simulation.plant import ArmStepper
 from robot_sysid.simulation.playback import interpolate
 from robot_sysid.simulator import ArmTorque
 

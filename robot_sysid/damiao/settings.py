@@ -17,7 +17,7 @@ from robot_sysid.damiao.recorder import SamplingRipple
 from robot_sysid.damiao.safety.guards import CommandRange
 from robot_sysid.damiao.trajectory import NO_LIMITS, DamiaoTrajectory
 from robot_sysid.errors import InputError
-from robot_sysid.motion.plan_options import LimitOptions
+from robot_sysid.motion import LimitOptions
 from robot_sysid.records import Array
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.option_fields import (

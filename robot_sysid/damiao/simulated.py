@@ -32,7 +32,7 @@ from robot_sysid.damiao.protocol import BusTiming, Frame
 from robot_sysid.records import Array
 
 if TYPE_CHECKING:
-    from robot_sysid.simulation.forward_dynamics import ArmStepper
+    from robot_sysid.simulation.plant import ArmStepper
 
 DEFAULT_WATCHDOG = 0.1
 """Default watchdog time of simulated motors [s], as docs/damiao.md recommends for real ones."""

@@ -50,7 +50,7 @@ from robot_sysid.damiao.protocol import (
     suggested_rate,
 )
 from robot_sysid.errors import InputError
-from robot_sysid.motion.plan_options import LimitOptions
+from robot_sysid.motion import LimitOptions
 from robot_sysid.records import Array
 from robot_sysid.records.file_access import atomic_file, refuse_special_file
 from robot_sysid.records.option_fields import joint_values

@@ -1,1 +1,290 @@
-"""Designing a motion: trajectories, objective, limits, search."""
+"""Designing a motion: the options of its limits, search and purpose. Light to import."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from robot_sysid.errors import InputError
+from robot_sysid.records.option_fields import (
+    DEFAULT_MAX_VELOCITY,
+    OptionRecord,
+    PerJoint,
+    option,
+    parse_numbers,
+    processor_count,
+)
+
+if TYPE_CHECKING:
+    from robot_sysid.motion.trajectories import FourierBasis
+    from robot_sysid.records import Array
+
+EXCITATIONS = ("sines", "optimal")
+WEIGHT = "weight"
+"""Purpose of the motion that comes first where an arm is heavier than its model says."""
+LONGEST_FADE = 1.5
+"""Fade of a designed trajectory [s], shorter where that is short: it takes 7.5 / 1.5^2 = 3.3 / s^2
+of an offset, a quarter of what a swing as wide at 0.6 Hz takes."""
+TOP_FREQUENCY_HZ = 0.6
+"""Highest harmonic: the top of the band of the random sinusoids, where full speed takes the usual
+acceleration limit."""
+FEWEST_HARMONICS = 3
+"""Harmonics of a designed trajectory at least, however short it is."""
+LONGEST_PERIOD = 60.0
+"""A longer motion repeats itself, so that a search costs in proportion to its length [s]."""
+USUAL_JOINTS = 10
+"""Number of joints above which a search is shortened (``ExcitationOptions.for_joints``)."""
+USUAL_EVALUATIONS = 400
+"""Evaluations in a long round of a search for ``USUAL_JOINTS``; more joints get a share of them."""
+FEWEST_DRAWS = 5
+"""Least number of random trajectories in a shortened search."""
+FEWEST_EVALUATIONS = 20
+"""Least number of evaluations per round in a shortened search."""
+WORTH_WORKERS = 5.0
+"""Time budget from which on it pays to start other processes, which takes each a second [s]."""
+
+
+@dataclass(frozen=True)
+class HalfSpace:
+    """Space that certain bodies must stay in: points x with normal . x >= offset.
+
+    Attributes:
+        normal: (3,) unit vector in the world that points into the space.
+        offset: of the boundary from the world's origin along the normal [m].
+        clearance: distance that the bodies have to keep from the boundary [m].
+        bodies: MuJoCo ids of these bodies.
+        label: name of the boundary for messages.
+    """
+
+    normal: Array
+    offset: float
+    clearance: float
+    bodies: tuple[int, ...]
+    label: str
+
+
+@dataclass(frozen=True)
+class LimitOptions(OptionRecord):
+    """Limits that every motion has to keep in addition to the limits of the model."""
+
+    max_velocity: PerJoint = option(
+        DEFAULT_MAX_VELOCITY,
+        "speed limit of hinge joints, one number or one per joint",
+        "V [rad/s] > 0",
+        parse=parse_numbers,
+    )
+    max_acceleration: float | None = option(
+        None,
+        "acceleration limit of hinge joints",
+        "A [rad/s²] > 0",
+        default_text="none; for a new motion, what full speed at 0.6 Hz needs, or at its top "
+        "frequency if lower",
+    )
+    max_torque: PerJoint | None = option(
+        None,
+        "torque limit beside the model's own, one number or one per joint",
+        "T [N·m] > 0",
+        parse=parse_numbers,
+        default_text="the model's own",
+    )
+    payload_reserve: float = option(
+        0.0,
+        "leave torque for an unknown load up to this mass at the tip of the tool",
+        "KG [kg] >= 0",
+    )
+    max_tool_speed: float | None = option(
+        None,
+        "speed limit of the tool's fastest point",
+        "V [m/s] > 0",
+        default_text="none",
+    )
+    workspace: tuple[float, ...] | None = option(
+        None,
+        "box that the terminal link stays in",
+        unit="m",
+        metavar=("XMIN", "XMAX", "YMIN", "YMAX", "ZMIN", "ZMAX"),
+    )
+    keep_out: tuple[tuple[float, ...], ...] = option(
+        (),
+        "plane that no moving part crosses: points x with N·x ≥ OFFSET are allowed",
+        unit="m",
+        metavar=("NX", "NY", "NZ", "OFFSET"),
+        repeats=True,
+    )
+    below_base: bool = option(
+        False,
+        "allow parts to get below what carries the arm; they stay above it otherwise, but for an "
+        "arm that is below it at rest",
+    )
+    clearance: float = option(
+        0.01, "least distance between parts that are apart at rest", "D [m] >= 0"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.half_spaces()  # Refused here, before any work, where the numbers make none.
+
+    def half_spaces(
+        self, moving: Sequence[int] = (), link: Sequence[int] = ()
+    ) -> tuple[HalfSpace, ...]:
+        """Return the half-spaces of keep-out planes and of the sides of the workspace box.
+
+        Args:
+            moving: MuJoCo ids of the bodies that keep-out planes hold for.
+            link: MuJoCo ids of the bodies that the box holds for.
+        """
+        planes = [
+            _plane(plane, self.clearance, tuple(moving)) for plane in self.keep_out
+        ]
+        box = () if self.workspace is None else _box(self.workspace, tuple(link))
+        return (*planes, *box)
+
+
+def _plane(
+    values: Sequence[float], clearance: float, bodies: tuple[int, ...]
+) -> HalfSpace:
+    """Return the allowed side of a keep-out plane; OFFSET is in multiples of its normal."""
+    import numpy as np
+
+    length = math.hypot(*values[:3]) if len(values) == 4 else 0.0
+    if not (length > 0.0 and math.isfinite(length) and math.isfinite(values[3])):
+        raise InputError(
+            "--keep-out takes four numbers NX NY NZ OFFSET with a normal that is not zero; "
+            "0 0 1 0 keeps the arm above the floor"
+        )
+    *normal, offset = (float(v) / length for v in values)
+    label = f"the keep-out plane {[round(v, 3) for v in normal]} at {offset:g} m"
+    return HalfSpace(np.array(normal), offset, clearance, bodies, label)
+
+
+def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> tuple[HalfSpace, ...]:
+    """Return the finite sides of a workspace [m] in the world; its walls may be touched."""
+    import numpy as np
+
+    if len(sides) != 6:
+        raise InputError("--workspace takes six numbers: XMIN XMAX YMIN YMAX ZMIN ZMAX")
+    half_spaces = []
+    for axis, low, high in zip(range(3), sides[0::2], sides[1::2]):
+        if not low < high:
+            raise InputError(
+                f"--workspace is empty along {'xyz'[axis]}: {low:g} is not below {high:g}; "
+                "the order is XMIN XMAX YMIN YMAX ZMIN ZMAX"
+            )
+        for sign, bound, side in ((1.0, low, "min"), (-1.0, high, "max")):
+            if np.isfinite(bound):
+                label = f"the workspace's {'xyz'[axis]}{side} = {bound:g} m"
+                half_spaces.append(
+                    HalfSpace(sign * np.eye(3)[axis], sign * bound, 0.0, bodies, label)
+                )
+    return tuple(half_spaces)
+
+
+@dataclass(frozen=True)
+class ExcitationOptions(OptionRecord):
+    """How a trajectory is found.
+
+    Attributes:
+        kind: "sines" for random sinusoids, "optimal" for a designed trajectory.
+        time_budget: duration of the search [s]; None until it hardly gains any more.
+        draws: number of random trajectories to begin with.
+        starts: how many of the best are improved by one round; the best of them goes on.
+        rounds: largest number of rounds by which a start is improved.
+        iterations: largest number of iterations of the optimiser per round.
+        evaluations: largest number of evaluations of the objective per round.
+        workers: processes to use; 1 stays in this one, None takes one per processor.
+    """
+
+    kind: str = option(
+        "sines",
+        "random sinusoids, or a trajectory designed to tell as much as possible",
+        flag="--excitation",
+        choices=EXCITATIONS,
+    )
+    time_budget: float | None = option(
+        None,
+        "design for this time",
+        "S [s] > 0",
+        flag="--excitation-time-budget",
+        default_text="until it hardly gets better",
+    )
+    draws: int = 60
+    starts: int = 2
+    rounds: int = 20
+    iterations: int = 60
+    evaluations: int = 15000
+    workers: int | None = None
+
+    def basis(self, duration: float) -> FourierBasis:
+        """Return the Fourier basis of a designed trajectory of this duration [s]."""
+        from robot_sysid.motion.trajectories import FourierBasis
+
+        base = max(1, math.ceil(duration / LONGEST_PERIOD)) / duration
+        harmonics = max(FEWEST_HARMONICS, math.floor(TOP_FREQUENCY_HZ / base + 1e-9))
+        return FourierBasis(
+            duration, base, harmonics, min(LONGEST_FADE, 0.25 * duration)
+        )
+
+    def for_joints(self, count: int) -> ExcitationOptions:
+        """Return the search that takes about as long as that of a usual arm, whatever the number of
+        joints: a step takes the square of it. A time budget says itself how long.
+        """
+        share = min(1.0, (USUAL_JOINTS / count) ** 2)
+        if share == 1.0 or self.time_budget is not None:
+            return self
+        return replace(
+            self,
+            draws=max(min(FEWEST_DRAWS, self.draws), round(share * self.draws)),
+            starts=max(1, round(share * self.starts)),
+            rounds=max(min(2, self.rounds), round(share * self.rounds)),
+            evaluations=max(FEWEST_EVALUATIONS, round(share * USUAL_EVALUATIONS)),
+        )
+
+    @property
+    def n_workers(self) -> int:
+        """Number of processes; more than there are starts would idle after the draws.
+
+        A short search takes one: starting others would take longer than they help.
+        """
+        if self.workers is None and (self.time_budget or 0.0) < WORTH_WORKERS:
+            return 1
+        return min(self.workers or processor_count(), max(2, self.starts))
+
+
+@dataclass(frozen=True)
+class PoseOptions(OptionRecord):
+    """The purpose of a plan, and the resting poses of a static one.
+
+    Attributes:
+        purpose: "link", "payload", "friction", "arm" or "weight".
+        static: whether a payload is identified in resting poses.
+        poses: number of resting poses.
+        dwell: duration of each rest [s].
+    """
+
+    purpose: str = option(
+        "link",
+        "what the motion is to identify: the terminal link, a payload by difference, friction "
+        "alone (each joint slowly back and forth at constant speeds), all links and rotors, or the "
+        "weight of an arm whose model may be far off: slowly, with half of the torque",
+        flag="--for",
+        choices=("link", "payload", "friction", "arm", WEIGHT),
+    )
+    static: bool = option(
+        False,
+        "with --for payload: resting poses, each approached from both sides, for an arm that may "
+        "not move fast",
+    )
+    poses: int = 12
+    dwell: float = 1.5
+
+    @property
+    def target(self) -> str:
+        """What an estimate is to identify: "link", "arm" or "payload" (``PriorKnowledge``)."""
+        return self.purpose if self.purpose in ("arm", "payload") else "link"
+
+    @property
+    def sets_its_time(self) -> bool:
+        """Whether the motion is as long as it takes: resting poses, or sweeps."""
+        return self.static or self.purpose == "friction"

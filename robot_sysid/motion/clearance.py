@@ -29,7 +29,7 @@ from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.dynamics.spatial import cross
 from robot_sysid.model.bodies import ContactFinder, count_moving_joints, joint_ranges
 from robot_sysid.model.chain import body_label
-from robot_sysid.motion.plan_options import HalfSpace
+from robot_sysid.motion import HalfSpace
 from robot_sysid.motion.solids import HalfSpaces
 from robot_sysid.records import Array, RobotModel
 

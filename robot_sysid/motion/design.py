@@ -21,6 +21,7 @@ from typing import Callable, NamedTuple
 import numpy as np
 
 from robot_sysid.errors import InputError
+from robot_sysid.motion import ExcitationOptions
 from robot_sysid.motion.information import (
     Gradient,
     Information,
@@ -31,7 +32,6 @@ from robot_sysid.motion.information import (
     mass_and_centre_errors,
 )
 from robot_sysid.motion.limit_check import keeps_limits
-from robot_sysid.motion.plan_options import ExcitationOptions
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ExcitationProblem
 from robot_sysid.motion.trajectories import FourierBasis, FourierTrajectory
 from robot_sysid.records import Array, Motion

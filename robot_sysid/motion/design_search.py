@@ -26,6 +26,7 @@ from typing import Any, Callable
 import numpy as np
 
 from robot_sysid.errors import InputError, delay_signals
+from robot_sysid.motion import ExcitationOptions
 from robot_sysid.motion import design as design_module
 from robot_sysid.motion.design import (
     GRID_PER_CYCLE,
@@ -37,7 +38,6 @@ from robot_sysid.motion.design import (
     is_over,
 )
 from robot_sysid.motion.limit_check import LimitCheck, check_limits
-from robot_sysid.motion.plan_options import ExcitationOptions
 from robot_sysid.motion.problem import ROUNDING
 from robot_sysid.motion.trajectories import FourierTrajectory
 from robot_sysid.records import Array, MotionPlan

@@ -12,12 +12,7 @@ import numpy as np
 from robot_sysid import trajectory
 from robot_sysid.errors import InputError
 from robot_sysid.model.bodies import CHECK_RATE_HZ, find_new_contacts
-from robot_sysid.motion.plan_options import (
-    WEIGHT,
-    ExcitationOptions,
-    LimitOptions,
-    PoseOptions,
-)
+from robot_sysid.motion import WEIGHT, ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.records import Motion, MotionPlan, RobotModel
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import (

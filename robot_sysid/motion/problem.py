@@ -15,8 +15,8 @@ from robot_sysid.dynamics.newton_euler import LinkDynamics, split_motion
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.priors import model_link_factor
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
+from robot_sysid.motion import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
 from robot_sysid.motion.clearance import Clearance
-from robot_sysid.motion.plan_options import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
 from robot_sysid.motion.solids import has_floor, mounting_height, outermost_points
 from robot_sysid.records import Array, JointLimits, Motion, RobotModel
 from robot_sysid.records.messages import Detail

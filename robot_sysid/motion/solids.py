@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.model.bodies import count_moving_joints
 from robot_sysid.model.chain import body_label
-from robot_sysid.motion.plan_options import HalfSpace
+from robot_sysid.motion import HalfSpace
 from robot_sysid.records import Array, RobotModel
 
 _TYPES = mujoco.mjtGeom

@@ -23,9 +23,8 @@ import numpy as np
 
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import InputError
-from robot_sysid.motion import trajectories
+from robot_sysid.motion import PoseOptions, trajectories
 from robot_sysid.motion.limit_check import first_contact, keeps_limits
-from robot_sysid.motion.plan_options import PoseOptions
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.trajectories import LineTrajectory, straight_way
 from robot_sysid.records import Array, Motion, MotionPlan

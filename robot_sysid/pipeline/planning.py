@@ -14,8 +14,8 @@ import numpy as np
 from robot_sysid.config import SysidConfig
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.export import MotorFile
+from robot_sysid.motion import WEIGHT, LimitOptions, PoseOptions
 from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
-from robot_sysid.motion.plan_options import WEIGHT, LimitOptions, PoseOptions
 from robot_sysid.pipeline.outcome import Outcome
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_files

@@ -14,7 +14,7 @@ from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
 from robot_sysid.export import locked_folder, save
 from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import meshes_not_kept
-from robot_sysid.motion.plan_options import LimitOptions
+from robot_sysid.motion import LimitOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.outcome import Identification, Outcome
 from robot_sysid.pipeline.planning import (

@@ -14,7 +14,7 @@ import numpy as np
 
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.motion.plan_options import WEIGHT
+from robot_sysid.motion import WEIGHT
 from robot_sysid.records import DELAY_NAME, Source
 from robot_sysid.records.file_access import (
     CARD_NAME,

@@ -1,21 +1,43 @@
-"""The plant, another model of the same arm that plays the real one, and the sensors that read it.
+"""Simulated arms: a plant that follows a motion exactly, and an arm that moves under torques.
 
-Sensors add noise and delay to the true torques and round the true positions to encoder steps. With
-an encoder resolution the record holds no velocities and accelerations: an arm with encoders alone
-would have to compute them from the rounded positions. Torque noise leaves the motion exact.
+A plant is another model of the same arm that plays the real one. Its sensors add noise and delay to
+the true torques and round the true positions to encoder steps. With an encoder resolution the
+record holds no velocities and accelerations: an arm with encoders alone would have to compute them
+from the rounded positions. Torque noise leaves the motion exact.
+
+Arms that move under torques are MuJoCo's forward dynamics of the chain, everything else held still.
+What acts: rigid-body dynamics, armature, springs, damping and friction. What does not: contacts,
+joint stops and equalities (an excitation trajectory touches none of them), the model's actuators
+(the torque comes from outside), gravity compensation and drag.
+
+Joints outside the chain (fingers, a second arm, loose objects) get so much armature that nothing
+moves them. None of them carries the chain, so the chain feels a rigid load and nothing else.
+
+An arm that motors drive is stepped (``ArmStepper``) with Coulomb's law
+tau_f = fc sign(qd) + fv qd, and implicit in damping and dry friction, so that stiff motor damping,
+shorted windings and dry friction are stable with any step h: find v and the mean velocity with
+
+    M (v - v_before) / h = torque - bias - (damping + fv) v_mean - f,
+    f = fc sign(v), or |f| <= fc where v = 0,
+
+by an L-stable method of second order; M and bias are those in the middle of the step, and positions
+move by the mean velocity. So damping adds no apparent armature to the mean torque of a step.
+(Implicit Euler, v in place of v_mean, adds h (damping + fv) / 2: 6 % of an OpenArm's rotor.)
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.inverse_dynamics import data_at_pose
-from robot_sysid.errors import InputError
+from robot_sysid.dynamics.inverse_dynamics import analysis_copy, data_at_pose
+from robot_sysid.errors import InputError, SimulationError
 from robot_sysid.model.chain import is_hinge_or_slide, joint_label
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import robot_from_compiled
@@ -29,6 +51,10 @@ GEOMETRY_TOLERANCE = 1e-6
 """Distance between the terminal bodies of model and plant above which a note is made [m]."""
 _PROBE_STEP = 0.5
 """Shift of all joints from the reference to the second pose that is compared [rad or m]."""
+HELD_ARMATURE = 1e9
+"""Armature that holds joints outside the chain still [kg m^2]."""
+DEFAULT_TIMESTEP = 5e-4
+"""Step of an arm that motors drive [s]."""
 
 
 class PlantSimulation:
@@ -179,3 +205,228 @@ def _terminal_distance(robot: RobotModel, plant: RobotModel) -> float:
 def round_to_multiples(values: Array, step: float) -> Array:
     """Return the multiples of ``step`` nearest to ``values``, as an encoder reports them."""
     return np.round(values / step) * step
+
+
+def forward_model(robot: RobotModel) -> Any:
+    """Return a copy of an arm's compiled MuJoCo model in which only the chain moves.
+
+    Contacts, joint stops, equalities, actuators, gravity compensation and drag are switched off;
+    joints outside the chain get ``HELD_ARMATURE``. The copy may be changed by the caller.
+    """
+    model = analysis_copy(robot.mj_model)
+    flags = int(model.opt.disableflags)
+    disable = mujoco.mjtDisableBit
+    for name in ("EQUALITY", "LIMIT", "ACTUATION"):
+        flags |= int(getattr(disable, f"mjDSBL_{name}"))
+    model.opt.disableflags = flags & ~int(disable.mjDSBL_CONSTRAINT)
+    model.opt.solver = int(mujoco.mjtSolver.mjSOL_NEWTON)
+    model.opt.iterations = 100
+    chain = robot.dof_index
+    model.dof_damping[chain] = robot.mj_model.dof_damping[chain]
+    held_dofs = np.setdiff1d(np.arange(model.nv), chain)
+    model.dof_armature[held_dofs] = HELD_ARMATURE
+    model.dof_frictionloss[held_dofs] = 0.0
+    return model
+
+
+def set_chain_state(
+    robot: RobotModel, model: Any, data: Any, q: Array, qd: Array
+) -> None:
+    """Reset MuJoCo's ``data`` and put the chain at positions q (n,) with velocities qd (n,).
+
+    All other joints go to the arm's reference configuration, with zero velocity.
+    """
+    mujoco.mj_resetData(model, data)
+    data.qpos[:] = robot.reference_qpos
+    data.qpos[robot.qpos_index] = q
+    data.qvel[robot.dof_index] = qd
+
+
+class ArmStepper:
+    """Steps the chain of an arm under joint torques, with Coulomb friction and motor damping.
+
+    Args:
+        q: (n,) positions at the start [rad or m], where the arm is at rest; the reference
+            configuration if not given.
+        timestep: length of a step [s].
+
+    Attributes:
+        q: (n,) positions after the last step [rad or m].
+        qd: (n,) velocities after the last step [rad/s or m/s].
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        q: Array | None = None,
+        timestep: float = DEFAULT_TIMESTEP,
+    ) -> None:
+        self._robot = robot
+        self.n_joints = robot.n_joints
+        self.timestep = timestep
+        self._model = forward_model(robot)
+        # Damping and dry friction are stepped here, not by MuJoCo.
+        self._model.dof_damping[:] = 0.0
+        self._data = data_at_pose(self._model, robot.reference_qpos)
+        self._viscous = robot.friction.viscous
+        shared = robot.friction.shared
+        assert shared is not None
+        levels = np.max(np.abs(shared), axis=1)
+        # Coulomb friction levels (k,): those of the n joints, then those of motors that turn
+        # several joints. Each acts along one direction in joint velocities, a row of (k, n).
+        self._coulomb = np.concatenate((robot.friction.coulomb, levels))
+        self._friction_axes = np.vstack(
+            (np.eye(robot.n_joints), shared / levels[:, None])
+        )
+        self.q: Array = np.array(robot.reference if q is None else q, dtype=float)
+        self.qd: Array = np.zeros(robot.n_joints)
+        self._last_change: Array = np.zeros(robot.n_joints)
+        self._units = np.zeros((robot.n_joints, self._model.nv))
+        self._units[np.arange(robot.n_joints), robot.dof_index] = 1.0
+        self._columns = np.empty_like(self._units)
+
+    def step(
+        self, torque: Array, damping: Array, duration: float | None = None
+    ) -> Array:
+        """Advance under the motor torque ``torque - damping qd``; return its mean (n,) [N m].
+
+        Args:
+            torque: (n,) constant part of the motor torque [N m].
+            damping: (n,) damping by the motors [N m s/rad].
+            duration: length of this step [s]; ``timestep`` if not given.
+
+        Raises:
+            SimulationError: the state is not finite any more.
+        """
+        h = self.timestep if duration is None else duration
+        # Half of the last change of velocity stands for that up to the middle of this step.
+        mobility, bias = self._dynamics(
+            self.q + 0.5 * h * self.qd, self.qd + 0.5 * self._last_change
+        )
+        resistance = damping + self._viscous
+        end_response, mean_response = _velocity_responses(mobility, resistance, h)
+
+        load = torque - bias - resistance * self.qd
+        velocity, friction = self._resolve_dry_friction(
+            self.qd + end_response @ load, end_response
+        )
+        mean_velocity = self.qd + mean_response @ (load - friction)
+        mean_velocity = np.where(velocity == 0.0, 0.5 * self.qd, mean_velocity)
+
+        self._last_change = velocity - self.qd
+        self.q = self.q + h * mean_velocity
+        self.qd = velocity
+        if not np.all(np.isfinite(self.q)):
+            raise SimulationError(
+                "the simulated arm diverged; lower the gains or the torques"
+            )
+        return np.asarray(torque - damping * mean_velocity)
+
+    def tip(self) -> Array:
+        """Return the world position of the terminal link's centre of mass (3,) [m]."""
+        self._dynamics(self.q, self.qd)
+        return np.array(self._data.xipos[self._robot.body_id])
+
+    def axis(self, joint: int) -> Array:
+        """Return the direction (3,) of a chain joint's axis in the world, a unit vector."""
+        self._dynamics(self.q, self.qd)
+        return np.array(
+            self._data.xaxis[self._model.dof_jntid[self._robot.dof_index[joint]]]
+        )
+
+    def moved_inertia(self) -> Array:
+        """Return the inertia (n,) that each joint moves, all others being free [kg m^2]."""
+        return np.asarray(1.0 / np.diag(self.mobility(self.q)))
+
+    def mobility(self, q: Array) -> Array:
+        """Return the inverse mass matrix (n, n) at positions (n,) [1 / (kg m^2)]."""
+        inverse_mass, _ = self._dynamics(q, np.zeros_like(q))
+        return inverse_mass
+
+    def _dynamics(self, q: Array, qd: Array) -> tuple[Array, Array]:
+        """Return the inverse mass matrix (n, n) and the bias torque (n,) of the chain."""
+        data = self._data
+        dofs = self._robot.dof_index
+        data.qpos[self._robot.qpos_index] = q
+        data.qvel[dofs] = qd
+        mujoco.mj_fwdPosition(self._model, data)
+        mujoco.mj_fwdVelocity(self._model, data)
+        mujoco.mj_solveM(self._model, data, self._columns, self._units)
+        return self._columns[:, dofs], data.qfrc_bias[dofs] - data.qfrc_passive[dofs]
+
+    def _resolve_dry_friction(
+        self, free_velocity: Array, response: Array
+    ) -> tuple[Array, Array]:
+        """Return joint velocities (n,) and dry friction torques (n,) at the end of a step.
+
+        A direction of friction slides the way it moves, or would start to move without friction; if
+        friction would turn it round within the step it sticks, until holding it needs more than
+        its Coulomb level.
+
+        Args:
+            free_velocity: (n,) joint velocities at the end of the step without dry friction.
+            response: (n, n) matrix by which friction torques, negative, change the velocities.
+        """
+        axes = self._friction_axes
+        coulomb = self._coulomb
+        has_friction = coulomb > 0.0
+        joint_response = response @ axes.T
+        axis_response = axes @ joint_response
+        free_speed = axes @ free_velocity
+        direction = np.where(
+            axes @ self.qd != 0.0, np.sign(axes @ self.qd), np.sign(free_speed)
+        )
+        sticks = np.zeros(len(coulomb), dtype=bool)
+        for _ in range(2 * len(coulomb) + 1):
+            friction = np.where(sticks, 0.0, coulomb * direction)
+            speed = free_speed - axis_response @ friction
+            if np.any(sticks):
+                friction[sticks] = self._holding_friction(
+                    axis_response[np.ix_(sticks, sticks)], speed[sticks]
+                )
+                speed -= axis_response[:, sticks] @ friction[sticks]
+                speed[sticks] = 0.0
+            reverses = has_friction & ~sticks & (speed * direction < 0.0)
+            breaks_loose = sticks & (np.abs(friction) > coulomb * (1.0 + 1e-9))
+            if not np.any(reverses | breaks_loose):
+                break
+            direction = np.where(breaks_loose, np.sign(friction), direction)
+            sticks = (sticks | reverses) & ~breaks_loose
+        joint_velocity = free_velocity - joint_response @ friction
+        joint_sticks = sticks[: self.n_joints]
+        return np.where(joint_sticks, 0.0, joint_velocity), axes.T @ friction
+
+    def _holding_friction(self, response: Array, velocity: Array) -> Array:
+        """Return the friction (k,) that stops k directions which move at ``velocity`` (k,).
+
+        ``response`` (k, k) is what the friction takes from these velocities per unit.
+        """
+        if len(self._coulomb) == self.n_joints:
+            return np.asarray(np.linalg.solve(response, velocity))
+        # A motor and all joints that it turns may stick together: the system is then singular.
+        return np.asarray(np.linalg.lstsq(response, velocity, rcond=None)[0])
+
+
+_STAGE = 1.0 - math.sqrt(0.5)
+"""Implicit share of each stage that makes the two-stage method below of second order, L-stable."""
+
+
+def _velocity_responses(
+    mobility: Array, resistance: Array, h: float
+) -> tuple[Array, Array]:
+    """Return how a constant torque changes the velocities in a damped step of length ``h`` [s].
+
+    Args:
+        mobility: (n, n) inverse mass matrix [1 / (kg m^2)].
+        resistance: (n,) damping of the joints [N m s/rad].
+
+    Returns:
+        Two matrices (n, n) [rad/s per N m]: the change of the velocities at the end of the step,
+        and of their mean over the step.
+    """
+    identity = np.eye(len(resistance))
+    stage = np.linalg.solve(identity + _STAGE * h * mobility * resistance, h * mobility)
+    second_stage = stage - _STAGE * (stage * resistance) @ stage
+    end_response = _STAGE * stage + (1.0 - _STAGE) * second_stage
+    mean_response = _STAGE * stage + (0.5 - _STAGE) * second_stage
+    return end_response, mean_response

@@ -1,7 +1,7 @@
 """Rollouts: torques or servo commands in, motion out; windows of a log played by a model.
 
 The model is the file's own: links, rotor inertia, springs, damping and MuJoCo's ``frictionloss`` as
-written. As in ``forward_dynamics`` joints outside the chain are held, and contacts, joint stops,
+written. As in ``plant`` joints outside the chain are held, and contacts, joint stops,
 equalities and gravity compensation do not act. The integrator is MuJoCo's implicit one without
 derivatives of forces between bodies, which is stable under any damping. ``mujoco.rollout`` does the
 steps on all processors where the installed release has it with several models at a time; older ones
@@ -43,7 +43,7 @@ from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.option_fields import processor_count
 from robot_sysid.signals.process import ProcessedSignals
-from robot_sysid.simulation.forward_dynamics import forward_model, set_chain_state
+from robot_sysid.simulation.plant import forward_model, set_chain_state
 
 STEP = 0.002
 """Time step of the rollouts [s]."""

@@ -27,7 +27,7 @@ from robot_sysid.damiao.model_check import gravity_check
 from robot_sysid.damiao.protocol import DISABLED, ESC_ID, MST_ID, TIMEOUT
 from robot_sysid.motion.limit_check import as_one
 from robot_sysid.parser import load_robot_model
-from robot_sysid.simulation.forward_dynamics import ArmStepper
+from robot_sysid.simulation.plant import ArmStepper
 from tests.support import arms
 from tests.support.command_line import run_motors as run
 from tests.support.damiao_rig import (

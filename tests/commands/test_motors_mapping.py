@@ -13,7 +13,7 @@ from robot_sysid.damiao.references import HoldingCheck
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion
-from robot_sysid.simulation.forward_dynamics import ArmStepper
+from robot_sysid.simulation.plant import ArmStepper
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms
 from tests.support.command_line import run_motors as run

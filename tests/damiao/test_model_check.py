@@ -20,7 +20,7 @@ from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.references import ORDERS, STRAIGHT
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.trajectory import NO_LIMITS
-from robot_sysid.motion.plan_options import LimitOptions
+from robot_sysid.motion import LimitOptions
 from robot_sysid.records import JointLimits, Motion
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms

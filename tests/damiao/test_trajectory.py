@@ -23,7 +23,7 @@ from robot_sysid.damiao.trajectory import (
     velocity_mismatch,
 )
 from robot_sysid.errors import InputError
-from robot_sysid.motion.plan_options import LimitOptions
+from robot_sysid.motion import LimitOptions
 from tests.support.damiao_rig import swing, trajectory_file
 
 

@@ -15,8 +15,8 @@ from numpy.random import default_rng
 
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.model.bodies import ContactFinder
+from robot_sysid.motion import LimitOptions
 from robot_sysid.motion.clearance import KEPT_SHARE, Clearance, drop_pairs
-from robot_sysid.motion.plan_options import LimitOptions
 from tests.support.arms import SEEDS, X, Y, Z, compile_xml, hinge, link, world
 from tests.support.excitation_arms import TUBES_AND_POST, robot
 

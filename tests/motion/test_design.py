@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 
 from robot_sysid.errors import InputError
+from robot_sysid.motion import ExcitationOptions
 from robot_sysid.motion import design as design_module
 from robot_sysid.motion.design_search import draw_trajectories
 from robot_sysid.motion.information import information_model, known_arm
 from robot_sysid.motion.limit_check import check_limits, keeps_limits
-from robot_sysid.motion.plan_options import ExcitationOptions
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms
 from tests.support.arms import SEEDS

@@ -10,8 +10,8 @@ import pytest
 from numpy.random import default_rng
 
 from robot_sysid.errors import InputError
+from robot_sysid.motion import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.plan import MotionRequest, make_plan
-from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.trajectories import save_trajectory
 from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions

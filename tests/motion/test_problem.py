@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
-from robot_sysid.motion.plan_options import TOP_FREQUENCY_HZ, LimitOptions
+from robot_sysid.motion import TOP_FREQUENCY_HZ, LimitOptions
 from robot_sysid.motion.problem import Tool, _space_above_base, build_problem
 from robot_sysid.records import JointLimits, Motion
 from robot_sysid.simulator import ArmTorque

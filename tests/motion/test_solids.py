@@ -11,7 +11,7 @@ from hypothesis import given
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from robot_sysid.motion.plan_options import LimitOptions
+from robot_sysid.motion import LimitOptions
 from robot_sysid.motion.solids import (
     HalfSpaces,
     Solid,

@@ -13,9 +13,8 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion import static
+from robot_sysid.motion import LimitOptions, PoseOptions, static
 from robot_sysid.motion.limit_check import check_limits
-from robot_sysid.motion.plan_options import LimitOptions, PoseOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.records import Motion
 from tests.support import arms

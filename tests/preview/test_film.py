@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion.plan_options import LimitOptions
+from robot_sysid.motion import LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.preview import film, film_path
 from robot_sysid.records import Measurement

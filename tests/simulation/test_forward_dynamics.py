@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import SimulationError
 from robot_sysid.records import Motion
-from robot_sysid.simulation.forward_dynamics import ArmStepper
+from robot_sysid.simulation.plant import ArmStepper
 from robot_sysid.simulator import simulate_inverse
 from tests.support import arms
 from tests.support.arms import SEEDS, random_chain, random_motion, robot_of

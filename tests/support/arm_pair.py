@@ -23,7 +23,7 @@ from robot_sysid.errors import SysidError
 from robot_sysid.motion.limit_check import as_one
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion
-from robot_sysid.simulation.forward_dynamics import ArmStepper
+from robot_sysid.simulation.plant import ArmStepper
 from robot_sysid.simulator import ArmTorque
 from tests.support.fault_bench import ARMS, PHYSICS_STEP, multi_sine
 

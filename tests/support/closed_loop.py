@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose, inverse_dynamics
 from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
-from robot_sysid.simulation.forward_dynamics import forward_model, set_chain_state
+from robot_sysid.simulation.plant import forward_model, set_chain_state
 from robot_sysid.trajectory import sample_times
 
 

@@ -6,8 +6,8 @@ from functools import cache
 
 import numpy as np
 
+from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.design import Design
-from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms

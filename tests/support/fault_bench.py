@@ -36,7 +36,7 @@ from robot_sysid.dynamics.inverse_dynamics import analysis_copy
 from robot_sysid.errors import SysidError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion
-from robot_sysid.simulation.forward_dynamics import ArmStepper
+from robot_sysid.simulation.plant import ArmStepper
 from robot_sysid.simulator import ArmTorque
 from tests.support.clocks import ScriptedClock
 from tests.support.damaged_links import FaultyLink

@@ -16,7 +16,7 @@ from robot_sysid.config import PayloadOptions
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
-from robot_sysid.motion.plan_options import PoseOptions
+from robot_sysid.motion import PoseOptions
 from robot_sysid.preview import PreviewOptions
 from robot_sysid.records.option_fields import Option, default_of, options_of
 from tests.support.places import ROOT

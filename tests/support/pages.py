@@ -13,8 +13,8 @@ from robot_sysid.cli import main
 from robot_sysid.damiao.joints import write_joint_map
 from robot_sysid.damiao.trajectory import read_damiao_trajectory
 from robot_sysid.logs.text import write_measurement_csv
+from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.plan import MotionRequest, make_plan
-from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Progress

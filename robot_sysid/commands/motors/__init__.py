@@ -50,7 +50,7 @@ from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG, serve
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
 from robot_sysid.model import ModelOptions
-from robot_sysid.motion.plan_options import LimitOptions
+from robot_sysid.motion import LimitOptions
 from robot_sysid.records.file_access import plan_settings
 from robot_sysid.records.option_fields import (
     OptionRecord,

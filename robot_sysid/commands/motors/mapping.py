@@ -78,7 +78,7 @@ def movement_texts(
         signs: (n,) direction in which each joint turns, 1 for the model's positive one.
     """
     # Imported here so that setting up and monitoring do not wait for MuJoCo.
-    from robot_sysid.simulation.forward_dynamics import ArmStepper
+    from robot_sysid.simulation.plant import ArmStepper
 
     positions = robot.reference if q is None else q
     arm = ArmStepper(robot, positions)

@@ -31,7 +31,7 @@ from robot_sysid.damiao.settings import (
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.model import ModelOptions
-from robot_sysid.motion.plan_options import LimitOptions
+from robot_sysid.motion import LimitOptions
 from robot_sysid.records.messages import Detail
 from robot_sysid.records.option_fields import command_arguments
 from robot_sysid.results.verdict import two_lines

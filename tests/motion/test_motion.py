@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion.plan_options import (
+from robot_sysid.motion import (
     LONGEST_PERIOD,
     TOP_FREQUENCY_HZ,
     ExcitationOptions,
