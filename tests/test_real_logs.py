@@ -106,6 +106,7 @@ def tx40(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 @holds_motors
 def test_tx40s_shared_motor_is_in_its_file(tx40):
     """Without it the file is off by 19 %. A URDF has no place for it, and lies beside."""

@@ -71,18 +71,17 @@ CHOICES = [(model, None) for model, _, _ in WHOLE_ARMS] + [
 ]
 
 
-QUICK = ("kuka_iiwa_14/iiwa14.xml", "so101/so101_new_calib.urdf", "gripper")
-"""An MJCF of seven joints, and a URDF of five whose last link is a jaw."""
+QUICK = ("kuka_iiwa_14/iiwa14.xml", "franka_fr3/FrankaFR3_7DoF.urdf")
+"""Models of the fast run: an MJCF and a URDF that compile in a moment."""
 
 
 def slow_unless_quick(choices):
-    """Parametrisation in which all but a few models need ``-m slow``."""
-    return [
-        choice
-        if choice[0] == QUICK[0] or choice == QUICK[1:]
-        else pytest.param(*choice, marks=pytest.mark.slow)
-        for choice in choices
-    ]
+    """Return the choices as parameters of a test, all but those of ``QUICK`` marked slow."""
+    parameters = []
+    for choice in choices:
+        marks = () if choice[0] in QUICK else pytest.mark.slow
+        parameters.append(pytest.param(*choice, marks=marks))
+    return parameters
 
 
 @cache
