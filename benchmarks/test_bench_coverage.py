@@ -12,18 +12,18 @@ from benchmarks.example_study import noise_study
 from robot_sysid.dynamics import spatial
 from robot_sysid.solver import identify_parameters
 from tests.support.estimates import identify
-from tests.support.smooth_arm import SmoothArm, information_of_samples, samples_of
+from tests.support.synthetic_data import SmoothArm
 
 DRAWS = 200
 
 
 def draw(seed, memory, rate=100.0):
-    """Return (arm, noise (7,), samples, information) of one simulated log."""
+    """Return (arm, samples, information) of one simulated log."""
     rng = np.random.default_rng(seed)
     arm = SmoothArm(rng, rate)
     sigma = rng.uniform(0.1, 0.5, 7)
-    samples = samples_of(arm, arm.torques(arm.noise(rng, sigma, memory)))
-    return arm, sigma, samples, information_of_samples(arm, samples)
+    samples = arm.samples(arm.noise(rng, sigma, memory))
+    return arm, samples, samples.information(arm.names)
 
 
 @pytest.mark.slow
@@ -33,7 +33,7 @@ def test_intervals_cover(method, memory):
     hits = []
     naive = []
     for seed in range(DRAWS):
-        arm, _, samples, information = draw(seed, memory)
+        arm, samples, information = draw(seed, memory)
         estimate = identify(information, np.zeros(31), method, samples=samples)
         error = np.abs(estimate.values - arm.truth)
         hits.append(error < 1.96 * estimate.standard_errors)
@@ -55,26 +55,24 @@ def test_intervals_cover(method, memory):
 def test_weighted_estimates_reach_the_cramer_rao_bound():
     """One arm, many noises: root mean square error over the bound's standard deviation."""
     errors = {"ols": [], "wls": []}
-    names = ("ols", "wls")
     base = SmoothArm(np.random.default_rng(0), 100.0)
     sigma = np.array([0.5, 0.5, 0.3, 0.3, 0.1, 0.1, 0.1])
     for seed in range(DRAWS):
         rng = np.random.default_rng(1000 + seed)
-        samples = samples_of(base, base.torques(base.noise(rng, sigma, 0.0)))
-        information = information_of_samples(base, samples)
-        for method in names:
-            errors[method].append(
-                identify(information, np.zeros(31), method).values - base.truth
-            )
+        samples = base.samples(base.noise(rng, sigma, 0.0))
+        information = samples.information(base.names)
+        for method, method_errors in errors.items():
+            values = identify(information, np.zeros(31), method).values
+            method_errors.append(values - base.truth)
     bound = np.sqrt(np.diag(noise_study.cramer_rao_bound(information, sigma)))
-    ratios = {m: np.sqrt(np.mean(np.square(errors[m]), axis=0)) / bound for m in names}
-    for method in names:
-        ratio = ratios[method]
+    for method, method_errors in errors.items():
+        ratio = np.sqrt(np.mean(np.square(method_errors), axis=0)) / bound
         print(
             f"\n{method}: error / bound median {np.median(ratio):.3f}, worst {ratio.max():.3f}"
         )
-    assert np.median(ratios["wls"]) <= 1.05
-    assert np.max(ratios["wls"]) <= 1.25
+    # Those of the last method, which weighs the joints.
+    assert np.median(ratio) <= 1.05
+    assert np.max(ratio) <= 1.25
 
 
 @pytest.mark.slow

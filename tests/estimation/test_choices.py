@@ -34,8 +34,9 @@ from robot_sysid.simulator import simulate_inverse
 from tests.support import arms
 from tests.support.core_fits import BASIC, filter_logs, fitter_of
 from tests.support.measured_logs import RATE, XML, log_of, plan_of
-from tests.support.payload_logs import autocorrelated, perturb_body
+from tests.support.payload_logs import perturb_body
 from tests.support.releases import since
+from tests.support.synthetic_data import autocorrelated
 
 STRIBECK = f"{BASIC}-stribeck"
 RICHEST = CANDIDATES[-1]

@@ -35,15 +35,9 @@ from tests.support.measured_logs import (
     seeded_log,
     true_values,
 )
-from tests.support.payload_logs import (
-    PAYLOAD,
-    RATE,
-    TrueArm,
-    add_torque,
-    autocorrelated,
-    wide_motion,
-)
+from tests.support.payload_logs import PAYLOAD, RATE, TrueArm, add_torque, wide_motion
 from tests.support.places import DATA, MODELS
+from tests.support.synthetic_data import autocorrelated
 
 SMALL = arms.robot_of(arms.THREE)
 WITHIN = 3.5
@@ -68,7 +62,7 @@ def test_errors_are_the_spread_of_many_recordings(memory):
     stated = []
     for run in range(48):
         white = np.random.default_rng(run).standard_normal(exact.torque.shape)
-        noise = 0.1 * (autocorrelated(white, memory) if memory else white)
+        noise = 0.1 * autocorrelated(white, memory)
         fit = fit_recordings(SMALL, [add_torque(exact, noise)], EXACT_MODEL)
         errors.append((fit.values - arm.values(fit.columns))[fit.unknowns.estimated])
         stated.append(fit_errors(fit).total.standard_errors)

@@ -157,14 +157,3 @@ def add_torque(recording, torque):
     """Return a recording with additional torque (N, n)."""
     signals = recording.source
     return replace(recording, source=replace(signals, tau=signals.tau + torque))
-
-
-def autocorrelated(white, memory):
-    """Return unit noise (N, n) with autocorrelation exp(-lag / memory), made from white noise.
-
-    ``memory`` is in samples; the first samples are smaller than the others.
-    """
-    from scipy.signal import lfilter
-
-    decay = np.exp(-1.0 / memory)
-    return lfilter([np.sqrt(1.0 - decay**2)], [1.0, -decay], white, axis=0)

@@ -75,12 +75,11 @@ def arm_equations(rng, joints=3, count=60):
 
 def information_of(equations, names, truth, noise=0.0, rng=None):
     """SquareRootInformation of equations with tau = rows truth + noise."""
-    joints = [f"joint{j}" for j in range(len(equations))]
-    accumulator = InformationAccumulator(names, joints, [c for _, c in equations])
-    for j, (rows, columns) in enumerate(equations):
-        error = noise * rng.normal(size=len(rows)) if rng is not None else 0.0
-        accumulator.add(j, rows, rows @ truth[columns] + error)
-    return accumulator.result()
+    torques = []
+    for rows, columns in equations:
+        error = 0.0 if rng is None else noise * rng.normal(size=len(rows))
+        torques.append(rows @ truth[columns] + error)
+    return Samples(equations, torques).information(names)
 
 
 class Samples:
@@ -97,9 +96,8 @@ class Samples:
     def information(self, names):
         """What is left of them after one pass."""
         joints = [f"joint{j}" for j in range(len(self.equations))]
-        accumulator = InformationAccumulator(
-            names, joints, [c for _, c in self.equations]
-        )
+        columns = [columns for _, columns in self.equations]
+        accumulator = InformationAccumulator(names, joints, columns)
         for index, rows, tau in self:
             keep = np.isfinite(tau)
             accumulator.add(index, rows[keep], tau[keep])
@@ -116,6 +114,92 @@ def noisy_samples(seed, noises=(0.1, 0.1, 0.1), count=200):
         for (rows, columns), noise in zip(equations, noises)
     ]
     return Samples(equations, torques), names, truth, rng
+
+
+def autocorrelated(white, memory, start=None):
+    """Return unit noise (N, n) with autocorrelation exp(-lag / memory), made from white noise.
+
+    Args:
+        white: (N, n) white noise of unit variance.
+        memory: time constant [samples], 0 for white noise.
+        start: (1, n) value before the first sample; None for 0, so that the first samples are
+            smaller than the others.
+    """
+    from scipy.signal import lfilter
+
+    decay = np.exp(-1.0 / memory) if memory else 0.0
+    state = decay * (np.zeros_like(white[:1]) if start is None else start)
+    weights = [np.sqrt(1.0 - decay**2)], [1.0, -decay]
+    return lfilter(*weights, white, axis=0, zi=state)[0]
+
+
+N_JOINTS = 7
+"""Joints of a ``SmoothArm``."""
+
+
+class SmoothArm:
+    """Equations like those of an arm's log, of smooth multi-sines, and noise with a memory.
+
+    Seven joints, each with the ten inertial columns, Coulomb, viscous and offset.
+
+    Args:
+        rng: draws motion and truth.
+        rate: samples per second.
+        duration: seconds.
+    """
+
+    def __init__(self, rng, rate=200.0, duration=15.0):
+        self.rate = rate
+        self.count = int(rate * duration)
+        self.time = np.arange(self.count) / rate
+        omega, alpha = self._pair(rng, 3, 1.0)
+        acceleration = 9.81 * self._directions(rng) + 0.5 * self._pair(rng, 3, 1.0)[0]
+        wrench = wrench_rows(omega, alpha, acceleration)
+        names = list(spatial.PARAMETER_NAMES)
+        self.equations = []
+        for j in range(N_JOINTS):
+            speed = self._pair(rng, 1, 0.7)[0][:, 0]
+            screw = self._screw(rng)
+            inertial = np.einsum("ni,nik->nk", screw, wrench)
+            friction = (np.sign(speed), speed, np.ones(self.count))
+            columns = np.append(np.arange(10), len(names) + np.arange(3))
+            self.equations.append((np.column_stack((inertial, *friction)), columns))
+            names += [f"{term}[joint{j}]" for term in ("coulomb", "viscous", "offset")]
+        self.names = tuple(names)
+        nuisance = rng.uniform(0.1, 1.0, 3 * N_JOINTS)
+        self.truth = np.concatenate((random_body(rng), nuisance))
+
+    def _pair(self, rng, size, amplitude):
+        """(signal, derivative), each (N, size): four sines of 0.1 to 0.6 Hz."""
+        frequency = 2.0 * np.pi * rng.uniform(0.1, 0.6, (4, size))
+        phase = rng.uniform(0.0, 2.0 * np.pi, (4, size))
+        angle = self.time[:, None, None] * frequency + phase
+        scale = amplitude * rng.uniform(0.3, 1.0, (4, size))
+        return np.sum(scale * np.sin(angle), axis=1), np.sum(
+            scale * frequency * np.cos(angle), axis=1
+        )
+
+    def _directions(self, rng):
+        vectors = self._pair(rng, 3, 1.0)[0] + rng.normal(size=3)
+        return vectors / np.linalg.norm(vectors, axis=1)[:, None]
+
+    def _screw(self, rng):
+        axis = self._directions(rng)
+        return np.hstack((axis, np.cross(0.3 * self._pair(rng, 3, 1.0)[0], axis)))
+
+    def noise(self, rng, sigma, memory):
+        """(N, 7) noise; ``memory`` is the time constant of its autocorrelation [s], 0 for white."""
+        white = rng.normal(size=(self.count, N_JOINTS))
+        start = rng.normal(size=(1, N_JOINTS))
+        return sigma * autocorrelated(white, memory * self.rate, start)
+
+    def samples(self, noise=0.0):
+        """The equations with torques that have some noise (N, 7)."""
+        noise = np.broadcast_to(noise, (self.count, N_JOINTS))
+        torques = []
+        for (rows, columns), error in zip(self.equations, noise.T):
+            torques.append(rows @ self.truth[columns] + error)
+        return Samples(self.equations, torques)
 
 
 def terminal_information(rng, truth, axis=Z, offset=ORIGIN, count=80, noise=0.0):

@@ -17,14 +17,11 @@ from robot_sysid.estimation.algebra.uncertainty import (
 )
 from tests.support.arms import SEEDS
 from tests.support.estimates import identify
-from tests.support.smooth_arm import (
-    SmoothArm,
-    information_of_samples,
-    remembering_noise,
-    samples_of,
-)
 from tests.support.synthetic_data import (
+    Samples,
+    SmoothArm,
     arm_equations,
+    autocorrelated,
     information_of,
     random_body,
     terminal_information,
@@ -69,8 +66,8 @@ def test_unidentifiable_parameters_have_no_error_bars_and_no_share_of_the_data()
 def test_zero_torque_gives_finite_covariances(duration):
     rng = np.random.default_rng(2)
     arm = SmoothArm(rng, rate=100.0, duration=duration)
-    samples = samples_of(arm, arm.torques(np.zeros((arm.count, 7))))
-    information = information_of_samples(arm, samples)
+    samples = arm.samples()
+    information = samples.information(arm.names)
     estimate = identify(information, arm.truth, "wls", samples=samples)
     assert np.all(np.isfinite(estimate.covariance))
     assert not np.any(np.isnan(estimate.standard_errors))
@@ -80,13 +77,12 @@ def test_zero_torque_gives_finite_covariances(duration):
 def test_the_unit_of_torque_changes_no_standard_error():
     rng = np.random.default_rng(3)
     arm = SmoothArm(rng, rate=100.0, duration=3.0)
-    torques = arm.torques(arm.noise(rng, 0.3, 0.1))
-    rescaled = [
-        (j, 100.0 * rows, 100.0 * torques[j]) for j, rows in enumerate(arm.rows)
-    ]
+    samples = arm.samples(arm.noise(rng, 0.3, 0.1))
+    equations = [(100.0 * rows, columns) for rows, columns in arm.equations]
+    rescaled = Samples(equations, 100.0 * np.array(samples.torques))
     estimate, other = (
-        identify(information_of_samples(arm, samples), arm.truth, "wls", samples)
-        for samples in (samples_of(arm, torques), rescaled)
+        identify(unit.information(arm.names), arm.truth, "wls", unit)
+        for unit in (samples, rescaled)
     )
     assert_allclose(other.standard_errors, estimate.standard_errors, rtol=1e-6)
     counts = list(estimate.effective_samples.values())
@@ -103,8 +99,8 @@ def test_intervals_cover_under_white_and_under_autocorrelated_noise(memory):
         rng = np.random.default_rng(seed)
         arm = SmoothArm(rng, rate=100.0)
         noise = arm.noise(rng, rng.uniform(0.1, 0.5, 7), memory)
-        samples = samples_of(arm, arm.torques(noise))
-        information = information_of_samples(arm, samples)
+        samples = arm.samples(noise)
+        information = samples.information(arm.names)
         estimate = identify(information, np.zeros(31), "wls", samples=samples)
         white = identify(information, np.zeros(31), "wls")
         error = np.abs(estimate.values - arm.truth)
@@ -195,7 +191,9 @@ def test_lagged_products_are_means_over_the_pairs_that_exist():
 @pytest.mark.parametrize("memory", [0.0, 4.0, 20.0, 50.0])
 def test_effective_samples_of_noise_with_a_known_memory(memory):
     count = 40_000
-    noise = remembering_noise(np.random.default_rng(1), count, 1, memory)
+    rng = np.random.default_rng(1)
+    white = rng.normal(size=(count, 1))
+    noise = autocorrelated(white, memory, rng.normal(size=(1, 1)))
     residuals = residuals_of(np.zeros((count, 1)), noise[:, 0])
     kernels = residuals.fit(residuals.absorbed_share(np.zeros((1, 1))), 0.0)
     decay = np.exp(-1.0 / memory) if memory else 0.0
