@@ -86,19 +86,18 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
     first. An array of another length or shape, or without numbers, is left out. ``group/q`` is
     called ``q`` unless another array has that last name. InputError where no array has rows.
     """
-    short_names = [name.rsplit("/", 1)[-1] for name in arrays]
-    uses = Counter(short_names)
+    uses = Counter(name.rpartition("/")[2] for name in arrays)
     columns = {}
-    for short_name, (name, array) in zip(short_names, arrays.items()):
+    for name, array in arrays.items():
         values = _dates_as_seconds(array)
         if can_be_column(values):
+            short_name = name.rpartition("/")[2]
             columns[short_name if uses[short_name] == 1 else name] = values
     # The number of samples is that of the times, else the most frequent length of arrays.
     times = [n for n in columns if read_title(n).measured_quantity == "time"]
     lengths = [max(columns[name].shape) for name in times or columns]
     if not lengths:
-        shapes = [f"{name} {np.shape(array)}" for name, array in arrays.items()]
-        listed = ", ".join(shapes) or "nothing"
+        listed = _list_shapes(arrays) or "nothing"
         raise InputError(f"{path} holds no arrays with a row per sample: {listed}")
     n_rows = max(set(lengths), key=Counter(lengths).__getitem__)
     samples = {}
@@ -114,6 +113,11 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
     return recordings_table(path, layout, titles, [list(samples.values())])
 
 
+def _list_shapes(arrays: Mapping[str, Any]) -> str:
+    """Return the name and shape of each array, separated by commas."""
+    return ", ".join(f"{name} {np.shape(array)}" for name, array in arrays.items())
+
+
 def can_be_column(array: Any) -> bool:
     """Return whether an array or data set may hold columns of a log; reads none of its elements."""
     is_numbers = hasattr(array, "dtype") and array.dtype.kind in "fiub"
@@ -122,12 +126,13 @@ def can_be_column(array: Any) -> bool:
 
 def _dates_as_seconds(array: Any) -> Any:
     """Return dates, also as text, and lengths of time as seconds from the first; else the array."""
-    dtype_kind = getattr(getattr(array, "dtype", None), "kind", "")
-    if dtype_kind in ("M", "m") and array.size:
-        return (array - array.flat[0]) / np.timedelta64(1, "s")
-    if dtype_kind not in ("O", "U") or array.ndim != 1 or not array.size:
+    if not isinstance(array, np.ndarray) or not array.size:
         return array
-    first = array[0]
+    first = array.flat[0]
+    if array.dtype.kind in "Mm":
+        return (array - first) / np.timedelta64(1, "s")
+    if array.dtype.kind not in "OU" or array.ndim != 1:
+        return array
     with contextlib.suppress(ValueError, TypeError, AttributeError):
         if isinstance(first, str):
             start = nanoseconds(first)
@@ -146,14 +151,13 @@ def npz_arrays(path: Path) -> dict[str, Any]:
     with as_input_errors(path, "a NumPy .npz file"), path.open("rb") as stream:
         size = path.stat().st_size
         with zipfile.ZipFile(stream) as archive:
-            members = archive.infolist()
-            names = [member.filename for member in members]
-            refuse_bomb(path, sum(member.file_size for member in members), size)
+            names = archive.namelist()
+            refuse_bomb(path, sum(m.file_size for m in archive.infolist()), size)
             refuse_many_arrays(path, len(names))
             if not any(name.endswith(".npy") for name in names):
-                is_spreadsheet = "[Content_Types].xml" in names
-                unpack = "unpack it, and give the log in it"
-                remedy = "export it as CSV" if is_spreadsheet else unpack
+                remedy = "unpack it, and give the log in it"
+                if "[Content_Types].xml" in names:
+                    remedy = "export it as CSV"
                 listed = ", ".join(names[:3]) or "nothing"
                 raise InputError(
                     f"{path} is no recording but an archive of {listed}; {remedy}"
@@ -161,7 +165,7 @@ def npz_arrays(path: Path) -> dict[str, Any]:
             refuse_bomb(path, sum(_array_bytes(archive, name) for name in names), size)
         stream.seek(0)
         arrays = np.load(stream, allow_pickle=False)
-        return {name: arrays[name] for name in arrays.files}
+        return dict(arrays)
 
 
 def _array_bytes(archive: zipfile.ZipFile, name: str) -> int:
@@ -171,9 +175,9 @@ def _array_bytes(archive: zipfile.ZipFile, name: str) -> int:
     """
     with archive.open(name) as member:
         try:
-            version = np.lib.format.read_magic(member)
+            is_old = np.lib.format.read_magic(member) == (1, 0)
             read_header = np.lib.format.read_array_header_2_0
-            if version == (1, 0):
+            if is_old:
                 read_header = np.lib.format.read_array_header_1_0
             shape, _, dtype = read_header(member)
         except ValueError:
@@ -249,9 +253,8 @@ def matlab_table(source: LogSource) -> LogTable:
             damaged = "it takes longer than a recording does, or is damaged"
             raise ValueError((process.stderr.splitlines() or [damaged])[-1])
         arrays = npz_arrays(unpacked)
-    names = map(str, arrays["names"])
-    named = {name: arrays[f"arr_{k}"] for k, name in enumerate(names)}
-    return arrays_table(path, "MATLAB .mat", named)
+    names = map(str, arrays.pop("names"))
+    return arrays_table(path, "MATLAB .mat", dict(zip(names, arrays.values())))
 
 
 _MAX_LINKS = 3
@@ -271,15 +274,10 @@ def hdf5_table(source: LogSource) -> LogTable:
         links: list[str] = []
         is_aloha = _find_member(h5py, file, "observations/qpos") is not None
         if is_aloha:
-            paths = {n: f"observations/{n}" for n in ("qpos", "qvel", "effort")}
-            if source.options.commanded:
-                paths["command"] = "action"
-            members = {n: _find_member(h5py, file, paths[n]) for n in paths}
-            datasets = {n: data for n, data in members.items() if data is not None}
+            datasets = _find_aloha_arrays(h5py, file, source.options.commanded)
         else:
             datasets, links = _list_datasets(h5py, path, file)
-        columns = {name: data for name, data in datasets.items() if can_be_column(data)}
-        arrays = _read_datasets(path, columns)
+        arrays = _read_datasets(path, datasets)
         if is_aloha and "qpos" in arrays:
             return _aloha_table(path, arrays)
         external_links = f"{'; '.join(links)}; {_COPY}" if links else ""
@@ -316,8 +314,12 @@ def _list_datasets(
     return datasets, links
 
 
-def _read_datasets(path: Path, columns: Mapping[str, Any]) -> dict[str, Array]:
-    """Return the numbers of data sets, or raise InputError where they take too much memory."""
+def _read_datasets(path: Path, datasets: Mapping[str, Any]) -> dict[str, Array]:
+    """Return the numbers of the data sets that can be columns of a log, by name.
+
+    InputError where they take too much memory.
+    """
+    columns = {name: data for name, data in datasets.items() if can_be_column(data)}
     unpacked = 0.0
     for name, data in columns.items():
         _refuse_other_files(path, name, data)
@@ -369,15 +371,29 @@ def _refuse_other_files(path: Path, name: str, data: Any) -> None:
 
 ALOHA_RATE = 50.0
 """Rows per second of ALOHA's recorder [Hz]; its files hold no time."""
-_ALOHA_JOINTS = [
-    "waist",
-    "shoulder",
-    "elbow",
-    "forearm_roll",
-    "wrist_angle",
-    "wrist_rotate",
+_ALOHA_PATHS = {
+    "qpos": "observations/qpos",
+    "qvel": "observations/qvel",
+    "effort": "observations/effort",
+    "command": "action",
+}
+"""Name of an array of ALOHA's to its path in the file."""
+_ALOHA_JOINTS = (
+    *("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate"),
     "gripper",
-]
+)
+"""Names of the joints of one of ALOHA's arms."""
+
+
+def _find_aloha_arrays(h5py: Any, file: Any, commanded: bool) -> dict[str, Any]:
+    """Return the data sets of ``_ALOHA_PATHS`` that a file has; commands only where asked for."""
+    datasets = {}
+    for name, member_path in _ALOHA_PATHS.items():
+        is_read = commanded or name != "command"
+        member = _find_member(h5py, file, member_path) if is_read else None
+        if member is not None:
+            datasets[name] = member
+    return datasets
 
 
 def _aloha_table(path: Path, arrays: Mapping[str, Any]) -> LogTable:
@@ -388,17 +404,16 @@ def _aloha_table(path: Path, arrays: Mapping[str, Any]) -> LogTable:
         )
     shapes = {values.shape for values in arrays.values()}
     if len(shapes) > 1 or arrays["qpos"].ndim != 2:
-        listed = ", ".join(f"{name} {values.shape}" for name, values in arrays.items())
         raise InputError(
-            f"{path} does not hold the same joints in {listed}; record them together"
+            f"{path} does not hold the same joints in {_list_shapes(arrays)}; record them together"
         )
-    sides = [f"left/{joint}" for joint in _ALOHA_JOINTS]
-    sides += [f"right/{joint}" for joint in _ALOHA_JOINTS]
     width = arrays["qpos"].shape[1]
-    names = {len(_ALOHA_JOINTS): _ALOHA_JOINTS, len(sides): sides}
-    joints = names.get(width) or [f"joint{k}" for k in range(width)]
-    columns = product(arrays, joints)
-    titles = [f"{joint} {quantity}" for quantity, joint in columns]
+    joints = [f"joint{k}" for k in range(width)]
+    if width == len(_ALOHA_JOINTS):
+        joints = list(_ALOHA_JOINTS)
+    elif width == 2 * len(_ALOHA_JOINTS):
+        joints = list(map("/".join, product(("left", "right"), _ALOHA_JOINTS)))
+    titles = [f"{joint} {quantity}" for quantity, joint in product(arrays, joints)]
     layout = f"ALOHA HDF5, without time stamps: rows taken to be {ALOHA_RATE:g} Hz"
     table = recordings_table(path, layout, titles, [list(arrays.values())])
     return replace(table, choices=ColumnChoices(rate=ALOHA_RATE))
@@ -446,9 +461,9 @@ def _numeric_columns(schema: Any) -> list[str]:
 
 def _arrow_table(path: Path, layout: str, columns: Any) -> LogTable:
     """Return an Arrow table as a log's table."""
-    pairs = zip(columns.column_names, columns.columns)
-    arrays = {name: _arrow_array(name, column) for name, column in pairs}
-    return arrays_table(path, layout, arrays)
+    names = columns.column_names
+    arrays = map(_arrow_array, names, columns.columns)
+    return arrays_table(path, layout, dict(zip(names, arrays)))
 
 
 def _arrow_array(name: str, column: Any) -> Array:
@@ -530,13 +545,14 @@ def lerobot_table(source: LogSource) -> LogTable:
     episodes = source.options.episode or available
     if not available:
         raise InputError(f"{path} holds no frames; {_DOWNLOAD}")
-    missing = sorted(set(episodes) - set(available))
-    if missing:
+    for episode in sorted(set(episodes) - set(available)):
         raise InputError(
-            f"{path} has no episode {missing[0]}; it has {available[0]} to {available[-1]}"
+            f"{path} has no episode {episode}; it has {available[0]} to {available[-1]}"
         )
-    masks = [episode_index == episode for episode in episodes]
-    recordings = [[values[mask] for values in frames.values()] for mask in masks]
+    recordings = []
+    for episode in episodes:
+        mask = episode_index == episode
+        recordings.append([values[mask] for values in frames.values()])
     version = info.get("codebase_version", "?")
     fps = info.get("fps", "unknown")
     layout = f"LeRobot data set {version} at {fps} Hz, {len(recordings)} episodes"
@@ -562,21 +578,19 @@ def _lerobot_titles(names: Any, feature: str, joint_names: Sequence[str]) -> lis
         feature: STATE, ACTION or a key of _FEATURES.
     """
     if isinstance(names, dict):
-        lists = [group for group in names.values() if isinstance(group, list)]
-        names = list(chain.from_iterable(lists))
-    joints = []
-    quantities = []
+        names = [
+            *chain(*(group for group in names.values() if isinstance(group, list)))
+        ]
+    columns = []
     for name in names if isinstance(names, list) else ():
         stem, _, suffix = str(name).rpartition(".")
-        joints.append(stem if suffix in _SUFFIXES else str(name))
+        joint = stem if suffix in _SUFFIXES else str(name)
         quantity = _SUFFIXES.get(suffix, _FEATURES.get(feature, "position"))
         if feature == ACTION:
             quantity = quantity.replace("position", "command")
-        quantities.append(quantity)
-    unique = list(dict.fromkeys(joints))
-    spelling = dict(zip(unique, model_spelling(unique, joint_names)))
-    pairs = zip(joints, quantities)
-    return [f"{spelling[joint]} {quantity}" for joint, quantity in pairs]
+        columns.append((joint, quantity))
+    spelling = model_spelling([joint for joint, _ in columns], joint_names)
+    return [f"{spelling[joint]} {quantity}" for joint, quantity in columns]
 
 
 def _read_frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:
@@ -590,11 +604,10 @@ def _read_frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:
         with as_input_errors(file, LEROBOT):
             unpacked += _unpacked_bytes(parquet.read_metadata(file), columns)
     refuse_bomb(path, unpacked, sum(file.stat().st_size for file in files))
-    arrays: dict[str, list[Array]] = {name: [] for name in columns}
+    arrays = []
     for file in files:
         with as_input_errors(file, LEROBOT):
             frames = parquet.read_table(file, columns=list(columns))
-            for name in columns:
-                arrays[name].append(_arrow_array(name, frames.column(name)))
+            arrays.append([_arrow_array(name, frames.column(name)) for name in columns])
     with as_input_errors(path, LEROBOT):
-        return {name: np.concatenate(values) for name, values in arrays.items()}
+        return dict(zip(columns, map(np.concatenate, zip(*arrays))))

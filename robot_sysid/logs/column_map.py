@@ -37,7 +37,6 @@ from robot_sysid.logs.titles import (
     QUANTITIES,
     REMEDY,
     UNITS,
-    Candidates,
     Title,
     ambiguity_error,
     collect_errors,
@@ -215,7 +214,7 @@ class ColumnMap:
         rate: samples per second of a log without time stamps [Hz].
         velocity: None where velocities are differentiated from positions.
         joint_time: time stamps of each joint, where the log has them.
-        unused: titles of all other columns.
+        titles: of all columns of the log, used or not.
         angle_declared: whether the unit of angles was declared (option or title), not assumed.
         commanded: whether ``torque`` holds commanded positions in place of torques.
     """
@@ -226,7 +225,7 @@ class ColumnMap:
     torque: tuple[Column, ...]
     velocity: tuple[Column, ...] | None
     joint_time: tuple[Column, ...] | None
-    unused: tuple[str, ...]
+    titles: Sequence[str]
     angle_declared: bool
     commanded: bool = False
 
@@ -241,9 +240,10 @@ class ColumnMap:
 
     def with_torque_factor(self, factor: Array) -> ColumnMap:
         """Return a copy in which each joint's torque is multiplied by a factor (n,) as well."""
-        pairs = zip(self.torque, factor.tolist())
-        torque = tuple(replace(column, factor=k * column.factor) for column, k in pairs)
-        return replace(self, torque=torque)
+        torque = []
+        for column, k in zip(self.torque, factor.tolist()):
+            torque.append(replace(column, factor=k * column.factor))
+        return replace(self, torque=tuple(torque))
 
     def describe(self) -> tuple[str, ...]:
         """Return one sentence on the columns that are used, and one on the others if any."""
@@ -258,23 +258,25 @@ class ColumnMap:
         )
         if self.joint_time:
             used += f"; own time from {_quote(self.joint_time)}"
-        if not self.unused:
+        indices = {column.index for column in self.columns()}
+        unused = [t for index, t in enumerate(self.titles) if index not in indices]
+        if not unused:
             return (used,)
-        return used, f"log columns not used: {', '.join(self.unused)}"
+        return used, f"log columns not used: {', '.join(unused)}"
 
 
 def draft(
     titles: Sequence[str],
     joint_names: Sequence[str],
     driven: str = "torque",
-    recognised: Mapping[str, Sequence[Column] | None] | None = None,
+    recognised: Mapping[str, Sequence[Column]] = {},
 ) -> str:
     """Return a columns file for the user to complete, with ? for columns that were not recognised.
 
     Args:
         titles: of all columns of the log.
         driven: the quantity that is needed beside positions, "torque" or "command".
-        recognised: quantity to its columns; None where nothing was recognised.
+        recognised: quantity to its columns; without those that were not recognised.
     """
     numbered = (f"#{k} {' '.join(title.split())}" for k, title in enumerate(titles, 1))
     lines = [
@@ -284,7 +286,7 @@ def draft(
         "are columns one after the other.",
     ]
     for quantity in ("time", "position", "velocity", driven):
-        columns = (recognised or {}).get(quantity) or ()
+        columns = recognised.get(quantity, ())
         count = 1 if quantity == "time" else len(joint_names)
         numbers = [f"#{column.index + 1}" for column in columns] or [_BLANK] * count
         if columns or quantity != "velocity":
@@ -320,18 +322,16 @@ def recognise_columns(
     Raises:
         ColumnsError: a quantity is missing, has two candidates, or contradicts the declared units.
     """
-    plain = [read_title(title) for title in titles]
+    plain = list(map(read_title, titles))
     parsed = interpret_titles(plain, joint_names, currents, commanded)
     driven = "command" if commanded else "torque"
     finder = _ColumnFinder(list(titles), parsed, joint_names, choices, is_slide, driven)
     try:
         return finder.find_all(first_row)
     except InputError as error:
+        text = draft(titles, joint_names, driven, finder.recognised)
         is_declared = choices.columns or choices.time or choices.rate
-        text = (
-            "" if is_declared else draft(titles, joint_names, driven, finder.recognised)
-        )
-        raise ColumnsError(str(error), text) from None
+        raise ColumnsError(str(error), "" if is_declared else text) from None
 
 
 @dataclass(frozen=True)
@@ -340,7 +340,7 @@ class _ColumnFinder:
 
     Attributes:
         driven: the quantity that is needed beside positions, "torque" or "command".
-        recognised: quantity to its columns, None for none; filled by ``find_all``.
+        recognised: quantity to its columns, () for none; filled by ``find_all``.
     """
 
     _texts: list[str]
@@ -349,40 +349,35 @@ class _ColumnFinder:
     _choices: ColumnChoices
     _is_slide: Sequence[bool]
     driven: str
-    recognised: dict[str, Sequence[Column] | None] = field(default_factory=dict)
+    recognised: dict[str, tuple[Column, ...]] = field(default_factory=dict)
 
     def find_all(self, first_row: Sequence[str]) -> ColumnMap:
         """Return the map, or raise InputError that lists all faults; fills ``recognised``."""
         candidates = match_joints(self._open_titles(), self._joint_names, first_row)
         faults = list[str]()
-        time = None
-        columns: dict[str, tuple[Column, ...] | None] = {}
         for quantity in QUANTITIES:
             if quantity in ("torque", "command") and quantity != self.driven:
                 continue
             with collect_errors(faults):
-                columns[quantity] = self._find_joints(quantity, candidates)
+                columns = self._find_joints(quantity, candidates[quantity])
+                self.recognised[quantity] = columns
         with collect_errors(faults):
-            time = self._find_time(candidates)
-        self.recognised.update(columns, time=[time] if time else None)
+            self.recognised["time"] = self._find_time(candidates["joint_time"])
         if faults:
             raise InputError(f"{'; '.join(faults)}. Columns: {', '.join(self._texts)}")
-        position = columns["position"]
-        torque = columns[self.driven]
-        if position is None or torque is None:
+        position = self.recognised["position"]
+        torque = self.recognised[self.driven]
+        if not position or not torque:
             raise InputError(f"position and {self.driven} cannot be left out; {REMEDY}")
-        groups = [group for group in self.recognised.values() if group]
-        used = {column.index for column in chain.from_iterable(groups)}
-        unused = tuple(t for index, t in enumerate(self._texts) if index not in used)
         has_unit = all(self._titles[column.index].unit for column in position)
         return ColumnMap(
-            time,
+            next(iter(self.recognised["time"]), None),
             self._choices.rate,
             position,
             torque,
-            columns["velocity"],
-            columns["joint_time"],
-            unused,
+            self.recognised["velocity"] or None,
+            self.recognised["joint_time"] or None,
+            self._texts,
             bool(self._choices.angle_unit) or has_unit,
             self.driven == "command",
         )
@@ -397,64 +392,74 @@ class _ColumnFinder:
         return [empty if joint_quantity(t) in settled else t for t in self._titles]
 
     def _find_joints(
-        self, quantity: str, candidates: Candidates
-    ) -> tuple[Column, ...] | None:
-        """Return one column per joint, or None where an optional quantity lacks a joint's."""
+        self, quantity: str, candidates: Sequence[Sequence[int]]
+    ) -> tuple[Column, ...]:
+        """Return one column per joint, or () where an optional quantity lacks a joint's.
+
+        ``candidates``: indices of the columns that could be it, for each joint.
+        """
         declared = self._choices.columns.get(quantity, {})
         if set(declared.values()) == {"none"}:
-            return None
+            return ()
         columns = []
         for joint, name in enumerate(self._joint_names):
-            indices = candidates.get((quantity, joint), [])
+            indices = candidates[joint]
+            factor = 1.0
             if name in declared:
                 index, factor = self._look_up(declared[name])
-                columns.append(self._column(quantity, joint, index, factor))
-            elif len(indices) > 1:
-                texts = [self._texts[index] for index in indices]
-                raise ambiguity_error(quantity, name, texts)
-            elif indices:
-                columns.append(self._column(quantity, joint, indices[0], 1.0))
+                indices = [index]
+            if len(indices) > 1:
+                raise ambiguity_error(quantity, name, self._titles, indices)
+            columns += [self._column(quantity, joint, k, factor) for k in indices]
         if len(columns) == len(self._joint_names):
             return tuple(columns)
         if declared or quantity in ("position", self.driven):
             raise self._missing_error(quantity)
-        return None
+        return ()
 
-    def _find_time(self, candidates: Candidates) -> Column | None:
-        """Return the time column, or None where a rate stands in for it."""
+    def _find_time(self, joint_times: Sequence[Sequence[int]]) -> tuple[Column, ...]:
+        """Return the time column alone, or () where a rate stands in for it.
+
+        ``joint_times``: indices of the columns of each joint's own time stamps.
+        """
         if self._choices.time is not None:
             index, factor = self._look_up(self._choices.time)
-            return self._column("time", 0, index, factor)
+            return (self._column("time", 0, index, factor),)
         if self._choices.rate is not None:
-            return None
-        of_joints = [i for key, i in candidates.items() if key[0] == "joint_time"]
-        excluded = set(chain.from_iterable(of_joints))
-        excluded.update(k for k, title in enumerate(self._titles) if title.numbers)
-        quantities = [title.measured_quantity for title in self._titles]
-        times = [k for k, q in enumerate(quantities) if q == "time"]
-        times = [k for k in times if k not in excluded]
+            return ()
+        excluded = set(chain(*joint_times))
+        times = []
+        for index, title in enumerate(self._titles):
+            is_time = title.measured_quantity == "time" and not title.numbers
+            if is_time and index not in excluded:
+                times.append(index)
         # ROS: the stamp in the message header is when it was sampled, the other one when received.
         stamped = [k for k in times if "header" in self._titles[k].tokens]
         times = stamped if len(stamped) == 1 else times
         if len(times) > 1:
-            raise ambiguity_error("time", "", [self._texts[k] for k in times])
+            raise ambiguity_error("time", "", self._titles, times)
         if not times:
             raise InputError(
                 f"the log has no time column; {REMEDY} ('time = TITLE', or 'rate = HZ' for "
                 "evenly spaced rows)"
             )
-        return self._column("time", 0, times[0], 1.0)
+        return (self._column("time", 0, times[0], 1.0),)
 
     def _missing_error(self, quantity: str) -> InputError:
         """Return the error for a quantity without a column for each joint, with a hint."""
-        titles = self._titles
-        candidates = [t.text for t in titles if joint_quantity(t) == quantity]
+        candidates = []
+        commands = []
+        currents = []
+        for title in self._titles:
+            if joint_quantity(title) == quantity:
+                candidates.append(title.text)
+            if title.is_commanded and title.override != "command":
+                commands.append(title.text)
+            if title.is_current and title.override is None:
+                currents.append(title.text)
         listed = "none"
         if candidates:
             listed = f"{len(candidates)} ({', '.join(candidates)})"
-        others = [t for t in titles if t.override != "command"]
-        commands = [t.text for t in others if t.is_commanded]
-        currents = [t.text for t in titles if t.is_current and t.override is None]
         hint = ""
         if commands:
             hint = f"; commanded columns are not measurements: {commands[0]}, ..."
@@ -492,14 +497,13 @@ class _ColumnFinder:
     def _column(self, quantity: str, joint: int, index: int, factor: float) -> Column:
         """Return a column with its factor to SI, by its title's unit or else the declared one."""
         title = self._titles[index]
-        is_time = quantity in ("time", "joint_time")
+        units = UNITS[quantity.removeprefix("joint_")]
         is_angle = quantity != "torque" and not self._is_slide[joint]
-        unit = self._choices.angle_unit if is_angle else None
-        unit = self._choices.time_unit if is_time else unit
-        declared = UNITS["time" if is_time else "position"][unit] if unit else None
-        to_si = declared
-        if title.unit:
-            to_si = UNITS["time" if is_time else quantity].get(title.unit)
+        declared_unit = self._choices.angle_unit if is_angle else None
+        if units is UNITS["time"]:
+            declared_unit = self._choices.time_unit
+        declared = units.get(declared_unit or "")
+        to_si = units.get(title.unit) if title.unit else declared
         if to_si is None and title.unit:
             fault = f"unit {title.unit!r} of column {title.text!r} is unknown for a {quantity}"
             raise InputError(
@@ -508,8 +512,7 @@ class _ColumnFinder:
         if declared is not None and to_si != declared:
             fault = f"column {title.text!r} names a unit that contradicts the declared units"
             raise InputError(f"{fault}; declare what the column holds, or rename it")
-        factor *= 1.0 if to_si is None else to_si
-        return Column(index, self._texts[index], factor)
+        return Column(index, title.text, factor * (to_si or 1.0))
 
 
 def _quote(columns: Sequence[Column]) -> str:

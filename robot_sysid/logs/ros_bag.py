@@ -28,7 +28,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
-from itertools import chain, groupby, islice
+from itertools import chain, groupby, islice, product
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -87,10 +87,8 @@ def bag_table(source: LogSource) -> LogTable:
     topic = source.options.topic
     with _open_bag(path) as bag:
         types = {c.topic: c.msgtype for c in bag.connections if c.msgtype in _READERS}
-        listed = ", ".join(
-            sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections})
-        )
-        its_topics = f"its topics: {listed or 'none'}"
+        topics = sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections})
+        its_topics = f"its topics: {', '.join(topics) or 'none'}"
         if topic is not None and topic not in types:
             fault = f"{path} has no joint states in topic {topic!r}"
             raise InputError(f"{fault}; {its_topics}")
@@ -101,15 +99,17 @@ def bag_table(source: LogSource) -> LogTable:
                 tables[name] = table
     if not tables:
         raise InputError(f"{path} holds no joint states; {its_topics}")
-    with_position = [n for n in tables if _has_all(tables[n], joints, POSITION)]
-    names = with_position or list(tables)
-    with_torque = [n for n in names if _has_all(tables[n], joints, TORQUE)]
-    if with_position and not with_torque and len(names) == 1:
+    ranks = {}
+    for name, table in tables.items():
+        has_position = _has_all(table, joints, POSITION)
+        ranks[name] = (has_position, _has_all(table, joints, TORQUE))
+    best = max(ranks.values())
+    names = [name for name in tables if ranks[name] == best]
+    if best == (True, False) and len(names) == 1:
         fault = f"topic {names[0]} has no effort of joint {joints[-1]}"
         raise InputError(
             f"{path}: {fault}; let the driver publish effort and record again"
         )
-    names = with_torque or names
     if len(names) > 1:
         listed = ", ".join(f"{name} ({types[name]})" for name in names)
         raise InputError(
@@ -140,9 +140,8 @@ def _topic_table(
     keys = tuple(dict.fromkeys(chain.from_iterable(sample for _, sample in messages)))
     if not keys:
         return None
-    names = list(dict.fromkeys(joint for joint, _ in keys))
-    spelling = dict(zip(names, model_spelling(names, joint_names)))
-    arm_joints = [name for name in names if spelling[name] in joint_names]
+    spelling = model_spelling([joint for joint, _ in keys], joint_names)
+    arm_joints = [name for name in spelling if spelling[name] in joint_names]
     pattern = MessagePattern.of(messages, arm_joints)
     keys += pattern.time_keys
     titles = ("time", *(f"{spelling[joint]} {quantity}" for joint, quantity in keys))
@@ -166,18 +165,15 @@ def _blocks(
 
     Column 0 is time from the start [s], column k + 1 the number of ``keys[k]``.
     """
-    column_of_key = {key: k + 1 for k, key in enumerate(keys)}
     with _open_bag(path) as bag:
         total = max(1, sum(c.msgcount for c in bag.connections if c.topic == topic))
         samples = pattern.join(_read_messages(bag, topic))
         count = 0
         while batch := list(islice(samples, BLOCK)):
-            cells = np.full((len(batch), 1 + len(keys)), np.nan)
+            cells = np.empty((len(batch), 1 + len(keys)))
             for row, (time, sample) in zip(cells, batch):
                 row[0] = time
-                sent = [key for key in sample if key in column_of_key]
-                indices = [column_of_key[key] for key in sent]
-                row[indices] = [sample[key] for key in sent]
+                row[1:] = [sample.get(key, np.nan) for key in keys]
             lines = np.arange(count, count + len(batch)) + 1
             count += len(batch)
             yield Block(lines, cells[:, list(columns)], share_read=count / total)
@@ -201,7 +197,7 @@ def _read_joint_state(message: Any) -> Sample:
     for quantity in QUANTITIES[:3]:
         numbers = getattr(message, quantity)
         if len(numbers) == len(message.name):
-            keys = [(name, quantity) for name in message.name]
+            keys = product(message.name, [quantity])
             sample.update(zip(keys, numbers.tolist()))
     return sample
 
@@ -229,10 +225,10 @@ def _open_bag(path: Path) -> Iterator[Any]:
     """Yield a bag that is open within a block; what goes wrong in it is an InputError."""
     typesys = import_optional("rosbags.typesys", "rosbag", FORM)
     import_optional("rosbags.highlevel", "rosbag", FORM)  # the reader below needs it
-    is_in_bag = path.suffix in (".db3", ".mcap")
-    is_in_bag = is_in_bag and (path.parent / "metadata.yaml").is_file()
-    folder = path.parent if is_in_bag else path
-    for file in path.iterdir() if path.is_dir() else ():
+    is_part = path.suffix in (".db3", ".mcap")
+    has_metadata = (path.parent / "metadata.yaml").is_file()
+    folder = path.parent if is_part and has_metadata else path
+    for file in folder.iterdir() if folder.is_dir() else ():
         refuse_special_file(file, "give a bag whose parts are files")
     with as_input_errors(path, FORM):
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
@@ -379,7 +375,7 @@ class MessagePattern:
     def time_keys(self) -> tuple[Key, ...]:
         """The keys of the joints' own time stamps that ``join`` adds, by the joints' names."""
         joints = sorted(chain(*self.groups)) if self.has_own_times else []
-        return tuple((joint, "time") for joint in joints)
+        return tuple(product(joints, ["time"]))
 
     @property
     def description(self) -> str:
@@ -420,12 +416,11 @@ class MessagePattern:
             stamps = [newest.get(group, (0, {}))[0] for group in self.groups]
             if group == self.groups[-1] and stamp - min(stamps) <= _MAX_AGE:
                 row: dict[Key, float] = {}
-                times: dict[Key, float] = {}
                 for joints, (joint_stamp, joint_sample) in newest.items():
                     time = 1e-9 * (joint_stamp - self.start)
                     row.update(joint_sample)
-                    times.update({(joint, "time"): time for joint in joints})
-                yield stamp, {**row, **times}
+                    row.update(dict.fromkeys(product(joints, ["time"]), time))
+                yield stamp, row
 
 
 def sort_late(messages: Iterator[Message]) -> Iterator[Message]:

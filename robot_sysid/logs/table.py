@@ -189,24 +189,24 @@ def memory_limit(more_bytes: float) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
-def model_spelling(names: Sequence[str], joint_names: Sequence[str]) -> list[str]:
-    """Return a recording's joint names, replaced by the model's where they differ in a prefix only.
+def model_spelling(names: Sequence[str], joint_names: Sequence[str]) -> dict[str, str]:
+    """Return a recording's joint names to the model's where these differ in a prefix only.
 
     ``fr3_joint1`` becomes ``joint1`` where no other name ends in it; upper case and underscores
     make no difference. Ambiguous names stay: one that fits two joints, two that fit one.
 
     Args:
-        names: of the recording, the result is in their order.
+        names: of the recording, also repeated.
         joint_names: (n,) of the model.
     """
-    spelling = []
-    for name in names:
+    spelling = {}
+    for name in dict.fromkeys(names):
         joints = [name]
         if name not in joint_names:
             joints = [joint for joint in joint_names if _is_suffix(name, joint)]
         joint = joints[0] if len(joints) == 1 else name
-        rivals = [n for n in names if n == joint or _is_suffix(n, joint)]
-        spelling.append(joint if len(rivals) == 1 else name)
+        rivals = [n for n in set(names) if n == joint or _is_suffix(n, joint)]
+        spelling[name] = joint if len(rivals) == 1 else name
     return spelling
 
 
@@ -320,25 +320,36 @@ def read_rows(
     """
     cleaner = _RowCleaner(table, columns, is_slide)
     indices = [column.index for column in columns.columns()]
-    thinning = None
-    chunks: list[Array] = []
-    for block in read_blocks(table, indices, progress or Progress()):
-        rows = cleaner.clean(block)
-        if thinning is None:
-            # The number of rows and the sampling period are estimated from the first rows.
-            rows = np.concatenate((*chunks, rows))
-            chunks = [rows]
-            if len(rows) < 2 or (len(rows) < BLOCK and block.share_read < 1.0):
-                continue
-            chunks = []
-            expected = cleaner.n_read / max(block.share_read, 1e-9)
-            thinning = Thinning.of(rows[:, 1], expected)
-        chunks.append(thinning.push(rows))
     widths = [1, 1, *map(len, columns.groups())]
-    rows = np.concatenate((np.empty((0, sum(widths))), *chunks))
-    del chunks
-    groups = np.split(rows, np.cumsum(widths)[:-1], axis=1)
-    lines, time, q, tau, qd, stamps = map(np.ascontiguousarray, groups)
+    buffers = [np.empty((0, width)) for width in widths]
+    count = 0
+
+    def keep(rows: Array, expected: float) -> None:
+        """Append rows (R, 2 + C) of a log that will have about ``expected`` rows."""
+        nonlocal count
+        end = count + len(rows)
+        for buffer, group in zip(buffers, np.split(rows, np.cumsum(widths), axis=1)):
+            if end > len(buffer):
+                # The lines of a file are not all of one length, so this is an estimate.
+                capacity = max(end, round(1.1 * expected))
+                buffer.resize((capacity, group.shape[1]), refcheck=False)
+            buffer[count:end] = group
+        count = end
+
+    thinning = None
+    pending = np.empty((0, sum(widths)))
+    for block in read_blocks(table, indices, progress or Progress()):
+        pending = np.concatenate((pending, cleaner.clean(block)))
+        # The number of rows and the sampling period are estimated from the first rows.
+        expected = cleaner.n_read / max(block.share_read, 1e-9)
+        is_enough = len(pending) >= BLOCK or block.share_read >= 1.0
+        if thinning is None and is_enough and len(pending) > 1:
+            thinning = Thinning.of(pending[:, 1], expected)
+        if thinning is not None:
+            keep(thinning.push(pending), expected / thinning.every)
+            pending = pending[:0]
+    keep(pending, 0.0)
+    lines, time, q, tau, qd, stamps = (buffer[:count] for buffer in buffers)
     command = None
     if columns.commanded:
         command = tau

@@ -187,32 +187,40 @@ def interpret_titles(
     has_currents = currents and count >= len(joint_names)
     interpreted = []
     for title in titles:
-        nameless = [stripped for _, stripped in _strip_joint_names(title, joint_names)]
-        shortest = min(nameless, key=lambda title: len(title.tokens), default=title)
-        unit = shortest.unit
-        override = title.override
-        if has_currents and title.is_current:
-            unit = "" if unit in _AMPERES else unit
-            override = "torque"
-        elif has_currents and "torque" in title.quantities:
+        _, nameless = min(
+            _strip_joint_names(title, joint_names),
+            key=lambda pair: len(pair[1].tokens),
+            default=(0, title),
+        )
+        unit = nameless.unit
+        is_command = commanded and nameless.is_commanded_position
+        override = "command" if is_command else None
+        if has_currents and "torque" in title.quantities:
             override = ""
-        elif commanded and shortest.is_commanded_position:
-            override = "command"
+        if has_currents and title.is_current:
+            override = "torque"
+            unit = "" if unit in _AMPERES else unit
         interpreted.append(replace(title, unit=unit, override=override))
     return interpreted
 
 
 def read_title(text: str) -> Title:
-    """Return a title cut into tokens, numbers and unit."""
+    """Return a title cut into tokens, numbers and unit; its override is None."""
     unit, unitless = _split_bracketed_unit(text.strip().lstrip("%#"))
-    pieces = _pieces(unitless)
-    numbers = tuple(int(piece) for piece in pieces if piece.isdigit())
-    tokens = [piece for piece in pieces if not piece.isdigit()]
-    unit_tokens = [token for token in tokens if token in _UNIT_TOKENS]
-    phrase = f" {' '.join(token for token in tokens if token not in _UNIT_TOKENS)} "
+    numbers = []
+    tokens = []
+    trailing_unit = ""
+    for piece in _pieces(unitless):
+        if piece.isdigit():
+            numbers.append(int(piece))
+        elif piece in _UNIT_TOKENS:
+            trailing_unit += piece
+        else:
+            tokens.append(piece)
+    phrase = f" {' '.join(tokens)} "
     for separate, joined in _JOINED.items():
         phrase = phrase.replace(separate, joined)
-    return Title(text, tuple(phrase.split()), numbers, unit or "".join(unit_tokens))
+    return Title(text, tuple(phrase.split()), tuple(numbers), unit or trailing_unit)
 
 
 def _split_bracketed_unit(text: str) -> tuple[str, str]:
@@ -243,51 +251,49 @@ def collect_errors(faults: list[str]) -> Iterator[None]:
         faults.append(str(error))
 
 
-Candidates = dict[tuple[str, int], list[int]]
-"""(quantity, joint index) to the indices of the columns that could be it."""
-
 QUANTITIES = ("position", "velocity", "torque", "joint_time", "command")
 """Quantities with a column per joint; ``joint_time`` is a joint's own time stamp."""
 REMEDY = "name the columns with --columns FILE"
+Candidates = dict[str, list[list[int]]]
+"""Quantity to the indices of the columns that could be it: a list per joint, base to terminal."""
 
 
 def match_joints(
     titles: Sequence[Title], joint_names: Sequence[str], first_row: Sequence[str] = ()
 ) -> Candidates:
-    """Return the candidate columns of each quantity, by (quantity, joint index).
+    """Return the candidate columns of each of QUANTITIES; none where a joint has no candidate.
 
-    A quantity for which a joint has no candidate is left out. ``first_row`` holds the cells of the
-    first row as text, which may list joint names. InputError where two columns could be one
-    quantity, or name and number of a title disagree.
+    Args:
+        titles: of all columns, from left to right.
+        joint_names: (n,) of the arm.
+        first_row: the cells of the first row as text, which may list joint names.
+
+    Raises:
+        InputError: two columns could be one quantity, or name and number of a title disagree.
     """
+    order = _order_from_names(titles, joint_names, first_row)
     by_name = _match_names(titles, joint_names)
-    named_columns = set(chain.from_iterable(by_name.values()))
-    by_number = _match_numbers(titles, joint_names, first_row, set())
-    unnamed = _match_numbers(titles, joint_names, first_row, named_columns)
+    by_number = _match_numbers(titles, joint_names, order, set())
+    named_columns = set(chain(*chain(*by_name.values())))
+    unnamed = _match_numbers(titles, joint_names, order, named_columns)
     candidates: Candidates = {}
     for quantity in QUANTITIES:
-        keys = [(quantity, joint) for joint in range(len(joint_names))]
-        if all(key in by_name for key in keys):
-            if keys[0] in unnamed:
-                pair = (by_name[keys[0]][0], unnamed[keys[0]][0])
-                texts = [titles[column].text for column in pair]
-                raise ambiguity_error(quantity, joint_names[0], texts)
-            candidates.update({key: by_name[key] for key in keys})
-        elif all(key in by_number for key in keys):
-            for key in keys:
-                columns = set(by_name.get(key, ())) - set(by_number[key])
-                _require_none(columns, titles, joint_names[key[1]])
-            candidates.update({key: by_number[key] for key in keys})
+        named = by_name[quantity]
+        numbered = by_number[quantity]
+        rivals = unnamed[quantity][0]
+        if all(named) and rivals:
+            columns = [named[0][0], rivals[0]]
+            raise ambiguity_error(quantity, joint_names[0], titles, columns)
+        for joint_name, name_columns, columns in zip(joint_names, named, numbered):
+            disputed = set(name_columns) - set(columns)
+            if disputed and all(numbered) and not all(named):
+                raise InputError(
+                    f"column {titles[min(disputed)].text!r} carries the name of joint "
+                    f"{joint_name}, but by counting it belongs to another joint; {REMEDY}"
+                )
+        matches = named if all(named) else numbered
+        candidates[quantity] = matches if all(matches) else [[]] * len(joint_names)
     return candidates
-
-
-def _require_none(columns: set[int], titles: Sequence[Title], joint_name: str) -> None:
-    """Raise InputError for columns with a joint's name that count as another joint's."""
-    if columns:
-        raise InputError(
-            f"column {titles[min(columns)].text!r} carries the name of joint "
-            f"{joint_name}, but by counting it belongs to another joint; {REMEDY}"
-        )
 
 
 def joint_quantity(title: Title) -> str | None:
@@ -301,9 +307,14 @@ def joint_quantity(title: Title) -> str | None:
     return "joint_time" if is_stamp else None
 
 
-def ambiguity_error(quantity: str, joint: str, titles: Sequence[str]) -> InputError:
-    """Return the error for a quantity that several columns could be; ``joint`` "" for none."""
-    listed = " and ".join(repr(title) for title in titles)
+def ambiguity_error(
+    quantity: str, joint: str, titles: Sequence[Title], columns: Sequence[int]
+) -> InputError:
+    """Return the error for a quantity that each of several columns (indices) could be.
+
+    ``joint`` is "" for a quantity of no joint.
+    """
+    listed = " and ".join(repr(titles[column].text) for column in columns)
     of_joint = f" of joint {joint}" if joint else ""
     return InputError(
         f"{listed} could both be the {quantity}{of_joint}; {REMEDY} to choose one"
@@ -312,12 +323,12 @@ def ambiguity_error(quantity: str, joint: str, titles: Sequence[str]) -> InputEr
 
 def _match_names(titles: Sequence[Title], joint_names: Sequence[str]) -> Candidates:
     """Return the candidates among titles that carry a joint's name."""
-    candidates: Candidates = defaultdict(list)
+    candidates: Candidates = defaultdict(lambda: [[] for _ in joint_names])
     for column, title in enumerate(titles):
         for joint, stripped in _strip_joint_names(title, joint_names):
             quantity = joint_quantity(replace(stripped, override=title.override))
             if quantity and not stripped.numbers:
-                candidates[quantity, joint].append(column)
+                candidates[quantity][joint].append(column)
                 break
     return candidates
 
@@ -339,14 +350,11 @@ def _strip_joint_names(
         elif text.endswith(name) and prefix and not prefix[-1].isalnum():
             yield joint, read_title(prefix)
     unit, unitless = _split_bracketed_unit(text.lstrip("%#"))
-    pieces = _pieces(unitless)
+    phrase = f" {' '.join(_pieces(unitless))} "
     for joint, name in _aliases(tuple(joint_names)):
-        name_pieces = _pieces(name)
-        n = len(name_pieces)
-        starts = [k for k in range(len(pieces)) if pieces[k : k + n] == name_pieces]
-        if n and starts:
-            remaining = pieces[: starts[0]] + pieces[starts[0] + n :]
-            stripped = read_title(" ".join(remaining))
+        prefix, alias, suffix = phrase.partition(f" {' '.join(_pieces(name))} ")
+        if alias.strip():
+            stripped = read_title(f"{prefix} {suffix}")
             yield joint, replace(stripped, text=title.text, unit=unit or stripped.unit)
 
 
@@ -368,29 +376,31 @@ def _aliases(joint_names: tuple[str, ...]) -> list[tuple[int, str]]:
 def _match_numbers(
     titles: Sequence[Title],
     joint_names: Sequence[str],
-    first_row: Sequence[str],
+    order: Mapping[int, int],
     excluded: set[int],
 ) -> Candidates:
-    """Return the candidates among titles with one number, but for some columns."""
+    """Return the candidates among titles with one number, but for the excluded columns.
+
+    ``order``: number to joint index, by the log's own list of names; empty where it has none.
+    """
     numbered: dict[str, dict[int, list[int]]] = defaultdict(lambda: defaultdict(list))
     for column, title in enumerate(titles):
         quantity = None if column in excluded else joint_quantity(title)
+        numbers = title.numbers
         # A single joint needs no number.
-        is_single = len(joint_names) == 1 and quantity != "joint_time"
-        if quantity and (len(title.numbers) == 1 or is_single and not title.numbers):
-            number = title.numbers[0] if title.numbers else 0
-            numbered[quantity][number].append(column)
-    order = _order_from_names(titles, joint_names, first_row)
-    candidates: Candidates = {}
+        if len(joint_names) == 1 and quantity != "joint_time":
+            numbers = numbers or (0,)
+        if quantity and len(numbers) == 1:
+            numbered[quantity][numbers[0]].append(column)
+    candidates: Candidates = defaultdict(lambda: [[] for _ in joint_names])
     for quantity, columns in numbered.items():
         # Without a list of names the numbers have to be exactly 0..n-1 or 1..n.
         first = min(columns)
-        numbers = range(first, first + len(joint_names))
-        is_complete = first < 2 and sorted(columns) == list(numbers)
-        counted = {n: n - first for n in numbers} if is_complete else {}
-        for number, joint in (order or counted).items():
+        counted = dict(enumerate(range(len(joint_names)), first))
+        is_complete = first < 2 and sorted(columns) == list(counted)
+        for number, joint in (order or (counted if is_complete else {})).items():
             if number in columns:
-                candidates[quantity, joint] = columns[number]
+                candidates[quantity][joint] = columns[number]
     return candidates
 
 

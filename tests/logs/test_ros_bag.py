@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import bz2
+import os
+import sys
 
 import numpy as np
 import pytest
@@ -110,6 +112,17 @@ def test_a_group_that_stops_sending_leaves_a_hole():
     assert list(pattern.groups) == [{"a"}, {"b"}] and pattern.has_own_times
     times = [time for time, _ in pattern.join(iter(both))]
     assert len(times) == 20 and max(np.diff(times)) == pytest.approx(0.21)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
+def test_a_pipe_beside_a_part_is_not_waited_for(tmp_path):
+    folder = write_bag(tmp_path / "bag", rows_of(range(60)))
+    part = next(folder.glob("*.db3"))
+    assert len(read_measurements(part, JOINTS).samples) == len(DATA)
+    os.mkfifo(folder / "other.db3")
+    for path in (folder, part):
+        with pytest.raises(InputError, match="give a bag whose parts are files"):
+            read_measurements(path, JOINTS)
 
 
 BYTES = 300_000
