@@ -47,13 +47,20 @@ def hinge(name, axis, attributes='range="-2.5 2.5"'):
     return f'<joint {label} axis="{axis}" {attributes}/>'
 
 
-def serial_bodies(axes, tip="", joint='range="-2.5 2.5"', prefix="", tip_inertial=TIP):
-    """Nested bodies link0, link1, ... with joints joint0, joint1, ..., all of the same kind."""
+def serial_bodies(
+    axes, tip="", joint='range="-2.5 2.5"', prefix="", tip_inertial=TIP, **attributes
+):
+    """Nested bodies link0, link1, ... with joints joint0, joint1, ..., all of the same kind.
+
+    ``attributes`` are those of ``link``; ``inside`` is in every body, before the next one.
+    """
+    inside = attributes.pop("inside", "")
     content = tip
     for index in reversed(range(len(axes))):
         inertial = tip_inertial if index == len(axes) - 1 else LINK
-        joints = hinge(f"{prefix}joint{index}", axes[index], joint)
-        content = link(joints, content, f"{prefix}link{index}", inertial=inertial)
+        joints = hinge(f"{prefix}joint{index}", axes[index], joint) + inside
+        name = f"{prefix}link{index}"
+        content = link(joints, content, name, inertial=inertial, **attributes)
     return content
 
 
@@ -66,11 +73,13 @@ def serial_arm(
 
 def fingers(joint='type="slide" axis="0 1 0" range="0 .04"'):
     """Two finger bodies beside each other."""
-    return "".join(
-        f'<body name="{side}_finger" pos="0 {y} .1"><joint name="{side}_finger_joint" {joint}/>'
-        '<geom type="box" size=".01 .005 .03" mass=".03" contype="0" conaffinity="0"/></body>'
-        for side, y in (("left", ".02"), ("right", "-.02"))
-    )
+    content = ""
+    for side, y in (("left", ".02"), ("right", "-.02")):
+        content += (
+            f'<body name="{side}_finger" pos="0 {y} .1"><joint name="{side}_finger_joint" {joint}/>'
+            '<geom type="box" size=".01 .005 .03" mass=".03" contype="0" conaffinity="0"/></body>'
+        )
+    return content
 
 
 SEVEN = serial_arm(SEVEN_AXES, joint='range="-2.5 2.5" frictionloss=".4" damping=".1"')
@@ -226,8 +235,7 @@ def robot_of(xml, joint=None, max_velocity=2.0, keyframe=None):
 def write_body(mj_model, body, theta):
     """Give a compiled body these inertial parameters."""
     mass, com, inertia = spatial.com_from_theta(theta)
-    moments, axes = np.linalg.eigh(inertia)
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    moments, axes = spatial.principal_axes(inertia)
     # The compiler's shortcuts for bodies whose inertia lies in the body frame no longer hold.
     mj_model.body_sameframe[body] = mj_model.body_simple[body] = 0
     mj_model.dof_simplenum[:] = 0
@@ -246,9 +254,8 @@ def random_motion(rng, joints, samples, speed=2.0):
 def rows_and_rest(robot, motion):
     """Rows (N, n, 10) of the terminal link and the torque (N, n) of the rest of the arm."""
     equations = Equations(robot, "chain", [NO_FRICTION] * robot.n_joints)
-    bodies = np.stack(
-        [*equations.bodies(Motion(np.arange(len(motion[0])), *motion))], axis=1
-    )
+    samples = Motion(np.arange(len(motion[0])), *motion)
+    bodies = np.stack(list(equations.bodies(samples)), axis=1)
     return bodies[..., :-1], bodies[..., -1]
 
 
@@ -314,21 +321,14 @@ def random_chain(draw, axes=("any", "any", "parallel", "nearly parallel")):
             st.lists(st.booleans(), min_size=1, max_size=3), min_size=1, max_size=5
         )
     )
-    content = draw(
-        st.sampled_from(["", fingers(), "<body>" + _random_inertial(rng) + "</body>"])
-    )
-    for joints in reversed(bodies):
+    tips = ["", fingers(), f"<body>{_random_inertial(rng)}</body>"]
+    content = draw(st.sampled_from(tips))
+    for slides in reversed(bodies):
         pos = _vector(0.3 * rng.normal(size=3))
         quat = _vector(rng.normal(size=4))
-        inner = (
-            "".join(_random_joint(rng, axis_law, slide) for slide in joints) + content
-        )
-        content = (
-            f'<body pos="{pos}" quat="{quat}">{_random_inertial(rng)}{inner}</body>'
-        )
-    gravity = draw(
-        st.sampled_from(
-            [np.zeros(3), np.array([0, 0, -9.81]), 9.81 * rng.normal(size=3)]
-        )
-    )
+        joints = [_random_joint(rng, axis_law, slide) for slide in slides]
+        inertial = _random_inertial(rng)
+        content = link("".join(joints), content, "", pos, quat, inertial)
+    gravities = [np.zeros(3), np.array([0, 0, -9.81]), 9.81 * rng.normal(size=3)]
+    gravity = draw(st.sampled_from(gravities))
     return world(content, f'gravity="{_vector(gravity)}"')

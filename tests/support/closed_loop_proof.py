@@ -18,16 +18,14 @@ from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.estimation.algebra.least_squares import InformationAccumulator
 from robot_sysid.model.bodies import composite_theta
 from robot_sysid.records import InertialParameters, JointFriction, Measurement
-from robot_sysid.signals.resampling import join_measurements
+from robot_sysid.signals.filters import REACH, first_derivative, second_derivative
+from robot_sysid.signals.resampling import join_measurements, slice_samples
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support.closed_loop import ClosedLoop
 
 TERMS = ("coulomb", "viscous", "offset", "armature")
-# Central differences over nine samples, exact for polynomials of degree eight (Fornberg 1988).
-FIRST = np.array([3, -32, 168, -672, 0, 672, -168, 32, -3]) / 840.0
-SECOND = np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040.0
 
 
 def plant_from(
@@ -71,28 +69,22 @@ def record_run(loop):
 
 def differentiate_log(log, sample_rate):
     """The log without its first and last four samples, motion from its positions alone."""
-    inner = len(log) - 8
-    windows = [log.q[i : i + inner] for i in range(9)]
-    qd = sample_rate * sum(c * w for c, w in zip(FIRST, windows))
-    qdd = sample_rate**2 * sum(c * w for c, w in zip(SECOND, windows))
-    inner_rows = slice(4, -4)
-    return Measurement(
-        log.time[inner_rows], log.q[inner_rows], qd, log.tau[inner_rows], qdd
-    )
+    qd = first_derivative(log.q, sample_rate)
+    qdd = second_derivative(log.q, sample_rate)
+    inner = slice_samples(log, REACH, len(log) - REACH)
+    return Measurement(inner.time, inner.q, qd, inner.tau, qdd)
 
 
 def identify_log(robot, log, deadband, terms=TERMS):
     """Estimate of the terminal link and of every joint's friction; slow rows are left out."""
     equations = Equations(robot, "chain", (FrictionModel(terms),) * robot.n_joints)
-    rows_of_joint = InformationAccumulator(
-        equations.names, equations.joints, equations.columns
-    )
+    names = equations.names, equations.joints
+    accumulator = InformationAccumulator(*names, equations.columns)
+    is_fast = np.abs(log.qd) > deadband
     for index, (rows, tau) in enumerate(equations.rows(log)):
-        fast = (
-            np.abs(log.qd[:, index]) > np.broadcast_to(deadband, robot.n_joints)[index]
-        )
-        rows_of_joint.add(index, rows[fast], tau[fast])
-    return identify_parameters(rows_of_joint.result(), equations.prior)
+        fast = is_fast[:, index]
+        accumulator.add(index, rows[fast], tau[fast])
+    return identify_parameters(accumulator.result(), equations.prior)
 
 
 @dataclass(frozen=True)
@@ -108,20 +100,15 @@ class Errors:
 
 def errors_of(estimate, plant):
     """How far an estimate is from the plant."""
-    joints = plant.joint_names
     truth = {
         "coulomb": plant.friction.coulomb,
         "viscous": plant.friction.viscous,
-        "armature": plant.mj_model.dof_armature[plant.dof_index],
+        "armature": plant.armature,
     }
-    worst = [
-        np.max(
-            np.abs(
-                np.array([estimate.value(f"{term}[{j}]") for j in joints]) / value - 1.0
-            )
-        )
-        for term, value in truth.items()
-    ]
+    worst = []
+    for term, true_values in truth.items():
+        values = [estimate.value(f"{term}[{joint}]") for joint in plant.joint_names]
+        worst.append(np.max(np.abs(values / true_values - 1.0)))
     mass = abs(estimate.inertial.mass / plant.prior.mass - 1.0)
     com = float(np.linalg.norm(estimate.inertial.com - plant.prior.com))
     return Errors(mass, com, *worst)

@@ -9,10 +9,11 @@ from robot_sysid.cli import main
 
 def files_in(folder: Path) -> dict[str, bytes]:
     """Everything in a folder by relative path, folders with an empty content."""
-    return {
-        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else b""
-        for path in sorted(folder.rglob("*"))
-    }
+    contents = {}
+    for path in sorted(folder.rglob("*")):
+        name = str(path.relative_to(folder))
+        contents[name] = path.read_bytes() if path.is_file() else b""
+    return contents
 
 
 def run_motors(capsys, *arguments):
@@ -48,9 +49,7 @@ class CommandLine:
         files = files_in(self._folder)
         printed = self.run(*arguments, code=code)
         assert files_in(self._folder) == files
-        errors = [
-            line for line in printed.err.splitlines() if not line.startswith("note: ")
-        ]
-        assert len(errors) == 1, printed.err
-        assert errors[0].startswith("robot-sysid: error: ")
-        return errors[0]
+        lines = printed.err.splitlines()
+        (error,) = [line for line in lines if not line.startswith("note: ")]
+        assert error.startswith("robot-sysid: error: ")
+        return error

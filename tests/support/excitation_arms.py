@@ -11,19 +11,15 @@ from robot_sysid.motion.design import Design
 from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms
-from tests.support.arms import LINK, TIP, X, Y, Z, hinge, link, world
+from tests.support.arms import X, Y, Z, world
 
 _TUBE = '<geom type="capsule" size=".03" fromto="0 0 .04 0 0 .2"/>'
 
 
 def tube_arm(axes, scene="", pos="0 0 .25", joint='range="-2.5 2.5"', extra=""):
     """A serial arm of capsules beside some scene."""
-    content = ""
-    for index in reversed(range(len(axes))):
-        inertial = TIP if index == len(axes) - 1 else LINK
-        joints = hinge(f"joint{index}", axes[index], joint)
-        content = link(joints, _TUBE + content, f"link{index}", pos, inertial=inertial)
-    return world(content + scene, extra=extra)
+    bodies = arms.serial_bodies(axes, joint=joint, inside=_TUBE, pos=pos)
+    return world(bodies + scene, extra=extra)
 
 
 FLOOR = '<geom name="floor" type="plane" size="2 2 .1"/>'
@@ -32,9 +28,9 @@ TUBES = tube_arm((Z, Y, X, Y))
 TUBES_AND_POST = tube_arm((Z, Y, X, Y), POST)
 TUBES_ON_FLOOR = tube_arm((Z, Y, X, Y), FLOOR)
 # The last link lies in the second one at rest, as neighbouring links of public models do.
-TOUCHING_AT_REST = tube_arm(
-    (Z, Y, X, Y), POST, joint='range="-2.5 2.5"', pos="0 0 .25"
-).replace(_TUBE, '<geom type="capsule" size=".03" fromto="0 0 -.1 0 0 .3"/>')
+TOUCHING_AT_REST = TUBES_AND_POST.replace(
+    _TUBE, '<geom type="capsule" size=".03" fromto="0 0 -.1 0 0 .3"/>'
+)
 
 DURATION = 6.0
 SMALL = {"draws": 6, "starts": 1, "rounds": 1, "iterations": 8, "workers": 1}

@@ -12,13 +12,9 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import FADING_SPEEDS
-from robot_sysid.dynamics.newton_euler import (
-    LinkDynamics,
-    gravity_vector,
-    turn_gravity,
-    with_gravity,
-)
+from robot_sysid.dynamics.newton_euler import LinkDynamics, gravity_vector, turn_gravity
 from robot_sysid.records import Measurement
+from tests.support.synthetic_data import autocorrelated
 
 RATE = 200.0
 STRONG = 1.0
@@ -69,17 +65,15 @@ class ImperfectArm:
         self.off = off
         strong = np.arange(n) < n // 2 + 1
         self.size = np.where(strong, STRONG, WEAK)
-        self.thetas = np.array(
-            [_wrong(link.theta, off.links, rng) for link in robot.links]
-        )
+        thetas = [_wrong(link.theta, off.links, rng) for link in robot.links]
+        self.thetas = np.array(thetas)
         drawn = 1.0 + off.scale * rng.standard_normal(n)
         self.scale = drawn if scale is None else scale
         self.zero = off.zero * rng.standard_normal(n)
         direction = rng.uniform(0.0, 2.0 * np.pi)
         self.tilt = off.tilt * np.array([np.cos(direction), np.sin(direction)])
-        self.dynamics = LinkDynamics(
-            with_gravity(robot, turn_gravity(gravity_vector(robot), self.tilt))
-        )
+        gravity = turn_gravity(gravity_vector(robot), self.tilt)
+        self.dynamics = LinkDynamics(robot, gravity)
         self.coulomb = rng.uniform(0.5, 1.5, n) * self.size
         self.viscous = rng.uniform(0.3, 1.0, n) * self.size
         self.load = np.where(strong, off.load * rng.uniform(0.7, 1.3, n), 0.0)
@@ -105,26 +99,17 @@ class ImperfectArm:
         delayed_motion = plan.evaluate(np.clip(time - off.lag, 0.0, plan.duration))
         thetas = self.thetas.copy()
         thetas[-1] += payload
-        rigid = self.dynamics.motion(
-            delayed_motion.q, delayed_motion.qd, delayed_motion.qdd
-        ).torque(thetas)
+        qd = delayed_motion.qd
+        links = self.dynamics.motion(delayed_motion.q, qd, delayed_motion.qdd)
+        rigid = links.torque(thetas)
         dry = self.coulomb + self.load * np.abs(rigid)
-        friction = dry * np.sign(delayed_motion.qd) + self.viscous * delayed_motion.qd
-        tau = (
-            self.scale * rigid
-            + friction
-            + self.rotor * delayed_motion.qdd
-            + self.offset
-        )
+        tau = self.scale * rigid + (dry * np.sign(qd) + self.viscous * qd)
+        tau = tau + self.rotor * delayed_motion.qdd + self.offset
         q = np.round((motion.q + self.zero) / off.step) * off.step
         return Measurement(time, q, None, tau + self._noise(tau.shape, rng))
 
     def _noise(self, shape, rng):
-        from scipy.signal import lfilter
-
-        keep = np.exp(-1.0 / (self.off.memory * RATE))
-        drive = np.sqrt(1.0 - keep**2) * rng.standard_normal(shape)
-        slow = lfilter([1.0], [1.0, -keep], drive, axis=0)
+        slow = autocorrelated(rng.standard_normal(shape), self.off.memory * RATE)
         fast = rng.standard_normal(shape)
         return self.off.noise * self.size * np.sqrt(0.5) * (slow + fast)
 

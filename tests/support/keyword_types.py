@@ -75,41 +75,40 @@ def _quoted(word: str) -> str:
 def text() -> str:
     """Return the module: a class for each function, and one for what several classes have alike."""
     aliases = dict[str, None]()
-    takers = dict[str, set[str]]()
+    lines_of = dict[str, set[str]]()
     for function, records in RECORDS.items():
         refused = refused_by(function)
-        name = function.title().replace("_", "")
-        named = [(each, n, o) for each in records for n, o in options_of(each).items()]
-        aliases.update(
-            (_alias(option), None) for _, _, option in named if _has_alias(option)
-        )
-        lines = {
-            f"    {option.key}: {type_of(option, default_of(record, attribute))}\n"
-            for record, attribute, option in named
-            if option.key not in refused
-        }
-        takers[name] = lines
-    order = sorted(takers, key=lambda name: len(takers[name]))
-    bases = {name: list[str]() for name in order}
-    own = {**takers}
-    for k, name in enumerate(order):
-        for smaller in sorted(order[:k], key=lambda name: -len(takers[name])):
-            if takers[smaller] <= own[name]:
+        lines = lines_of.setdefault(function.title().replace("_", ""), set())
+        for record in records:
+            for attribute, option in options_of(record).items():
+                if _has_alias(option):
+                    aliases[_alias(option)] = None
+                if option.key not in refused:
+                    value_type = type_of(option, default_of(record, attribute))
+                    lines.add(f"    {option.key}: {value_type}\n")
+    names = sorted(lines_of, key=lambda name: len(lines_of[name]))
+    bases = {name: list[str]() for name in names}
+    new_lines = {**lines_of}
+    for k, name in enumerate(names):
+        for smaller in sorted(names[:k], key=lambda name: -len(lines_of[name])):
+            if lines_of[smaller] <= new_lines[name]:
                 bases[name].append(f"{smaller}Keywords")
-                own[name] = own[name] - takers[smaller]
-    homes = dict[tuple[str, ...], list[str]]()
-    for line in sorted(set().union(*own.values())):
-        homes.setdefault(tuple(n for n in order if line in own[n]), []).append(line)
-    parts = [HEAD + "".join(aliases)]
-    for names, shared in homes.items():
-        if len(names) > 1:
-            parts.append(_class(f"_{''.join(names)}", ["TypedDict"], shared))
-            for name in names:
-                bases[name].append(f"_{''.join(names)}")
-    every = (
-        (f"{n}Keywords", bases[n] or ["TypedDict"], homes.get((n,), [])) for n in order
-    )
-    return "\n".join([*parts, *(_class(*each) for each in every)])
+                new_lines[name] = new_lines[name] - lines_of[smaller]
+    shared_lines = dict[tuple[str, ...], list[str]]()
+    for line in sorted(set().union(*new_lines.values())):
+        owners = tuple(name for name in names if line in new_lines[name])
+        shared_lines.setdefault(owners, []).append(line)
+    classes = [HEAD + "".join(aliases)]
+    for owners, lines in shared_lines.items():
+        if len(owners) > 1:
+            base = f"_{''.join(owners)}"
+            classes.append(_class(base, ["TypedDict"], lines))
+            for owner in owners:
+                bases[owner].append(base)
+    for name in names:
+        lines = shared_lines.get((name,), [])
+        classes.append(_class(f"{name}Keywords", bases[name] or ["TypedDict"], lines))
+    return "\n".join(classes)
 
 
 def _class(name: str, bases: Sequence[str], lines: Sequence[str]) -> str:

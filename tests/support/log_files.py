@@ -20,8 +20,8 @@ TITLES = ("time", "q1", "q2", "q3", "tau1", "tau2", "tau3")
 def motion(n: int = 400, rate: float = 200.0) -> Measurement:
     """Three joints swinging within 1 rad, with exact velocity."""
     time = np.arange(n) / rate
-    phase = 2.0 * np.pi * np.outer(time, [0.5, 0.7, 1.1]) + [0.3, 0.9, 0.1]
     omega = 2.0 * np.pi * np.array([0.5, 0.7, 1.1])
+    phase = np.outer(time, omega) + [0.3, 0.9, 0.1]
     tau = np.sin(3.0 * phase) + [1.0, 2.0, 3.0]
     return Measurement(time, 0.9 * np.sin(phase), 0.9 * omega * np.cos(phase), tau)
 

@@ -45,13 +45,12 @@ class Sample:
     def words(self) -> list[str]:
         """What is typed to give it that value."""
         flag = self.option.flag
-        value = self.value
-        if value is True:
+        if self.value is True:
             return [flag]
-        if not self.option.repeats:
-            return [flag, *map(str, value if isinstance(value, tuple) else (value,))]
-        groups = [one if isinstance(one, tuple) else (one,) for one in value]
-        return [word for one in groups for word in (flag, *map(str, one))]
+        words = []
+        for value in self.value if self.option.repeats else (self.value,):
+            words += [flag, *map(str, value if isinstance(value, tuple) else (value,))]
+        return words
 
 
 def samples(config_type: type = SysidConfig) -> Iterator[Sample]:
@@ -67,14 +66,12 @@ def _value(option: Option, default: Any) -> Any:
     if isinstance(default, bool):
         return not default
     if option.choices:
-        choice = next(choice for choice in option.choices if choice != default)
-        return (choice,) if option.repeats else choice
-    assert option.parse is not None, option.flag
-    # A number that is a share, a speed, a time or a level, or a name.
-    text = (
-        "7" if option.parse("7") == 7 and isinstance(option.parse("7"), int) else "0.25"
-    )
-    value = option.parse(text)
+        value = next(choice for choice in option.choices if choice != default)
+    else:
+        assert option.parse is not None, option.flag
+        # A number that is a share, a speed, a time or a level, or a name.
+        is_whole = isinstance(option.parse("7"), int)
+        value = option.parse("7" if is_whole else "0.25")
     return (value,) if option.repeats or option.takes_many else value
 
 

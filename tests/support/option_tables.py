@@ -58,28 +58,26 @@ def table(name: str) -> str:
         for field, option in options_of(record).items():
             if option.key in PYTHON_ONLY or (name == "main" and option.key not in MAIN):
                 continue
-            cells = (
-                _typed_form(option, default_of(record, field)),
-                _default(option, record, field),
-            )
-            rows.append(
-                f"| {' | '.join((*cells, _meaning(option)))} |".replace("|  |", "| |")
-            )
+            default = default_of(record, field)
+            shown = default_text(option, default)
+            if shown and not option.default_text:
+                shown = f"`{shown}`"
+            cells = (_typed_form(option, default), shown, _meaning(option))
+            rows.append(f"| {' | '.join(cells)} |".replace("|  |", "| |"))
     return "\n".join(rows) + "\n"
 
 
 def _typed_form(option: Option, default: object) -> str:
-    choices = "{" + ",".join(option.choices) + "}" if option.choices else ""
-    metavar = option.metavar or choices or option.key.upper()
-    text = metavar if isinstance(metavar, str) else " ".join(metavar)
-    text = "" if isinstance(default, bool) else text
+    text = option.key.upper()
+    if isinstance(default, bool):
+        text = ""
+    elif option.metavar:
+        names = option.metavar
+        text = names if isinstance(names, str) else " ".join(names)
+    elif option.choices:
+        text = "{" + ",".join(option.choices) + "}"
     short = f", `{option.short}`" if option.short else ""
     return f"`{f'{option.flag} {text}'.strip()}`{short}"
-
-
-def _default(option: Option, record: type, name: str) -> str:
-    text = default_text(option, default_of(record, name))
-    return f"`{text}`" if text and not option.default_text else text
 
 
 def _meaning(option: Option) -> str:

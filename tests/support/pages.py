@@ -28,19 +28,8 @@ from tests.support.places import ROOT
 PAGES = sorted(
     [ROOT / "README.md", *ROOT.glob("docs/*.md"), ROOT / "examples/kinova/README.md"]
 )
-OTHERS = [
-    "pip",
-    "git",
-    "cd",
-    "conda",
-    "sudo",
-    "ros2",
-    "pytest",
-    "ruff",
-    "python",
-    "mkdocs",
-    "nc",
-]
+OTHERS = ["pip", "git", "cd", "conda", "sudo", "ros2", "pytest", "ruff", "python"]
+OTHERS += ["mkdocs", "nc"]
 """Beginnings of lines that are not this tool's commands; scripts have tests of their own."""
 AXES = (arms.Z, arms.Y, arms.Y, arms.X)
 ARM = {
@@ -60,65 +49,60 @@ _PRINTED = re.compile(
     r"^<!-- printed -->\n```text\n(.*?)^```$", re.DOTALL | re.MULTILINE
 )
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.]*\w)")
-_SECONDS = "12"
-_RATE = "200"
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:
     """Return (language, text) of a page's blocks that can be run, in their order."""
-    return [
-        (match[1], match[2])
-        for match in _BLOCK.finditer(page.read_text(encoding="utf-8"))
-    ]
+    return _BLOCK.findall(page.read_text(encoding="utf-8"))
 
 
 def command_lines(block: str) -> list[list[str]]:
     """Return the words of each line of a block, continued lines joined, comments gone."""
     lines = block.replace("\\\n", " ").splitlines()
-    return [
-        arguments for line in lines if (arguments := shlex.split(line, comments=True))
-    ]
+    return [*filter(None, (shlex.split(line, comments=True) for line in lines))]
 
 
 def printed(page: Path) -> list[str]:
     """Return the lines that a page says its commands print."""
-    text = page.read_text(encoding="utf-8")
-    return [line for block in _PRINTED.findall(text) for line in block.splitlines()]
+    return "".join(_PRINTED.findall(page.read_text(encoding="utf-8"))).splitlines()
 
 
 def is_said(line: str, page: str) -> bool:
     """Tell whether a text has a line with the same words and, up to a few per cent, numbers."""
     line_words, numbers = _parts(line)
-    return any(
-        candidate[0] == line_words and np.allclose(candidate[1], numbers, rtol=0.03)
-        for candidate in map(_parts, page.splitlines())
-    )
+    for words, other_numbers in map(_parts, page.splitlines()):
+        if words == line_words and np.allclose(other_numbers, numbers, rtol=0.03):
+            return True
+    return False
 
 
 def _parts(line: str) -> tuple[list[str], list[float]]:
     """Return the words of a line with # in place of each number, and the numbers."""
-    return _NUMBER.sub("#", line).split(), [
-        float(number) for number in _NUMBER.findall(line)
-    ]
+    numbers = list(map(float, _NUMBER.findall(line)))
+    return _NUMBER.sub("#", line).split(), numbers
 
 
 def make_workshop(folder: Path) -> None:
-    """Write the models and logs that the pages speak of."""
+    """Write the models and logs that the pages speak of to a folder, the working one."""
     (folder / "examples").symlink_to(ROOT / "examples")
     make_models(folder)
     for number, log in enumerate(("a", "d", "log1", "log2", "log3", "log", "e")):
         record(folder, "truth.xml", f"{log}.csv", number)
     for number, log in enumerate(("b", "c", "f")):
         record(folder, "loaded.xml", f"{log}.csv", 10 + number)
-    _recorded_poses(folder)
-    _run(folder, *_basic(folder), "--export-damiao", *["--motor-type", "DM8009"] * 4)
+    run("plan my_arm.xml --for payload --static --save-trajectory poses.json")
+    played = "my_arm.xml --trajectory poses.json --noise-torque .05 --sample-rate 50"
+    for plant, log in (("truth", "poses_empty"), ("loaded", "poses_loaded")):
+        files = f"--plant-model {plant}.xml --save-measurements {log}.csv"
+        run(f"{played} {files} --output-dir made")
+    motors = "--export-damiao" + 4 * " --motor-type DM8009"
+    run(f"my_arm.xml --duration 12 --sample-rate 200 --output-dir made {motors}")
     for path in (folder / "made").glob("damiao*.csv"):
         path.rename(folder / path.name)
     joints = read_damiao_trajectory(folder / "damiao_trajectory.csv").joints
-    named = [
-        replace(joint, name=f"joint{k}", verified="hand")
-        for k, joint in enumerate(joints)
-    ]
+    named = []
+    for k, joint in enumerate(joints):
+        named.append(replace(joint, name=f"joint{k}", verified="hand"))
     write_joint_map(folder / "joint_map.csv", named)
 
 
@@ -151,19 +135,6 @@ def make_models(folder: Path) -> None:
         (folder / name).write_text(text, encoding="utf-8")
 
 
-def _basic(folder: Path) -> tuple[str, ...]:
-    made = str(folder / "made")
-    return (
-        "my_arm.xml",
-        "--duration",
-        _SECONDS,
-        "--sample-rate",
-        _RATE,
-        "--output-dir",
-        made,
-    )
-
-
 def record(
     folder: Path, plant: str, log: str, seed: int = 1, duration: float = 12.0
 ) -> None:
@@ -178,31 +149,6 @@ def record(
     write_measurement_csv(folder / log, robot.joint_names, [samples])
 
 
-def _recorded_poses(folder: Path) -> None:
-    planned = "plan my_arm.xml --for payload --static --save-trajectory poses.json"
-    _run(folder, *planned.split())
-    for plant, log in (
-        ("truth.xml", "poses_empty.csv"),
-        ("loaded.xml", "poses_loaded.csv"),
-    ):
-        sensors = (
-            "--noise-torque",
-            ".05",
-            "--sample-rate",
-            "50",
-            "--output-dir",
-            "made",
-        )
-        motion = (
-            "--trajectory",
-            "poses.json",
-            "--plant-model",
-            plant,
-            "--save-measurements",
-            log,
-        )
-        _run(folder, "my_arm.xml", *motion, *sensors)
-
-
-def _run(folder: Path, *arguments: str) -> None:
-    assert main([*arguments, "--quiet"]) in (0, 1), arguments
+def run(line: str) -> None:
+    """Run a command line of robot-sysid in the working folder; its result need not be trusted."""
+    assert main([*line.split(), "--quiet"]) in (0, 1), line

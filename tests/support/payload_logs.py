@@ -51,11 +51,11 @@ def wide_motion(seed, joints=4, duration=DURATION, rate=RATE):
     phase = rng.uniform(0.0, 6.0, shape)
     omega = 2.0 * np.pi * _FREQUENCIES[:, None]
     angle = time[:, None, None] * omega + phase
-    q, qd, qdd = (
-        np.sum(size * omega**k * np.sin(angle + k * np.pi / 2.0), axis=1)
-        for k in range(3)
-    )
-    return Motion(time, q, qd, qdd)
+    derivatives = []
+    for k in range(3):
+        waves = size * omega**k * np.sin(angle + k * np.pi / 2.0)
+        derivatives.append(np.sum(waves, axis=1))
+    return Motion(time, *derivatives)
 
 
 class TrueArm:
@@ -73,9 +73,8 @@ class TrueArm:
         rng = np.random.default_rng(seed)
         self.robot = robot
         self.payload = payload
-        self.thetas = np.array(
-            [perturb_body(link.theta, model_error, rng) for link in robot.links]
-        )
+        thetas = [perturb_body(link.theta, model_error, rng) for link in robot.links]
+        self.thetas = np.array(thetas)
         self.coulomb, self.viscous = rng.uniform(0.1, 1.0, (2, robot.n_joints))
         self.offset, self.armature = rng.uniform(0.0, 0.3, (2, robot.n_joints))
         self.scale = np.ones(robot.n_joints) if scale is None else scale

@@ -15,6 +15,9 @@ from tests.support.log_files import JOINTS, write
 DYNAMIC = "control_msgs/msg/DynamicJointState"
 FRANKA = "franka_msgs/msg/FrankaRobotState"
 STATE = "sensor_msgs/msg/JointState"
+INTERFACES = ("position", "velocity", "effort")
+ORDERS = ([2, 0, 1], [1, 0, 2], [2, 0, 1])
+"""Order of ``INTERFACES`` in a joint's message, for each joint."""
 _DEFINITIONS = {
     "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values\n",
     DYNAMIC: "std_msgs/Header header\nstring[] joint_names\n"
@@ -40,11 +43,8 @@ def header(types, time: float):
     seconds, nanoseconds = divmod(round(1e9 * time), 10**9)
     stamp = types["builtin_interfaces/msg/Time"](1_700_000_000 + seconds, nanoseconds)
     header_type = types["std_msgs/msg/Header"]
-    return (
-        header_type(0, stamp, "base")
-        if "seq" in header_type.__annotations__
-        else header_type(stamp, "base")
-    )
+    sequence = (0,) if "seq" in header_type.__annotations__ else ()
+    return header_type(*sequence, stamp, "base")
 
 
 def joint_state(types, time, names, q, qd, tau):
@@ -95,9 +95,8 @@ def _written(path: Path, writer, topics, store, serialize) -> Path:
         for topic, message_type, messages in topics:
             connection = writer.add_connection(topic, message_type, typestore=store)
             for count, message in enumerate(messages):
-                writer.write(
-                    connection, 10**9 + count * 10**6, serialize(message, message_type)
-                )
+                data = serialize(message, message_type)
+                writer.write(connection, 10**9 + count * 10**6, data)
     return path
 
 
@@ -125,40 +124,27 @@ def dynamic_joint_state(folder: Path, data: Measurement) -> Path:
     value = store.types["control_msgs/msg/InterfaceValue"]
 
     def messages():
-        for time, q, qd, tau in zip(data.time, data.q, data.qd, data.tau):
-            rows = [
-                {"position": a, "velocity": b, "effort": c}
-                for a, b, c in zip(q, qd, tau)
-            ]
-            orders = [
-                sorted(rows[0]),
-                sorted(rows[0], reverse=True),
-                ["effort", *sorted(rows[0])],
-            ]
-            values = [
-                value(
-                    list(dict.fromkeys(order)),
-                    np.array([row[k] for k in dict.fromkeys(order)]),
-                )
-                for row, order in zip(rows, orders)
-            ]
+        rows = np.stack((data.q, data.qd, data.tau), axis=2)
+        for time, joints in zip(data.time, rows):
+            values = []
+            for order, numbers in zip(ORDERS, joints):
+                names = [INTERFACES[k] for k in order]
+                values.append(value(names, numbers[order]))
             yield store.types[DYNAMIC](header(store.types, time), list(JOINTS), values)
 
-    return write_bag2(
-        folder / "bag", [("/dynamic_joint_states", DYNAMIC, messages())], store
-    )
+    topics = [("/dynamic_joint_states", DYNAMIC, messages())]
+    return write_bag2(folder / "bag", topics, store)
 
 
 def franka_state(folder: Path, data: Measurement) -> Path:
     """FrankaRobotState in an MCAP, with its definition in the file."""
     store = typestore()
     types = store.types
+    names = [f"fr3_{joint}" for joint in JOINTS]
 
     def messages():
         for time, q, qd, tau in zip(data.time, data.q, data.qd, data.tau):
-            measured = joint_state(
-                types, time, [f"fr3_{j}" for j in JOINTS], q, qd, tau
-            )
+            measured = joint_state(types, time, names, q, qd, tau)
             desired = joint_state(types, time, JOINTS, -q, -qd, -tau)
             yield types[FRANKA](header(types, time), measured, desired, time)
 
@@ -174,13 +160,13 @@ def lerobot(version: str, episodes: int = 1) -> Callable[[Path, Measurement], Pa
         import pyarrow.parquet as pq
 
         root = folder / "set"
-        (root / "meta").mkdir(parents=True)
-        (root / "data" / "chunk-000").mkdir(parents=True)
-        names = [f"{j}.{end}" for j in JOINTS for end in ("pos", "vel", "torque")]
-        angles = np.degrees(np.stack((data.q, data.qd), axis=2))
-        state = np.concatenate((angles, data.tau[:, :, None]), axis=2).reshape(
-            len(data), -1
-        )
+        chunk = root / "data" / "chunk-000"
+        chunk.mkdir(parents=True)
+        (root / "meta").mkdir()
+        ends = ("pos", "vel", "torque")
+        names = [f"{joint}.{end}" for joint in JOINTS for end in ends]
+        values = (np.degrees(data.q), np.degrees(data.qd), data.tau)
+        state = np.stack(values, axis=2).reshape(len(data), -1)
         feature = {"dtype": "float64", "shape": [len(names)], "names": names}
         info = {
             "codebase_version": version,
@@ -188,27 +174,20 @@ def lerobot(version: str, episodes: int = 1) -> Callable[[Path, Measurement], Pa
             "features": {"observation.state": feature},
         }
         (root / "meta" / "info.json").write_text(json.dumps(info))
-
-        def frames(episode: int):
-            return pa.table(
-                {
-                    "observation.state": pa.array(
-                        state.tolist(), pa.list_(pa.float64())
-                    ),
-                    "timestamp": data.time - data.time[0],
-                    "episode_index": np.full(len(data), episode),
-                    "frame_index": np.arange(len(data)),
-                }
-            )
-
+        columns = {
+            "observation.state": pa.array(state.tolist(), pa.list_(pa.float64())),
+            "timestamp": data.time - data.time[0],
+            "frame_index": np.arange(len(data)),
+        }
+        tables = []
+        for episode in range(episodes):
+            episode_index = np.full(len(data), episode)
+            tables.append(pa.table({**columns, "episode_index": episode_index}))
         if version.startswith("v2"):
-            for k in range(episodes):
-                pq.write_table(
-                    frames(k), root / f"data/chunk-000/episode_{k:06d}.parquet"
-                )
+            for episode, table in enumerate(tables):
+                pq.write_table(table, chunk / f"episode_{episode:06d}.parquet")
         else:
-            whole = pa.concat_tables([frames(k) for k in range(episodes)])
-            pq.write_table(whole, root / "data/chunk-000/file-000.parquet")
+            pq.write_table(pa.concat_tables(tables), chunk / "file-000.parquet")
         return root
 
     return write
@@ -216,14 +195,8 @@ def lerobot(version: str, episodes: int = 1) -> Callable[[Path, Measurement], Pa
 
 def npz(folder: Path, data: Measurement) -> Path:
     path = folder / "log.npz"
-    np.savez(
-        path,
-        time=data.time,
-        q=data.q,
-        qd=data.qd,
-        tau=data.tau,
-        note="text is no column",
-    )
+    columns = {"time": data.time, "q": data.q, "qd": data.qd, "tau": data.tau}
+    np.savez(path, **columns, note="text is no column")
     return path
 
 
@@ -231,16 +204,16 @@ def arrow(data: Measurement):
     """A table of Arrow: time in dates, positions as lists, a column per torque, and text."""
     import pyarrow as pa
 
-    stamps = np.datetime64("2024-05-01T12:00:00", "ns") + np.round(
-        1e9 * data.time
-    ).astype(int)
+    nanoseconds = np.round(1e9 * data.time).astype(int)
     columns = {
-        "time": stamps,
+        "time": np.datetime64("2024-05-01T12:00:00", "ns") + nanoseconds,
         "q": data.q.tolist(),
         "qd": data.qd.tolist(),
         "note": ["text"] * len(data),
     }
-    return pa.table({**columns, **{f"tau{k}": tau for k, tau in enumerate(data.tau.T)}})
+    for k, tau in enumerate(data.tau.T):
+        columns[f"tau{k}"] = tau
+    return pa.table(columns)
 
 
 def parquet(folder: Path, data: Measurement) -> Path:
@@ -259,21 +232,13 @@ def feather(folder: Path, data: Measurement) -> Path:
 
 def libfranka(folder: Path, data: Measurement) -> Path:
     """The columns of logToCSV."""
+    groups = "state.q state.q_d state.dq state.dq_d state.tau_J "
+    groups += "state.tau_ext_hat_filtered cmd.tau_J_d"
+    titles = [f"{group}[{k}]" for group in groups.split() for k in range(3)]
     zero = np.zeros_like(data.q)
-    groups = {
-        "state.q": data.q,
-        "state.q_d": zero,
-        "state.dq": data.qd,
-        "state.dq_d": zero,
-    }
-    groups |= {
-        "state.tau_J": data.tau,
-        "state.tau_ext_hat_filtered": zero,
-        "cmd.tau_J_d": zero,
-    }
-    titles = ["time", "success_rate", *(f"{g}[{k}]" for g in groups for k in range(3))]
-    rows = np.column_stack((1e3 * data.time, np.ones(len(data)), *groups.values()))
-    return write(folder / "franka.csv", rows, titles)
+    values = (data.q, zero, data.qd, zero, data.tau, zero, zero)
+    rows = np.column_stack((1e3 * data.time, np.ones(len(data)), *values))
+    return write(folder / "franka.csv", rows, ["time", "success_rate", *titles])
 
 
 def rtde(

@@ -42,10 +42,8 @@ def link_result(path):
     result = made.whole()
     first, last = result.links
     last = replace(last, data_share=np.array([1.0] * 8 + [0.4, 0.9]))
-    odd = tuple(
-        replace(validation, source=ODD)
-        for validation in result.file.other_validations[0]
-    )
+    pair = result.file.other_validations[0]
+    odd = tuple(replace(validation, source=ODD) for validation in pair)
     file = replace(result.file, other_validations=(odd,))
     return on_arm(replace(result, links=(first, last), file=file), path)
 
@@ -54,9 +52,8 @@ def payload_result(path, verdict=Verdict.OK):
     """A result about a payload on that arm."""
     scales = {"$x^{1}&": Quantity(1.1, 0.01)}
     recordings = {"empty": ("a.csv",), "loaded": ("<s>b</s>.csv", "c.csv")}
-    return on_arm(
-        made.payload(torque_scale=scales, recordings=recordings, verdict=verdict), path
-    )
+    options = {"torque_scale": scales, "recordings": recordings, "verdict": verdict}
+    return on_arm(made.payload(**options), path)
 
 
 def traces(result):
@@ -64,39 +61,30 @@ def traces(result):
     rng = np.random.default_rng(0)
     time = np.arange(600) * 0.01
     names = result.robot.joint_names
-    phases = time[:, None] * (1.0 + np.arange(len(names)))
+    omega = 1.0 + np.arange(len(names))
+    phases = time[:, None] * omega
     q = np.sin(phases)
-    qd = (1.0 + np.arange(len(names))) * np.cos(phases)
+    qd = omega * np.cos(phases)
     friction = 0.31 * np.sign(qd) + 0.2 * qd
     predicted = 3.0 * q + friction
     measured = predicted + 0.05 * rng.normal(size=q.shape)
     measured[np.abs(qd) < 0.1] = np.nan
     full = np.full(len(names), 2.0)
     limits = JointLimits(-full, full, 3.0 * full, np.full(len(names), np.inf))
-    known = (
-        time,
-        q,
-        qd,
-        measured,
-        predicted,
-        0.8 * predicted,
-        friction,
-        limits,
-        made.ARM.prior,
-    )
-    return Traces(names, (False,) * len(names), *known)
+    torques = (measured, predicted, 0.8 * predicted, friction)
+    is_slide = (False,) * len(names)
+    return Traces(names, is_slide, time, q, qd, *torques, limits, made.ARM.prior)
 
 
 def saved(folder, result):
     """A folder that a run left, without its report."""
     folder.mkdir(parents=True, exist_ok=True)
-    found = result.payload
+    payload = result.payload
     cards = ()
-    if found is not None and result.verdict.is_trustworthy:
-        cards = payload_cards(found.body, found.flange)
-    (folder / "params.json").write_text(
-        params_json_text(result, cards), encoding="utf-8"
-    )
+    if payload is not None and result.verdict.is_trustworthy:
+        cards = payload_cards(payload.body, payload.flange)
+    text = params_json_text(result, cards)
+    (folder / "params.json").write_text(text, encoding="utf-8")
     return folder
 
 

@@ -43,9 +43,7 @@ from robot_sysid.results.record import (
 )
 
 JOINTS = ("j5", "j6")
-FRICTION = tuple(
-    f"{term}[{joint}]" for joint in JOINTS for term in ("coulomb", "viscous")
-)
+FRICTION = ("coulomb[j5]", "viscous[j5]", "coulomb[j6]", "viscous[j6]")
 NAMES = (*PARAMETER_NAMES, *FRICTION)
 THETA = theta_from_com(2.0, np.array([0.0, 0.01, 0.1]), np.diag([0.01, 0.012, 0.005]))
 VALUES = np.array([*THETA, 0.5, 0.2, 0.4, 0.1])
@@ -76,37 +74,37 @@ def estimate(**changes) -> Estimate:
     size = len(NAMES)
     identifiability_record = Identifiability(12, 12, 50.0, 5.0, (True,) * size, ())
     errors = 1e-3 * np.maximum(np.abs(VALUES), 1e-2)
-    fields = {
-        "names": NAMES,
-        "values": VALUES,
-        "identifiability": identifiability_record,
-        "rmse": 0.03,
-        "rmse_per_joint": {"j5": 0.03, "j6": 0.03},
-        "method": "wls",
-        "covariance": np.diag(errors**2),
-        "standard_errors": errors,
-        "noise_per_joint": {"j5": 0.03, "j6": 0.031},
-        "samples": {"j5": 200, "j6": 200},
-        "effective_samples": {"j5": 190.0, "j6": 180.0},
-    }
-    return Estimate(**{**fields, **changes})
+    made = Estimate(
+        names=NAMES,
+        values=VALUES,
+        identifiability=identifiability_record,
+        rmse=0.03,
+        rmse_per_joint={"j5": 0.03, "j6": 0.03},
+        method="wls",
+        covariance=np.diag(errors**2),
+        standard_errors=errors,
+        noise_per_joint={"j5": 0.03, "j6": 0.031},
+        samples={"j5": 200, "j6": 200},
+        effective_samples={"j5": 190.0, "j6": 180.0},
+    )
+    return replace(made, **changes)
 
 
 def found(result: Estimate | None = None, **changes) -> Result:
     """Everything around it, of measured data: the terminal link and the joints as in it."""
     result = result or estimate()
-    fields = {
-        "question": LINK,
-        "robot": ARM,
-        "estimate": result,
-        "verdict": Verdict.BETTER,
-        "torques": "chain",
-        "data": DataOrigin(Source.LOG, "arm.csv", 15.0, 1000.0),
-        "links": () if result.standard_errors is None else (terminal(result),),
-        "joints": {joint: joint_of(result, joint) for joint in JOINTS},
-        "friction_model": "coulomb-viscous",
-    }
-    return Result(**{**fields, **changes})
+    made = Result(
+        question=LINK,
+        robot=ARM,
+        estimate=result,
+        verdict=Verdict.BETTER,
+        torques="chain",
+        data=DataOrigin(Source.LOG, "arm.csv", 15.0, 1000.0),
+        links=() if result.standard_errors is None else (terminal(result),),
+        joints={joint: joint_of(result, joint) for joint in JOINTS},
+        friction_model="coulomb-viscous",
+    )
+    return replace(made, **changes)
 
 
 def terminal(result: Estimate) -> BodyEstimate:
@@ -128,33 +126,29 @@ def terminal(result: Estimate) -> BodyEstimate:
 
 def joint_of(result: Estimate, joint: str) -> JointEstimate:
     """The friction of a joint as an estimate has it."""
-    names = {
-        name: name.split("[")[0] for name in result.names if name.endswith(f"[{joint}]")
-    }
-    terms = {
-        term: Quantity(result.value(name), result.error(name) or 0.0)
-        for name, term in names.items()
-    }
-    return JointEstimate(
-        "-".join(terms) or "none", terms, MODEL_FRICTION[joint], noise=0.03
-    )
+    terms = {}
+    for name in result.names:
+        term, _, owner = name.partition("[")
+        if owner == f"{joint}]":
+            error = result.error(name) or 0.0
+            terms[term] = Quantity(result.value(name), error)
+    model = "-".join(terms) or "none"
+    return JointEstimate(model, terms, MODEL_FRICTION[joint], noise=0.03)
 
 
 def itself(result: Estimate | None = None, **changes) -> Result:
     """The model's own simulation, of which most is not asked."""
-    given = result or estimate()
-    known = (
-        given.names,
-        given.values,
-        given.identifiability,
-        given.rmse,
-        given.rmse_per_joint,
+    full = result or estimate()
+    fit = full.names, full.values, full.identifiability, full.rmse, full.rmse_per_joint
+    made = found(
+        Estimate(*fit),
+        data=DataOrigin(Source.ITSELF, "", 15.0, 1000.0, 1),
+        verdict=Verdict.OK,
+        links=(),
+        joints={},
+        friction_model=None,
     )
-    fields = {
-        "data": DataOrigin(Source.ITSELF, "", 15.0, 1000.0, 1),
-        **{"verdict": Verdict.OK, "links": (), "joints": {}, "friction_model": None},
-    }
-    return found(Estimate(*known), **{**fields, **changes})
+    return replace(made, **changes)
 
 
 def with_value(name: str, value: float, error: float) -> Estimate:
@@ -203,41 +197,37 @@ def payload(
     own: BodyEstimate | None = None, result: Estimate | None = None, **changes
 ) -> Result:
     """A payload of 1.2 kg; what is no field of the result is one of ``Payload``."""
-    of_payload = {
-        "flange": Flange("site 'flange'", np.eye(3), np.zeros(3), "link6"),
-        "body": body() if own is None else own,
-        "link": body(0.8, name="link6"),
-        "total": body(2.0, name="link6"),
-        "recordings": {"empty": ("a.csv",), "loaded": ("b.csv", "c.csv")},
-        "scatter": (RecordingPayload("b.csv", True, 1.19, np.zeros(3), 0.01, 0.02),),
-    }
-    extra = (*of_payload, "torque_scale", "known_mass")
-    of_payload.update({name: changes.pop(name) for name in extra if name in changes})
-    fields = {
-        "verdict": Verdict.OK,
-        "question": PAYLOAD,
-        "payload": Payload(**of_payload),
-    }
-    return found(result, **{**fields, **changes})
+    made = Payload(
+        flange=Flange("site 'flange'", np.eye(3), np.zeros(3), "link6"),
+        body=own or body(),
+        link=body(0.8, name="link6"),
+        total=body(2.0, name="link6"),
+        recordings={"empty": ("a.csv",), "loaded": ("b.csv", "c.csv")},
+        scatter=(RecordingPayload("b.csv", True, 1.19, np.zeros(3), 0.01, 0.02),),
+    )
+    for name in vars(made).keys() & changes.keys():
+        made = replace(made, **{name: changes.pop(name)})
+    result = found(result, question=PAYLOAD, verdict=Verdict.OK, payload=made)
+    return replace(result, **changes)
 
 
 def model_file(**changes) -> ModelFile:
     """A written model that predicts torques to 0.25 % instead of 27 %."""
-    fields = {
-        "thetas": np.array([1.5 * THETA, 0.9 * THETA]),
-        "errors": np.full((2, 10), 1e-3),
-        "joints": {
+    made = ModelFile(
+        thetas=np.array([1.5 * THETA, 0.9 * THETA]),
+        errors=np.full((2, 10), 1e-3),
+        joints={
             "j5": {"coulomb": Quantity(0.45, 0.01), "viscous": Quantity(0.25, 0.02)}
         },
-        "gravity": np.array([0.0, 0.1, -9.8]),
-        "validation_before": validation_of(1.5, "fifths of arm.csv", 0.27),
-        "validation_after": validation_of(0.02, "fifths of arm.csv", 0.0025),
-        "other_validations": (
+        gravity=np.array([0.0, 0.1, -9.8]),
+        validation_before=validation_of(1.5, "fifths of arm.csv", 0.27),
+        validation_after=validation_of(0.02, "fifths of arm.csv", 0.0025),
+        other_validations=(
             (validation_of(1.6, relative=0.3), validation_of(0.05, relative=0.012)),
         ),
-        "unchanged": ("rotor inertia",),
-    }
-    return ModelFile(**{**fields, **changes})
+        unchanged=("rotor inertia",),
+    )
+    return replace(made, **changes)
 
 
 def whole(**changes) -> Result:
@@ -257,50 +247,50 @@ def whole(**changes) -> Result:
     errors = RolloutError(
         OPEN, 0.2, 5, np.array([0.2, 0.1]), np.array([0.02, 0.11]), (1, 0)
     )
-    fields = {
-        "robot": replace(ARM, is_slide=np.array([True, False]), bodies=bodies),
-        "links": (first, terminal(estimate())),
-        "joints": {"j5": elbow, "j6": joint_of(estimate(), "j6")},
-        "couplings": {
+    made = found(
+        robot=replace(ARM, is_slide=np.array([True, False]), bodies=bodies),
+        links=(first, terminal(estimate())),
+        joints={"j5": elbow, "j6": joint_of(estimate(), "j6")},
+        couplings={
             "j5+j6": JointEstimate("viscous", {"viscous": Quantity(0.05, 0.002)})
         },
-        "sensors": {
+        sensors={
             "scale[j5]": Quantity(1.01, 0.004),
             "zero[j6]": Quantity(0.0, float("nan")),
             "delay": Quantity(0.0032, 2e-5),
             "tilt_1": Quantity(0.0, np.radians(0.03)),
             "tilt_2": Quantity(0.0, np.radians(0.04)),
         },
-        "base": BaseParameters(
+        base=BaseParameters(
             ("Izz(link5) + 0.25*m(link6)", "hx(link6)"),
             np.array([0.5, 0.02]),
             np.array([0.01, 0.03]),
             9,
             (True, False),
         ),
-        "file": model_file(),
-        "validation": (
+        file=model_file(),
+        validation=(
             validation_of(0.02, "fifths of arm.csv", 0.0022),
             validation_of(0.03, relative=0.012),
         ),
-        "friction_model": "per joint",
-        "delay": 0.0032,
-        "tilt": float(np.radians(0.5)),
-        "cutoff": 8.0,
-        "link_scales": {"mass": 4.0, "centre_of_mass": 1.0, "inertia": 2.0},
-        "wrong_links": (WrongLink("link3", 3.96, 2.8, 0.3),),
-        "conflicts": (PriorConflict("links", ("link5",), 2.5, 1.0),),
-        "reasons": ("because",),
-        "notes": ("a note",),
-        "rollout": RolloutTest(
+        friction_model="per joint",
+        delay=0.0032,
+        tilt=float(np.radians(0.5)),
+        cutoff=8.0,
+        link_scales={"mass": 4.0, "centre_of_mass": 1.0, "inertia": 2.0},
+        wrong_links=(WrongLink("link3", 3.96, 2.8, 0.3),),
+        conflicts=(PriorConflict("links", ("link5",), 2.5, 1.0),),
+        reasons=("because",),
+        notes=("a note",),
+        rollout=RolloutTest(
             JOINTS,
             "last fifths",
             CLOSED,
             (errors, replace(errors, loop=CLOSED)),
             ("one piece",),
         ),
-    }
-    return found(**{**fields, **changes})
+    )
+    return replace(made, **changes)
 
 
 def theta_in(path: Path) -> np.ndarray:

@@ -14,9 +14,7 @@ SCHEMAS = ROOT / "robot_sysid" / "schemas"
 
 def schema(name: str) -> dict:
     """Return a schema: params or servo."""
-    content: dict = json.loads(
-        (SCHEMAS / f"{name}.schema.json").read_text(encoding="utf-8")
-    )
+    content: dict = json.loads((SCHEMAS / f"{name}.schema.json").read_text("utf-8"))
     return content
 
 

@@ -20,12 +20,9 @@ class Swing:
 
     def q(self, time: np.ndarray, order: int = 0) -> np.ndarray:
         """The derivative of this order (N, 3)."""
-        angle = (
-            time[:, None, None] * self.omega[:, None] + self.phase + order * np.pi / 2.0
-        )
-        return np.sum(
-            self.amplitude * self.omega[:, None] ** order * np.sin(angle), axis=1
-        )
+        omega = self.omega[:, None]
+        angle = time[:, None, None] * omega + self.phase + order * np.pi / 2.0
+        return np.sum(self.amplitude * omega**order * np.sin(angle), axis=1)
 
     def measurement(self, time: np.ndarray, resolution: float = 0.0) -> Measurement:
         """A log whose torque is 2 q + 3 qd + 0.5 qdd."""

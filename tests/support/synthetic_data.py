@@ -109,10 +109,9 @@ def noisy_samples(seed, noises=(0.1, 0.1, 0.1), count=200):
     rng = np.random.default_rng(seed)
     equations, names = arm_equations(rng, joints=3, count=count)
     truth = np.concatenate((random_body(rng), rng.uniform(0.1, 1.0, 6)))
-    torques = [
-        rows @ truth[columns] + noise * rng.normal(size=len(rows))
-        for (rows, columns), noise in zip(equations, noises)
-    ]
+    torques = []
+    for (rows, columns), noise in zip(equations, noises):
+        torques.append(rows @ truth[columns] + noise * rng.normal(size=len(rows)))
     return Samples(equations, torques), names, truth, rng
 
 
@@ -212,9 +211,7 @@ def terminal_information(rng, truth, axis=Z, offset=ORIGIN, count=80, noise=0.0)
 def _solved(problem, tolerance):
     import cvxpy
 
-    options = {
-        f"tol_{criterion}": tolerance for criterion in ("gap_abs", "gap_rel", "feas")
-    }
+    options = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), tolerance)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -228,22 +225,20 @@ def sdp_least_squares(matrix, right_side):
     """Least ||A x - b||^2 with x[:10] a possible body, by cvxpy and clarabel, well scaled."""
     import cvxpy
 
-    triangle = np.linalg.qr(
-        np.column_stack((matrix[:, 10:], matrix[:, :10], right_side)), mode="r"
-    )
-    inner = triangle[matrix.shape[1] - 10 :, matrix.shape[1] - 10 :]
+    columns = np.column_stack((matrix[:, 10:], matrix[:, :10], right_side))
+    first = matrix.shape[1] - 10
+    inner = np.linalg.qr(columns, mode="r")[first:, first:]
     inverse = np.linalg.inv(inner[:10, :10])
     centre = spatial.pseudo_inertia(inverse @ inner[:10, 10])
     units = np.sqrt(np.abs(np.diag(centre)))
     columns = spatial.pseudo_inertia(inverse.T) / np.outer(units, units)
     step = 1.0 / np.linalg.norm(columns.reshape(10, -1), 2)
     y = cvxpy.Variable(10)
-    body = centre / np.outer(units, units) + sum(
-        step * y[k] * columns[k] for k in range(10)
-    )
-    problem = cvxpy.Problem(
-        cvxpy.Minimize(cvxpy.sum_squares(y)), [0.5 * (body + body.T) >> 0]
-    )
+    body = centre / np.outer(units, units)
+    for k in range(10):
+        body = body + step * y[k] * columns[k]
+    objective = cvxpy.Minimize(cvxpy.sum_squares(y))
+    problem = cvxpy.Problem(objective, [0.5 * (body + body.T) >> 0])
     for tolerance in (1e-12, 1e-10, 1e-9):
         if _solved(problem, tolerance):
             break

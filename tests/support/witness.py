@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
+from itertools import combinations
 
 import mujoco
 import numpy as np
@@ -28,36 +30,38 @@ class Peaks:
 
 def peaks(robot, plan, rate=500.0):
     """Extremes of a plan, torques by MuJoCo's inverse dynamics with Coulomb's law on top."""
-    motions = list(motion_chunks(plan, rate))
-    q, qd, qdd = (
-        np.vstack([getattr(m, name) for m in motions]) for name in ("q", "qd", "qdd")
-    )
-    torque = np.max([np.abs(one) for one in _torques(robot, q, qd, qdd)], axis=0)
-    largest = (np.max(np.abs(value), axis=0) for value in (qd, qdd))
-    return Peaks(np.min(q, axis=0), np.max(q, axis=0), *largest, torque)
+    motions = [np.stack((m.q, m.qd, m.qdd)) for m in motion_chunks(plan, rate)]
+    q, qd, qdd = np.concatenate(motions, axis=1)
+    torque = list(_torques(robot, q, qd, qdd))
+    largest = [np.max(np.abs(values), axis=0) for values in (qd, qdd, torque)]
+    return Peaks(np.min(q, axis=0), np.max(q, axis=0), *largest)
 
 
 def _torques(robot, q, qd, qdd):
-    model = robot.mj_model
-    data = mujoco.MjData(model)
-    flags = model.opt.disableflags
+    """Yield the torques (n,) of each row of a motion (N, n), by MuJoCo's inverse dynamics."""
+    model = copy.copy(robot.mj_model)
     for name in ("CONTACT", "LIMIT", "EQUALITY", "FRICTIONLOSS", "ACTUATION"):
         model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
-    try:
-        for row in zip(q, qd, qdd):
-            data.qpos[:] = robot.reference_qpos
-            for target, index, value in zip(
-                (data.qpos, data.qvel, data.qacc),
-                (robot.qpos_index, robot.dof_index, robot.dof_index),
-                row,
-            ):
-                target[index] = value
-            mujoco.mj_inverse(model, data)
-            yield data.qfrc_inverse[robot.dof_index] + robot.friction.coulomb * np.sign(
-                row[1]
-            )
-    finally:
-        model.opt.disableflags = flags
+    data = mujoco.MjData(model)
+    for k in range(len(q)):
+        data.qpos[:] = robot.reference_qpos
+        data.qpos[robot.qpos_index] = q[k]
+        data.qvel[robot.dof_index] = qd[k]
+        data.qacc[robot.dof_index] = qdd[k]
+        mujoco.mj_inverse(model, data)
+        dry = robot.friction.coulomb * np.sign(qd[k])
+        yield data.qfrc_inverse[robot.dof_index] + dry
+
+
+def _poses(robot, plan, rate):
+    """Yield MuJoCo's data, the same each time, in the arm's pose at each instant of a plan."""
+    data = mujoco.MjData(robot.mj_model)
+    data.qpos[:] = robot.reference_qpos
+    for motion in motion_chunks(plan, rate):
+        for q in motion.q:
+            data.qpos[robot.qpos_index] = q
+            mujoco.mj_kinematics(robot.mj_model, data)
+            yield data
 
 
 def distance_to_plane(robot, plan, plane, first_body, rate=500.0):
@@ -71,22 +75,17 @@ def distance_to_plane(robot, plan, plane, first_body, rate=500.0):
         rate: samples per second.
     """
     model = robot.mj_model
-    data = mujoco.MjData(model)
     capsules = _capsules(model, model.body(first_body).id)
     length = np.linalg.norm(plane[:3])
     normal = np.array(plane[:3]) / length
     offset = plane[3] / length
     least = np.inf
-    for motion in motion_chunks(plan, rate):
-        for q in motion.q:
-            data.qpos[:] = robot.reference_qpos
-            data.qpos[robot.qpos_index] = q
-            mujoco.mj_kinematics(model, data)
-            for geom in capsules:
-                radius, half = model.geom_size[geom, :2]
-                axis = half * data.geom_xmat[geom].reshape(3, 3)[:, 2]
-                ends = data.geom_xpos[geom] + np.array([axis, -axis])
-                least = min(least, np.min(ends @ normal) - radius - offset)
+    for data in _poses(robot, plan, rate):
+        for geom in capsules:
+            radius, half = model.geom_size[geom, :2]
+            axis = half * data.geom_xmat[geom].reshape(3, 3)[:, 2]
+            ends = data.geom_xpos[geom] + np.array([axis, -axis])
+            least = min(least, np.min(ends @ normal) - radius - offset)
     return float(least)
 
 
@@ -98,32 +97,22 @@ def fastest_point(robot, plan, body, rate=500.0):
         body: name.
     """
     model = robot.mj_model
-    data = mujoco.MjData(model)
     (geom,) = _capsules(model, model.body(body).id)
-    angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
-    ball = [
-        [np.cos(a) * np.sin(b), np.sin(a) * np.sin(b), np.cos(b)]
-        for a in angles
-        for b in np.linspace(0.0, np.pi, 13)
-    ]
+    longitude = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    a, b = map(np.ravel, np.meshgrid(longitude, np.linspace(0.0, np.pi, 13)))
+    ball = np.stack((np.cos(a) * np.sin(b), np.sin(a) * np.sin(b), np.cos(b)), axis=1)
     radius, half = model.geom_size[geom, :2]
-    surface = np.vstack(
-        [radius * np.array(ball) + [0.0, 0.0, s * half] for s in (-1.0, 1.0)]
-    )
+    end = np.array([0.0, 0.0, half])
+    surface = np.vstack((radius * ball - end, radius * ball + end))
     previous = None
     fastest = 0.0
-    for motion in motion_chunks(plan, rate):
-        for q in motion.q:
-            data.qpos[robot.qpos_index] = q
-            mujoco.mj_kinematics(model, data)
-            current = (
-                data.geom_xpos[geom] + surface @ data.geom_xmat[geom].reshape(3, 3).T
-            )
-            if previous is not None:
-                fastest = max(
-                    fastest, rate * np.max(np.linalg.norm(current - previous, axis=1))
-                )
-            previous = current
+    for data in _poses(robot, plan, rate):
+        rotation = data.geom_xmat[geom].reshape(3, 3)
+        current = data.geom_xpos[geom] + surface @ rotation.T
+        if previous is not None:
+            moved = np.linalg.norm(current - previous, axis=1)
+            fastest = max(fastest, rate * np.max(moved))
+        previous = current
     return float(fastest)
 
 
@@ -133,48 +122,38 @@ def nearest(robot, plan, rate=500.0):
     Bodies with one joint between them are left out.
     """
     model = robot.mj_model
+    joints = [_joints_above(model, body) for body in model.geom_bodyid]
+    contype = model.geom_contype
+    conaffinity = model.geom_conaffinity
+    pairs = []
+    for a, b in combinations(range(model.ngeom), 2):
+        collide = contype[a] & conaffinity[b] | contype[b] & conaffinity[a]
+        if collide and len(joints[a] ^ joints[b]) > 1:
+            pairs.append((a, b))
     least = np.inf
-    data = mujoco.MjData(model)
-    joints = [_joints_above(model, b) for b in range(model.nbody)]
-    pairs = [
-        (a, b)
-        for a in range(model.ngeom)
-        for b in range(a)
-        if _collide(model, a, b)
-        and len(joints[model.geom_bodyid[a]] ^ joints[model.geom_bodyid[b]]) > 1
-    ]
-    for motion in motion_chunks(plan, rate):
-        for q in motion.q:
-            data.qpos[robot.qpos_index] = q
-            mujoco.mj_kinematics(model, data)
-            distances = (
-                mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a, b in pairs
-            )
-            least = min(least, *distances)
+    for data in _poses(robot, plan, rate):
+        for pair in pairs:
+            distance = mujoco.mj_geomDistance(model, data, *pair, 1.0, None)
+            least = min(least, distance)
     return float(least)
 
 
-def _collide(model, a, b):
-    masks = model.geom_contype, model.geom_conaffinity
-    return bool(masks[0][a] & masks[1][b] | masks[0][b] & masks[1][a])
-
-
 def _joints_above(model, body):
-    return frozenset(
-        j for j in range(model.njnt) if model.jnt_bodyid[j] in _ancestors(model, body)
-    )
+    """Return the ids of the joints that move a body."""
+    return set(np.flatnonzero(np.isin(model.jnt_bodyid, _ancestors(model, body))))
 
 
 def _capsules(model, body):
+    """Return the geoms of a body and of all that it carries, which have to be capsules."""
     carried = [b for b in range(model.nbody) if body in _ancestors(model, b)]
-    geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in carried]
-    assert all(model.geom_type[g] == mujoco.mjtGeom.mjGEOM_CAPSULE for g in geoms)
+    geoms = np.flatnonzero(np.isin(model.geom_bodyid, carried))
+    assert np.all(model.geom_type[geoms] == int(mujoco.mjtGeom.mjGEOM_CAPSULE))
     return geoms
 
 
 def _ancestors(model, body):
+    """Return the ids of a body and of those that carry it, up to the world."""
     ancestors = [body]
-    while body:
-        body = int(model.body_parentid[body])
-        ancestors.append(body)
+    while ancestors[-1]:
+        ancestors.append(int(model.body_parentid[ancestors[-1]]))
     return ancestors

@@ -44,17 +44,15 @@ class Truth:
 def truth_of(robot: RobotModel, seed: int, wrong_links: float = 0.02) -> Truth:
     """A right log of an arm whose links are a little off and that carries something."""
     rng = np.random.default_rng(seed)
-    plan = generate_excitation_trajectory(
-        robot, rng, DURATION, lambda m: np.zeros_like(m.q)
-    )[0]
+    no_torque = lambda motion: np.zeros_like(motion.q)  # noqa: E731
+    plan = generate_excitation_trajectory(robot, rng, DURATION, no_torque)[0]
     time = np.arange(round(RATE * DURATION)) / RATE
     motion = plan.evaluate(time)
-    thetas = np.array(
-        [link.theta * (1.0 + wrong_links * rng.normal()) for link in robot.links]
-    )
+    thetas = robot.thetas
+    thetas *= 1.0 + wrong_links * rng.normal(size=(len(thetas), 1))
     total = float(np.sum(thetas[:, 0]))
     mass = float(thetas[-1, 0] + total * rng.uniform(0.04, 0.1))
-    reach = 0.1 * sum(np.linalg.norm(link.translation) for link in robot.links)
+    reach = 0.1 * robot.length
     com = rng.normal(size=3) * 0.3 * reach
     radius = 0.3 * reach * np.diag(rng.uniform(0.5, 1.0, 3))
     second = mass * radius @ radius
@@ -63,7 +61,7 @@ def truth_of(robot: RobotModel, seed: int, wrong_links: float = 0.02) -> Truth:
     )
     dynamics = LinkDynamics(robot)
     rigid = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
-    rigid = rigid + np.array(robot.mj_model.dof_armature)[robot.dof_index] * motion.qdd
+    rigid = rigid + robot.armature * motion.qdd
     zero = np.zeros_like(motion.q)
     still = dynamics.motion(motion.q, zero, zero).torque(thetas)
     friction = _friction(rng, rigid, motion.qd)
