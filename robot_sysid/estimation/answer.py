@@ -8,14 +8,15 @@ estimated (``Unknowns.estimated``, ascending). A body has ten inertial parameter
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.newton_euler import LinkDynamics, gravity_vector
+from robot_sysid.dynamics.newton_euler import TILT_NAMES, LinkDynamics, gravity_vector
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.identifiability import (
     BaseCombinations,
@@ -30,14 +31,13 @@ from robot_sysid.estimation.algebra.least_squares import (
 )
 from robot_sysid.estimation.algebra.uncertainty import triangle_of
 from robot_sysid.estimation.choices import Errors
-from robot_sysid.estimation.columns import PAYLOAD_NAMES
+from robot_sysid.estimation.columns import PAYLOAD_NAMES, split_name
 from robot_sysid.estimation.errors import FitErrors
-from robot_sysid.estimation.file_fit import FileFit
 from robot_sysid.estimation.fit import Fit
 from robot_sysid.estimation.log_comparison import FrictionOfLogs
 from robot_sysid.estimation.question import FILE_FRICTION
 from robot_sysid.estimation.trust import HARMLESS
-from robot_sysid.estimation.unknowns import FRICTION, LINKS
+from robot_sysid.estimation.unknowns import LINKS
 from robot_sysid.records import (
     DELAY_NAME,
     Array,
@@ -63,30 +63,35 @@ _SIGNS = np.array([[1.0, 1.0], [1.0, -1.0]])
 
 @dataclass(frozen=True)
 class Answer:
-    """An identified arm: the fit, its errors and tests, and the fit for a model file.
+    """An estimate with its errors and tests: of an identified arm, or of a model file.
 
     The functions of ``estimation.identify`` return it, and ``estimation.build_result`` makes the
     ``Result`` record from it.
 
     Attributes:
         fit: the estimate of all p parameters.
-        file: the fit for a model file; None where no file is written.
         errors: covariance of the k estimated parameters, by cause.
-        validation: cross-validated error of the recordings that were fitted.
-        tests: errors in predicting the torques of logs that were not fitted, one per log.
+        validation: held-out error of the recordings that were fitted; of a model file with the
+            offsets of torque sensors subtracted.
         candidates: joint to friction model to its held-out root mean square error [N m]; empty
             where no friction models were compared.
+        file: the fit for a model file; None where no file is written. Of an MJCF that is written
+            for a given URDF, the fit for the URDF that is written beside it.
+        model_validation: of a model file, the held-out error of the given model, with the offsets
+            of torque sensors subtracted; else None.
+        tests: errors in predicting the torques of logs that were not fitted, one per log.
         acceleration_error: expected error of the acceleration, as a share of the acceleration.
         notes: sentences for the user.
         friction_of_logs: friction according to each log; None for a single log.
     """
 
     fit: Fit
-    file: FileFit | None
     errors: FitErrors
     validation: Validation
-    tests: tuple[Validation, ...] = ()
     candidates: Errors = field(default_factory=dict)
+    file: Answer | None = None
+    model_validation: Validation | None = None
+    tests: tuple[Validation, ...] = ()
     acceleration_error: float = 0.0
     notes: tuple[str, ...] = ()
     friction_of_logs: FrictionOfLogs | None = None
@@ -106,10 +111,12 @@ class Answer:
 
         Every name has to be that of an estimated parameter.
         """
-        indices = self.fit.unknowns.estimated
-        return np.eye(len(indices))[
-            np.searchsorted(indices, self.fit.columns.indices(names))
-        ]
+        return self._select(self.fit.columns.indices(names))
+
+    def _select(self, indices: NDArray[np.int64]) -> Array:
+        """Return the 0/1 matrix (m, k) that selects parameters by their index among all p."""
+        estimated = self.fit.unknowns.estimated
+        return np.eye(len(estimated))[np.searchsorted(estimated, indices)]
 
     def body(
         self, name: str, combinations: Array, theta: Array, model_theta: Array | None
@@ -139,16 +146,13 @@ class Answer:
 
     def links(self) -> Iterator[BodyEstimate]:
         """Yield the estimate of every link whose parameters were estimated, base to terminal."""
-        links = enumerate(self.robot.links)
-        joints = {link.body_name: k for k, link in links if link.has_mass}
+        links = {link.body_name: k for k, link in enumerate(self.robot.links)}
         for name, (indices, _) in self.fit.unknowns.bodies.items():
-            if name in joints:
-                joint = joints[name]
-                selection = self.selection_matrix(
-                    [self.fit.columns.names[k] for k in indices]
-                )
+            if name in links:
+                joint = links[name]
+                theta = self.fit.values[indices]
                 model_theta = self.robot.links[joint].theta
-                body = self.body(name, selection, self.fit.values[indices], model_theta)
+                body = self.body(name, self._select(indices), theta, model_theta)
                 yield replace(body, joint=self.robot.joint_names[joint])
 
     def quantity(self, name: str) -> Quantity:
@@ -157,109 +161,75 @@ class Answer:
         The error is NaN for a parameter that is held at a bound. Every other parameter has to be
         an estimated one.
         """
-        index = self.fit.columns.index[name]
-        unknowns = self.fit.unknowns
-        value = float(self.fit.final[index])
-        if name in unknowns.names_at_bound:
-            return Quantity(value, float("nan"))
-        (row,) = np.flatnonzero(unknowns.estimated == index)
-        return Quantity(value, float(self.errors.total.standard_errors[row]))
+        fit = self.fit
+        error = np.nan
+        if name not in fit.unknowns.names_at_bound:
+            row = fit.unknowns.estimated_names.index(name)
+            error = self.errors.total.standard_errors[row]
+        return Quantity(fit.value(name), float(error))
 
     def joints(self) -> Iterator[tuple[str, JointEstimate]]:
         """Yield (name, friction and rotor inertia) of each chain joint, base to terminal.
 
         The motors that turn several joints follow.
         """
-        noise = self.fit.noise_per_joint
-        friction_terms = self._friction_terms()
         robot = self.robot
-        models = dict(zip(robot.joint_names, self.fit.choice.friction))
+        choice = self.fit.choice
         for index, joint in enumerate(robot.joint_names):
-            terms = self._quantities(joint, friction_terms.get(joint, ()))
+            terms = self._friction(joint)
+            by_log = {}
+            other_day = {}
+            if self.friction_of_logs is not None:
+                by_log = self.friction_of_logs.by_log(joint)
+                other_day = self.friction_of_logs.on_another_day(joint, terms)
             model_terms = {
                 "coulomb": float(robot.friction.coulomb[index]),
                 "viscous": float(robot.friction.viscous[index]),
                 "armature": float(robot.armature[index]),
             }
-            yield (
-                joint,
-                JointEstimate(
-                    friction_model=models[joint].name if terms else "none",
-                    terms=terms,
-                    model_terms=model_terms,
-                    candidates=self.candidates.get(joint, {}) if terms else {},
-                    noise=noise.get(joint, float("nan")),
-                    directional_coulomb=self._directional_coulomb(joint, terms),
-                    logs=self._friction_by_log(joint),
-                    other_day_terms=self._other_day_friction(joint),
-                ),
+            estimate = JointEstimate(
+                friction_model=choice.friction[index].name if terms else "none",
+                terms=terms,
+                model_terms=model_terms,
+                candidates=self.candidates.get(joint, {}) if terms else {},
+                noise=self.fit.noise_per_joint.get(joint, np.nan),
+                directional_coulomb=self._directional_coulomb(joint, terms),
+                logs=by_log,
+                other_day_terms=other_day,
             )
-        for motor in self.fit.choice.couplings:
-            terms = self._quantities(motor.name, friction_terms.get(motor.name, ()))
-            of_model = zip(motor.terms, motor.model.tolist())
-            model_terms = {} if motor.tendon is None else dict(of_model)
+            yield joint, estimate
+        for motor in choice.couplings:
+            terms = self._friction(motor.name)
+            model_terms = {}
+            if motor.tendon is not None:
+                model_terms = dict(zip(motor.terms, motor.model.tolist()))
             yield (
                 motor.name,
                 JointEstimate("-".join(terms) or "none", terms, model_terms),
             )
 
-    def _quantities(self, owner: str, terms: Iterable[str]) -> dict[str, Quantity]:
-        """Return each of the friction terms of a joint or motor, mapped to its estimate."""
-        return {term: self.quantity(f"{term}[{owner}]") for term in terms}
+    @cached_property
+    def _friction_names(self) -> list[str]:
+        """Names of all friction terms of the friction model, estimated or held at a bound.
 
-    def _friction_by_log(self, owner: str) -> dict[str, dict[str, Quantity]]:
-        """Return name of a log to friction term of a joint to its value according to that log.
-
-        It is empty for a single log. The errors are those due to the noise of each log.
+        Terms that only a prior allows for (the cause "friction model") are not among them.
         """
-        friction = self.friction_of_logs
-        if friction is None:
-            return {}
-        terms = friction.terms_of(owner)
-        values = friction.between.values
-        errors = friction.between.errors
-        by_log: dict[str, dict[str, Quantity]] = {}
-        for row, log in enumerate(friction.logs):
-            by_log[log] = {}
-            for term, index in terms.items():
-                value = float(values[row, index])
-                by_log[log][term] = Quantity(value, float(errors[row, index]))
-        return by_log
+        unknowns = self.fit.unknowns
+        names = []
+        for name in (*unknowns.estimated_names, *unknowns.names_at_bound):
+            term, owner = split_name(name)
+            is_sensor = not owner or term in ("scale", "zero", "drift")
+            if not is_sensor and name not in unknowns.nuisance_friction:
+                names.append(name)
+        return names
 
-    def _other_day_friction(self, owner: str) -> dict[str, Quantity]:
-        """Return friction term of a joint to its estimate, with the error for another day's log.
-
-        This error includes the scatter of friction from log to log. It is empty for a single log.
-        """
-        friction = self.friction_of_logs
-        if friction is None:
-            return {}
-        values, errors = np.array([self.quantity(name) for name in friction.names]).T
-        next_errors = friction.between.next_log(errors)
-        terms = friction.terms_of(owner).items()
-        return {
-            term: Quantity(float(values[k]), float(next_errors[k])) for term, k in terms
-        }
-
-    def _friction_terms(self) -> dict[str, list[str]]:
-        """Return joint or motor to the names of its friction terms in the friction model.
-
-        Terms that are estimated or held at a bound count; terms that only a prior allows for (the
-        nuisances with the cause "friction model") do not.
-        """
-        nuisances = set[str]()
-        for group in self.fit.unknowns.groups:
-            if group.cause == FRICTION:
-                nuisances.update(group.names)
-        sensor_terms = {"scale", "zero", "drift"}
-        terms: dict[str, list[str]] = {}
-        for name in (
-            *self.fit.unknowns.estimated_names,
-            *self.fit.unknowns.names_at_bound,
-        ):
-            term, bracket, owner = name.partition("[")
-            if bracket and name not in nuisances and term not in sensor_terms:
-                terms.setdefault(owner[:-1], []).append(term)
+    def _friction(self, owner: str) -> dict[str, Quantity]:
+        """Return friction term of a joint or motor to its estimate."""
+        terms = {}
+        for name in self._friction_names:
+            term, member = split_name(name)
+            if member == owner:
+                terms[term] = self.quantity(name)
         return terms
 
     def _directional_coulomb(
@@ -276,12 +246,11 @@ class Answer:
         if level not in terms or "offset" not in terms or np.isnan(terms[level].error):
             return None
         selection = self.selection_matrix([f"{level}[{joint}]", f"offset[{joint}]"])
-        spread = np.sqrt(
-            np.maximum(np.diag(_SIGNS @ self.errors.of(selection)[0] @ _SIGNS.T), 0.0)
-        )
+        variances = np.diag(_SIGNS @ self.errors.of(selection)[0] @ _SIGNS.T)
+        spread = np.sqrt(np.maximum(variances, 0.0))
         values = _SIGNS @ [terms[level].value, terms["offset"].value]
-        forward, backward = zip(values.tolist(), spread.tolist())
-        return Quantity(*forward), Quantity(*backward)
+        forward, backward = map(Quantity, values.tolist(), spread.tolist())
+        return forward, backward
 
     def body_names(self) -> set[str]:
         """Return the names of all estimated parameters of bodies."""
@@ -294,9 +263,7 @@ class Answer:
         """Return name to estimate of every parameter that is neither of a body nor of the friction
         model: torque scales, encoder zeros, drift, tilt, delay, and nuisances of friction.
         """
-        excluded = self.body_names()
-        for owner, terms in self._friction_terms().items():
-            excluded.update(f"{term}[{owner}]" for term in terms)
+        excluded = self.body_names().union(self._friction_names)
         names = self.fit.unknowns.estimated_names
         return {name: self.quantity(name) for name in names if name not in excluded}
 
@@ -306,106 +273,86 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
 
     The answer has to contain the fit for a file (``Answer.file``).
     """
-    assert answer.file is not None
     file = answer.file
-    fit = answer.file.fit
+    assert file is not None and file.model_validation is not None
+    fit = file.fit
     robot = answer.robot
-    # A file holds fewer friction terms than the friction of logs, and states them once.
-    file_answer = replace(
-        answer, fit=fit, file=None, errors=file.errors, friction_of_logs=None
-    )
     thetas = fit.columns.thetas(fit.values)
     spread = np.zeros_like(thetas)
-    for body in file_answer.links():
+    for body in file.links():
         spread[robot.joint_names.index(str(body.joint))] = body.errors
     joints = {}
     notes = []
     unchanged_parts = fit.question.unchanged_parts
-    for owner, joint in file_answer.joints():
-        written = {
-            name: figure for name, figure in joint.terms.items() if name != "offset"
-        }
+    for owner, joint in file.joints():
+        written = dict(joint.terms)
+        written.pop("offset", None)
         rotor = joint.model_terms.get("armature", 0.0)
         if fit.choice.rotors.get(owner, rotor) != rotor:
             written["armature"] = answer.quantity(f"armature[{owner}]")
         if written:
             joints[owner] = written
-        elif owner in robot.joint_names:
+        elif owner in robot.joint_names and FILE_FRICTION not in unchanged_parts:
             notes.append(
                 f"{owner} does not move fast enough in these logs: nothing is learnt of its "
                 "friction and rotor inertia, the model's own stay"
             )
-    notes = [
-        *([] if FILE_FRICTION in unchanged_parts else notes),
-        *_offset_notes(file_answer, file.validation_after),
-    ]
-    turned = fit.next_point.gravity if fit.unknowns.increments else None
-    if turned is not None and np.array_equal(turned, gravity_vector(robot)):
-        turned = None
+    notes += _offset_notes(file)
+    gravity = None
+    if fit.unknowns.increments:
+        gravity = fit.next_point.gravity
+        if np.array_equal(gravity, gravity_vector(robot)):
+            gravity = None
+    urdf = None
+    if file.file is not None:
+        urdf, _ = model_file(replace(answer, file=file.file))
+        shares = []
+        for validation in (file.validation, file.file.validation):
+            error = validation.relative_error
+            shares.append("" if error is None else percent(error))
+        motors = ", ".join(motor.name for motor in fit.choice.couplings)
+        notes.append(
+            f"a URDF cannot hold the motor that turns with {motors}, or rotor inertia: "
+            f"{MODEL_NAMES['mjcf']} holds both (torque error on held-out data {shares[0]}), "
+            f"{MODEL_NAMES['urdf']} beside it lacks them ({shares[1]})"
+        )
     written_file = ModelFile(
         thetas,
         spread,
         joints,
-        turned,
-        file.validation_before,
-        file.validation_after,
+        gravity,
+        file.model_validation,
+        file.validation,
         unchanged=tuple(sorted(unchanged_parts)),
         motors=fit.choice.couplings,
+        urdf_file=urdf,
     )
-    if file.urdf is not None:
-        urdf, _ = model_file(replace(answer, file=file.urdf))
-        return replace(written_file, urdf_file=urdf), (
-            *notes,
-            _urdf_note(written_file, urdf),
-        )
     return written_file, tuple(notes)
 
 
-def _urdf_note(file: ModelFile, urdf: ModelFile) -> str:
-    """Return a sentence that compares a URDF with the MJCF that is written beside it.
-
-    Args:
-        file: the MJCF, with motors that turn several joints.
-        urdf: the URDF, which cannot hold these motors.
-    """
-    shares = []
-    for test in (urdf.validation_after, file.validation_after):
-        error = None if test is None else test.relative_error
-        shares.append("" if error is None else percent(error))
-    motors = ", ".join(motor.name for motor in file.motors)
-    return (
-        f"a URDF cannot hold the motor that turns with {motors}, or rotor inertia: "
-        f"{MODEL_NAMES['mjcf']} holds both (torque error on held-out data {shares[1]}), "
-        f"{MODEL_NAMES['urdf']} beside it lacks them ({shares[0]})"
-    )
-
-
-def _offset_notes(file: Answer, test: Validation) -> Iterator[str]:
-    """Yield a sentence on torque offsets where they are larger than the file's held-out error.
+def _offset_notes(file: Answer) -> Iterator[str]:
+    """Yield a sentence on torque offsets where they are larger than a model file's held-out error.
 
     No model file can hold such offsets of torque sensors.
 
     Args:
-        file: the fit for the model file and its errors, as an answer.
-        test: held-out error of the model file.
+        file: the fit for the model file, with its errors and held-out error.
     """
     fit = file.fit
-    counts = zip(fit.columns.joints, sample_counts(fit.evidence.total))
-    free = {j: count for j, count in counts if j not in fit.choice.offsets}
-    names = fit.unknowns.estimated_names
-    offsets = {
-        j: file.quantity(f"offset[{j}]") for j in free if f"offset[{j}]" in names
-    }
-    squares = sum(offsets[joint].value ** 2 * free[joint] for joint in offsets)
+    squares = 0.0
+    phrases = []
+    for joint, count in zip(fit.columns.joints, sample_counts(fit.evidence.total)):
+        name = f"offset[{joint}]"
+        if joint not in fit.choice.offsets and name in fit.unknowns.estimated_names:
+            offset = file.quantity(name)
+            squares += offset.value**2 * count
+            phrases.append(f"{joint} {with_error(*offset, 'N·m')}")
     squared = squares / np.sum(fit.evidence.squared_torque)
-    error = test.relative_error or 0.0
+    error = file.validation.relative_error or 0.0
     if squared > max(HARMLESS, error) ** 2:
-        listed = ", ".join(
-            f"{joint} {with_error(*offset, 'N·m')}" for joint, offset in offsets.items()
-        )
         yield (
-            f"no model file holds an offset of a torque sensor ({listed}), or friction that is "
-            "larger in one direction: with it left in, the written file's torque error on "
+            f"no model file holds an offset of a torque sensor ({', '.join(phrases)}), or friction "
+            "that is larger in one direction: with it left in, the written file's torque error on "
             f"held-out data is {percent(float(np.sqrt(squared + error**2)))}"
         )
 
@@ -439,16 +386,16 @@ def estimate_of(answer: Answer) -> Estimate:
     fit = answer.fit
     errors = answer.errors
     names = fit.unknowns.estimated_names
-    sensors = answer.sensors()
-    increments = {DELAY_NAME, "tilt_1", "tilt_2"} & set(fit.unknowns.increments)
-    links = answer.body_names() - set(PARAMETER_NAMES)
-    nuisances = links.union(sensors) - increments
-    interest = [name for name in names if name not in nuisances]
-    others = [name for name in names if name in nuisances]
-    order = [names.index(name) for name in (*interest, *others)]
+    increments = {DELAY_NAME, *TILT_NAMES}.intersection(fit.unknowns.increments)
+    links = answer.body_names().difference(PARAMETER_NAMES)
+    nuisances = links.union(answer.sensors()) - increments
+    # Sorting is stable: both groups keep their order.
+    order = sorted(range(len(names)), key=lambda k: names[k] in nuisances)
+    ordered_names = tuple(names[k] for k in order)
+    interest = ordered_names[: len(names) - len(nuisances.intersection(names))]
     residuals = residual_errors(fit.evidence.total, fit.values)
     return Estimate(
-        names=tuple(names[k] for k in order),
+        names=ordered_names,
         values=fit.final[fit.unknowns.estimated][order],
         identifiability=analyse_identifiability(restrict(fit.evidence.total, interest)),
         **residuals,

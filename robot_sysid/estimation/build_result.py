@@ -146,13 +146,10 @@ def _file_verdict(answer: Answer) -> Judgement | None:
 
     None where no file was fitted.
     """
-    if answer.file is None:
+    file = answer.file
+    if file is None or file.model_validation is None:
         return None
-    return judge_file(
-        answer.file.validation_before,
-        answer.file.validation_after,
-        noise_share(answer.fit),
-    )
+    return judge_file(file.model_validation, file.validation, noise_share(answer.fit))
 
 
 def _common(answer: Answer, data: DataOrigin) -> Result:

@@ -104,6 +104,15 @@ class Point:
     in_file: bool = False
 
 
+def split_name(name: str) -> tuple[str, str]:
+    """Return (term, joint or motor) of a parameter's name such as "coulomb[joint6]".
+
+    The second one is "" for a parameter without brackets, such as one of a body.
+    """
+    term, _, owner = name.partition("[")
+    return term, owner[:-1]
+
+
 class Columns:
     """Names of all p parameters, and the linearised rows of recordings in these parameters.
 
@@ -165,9 +174,7 @@ class Columns:
 
     def _classify_columns(self, names: Sequence[str]) -> None:
         """Set masks (q,) over the q named parameters, whose columns do not depend on the point."""
-        split_names = [name.partition("[") for name in names]
-        terms = np.array([term for term, _, _ in split_names])
-        owners = np.array([suffix[:-1] for _, _, suffix in split_names])
+        terms, owners = np.array(list(map(split_name, names))).T
         self._of_bodies = owners == ""
         self._drifting = np.isin(terms, _DRIFTING) & np.isin(owners, self.joints)
         self._smooth = self._of_bodies | np.isin(terms, _SMOOTH)

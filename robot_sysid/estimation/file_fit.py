@@ -10,15 +10,16 @@ Shapes: the chain has n joints, "joints" are those with equations, p parameters 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from robot_sysid.dynamics.friction import Coupling, FrictionModel, friction_model
 from robot_sysid.estimation.algebra.priors import LinkScales
+from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.choices import IN_FILE, WITH_POLYNOMIAL, posterior_of
-from robot_sysid.estimation.columns import PAYLOAD_NAMES, Point
-from robot_sysid.estimation.errors import FitErrors, fit_errors
+from robot_sysid.estimation.columns import PAYLOAD_NAMES, Point, split_name
+from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.fit import Fit, Fitter
 from robot_sysid.estimation.held_out import (
     HeldOut,
@@ -44,25 +45,6 @@ from robot_sysid.records import Array, RobotModel, Validation
 _ROUNDS = 2
 
 
-@dataclass(frozen=True)
-class FileFit:
-    """The model file that predicts some recordings best.
-
-    Attributes:
-        fit: the parameters of the file.
-        validation_before: held-out error of the given model, sensor offsets subtracted.
-        validation_after: held-out error of the file, sensor offsets subtracted.
-        errors: of the parameters of the file.
-        urdf: the best URDF, where the given model is a URDF and this file is an MJCF; else None.
-    """
-
-    fit: Fit
-    validation_before: Validation
-    validation_after: Validation
-    errors: FitErrors
-    urdf: FileFit | None = None
-
-
 def fit_file(
     fitter: Fitter,
     options: EstimationOptions,
@@ -70,7 +52,7 @@ def fit_file(
     estimate: Fit,
     pull: Array | None = None,
     carried: Array | None = None,
-) -> FileFit:
+) -> Answer:
     """Return the fit of the model file that predicts held-out torques best.
 
     Motors that turn several joints are fixed tendons, which only an MJCF has.
@@ -101,7 +83,7 @@ def fit_file(
     best = _fit_kind(
         fitter, replace(question, file_kind="mjcf"), motors, estimate, pull
     )
-    return replace(best, urdf=_fit_kind(fitter, question, (), estimate, pull))
+    return replace(best, file=_fit_kind(fitter, question, (), estimate, pull))
 
 
 def _fit_kind(
@@ -110,7 +92,7 @@ def _fit_kind(
     motors: tuple[Coupling, ...],
     estimate: Fit,
     pull: Array | None,
-) -> FileFit:
+) -> Answer:
     """Return the best file of the kind ``question.file_kind``.
 
     Args:
@@ -126,7 +108,8 @@ def _fit_kind(
     values = estimate.values.copy()
     prefixes = ("scale", "drift", "zero", "load")
     for name, index in fitter.columns.index.items():
-        if name.partition("[")[0] in prefixes or "[" not in name:
+        term, owner = split_name(name)
+        if not owner or term in prefixes:
             values[index] = fitter.columns.model_values[index]
     point = replace(fitter.columns.start(), values=values, in_file=True)
     model_validation = _validate_model(fitter, question, choice, point)
@@ -154,7 +137,8 @@ def _fit_kind(
     judge = held_out(fit, fit.unknowns)
     validation = judge.validation(judge.consistent_squared_errors(fit.unknowns))
     del judge
-    return FileFit(fit, model_validation, validation, fit_errors(fit, (), pull))
+    errors = fit_errors(fit, (), pull)
+    return Answer(fit, errors, validation, model_validation=model_validation)
 
 
 def _holds_rotors(question: Question) -> bool:

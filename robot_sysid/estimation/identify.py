@@ -147,35 +147,34 @@ def answer_link(
     progress.stage("Solving for parameters...")
     fit = fitter.fit(question, choice, start)
     errors = fit_errors(fit)
-    logs = compare_recordings(fit, [dataset.name for dataset in datasets])
-    file = None
+    log_notes, log_tests, friction = compare_recordings(fit)
     validation = held_out_validation(fit)
+    file = None
     if unchanged_parts is not None:
         progress.stage(Detail("Fitting the model file..."))
         # The file's rows, which the report draws, take as much memory.
         fit = replace(fit, samples=(), evidence=fit.evidence.merge_blocks())
         file = fit_file(fitter, options, unchanged_parts, fit)
     signals = [dataset.signals for dataset in datasets if dataset.signals is not None]
-    coarsest = max(
-        (log_signals.acceleration_error for log_signals in signals), default=0.0
-    )
-    answer = Answer(fit, file, errors, validation, (), candidates, coarsest)
     notes: list[str] = []
     if any({"coulomb", "offset"} <= set(model.terms) for model in choice.friction):
-        notes += [
-            note
-            for log_signals in signals
-            for note in log_signals.one_way_joints(robot.joint_names)
-        ]
-    others = tuple(
-        validate_datasets(fit, errors, log, name) for name, log in (tests or {}).items()
-    )
-    notes = list(dict.fromkeys((*notes, *logs.notes)))
-    return replace(
-        answer,
-        notes=tuple(notes),
-        tests=(*others, *logs.tests),
-        friction_of_logs=logs.friction,
+        for log_signals in signals:
+            notes += log_signals.one_way_joints(robot.joint_names)
+    validations = []
+    for name, log in (tests or {}).items():
+        validations.append(validate_datasets(fit, errors, log, name))
+    return Answer(
+        fit,
+        errors,
+        validation,
+        candidates,
+        file,
+        tests=(*validations, *log_tests),
+        acceleration_error=max(
+            (log.acceleration_error for log in signals), default=0.0
+        ),
+        notes=tuple(dict.fromkeys((*notes, *log_notes))),
+        friction_of_logs=friction,
     )
 
 
@@ -204,24 +203,20 @@ def answer_payload(
     choice, candidates, start = choose(fitter, weighing, model)
     free = fitter.fit(weighing, choice, start)
     progress.stage(Detail("Finding out how far off it may be..."))
-    weighed = Answer(
-        free, None, fit_errors(free), held_out_validation(free), (), candidates
-    )
-    if question.known_mass is None:
-        if (
-            unchanged_parts is not None
-            and options.torques == "chain"
-            and not question.resting
-        ):
-            progress.stage(Detail("Fitting the model file..."))
-            carried, _ = written_payload(weighed)
-            file = fit_file(fitter, options, unchanged_parts, free, carried=carried)
-            weighed = replace(weighed, file=file)
-        return weighed, weighed
-    fit = fitter.fit(question, choice, free.point)
-    return Answer(
-        fit, None, fit_errors(fit), held_out_validation(fit), (), candidates
-    ), weighed
+
+    def answer_of(fit: Fit) -> Answer:
+        return Answer(fit, fit_errors(fit), held_out_validation(fit), candidates)
+
+    weighed = answer_of(free)
+    if question.known_mass is not None:
+        return answer_of(fitter.fit(question, choice, free.point)), weighed
+    can_have_file = options.torques == "chain" and not question.resting
+    if unchanged_parts is not None and can_have_file:
+        progress.stage(Detail("Fitting the model file..."))
+        carried, _ = written_payload(weighed)
+        file = fit_file(fitter, options, unchanged_parts, free, carried=carried)
+        weighed = replace(weighed, file=file)
+    return weighed, weighed
 
 
 def refit(

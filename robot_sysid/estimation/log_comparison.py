@@ -42,13 +42,15 @@ from robot_sysid.estimation.algebra.priors import (
     with_prior,
 )
 from robot_sysid.estimation.algebra.uncertainty import residual_correlation_time
+from robot_sysid.estimation.columns import split_name
 from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.fit import Fit, evidence_of, restrict_samples
 from robot_sysid.estimation.held_out import HeldOut, is_informative_test
-from robot_sysid.estimation.unknowns import FRICTION, Unknowns
+from robot_sysid.estimation.unknowns import Unknowns
 from robot_sysid.records import Array, SquareRootInformation, Validation
 from robot_sysid.records.data import validation_of
 from robot_sysid.records.messages import percent
+from robot_sysid.results.record import Quantity
 
 DISAGREE = 2.0
 """Ratio of the scatter of masses to their standard errors above which logs do not agree."""
@@ -119,14 +121,46 @@ class FrictionOfLogs:
     between: BetweenLogs
     differences: Mapping[str, float]
 
-    def terms_of(self, owner: str) -> dict[str, int]:
-        """Return the friction terms of a joint or a motor, each with its index in ``names``."""
-        split = [name.partition("[") for name in self.names]
-        return {
-            term: k
-            for k, (term, _, suffix) in enumerate(split)
-            if suffix == f"{owner}]"
-        }
+    def _indices(self, owner: str) -> dict[str, int]:
+        """Return friction term of a joint or a motor to its index in ``names``."""
+        indices = {}
+        for index, name in enumerate(self.names):
+            term, member = split_name(name)
+            if member == owner:
+                indices[term] = index
+        return indices
+
+    def by_log(self, owner: str) -> dict[str, dict[str, Quantity]]:
+        """Return name of a log to friction term of a joint to its value according to that log.
+
+        The errors are those due to the noise of each log.
+        """
+        terms = self._indices(owner)
+        columns = [*terms.values()]
+        by_log = {}
+        for row, log in enumerate(self.logs):
+            values = self.between.values[row, columns].tolist()
+            errors = self.between.errors[row, columns].tolist()
+            by_log[log] = dict(zip(terms, map(Quantity, values, errors)))
+        return by_log
+
+    def on_another_day(
+        self, owner: str, terms: Mapping[str, Quantity]
+    ) -> dict[str, Quantity]:
+        """Return friction term of a joint to its value, with the error for another day's log.
+
+        The error includes the scatter of friction from log to log.
+
+        Args:
+            owner: the joint.
+            terms: friction term of the joint to its estimate from all logs together.
+        """
+        other_day = {}
+        for term, index in self._indices(owner).items():
+            errors = np.full(len(self.names), terms[term].error)
+            error = self.between.next_log(errors)[index]
+            other_day[term] = Quantity(terms[term].value, float(error))
+        return other_day
 
     @property
     def note(self) -> tuple[str, ...]:
@@ -144,34 +178,23 @@ class FrictionOfLogs:
         )
 
 
-@dataclass(frozen=True)
-class LogComparison:
-    """How several logs of an arm compare; all fields are empty for a single log.
+def compare_recordings(
+    fit: Fit,
+) -> tuple[tuple[str, ...], list[Validation], FrictionOfLogs | None]:
+    """Return how the logs of a fit compare; nothing where there is a single log.
 
-    Attributes:
-        notes: one sentence each, on masses and friction.
-        tests: error of each log predicted from the others.
-        friction: friction by log; None without friction.
-    """
+    Recordings of one name are one log. A log with joints that the others do not identify is not
+    used as a test.
 
-    notes: tuple[str, ...] = ()
-    tests: tuple[Validation, ...] = ()
-    friction: FrictionOfLogs | None = None
-
-
-def compare_recordings(fit: Fit, names: Sequence[str]) -> LogComparison:
-    """Return how the logs of a fit compare.
-
-    A log with joints that the others do not identify is not used as a test.
-
-    Args:
-        names: the log of each dataset.
+    Returns:
+        (sentences on masses and friction, error of each log predicted from the others, friction by
+        log or None).
     """
     logs: dict[str, list[DecimatedSamples]] = {}
-    for name, samples in zip(names, fit.samples):
-        logs.setdefault(name, []).append(samples)
+    for dataset, samples in zip(fit.columns.datasets, fit.samples):
+        logs.setdefault(dataset.name, []).append(samples)
     if len(logs) < 2:
-        return LogComparison()
+        return (), [], None
     data = evidence_of(logs.values(), fit.evidence.torque)
     judge = HeldOut(data, 1.0 / fit.weights, fit.unknowns)
     errors = judge.consistent_squared_errors(fit.unknowns)
@@ -207,7 +230,7 @@ def compare_recordings(fit: Fit, names: Sequence[str]) -> LogComparison:
         masses[name] = float(values[0]), float(np.sqrt(covariance[0, 0]))
     note = () if friction is None else friction.note
     notes = (*_agreement(masses, not note), *note)
-    return LogComparison(notes, tuple(tests), friction)
+    return notes, tests, friction
 
 
 def friction_of_logs(
@@ -232,14 +255,13 @@ def friction_of_logs(
     ]
     ones = np.ones(len(fit.weights))
     squares = sum(normal_matrix(one, ones)[np.ix_(indices, indices)] for one in plain)
-    owners = np.array([name.partition("[")[2][:-1] for name in names])
+    terms, owners = np.array(list(map(split_name, names))).T
     has_same_owner = owners[:, None] == owners
     # A term counts by its share of its joint's usual friction torque, so that a coefficient near
     # zero may differ as much as the others.
     diagonal = np.diag(squares)
     sizes = np.sqrt(has_same_owner @ (values**2 * diagonal) / diagonal)
     sizes = np.maximum(sizes, SIZE_FLOOR * max(float(np.max(sizes)), SIZE_FLOOR))
-    terms = np.array([name.partition("[")[0] for name in names])
     weights = [_weights_beside_friction(fit, log, indices) for log in logs.values()]
     normals = [normal_matrix(*pair) for pair in zip(plain, weights)]
     prior = np.zeros_like(normals[0])
@@ -271,18 +293,12 @@ def _friction_names(unknowns: Unknowns) -> list[str]:
     """Return the estimated friction terms, without rotor inertia, which does not change between
     logs, and without the terms that are nuisances.
     """
-    nuisances = {
-        name
-        for group in unknowns.groups
-        if group.cause == FRICTION
-        for name in group.names
-    }
     terms = TERMS.keys() - {"armature"}
-    return [
-        n
-        for n in unknowns.estimated_names
-        if n not in nuisances and n.partition("[")[0] in terms
-    ]
+    names = []
+    for name in unknowns.estimated_names:
+        if split_name(name)[0] in terms and name not in unknowns.nuisance_friction:
+            names.append(name)
+    return names
 
 
 def _weights_beside_friction(

@@ -55,7 +55,6 @@ from robot_sysid.records import (
     Motion,
     RobotModel,
     Source,
-    Validation,
 )
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.signals.repetition import RowSample, sample_rows
@@ -388,24 +387,16 @@ def answer_from(
     errors = fit_errors(fit, residuals, information.pull)
     fixed = _Fixed(robot, information, fit.point)
     file = fit_file(fixed, options, (FILE_GRAVITY,), fit, information.pull)
-    tests: tuple[Validation, ...] = ()
+    tests = []
     if validation is not None:
-        tests = (
-            validate_rows(
-                fit,
-                errors,
-                validation.evidence,
-                f"{validation.origin.detail}, not fitted",
-            ),
-        )
-    single_logs = held_out_validation(fit)
+        source = f"{validation.origin.detail}, not fitted"
+        tests.append(validate_rows(fit, errors, validation.evidence, source))
     return Answer(
         fit,
-        file,
         errors,
-        single_logs,
-        tests,
-        {},
-        information.acceleration_error,
-        information.notes,
+        held_out_validation(fit),
+        file=file,
+        tests=tuple(tests),
+        acceleration_error=information.acceleration_error,
+        notes=information.notes,
     )

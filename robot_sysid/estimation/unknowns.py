@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,10 +119,16 @@ class Unknowns:
     increments: tuple[str, ...] = ()
     names_at_bound: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def estimated_names(self) -> tuple[str, ...]:
         """Names (k,) of the unknown parameters."""
         return tuple(self.names[index] for index in self.estimated)
+
+    @cached_property
+    def nuisance_friction(self) -> set[str]:
+        """Names of the friction terms that only a prior allows for (cause ``FRICTION``)."""
+        groups = [group.names for group in self.groups if group.cause == FRICTION]
+        return set().union(*groups)
 
     def full(self, estimate: Array) -> Array:
         """Return all parameters (p,) from the estimate (k,) of the unknown ones."""

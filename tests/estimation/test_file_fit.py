@@ -86,15 +86,12 @@ def test_the_file_predicts_with_the_stated_error(plant, robot):
     )
     assert all(spatial.is_consistent(theta) for theta in fit.columns.thetas(fit.values))
     prior_error = torque_error(robot.mj_model, robot, signals, "log").relative_error
-    assert file.validation_before.relative_error == pytest.approx(prior_error, rel=0.05)
-    assert (
-        file.validation_after.relative_error
-        < 0.02 * file.validation_before.relative_error
-    )
+    assert file.model_validation.relative_error == pytest.approx(prior_error, rel=0.05)
+    assert file.validation.relative_error < 0.02 * file.model_validation.relative_error
     model = compile_fit(robot, fit)
     for log in (signals, other_signals):
         error = torque_error(model, robot, log, "file").relative_error
-        assert error == pytest.approx(file.validation_after.relative_error, rel=0.25)
+        assert error == pytest.approx(file.validation.relative_error, rel=0.25)
     # It has only the terms that a file holds, and each joint's sensor offset.
     terms = {
         name.partition("[")[0] for name in fit.unknowns.estimated_names if "[" in name
@@ -130,7 +127,7 @@ def test_a_tilted_gravity_is_estimated_unless_it_is_kept(plant, robot):
     assert angle_between(file.fit.point.gravity, gravity_vector(tilted)) < 0.3
     kept = record_and_fit(tilted, robot, (GRAVITY,))
     assert np.array_equal(kept.fit.point.gravity, gravity_vector(robot))
-    assert kept.validation_after.relative_error > file.validation_after.relative_error
+    assert kept.validation.relative_error > file.validation.relative_error
 
 
 def without_rotors(robot):
@@ -211,11 +208,8 @@ def test_a_motor_that_turns_two_joints_is_in_the_file(plant, robot):
     for term, value in {"coulomb": 1.5, "viscous": 0.4, "armature": 0.02}.items():
         estimate = file.fit.value(f"{term}[joint1+joint2]")
         assert estimate == pytest.approx(value, rel=0.1)
-    assert (
-        file.validation_after.relative_error
-        < 0.2 * without.validation_after.relative_error
-    )
-    assert file.urdf is None
+    assert file.validation.relative_error < 0.2 * without.validation.relative_error
+    assert file.file is None
 
     kept = [GRAVITY, FRICTION]
     fit = record_and_fit(plant, robot, (*kept,), shared_motor, motors).fit
@@ -233,8 +227,8 @@ def test_a_urdf_beside_the_mjcf_that_holds_a_shared_motor_is_fitted_as_a_urdf(
     motors = (coupling(robot, WRIST),)
     file = record_and_fit(plant, model, (GRAVITY,), shared_motor, motors)
     assert file.fit.question.file_kind == "mjcf"
-    assert file.urdf.fit.question.file_kind == "urdf"
+    assert file.file.fit.question.file_kind == "urdf"
     alone = record_and_fit(plant, model, (GRAVITY,), shared_motor)
-    error = alone.validation_after.relative_error
-    assert file.urdf.validation_after.relative_error == pytest.approx(error, rel=0.05)
-    assert file.validation_after.relative_error < 0.2 * error
+    error = alone.validation.relative_error
+    assert file.file.validation.relative_error == pytest.approx(error, rel=0.05)
+    assert file.validation.relative_error < 0.2 * error

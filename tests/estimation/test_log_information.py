@@ -66,8 +66,8 @@ def test_the_sum_gives_the_estimate_and_the_file_of_all_logs(robot, logs, answer
         assert getattr(choice, name) == getattr(expected, name)
     scales = vars(choice.link_scales)
     assert scales == pytest.approx(vars(expected.link_scales), rel=0.02)
-    error = joint.file.validation_after.relative_error
-    assert answer.file.validation_after.relative_error == pytest.approx(error, rel=0.02)
+    error = joint.file.validation.relative_error
+    assert answer.file.validation.relative_error == pytest.approx(error, rel=0.02)
     thetas, joint_thetas = (
         file.fit.columns.thetas(file.fit.values) for file in (answer.file, joint.file)
     )
