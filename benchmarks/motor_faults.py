@@ -6,7 +6,7 @@ Run from the checkout:
     ... stop
     ... clean
     ... all --json motor_faults.json
-    ... page          # the table of docs/damiao.md
+    ... page          # the table of motor_faults.md
 
 Arms of public models are played on simulated Damiao motors, in simulated time. ``damage`` spoils
 one feedback frame, as text on a serial line; ``faults`` disturbs a motor or the arm while it plays;
@@ -72,7 +72,7 @@ MOMENTS = {
 DAMAGE_PATIENCE = 1.0
 DAMAGE_BOUND = 0.05
 """Largest departure of a joint after a damaged frame [rad]."""
-PAGE = ROOT / "docs" / "damiao.md"
+PAGE = ROOT / "benchmarks" / "motor_faults.md"
 PAGE_BEGIN = "<!-- faults: python -m benchmarks.motor_faults page -->"
 PAGE_END = "<!-- end of faults -->"
 PAGE_HEAD = "| Fault | Departure [rad] | The message contains |\n| --- | --- | --- |"
@@ -289,7 +289,7 @@ def print_clean_runs(
 
 
 def write_page(jobs: int) -> None:
-    """Write the table of faults into docs/damiao.md."""
+    """Write the table of faults into benchmarks/motor_faults.md."""
     outcomes = {
         outcome.name: outcome for outcome in outcomes_of([i.case for i in LINES], jobs)
     }

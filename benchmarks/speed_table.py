@@ -1,4 +1,4 @@
-"""The table of docs/comparison.md: processor time and memory beside other tools, in one run.
+"""The table of benchmarks/speed.md: processor time and memory beside other tools, in one run.
 
 Run from the checkout, each part some minutes on one core; ``--write`` puts its rows into the page:
 
@@ -32,7 +32,7 @@ from benchmarks import against_mujoco_sysid, servo_arm, whole_arm
 from robot_sysid.parser import load_robot_model
 from tests.support.places import DATA, GUESS, MODELS, ROOT, TRUTH
 
-PAGE = ROOT / "docs" / "comparison.md"
+PAGE = ROOT / "benchmarks" / "speed.md"
 BEGIN = "<!-- speed: python -m benchmarks.speed_table -->"
 END = "<!-- end of speed -->"
 HEADING = (

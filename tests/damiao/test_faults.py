@@ -38,7 +38,7 @@ def test_a_fault_moves_no_joint_far_from_its_path(line, outcomes):
 
 @pytest.mark.slow
 def test_the_page_says_how_far_joints_get_and_what_is_said(outcomes):
-    page = (ROOT / "docs" / "damiao.md").read_text(encoding="utf-8")
+    page = (ROOT / "benchmarks" / "motor_faults.md").read_text(encoding="utf-8")
     for line in LINES:
         rows = [row for row in page.splitlines() if row.startswith(f"| {line.name} |")]
         stated = [float(row.split("|")[2].strip(" *")) for row in rows]

@@ -1,6 +1,6 @@
 """What may go wrong with a motor or an arm: how far joints may get, and what has to be said.
 
-docs/damiao.md shows the table that ``benchmarks/motor_faults.py`` makes of it.
+benchmarks/motor_faults.md shows the table that ``benchmarks/motor_faults.py`` makes of it.
 """
 
 from __future__ import annotations
