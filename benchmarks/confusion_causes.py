@@ -16,7 +16,11 @@ from benchmarks import wrong_logs
 from benchmarks.real_arms import SENSOR_ARMS, RealArm, draw_arm
 from benchmarks.wrong_logs import carrying_joint
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.newton_euler import LinkDynamics, gravity_vector, turn_gravity
+from robot_sysid.dynamics.inverse_dynamics import (
+    LinkDynamics,
+    gravity_vector,
+    turn_gravity,
+)
 from robot_sysid.model.compilation import compiled_in_memory
 from robot_sysid.parser import load_robot_model, robot_from_compiled
 from robot_sysid.records import Array, Measurement, RobotModel

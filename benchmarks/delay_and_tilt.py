@@ -13,7 +13,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.example_study import NoiseStudy, designed_plan, random_plan
-from robot_sysid.dynamics.newton_euler import TILT_NAMES, gravity_vector, with_gravity
+from robot_sysid.dynamics.inverse_dynamics import (
+    TILT_NAMES,
+    gravity_vector,
+    with_gravity,
+)
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import DELAY_NAME

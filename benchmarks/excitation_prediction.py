@@ -29,7 +29,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import other_links
-from robot_sysid.dynamics.newton_euler import (
+from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     LinkDynamics,
     gravity_vector,

@@ -20,7 +20,7 @@ import time
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.design import Design

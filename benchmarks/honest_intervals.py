@@ -34,7 +34,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import other_links
-from robot_sysid.dynamics.newton_euler import (
+from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
     gravity_vector,
     turn_gravity,

@@ -28,7 +28,7 @@ from benchmarks import against_mujoco_sysid as rollouts
 from benchmarks.speed_table import rewrite
 from robot_sysid.api.calls import identify, payload
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.estimation.algebra.least_squares import restrict
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.identifiability import base_combinations
 from robot_sysid.estimation.answer import parameter_scale, structural_base

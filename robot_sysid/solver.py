@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimation.algebra.consistent_bodies import (
     ConsistentLinks,
     LinksProblem,
 )
-from robot_sysid.estimation.algebra.identifiability import (
-    N_INERTIAL,
-    analyse_identifiability,
-)
+from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
 from robot_sysid.estimation.algebra.least_squares import (
     ordinary,
     residual_errors,

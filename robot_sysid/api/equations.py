@@ -10,8 +10,7 @@ import numpy as np
 
 from robot_sysid.api.keywords import Model, arm_of, with_keywords
 from robot_sysid.dynamics.equations import link_names
-from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
-from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, checked_array
 

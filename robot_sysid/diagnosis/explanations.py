@@ -19,7 +19,11 @@ import numpy as np
 from robot_sysid.diagnosis import Level
 from robot_sysid.diagnosis.evidence import Posterior
 from robot_sysid.diagnosis.rows import PAYLOAD, REACH, LogRows, Prior, rms
-from robot_sysid.dynamics.newton_euler import TILT_NAMES, LinkDynamics, gravity_vector
+from robot_sysid.dynamics.inverse_dynamics import (
+    TILT_NAMES,
+    LinkDynamics,
+    gravity_vector,
+)
 from robot_sysid.dynamics.spatial import parameter_scale
 from robot_sysid.records import Array, Motion
 from robot_sysid.records.messages import percent, with_error

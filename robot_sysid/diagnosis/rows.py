@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.friction import friction_model
-from robot_sysid.dynamics.newton_euler import TILT_NAMES
+from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.dynamics.spatial import (
     PARAMETER_NAMES,
     characteristic_length,

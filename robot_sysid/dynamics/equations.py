@@ -19,9 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.friction import Coupling, FrictionModel
-from robot_sysid.dynamics.inverse_dynamics import BeyondRigidBodies
-from robot_sysid.dynamics.newton_euler import LinkDynamics, LinksMotion
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.dynamics.inverse_dynamics import (
+    BeyondRigidBodies,
+    LinkDynamics,
+    LinksMotion,
+)
+from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, Motion, RobotModel
 
@@ -29,8 +32,6 @@ TERMINAL_FRICTION = FrictionModel(("coulomb", "viscous"))
 """Friction terms that are estimated of the terminal joint from simulated data."""
 NO_FRICTION = FrictionModel(())
 """No friction terms are estimated: the friction of the robot's model is taken as known."""
-N_INERTIAL = len(PARAMETER_NAMES)
-"""Inertial parameters of one link."""
 
 
 def friction_per_joint(

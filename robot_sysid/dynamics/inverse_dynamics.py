@@ -1,18 +1,67 @@
-"""Inverse dynamics by MuJoCo: torque of an entire arm, and torque of armature, springs, tendons and
-actuators alone.
+"""Inverse dynamics of an arm: by a recursion over its links in numpy, and by MuJoCo.
+
+MuJoCo gives the torque of an entire arm, and that of armature, springs, tendons and actuators
+alone. The recursion of Newton and Euler gives motion and torque of all links at once, on chunks
+of samples.
+
+With T_i the pose of link i in link i-1 and S_i the screw of its joint in its own frame (Lynch and
+Park, "Modern Robotics", 2017, eq. 8.50 to 8.53, A_0 = [0, -g]):
+
+    V_i = Ad(T_i^-1) V_{i-1} + S_i qd_i,
+    A_i = Ad(T_i^-1) A_{i-1} - ad(S_i) V_i qd_i + S_i qdd_i,
+    F_i = Y6(V_i, A_i) theta_i + Ad(T_{i+1}^-1)^T F_{i+1},   tau_i = S_i^T F_i.
+
+The regressor of a link's own parameters needs the twist of each joint below it:
+
+    J_ij = Ad(T_i^-1) J_{i-1,j},   J_ii = S_i,   d tau_j / d theta_i = J_ij^T Y6(V_i, A_i).
+
+Turning by an angle d about an axis, Ad(exp([S] d)^-1) = 1 - ad(S) sin d + ad(S)^2 (1 - cos d);
+ad(S) of a slide has no square, and d stands for the sine.
+
+In the base's frame a joint's screw is the same for all links that it moves. There link i turns by
+X_i = sum_{k <= i} S_k dq_k, and
+
+    dS_i = ad(X_i) S_i,   V_i = sum_{k <= i} S_k qd_k,
+    A_i = sum_{k <= i} (S_k qdd_k + ad(V_k) S_k qd_k) + A_0.
+
+Arrays are component first: (6, N) holds N samples of a twist [omega, v].
+
+Two errors of a real arm change its torques to first order by a column times an unknown: the zero
+of an encoder, by -d tau / d q_joint [N m/rad], and a base that is tilted by two angles. Joint
+torques are linear in gravity g. Turning it by small angles a1, a2 about two axes e1, e2
+perpendicular to it adds a1 tau(e1 x g) + a2 tau(e2 x g), tau(.) the torque of the resting arm under
+that gravity. Estimated, applied and estimated again, this converges in a few rounds.
 """
 
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from robot_sysid.records import Array, RobotModel
+from robot_sysid.dynamics.spatial import N_INERTIAL, cross, skew, symmetric_from_six
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.regressor import wrench_regressor
 
 MUJOCO_VERSION: str = mujoco.__version__
+"""Release of MuJoCo that computes the torques."""
+_ARRAY_SIZE = 1_000_000
+"""Largest size of an array of intermediate results [numbers], beyond which a motion is split
+(``split_motion``): it bounds the memory for arms with many joints."""
+TILT_NAMES = ("tilt_1", "tilt_2")
+"""Names of the two angles by which a base is tilted."""
+_TILT_CHUNK = 1000
+"""Largest number of samples whose torques ``tilt_columns`` computes at a time."""
+_OPPOSITE = 1e-12
+"""Least 1 + cosine of the turn in ``tilt_axes``, which keeps the division defined where gravity is
+upside down; any axes perpendicular to it will do then."""
 
 
 def analysis_copy(mj_model: Any) -> Any:
@@ -99,32 +148,30 @@ class ArmDynamics:
     Args:
         robot: the arm.
         mj_model: another compiled model of it; None for its own.
+
+    Attributes:
+        model: the copy of the compiled model that torques are computed with, see
+            ``analysis_copy``.
+        data: its MuJoCo data, which every call changes.
+        chain: addresses (n,) of the arm's joints in qpos, and in qvel.
     """
 
     def __init__(self, robot: RobotModel, mj_model: Any = None) -> None:
         self.model = analysis_copy(robot.mj_model if mj_model is None else mj_model)
         self.data = data_at_pose(self.model, robot.reference_qpos)
-        self._chain = _as_slice(robot.qpos_index), _as_slice(robot.dof_index)
+        self.chain = _as_slice(robot.qpos_index), _as_slice(robot.dof_index)
 
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return joint torques (N, n) without friction for motions (N, n) [N m]."""
-        return inverse_dynamics(self.model, self.data, self._chain, q, qd, qdd)
-
-    def beyond_rigid_bodies(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the torque (N, n) of armature, springs, tendons and actuators alone, for motions
-        (N, n) [N m].
-        """
-        rigid = np.empty(self.model.nv)
-        beyond = np.empty_like(q)
-        for k in range(len(q)):
-            total = self.torque(q[k : k + 1], qd[k : k + 1], qdd[k : k + 1])
-            mujoco.mj_rne(self.model, self.data, 1, rigid)
-            beyond[k] = total[0] - rigid[self._chain[1]]
-        return beyond
+        return inverse_dynamics(self.model, self.data, self.chain, q, qd, qdd)
 
 
 class BeyondRigidBodies:
-    """Torque of armature, springs, tendons and actuators, which no link's parameters make."""
+    """Torque of armature, springs, tendons and actuators, which no link's parameters make.
+
+    Args:
+        robot: the arm.
+    """
 
     def __init__(self, robot: RobotModel) -> None:
         self._armature = robot.armature
@@ -136,7 +183,15 @@ class BeyondRigidBodies:
         """
         if self._arm is None:
             return np.asarray(self._armature * qdd)
-        return self._arm.beyond_rigid_bodies(q, qd, qdd)
+        model = self._arm.model
+        rigid = np.empty(model.nv)
+        torque = np.empty_like(q)
+        for k in range(len(q)):
+            sample = slice(k, k + 1)
+            total = self._arm.torque(q[sample], qd[sample], qdd[sample])
+            mujoco.mj_rne(model, self._arm.data, 1, rigid)
+            torque[k] = total[0] - rigid[self._arm.chain[1]]
+        return torque
 
 
 def _as_slice(index: Any) -> Any:
@@ -145,3 +200,361 @@ def _as_slice(index: Any) -> Any:
     count = len(index)
     is_consecutive = np.array_equal(index, np.arange(first, first + count))
     return slice(first, first + count) if is_consecutive else index
+
+
+@dataclass(frozen=True)
+class LinksMotion:
+    """Motion of the n links of an arm over N samples, each in the link's own frame.
+
+    Attributes:
+        velocity: per link its twist (6, N) [rad/s, m/s].
+        acceleration: per link its spatial acceleration minus gravity (6, N) [rad/s^2, m/s^2].
+        steps: per link Ad(T^-1) (6, 6, N), which takes twists from the previous link's frame (the
+            base's for the first link) to its own.
+        screws: per link the screw (6,) of its joint in the link's frame.
+    """
+
+    velocity: tuple[Array, ...]
+    acceleration: tuple[Array, ...]
+    steps: tuple[Array, ...]
+    screws: tuple[Array, ...]
+
+    @cached_property
+    def to_links(self) -> Array:
+        """The matrices (n, N, 6, 6) that take twists from the base's frame to each link's."""
+        steps = [np.moveaxis(step, -1, 0) for step in self.steps]
+        return np.array([*accumulate(steps, lambda below, step: step @ below)])
+
+    @cached_property
+    def joint_twists(self) -> Array:
+        """Each joint's screw in the base's frame (6, n, N)."""
+        screws = np.array(self.screws).T[:, :, None]
+        return self._to_base(np.tile(screws, self.velocity[0].shape[1]))
+
+    def _to_base(self, twists: Array) -> Array:
+        """Return twists (6, n, N) of the links' frames in the base's frame."""
+        blocks = self.to_links.reshape(*self.to_links.shape[:2], 2, 3, 2, 3)
+        # Ad(T) has the blocks of Ad(T^-1) transposed.
+        to_base = blocks.swapaxes(-1, -3).reshape(self.to_links.shape)
+        return np.einsum("inab,bin->ain", to_base, twists)
+
+    def gradient(
+        self,
+        rates: Sequence[Array],
+        by_screws: Array,
+        by_motion: Sequence[Array],
+        by_turns: Array,
+    ) -> tuple[Array, Array, Array]:
+        """Return a scalar's gradient with respect to q, qd and qdd, (N, n) each, in reverse mode.
+
+        Args:
+            rates: the joints' qd and qdd (N, n) of this motion.
+            by_screws: (6, n, N) gradient with respect to ``joint_twists``.
+            by_motion: gradients (6, n, N) with respect to the links' velocity and acceleration, in
+                the links' frames.
+            by_turns: (6, n, N) gradient with respect to X_i, the small turn of each link in the
+                base's frame (see the module's text).
+        """
+        qd, qdd = (rate.T for rate in rates)
+        screws = self.joint_twists
+        velocity = self._to_base(np.stack(self.velocity, axis=1))
+        acceleration = self._to_base(np.stack(self.acceleration, axis=1))
+        by_velocity = np.einsum("inba,bin->ain", self.to_links, by_motion[0])
+        by_acceleration = np.einsum("inba,bin->ain", self.to_links, by_motion[1])
+        by_turns = by_turns + bracket_transposed(velocity, by_velocity)
+        by_turns += bracket_transposed(acceleration, by_acceleration)
+        by_acceleration = _sum_outwards(by_acceleration)
+        coriolis = bracket_transposed(screws, by_acceleration) * qd
+        by_velocity = _sum_outwards(by_velocity - coriolis)
+        by_screws = by_screws + by_acceleration * qdd + by_velocity * qd
+        by_screws += bracket_transposed(velocity, by_acceleration) * qd
+        by_turns -= bracket_transposed(screws, by_screws)
+        moved = bracket(velocity, screws) * by_acceleration
+        by_q = np.sum(screws * _sum_outwards(by_turns), axis=0)
+        by_qd = np.sum(screws * by_velocity + moved, axis=0)
+        by_qdd = np.sum(screws * by_acceleration, axis=0)
+        return by_q.T, by_qd.T, by_qdd.T
+
+    def columns(self, links: Sequence[int]) -> Array:
+        """Return the joint torque regressor (N, n, 10 len(links)) of the links with these indices,
+        in their order.
+
+        In memory the N samples of one entry lie side by side.
+        """
+        joints = len(self.velocity)
+        samples = self.velocity[0].shape[1]
+        columns = np.zeros((joints, len(links), N_INERTIAL, samples))
+        jacobian = np.empty((joints, 6, samples))
+        for link in range(max(links, default=-1) + 1):
+            for twist in jacobian[:link]:
+                twist[:] = np.einsum("abn,bn->an", self.steps[link], twist)
+            jacobian[link] = self.screws[link][:, None]
+            for number in np.flatnonzero(np.equal(links, link)):
+                wrench = wrench_regressor(
+                    self.velocity[link].T, self.acceleration[link].T
+                )
+                for twist, block in zip(jacobian[: link + 1], columns[:, number]):
+                    np.einsum("in,ikn->kn", twist, wrench, out=block)
+        return columns.reshape(joints, -1, samples).transpose(2, 0, 1)
+
+    def torque(self, thetas: Array) -> Array:
+        """Return the joint torque (N, n) [N m] of rigid links with parameters thetas (n, 10)."""
+        samples = self.velocity[0].shape[1]
+        tau = np.zeros((samples, len(thetas)))
+        wrench = np.zeros((6, samples))
+        for link in reversed(range(len(thetas))):
+            if np.any(thetas[link]):
+                wrench = wrench + self._link_wrench(link, thetas[link])
+            tau[:, link] = self.screws[link] @ wrench
+            wrench = np.einsum("abn,an->bn", self.steps[link], wrench)
+        return tau
+
+    def slopes(self, thetas: Array, qd: Array) -> Array:
+        """Return the derivative (N, n, n) of joint torques by joint positions [N m/rad].
+
+        Entry [:, i, j] is the derivative of tau_i by q_j. With d_j the derivative by q_j:
+        d_j V_j = -ad(S_j) V_j, d_j A_j = -ad(S_j) A_j, which are passed on to the next links by the
+        recursion of V and A, and d_j Ad(T_j^-1) = -ad(S_j) Ad(T_j^-1).
+
+        Args:
+            thetas: (n, 10) of the links.
+            qd: (N, n) joint speeds of this motion.
+        """
+        samples, count = qd.shape
+        # The derivatives (2, 6, j, N) of the present link's velocity and acceleration by q_j.
+        twists = np.zeros((2, 6, 0, samples))
+        slopes = np.zeros((samples, count, count))
+        wrench_slopes = []
+        for link, theta in enumerate(thetas):
+            screw = self.screws[link][:, None]
+            velocity = self.velocity[link]
+            twists = np.einsum("abn,mbjn->majn", self.steps[link], twists)
+            twists[1] -= bracket(screw[:, None], twists[0] * qd[:, link])
+            by_velocity = bracket(screw, velocity)
+            by_acceleration = bracket(screw, self.acceleration[link])
+            by_position = -np.stack((by_velocity, by_acceleration))
+            twists = np.concatenate((twists, by_position[:, :, None]), axis=2)
+            inertia = _inertia(theta)
+            momentum = np.tensordot(inertia, velocity[:, None], 1)
+            slope = np.tensordot(inertia, twists[1], 1)
+            slope -= bracket_transposed(twists[0], momentum)
+            slope -= bracket_transposed(
+                velocity[:, None], np.tensordot(inertia, twists[0], 1)
+            )
+            wrench_slopes.append(slope)
+        wrench = np.zeros((6, samples))
+        total = np.zeros((6, count, samples))
+        for link in reversed(range(count)):
+            wrench = wrench + self._link_wrench(link, thetas[link])
+            total[:, : link + 1] += wrench_slopes[link]
+            slopes[:, link] = np.tensordot(self.screws[link], total, 1).T
+            total[:, link] -= bracket_transposed(self.screws[link][:, None], wrench)
+            total = np.einsum("abn,ajn->bjn", self.steps[link], total)
+            wrench = np.einsum("abn,an->bn", self.steps[link], wrench)
+        return slopes
+
+    def _link_wrench(self, link: int, theta: Array) -> Array:
+        """Return the wrench G A - ad(V)^T G V (6, N) that accelerates a link with theta (10,)."""
+        inertia = _inertia(theta)
+        velocity = self.velocity[link]
+        gyroscopic = bracket_transposed(velocity, inertia @ velocity)
+        return inertia @ self.acceleration[link] - gyroscopic
+
+
+class LinkDynamics:
+    """Recursive Newton-Euler of one arm.
+
+    Args:
+        robot: the arm.
+        gravity: (3,) for all samples, or (3, N) for each sample [m/s^2]; None for the model's own.
+    """
+
+    def __init__(self, robot: RobotModel, gravity: Array | None = None) -> None:
+        self._home = robot.reference
+        self._slides = robot.is_slide
+        self._screws = tuple(link.screw for link in robot.links)
+        # ad(S) of each joint, and the factors (6, 6, 3) of 1, sin d and 1 - cos d in Ad(T^-1).
+        self._brackets = []
+        self._steps = []
+        for screw, link in zip(self._screws, robot.links):
+            ad = _lower_triangular(skew(screw[:3]), skew(screw[3:]))
+            turn = link.rotation.T
+            at_home = _lower_triangular(turn, -turn @ skew(link.translation))
+            factors = (at_home, -ad @ at_home, ad @ ad @ at_home)
+            self._brackets.append(ad)
+            self._steps.append(np.stack(factors, axis=-1))
+        options = robot.mj_model.opt
+        is_weightless = options.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+        vector = np.array(options.gravity) if gravity is None else gravity
+        self._gravity = np.reshape((not is_weightless) * vector, (3, -1))
+
+    def motion(self, q: Array, qd: Array, qdd: Array) -> LinksMotion:
+        """Return the motion of all links for chain motions (N, n) [rad, rad/s, rad/s^2]."""
+        return LinksMotion(*zip(*self.moves(q, qd, qdd)))
+
+    def moves(
+        self, q: Array, qd: Array, qdd: Array
+    ) -> Iterator[tuple[Array, Array, Array, Array]]:
+        """Yield velocity (6, N), acceleration (6, N), step (6, 6, N) and screw (6,) of each link,
+        as in ``LinksMotion``, for chain motions (N, n) [rad, rad/s, rad/s^2].
+        """
+        velocity, acceleration = np.zeros((2, 6, len(q)))
+        acceleration[3:] = -self._gravity
+        turns = (q - self._home).T
+        sines = np.where(self._slides[:, None], turns, np.sin(turns))
+        versines = 1.0 - np.cos(turns)
+        for i, screw in enumerate(self._screws):
+            coefficients = np.stack((np.ones(len(q)), sines[i], versines[i]))
+            step = np.tensordot(self._steps[i], coefficients, 1)
+            velocity = np.einsum("abn,bn->an", step, velocity)
+            velocity = velocity + np.outer(screw, qd[:, i])
+            acceleration = np.einsum("abn,bn->an", step, acceleration)
+            acceleration = acceleration + np.outer(screw, qdd[:, i])
+            acceleration -= (self._brackets[i] @ velocity) * qd[:, i]
+            yield velocity, acceleration, step, screw
+
+
+def split_motion(width: int, *arrays: Array) -> Iterator[tuple[Array, ...]]:
+    """Yield arrays of a motion in chunks of samples, one tuple of arrays (m, ...) per chunk.
+
+    Args:
+        width: numbers per sample in the largest array that the caller computes of a chunk; chunks
+            are so short that it has at most about a million numbers.
+        arrays: (N, ...) each.
+    """
+    count = 1 + len(arrays[0]) * width // _ARRAY_SIZE
+    yield from zip(*(np.array_split(array, count) for array in arrays))
+
+
+def bracket(a: Array, b: Array) -> Array:
+    """Return ad(a) b = [w_a x w_b, v_a x w_b + w_a x v_b] for twists (6, ...)."""
+    angular = cross(a[:3], b[:3])
+    return np.concatenate((angular, cross(a[3:], b[:3]) + cross(a[:3], b[3:])), axis=0)
+
+
+def bracket_transposed(a: Array, b: Array) -> Array:
+    """Return ad(a)^T b = -[w_a x m + v_a x f, w_a x f] for b = [m, f] (6, ...)."""
+    linear = cross(a[:3], b[3:])
+    return -np.concatenate((cross(a[:3], b[:3]) + cross(a[3:], b[3:]), linear), axis=0)
+
+
+def _sum_outwards(values: Array) -> Array:
+    """Return for each link the sum of values (6, n, N) over it and all links beyond it (6, n,
+    N).
+    """
+    return np.cumsum(values[:, ::-1], axis=1)[:, ::-1]
+
+
+def _lower_triangular(turn: Array, shift: Array) -> Array:
+    """Return [[turn, 0], [shift, turn]] (6, 6) of two (3, 3) matrices."""
+    return np.block([[turn, np.zeros((3, 3))], [shift, turn]])
+
+
+def _inertia(theta: Array) -> Array:
+    """Return G = [[I, [h]x], [-[h]x, m 1]] (6, 6) of a link theta (10,)."""
+    h = skew(theta[1:4])
+    mass = np.diag(np.full(3, theta[0]))
+    return np.block([[symmetric_from_six(theta[4:]), h], [-h, mass]])
+
+
+def gravity_vector(robot: RobotModel) -> Array:
+    """Return the model's gravity (3,) in the world frame [m/s^2]."""
+    return np.array(robot.mj_model.opt.gravity, dtype=float)
+
+
+def with_gravity(robot: RobotModel, gravity: Array) -> RobotModel:
+    """Return the arm under another gravity (3,) [m/s^2], with a MuJoCo model of its own."""
+    mj_model = copy.copy(robot.mj_model)
+    mj_model.opt.gravity[:] = gravity
+    return replace(robot, mj_model=mj_model)
+
+
+def tilt_axes(level: Array, gravity: Array | None = None) -> Array:
+    """Return two unit vectors (2, 3) perpendicular to gravity and to each other.
+
+    Args:
+        level: (3,) gravity of the level arm [m/s^2].
+        gravity: (3,) of the tilted arm. The axes of the level arm are then carried along by the
+            shortest turn to it, so that angles about them add to those about the level axes.
+
+    Raises:
+        InputError: there is no gravity.
+    """
+    size = float(np.linalg.norm(level))
+    if size == 0.0:
+        raise InputError("--tilt auto needs gravity, but the model's gravity is zero")
+    down = np.asarray(level) / size
+    first = np.cross(down, np.eye(3)[int(np.argmin(np.abs(down)))])
+    first /= np.linalg.norm(first)
+    axes = np.array([first, np.cross(down, first)])
+    if gravity is None:
+        return axes
+    tilted_down = gravity / np.linalg.norm(gravity)
+    turn = np.cross(down, tilted_down)
+    change = np.cross(turn, axes)
+    scale = max(1.0 + down @ tilted_down, _OPPOSITE)
+    return np.asarray(axes + change + np.cross(turn, change) / scale)
+
+
+def turn_gravity(gravity: Array, angles: Array, axes: Array | None = None) -> Array:
+    """Return gravity (3,) turned by two angles (2,) [rad] about ``axes`` (2, 3) perpendicular to
+    it; without them, about its own ``tilt_axes``.
+    """
+    turn = angles @ (tilt_axes(gravity) if axes is None else axes)
+    # Rodrigues' formula for a perpendicular axis; numpy's sinc(x) is that of pi x.
+    size = float(np.linalg.norm(turn))
+    return np.cos(size) * gravity + np.sinc(size / np.pi) * np.cross(turn, gravity)
+
+
+def tilt_angles(level: Array, gravity: Array) -> Array:
+    """Return the angles (2,) [rad] about ``tilt_axes(level)`` that turn level to gravity (3,)."""
+    turn = np.cross(level, gravity)
+    sine = float(np.linalg.norm(turn))
+    if sine == 0.0:
+        return np.array([np.pi * (level @ gravity < 0.0), 0.0])
+    angle = np.arctan2(sine, level @ gravity)
+    return np.asarray(angle / sine * (tilt_axes(level) @ turn))
+
+
+def tilt_columns(
+    robot: RobotModel, thetas: Array, q: Array, level: Array | None = None
+) -> Array:
+    """Return the torque (N, n, 2) per radian of tilt of the base about each of two axes [N m/rad].
+
+    Args:
+        robot: the arm, under the gravity around which it is tilted.
+        thetas: (n, 10) of its links.
+        q: (N, n) positions.
+        level: (3,) gravity of the level base, which defines the axes (``tilt_axes``); None for the
+            arm's own.
+    """
+    gravity = gravity_vector(robot)
+    axes = tilt_axes(gravity if level is None else level, gravity)
+    changes = np.cross(axes, gravity).T
+    columns = []
+    for chunk in np.array_split(q, len(q) // _TILT_CHUNK + 1):
+        count = len(chunk)
+        # Both changes of gravity in one computation, one after the other.
+        positions = np.tile(chunk, (2, 1))
+        zeros = np.zeros((2 * count, q.shape[1]))
+        dynamics = LinkDynamics(robot, np.repeat(changes, count, axis=1))
+        torque = dynamics.motion(positions, zeros, zeros).torque(thetas)
+        columns.append(np.split(torque, 2))
+    return np.moveaxis(np.concatenate(columns, axis=1), 0, -1)
+
+
+def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
+    """Return the torque (N, n, n) of the joints (second axis) per radian by which the position
+    reading of each joint (third axis) is too large [N m/rad].
+
+    Args:
+        robot: the arm.
+        thetas: (n, 10) of its links.
+        motion: of N samples.
+    """
+    dynamics = LinkDynamics(robot)
+    columns = []
+    width = 12 * motion.q.shape[1] ** 2
+    for q, qd, qdd in split_motion(width, motion.q, motion.qd, motion.qdd):
+        columns.append(-dynamics.motion(q, qd, qdd).slopes(thetas, qd))
+    return np.concatenate(columns)

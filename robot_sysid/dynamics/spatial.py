@@ -19,8 +19,11 @@ ALUMINIUM = 2700.0
 _LOCKED = 1e-14
 """Cosine of the pitch below which roll and yaw turn about one axis."""
 PARAMETER_NAMES = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
-# Index in [xx, xy, xz, yy, yz, zz] of each entry of a symmetric matrix.
+"""Names of the inertial parameters theta of one body, in their order."""
+N_INERTIAL = len(PARAMETER_NAMES)
+"""Number of inertial parameters of one body."""
 _OF_SIX = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+"""Index in [xx, xy, xz, yy, yz, zz] of each entry of a symmetric matrix."""
 
 
 def cross(a: Array, b: Array) -> Array:

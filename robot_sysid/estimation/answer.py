@@ -16,7 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.newton_euler import TILT_NAMES, LinkDynamics, gravity_vector
+from robot_sysid.dynamics.inverse_dynamics import (
+    TILT_NAMES,
+    LinkDynamics,
+    gravity_vector,
+)
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.identifiability import (
     BaseCombinations,

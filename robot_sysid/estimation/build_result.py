@@ -12,7 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics.newton_euler import TILT_NAMES, gravity_vector, tilt_angles
+from robot_sysid.dynamics.inverse_dynamics import (
+    TILT_NAMES,
+    gravity_vector,
+    tilt_angles,
+)
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.priors import LEAST_SCALE, LINK_KINDS
 from robot_sysid.estimation.answer import (

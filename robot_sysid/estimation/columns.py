@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import (
-    N_INERTIAL,
     Equations,
     friction_per_joint,
     link_names,
@@ -42,7 +41,7 @@ from robot_sysid.dynamics.friction import (
     FrictionModel,
     speed_name,
 )
-from robot_sysid.dynamics.newton_euler import (
+from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     LinkDynamics,
     gravity_vector,
@@ -53,7 +52,7 @@ from robot_sysid.dynamics.newton_euler import (
     with_gravity,
     zero_columns,
 )
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.estimation.dataset import (
     AssembledRows,
     Dataset,

@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import N_INERTIAL, Equations
+from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import TERMS
-from robot_sysid.dynamics.newton_euler import split_motion
+from robot_sysid.dynamics.inverse_dynamics import split_motion
+from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimation.algebra.consistent_bodies import BODIES, project_errors
 from robot_sysid.estimation.algebra.least_squares import (
     normal_matrix,

@@ -15,7 +15,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import NONLINEAR_TERMS, speed_name
-from robot_sysid.dynamics.newton_euler import TILT_NAMES
+from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.consistent_bodies import (
     ConsistentLinks,

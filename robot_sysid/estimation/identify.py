@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.equations import N_INERTIAL
 from robot_sysid.dynamics.friction import FrictionModel, friction_model
-from robot_sysid.dynamics.newton_euler import gravity_vector, tilt_axes
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.dynamics.inverse_dynamics import gravity_vector, tilt_axes
+from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.errors import prefix_input_errors
 from robot_sysid.estimation.algebra.priors import SURE, is_no_chance
 from robot_sysid.estimation.answer import Answer, written_payload

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.friction import FADING_SPEEDS, speed_name
-from robot_sysid.dynamics.newton_euler import TILT_NAMES
+from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.priors import (
     AS_STATED,

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robot_sysid.dynamics.newton_euler import (
+from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
     LinksMotion,
     bracket_transposed,

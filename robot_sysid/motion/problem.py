@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import N_INERTIAL, other_links
-from robot_sysid.dynamics.inverse_dynamics import subtree
-from robot_sysid.dynamics.newton_euler import LinkDynamics, split_motion
+from robot_sysid.dynamics.equations import other_links
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics, split_motion, subtree
+from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.priors import model_link_factor
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY

@@ -21,7 +21,7 @@ from itertools import islice
 
 import numpy as np
 
-from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.motion import PoseOptions, trajectories
 from robot_sysid.motion.limit_check import first_contact, keeps_limits

@@ -8,13 +8,13 @@ from functools import partial
 import numpy as np
 
 from robot_sysid.dynamics.equations import (
-    N_INERTIAL,
     NO_FRICTION,
     TERMINAL_FRICTION,
     Equations,
     friction_per_joint,
 )
 from robot_sysid.dynamics.friction import FrictionModel
+from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.pipeline.outcome import Identification
 from robot_sysid.records import DataOrigin, Estimate, MotionPlan, RobotModel, Source

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.newton_euler import TILT_NAMES
+from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.inertial import plan_write_back
 from robot_sysid.records import DELAY_NAME, Array, Validation

@@ -19,8 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, BeyondRigidBodies
-from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.inverse_dynamics import (
+    ArmDynamics,
+    BeyondRigidBodies,
+    LinkDynamics,
+)
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.inertial import mjcf_inertial
 from robot_sysid.mjcf.updated_model import ModelChange, WeldedBody

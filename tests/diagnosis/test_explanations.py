@@ -11,7 +11,11 @@ import pytest
 
 from benchmarks.confusion_causes import resting_torque
 from robot_sysid.diagnosis.log_checks import check_against_model
-from robot_sysid.dynamics.newton_euler import LinkDynamics, gravity_vector, turn_gravity
+from robot_sysid.dynamics.inverse_dynamics import (
+    LinkDynamics,
+    gravity_vector,
+    turn_gravity,
+)
 from robot_sysid.estimation.question import EstimationOptions
 from tests.support.wrong_logs import truth_of
 

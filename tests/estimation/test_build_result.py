@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from robot_sysid.diagnosis.rows import rms
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.newton_euler import TILT_NAMES
+from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.estimation.build_result import payload_of, result_of, traces_of
 from robot_sysid.estimation.dataset import Dataset, RestingPoses
 from robot_sysid.estimation.identify import answer_link, answer_payload

@@ -11,8 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics.equations import NO_FRICTION, Equations
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
-from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
-from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.choices import (
     CANDIDATES,

@@ -11,8 +11,11 @@ from hypothesis import given
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics.friction import NONLINEAR_TERMS, TERMS
-from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
-from robot_sysid.dynamics.newton_euler import gravity_vector, turn_gravity
+from robot_sysid.dynamics.inverse_dynamics import (
+    ArmDynamics,
+    gravity_vector,
+    turn_gravity,
+)
 from robot_sysid.estimation.choices import neighbours
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.records import DELAY_NAME

@@ -11,7 +11,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.newton_euler import LinkDynamics, gravity_vector, with_gravity
+from robot_sysid.dynamics.inverse_dynamics import (
+    LinkDynamics,
+    gravity_vector,
+    with_gravity,
+)
 from robot_sysid.estimation.choices import coupling
 from robot_sysid.estimation.file_fit import fit_file, holds_polynomial
 from robot_sysid.estimation.question import FILE_FRICTION as FRICTION

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import NONLINEAR_TERMS
-from robot_sysid.dynamics.newton_euler import gravity_vector, with_gravity
+from robot_sysid.dynamics.inverse_dynamics import gravity_vector, with_gravity
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation import fit as fit_module
 from robot_sysid.estimation.choices import posterior_of

@@ -11,8 +11,11 @@ from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics.equations import Equations, other_links
 from robot_sysid.dynamics.friction import TERMS, FrictionModel
-from robot_sysid.dynamics.inverse_dynamics import analysis_copy, data_at_pose
-from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.inverse_dynamics import (
+    LinkDynamics,
+    analysis_copy,
+    data_at_pose,
+)
 from robot_sysid.errors import AmbiguousJointError
 from robot_sysid.motion.information import JOINT_TERMS, Criterion, InformationModel
 from robot_sysid.records import Measurement

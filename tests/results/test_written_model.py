@@ -19,7 +19,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid import records
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import ExportError
 from robot_sysid.estimation.choices import coupling, couplings_of_model

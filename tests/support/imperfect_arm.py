@@ -12,7 +12,11 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import FADING_SPEEDS
-from robot_sysid.dynamics.newton_euler import LinkDynamics, gravity_vector, turn_gravity
+from robot_sysid.dynamics.inverse_dynamics import (
+    LinkDynamics,
+    gravity_vector,
+    turn_gravity,
+)
 from robot_sysid.records import Measurement
 from tests.support.synthetic_data import autocorrelated
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.records import Measurement, RobotModel
 from robot_sysid.trajectory import generate_excitation_trajectory
 

@@ -34,8 +34,11 @@ import numpy as np
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.references import torque_doubt
 from robot_sysid.dynamics.equations import other_links
-from robot_sysid.dynamics.inverse_dynamics import BeyondRigidBodies
-from robot_sysid.dynamics.newton_euler import LinkDynamics, LinksMotion
+from robot_sysid.dynamics.inverse_dynamics import (
+    BeyondRigidBodies,
+    LinkDynamics,
+    LinksMotion,
+)
 from robot_sysid.estimation.algebra.priors import model_link_factor
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.regressor import wrench_regressor

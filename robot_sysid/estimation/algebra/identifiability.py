@@ -44,8 +44,6 @@ RELATIVE_CUT = 1e-10
 _WELL_SEEN = 1e8
 # Components of unit vectors below this count as zero; a choice, far above their rounding (1e-13).
 _COMPONENT_TOLERANCE = 1e-6
-N_INERTIAL = 10
-"""Number of inertial parameters of a link; they are the first columns of every regressor."""
 # Columns of the first moments and of the inertias, which share a unit each.
 _SAME_UNIT = (slice(1, 4), slice(4, 10))
 
@@ -173,7 +171,7 @@ def analyse_identifiability(information: SquareRootInformation) -> Identifiabili
     space = visible_space(matrix)
     joint = information.joints[-1].joint
     interest = np.isin(information.names, [f"coulomb[{joint}]", f"viscous[{joint}]"])
-    interest[:N_INERTIAL] = True
+    interest[: spatial.N_INERTIAL] = True
     visible = np.where(space.zero, 0.0, matrix)
     length = np.where(space.zero, 1.0, np.linalg.norm(matrix, axis=0))
     singular = np.linalg.svd((visible * space.scale)[:, ~interest], compute_uv=False)

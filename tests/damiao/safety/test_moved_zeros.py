@@ -10,7 +10,7 @@ import pytest
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.safety import moved_zeros
 from robot_sysid.damiao.safety.moved_zeros import MovedZeroCheck
-from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from tests.support import arms
