@@ -21,7 +21,7 @@ import contextlib
 import hashlib
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -34,8 +34,8 @@ from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import WriteBack
 from robot_sysid.mjcf.updated_model import BodyChange, ModelChange, changed_model_text
 from robot_sysid.model.compilation import warnings_as_notes
-from robot_sysid.records import InertialParameters, Motion, file_access
-from robot_sysid.records.messages import Progress, with_error
+from robot_sysid.records import InertialParameters, Motion, Traces, file_access
+from robot_sysid.records.messages import Progress
 from robot_sysid.results.cards import (
     ERROR_NAMES,
     INERTIA,
@@ -55,11 +55,18 @@ from robot_sysid.results.record import (
     json_text,
     rollout_entry,
 )
+from robot_sysid.results.result_lines import (
+    block_lines,
+    clamping_lines,
+    folder_text,
+    more_lines,
+)
 from robot_sysid.results.verdict import PRIOR_SHARE, limitations, refusal, verdict_lines
 from robot_sysid.results.written_model import versions, write_model
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
+    from robot_sysid.motion.plan import CheckedPlan
 
 _LATER_NAMES = ("report_data.npz", file_access.RUN_NAME)
 """Files that a command writes after the results."""
@@ -77,22 +84,30 @@ MotorFile = Callable[[TextIO], "DamiaoExportReport"]
 
 
 @dataclass(frozen=True)
-class Saved:
-    """The files of a result, written.
+class Outcome:
+    """The files that a command wrote, and the lines that it prints.
 
     Attributes:
-        files: their paths.
-        notes: for the user, one sentence each.
-        damiao: report of the Damiao export; None where there is none.
-        failure: why there is no model; None where there is one or none was to be written.
-        result_hash: SHA-256 of params.json.
+        lines: printed lines, in order.
+        verdict: whether to use the result and the next step, in at most two lines, printed last.
+        failure: why there is nothing to use, or None.
+        files: the written files.
+        result: a ``Result``, or identified servos; None of a plan.
+        notes: for the user, one sentence each, on what was written.
+        traces: computes the torques that a report draws; None of servos and plans.
+        result_hash: SHA-256 of the written params.json; "" where none was written.
+        checked: the planned motion with its limit check; None where nothing was planned.
     """
 
-    files: tuple[Path, ...]
-    notes: tuple[str, ...]
-    damiao: DamiaoExportReport | None
+    lines: tuple[str, ...]
+    verdict: tuple[str, ...]
     failure: str | None
-    result_hash: str
+    files: tuple[Path, ...]
+    result: Any = None
+    notes: tuple[str, ...] = ()
+    traces: Callable[[], Traces] | None = None
+    result_hash: str = ""
+    checked: CheckedPlan | None = None
 
 
 @contextlib.contextmanager
@@ -128,9 +143,8 @@ def export_updated_xml(
     """
     change = ModelChange((BodyChange(body, 0, plan),), rmse, principal=principal)
     folder = destination.absolute().parent
-    file_access.write_atomically(
-        destination, changed_model_text(source, change, folder, mesh_dir)
-    )
+    text = changed_model_text(source, change, folder, mesh_dir)
+    file_access.write_atomically(destination, text)
 
 
 def save(
@@ -143,7 +157,8 @@ def save(
     motor_file: MotorFile | None = None,
     refused: str | None = None,
     inputs: Collection[Path] = (),
-) -> Saved:
+    links: bool = False,
+) -> Outcome:
     """Write params.json, and where the result may be used the model and a payload's card.
 
     A result that may not be used, or that does not fit into this model, gets a params.json only,
@@ -156,14 +171,17 @@ def save(
         motor_file: writes the motor trajectory; None for none.
         refused: why no model is to be written although the result may be used, or None.
         inputs: files that this run reads, beside the model; they stay whatever they are called.
+        links: whether the printed table shows every link.
+
+    Returns:
+        The outcome, without ``traces``.
 
     Raises:
         InputError: the folder cannot be written to.
     """
     # Of a known mass the torques are calibrated: there is nothing to write of such a payload.
-    is_calibration = (
-        result.payload is not None and result.payload.known_mass is not None
-    )
+    payload = result.payload
+    is_calibration = payload is not None and payload.known_mass is not None
     failure = refusal(result) or refused
     report = None
     cards: tuple[Card, ...] = ()
@@ -181,8 +199,9 @@ def save(
                 failure = (
                     f"{error} (the identified numbers are in {file_access.PARAMS_NAME})"
                 )
-            if result.payload is not None:
-                cards, text = _card_file(result, result.payload)
+            if payload is not None:
+                cards = payload_cards(payload.body, payload.flange)
+                text = card_text(cards, payload, result.robot.path.name)
                 written.append(folder / file_access.CARD_NAME)
                 files.write(written[-1], text)
         if motor_file is not None:
@@ -194,8 +213,18 @@ def save(
         files.write(written[-1], text)
         model_files = [file.path for file in read_document(result.robot.path).files]
         notes += remove_earlier(files, folder, written, (*inputs, *model_files))
+    lines = (
+        *block_lines(result),
+        f"Results saved to {folder_text(folder)}",
+        *more_lines(result, links),
+        *clamping_lines(report, result.robot.joint_names),
+    )
+    verdict = verdict_lines(result, failure)
+    paths = tuple(written)
     result_hash = hashlib.sha256(text.encode()).hexdigest()
-    return Saved(tuple(written), notes, report, failure, result_hash)
+    return Outcome(
+        lines, verdict, failure, paths, result, notes, result_hash=result_hash
+    )
 
 
 def _write_models(
@@ -254,18 +283,6 @@ def remove_earlier(
     return tuple(notes)
 
 
-def _card_file(result: Result, payload: Payload) -> tuple[tuple[Card, ...], str]:
-    """Return the cards of a payload and the text of their file."""
-    cards = payload_cards(payload.body, payload.flange)
-    recordings = payload.recordings
-    mass = with_error(payload.body.inertial.mass, float(payload.body.errors[0]), "kg")
-    heading = (
-        f"Payload of {mass}, identified with {result.robot.path.name} from "
-        f"{len(recordings['empty'])} empty and {len(recordings['loaded'])} loaded recordings."
-    )
-    return cards, card_text(cards, heading)
-
-
 SCHEMA_VERSION = 4
 """Version of the format of params.json; readers refuse other versions."""
 FORMULAS = {
@@ -312,11 +329,14 @@ def params_json_text(
         notes: added to those of the result, one sentence each.
         failure: why a result that is usable in itself must not be used, or None.
     """
-    joints = {name: _joint_entry(result, name) for name in result.joints}
+    written = {} if result.file is None else result.file.joints
+    joints = {}
+    for name, joint in result.joints.items():
+        joints[name] = _joint_entry(joint, written.get(name, {}))
     couplings = {}
     for name, motor in result.couplings.items():
-        written_terms = _written_terms(result, name)
-        couplings[name] = {"terms": motor.terms, "in_the_file": written_terms}
+        entry = {"terms": motor.terms, "in_the_file": written.get(name, {})}
+        couplings[name] = entry
     content = {
         "schema_version": SCHEMA_VERSION,
         **_terminal_link_entries(result),
@@ -360,11 +380,12 @@ def _terminal_link_entries(result: Result) -> dict[str, Any]:
         inertial = result.payload.total.inertial
         is_identified = bool(np.all(result.payload.body.is_determined))
     entries = inertial_entries(inertial) or {}
+    # The keys of the specification stand in its order, before all further ones.
+    first_keys = ("mass", "center_of_mass_moment", "inertia_tensor")
+    first_entries = {key: entries.pop(key) for key in first_keys}
     return {
         "joint_name": joint,
-        "mass": entries.pop("mass"),
-        "center_of_mass_moment": entries.pop("center_of_mass_moment"),
-        "inertia_tensor": entries.pop("inertia_tensor"),
+        **first_entries,
         "coulomb_friction": estimate.value(f"coulomb[{joint}]"),
         "viscous_friction": estimate.value(f"viscous[{joint}]"),
         "rmse": estimate.rmse,
@@ -391,11 +412,9 @@ def _file_entry(file: ModelFile | None) -> dict[str, Any] | None:
         return None
     before = file.validation_before
     after = file.validation_after
+    errors = {"before": before.relative_error, "after": after and after.relative_error}
     return {
-        "torque_error": {
-            "before": before.relative_error,
-            "after": after and after.relative_error,
-        },
+        "torque_error": errors,
         "before": before,
         "after": after,
         "others": [{"before": b, "after": a} for b, a in file.other_validations],
@@ -413,8 +432,8 @@ def _payload_entry(
     flange = payload.flange
     card_entries = {}
     for card in cards:
-        card_entries[card.name] = vars(card).copy()
-        del card_entries[card.name]["name"]
+        card_entry = {**vars(card)}
+        card_entries[card_entry.pop("name")] = card_entry
     return {
         "flange": {
             "name": flange.name,
@@ -467,10 +486,10 @@ def _link_entry(result: Result, body: BodyEstimate) -> dict[str, Any]:
     return {**entry, "in_the_file": inertial_entries(written)}
 
 
-def _joint_entry(result: Result, name: str) -> dict[str, Any]:
+def _joint_entry(
+    joint: JointEstimate, written_terms: Mapping[str, Quantity]
+) -> dict[str, Any]:
     """Return friction and rotor inertia of a joint: identified, in the model, written, for BAM."""
-    joint = result.joints[name]
-    written_terms = _written_terms(result, name)
     directional = joint.directional_coulomb
     return {
         "friction_model": joint.friction_model,
@@ -484,11 +503,6 @@ def _joint_entry(result: Result, name: str) -> dict[str, Any]:
         "torque_noise": joint.noise,
         "bam": _bam_entry(joint, written_terms),
     }
-
-
-def _written_terms(result: Result, name: str) -> Mapping[str, Quantity]:
-    """Return the friction terms that the written model has of a joint, or of a shared motor."""
-    return {} if result.file is None else result.file.joints.get(name, {})
 
 
 def _bam_entry(
@@ -527,17 +541,13 @@ def _fit_entries(result: Result) -> dict[str, Any]:
     estimate = result.estimate
     identifiability = estimate.identifiability
     sources = np.where(identifiability.identified, "identified", "from_model").tolist()
-    errors = estimate.standard_errors
+    errors = None
+    if estimate.standard_errors is not None:
+        errors = dict(zip(estimate.names, estimate.standard_errors))
+    conflict_keys = ("cause", "members", "asked", "scale")
     conflicts = []
     for conflict in result.conflicts:
-        conflicts.append(
-            {
-                "cause": conflict.cause,
-                "members": conflict.members,
-                "asked": conflict.deviation,
-                "scale": conflict.scale,
-            }
-        )
+        conflicts.append(dict(zip(conflict_keys, astuple(conflict))))
     return {
         "method": estimate.method,
         "torques": result.torques,
@@ -546,9 +556,7 @@ def _fit_entries(result: Result) -> dict[str, Any]:
         "rmse_per_joint": estimate.rmse_per_joint,
         "condition_number_scaled": identifiability.scaled_condition_number,
         "constrained": estimate.constrained,
-        "standard_errors": None
-        if errors is None
-        else dict(zip(estimate.names, errors)),
+        "standard_errors": errors,
         "prior_conflicts": conflicts,
         "link_scales": result.link_scales,
         "wrong_links": result.wrong_links,
@@ -564,13 +572,15 @@ def _run_entries(result: Result) -> dict[str, Any]:
     data = result.data
     robot = result.robot
     combinations = None
+    structural_rank = None
     if base is not None:
+        structural_rank = base.structural_rank
         keys = ("combination", "value", "standard_error", "essential")
         columns = (base.combinations, base.values, base.standard_errors, base.essential)
         combinations = [dict(zip(keys, row)) for row in zip(*columns)]
     return {
         "base_parameters": combinations,
-        "structural_rank": None if base is None else base.structural_rank,
+        "structural_rank": structural_rank,
         "validation": result.validation,
         "rollout": rollout_entry(result.rollout),
         "delay": result.delay,

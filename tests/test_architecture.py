@@ -25,7 +25,6 @@ LAYERS = (
     ("config",),
     ("motion.expected_errors",),
     ("servo",),
-    ("pipeline.outcome",),
     ("diagnosis",),
     ("estimation",),
     ("report",),

@@ -7,6 +7,7 @@ import copy
 import hashlib
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
@@ -76,7 +77,8 @@ def names_in(folder):
 def test_the_whole_way_from_a_result(robot, out):
     output = save_result(robot, heavier(robot), out)
     assert [path.name for path in output.files] == ["updated_model.xml", "params.json"]
-    assert (output.notes, output.damiao, output.failure) == ((), None, None)
+    assert (output.notes, output.failure) == ((), None)
+    assert not any("Damiao" in line for line in output.lines)
     reloaded = load_robot_model(output.files[0], joint="j2")
     assert_allclose(reloaded.prior.theta, robot.prior.theta + THETA, rtol=0, atol=1e-12)
     assert "RMSE 0.000100 Nm" in output.files[0].read_text()
@@ -142,9 +144,11 @@ def test_the_motor_trajectory_stands_beside_the_others_or_nothing_does(robot, ou
     with pytest.raises(InputError, match="no such motor"):
         save_result(robot, heavier(robot), out, motor_file=fail_halfway)
     assert not out.exists()
-    output = save_result(robot, heavier(robot), out, motor_file=lambda file: "a report")
+    report = SimpleNamespace(joints=(), clamped_percent=(), warnings=("beyond it",))
+    output = save_result(robot, heavier(robot), out, motor_file=lambda file: report)
     names = ["updated_model.xml", "damiao_trajectory.csv", "params.json"]
-    assert [path.name for path in output.files] == names and output.damiao == "a report"
+    assert [path.name for path in output.files] == names
+    assert output.lines[-1] == "  beyond it"
     assert names_in(out) == sorted(names)
 
 

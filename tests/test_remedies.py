@@ -88,7 +88,7 @@ NEVER = {
     + (*OF_PLANS, *USUAL, *EXPORT, *other_questions("IDENTIFY", *SHOWN)),
     "payload": (
         *symbols_of("pipeline.stages", "identify"),
-        *symbols_of("pipeline.self_test", "run_self_test"),
+        *symbols_of("pipeline.stages", "run_self_test"),
         *symbols_of("pipeline.planning", "design_motion", "motor_writer"),
         *USUAL,
     )

@@ -30,14 +30,8 @@ from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.logs.table import LogTable
 from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import warnings_as_notes
-from robot_sysid.pipeline import stages
-from robot_sysid.pipeline.outcome import Identification
-from robot_sysid.pipeline.planning import (
-    design_motion,
-    plan_lines,
-    predict_identification,
-    require_motors,
-)
+from robot_sysid.pipeline import Identification, stages
+from robot_sysid.pipeline.planning import design_motion, predict_plan, require_motors
 from robot_sysid.pipeline.recordings import diagnose_logs
 from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records import Measurement, RobotModel, Traces
@@ -196,10 +190,7 @@ def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
         robot = load_arm(config.model, notes, config.limits.max_velocity)
         require_motors(config.motors, robot)
         checked, _ = design_motion(config, robot, notes)
-        settings = config.poses, config.trajectory.sample_rate, config.estimation
-        prediction = predict_identification(checked, *settings)
-        lines = plan_lines(checked, prediction, *settings)
-        printed = tuple(map(python_words, lines))
+        printed = tuple(map(python_words, predict_plan(config, checked)[1]))
     return PlanResult(config, robot, checked, printed, tuple(notes.notes))
 
 

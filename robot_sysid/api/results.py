@@ -20,9 +20,9 @@ from robot_sysid.api.keywords import in_python, python_words
 from robot_sysid.config import Config, SysidConfig
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.export import locked_folder, params_json_text
+from robot_sysid.export import Outcome, locked_folder, params_json_text
 from robot_sysid.motion.plan import CheckedPlan
-from robot_sysid.pipeline.outcome import Identification, Outcome
+from robot_sysid.pipeline import Identification
 from robot_sysid.pipeline.planning import draft_plan
 from robot_sysid.pipeline.stages import write_results
 from robot_sysid.records import Array, InertialParameters, Motion, RobotModel

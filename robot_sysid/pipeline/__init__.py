@@ -1,1 +1,38 @@
-"""The stages of a run in order: load the model, plan or read, identify, write."""
+"""The stages of a run in order: load the model, plan or read, identify, write.
+
+Every identification, whatever it started from, ends in one record: ``Identification``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from robot_sysid.records import Motion, MotionPlan, Traces
+from robot_sysid.results.record import Result
+
+if TYPE_CHECKING:
+    from robot_sysid.estimation.answer import Answer
+    from robot_sysid.estimation.dataset import Dataset
+
+
+@dataclass(frozen=True)
+class Identification:
+    """A result with all that is needed to write it, draw it and test it.
+
+    Attributes:
+        result: all identified numbers, with errors and verdict.
+        checkpoints: motion on which a written model has to reproduce the predicted torque.
+        traces: computes the measured and predicted torques that a report draws.
+        answer: the estimate behind the result; None of the model's own simulation.
+        tests: recordings that only test the result.
+        plan: the motion that a simulation followed; None of logs.
+    """
+
+    result: Result
+    checkpoints: Motion
+    traces: Callable[[], Traces]
+    answer: Answer | None = None
+    tests: tuple[Dataset, ...] = ()
+    plan: MotionPlan | None = None

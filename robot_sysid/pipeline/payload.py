@@ -24,7 +24,7 @@ from robot_sysid.estimation.unknowns import SCALES, Unknowns
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.model.bodies import find_flange
-from robot_sysid.pipeline.outcome import Identification
+from robot_sysid.pipeline import Identification
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.torque_scale import SCALE, joint_factors

@@ -7,16 +7,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robot_sysid.config import SysidConfig
-from robot_sysid.estimation.question import EstimationOptions
-from robot_sysid.export import MotorFile
-from robot_sysid.motion import WEIGHT, LimitOptions, PoseOptions
+from robot_sysid.export import MotorFile, Outcome
+from robot_sysid.motion import WEIGHT
 from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
-from robot_sysid.pipeline.outcome import Outcome
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_files
 from robot_sysid.records.messages import Progress
@@ -28,7 +26,7 @@ from robot_sysid.trajectory import motion_chunks
 
 if TYPE_CHECKING:
     from robot_sysid.config import MotorOptions
-    from robot_sysid.damiao.trajectory import DamiaoExportReport, MotionChunk
+    from robot_sysid.damiao.trajectory import MotionChunk
     from robot_sysid.motion.prediction import Prediction
 
 _SMOOTH_REVERSAL = 0.01
@@ -41,7 +39,20 @@ def design_motion(
 ) -> tuple[CheckedPlan, int]:
     """Return the motion of a run with its limit check, and the seed it was drawn with."""
     seed = config.with_seed().trajectory.seed or 0
-    limits = _limits_with_motors(config.limits, config.motors, robot.n_joints)
+    limits = config.limits
+    motors = config.motors
+    if motors.export_damiao:
+        from robot_sysid.damiao.joints import motor_spec
+
+        # The motors of the export keep their torque limits, too.
+        max_torque = joint_values(
+            limits.max_torque or np.inf, robot.n_joints, "--max-torque"
+        )
+        for joint, motor_type in enumerate(motors.motor_type):
+            spec = motor_spec(motor_type)
+            motor_limits = (spec.peak_torque, spec.limits[2])
+            max_torque[joint] = min(*motor_limits, max_torque[joint])
+        limits = replace(limits, max_torque=tuple(max_torque.tolist()))
     estimation = config.estimation
     request = MotionRequest(
         config.trajectory,
@@ -49,7 +60,7 @@ def design_motion(
         limits,
         torques=estimation.torques,
         noise_torque=config.arm.noise_torque,
-        played=config.motors.export_damiao,
+        played=motors.export_damiao,
         poses=config.poses,
         link_uncertainty=estimation.link_uncertainty,
     )
@@ -70,71 +81,40 @@ def design_motion(
     return make_plan(request, robot, seed, progress), seed
 
 
-def _limits_with_motors(
-    limits: LimitOptions, motors: MotorOptions, n_joints: int
-) -> LimitOptions:
-    """Return torque limits that the motors of an export can keep too; without one the limits."""
-    if not motors.export_damiao:
-        return limits
-    from robot_sysid.damiao.joints import motor_spec
+def predict_plan(
+    config: SysidConfig, checked: CheckedPlan
+) -> tuple[Prediction | None, list[str]]:
+    """Return the errors to expect of an identification from a checked motion, and printed lines.
 
-    option_limits = joint_values(limits.max_torque or np.inf, n_joints, "--max-torque")
-    max_torque = []
-    for motor_type, option_limit in zip(motors.motor_type, option_limits.tolist()):
-        spec = motor_spec(motor_type)
-        max_torque.append(min(spec.peak_torque, spec.limits[2], option_limit))
-    return replace(limits, max_torque=tuple(max_torque))
-
-
-def predict_identification(
-    checked: CheckedPlan, poses: PoseOptions, rate: float, options: EstimationOptions
-) -> Prediction | None:
-    """Return the errors to expect of an identification from a motion, recorded at a rate [Hz].
-
-    None of friction sweeps and resting poses.
+    There is no prediction of friction sweeps and resting poses. The lines state limits and expected
+    errors.
     """
-    from robot_sysid.motion.expected_errors import RecordingPlan, predict
-
-    if poses.sets_its_time:
-        return None
-    assert checked.problem is not None
-    recording = RecordingPlan(rate, options, poses.target)
-    return predict(checked.problem, checked.plan, recording)
-
-
-def plan_lines(
-    checked: CheckedPlan,
-    prediction: Prediction | None,
-    poses: PoseOptions,
-    rate: float,
-    options: EstimationOptions,
-) -> Iterator[str]:
-    """Yield the printed lines on a checked motion: its limits and the errors to expect of it."""
+    from robot_sysid.motion import expected_errors, static
     from robot_sysid.motion import prediction as predictions
-    from robot_sysid.motion.expected_errors import friction_lines
-    from robot_sysid.motion.static import pose_lines, sweep_lines
 
     problem = checked.problem
     plan = checked.plan
-    assert problem is not None and checked.check is not None
-    if prediction is not None:
-        yield from predictions.plan_lines(problem, plan, checked.check, prediction)
-        return
-    yield from predictions.limit_lines(problem, plan, checked.check)
+    check = checked.check
+    poses = config.poses
+    rate = config.trajectory.sample_rate
+    assert problem is not None and check is not None
+    if not poses.sets_its_time:
+        recording = expected_errors.RecordingPlan(rate, config.estimation, poses.target)
+        prediction = expected_errors.predict(problem, plan, recording)
+        return prediction, [*predictions.plan_lines(problem, plan, check, prediction)]
+    lines = [*predictions.limit_lines(problem, plan, check)]
     if poses.static:
-        yield from pose_lines(problem, plan)
+        lines += static.pose_lines(problem, plan)
     else:
-        yield from sweep_lines(problem, plan)
-        yield from friction_lines(problem, plan, rate, options)
-    yield from predictions.motion_lines(problem, plan, checked.check)
+        lines += static.sweep_lines(problem, plan)
+        lines += expected_errors.friction_lines(problem, plan, rate, config.estimation)
+    lines += predictions.motion_lines(problem, plan, check)
+    return None, lines
 
 
 def write_plan(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Outcome:
     """Write a planned motion, unless it breaks a limit, and return the outcome of the command."""
-    rate = config.trajectory.sample_rate
-    settings = config.poses, rate, config.estimation
-    prediction = predict_identification(checked, *settings)
-    lines = [*plan_lines(checked, prediction, *settings)]
+    prediction, lines = predict_plan(config, checked)
     failure = checked.failure
     paths: tuple[Path, ...] = ()
     if failure:
@@ -169,7 +149,7 @@ def _write_motion(
         motor_path = config.output.output_dir / DAMIAO_NAME
         with files.open(motor_path) as file:
             report = motor_file(file)
-    return (*paths, motor_path), list(clamping_lines(report, robot.joint_names))
+    return (*paths, motor_path), clamping_lines(report, robot.joint_names)
 
 
 def _shortfalls(
@@ -180,15 +160,15 @@ def _shortfalls(
 
     if checked.problem is None or checked.failure:
         return [], ""
-    mass_share = None
-    if prediction is not None and config.poses.purpose != WEIGHT:
-        mass_share = prediction.relative_mass_error
-    body_name = "" if prediction is None else prediction.subject
     contact = contact_before(checked.problem, checked.plan)
-    shortfalls = shortfalls_of_plan(body_name, mass_share, contact)
+    if prediction is None:
+        return shortfalls_of_plan("", None, contact), ""
+    is_weighing = config.poses.purpose == WEIGHT
+    mass_share = None if is_weighing else prediction.relative_mass_error
+    shortfalls = shortfalls_of_plan(prediction.subject, mass_share, contact)
     # Another motion shows more of a mass; it does not clear the way.
-    is_mass_unknown = bool(shortfalls_of_plan(body_name, mass_share, None))
-    if prediction is None or not is_mass_unknown or config.plan_file is None:
+    mass_shortfalls = shortfalls_of_plan(prediction.subject, mass_share, None)
+    if not mass_shortfalls or config.plan_file is None:
         return shortfalls, ""
     options = prediction.improvement_options()
     if not options:
@@ -240,7 +220,7 @@ def require_motors(motors: MotorOptions, robot: RobotModel) -> None:
 def motor_writer(
     motors: MotorOptions, robot: RobotModel, plan: MotionPlan, rate: float
 ) -> MotorFile | None:
-    """Return the function that writes a motion, sampled at a rate [Hz], for Damiao motors.
+    """Return the function that writes a motion, sampled at a rate [Hz], for Damiao motors, once.
 
     None where no option asks for that.
     """
@@ -248,17 +228,14 @@ def motor_writer(
         return None
     from robot_sysid.damiao.trajectory import export_damiao_trajectory
 
-    def write(file: TextIO) -> DamiaoExportReport:
-        return export_damiao_trajectory(
-            motor_commands(robot, plan, rate),
-            motors.motor_type,
-            file,
-            motors.can_id,
-            motors.master_id,
-            joint_names=robot.joint_names,
-        )
-
-    return write
+    return partial(
+        export_damiao_trajectory,
+        motor_commands(robot, plan, rate),
+        motors.motor_type,
+        can_ids=motors.can_id,
+        master_ids=motors.master_id,
+        joint_names=robot.joint_names,
+    )
 
 
 def motor_commands(

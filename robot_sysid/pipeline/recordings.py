@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -28,7 +29,7 @@ from robot_sysid.estimation.question import (
 )
 from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
 from robot_sysid.logs.text import write_measurement_csv
-from robot_sysid.pipeline.outcome import Identification
+from robot_sysid.pipeline import Identification
 from robot_sysid.records import DataOrigin, Motion, MotionPlan, RobotModel, Source
 from robot_sysid.records.arm import InertialParameters
 from robot_sysid.records.data import Traces
@@ -52,29 +53,11 @@ _NOISE_STREAM = 1
 """Separates the random numbers of simulated noise from those of the motion, drawn by one seed."""
 
 
-@dataclass(frozen=True)
-class _FilteredRecordings:
-    """Low-passed recordings of one run; their raw samples are no longer held.
-
-    Attributes:
-        datasets: recordings to identify the arm from.
-        tests: log name to recordings that only test the result.
-        origin: where the recordings come from.
-        notes: what reading and filtering had to say, one sentence each.
-    """
-
-    datasets: Sequence[Dataset]
-    tests: Mapping[str, Sequence[Dataset]]
-    origin: DataOrigin
-    notes: tuple[str, ...]
-
-
 def identify_logs(
     config: SysidConfig, robot: RobotModel, progress: Progress
 ) -> Identification:
     """Read the logs, diagnose each of them, and identify the arm from all."""
     options = config.log
-    estimation = config.estimation
     logs = []
     for path in options.measurements:
         progress.stage(f"Reading measurements from {path}...")
@@ -88,23 +71,15 @@ def identify_logs(
         test = open_log(robot, options.validation_measurements, options, progress)
         tests.append(test)
         progress.note(*(type(note)(f"validation log: {note}") for note in test.notes))
-    diagnose_logs(robot, [*logs, *tests], options.accept, estimation, progress)
+    diagnose_logs(robot, [*logs, *tests], options.accept, config.estimation, progress)
+    origin = origin_of(logs)
+    notes = tuple(shared_notes({str(log.path): log.notes for log in logs}))
     pieces = []
     for log in logs:
         for samples in log.pieces:
             pieces.append(Piece(str(log.path), samples.without_velocities()))
-    notes = tuple(shared_notes({str(log.path): log.notes for log in logs}))
-    origin = origin_of(logs)
-    del logs  # frees the recorded velocities before signals are made
-    recordings = _filter_recordings(robot, pieces, estimation, origin, notes, tests)
-    return _identify_recordings(
-        robot,
-        recordings,
-        estimation,
-        config.output.keep,
-        config.model.mesh_dir,
-        progress,
-    )
+    del logs, log, samples  # frees the recorded velocities before signals are made
+    return _identify_pieces(config, robot, pieces, origin, notes, progress, tests)
 
 
 def identify_plant(
@@ -129,20 +104,13 @@ def identify_plant(
     if arm.save_measurements is not None:
         samples = simulation if n_samples > MOST_ROWS_KEPT else stretches
         write_measurement_csv(arm.save_measurements, robot.joint_names, samples)
+        del samples
     name = str(arm.plant_model)
     origin = DataOrigin(Source.SIMULATED_ARM, name, plan.duration, rate, seed)
     pieces = [Piece(name, samples) for samples in stretches]
+    del stretches
     notes = (*plant.notes, *cut_notes)
-    recordings = _filter_recordings(robot, pieces, config.estimation, origin, notes)
-    del stretches, pieces  # frees the raw samples before the estimate
-    identification = _identify_recordings(
-        robot,
-        recordings,
-        config.estimation,
-        config.output.keep,
-        config.model.mesh_dir,
-        progress,
-    )
+    identification = _identify_pieces(config, robot, pieces, origin, notes, progress)
     traces = partial(_traces_with_truth, identification.traces, plant.prior)
     return replace(identification, traces=traces)
 
@@ -175,66 +143,50 @@ def diagnose_logs(
         check_log(robot, log, accepted, progress, options)
 
 
-def _filter_recordings(
+def _identify_pieces(
+    config: SysidConfig,
     robot: RobotModel,
-    pieces: Sequence[Piece],
-    options: EstimationOptions,
+    pieces: list[Piece],
     origin: DataOrigin,
     notes: Sequence[str],
-    tests: Sequence[MeasurementLog] = (),
-) -> _FilteredRecordings:
-    """Low-pass all recordings; those that test the result get the cut-off of the others."""
-    datasets, filter_notes = low_pass_recordings(robot, pieces, options)
-    signals = datasets[0].signals
-    test_options = replace(
-        options, cutoff=signals.cutoff if signals else options.cutoff
-    )
-    test_datasets = {}
-    for log in tests:
-        test_pieces = [Piece(str(log.path), samples) for samples in log.pieces]
-        filtered, _ = low_pass_recordings(robot, test_pieces, test_options)
-        test_datasets[str(log.path)] = filtered
-    return _FilteredRecordings(datasets, test_datasets, origin, (*notes, *filter_notes))
-
-
-def _identify_recordings(
-    robot: RobotModel,
-    recordings: _FilteredRecordings,
-    options: EstimationOptions,
-    model_parts: tuple[str, ...],
-    mesh_dir: Path | None,
     progress: Progress,
+    tests: Sequence[MeasurementLog] = (),
 ) -> Identification:
-    """Identify an arm from low-passed recordings.
+    """Low-pass recordings and identify an arm from them.
 
     Args:
-        model_parts: parts of the model that its file keeps, from ``--keep``.
-        mesh_dir: the user's mesh folder, if any.
+        pieces: the recordings; the list is emptied, so that the raw samples need no memory any
+            more when the estimate begins.
+        origin: where the recordings come from.
+        notes: what reading them had to say, one sentence each.
+        tests: logs that only test the result; they get the cut-off of the others.
     """
-    datasets = recordings.datasets
-    notes = recordings.notes
-    progress.note(*notes)
-    if options.no_friction:
-        model_parts += (FILE_FRICTION, FILE_ROTORS)
-    answer = answer_link(
-        robot, datasets, options, progress, model_parts, recordings.tests
-    )
-    answer = replace(answer, notes=(*notes, *answer.notes))
-    result = result_of(answer, recordings.origin)
-    printed = {*robot.notes, *notes}
-    progress.note(*(note for note in result.notes if note not in printed))
+    options = config.estimation
+    datasets, filter_notes = low_pass_recordings(robot, pieces, options)
+    pieces.clear()
     signals = datasets[0].signals
     assert signals is not None
+    test_options = replace(options, cutoff=signals.cutoff)
+    test_datasets: dict[str, Sequence[Dataset]] = {}
+    for log in tests:
+        name = str(log.path)
+        test_pieces = [Piece(name, samples) for samples in log.pieces]
+        test_datasets[name] = low_pass_recordings(robot, test_pieces, test_options)[0]
+    notes = (*notes, *filter_notes)
+    progress.note(*notes)
+    keep = config.output.keep
+    if options.no_friction:
+        keep += (FILE_FRICTION, FILE_ROTORS)
+    answer = answer_link(robot, datasets, options, progress, keep, test_datasets)
+    answer = replace(answer, notes=(*notes, *answer.notes))
+    result = result_of(answer, origin)
+    printed = {*robot.notes, *notes}
+    progress.note(*(note for note in result.notes if note not in printed))
     checkpoints = signals.motion(signals.spread_indices(CHECKPOINTS))
-    tests = tuple(
-        dataset
-        for log_datasets in recordings.tests.values()
-        for dataset in log_datasets
-    )
-    result = _with_file_tests(result, tests, checkpoints, mesh_dir)
-    return Identification(
-        result, checkpoints, partial(traces_of, answer), answer, tests
-    )
+    all_tests = tuple(itertools.chain.from_iterable(test_datasets.values()))
+    result = _with_file_tests(result, all_tests, checkpoints, config.model.mesh_dir)
+    traces = partial(traces_of, answer)
+    return Identification(result, checkpoints, traces, answer, all_tests)
 
 
 def _with_file_tests(

@@ -1,4 +1,4 @@
-"""The stages of a run in order: load, plan, simulate or read, identify, write.
+"""The stages of a run in order: load, plan, simulate or read, identify, write; and the self-test.
 
 Modules that only some runs need are imported where they are used: the self-test starts in half the
 time.
@@ -6,17 +6,30 @@ time.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from robot_sysid.config import Config, PayloadConfig, SysidConfig
+from robot_sysid.dynamics.equations import (
+    NO_FRICTION,
+    TERMINAL_FRICTION,
+    Equations,
+    friction_per_joint,
+)
+from robot_sysid.dynamics.friction import FrictionModel
+from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
-from robot_sysid.export import locked_folder, save
+from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.export import Outcome, locked_folder, save
 from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import meshes_not_kept
 from robot_sysid.motion import LimitOptions
 from robot_sysid.parser import load_robot_model
-from robot_sysid.pipeline.outcome import Identification, Outcome
+from robot_sysid.pipeline import Identification
 from robot_sysid.pipeline.planning import (
     design_motion,
     draft_plan,
@@ -24,21 +37,18 @@ from robot_sysid.pipeline.planning import (
     require_motors,
     write_plan,
 )
-from robot_sysid.pipeline.self_test import run_self_test
-from robot_sysid.records import RobotModel
+from robot_sysid.records import DataOrigin, Estimate, MotionPlan, RobotModel, Source
+from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import MODEL_NAMES, atomic_files
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import PerJoint
 from robot_sysid.records.torque_scale import write_torque_scale
-from robot_sysid.results.result_lines import (
-    block_lines,
-    clamping_lines,
-    folder_text,
-    more_lines,
-)
+from robot_sysid.results.record import LINK, JointEstimate, Result, Verdict
 from robot_sysid.results.verdict import command_after_weighing, verdict_lines
-from robot_sysid.simulator import simulate_inverse
-from robot_sysid.trajectory import motion_chunks
+from robot_sysid.results.verification import CHECKPOINTS, rollout_refusal
+from robot_sysid.simulator import collect_sysid_data, simulate_inverse
+from robot_sysid.solver import identify_parameters
+from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count, spread_motion
 
 
 def run(config: Config, progress: Progress | None = None) -> Outcome:
@@ -52,7 +62,8 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
         SysidError: with the exit code that fits, see ``errors``.
     """
     progress = progress or Progress()
-    if isinstance(config, SysidConfig) and config.estimation.torque_from is not None:
+    arm_config = config if isinstance(config, SysidConfig) else None
+    if arm_config is not None and arm_config.estimation.torque_from is not None:
         from robot_sysid.servo import run_servo
 
         with meshes_not_kept():
@@ -66,16 +77,14 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
                 config.input_files(),
             )
     with locked_folder(config.output.output_dir, progress):
-        max_velocity = LimitOptions.max_velocity
-        if isinstance(config, SysidConfig):
-            max_velocity = config.limits.max_velocity
-        robot = load_arm(config.model, progress, max_velocity)
-        if isinstance(config, SysidConfig):
-            require_motors(config.motors, robot)
-        if isinstance(config, SysidConfig) and config.trajectory.plan_only:
+        limits = LimitOptions if arm_config is None else arm_config.limits
+        robot = load_arm(config.model, progress, limits.max_velocity)
+        if arm_config is not None:
+            require_motors(arm_config.motors, robot)
+        if arm_config is not None and arm_config.trajectory.plan_only:
             with ignore_repeated_ctrl_c():
-                checked, _ = design_motion(config, robot, progress)
-                return write_plan(config, robot, checked)
+                checked, _ = design_motion(arm_config, robot, progress)
+                return write_plan(arm_config, robot, checked)
         identification = identify(config, robot, progress)
         return write_results(config, identification, progress)
 
@@ -147,58 +156,129 @@ def write_results(
     result = identification.result
     robot = result.robot
     mesh_dir = config.model.mesh_dir
-    refusal = None
+    folder = config.output.output_dir
+    refused = None
     as_body = None
     motor_file = None
     scale_path = None
     if isinstance(config, PayloadConfig):
         as_body = config.payload.as_body
         scale_path = config.payload.save_torque_scale
-    elif isinstance(config, SysidConfig):
-        if identification.plan is not None:
-            rate = config.trajectory.sample_rate
-            motor_file = motor_writer(config.motors, robot, identification.plan, rate)
-        has_model = result.file is not None and result.verdict.writes_model
-        if config.log.verify_rollout and has_model:
-            from robot_sysid.pipeline.recordings import play_models
-            from robot_sysid.results import verification
+    elif isinstance(config, SysidConfig) and identification.plan is not None:
+        rate = config.trajectory.sample_rate
+        motor_file = motor_writer(config.motors, robot, identification.plan, rate)
+    has_model = result.file is not None and result.verdict.writes_model
+    if config.log.verify_rollout and has_model:
+        from robot_sysid.pipeline.recordings import play_models
 
-            progress.stage("Playing the model on held-out pieces...")
-            played = play_models(identification, config.output.keep, mesh_dir)
-            result = replace(result, rollout=played)
-            refusal = verification.rollout_refusal(played, config.log.accept)
-    saved = save(
+        progress.stage("Playing the model on held-out pieces...")
+        played = play_models(identification, config.output.keep, mesh_dir)
+        result = replace(result, rollout=played)
+        refused = rollout_refusal(played, config.log.accept)
+    outcome = save(
         result,
-        config.output.output_dir,
+        folder,
         identification.checkpoints,
         mesh_dir=mesh_dir,
         as_body=as_body,
         motor_file=motor_file,
-        refused=refusal,
+        refused=refused,
         inputs=[Path(path) for path in config.input_files() if path is not None],
+        links=config.output.links,
     )
-    if scale_path is not None and saved.failure is None and result.payload:
+    if scale_path is not None and outcome.failure is None and result.payload:
         write_torque_scale(scale_path, result.payload.torque_scale)
-    progress.note(*saved.notes)
-    lines = (
-        *block_lines(result),
-        f"Results saved to {folder_text(config.output.output_dir)}",
-        *more_lines(result, config.output.links),
-        *clamping_lines(saved.damiao, robot.joint_names),
+    progress.note(*outcome.notes)
+    models = [path for path in outcome.files if path.name in MODEL_NAMES.values()]
+    if models and config.log.measurements:
+        command = command_after_weighing(folder, config.model.path, models[0])
+        verdict = verdict_lines(result, outcome.failure, command)
+        outcome = replace(outcome, verdict=verdict)
+    return replace(outcome, traces=identification.traces)
+
+
+_DRAWN_SAMPLES = 2000
+"""Samples of the simulation that a report draws."""
+_NEGLIGIBLE_MASS_ERROR = 1e-6
+"""Standard error of a mass that is small enough whatever the mass is [kg]."""
+
+
+def run_self_test(
+    robot: RobotModel,
+    plan: MotionPlan,
+    rate: float,
+    seed: int,
+    options: EstimationOptions,
+    progress: Progress,
+) -> Identification:
+    """Simulate the model along a trajectory and identify its terminal link, in constant memory.
+
+    Args:
+        rate: of the simulated samples [Hz].
+        seed: that the trajectory was drawn with, for the record.
+    """
+    progress.stage("Running MuJoCo simulation...")
+    model = NO_FRICTION if options.no_friction else TERMINAL_FRICTION
+    equations = Equations(
+        robot, options.torques, friction_per_joint(robot, "terminal", model)
     )
-    command = ""
-    if isinstance(config, SysidConfig) and config.log.measurements:
-        models = [path for path in saved.files if path.name in MODEL_NAMES.values()]
-        if models:
-            folder = config.output.output_dir
-            command = command_after_weighing(folder, config.model.path, models[0])
-    verdict = verdict_lines(result, saved.failure, command)
-    return Outcome(
-        lines,
-        verdict,
-        saved.failure,
-        saved.files,
-        result,
-        identification.traces,
-        saved.result_hash,
+    simulated = simulate_inverse(robot, motion_chunks(plan, rate))
+    count = math.ceil(sample_count(plan.duration, rate) / CHUNK)
+    tracked = progress.track(simulated, "Collecting regressor data", count)
+    information = collect_sysid_data(equations, tracked)
+    progress.stage("Solving for parameters...")
+    estimate = identify_parameters(information, equations.prior, possible=True)
+    friction = {}
+    for index in range(N_INERTIAL, len(equations.names)):
+        term = equations.names[index].partition("[")[0]
+        friction[term] = float(equations.prior[index])
+    result = Result(
+        robot=robot,
+        question=LINK,
+        estimate=estimate,
+        verdict=self_test_verdict(estimate),
+        torques=options.torques,
+        data=DataOrigin(Source.ITSELF, "", plan.duration, rate, seed),
+        joints={robot.terminal_joint: JointEstimate(model.name, {}, friction)},
+        notes=robot.notes,
     )
+
+    checkpoints = plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS))
+    traces = partial(_traces, robot, plan, options.torques, model, estimate)
+    return Identification(result, checkpoints, traces)
+
+
+def _traces(
+    robot: RobotModel,
+    plan: MotionPlan,
+    torques: str,
+    model: FrictionModel,
+    estimate: Estimate,
+) -> Traces:
+    """Return measured and predicted torques for a report.
+
+    It simulates anew from records: MuJoCo's own data cannot be kept safely until then.
+    """
+    from robot_sysid.estimation.build_result import make_traces
+    from robot_sysid.estimation.dataset import equations_at
+
+    equations = Equations(robot, torques, friction_per_joint(robot, "terminal", model))
+    motion = spread_motion(plan, _DRAWN_SAMPLES)
+    (measurement,) = simulate_inverse(robot, [motion])
+    samples = equations_at(equations, measurement)
+    values = dict(zip(equations.names, estimate.values))
+    prior = dict(zip(equations.names, equations.prior))
+    return make_traces(robot, [samples], [motion], values, prior)
+
+
+def self_test_verdict(estimate: Estimate) -> Verdict:
+    """Return the verdict on the identification of a model from its own simulation."""
+    errors = estimate.standard_errors
+    mass_error = np.inf if errors is None else errors[0]
+    largest = max(_NEGLIGIBLE_MASS_ERROR, 0.5 * estimate.inertial.mass)
+    if np.isfinite(mass_error) and mass_error > largest:
+        return Verdict.TOO_WEAK
+    identifiability = estimate.identifiability
+    if identifiability.rank < identifiability.n_parameters:
+        return Verdict.PARTLY_FROM_MODEL
+    return Verdict.OK

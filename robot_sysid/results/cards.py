@@ -21,7 +21,8 @@ from robot_sysid.mjcf.inertial import (
     urdf_inertial_about_com,
 )
 from robot_sysid.records import Array, Flange, InertialParameters
-from robot_sysid.results.record import BodyEstimate
+from robot_sysid.records.messages import with_error
+from robot_sysid.results.record import BodyEstimate, Payload
 
 DIGITS = 9
 """Significant digits of the numbers that people type into a controller: far below any error."""
@@ -335,9 +336,15 @@ def is_inertia_known(body: BodyEstimate) -> bool:
     return bool(np.any(moments > MOMENT_SIGNIFICANCE * errors))
 
 
-def card_text(cards: Sequence[Card], heading: str) -> str:
-    """Return the text of payload_card.txt: the heading, then each card with its explanation."""
-    blocks = [heading]
+def card_text(cards: Sequence[Card], payload: Payload, model_name: str) -> str:
+    """Return the text of payload_card.txt: a heading, then each card with its explanation."""
+    mass_error = float(payload.body.errors[0])
+    mass = with_error(payload.body.inertial.mass, mass_error, "kg")
+    recordings = payload.recordings
+    blocks = [
+        f"Payload of {mass}, identified with {model_name} from {len(recordings['empty'])} empty "
+        f"and {len(recordings['loaded'])} loaded recordings."
+    ]
     for card in cards:
         lines = [f"== {card.title} =="]
         for paragraph in (card.explanation, *card.notes):

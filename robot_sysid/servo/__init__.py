@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import ExportError, InputError
-from robot_sysid.export import locked_folder, remove_earlier
+from robot_sysid.export import Outcome, locked_folder, remove_earlier
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.updated_model import ActuatorChange, JointChange
-from robot_sysid.pipeline.outcome import Outcome
 from robot_sysid.records import (
     Array,
     DataOrigin,

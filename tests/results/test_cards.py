@@ -27,7 +27,7 @@ from robot_sysid.results.cards import (
     payload_cards,
     principal_moments,
 )
-from robot_sysid.results.record import BodyEstimate
+from robot_sysid.results.record import BodyEstimate, Payload
 from tests.support.arms import SEEDS, random_rotation
 
 FLANGE = Flange("site 'tool'", np.eye(3), np.array([0.0, 0.0, 0.107]), "link7")
@@ -224,8 +224,15 @@ def test_values_of_a_card_are_the_numbers_of_its_text_without_exponents(seed, sh
 def test_a_card_states_flange_mass_errors_and_commands():
     flange = replace(FLANGE, note="found by name")
     cards = cards_by_name(*EXAMPLE, flange)
-    text = card_text(list(cards.values()), "A heading.")
-    assert text.startswith("A heading.\n\n== Payload ==\n") and text.endswith("\n")
+    body = body_estimate(*EXAMPLE)
+    recordings = {"empty": ("a",), "loaded": ("b", "c")}
+    payload = Payload(flange, body, body, body, recordings)
+    heading, text = card_text(list(cards.values()), payload, "m.xml").split("\n\n", 1)
+    assert heading == (
+        "Payload of 1.517 ± 0.015 kg, identified with m.xml from 1 empty and 2 loaded "
+        "recordings."
+    )
+    assert text.startswith("== Payload ==\n") and text.endswith("\n")
     for phrase in (
         "site 'tool': origin at 0.0, 0.0, 0.107 m",
         "of body 'link7'",
