@@ -20,9 +20,9 @@ from tests.support.places import ROOT
 def outcomes():
     """What came of all lines, by name: their runs branch off one undisturbed run."""
     assert loaded_joint(SetUp()) == SHOULDER
-    return {
-        outcome.name: outcome for outcome in outcomes_of([line.case for line in LINES])
-    }
+    cases = [line.case for line in LINES]
+    cases.append(Case("nothing", SetUp(), lambda run: None, after=4.0))
+    return {outcome.name: outcome for outcome in outcomes_of(cases)}
 
 
 @pytest.mark.slow
@@ -34,6 +34,12 @@ def test_a_fault_moves_no_joint_far_from_its_path(line, outcomes):
     joint = joint_of(line.cause)
     if line.words and joint is not None:
         assert f"motor {joint + 1} " in outcome.words, outcome.line()
+
+
+@pytest.mark.slow
+def test_an_undisturbed_run_completes_and_departs_from_nothing(outcomes):
+    outcome = outcomes["nothing"]
+    assert outcome.ending == "completed" and outcome.departure == 0.0, outcome.line()
 
 
 @pytest.mark.slow
@@ -52,7 +58,7 @@ def test_the_page_says_how_far_joints_get_and_what_is_said(outcomes):
 def test_exchanged_cables_of_two_arms_are_named_soon_after_they_leave_a_symmetric_pose(
     tmp_path, are_exchanged
 ):
-    record = play_openarms(tmp_path, are_exchanged)
+    record = play_openarms(tmp_path, are_exchanged, duration=2.5)
     times = {phase.split(" (")[0]: begin for begin, phase in record.phases}
     assert ("cables of two arms exchanged" in record.words) == are_exchanged
     assert bool(record.words) == are_exchanged
@@ -74,11 +80,3 @@ def test_a_damage_changes_the_field_it_is_about(field_name, size, byte):
     damaged = frame_of_line(Damage(field_name, size, 0).apply(line, 12.5), frame)
     changed = [index for index in range(8) if damaged.data[index] != frame.data[index]]
     assert changed[0] == byte and damaged.time == frame.time
-
-
-@pytest.mark.slow
-def test_an_undisturbed_run_completes_and_departs_from_nothing():
-    setup = SetUp(duration=2.5)
-    case = Case("nothing", setup, lambda run: None, after=0.2, patience=None)
-    (outcome,) = outcomes_of([case])
-    assert outcome.ending == "completed" and outcome.departure == 0.0, outcome.line()

@@ -1,36 +1,55 @@
-"""How far an arm gets after a damaged frame, and how it is stopped with a motor weak or lost."""
+"""How far an arm gets after a damaged frame, and how it is stopped with a motor weak or lost.
+
+Tests called "in_depth" repeat others with more cases.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-from benchmarks.motor_faults import DAMAGE_BOUND, damage_cases, hold_cases
-from tests.support.fault_bench import outcomes_of
+from benchmarks.motor_faults import DAMAGE_BOUND, DAMAGES, damage_cases, hold_cases
+from tests.support.fault_bench import SetUp, outcomes_of
 
-DAMAGED_FRAMES = 40
+KINDS = sum(map(len, DAMAGES.values()))
+"""Number of kinds of damage: fields of a frame and sizes of the error."""
+IN_DEPTH = "in_depth"
+LOWERED = SetUp(park="rest")
+"""An arm that goes through all phases, lowering included."""
+STIFFNESS = pytest.mark.parametrize("kp", [60.0, pytest.param(180.0, id=IN_DEPTH)])
 
 
 @pytest.mark.slow
-def test_one_damaged_frame_moves_no_joint_far_from_its_path():
-    cases = damage_cases("kinova", DAMAGED_FRAMES, seed=1)
+@pytest.mark.parametrize("setup", [LOWERED, pytest.param(None, id=IN_DEPTH)])
+def test_one_damaged_frame_moves_no_joint_far_from_its_path(setup):
+    """Each kind of damage once on one arm, or 40 of them with and without a model and a park."""
+    cases = damage_cases("kinova", KINDS if setup else 40, seed=1)
+    if setup:
+        cases = [replace(case, setup=setup) for case in cases]
     damaged_runs = list(outcomes_of(cases))
     assert len(damaged_runs) == len(cases)
     worst = max(damaged_runs, key=lambda outcome: outcome.departure)
     assert worst.departure < DAMAGE_BOUND, worst.line()
 
 
-def outcomes_of_holding(fault, kp, poses):
-    """What comes of faults whose name contains this, of an arm that is held still."""
-    cases = [case for case in hold_cases("kinova") if fault in case.name]
-    cases = [case for case in cases if case.setup.kp == kp and case.setup.pose in poses]
-    return list(outcomes_of(cases))
+def stopped_while_holding(fault, kp, poses):
+    """What comes of faults whose name contains this, of an arm that is held still in two poses."""
+    cases = []
+    for case in hold_cases("kinova"):
+        setup = case.setup
+        if fault in case.name and setup.kp == kp and setup.pose in poses:
+            cases.append(replace(case, setup=replace(setup, duration=1.5)))
+    outcomes = list(outcomes_of(cases))
+    assert [outcome.ending for outcome in outcomes] == ["stopped"] * len(cases)
+    return outcomes
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kp", [60.0, 180.0])
+@STIFFNESS
 def test_a_weak_motors_joint_is_carried_and_no_energy_goes_into_the_arm(kp):
     """A stop that moved the reference to the joint let it fall by 0.8 rad at kp 60."""
-    falls = outcomes_of_holding("weak", kp, poses=(0, 2))
+    falls = stopped_while_holding("weak", kp, poses=(0, 2))
     assert len(falls) == 4
     for outcome in falls:
         assert outcome.fall < 0.1, outcome.line()
@@ -39,10 +58,10 @@ def test_a_weak_motors_joint_is_carried_and_no_energy_goes_into_the_arm(kp):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kp", [60.0, 180.0])
+@STIFFNESS
 def test_beside_a_lost_motor_the_other_joints_are_held(kp):
     """Its own joint swings at 6 rad/s and throws the others: to 0.9 rad/s before it is noticed."""
-    falls = outcomes_of_holding("lost", kp, poses=(1, 3))
+    falls = stopped_while_holding("lost", kp, poses=(1, 3))
     assert len(falls) == 2
     for outcome in falls:
         assert outcome.others_fall < 0.06, outcome.line()

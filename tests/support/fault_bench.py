@@ -55,6 +55,8 @@ WINDOW_AFTER = 0.5
 """Which part of the undisturbed path a joint may be on: around the stop [s]."""
 FASTEST_CLASSIC = 250.0
 """Highest rate at which seven motors fit onto a classic CAN bus [Hz]."""
+CLEAN_MARGIN = 1.0
+"""How long after the last case can end the undisturbed run goes on [s]."""
 CUT_BELIEF = 0.8
 """Share of the true masses in a guessed model, where the arm comes with none."""
 
@@ -333,6 +335,8 @@ class BenchRun:
         self.stop_at = None
         self.was_ended = False
         self._cases = dict(enumerate(cases))
+        patience = [np.inf if case.patience is None else case.patience for case in cases]
+        self._patience = max(patience, default=np.inf)
         self._folder = folder
         self._jobs = jobs
         self._children = set()
@@ -387,6 +391,9 @@ class BenchRun:
         child = os.fork()
         if child:
             self._children.add(child)
+            del self._cases[number]
+            if not self._cases:
+                self.at(self._patience + CLEAN_MARGIN, self._end)
             return
         self._case_number = number
         self._onset = self.clock.now()

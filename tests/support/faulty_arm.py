@@ -101,6 +101,8 @@ class FaultyArm(SimulatedArm):
         self._rows = None
         self._states = []
         self._driving = np.zeros(n, bool)
+        # Motors that have had a frame since the sensors were read.
+        self._asked = set()
         self._top_speed = np.array([_top_speed(motor) for motor in motors[:n]])
 
     def advance(self, until):
@@ -109,6 +111,7 @@ class FaultyArm(SimulatedArm):
         if not self._was_enabled:
             self._rest(until)
         while self.time + mechanism.timestep <= until:
+            self._has_moved = True
             self.time += mechanism.timestep
             for motor in self.motors:
                 motor.tick(self.time)
@@ -124,7 +127,12 @@ class FaultyArm(SimulatedArm):
         listeners = [motor for motor in self.motors if _listens(motor, frame)]
         if not listeners:
             return []
-        self._read_sensors()
+        asked = {id(motor) for motor in listeners}
+        if self._has_moved or asked & self._asked:
+            self._read_sensors()
+            self._has_moved = False
+            self._asked = set()
+        self._asked |= asked
         answers = []
         for motor in sorted(listeners, key=lambda motor: not motor.answers_first):
             answer = motor.handle(frame, time)
@@ -135,6 +143,7 @@ class FaultyArm(SimulatedArm):
         return answers
 
     def _rest(self, until):
+        self._has_moved = True
         self.time = max(self.time, until)
         self._keep()
 
