@@ -19,6 +19,7 @@ from robot_sysid.damiao.safety.guards import (
     Mask,
     Replies,
     SampleFilter,
+    hide_answers,
 )
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
@@ -109,6 +110,8 @@ class MotorSession:
         steps: one quantisation step (n,) of position, velocity and torque [rad, rad/s, N m].
         peak_torque: peak torque (n,) of each joint [N m].
         last_replies: replies of the last exchange, even if an error ended it early.
+        sent_position: positions (n,) commanded last, or those of the arm when it was enabled [rad];
+            NaN before. The user only reads them.
         unconfirmed: joints whose motors may be enabled: they have not confirmed to be disabled.
     """
 
@@ -138,7 +141,7 @@ class MotorSession:
         # In a stop commands are limited to the range, which must not exceed what frames can carry.
         sendable = scale if command_range is None else command_range.within(scale)
         self._bounds = CommandBounds(sendable, self.peak_torque, *self.steps)
-        self._sent_position = np.full(self.n_joints, np.nan)
+        self.sent_position = np.full(self.n_joints, np.nan)
         self._sent_at = np.full(self.n_joints, -np.inf)
         self._credit = np.zeros(self.n_joints)
         self._sent_data: dict[int, bytes] = {}
@@ -167,11 +170,6 @@ class MotorSession:
     def command_range(self) -> CommandRange:
         """Positions and speeds within which commands stay."""
         return self._bounds.command_range
-
-    @property
-    def sent_position(self) -> Array:
-        """Positions (n,) commanded last, or those of the arm when it was enabled [rad]."""
-        return self._sent_position
 
     def open_range(self) -> None:
         """Widen the range of commanded positions to that of the frames; speeds stay limited.
@@ -211,23 +209,22 @@ class MotorSession:
         requests = [protocol.refresh_frame(joint.address) for joint in self.joints]
         answers = [self._ask(j, request) for j, request in enumerate(requests)]
         position = np.empty(self.n_joints)
-        for j, joint in enumerate(self.joints):
-            position[j] = self._enable_one(j, joint, *answers[j])
+        for j, answer in enumerate(answers):
+            position[j] = self._enable_one(j, *answer)
         now = self.clock.now()
         self._filter.start(now, position)
         self._bounds = self._bounds.including(position)
-        self._sent_position = position.copy()
+        self.sent_position = position.copy()
         self._sent_at = np.full(self.n_joints, now)
         return position
 
-    def _enable_one(
-        self, j: int, joint: DamiaoJoint, status: int, position: float
-    ) -> float:
+    def _enable_one(self, j: int, status: int, position: float) -> float:
         """Enable the motor of joint number j and return the joint's position [rad].
 
         ``status`` and ``position`` [rad] are those of the motor's last answer. HardwareAbort where
         the motor has a fault, does not answer, or its answers disagree.
         """
+        joint = self.joints[j]
         for _ in range(_ENABLE_TRIES):
             last_status = status
             last_position = position
@@ -250,9 +247,8 @@ class MotorSession:
         self._link.drain()
         self._link.send(request)
         this_motor = np.arange(self.n_joints) == j
-        feedback = self._collect(
-            this_motor, self.clock.now() + _CONFIRM_TIMEOUT
-        ).feedback
+        until = self.clock.now() + _CONFIRM_TIMEOUT
+        feedback = self._collect(this_motor, until).feedback
         return int(feedback.status[j]), float(feedback.position[j])
 
     def exchange(
@@ -298,15 +294,11 @@ class MotorSession:
         old = acted or new
         in_force = (np.where(commanded, *pair) for pair in zip(new, old))
         self._command = protocol.MitCommand(*in_force)
-        used = (
-            np.abs(new.position - self._sent_position)
-            / self._bounds.command_range.speed
-        )
-        unused = np.clip(
-            self._time_to_move(now) - np.nan_to_num(used), 0.0, _MOST_CREDIT
-        )
+        moved = np.abs(new.position - self.sent_position)
+        used = np.nan_to_num(moved / self._bounds.command_range.speed)
+        unused = np.clip(self._time_to_move(now) - used, 0.0, _MOST_CREDIT)
         self._credit = np.where(commanded, unused, self._credit)
-        self._sent_position = np.where(commanded, new.position, self._sent_position)
+        self.sent_position = np.where(commanded, new.position, self.sent_position)
         self._sent_at = np.where(commanded, now, self._sent_at)
         for j in np.flatnonzero(commanded).tolist():
             bus, can_id = self.joints[j].address
@@ -326,9 +318,8 @@ class MotorSession:
         self, command: protocol.MitCommand, now: float, braking: bool
     ) -> protocol.MitCommand:
         """Return a command within the bounds, or raise BeyondBounds unless ``braking``."""
-        last = np.where(
-            np.isnan(self._sent_position), command.position, self._sent_position
-        )
+        is_new = np.isnan(self.sent_position)
+        last = np.where(is_new, command.position, self.sent_position)
         elapsed = self._time_to_move(now)
         if braking:
             return self._bounds.confine(command, last, elapsed, self._filter.q)
@@ -406,18 +397,12 @@ class MotorSession:
             measured = self.space.to_joints(
                 decoded.position, decoded.velocity, decoded.torque
             )
-            q, qd, tau = np.where(answered, measured, np.nan)
-            status = np.where(answered, decoded.status, NO_STATUS)
-            feedback = replace(
-                decoded, status=status, position=q, velocity=qd, torque=tau
-            )
+            feedback = hide_answers(decoded, measured, answered)
             stamps = np.where(answered & np.isfinite(sent), sent, received)
             replies = Replies(answered, stamps, feedback, motors, command)
             if believe:
-                surplus = self._outstanding.surplus.copy()
-                counted = replace(
-                    replies, surplus=surplus, foreign=self._foreign.copy()
-                )
+                counts = self._outstanding.surplus.copy(), self._foreign.copy()
+                counted = replace(replies, surplus=counts[0], foreign=counts[1])
                 replies = self._filter.believe(counted, acted)
             self.last_replies = replies
         return replies

@@ -46,7 +46,7 @@ class EffortChange:
 
 
 class _Cause(NamedTuple):
-    """A possible cause: a sentence, and the torque (n,) that it makes, up to a factor [N m]."""
+    """A possible cause: a sentence, and the torque (n,) that it makes, up to a factor [doubts]."""
 
     text: str
     shape: Array
@@ -80,15 +80,12 @@ def explain_change(
     weighted = residual / holding.doubt
     if np.max(np.abs(weighted)) < _NO_CHANGE:
         return _explain_passing_change(change, needed, holding, joints)
-    weak_motors = _weak_motor_causes(residual, needed, joints)
-    weak = [_unexplained_squares(cause, weighted, holding) for cause in weak_motors]
-    changes = _load_and_zero_causes(holding, q, residual, joints)
-    others = [_unexplained_squares(cause, weighted, holding) for cause in changes]
-    best_weak = min(weak, default=(np.inf, ""))
-    best_other = min(others, default=(np.inf, ""))
-    unexplained, text = (
-        best_other if best_other[0] < _BETTER * best_weak[0] else best_weak
-    )
+    weak_motors = _weak_motor_causes(residual, needed, holding.doubt, joints)
+    changes = _load_and_zero_causes(holding, q, weighted, joints)
+    best_weak = _best_cause(weak_motors, weighted)
+    best_other = _best_cause(changes, weighted)
+    is_weak = best_other[0] >= _BETTER * best_weak[0]
+    unexplained, text = best_weak if is_weak else best_other
     if unexplained > (1.0 - _EXPLAINED) * float(weighted @ weighted):
         return "something pushes it or holds it back, or it carries more than before"
     return text
@@ -114,66 +111,58 @@ def _explain_passing_change(
     return "something pushed it for a moment"
 
 
-def _unexplained_squares(
-    cause: _Cause, weighted: Array, holding: HoldingCheck
-) -> tuple[float, str]:
-    """Return the sum of squares that a cause leaves unexplained, and the cause's text.
+def _best_cause(causes: Iterator[_Cause], weighted: Array) -> tuple[float, str]:
+    """Return the least sum of squares that one of ``causes`` leaves unexplained, and its text.
 
-    ``weighted`` (n,) are the torques to be explained, in units of ``holding.doubt``.
+    The sum is infinite without any cause. ``weighted`` (n,) is the torque to be explained [doubts].
     """
-    shape = cause.shape / holding.doubt
-    explained = float(weighted @ shape) ** 2 / max(float(shape @ shape), 1e-12)
-    return float(weighted @ weighted) - explained, cause.text
+    best = np.inf, ""
+    for text, shape in causes:
+        explained = float(weighted @ shape) ** 2 / max(float(shape @ shape), 1e-12)
+        best = min(best, (float(weighted @ weighted) - explained, text))
+    return best
 
 
 def _weak_motor_causes(
-    residual: Array, needed: Array, joints: Sequence[DamiaoJoint]
+    residual: Array, needed: Array, doubt: Array, joints: Sequence[DamiaoJoint]
 ) -> Iterator[_Cause]:
     """Yield a cause for each joint whose motor may make only a share of its commanded torque.
 
-    ``residual`` (n,) is commanded minus expected torque, ``needed`` (n,) the expected one [N m].
+    ``residual`` (n,) is commanded minus expected torque, ``needed`` (n,) the expected one, and
+    ``doubt`` (n,) the torque that friction alone may explain [N m].
     """
     commanded = needed + residual
     for j, shape in enumerate(np.eye(len(residual))):
         share = needed[j] / commanded[j] if commanded[j] else 1.0
         if 0.0 < share < 1.0:
             statement = f"{joints[j].label} makes {share:.2f} times the torque that it is commanded"
-            yield _Cause(f"{statement}: its motor is weak", shape)
+            yield _Cause(f"{statement}: its motor is weak", shape / doubt)
 
 
 def _load_and_zero_causes(
-    holding: HoldingCheck, q: Array, residual: Array, joints: Sequence[DamiaoJoint]
+    holding: HoldingCheck, q: Array, weighted: Array, joints: Sequence[DamiaoJoint]
 ) -> Iterator[_Cause]:
     """Yield a cause for a new load and for each joint whose zero may have moved.
 
-    Nothing is yielded without a model. ``q`` (n,) are the positions [rad], ``residual`` (n,) is
-    commanded minus expected torque [N m].
+    Nothing is yielded without a model. ``q`` (n + m,) are the positions of n joints and m further
+    motors [rad], ``weighted`` (n,) is commanded minus expected torque [doubts].
     """
     if not holding.is_model:
         return
-    load = holding.load(q)
-    mass = _fit_coefficient(load, residual, holding.doubt)
+    load = holding.load(q) / holding.doubt
+    mass = _fit_coefficient(load, weighted)
     if mass > _LEAST_LOAD:
-        yield _Cause(
-            f"the arm carries about {mass:.1f} kg more at its end than before", load
-        )
-    for j, unit in enumerate(np.eye(len(q))[: len(residual)]):
-        step = _ZERO_STEP * unit
-        slope = (holding.torque(q + step) - holding.torque(q - step)) / (
-            2.0 * _ZERO_STEP
-        )
-        shift = _fit_coefficient(slope[: len(residual)], residual, holding.doubt)
+        text = f"the arm carries about {mass:.1f} kg more at its end than before"
+        yield _Cause(text, load)
+    for step, joint in zip(_ZERO_STEP * np.eye(len(q)), joints[: len(weighted)]):
+        change = holding.torque(q + step) - holding.torque(q - step)
+        slope = (change / (2.0 * _ZERO_STEP))[: len(weighted)] / holding.doubt
+        shift = _fit_coefficient(slope, weighted)
         if _LEAST_ZERO_SHIFT < abs(shift) < _MOST_ZERO_SHIFT:
-            moved = f"the zero of {joints[j].label} has moved by {abs(shift):.2f} rad"
-            yield _Cause(
-                f"{moved}: its gear or its encoder slips", slope[: len(residual)]
-            )
+            text = f"the zero of {joint.label} has moved by {abs(shift):.2f} rad"
+            yield _Cause(f"{text}: its gear or its encoder slips", slope)
 
 
-def _fit_coefficient(shape: Array, residual: Array, doubt: Array) -> float:
-    """Return the factor of ``shape`` (n,) that fits ``residual`` (n,) best [N m].
-
-    It is the least-squares solution with each joint divided by its ``doubt`` (n,) [N m].
-    """
-    weighted = shape / doubt
-    return float(weighted @ (residual / doubt)) / max(float(weighted @ weighted), 1e-12)
+def _fit_coefficient(shape: Array, weighted: Array) -> float:
+    """Return the factor of ``shape`` (n,) that fits ``weighted`` (n,) best by least squares."""
+    return float(shape @ weighted) / max(float(shape @ shape), 1e-12)

@@ -16,7 +16,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,11 @@ _HEAT_CHANGE = 5.0
 """Largest plausible change of temperature [deg C]: windings warm up by a degree in seconds."""
 
 
+def _no_joints() -> Any:
+    """Return an empty array, in place of which ``Replies`` has a zero for each joint."""
+    return np.zeros(0, int)
+
+
 @dataclass(frozen=True)
 class Replies:
     """Answers of n joints in one control cycle.
@@ -70,25 +76,18 @@ class Replies:
     feedback: protocol.Feedback
     requested: Mask
     command: protocol.MitCommand | None = None
-    doubted: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    jump: Array = field(default_factory=lambda: np.zeros(0))
-    surplus: Counts = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    foreign: Counts = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    doubted: Mask = field(default_factory=_no_joints)
+    jump: Array = field(default_factory=_no_joints)
+    surplus: Counts = field(default_factory=_no_joints)
+    foreign: Counts = field(default_factory=_no_joints)
 
     def __post_init__(self) -> None:
-        n_joints = len(self.answered)
-        for name, dtype in (
-            ("doubted", bool),
-            ("jump", float),
-            ("surplus", int),
-            ("foreign", int),
-        ):
-            if len(getattr(self, name)) != n_joints:
-                object.__setattr__(self, name, np.zeros(n_joints, dtype=dtype))
+        for name in ("doubted", "jump", "surplus", "foreign"):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.zeros(len(self.answered), int))
 
 
-@dataclass(frozen=True)
-class _Samples:
+class _Samples(NamedTuple):
     """One sample per joint; every field is (n,).
 
     Attributes:
@@ -109,11 +108,7 @@ class _Samples:
 
     def where(self, selected: Mask, other: _Samples) -> _Samples:
         """Return these samples for joints ``selected`` (n,), and ``other`` for the others."""
-        names = vars(self)
-        merged = {}
-        for name in names:
-            merged[name] = np.where(selected, getattr(self, name), getattr(other, name))
-        return _Samples(**merged)
+        return _Samples._make(map(partial(np.where, selected), self, other))
 
 
 class _Change(NamedTuple):
@@ -161,9 +156,8 @@ class SampleFilter:
     def start(self, time: float, q: Array) -> None:
         """Take q (n,) [rad] at zero velocity as the last believed sample, of ``time`` [s]."""
         zero_speed = np.zeros_like(q)
-        self._last = replace(
-            self._last, time=zero_speed + time, q=q.copy(), qd=zero_speed
-        )
+        times = zero_speed + time
+        self._last = self._last._replace(time=times, q=q.copy(), qd=zero_speed)
 
     def believe(self, replies: Replies, acted: protocol.MitCommand | None) -> Replies:
         """Return replies in which implausible answers count as missing, with jumps and doubts.
@@ -199,7 +193,13 @@ class SampleFilter:
         self._is_suspected = np.where(came, ~believed, self._is_suspected)
         self._suspect = now.where(came, self._suspect)
         self._last = now.where(believed, self._last)
-        return _hide_doubted(replies, came & ~believed, np.nan_to_num(jump))
+        return replace(
+            replies,
+            answered=believed,
+            feedback=hide_answers(feedback, (q, qd, tau), ~came | believed),
+            doubted=came & ~believed,
+            jump=np.nan_to_num(jump),
+        )
 
     def _compare(self, previous: _Samples, now: _Samples) -> _Change:
         """Return how plausible the samples ``now`` are after ``previous`` ones.
@@ -226,20 +226,17 @@ class SampleFilter:
         return _Change(jumps, bends, ~(jumps | throws | bends | heats))
 
 
-def _hide_doubted(replies: Replies, doubted: Mask, jump: Array) -> Replies:
-    """Return replies without the answers of doubted joints (n,), with jumps (n,) [rad]."""
-    feedback = replies.feedback
-    hidden = replace(
-        feedback,
-        status=np.where(doubted, NO_STATUS, feedback.status),
-        position=np.where(doubted, np.nan, feedback.position),
-        velocity=np.where(doubted, np.nan, feedback.velocity),
-        torque=np.where(doubted, np.nan, feedback.torque),
-    )
-    answered = replies.answered & ~doubted
-    return replace(
-        replies, answered=answered, feedback=hidden, doubted=doubted, jump=jump
-    )
+def hide_answers(
+    feedback: protocol.Feedback, measured: Sequence[Array], is_kept: Mask
+) -> protocol.Feedback:
+    """Return feedback of n joints in which only the answers of joints ``is_kept`` (n,) are left.
+
+    The other joints have ``NO_STATUS`` and NaN. ``measured`` are position, velocity and torque of
+    the result, each (n,) [rad, rad/s, N m].
+    """
+    q, qd, tau = np.where(is_kept, measured, np.nan)
+    status = np.where(is_kept, feedback.status, NO_STATUS)
+    return replace(feedback, status=status, position=q, velocity=qd, torque=tau)
 
 
 _WINDOW = 0.2
@@ -307,11 +304,12 @@ class VelocityScalingCheck:
         n_joints = len(velocity_step)
         self.explained: Array = np.expm1(fades) / fades
         self._rounding = 0.5 * velocity_step * _WINDOW
-        self._last: tuple[Array, Array, Array] | None = None
-        self._begin_time = np.zeros(n_joints)
-        self._begin_q = np.zeros(n_joints)
-        self._sum = np.zeros(n_joints)
-        self._path = np.zeros(n_joints)
+        # Time, position and velocity (3, n) of each joint's last sample.
+        self._last: Array | None = None
+        # Time and position (2, n) at which each joint's window begins.
+        self._begin = np.zeros((2, n_joints))
+        # Integrals (2, n) of velocity and of its absolute value since then [rad].
+        self._integrals = np.zeros((2, n_joints))
         # Per joint: count and sums of x, y, xx, xy, yy.
         self._sums = np.zeros((6, n_joints))
 
@@ -320,31 +318,27 @@ class VelocityScalingCheck:
 
         ``time``, ``q`` and ``qd`` are (n,) [s, rad, rad/s], NaN where a joint did not answer.
         """
-        fresh = np.isfinite(time) & np.isfinite(q)
+        is_fresh = np.isfinite(time) & np.isfinite(q)
+        now = np.stack([time, q, qd])
         if self._last is None:
-            if np.all(fresh):
-                self._last = time, q, qd
-                self._begin_time = time
-                self._begin_q = q
+            if np.all(is_fresh):
+                self._last = now
+                self._begin = now[:2]
             return None
-        last_time, last_q, last_qd = self._last
-        step = np.where(fresh, 0.5 * (qd + last_qd) * (time - last_time), 0.0)
-        self._sum += step
-        self._path += np.abs(step)
-        time = np.where(fresh, time, last_time)
-        q = np.where(fresh, q, last_q)
-        self._last = time, q, np.where(fresh, qd, last_qd)
-        full = fresh & (time - self._begin_time >= _WINDOW)
-        if not np.any(full):
+        last_time, _, last_qd = self._last
+        step = np.where(is_fresh, 0.5 * (qd + last_qd) * (time - last_time), 0.0)
+        self._integrals += np.stack([step, np.abs(step)])
+        self._last = np.where(is_fresh, now, self._last)
+        begin_time, begin_q = self._begin
+        is_full = is_fresh & (time - begin_time >= _WINDOW)
+        if not np.any(is_full):
             return None
-        x = np.where(full, self._sum, 0.0)
-        y = np.where(full, q - self._begin_q, 0.0)
-        slip = self._slip(x, y, np.where(full, self._path, 0.0))
-        self._sums += np.stack([full.astype(float), x, y, x * x, x * y, y * y])
-        self._sum = np.where(full, 0.0, self._sum)
-        self._path = np.where(full, 0.0, self._path)
-        self._begin_time = np.where(full, time, self._begin_time)
-        self._begin_q = np.where(full, q, self._begin_q)
+        x, path = np.where(is_full, self._integrals, 0.0)
+        y = np.where(is_full, q - begin_q, 0.0)
+        slip = self._slip(x, y, path)
+        self._sums += np.stack([is_full, x, y, x * x, x * y, y * y])
+        self._integrals = np.where(is_full, 0.0, self._integrals)
+        self._begin = np.where(is_full, now[:2], self._begin)
         return slip
 
     def _slip(self, integral: Array, change: Array, path: Array) -> Slip | None:
@@ -445,7 +439,7 @@ class TorqueScalingCheck:
         )
         x = np.where(usable, commanded, 0.0)
         y = np.where(usable, measured, 0.0)
-        self._sums += np.stack([usable.astype(float), x * x, x * y])
+        self._sums += np.stack([usable, x * x, x * y])
 
     def worst(self) -> tuple[int, float] | None:
         """Return index and ratio of the joint whose ratio is significantly off 1, or None.
