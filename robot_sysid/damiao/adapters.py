@@ -159,9 +159,8 @@ class DriverWatch:
 
     def __init__(self, tell: StallReport | None = None) -> None:
         self._tell = tell
-        # Each call is an object of its own, and one stands for none.
-        self._no_call = object()
-        self._call = self._no_call
+        # Each call is an object of its own.
+        self._call: object | None = None
         self._looks = 0
         self._closed = threading.Event()
         if tell is not None:
@@ -175,7 +174,7 @@ class DriverWatch:
         try:
             yield
         finally:
-            self._call = self._no_call
+            self._call = None
 
     def close(self) -> None:
         """Stop watching."""
@@ -184,14 +183,11 @@ class DriverWatch:
     def _look(self) -> None:
         """Look at the present call again and again, and tell of one that does not return."""
         assert self._tell is not None
-        last_call = self._no_call
+        last_call = None
         while self._looks < _LOOKS_TO_END and not self._closed.wait(_LOOK):
-            self._looks += self._call is last_call is not self._no_call
+            self._looks += self._call is last_call is not None
             last_call = self._call
-            if last_call is not self._no_call and self._looks in (
-                _LOOKS_TO_SAY,
-                _LOOKS_TO_END,
-            ):
+            if last_call is not None and self._looks in (_LOOKS_TO_SAY, _LOOKS_TO_END):
                 self._tell(
                     f"the adapter's driver has not returned for {_LOOK * self._looks:.0f} s, and "
                     "nothing can be sent meanwhile: motors that were enabled are stopped by their "

@@ -135,6 +135,11 @@ def motor_spec(name: str) -> MotorSpec:
         ) from None
 
 
+def peak_torques(joints: Sequence[DamiaoJoint]) -> Array:
+    """Return the peak torque (n,) that each joint's motor makes at its joint [N m]."""
+    return np.array([joint.spec.peak_torque * joint.torque_ratio for joint in joints])
+
+
 def matching_types(limits: tuple[float, float, float]) -> tuple[str, ...]:
     """Return the names of the motor types whose factory limits agree with given limits.
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.damiao.joints import DamiaoJoint
+from robot_sysid.damiao.joints import DamiaoJoint, peak_torques
 from robot_sysid.damiao.preflight import NOTE, OK, STOP, Check
 from robot_sysid.damiao.references import (
     ORDERS,
@@ -183,11 +183,7 @@ def _smaller_motion_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> s
     if not np.any(np.ptp(trajectory.q, axis=0)):
         return "bring the arm elsewhere by hand"
     remedy = "export a smaller trajectory for this arm"
-    command = _plan_command(trajectory, robot, for_model=True)
-    if not command:
-        return remedy
-    command += ["--output-dir", str(trajectory.path.parent / "smaller")]
-    return f"{remedy}: {shlex.join(command)}"
+    return _planning_remedy(remedy, "smaller", trajectory, robot)
 
 
 def transfer_check(name: str, order: str, touching: str) -> Iterator[Check]:
@@ -260,10 +256,10 @@ def torque_checks(
 ) -> Iterator[Check]:
     """Yield a stop where a motion needs more torque than motors make, or another than is fed."""
     played = SampledTrajectory(trajectory, settings.speed)
-    qdd = settings.speed**2 * _accelerations(trajectory)
+    qdd = settings.speed**2 * trajectory.qdd
     needed = ArmTorque(robot)(Motion(played.time, played.q, played.qd, qdd))
     joints = trajectory.joints
-    available = np.array([j.spec.peak_torque * j.torque_ratio for j in joints])
+    available = peak_torques(joints)
     for j, peak in peaks_beyond(needed, available):
         yield Check(
             STOP,
@@ -303,8 +299,11 @@ def _foreign_torque_checks(
                 NOTE, f"{finding}; the file is as its model has it, and weighs this arm"
             )
             continue
-        find_remedy = weighing_remedy if is_as_planned else _export_remedy
-        remedy = find_remedy(trajectory, robot)
+        remedy = "export the file again for this arm"
+        if is_as_planned:
+            remedy = weighing_remedy(trajectory, robot)
+        else:
+            remedy = _planning_remedy(remedy, "exported", trajectory, robot)
         yield Check(STOP, f"{finding}, and {CANNOT_FOLLOW}; {remedy}")
 
 
@@ -329,9 +328,8 @@ class _FedTorque:
     @classmethod
     def of(cls, trajectory: DamiaoTrajectory, robot: RobotModel) -> _FedTorque:
         """Compare the torque of a file with a model's, both at the file's own speed."""
-        motion = Motion(
-            trajectory.time, trajectory.q, trajectory.qd, _accelerations(trajectory)
-        )
+        signals = trajectory.q, trajectory.qd, trajectory.qdd
+        motion = Motion(trajectory.time, *signals)
         needed = ArmTorque(robot)(motion)
         doubt = torque_doubt(trajectory.joints) + robot.friction.largest_dry
         needed_rms = np.sqrt(np.mean(needed**2, axis=0))
@@ -343,11 +341,6 @@ class _FedTorque:
             np.sum(trajectory.tau * needed, axis=0) < 0.0,
             (error > doubt) & (error > _OTHER_TORQUE * needed_rms),
         )
-
-
-def _accelerations(trajectory: DamiaoTrajectory) -> Array:
-    """Return the accelerations (N, n) of a trajectory's velocities, at the file's speed."""
-    return np.asarray(np.gradient(trajectory.qd, trajectory.time, axis=0))
 
 
 def _is_weighing(trajectory: DamiaoTrajectory) -> bool:
@@ -377,13 +370,18 @@ def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
     return fits and not np.any(_FedTorque.of(trajectory, robot).is_foreign)
 
 
-def _export_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
-    """Return the remedy for a file that is another arm's, as a command where there is one arm."""
+def _planning_remedy(
+    remedy: str, folder: str, trajectory: DamiaoTrajectory, robot: RobotModel
+) -> str:
+    """Return a remedy with the command that plans the motion of a file again for a robot.
+
+    The command writes into ``folder`` beside the file; there is none for the file of two arms.
+    """
     command = _plan_command(trajectory, robot, for_model=True)
     if not command:
-        return "export the file again for this arm"
-    command += ["--output-dir", str(trajectory.path.parent / "exported")]
-    return f"export the file again for this arm: {shlex.join(command)}"
+        return remedy
+    command += ["--output-dir", str(trajectory.path.parent / folder)]
+    return f"{remedy}: {shlex.join(command)}"
 
 
 def weighing_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:

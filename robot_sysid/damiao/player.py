@@ -29,7 +29,7 @@ from robot_sysid.damiao.references import (
     StopStart,
     hold_reference,
 )
-from robot_sysid.damiao.safety.guards import Replies
+from robot_sysid.damiao.safety.guards import Mask, Replies
 from robot_sysid.damiao.safety.observer import Fault, Observer
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import PlaySettings
@@ -305,17 +305,18 @@ class Player:
         """Return the reference that lowers the arm; it gets the arm's state in every cycle."""
         if not self._holding.is_model:
             self._session.open_range()
+        session = self._session
         speed = self._settings.approach_speed
-        command_range = self._session.command_range
-        ends = command_range.lower, command_range.upper
-        lowering = paths.Lowering(begin, speed, self._session.peak_torque, *ends)
+        lowering = paths.Lowering(
+            begin, speed, session.peak_torque, session.command_range
+        )
         self._follower = lowering
         return lowering
 
     @property
-    def _lowering_is_done(self) -> bool:
-        """Whether the arm has been lowered completely."""
-        return isinstance(self._follower, paths.Lowering) and self._follower.is_done
+    def _has_come_to_rest(self) -> bool:
+        """Whether the arm has come to rest in a stop, or has been lowered completely."""
+        return self._follower is not None and self._follower.is_done
 
     def _phase(
         self,
@@ -336,7 +337,7 @@ class Player:
         self._standing = standing
         # Half a period of slack keeps the last sample in spite of rounding.
         end = origin + length + 0.5 * self._settings.period
-        while self._timer.next_deadline < end and not self._lowering_is_done:
+        while self._timer.next_deadline < end and not self._has_come_to_rest:
             deadline = self._timer.wait()
             time = min(deadline - origin, length)
             target = reference(time)
@@ -375,22 +376,29 @@ class Player:
         )
         command = self._command_for(reference)
         # A motor makes no torque before its first command.
-        idle = command._replace(
-            kp=0.0 * self._kp, kd=0.0 * self._kd, torque=0.0 * command.torque
-        )
-        acted = self._command or idle
-        replies = self._session.exchange(command, self._reply_deadline())
-        self._observer.update(replies)
+        zero = 0.0 * command.torque
+        acted = self._command or command._replace(kp=zero, kd=zero, torque=zero)
+        replies = self._exchange(command, acted)
         self._reference = reference
-        self._command = replies.command
-        self._update_state(replies, acted)
         return replies, acted
 
-    def _update_state(self, replies: Replies, acted: MitCommand) -> None:
-        """Pass the arm's state to a stop or lowering, and store the torques that hold the arm.
+    def _exchange(
+        self,
+        command: MitCommand,
+        acted: MitCommand,
+        joints: Mask | None = None,
+        braking: bool = False,
+    ) -> Replies:
+        """Exchange one command, update what is known of the arm, and return the replies.
 
-        ``acted`` is the command in force when the replies were sampled.
+        The state is passed to the observer and to a stop or lowering, and the torques that hold the
+        arm are stored. ``acted`` is the command in force when the replies are sampled; for
+        ``joints`` and ``braking`` see ``MotorSession.exchange``.
         """
+        until = self._clock.now() + _REPLY_SHARE * self._settings.period
+        replies = self._session.exchange(command, until, joints, braking)
+        self._observer.update(replies)
+        self._command = replies.command
         q, qd = self._session.believed_motion
         self._motor_torque = acted.motor_torque(q, qd)
         if isinstance(self._follower, paths.Lowering):
@@ -404,6 +412,7 @@ class Player:
         if np.all(np.isfinite(q)):
             self._recent_states.append(np.stack([q, self._motor_torque]))
             del self._recent_states[:-_STILL_SAMPLES]
+        return replies
 
     def _record(
         self, time: float, origin: float, replies: Replies, acted: MitCommand
@@ -422,10 +431,6 @@ class Player:
         return MitCommand(
             position, velocity, self._gain * self._kp, self._kd, self._gain * torque
         )
-
-    def _reply_deadline(self) -> float:
-        """Return the time until which replies to a command sent now are waited for [s]."""
-        return self._clock.now() + _REPLY_SHARE * self._settings.period
 
     def _stop_gently(self) -> None:
         """Brake the motors that still answer, hold the arm until it is at rest, and park it.
@@ -471,9 +476,7 @@ class Player:
         carrying_torque = model if self._holding.is_model else recent_torque
         fed = np.where(has_left & is_pushed, 0.0, carrying_torque)
         start = StopStart(
-            Reference(
-                self._session.sent_position, reference.velocity, reference.torque
-            ),
+            reference._replace(position=self._session.sent_position),
             q,
             qd,
             np.nan_to_num(fed),
@@ -487,11 +490,6 @@ class Player:
         )
         return self._follower
 
-    @property
-    def _is_carried_to_rest(self) -> bool:
-        """Whether a stop has brought all joints to rest."""
-        return isinstance(self._follower, CarriedStop) and self._follower.is_at_rest
-
     def _stop_phase(self, reference: ReferenceFunction, duration: float) -> None:
         """Follow a reference in a stop, at most for ``duration`` [s]; errors are suppressed."""
         origin = self._timer.next_deadline
@@ -500,8 +498,7 @@ class Player:
             silent = self._clock.now() - self._heard_at > _DEAF
             # Where all motors have failed or are silent, commands have no effect any more.
             hopeless = bool(np.all(self._observer.failed)) or silent
-            done = self._lowering_is_done or self._is_carried_to_rest
-            if hopeless or self._stop.insisted or done:
+            if hopeless or self._stop.insisted or self._has_come_to_rest:
                 return
             # A bus that fails now may work again in the next cycle.
             with contextlib.suppress(BaseException):
@@ -512,12 +509,7 @@ class Player:
         # A motor that does not answer may still obey, so only failed ones are left out.
         driving = ~self._observer.failed
         command = self._command_for(target)
-        acted = self._command or command
-        until = self._reply_deadline()
-        replies = self._session.exchange(command, until, driving, braking=True)
-        self._command = replies.command
-        self._observer.update(replies)
-        self._update_state(replies, acted)
+        self._exchange(command, self._command or command, driving, braking=True)
         if self._recorder:
             self._recorder.end_cycle()
 

@@ -31,7 +31,6 @@ from robot_sysid.damiao.settings import (
     Permissions,
     Plan,
     PlaySettings,
-    row_slopes,
 )
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
@@ -228,7 +227,7 @@ def _frame_limit_checks(
         ("position", "rad", p, p_limit),
         ("velocity", "rad/s", v, v_limit),
         ("torque", "N m", t, t_limit),
-        ("position step", "rad/s", speed * row_slopes(trajectory), v_limit),
+        ("position step", "rad/s", speed * trajectory.slopes, v_limit),
     ):
         largest = quantity_limits * (1.0 + _FLOAT32_SLACK)
         for j, peak in motion.peaks_beyond(values, largest):

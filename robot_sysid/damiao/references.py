@@ -16,7 +16,7 @@ from typing import NamedTuple, Optional
 
 import numpy as np
 
-from robot_sysid.damiao.joints import DamiaoJoint
+from robot_sysid.damiao.joints import DamiaoJoint, peak_torques
 from robot_sysid.damiao.safety.guards import CommandRange, Mask
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort
@@ -169,9 +169,7 @@ def transfer_rows(
 
 def hold_reference(reference: Reference) -> ReferenceFunction:
     """Return a function that stays at a reference's position and torque, without velocity."""
-    at_rest = Reference(
-        reference.position, np.zeros_like(reference.velocity), reference.torque
-    )
+    at_rest = reference._replace(velocity=np.zeros_like(reference.velocity))
     return lambda time: at_rest
 
 
@@ -182,12 +180,7 @@ def add_held_motors(
     zero = np.zeros_like(positions)
 
     def extended_reference(time: float) -> Reference:
-        position, velocity, torque = reference(time)
-        return Reference(
-            np.append(position, positions),
-            np.append(velocity, zero),
-            np.append(torque, zero),
-        )
+        return Reference(*map(np.append, reference(time), (positions, zero, zero)))
 
     return extended_reference
 
@@ -218,8 +211,7 @@ class Lowering:
         begin: reference from which the arm is lowered.
         speed: largest speed of a joint [rad/s].
         peak: peak torque (n,) of the joints [N m].
-        lower: least positions (n,) of the joints [rad].
-        upper: greatest positions (n,) of the joints [rad].
+        command_range: range of the joints' positions.
 
     Attributes:
         torque: torque (n,) commanded last [N m], NaN where unknown; the caller sets this in every
@@ -227,14 +219,13 @@ class Lowering:
     """
 
     def __init__(
-        self, begin: Reference, speed: float, peak: Array, lower: Array, upper: Array
+        self, begin: Reference, speed: float, peak: Array, command_range: CommandRange
     ) -> None:
         self._position = begin.position.copy()
         self._fed = begin.torque
         self._speed = speed
         self._full_load = _FULL_LOAD * peak
-        self._lower = lower
-        self._upper = upper
+        self._range = command_range
         self.torque: Array = np.full(len(peak), np.nan)
         self._time = self._moved_at = 0.0
 
@@ -246,7 +237,7 @@ class Lowering:
         if fed_share == 0.0:
             velocity = -self._speed * load_share
         moved = self._position + velocity * (time - self._time)
-        self._position = np.clip(moved, self._lower, self._upper)
+        self._position = np.clip(moved, self._range.lower, self._range.upper)
         velocity = np.where(self._position == moved, velocity, 0.0)
         self._time = time
         if fed_share > 0.0 or np.max(np.abs(velocity)) > _STILL_SPEED:
@@ -272,9 +263,7 @@ _BARE = 0.5
 
 def torque_doubt(joints: Sequence[DamiaoJoint]) -> Array:
     """Return the torque (n,) of each joint that friction alone may explain [N m]."""
-    return _DOUBT * np.array(
-        [joint.spec.peak_torque * joint.torque_ratio for joint in joints]
-    )
+    return _DOUBT * peak_torques(joints)
 
 
 MotionCheck = Callable[[float, Array, Array, Array], Optional[tuple[int, str]]]
@@ -376,8 +365,7 @@ class FileHolding(HoldingCheck):
     def __init__(self, trajectory: DamiaoTrajectory) -> None:
         q = trajectory.q
         is_near = np.all(np.abs(q - q[0]) <= _NEAR, axis=1)
-        accelerations = np.gradient(trajectory.qd, trajectory.time, axis=0)
-        acceleration = np.max(np.abs(accelerations), axis=1)
+        acceleration = np.max(np.abs(trajectory.qdd), axis=1)
         row = int(np.argmin(np.where(is_near, acceleration, np.inf)))
         torque = trajectory.tau[row]
         super().__init__(
@@ -580,6 +568,6 @@ class CarriedStop:
             self._moved_at = time
 
     @property
-    def is_at_rest(self) -> bool:
+    def is_done(self) -> bool:
         """Whether all joints of known velocity have stood still for ``rest_time``."""
         return self._time - self._moved_at > self._rest_time

@@ -350,8 +350,8 @@ class Plan:
             poses = q if pose is None else np.vstack([q, pose])
             lower = np.min(poses, axis=0)
             upper = np.max(poses, axis=0)
-        slope = row_slopes(self.trajectory)
-        peak_speed = np.abs(np.vstack([slope, self.trajectory.qd])).max(axis=0)
+        speeds = np.vstack([self.trajectory.slopes, self.trajectory.qd])
+        peak_speed = np.abs(speeds).max(axis=0)
         approach_speed = self.settings.approach_speed
         speed = np.maximum(self.settings.speed * peak_speed, approach_speed)
         held_speed = np.full_like(held_positions, approach_speed)
@@ -386,8 +386,3 @@ class Plan:
         addresses = [joint.address for joint in self.trajectory.joints]
         motors = sorted(inspection.motors.items())
         return tuple(motor for address, motor in motors if address not in addresses)
-
-
-def row_slopes(trajectory: DamiaoTrajectory) -> Array:
-    """Return the slope (N - 1, n) of the positions between rows, at the file's speed [rad/s]."""
-    return np.diff(trajectory.q, axis=0) / np.diff(trajectory.time)[:, None]

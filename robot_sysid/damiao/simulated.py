@@ -40,6 +40,8 @@ _MEASURED_BITS = 16, 12, 12
 """Bits of position, velocity and torque in an answer."""
 _COMMAND_BITS = 16, 12, 12, 12, 12
 """Bits of position, velocity, kp, kd and torque in a command."""
+_LOWER_SIGNS = -1.0, -1.0, 0.0, 0.0, -1.0
+"""Lower ends of the ranges of a command's fields, as multiples of the upper ends."""
 _NOTHING = (0.0,) * 5
 """Command without effect: position, velocity, kp, kd and torque are zero."""
 _SAME_TIME = 1e-9
@@ -190,21 +192,17 @@ class SimulatedMotor:
     def _unpack(self, data: bytes) -> list[float]:
         """Return position, velocity, kp, kd, torque in a command's data, as ``decode_mit`` does."""
         pmax, vmax, tmax = (self.registers[number] for number in protocol.SCALING)
-        ranges = (
-            (-pmax, pmax),
-            (-vmax, vmax),
-            (0.0, protocol.KP_MAX),
-            (0.0, protocol.KD_MAX),
-        )
+        highest = pmax, vmax, protocol.KP_MAX, protocol.KD_MAX, tmax
         word = int.from_bytes(data, "big")
+        shift = 64
         values = []
-        for (low, high), bits in zip(
-            reversed((*ranges, (-tmax, tmax))), reversed(_COMMAND_BITS)
-        ):
-            full = (1 << bits) - 1
-            values.append((word & full) * ((high - low) / full) + low)
-            word >>= bits
-        return values[::-1]
+        for high, sign, bits in zip(highest, _LOWER_SIGNS, _COMMAND_BITS):
+            low = sign * high
+            max_code = (1 << bits) - 1
+            shift -= bits
+            code = word >> shift & max_code
+            values.append(code * ((high - low) / max_code) + low)
+        return values
 
 
 def simulated_motor(

@@ -104,6 +104,16 @@ class DamiaoTrajectory:
         """Number of joints n."""
         return len(self.joints)
 
+    @property
+    def qdd(self) -> Array:
+        """Accelerations (N, n) of the velocities, at the file's speed [rad/s^2]."""
+        return np.asarray(np.gradient(self.qd, self.time, axis=0))
+
+    @property
+    def slopes(self) -> Array:
+        """Slope (N - 1, n) of the positions between rows, at the file's speed [rad/s]."""
+        return np.diff(self.q, axis=0) / np.diff(self.time)[:, None]
+
 
 def export_damiao_trajectory(
     motion_chunks: Iterable[MotionChunk],
@@ -246,10 +256,8 @@ def rotor_problems(
             twice as much are not judged.
     """
     time = trajectory.time
-    accelerations = np.gradient(trajectory.qd, time, axis=0)
-    for j, joint in enumerate(trajectory.joints):
-        acceleration = accelerations[:, j]
-        tau = trajectory.tau[:, j]
+    signals = zip(trajectory.joints, trajectory.qdd.T, trajectory.tau.T)
+    for j, (joint, acceleration, tau) in enumerate(signals):
         peak = int(np.argmax(np.abs(acceleration)))
         sign = np.sign(acceleration[peak])
         is_far = np.abs(time - time[peak]) > _MOMENT
@@ -423,7 +431,7 @@ def limit_excesses(
     # The fourth decimal of two velocities makes this much acceleration.
     slack = 2.0 * _ROUNDING / np.diff(trajectory.time).min()
     velocity = speed * trajectory.qd
-    acceleration = speed**2 * np.gradient(trajectory.qd, trajectory.time, axis=0)
+    acceleration = speed**2 * trajectory.qdd
     torque = trajectory.tau
     for values, limit, unit, flag, rounding in (
         (velocity, limits.max_velocity, "rad/s", "--max-velocity", _ROUNDING),

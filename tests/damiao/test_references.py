@@ -75,7 +75,8 @@ def test_an_approach_goes_from_rest_to_rest_within_its_speed(
 def test_an_arm_is_lowered_to_the_end_of_its_range_and_no_farther():
     """A torque that never goes away, as of a joint that lies on its stop, does not lead it on."""
     begin = Reference(np.array([0.4, 0.0]), np.zeros(2), np.array([3.0, 0.0]))
-    lowering = Lowering(begin, 0.2, np.full(2, 27.0), np.full(2, -0.1), np.full(2, 1.0))
+    command_range = CommandRange(np.full(2, -0.1), np.full(2, 1.0), np.full(2, 9.0))
+    lowering = Lowering(begin, 0.2, np.full(2, 27.0), command_range)
     lowering.torque = np.array([9.0, 0.0])
     moments = np.arange(0.0, 8.0, 0.004)
     references = [lowering(moment) for moment in moments]
@@ -210,17 +211,17 @@ def test_an_unknown_place_is_held_as_it_was():
     np.testing.assert_allclose(reference.torque, [2.0, 3.0])
 
 
-def test_it_is_at_rest_when_the_joints_have_stood():
+def test_it_is_done_when_the_joints_have_stood():
     path = stop((0.0, 0.0), (1.0, 0.0), (0.0, 0.0), (0.0, 0.0), (1.0, 0.0))
     path.qd = np.array([0.2, 0.0])
     for moment in (0.0, 0.1, 0.5, 0.9):
         path(moment)
-        assert not path.is_at_rest
+        assert not path.is_done
     path.qd = np.zeros(2)
     path(1.1)
-    assert not path.is_at_rest
+    assert not path.is_done
     path(1.25)
-    assert path.is_at_rest
+    assert path.is_done
 
 
 @pytest.mark.parametrize("cycles_late", [1, 2, 3])

@@ -689,9 +689,9 @@ def test_what_a_slow_adapter_delivers_is_never_paired_with_another_command(rig, 
         hit.temperature_rotor = len(commands) % 60
         return answer(data, time)
 
-    def watch_call(self, *arguments, **options):
-        replies = exchange(self, *arguments, **options)
-        if replies.answered[0] and not options:
+    def watch_call(self, command, until, joints, braking):
+        replies = exchange(self, command, until, joints, braking)
+        if replies.answered[0] and not braking:
             answered.append((replies.feedback.temperature_rotor[0], len(commands) % 60))
         return replies
 

@@ -335,7 +335,9 @@ class BenchRun:
         self.stop_at = None
         self.was_ended = False
         self._cases = dict(enumerate(cases))
-        patience = [np.inf if case.patience is None else case.patience for case in cases]
+        patience = [
+            np.inf if case.patience is None else case.patience for case in cases
+        ]
         self._patience = max(patience, default=np.inf)
         self._folder = folder
         self._jobs = jobs

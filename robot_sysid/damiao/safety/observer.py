@@ -174,7 +174,9 @@ class Observer:
         # Commanded and reported positions of the last cycles, the newest first.
         self._moments = np.full((_MOMENTS, 2, n_joints), np.nan)
         self._added_now = np.full(n_joints, np.nan)
-        self._was_beyond: dict[str, Mask] = {}
+        self._was_fast = np.zeros(n_joints, bool)
+        # Whether path, velocity and torque error (3, n) were beyond their limits a cycle ago.
+        self._was_beyond = np.zeros((3, n_joints), bool)
         self._change: EffortChange | None = None
 
     def update(self, replies: Replies) -> None:
@@ -482,8 +484,8 @@ class Observer:
         has_left = self.has_left(q, acted.position, fed)
         is_pushed = self.is_pushed(q, acted.position, fed)
         is_fast = np.abs(qd) > self._speed_limit
-        was_fast = self._was_beyond.get("standing", np.zeros_like(is_fast))
-        self._was_beyond["standing"] = is_fast
+        was_fast = self._was_fast
+        self._was_fast = is_fast
         self._raise_first(
             replies.answered & (has_left | is_fast & was_fast),
             lambda j: (
@@ -498,30 +500,25 @@ class Observer:
         feedback = replies.feedback
         path_limit = np.full(len(self._joints), self._settings.max_tracking_error)
         torque_limit = np.inf * self._torque_limit if rising else self._torque_limit
+        limits = np.array([path_limit, self._speed_limit, torque_limit])
         # A light joint has slowed down by the end of the cycle, when it is sampled.
         slowed = acted.velocity / self._velocity_check.explained
         lowest = np.minimum(acted.velocity, slowed)
         highest = np.maximum(acted.velocity, slowed)
-        velocity = np.clip(feedback.velocity, lowest, highest)
-        off_path = np.where(
-            replies.answered, np.abs(feedback.position - acted.position), 0.0
-        )
-        self.worst_tracking = np.maximum(self.worst_tracking, off_path)
-        for quantity, value, target, limit in (
-            ("rad off its path", feedback.position, acted.position, path_limit),
-            ("rad/s off its speed", feedback.velocity, velocity, self._speed_limit),
-            ("N m off its torque", feedback.torque, acted.torque, torque_limit),
-        ):
-            error = np.where(replies.answered, np.abs(value - target), 0.0)
-            is_beyond = error > limit
-            # One velocity or torque that is a little too large may be a damaged frame.
-            was_beyond = self._was_beyond.get(quantity, np.zeros_like(is_beyond))
-            self._was_beyond[quantity] = is_beyond
-            counts = is_beyond if limit is path_limit else is_beyond & was_beyond
-            for j in np.flatnonzero(counts)[:1].tolist():
-                self._raise_effort(
-                    j, f"is {error[j]:.3f} {quantity}, limit {limit[j]:g}"
-                )
+        expected_velocity = np.clip(feedback.velocity, lowest, highest)
+        measured = np.array([feedback.position, feedback.velocity, feedback.torque])
+        targets = np.array([acted.position, expected_velocity, acted.torque])
+        errors = np.where(replies.answered, np.abs(measured - targets), 0.0)
+        self.worst_tracking = np.maximum(self.worst_tracking, errors[0])
+        is_beyond = errors > limits
+        # One velocity or torque that is a little too large may be a damaged frame.
+        counts = is_beyond & self._was_beyond
+        counts[0] = is_beyond[0]
+        self._was_beyond = is_beyond
+        for k, j in np.argwhere(counts)[:1].tolist():
+            self._raise_effort(
+                j, f"is {errors[k, j]:.3f} {_OFF[k]}, limit {limits[k, j]:g}"
+            )
 
     def _raise_effort(self, joint: int, description: str) -> None:
         """Raise a fault of a blocked joint if there is one, else of ``joint``, for ``explain``."""
@@ -561,7 +558,7 @@ class Observer:
         cause = explain_change(
             self._change, self._holding, q, commanded, self.fed_torque, self._joints
         )
-        return HardwareAbort(f"{fault}: {cause}" if cause else str(fault))
+        return HardwareAbort(f"{fault}: {cause}")
 
     def _raise_first(self, mask: Mask, describe: Callable[[int], str]) -> None:
         """Raise a Fault of the first joint in a mask (n,); ``describe`` gets the joint's index."""
@@ -572,6 +569,7 @@ class Observer:
         raise Fault(joint, self._joints[joint].label, description)
 
 
+_OFF = "rad off its path", "rad/s off its speed", "N m off its torque"
 _TORQUE_SCALE = (
     "reports {:.2f} times the torque that it was commanded to make: its TMAX register does not "
     "describe its torques, or its torque ratio is another"
