@@ -25,6 +25,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from io import BytesIO
+from itertools import product
 from pathlib import Path
 from typing import BinaryIO
 
@@ -46,8 +47,6 @@ _FILE_ATTRIBUTES = {
     "texture": ("file", *_CUBE_SIDES),
 }
 """Tag of an MJCF element to its attributes that name a file."""
-SHAPES = ("visual", "collision")
-"""Tags of a URDF's elements that contain meshes."""
 _SCHEME = re.compile(r"^(package|model|file)://")
 """Begin of a mesh's file name that is a URI."""
 _FOLDERS = ("assetdir", "meshdir", "texturedir")
@@ -138,13 +137,20 @@ def _references(document: ModelDocument) -> Iterator[tuple[Node, str]]:
     """Yield the elements that refer to a file, and the attribute that names it."""
     if not document.is_urdf:
         for node in document.walk(*_FILE_ATTRIBUTES):
-            names = _FILE_ATTRIBUTES[node.tag]
-            yield from ((node, name) for name in names if node.get(name))
+            names = filter(node.get, _FILE_ATTRIBUTES[node.tag])
+            yield from product([node], names)
         return
+    for _, shape in urdf_shapes(document):
+        meshes = [node for node in shape.walk() if node.tag == "mesh"]
+        yield from product(meshes, ["filename"])
+
+
+def urdf_shapes(document: ModelDocument) -> Iterator[tuple[Node, Node]]:
+    """Yield (link, its visual or collision element) for all shapes of a URDF."""
     for link in document.root_children("link"):
         for shape in link.children():
-            nodes = shape.walk() if shape.tag in SHAPES else ()
-            yield from ((node, "filename") for node in nodes if node.tag == "mesh")
+            if shape.tag in ("visual", "collision"):
+                yield link, shape
 
 
 def check_assets(document: ModelDocument, mesh_dir: Path | None = None) -> None:

@@ -16,6 +16,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 from xml.parsers import expat
@@ -112,11 +113,13 @@ class Node:
 
     def child(self, *tags: str) -> Node | None:
         """Return the first child with a tag, of that one the first with the next tag, and so on."""
-        node: Node | None = self
-        for tag in tags:
-            children = () if node is None else node.children()
-            node = next((child for child in children if child.tag == tag), None)
-        return node
+        if not tags:
+            return self
+        tag, *tags_below = tags
+        for node in self.children():
+            if node.tag == tag:
+                return node.child(*tags_below)
+        return None
 
     def child_attribute(self, *path: str) -> str | None:
         """Return an attribute, the last name of the path, of the child with the tags before it."""
@@ -167,9 +170,7 @@ class ModelDocument:
         """
         if not self.is_urdf:
             return self.root_children(tag)
-        children: list[Node] = []
-        for extension in self.root_children("mujoco"):
-            children += extension.children()
+        children = chain(*map(Node.children, self.root_children("mujoco")))
         return [node for node in children if node.tag == tag]
 
 
@@ -219,7 +220,7 @@ def _read_include(node: Node, files: dict[Path, SourceFile], depth: int) -> Sour
         raise ModelError(f"{location}: <include> without a file attribute")
     main = next(iter(files.values())).path
     folders = (main.parent, including.parent)
-    candidates = (folder / name.replace("\\", "/") for folder in folders)
+    candidates = [folder / name.replace("\\", "/") for folder in folders]
     path = next(filter(os.path.isfile, candidates), None)
     if path is None:
         raise ModelError(
@@ -291,20 +292,22 @@ def _parse(file: SourceFile, max_elements: int) -> None:
     def start_element(name: str, attributes: dict[str, str]) -> None:
         """Add an element to the file and to its parent."""
         start = parser.CurrentByteIndex
+        line = parser.CurrentLineNumber
         tag = _START_TAG.match(text, start)
-        if tag is None or len(parents) == _MAX_ELEMENT_DEPTH:
+        if tag is None:
+            raise expat.ExpatError(f"the tag <{name}> in line {line} does not end")
+        if len(parents) == _MAX_ELEMENT_DEPTH:
             raise expat.ExpatError(
                 f"elements are nested more than {_MAX_ELEMENT_DEPTH} deep"
             )
         if len(file.elements) >= max_elements:
-            fault = f"more than the {MAX_ELEMENTS} elements that are read"
             raise ModelError(
-                f"{path}: {fault}, includes counted; take out what is no arm"
+                f"{path}: more than the {MAX_ELEMENTS} elements that are read, "
+                "includes counted; take out what is no arm"
             )
-        name = name.rpartition(":")[2]
-        line = parser.CurrentLineNumber
         end = tag.end()
-        node = Node(file, name, attributes, line, start, end, end, end)
+        short_name = name.rpartition(":")[2]
+        node = Node(file, short_name, attributes, line, start, end, end, end)
         file.elements.append(node)
         if parents:
             parents[-1].own_children.append(node)
@@ -349,7 +352,6 @@ def mask_comments(text: bytes) -> bytes:
 _OLD_COMMENT = re.compile(rb"<!--\s*System ID:(?:(?!-->).)*-->\s*\Z", re.DOTALL)
 _DECLARED_ENCODING = re.compile(rb"""\A(<\?xml[^>]*encoding\s*=\s*["'])[^"']*(["'])""")
 _ATTRIBUTE = re.compile(rb"""([^\s=/<>"']+)(\s*=\s*)("[^"]*"|'[^']*')""")
-_TAG_NAME = re.compile(rb"<[^\s/>]+")
 _ESCAPES = {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;"}
 _ESCAPES.update({c: f"&#{ord(c)};" for c in "\t\n\r\x85\u2028\u2029"})
 _ESCAPE_TABLE = str.maketrans(_ESCAPES)
@@ -379,7 +381,7 @@ class Edits:
         self.document = document
         self.folder: Path | None = None
         self.settings: list[str] = []
-        self.settings_lead = _line_break(document.main.text) + b"  "
+        self.settings_lead = f"{_line_break(document.main.text).decode()}  "
         self.inlined: set[SourceFile] = set()
         self._edits: dict[SourceFile, list[Edit]] = defaultdict(list)
 
@@ -462,16 +464,16 @@ class Edits:
         root = self.document.root
         if not self.settings:
             return []
-        new = [setting.encode() for setting in self.settings]
-        if not self.document.is_urdf:
-            text = b"".join(self.settings_lead + setting for setting in new)
-            return [_insert_first(root, text)]
+        lead = self.settings_lead
         # MuJoCo reads one <mujoco> of a URDF only.
-        extension = root.child("mujoco")
+        extension = root.child("mujoco") if self.document.is_urdf else None
         if extension is not None:
-            return [_insert_first(extension, b"".join(new))]
-        text = self.settings_lead + b"<mujoco>" + b"".join(new) + b"</mujoco>"
-        return [_insert_first(root, text)]
+            return [_insert_first(extension, "".join(self.settings).encode())]
+        if self.document.is_urdf:
+            text = f"{lead}<mujoco>{''.join(self.settings)}</mujoco>"
+        else:
+            text = "".join(lead + setting for setting in self.settings)
+        return [_insert_first(root, text.encode())]
 
     def _file_edits(self, file: SourceFile) -> list[Edit]:
         """Return the edits of a file, those of its includes among them."""
@@ -479,12 +481,8 @@ class Edits:
         for node, included in file.includes:
             if self._must_inline(included):
                 root = included.elements[0]
-                content = _apply(
-                    self._file_edits(included),
-                    included.text,
-                    root.inner_start,
-                    root.inner_end,
-                )
+                inner = self._file_edits(included)
+                content = _apply(inner, included.text, root.inner_start, root.inner_end)
                 edits.append(Edit(node.start, node.end, content.strip()))
             else:
                 path = reference(included.path, self.folder)
@@ -526,29 +524,27 @@ def attribute_text(values: Mapping[str, str]) -> str:
 def _attribute_edits(node: Node, name: str, value: str | None) -> list[Edit]:
     """Return the edit that gives an element an attribute, or removes it for None; [] for none."""
     text = node.file.text
-    matches = _ATTRIBUTE.finditer(text, node.start, node.inner_start)
-    old = next((match for match in matches if match.group(1) == name.encode()), None)
-    if old is None and value is None:
-        return []
-    if old is None:
-        end = node.inner_start - (2 if node.is_self_closing else 1)
-        end = len(text[:end].rstrip())
-        return [Edit(end, end, attribute_text({name: value or ""}).encode())]
+    new = b"" if value is None else attribute_text({name: value}).encode()
+    for match in _ATTRIBUTE.finditer(text, node.start, node.inner_start):
+        if match.group(1) != name.encode():
+            continue
+        if value is None:
+            return [Edit(len(text[: match.start()].rstrip()), match.end(), new)]
+        return [Edit(*match.span(3), new[len(name) + 2 :])]
     if value is None:
-        return [Edit(len(text[: old.start()].rstrip()), old.end(), b"")]
-    quoted = attribute_text({name: value}).encode()[len(name) + 2 :]
-    return [Edit(old.start(3), old.end(3), quoted)]
+        return []
+    content_end = node.inner_start - (2 if node.is_self_closing else 1)
+    end = len(text[:content_end].rstrip())
+    return [Edit(end, end, new)]
 
 
 def _insert_first(node: Node, content: bytes) -> Edit:
     """Return the edit that puts text first into an element."""
     if not node.is_self_closing:
         return Edit(node.inner_start, node.inner_start, content)
-    start_tag = node.file.text[node.start : node.end - 2].rstrip() + b">"
-    name = _TAG_NAME.match(start_tag)
-    assert name is not None
-    end_tag = b"</" + name.group()[1:] + b">"
-    return Edit(node.start, node.end, start_tag + content + end_tag)
+    start_tag = node.file.text[node.start : node.end - 2].rstrip()
+    end_tag = start_tag.split()[0].replace(b"<", b"</")
+    return Edit(node.start, node.end, start_tag + b">" + content + end_tag + b">")
 
 
 def _apply(edits: Iterable[Edit], text: bytes, start: int, end: int) -> bytes:

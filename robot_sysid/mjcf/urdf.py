@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ModelError
-from robot_sysid.mjcf.assets import SHAPES, Asset, find_assets
+from robot_sysid.mjcf.assets import Asset, find_assets, urdf_shapes
 from robot_sysid.mjcf.documents import Edits, ModelDocument, Node
 from robot_sysid.mjcf.inertial import urdf_inertial_about_com
 from robot_sysid.records import Array
@@ -48,7 +48,7 @@ def compilable_urdf(
     """
     edits = Edits(document)
     # Line numbers in MuJoCo's messages must stay those of the file.
-    edits.settings_lead = b""
+    edits.settings_lead = ""
     notes = list(_use_absolute_meshes(edits, mesh_dir))
     edits.set_compiler({"fusestatic": "false", "strippath": "false"})
     inertias = link_inertias(document)
@@ -76,19 +76,18 @@ def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
     from_geometry = any(node.get("inertiafromgeom") == "true" for node in settings)
     assets = {asset.node: asset for asset in find_assets(document, mesh_dir)}
     removed = set()
-    for link in document.root_children("link"):
-        for shape in link.children():
-            nodes = shape.walk() if shape.tag in SHAPES else ()
-            meshes = [assets[node] for node in nodes if node in assets]
-            unusable = next((mesh for mesh in meshes if not _is_readable(mesh)), None)
-            if unusable is None:
-                _set_paths(edits, meshes)
-                continue
-            edits.replace(shape, "", keep_lines=True)
-            if shape.tag == "collision":
-                has_inertial = link.child("inertial") is not None and not from_geometry
-                _require_inertial(document, link, unusable, has_inertial)
-                removed.add(unusable.name)
+    for link, shape in urdf_shapes(document):
+        meshes = [assets[node] for node in shape.walk() if node in assets]
+        unusable = next((mesh for mesh in meshes if not _is_readable(mesh)), None)
+        if unusable is None:
+            for mesh in meshes:
+                edits.set(mesh.node, "filename", str(mesh.path))
+            continue
+        edits.replace(shape, "", keep_lines=True)
+        if shape.tag == "collision":
+            if from_geometry or link.child("inertial") is None:
+                raise _missing_mesh_error(document, link, unusable)
+            removed.add(unusable.name)
     if removed:
         yield (
             "collision meshes that are missing or unreadable to MuJoCo were left out "
@@ -102,22 +101,12 @@ def _is_readable(mesh: Asset) -> bool:
     return mesh.path is not None and mesh.path.suffix.lower() in _READABLE_MESHES
 
 
-def _set_paths(edits: Edits, meshes: Sequence[Asset]) -> None:
-    """Write the absolute paths of meshes that were found."""
-    for mesh in meshes:
-        edits.set(mesh.node, "filename", str(mesh.path))
-
-
-def _require_inertial(
-    document: ModelDocument, link: Node, mesh: Asset, has_inertial: bool
-) -> None:
-    """Raise ModelError where a link's inertia would be computed from an unusable mesh."""
-    if has_inertial:
-        return
+def _missing_mesh_error(document: ModelDocument, link: Node, mesh: Asset) -> ModelError:
+    """Return the error for a link's inertia that would be computed from an unusable mesh."""
     reason = "not found"
     if mesh.path:
         reason = f"in a format MuJoCo cannot read ({mesh.path.suffix})"
-    raise ModelError(
+    return ModelError(
         f"{document.path}: collision mesh {mesh.name} of link '{link.get('name')}' is "
         f"{reason}, and the link has no <inertial> of its own; pass --mesh-dir FOLDER or "
         "add an <inertial>"
@@ -178,7 +167,7 @@ def velocity_limits(document: ModelDocument) -> dict[str, float]:
 
 def _floats(text: str | None) -> Array:
     """Return the three numbers of an attribute, zeros where there is none."""
-    return np.array([float(word) for word in text.split()]) if text else np.zeros(3)
+    return np.array(list(map(float, text.split()))) if text else np.zeros(3)
 
 
 def _massless_moving_links(document: ModelDocument) -> Iterator[Node]:
