@@ -7,6 +7,7 @@ that is refused lists the faults of all checks.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import NamedTuple
@@ -169,8 +170,7 @@ def require_few(anomaly: str, rows: LogRows, robot: RobotModel) -> Iterator[str]
     ``anomaly`` is a key of ``_TOLERANCES``.
     """
     share, description, remedy = _TOLERANCES[anomaly]
-    count = rows.anomalies[anomaly].count
-    first = rows.anomalies[anomaly].first
+    count, first = rows.anomalies[anomaly]
     if anomaly == BACKWARDS and count:
         raise InputError(f"time runs backwards at {first}; {remedy}")
     if count > max(_ALWAYS_TOLERATED, share * rows.n_read):
@@ -199,7 +199,7 @@ def _refuse_empty_columns(rows: LogRows) -> None:
             "cells; record it, or with --columns FILE name the right column, or keep out what is "
             "not needed ('velocity = none')"
         )
-    if rows.anomalies[MISSING].count == rows.n_read:
+    if rows.anomalies[MISSING].n_rows == rows.n_read:
         noun = rows.row_noun
         raise InputError(
             f"no {noun} holds numbers in all columns (empty: {_emptiest_column(rows)}): joints, or "
@@ -215,7 +215,7 @@ def _emptiest_column(rows: LogRows) -> str:
 
 def _mending_notes(rows: LogRows) -> Iterator[str]:
     """Yield notes on unwrapped positions, rows without this arm's data, and thinning."""
-    if rows.anomalies[WRAPPED].count:
+    if rows.anomalies[WRAPPED].n_rows:
         first = rows.anomalies[WRAPPED].first
         yield f"unwrapped positions that jump by a full turn (first: {first})"
     if rows.n_foreign:
@@ -406,14 +406,13 @@ def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     first = int(np.argmax(np.any(np.abs(q - q[0]) > _STILL, axis=1)))
     has_moved = np.any(np.abs(q[::-1] - q[-1]) > _STILL, axis=1)
     last = len(q) - int(np.argmax(has_moved))
-    standstill = time[first] - time[0]
-    if standstill > shortest:
-        extent = f"up to {rows.row_noun} {rows.lines[first]}"
-        yield Detail(f"the arm stands still {extent} ({standstill:.2f} s)")
-    standstill = time[-1] - time[last]
-    if standstill > shortest:
-        extent = f"from {rows.row_noun} {rows.lines[last]} on"
-        yield Detail(f"the arm stands still {extent} ({standstill:.2f} s)")
+    rests = {
+        f"up to {rows.row_noun} {rows.lines[first]}": time[first] - time[0],
+        f"from {rows.row_noun} {rows.lines[last]} on": time[-1] - time[last],
+    }
+    for extent, duration in rests.items():
+        if duration > shortest:
+            yield Detail(f"the arm stands still {extent} ({duration:.2f} s)")
 
 
 def limit_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
@@ -442,11 +441,11 @@ def require_torque(rows: LogRows, robot: RobotModel) -> None:
     if rows.samples.command is not None:
         return
     tau = rows.samples.tau
-    names_by_torque: dict[str, list[str]] = {}
+    names_by_torque = defaultdict[str, list[str]](list)
     for joint in np.flatnonzero(np.all(tau == tau[0], axis=0)).tolist():
         constant = tau[0, joint]
         torque = f"the same ({constant:.6g} N m)" if constant else "zero"
-        names_by_torque.setdefault(torque, []).append(robot.joint_names[joint])
+        names_by_torque[torque].append(robot.joint_names[joint])
     faults = []
     for torque, names in names_by_torque.items():
         faults.append(f"of joint {' and '.join(names)} is {torque} in every row")

@@ -20,7 +20,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -266,11 +266,10 @@ SEPARATION = 10.0
 """Time that is put between recordings with separate clocks [s]: longer than any filter."""
 
 
-@dataclass(frozen=True)
-class Anomaly:
+class Anomaly(NamedTuple):
     """How many rows have an anomaly, and where the first one is, for the user."""
 
-    count: int = 0
+    n_rows: int = 0
     first: str = ""
 
 
@@ -450,9 +449,9 @@ class _RowCleaner:
     def _count(self, anomaly: str, lines: Lines, first: str = "") -> None:
         """Count lines (K,) with an anomaly; ``first`` describes the first one, or is ""."""
         if len(lines):
-            counted = self.anomalies[anomaly]
-            first = counted.first or first or f"{self._row_noun} {lines[0]}"
-            self.anomalies[anomaly] = Anomaly(counted.count + len(lines), first)
+            count, earlier = self.anomalies[anomaly]
+            first = earlier or first or f"{self._row_noun} {lines[0]}"
+            self.anomalies[anomaly] = Anomaly(count + len(lines), first)
 
     def _find_usable(self, block: Block, cells: Array) -> Mask:
         """Return (R,) which rows hold numbers that can be true; count the others.

@@ -13,12 +13,13 @@ import contextlib
 import csv
 import functools
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import TextIOWrapper
 from itertools import chain, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,8 +37,8 @@ _LONGEST_LINE = 100_000
 """Number of characters from which on a line is no row of a table; csv refuses cells of 131072."""
 CHUNK = 1_000_000
 """Number of characters of a log that are in memory as lines at a time."""
-# First characters of lines that may be empty or a comment.
-_NO_ROW = frozenset({"", *" \t\v\f#%"})
+_COMMENT = ("#", "%")
+"""Characters with which a comment line begins."""
 _CONTROL = bytes({*range(32)} - {*b"\t\n\v\f\r"})
 """Control characters that a text file does not hold."""
 _BINARY = 0.05
@@ -213,18 +214,13 @@ def _read_beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str
     chunks = _read_lines(path, encoding, _LONGEST_LINE)
     numbered = (enumerate(lines, first) for first, lines, _ in chunks)
     for number, line in chain.from_iterable(numbered):
-        if not _is_comment(line) and _can_be_row(line):
+        if not line.lstrip().startswith(_COMMENT) and _can_be_row(line):
             rows.append((number, line))
             if len(rows) == 2:
                 break
         elif line.strip() and not rows:
             above = line.strip()
     return above, rows
-
-
-def _is_comment(line: str) -> bool:
-    """Return whether a line begins with # or %."""
-    return line.lstrip().startswith(("#", "%"))
 
 
 def _can_be_row(line: str) -> bool:
@@ -258,26 +254,18 @@ def _is_mostly_numbers(cells: Sequence[str]) -> bool:
 def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
     """Yield the rows of a log, with the columns of these indices."""
     for first, lines, share in _read_lines(dialect.path, dialect.encoding, CHUNK):
-        numbers = range(first, first + len(lines))
-        rows = list(zip(numbers, lines))
-        has_header = dialect.header_line in numbers
-        # In most chunks the first characters show that every line is a row.
-        if has_header or not _NO_ROW.isdisjoint(line[:1] for line in lines):
-            rows = [row for row in rows if _is_data(row, dialect.header_line)]
+        rows = {}
+        for number, line in enumerate(lines, first):
+            text = line.lstrip()
+            if text and not text.startswith(_COMMENT) and number != dialect.header_line:
+                rows[number] = line
         if not rows:
             continue
-        texts = [line for _, line in rows]
-        cells = _read_with_numpy(dialect, columns, texts)
+        cells = _read_with_numpy(dialect, columns, list(rows.values()))
         complaint = ""
         if cells is None:
             cells, complaint = _read_rows(dialect, columns, rows)
-        yield Block(np.array([n for n, _ in rows]), cells, complaint, share_read=share)
-
-
-def _is_data(row: tuple[int, str], header_line: int) -> bool:
-    """Return whether (line number, line) is neither header nor comment nor empty."""
-    number, line = row
-    return number != header_line and bool(line.strip()) and not _is_comment(line)
+        yield Block(np.array(list(rows)), cells, complaint, share_read=share)
 
 
 def _read_with_numpy(
@@ -292,8 +280,9 @@ def _read_with_numpy(
         lines = [line.replace(",", ".") for line in lines]
     dates = [k for k in columns if k < len(first_row) and ":" in first_row[k]]
     # A type of all columns, unlike a choice of some, refuses rows with more or fewer cells.
-    widths = range(len(dialect.titles))
-    types = [("", float if k in columns else "U1") for k in widths]
+    types: list[tuple[str, Any]] = [("", "U1")] * len(dialect.titles)
+    for column in columns:
+        types[column] = ("", float)
     try:
         if dates:
             lines = [_with_seconds(line, separator, dates, first_row) for line in lines]
@@ -318,16 +307,16 @@ def _with_seconds(
 
 
 def _read_rows(
-    dialect: Dialect, columns: Sequence[int], rows: Sequence[tuple[int, str]]
+    dialect: Dialect, columns: Sequence[int], rows: Mapping[int, str]
 ) -> tuple[Array, str]:
-    """Return (cells (R, C), complaint) of rows given as (line number, line).
+    """Return (cells (R, C), complaint) of the rows of a log, by their line numbers.
 
     A row that is not numbers becomes infinite; the complaint is the fault of the first such row, ""
     without one.
     """
     cells = np.full((len(rows), len(columns)), np.inf)
     complaint = ""
-    for (number, line), row in zip(rows, cells):
+    for (number, line), row in zip(rows.items(), cells):
         fault = _read_row(dialect, columns, line, row)
         if fault and not complaint:
             complaint = f"line {number}{fault}"
@@ -376,10 +365,10 @@ def write_measurement_csv(
             if not attributes:
                 pairs = _ATTRIBUTES.items()
                 attributes = {q: a for q, a in pairs if getattr(chunk, a) is not None}
-                columns = product(attributes, joint_names)
-                titles = [f"{joint}_{quantity}" for quantity, joint in columns]
-                one_line = [re.sub(r"[\r\n]", " ", title) for title in titles]
-                writer.writerow(["time", *one_line])
+                titles = ["time"]
+                for quantity, joint in product(attributes, joint_names):
+                    titles.append(re.sub(r"[\r\n]", " ", f"{joint}_{quantity}"))
+                writer.writerow(titles)
             values = [getattr(chunk, name) for name in attributes.values()]
             rows = np.column_stack((chunk.time, *values)).tolist()
             writer.writerows(map(repr, row) for row in rows)
