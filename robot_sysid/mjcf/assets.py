@@ -295,9 +295,10 @@ def _move_folders(edits: Edits, folders: AssetFolders, tags: set[str]) -> None:
     ``tags``: of the elements that refer to files.
     """
     compilers = edits.document.settings("compiler")
-    new: dict[str, str] = {}
+    uses_meshes = bool(tags - {"texture", "model"})
+    new = {}
     for name, folder, is_used in (
-        ("meshdir", folders.mesh, bool(tags - {"texture", "model"})),
+        ("meshdir", folders.mesh, uses_meshes),
         ("texturedir", folders.texture, "texture" in tags),
     ):
         path = reference(folder, edits.folder)
@@ -502,16 +503,14 @@ def _count_triangles(path: Path, form: str) -> float:
         is_complete = len(content) >= 16
         return float(struct.unpack_from("<i", content, 12)[0]) if is_complete else 0.0
     # Faces begin with f; a face of k corners, each after a blank, is k - 2 triangles.
-    starts = [content.find(b"\nf"), content.find(b"\rf")]
-    first = min((start for start in starts if start >= 0), default=0)
-    blanks = content.count(b" ", first) + content.count(b"\t", first)
-    faces = content.count(b"\nf", first) + content.count(b"\rf", first)
-    at_most = blanks - 2 * faces
+    lines = content.replace(b"\r", b"\n").replace(b"\t", b" ")
+    first = max(0, lines.find(b"\nf"))
+    at_most = lines.count(b" ", first) - 2 * lines.count(b"\nf", first)
     if at_most <= _FEW_TRIANGLES:
         return at_most
     count = 0
-    for line in BytesIO(content.replace(b"\r", b"\n")):
-        if line.lstrip(b" \t").startswith(b"f"):
+    for line in BytesIO(lines):
+        if line.lstrip(b" ").startswith(b"f"):
             is_short = len(line) < _LONGEST_LINE
             count += len(line.split()) - 3 if is_short else line.count(b" ")
         if _TRIANGLE_BYTES * count > 4.0 * MAX_MEMORY:

@@ -99,11 +99,10 @@ def plan_write_back(
     remainder = composite - scale * described
     theta = admissible(remainder)
     if theta is None or scale < NEGLIGIBLE:
-        name = bodies[0].name
-        fault = (
-            f"the identified parameters of body '{name}' are not a possible rigid body"
+        raise ExportError(
+            f"the identified parameters of body '{bodies[0].name}' are not a possible rigid body, "
+            "so no model was written; use a longer motion"
         )
-        raise ExportError(f"{fault}, so no model was written; use a longer motion")
     inflation = float(theta[4] - remainder[4])
     plan = WriteBack(theta, emptied, None, inflation, lightened, scale)
     return replace(plan, note="; ".join(_notes(bodies[0], plan)) or None)
@@ -234,8 +233,10 @@ def format_rmse(rmse: float) -> str:
 
 def setting(document: ModelDocument, name: str) -> str | None:
     """Return a compiler attribute, the last one in the file; None where there is none."""
-    values = [node.get(name) for node in document.settings("compiler")]
-    return next(filter(None, reversed(values)), None)
+    value = None
+    for node in document.settings("compiler"):
+        value = node.get(name) or value
+    return value
 
 
 def setting_number(document: ModelDocument, name: str) -> float:
@@ -263,7 +264,7 @@ def check_settings(
         _refuse(document, "fusestatic", reason)
     mass, _, inertia = spatial.com_from_theta(theta)
     smallest = float(np.linalg.eigvalsh(inertia)[0])
-    for name, value in (("boundmass", mass), ("boundinertia", smallest)):
+    for name, value in {"boundmass": mass, "boundinertia": smallest}.items():
         bound = setting_number(document, name)
         # A value that is at its bound but for rounding is written; the written model is checked.
         if bound > value * (1.0 + _ROUNDING):

@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import chain, islice, takewhile
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -182,6 +182,7 @@ def changed_model_text(
 def _write_bodies(edits: Edits, change: ModelChange) -> list[Node]:
     """Write the new inertias of bodies; return the elements that got one."""
     document = edits.document
+    nothing = _inertial(document, np.zeros(10), change.principal)
     written = list[Node]()
     for body in change.bodies:
         node = find_element(document, "body", body.label)
@@ -194,7 +195,6 @@ def _write_bodies(edits: Edits, change: ModelChange) -> list[Node]:
         written.append(node)
         for emptied in body.plan.emptied:
             node = find_element(document, "body", emptied.name)
-            nothing = _inertial(document, np.zeros(10), change.principal)
             edits.put_inertial(node, nothing)
             written.append(node)
     return written
@@ -260,11 +260,10 @@ def _write_gravity(
 ) -> None:
     """Give a model another gravity; MuJoCo reads the ``<option>`` in a URDF's ``<mujoco>``."""
     options = edits.document.settings("option")
-    for option in options:
-        for node in option.children():
-            if node.tag == "flag" and node.get("gravity") == "disable":
-                fault = '<flag gravity="disable"/> switches gravity off; remove it'
-                raise ExportError(f"{edits.document.path}: {fault}")
+    for node in chain(*map(Node.children, options)):
+        if node.tag == "flag" and node.get("gravity") == "disable":
+            fault = '<flag gravity="disable"/> switches gravity off; remove it'
+            raise ExportError(f"{edits.document.path}: {fault}")
     if not np.all(np.isfinite(gravity)):
         raise ExportError(f"gravity cannot be written as {gravity}: it is no vector")
     stating = [option for option in options if option.get("gravity")]
@@ -356,10 +355,8 @@ def _write_tendon(edits: Edits, change: TendonChange, rmse: float) -> None:
 
 def _section_child(document: ModelDocument, section: str, index: int) -> Node | None:
     """Return the child of this index in all sections of a name, such as "tendon", together."""
-    children: list[Node] = []
-    for node in document.root_children(section):
-        children += node.children()
-    return next(islice(children, index, None), None)
+    sections = document.root_children(section)
+    return next(islice(chain(*map(Node.children, sections)), index, None), None)
 
 
 def write_actuator(edits: Edits, change: ActuatorChange) -> None:
@@ -393,8 +390,8 @@ def find_element(document: ModelDocument, element: str, label: str) -> Node:
         label: its name, or "#7" for the nameless one with MuJoCo id 7.
     """
     nodes = list(_compiled_order(document, element))
-    named = [node for node in nodes if node.get("name") == label]
-    matches = [node for node in named if node.tag not in _MULTIPLIERS]
+    written = [node for node in nodes if node.tag not in _MULTIPLIERS]
+    matches = [node for node in written if node.get("name") == label]
     if len(matches) > 1:
         fault = f"{element} '{label}' stands in the file {len(matches)} times"
         raise ExportError(f"{document.path}: {fault}")
@@ -402,8 +399,8 @@ def find_element(document: ModelDocument, element: str, label: str) -> Node:
     if number and not matches and not document.is_urdf:
         # The world is body 0; behind a multiplier nobody knows the number.
         index = int(number[1]) - (element == "body")
-        countable = list(takewhile(lambda node: node.tag not in _MULTIPLIERS, nodes))
-        matches = countable[index : index + 1] if index >= 0 else []
+        is_countable = nodes[: index + 1] == written[: index + 1]
+        matches = written[index : index + 1] if is_countable and index >= 0 else []
     multipliers = document.walk(*_MULTIPLIERS)
     repeated = chain.from_iterable(top.walk() for top in multipliers)
     if not matches or matches[0] in repeated:
@@ -425,15 +422,17 @@ def _compiled_order(document: ModelDocument, element: str) -> Iterator[Node]:
             if is_multiplier or node.tag == element == "body":
                 yield node
             if element == "joint" and (is_multiplier or node.tag in _WITH_JOINTS):
-                children = _without_frames(node)
-                yield from (n for n in children if n.tag in ("joint", "freejoint"))
+                yield from _joints_of(node)
 
 
 _WITH_JOINTS = ("worldbody", "body")
 """Tags of the elements that may contain joints."""
 
 
-def _without_frames(body: Node) -> Iterator[Node]:
-    """Yield the children of a body, those in a ``<frame>`` in place of it."""
+def _joints_of(body: Node) -> Iterator[Node]:
+    """Yield the joints of a body, those in a ``<frame>`` of it too."""
     for child in body.children():
-        yield from _without_frames(child) if child.tag == "frame" else (child,)
+        if child.tag == "frame":
+            yield from _joints_of(child)
+        elif child.tag in ("joint", "freejoint"):
+            yield child

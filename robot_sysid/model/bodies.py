@@ -10,6 +10,7 @@ that a model leaves out their joint's housing. Any other two bodies that touch a
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -210,21 +211,20 @@ def _fixed_frames(robot: RobotModel) -> tuple[_Frames, _Frames]:
     origin = data.xpos[terminal]
     fixed = {body.body_id: body.name for body in robot.bodies if body.welded}
 
-    def frame(label: str, carrier: int, xmat: Array, xpos: Array) -> Flange:
-        """Return a frame, at world axes (9,) and position (3,), relative to the terminal body."""
-        rotation = axes.T @ xmat.reshape(3, 3)
-        translation = axes.T @ (xpos - origin)
+    def frame(label: str, carrier: int, pose: Any) -> Flange:
+        """Return the frame of a site or body, whose ``pose`` is in world axes."""
+        rotation = axes.T @ pose.xmat.reshape(3, 3)
+        translation = axes.T @ (pose.xpos - origin)
         return Flange(label, rotation, translation, robot.body_name, carrier)
 
     sites = {}
-    for i, carrier in enumerate(mj_model.site_bodyid.tolist()):
-        name = mj_model.site(i).name
+    for site, carrier in enumerate(mj_model.site_bodyid.tolist()):
+        name = mj_model.site(site).name
         if name and carrier in fixed:
-            label = f"site '{name}'"
-            sites[name] = frame(label, carrier, data.site_xmat[i], data.site_xpos[i])
+            sites[name] = frame(f"site '{name}'", carrier, data.site(site))
     bodies = {}
-    for i, name in fixed.items():
-        bodies[name] = frame(f"body '{name}'", i, data.xmat[i], data.xpos[i])
+    for body, name in fixed.items():
+        bodies[name] = frame(f"body '{name}'", body, data.body(body))
     return sites, bodies
 
 
@@ -234,9 +234,9 @@ def _guess_flange(robot: RobotModel, sites: _Frames, bodies: _Frames) -> Flange:
     terminal = others.pop(robot.body_name)
     for pattern in _PATTERNS:
         # A site counts more than a body.
-        matches = [sites[name] for name in sites if pattern.fullmatch(name)]
-        if not matches:
-            matches = [others[name] for name in others if pattern.fullmatch(name)]
+        site_names = list(filter(pattern.fullmatch, sites))
+        body_names = list(filter(pattern.fullmatch, others))
+        matches = [sites[n] for n in site_names] or [others[n] for n in body_names]
         if not matches:
             continue
         poses = [np.column_stack((f.rotation, f.translation)) for f in matches]
@@ -260,10 +260,9 @@ def _parse_flange(robot: RobotModel, text: str) -> Flange:
     """Return the frame of "x,y,z" or "x,y,z,roll,pitch,yaw", or raise ModelError."""
     from scipy.spatial.transform import Rotation
 
-    try:
-        numbers = [float(number) for number in text.split(",")]
-    except ValueError:
-        numbers = []
+    numbers: list[float] = []
+    with contextlib.suppress(ValueError):
+        numbers = list(map(float, text.split(",")))
     if len(numbers) not in (3, 6) or not np.all(np.isfinite(numbers)):
         remedy = "wanted are x,y,z in metres or x,y,z,roll,pitch,yaw with degrees"
         raise ModelError(f"flange {text}: neither a name nor numbers; {remedy}")
@@ -292,10 +291,8 @@ def joint_ranges(robot: RobotModel) -> tuple[Array, Array]:
     """Return the positions (n,), (n,) between which each joint can be; a turn where unlimited."""
     lower = robot.limits.lower
     upper = robot.limits.upper
-    return (
-        np.where(np.isfinite(lower), lower, robot.reference - np.pi),
-        np.where(np.isfinite(upper), upper, robot.reference + np.pi),
-    )
+    lowest = np.where(np.isfinite(lower), lower, robot.reference - np.pi)
+    return lowest, np.where(np.isfinite(upper), upper, robot.reference + np.pi)
 
 
 def count_moving_joints(robot: RobotModel) -> NDArray[np.int64]:
@@ -306,8 +303,8 @@ def count_moving_joints(robot: RobotModel) -> NDArray[np.int64]:
     """
     model = robot.mj_model
     counts = np.zeros(model.nbody, dtype=np.int64)
-    for index, joint in enumerate(model.dof_jntid[robot.dof_index]):
-        moved = subtree(model, int(model.jnt_bodyid[joint]))
+    for index, body in enumerate(model.dof_bodyid[robot.dof_index].tolist()):
+        moved = subtree(model, body)
         if np.any(counts[moved] != index):
             names = ", ".join(robot.joint_names)
             raise InputError(f"{names} are no serial chain: take one arm")
@@ -393,9 +390,8 @@ class ContactFinder:
         geoms = self._data.contact.geom[self._data.contact.dist <= 0.0]
         geoms = geoms[np.all(geoms >= 0, axis=1)]
         bodies = np.sort(self._model.geom_bodyid[geoms], axis=1)
-        pairs = {(int(a), int(b)) for a, b in bodies}
-        counts = self._joint_counts
-        return {(a, b) for a, b in pairs if counts[a] != counts[b]}
+        counts = self._joint_counts[bodies]
+        return set(map(tuple, bodies[counts[:, 0] != counts[:, 1]].tolist()))
 
 
 def find_new_contacts(robot: RobotModel, motions: Iterable[Motion]) -> tuple[str, ...]:

@@ -38,6 +38,10 @@ _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 """MuJoCo's type of a slide joint."""
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 """MuJoCo's types of transmission by which an actuator acts on a joint directly."""
+_FIXED_GAIN = int(mujoco.mjtGain.mjGAIN_FIXED)
+"""MuJoCo's type of gain of a plain motor."""
+_NO_BIAS = int(mujoco.mjtBias.mjBIAS_NONE)
+"""MuJoCo's type of bias of a plain motor."""
 _ONLY_THESE = "only hinge and slide joints can be identified"
 """Part of the errors on joints of other types."""
 RIVAL_SHARE = 0.6
@@ -47,14 +51,12 @@ of two or three joints beside a seven-joint arm is none, an arm of five is."""
 
 def joint_label(mj_model: Any, joint: int) -> str:
     """Return the name of the joint with this id, or "#id" where it has none."""
-    name = mujoco.mj_id2name(mj_model, int(mujoco.mjtObj.mjOBJ_JOINT), joint)
-    return name or f"#{joint}"
+    return mj_model.joint(joint).name or f"#{joint}"
 
 
 def body_label(mj_model: Any, body: int) -> str:
     """Return the name of the body with this id, or "#id" where it has none."""
-    name = mujoco.mj_id2name(mj_model, int(mujoco.mjtObj.mjOBJ_BODY), body)
-    return name or f"#{body}"
+    return mj_model.body(body).name or f"#{body}"
 
 
 def is_hinge_or_slide(mj_model: Any, joint: int) -> bool:
@@ -117,18 +119,20 @@ def find_terminal_joint(mj_model: Any) -> int:
         raise ModelError(
             "the model has no hinge or slide joints, so there is no arm to identify"
         )
-    carriers = {run: set(_towards_world(mj_model, run[0])) - {run[0]} for run in runs}
+    # The joints between each run and the world.
+    carriers = {run: {*_towards_world(mj_model, run[0])} - {run[0]} for run in runs}
     longest = max(map(len, runs))
-    ends = {run[-1] for run in runs if len(run) == longest}
+    longest_runs = [run for run in runs if len(run) == longest]
+    ends = {run[-1] for run in longest_runs}
     # The longest run that stands on no other of its length.
-    arm = next(r for r in runs if len(r) == longest and not ends & carriers[r])
+    arm = next(run for run in longest_runs if ends.isdisjoint(carriers[run]))
     rivals = [arm]
     for run in runs:
         is_in_line = bool({arm[-1], run[-1]} & (carriers[arm] | carriers[run]))
         if run != arm and not is_in_line and len(run) >= RIVAL_SHARE * longest:
             rivals.append(run)
     if len(rivals) > 1:
-        common = set.intersection(*(carriers[rival] for rival in rivals))
+        common = set.intersection(*map(carriers.__getitem__, rivals))
         trunks = [run for run in runs if run[-1] in common]
         last_joints = [run[-1] for run in [*trunks, *rivals]]
         reason = f"{len(rivals)} serial chains of joints could be the arm"
@@ -169,7 +173,7 @@ def _ambiguity(
 
 def driven_joints(mj_model: Any) -> set[int]:
     """Return the ids of joints that an actuator moves, directly, by a tendon or by a coupling."""
-    joints: set[int] = set()
+    joints = set[int]()
     targets = mj_model.actuator_trnid[:, 0].tolist()
     for transmission, target in zip(mj_model.actuator_trntype.tolist(), targets):
         if transmission in _AT_JOINT:
@@ -271,14 +275,14 @@ def _torque_limit(mj_model: Any, joint: int) -> float:
 
     The joint's own, or the sum of all actuators on it.
     """
-    joint_limit = np.inf
+    limit = np.inf
     if mj_model.jnt_actfrclimited[joint]:
-        joint_limit = _symmetric_bound(mj_model.jnt_actfrcrange[joint])
+        limit = _symmetric_bound(mj_model.jnt_actfrcrange[joint])
     actuator_limits = []
     for actuator in actuators_on(mj_model, joint):
         gear = abs(float(mj_model.actuator_gear[actuator, 0]))
         actuator_limits.append(gear * _force_limit(mj_model, actuator))
-    return min(joint_limit, sum(actuator_limits) if actuator_limits else np.inf)
+    return min(limit, sum(actuator_limits)) if actuator_limits else limit
 
 
 def actuators_on(mj_model: Any, joint: int) -> list[int]:
@@ -292,13 +296,10 @@ def _force_limit(mj_model: Any, actuator: int) -> float:
     """Return the largest force of one actuator: its forcerange, or a motor's gain x ctrlrange."""
     if mj_model.actuator_forcelimited[actuator]:
         return _symmetric_bound(mj_model.actuator_forcerange[actuator])
-    has_fixed_gain = int(mj_model.actuator_gaintype[actuator]) == int(
-        mujoco.mjtGain.mjGAIN_FIXED
-    )
-    has_no_bias = int(mj_model.actuator_biastype[actuator]) == int(
-        mujoco.mjtBias.mjBIAS_NONE
-    )
-    if mj_model.actuator_ctrllimited[actuator] and has_fixed_gain and has_no_bias:
+    gain_type = mj_model.actuator_gaintype[actuator]
+    bias_type = mj_model.actuator_biastype[actuator]
+    is_motor = gain_type == _FIXED_GAIN and bias_type == _NO_BIAS
+    if mj_model.actuator_ctrllimited[actuator] and is_motor:
         gain = abs(float(mj_model.actuator_gainprm[actuator, 0]))
         return gain * _symmetric_bound(mj_model.actuator_ctrlrange[actuator])
     return np.inf
@@ -338,13 +339,11 @@ def shared_motors(mj_model: Any, dofs: NDArray[np.int64]) -> dict[int, Array]:
 
 def joint_friction(mj_model: Any, dofs: NDArray[np.int64]) -> JointFriction:
     """Return the friction of a chain whose joints have these addresses (n,) in qvel."""
-    shared = []
-    for tendon, ratios in shared_motors(mj_model, dofs).items():
-        torque = float(mj_model.tendon_frictionloss[tendon]) * ratios
-        if np.any(torque):
-            shared.append(torque)
+    motors = shared_motors(mj_model, dofs)
+    ratios = np.array(list(motors.values())).reshape(-1, len(dofs))
+    torques = mj_model.tendon_frictionloss[list(motors)][:, None] * ratios
     return JointFriction(
         mj_model.dof_frictionloss[dofs],
         mj_model.dof_damping[dofs],
-        np.array(shared).reshape(-1, len(dofs)),
+        torques[np.any(torques, axis=1)],
     )

@@ -204,10 +204,10 @@ def _compiler_message(document: ModelDocument, error: BaseException) -> str:
     name = _NAME.search(text)
     line = _LINE.search(text)
     location = []
-    if name and name.group(1).strip():
-        location.append(f"'{name.group(1).strip()}'")
-    if line and line.group(1) != "0":
-        location.append(f"line {line.group(1)}")
+    if name and name[1].strip():
+        location.append(f"'{name[1].strip()}'")
+    if line and line[1] != "0":
+        location.append(f"line {line[1]}")
     where = f" ({', '.join(location)})" if location else ""
     remedy = _BALANCE if "balanceinertia" in first else ""
     return f"MuJoCo cannot compile {document.path}: {first}{where}{remedy}"
@@ -378,8 +378,9 @@ def _is_same_arm(model: Any, other: Any) -> bool:
     for name in _COMPARED:
         values = getattr(model, name)
         others = getattr(other, name)
-        if values.shape != others.shape:
-            return False
-        if not np.allclose(values, others, _WRITING_ACCURACY, 1e-9):
+        has_same_shape = values.shape == others.shape
+        if not has_same_shape or not np.allclose(
+            values, others, _WRITING_ACCURACY, 1e-9
+        ):
             return False
     return True
