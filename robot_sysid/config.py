@@ -18,13 +18,14 @@ from robot_sysid.model import ModelOptions
 from robot_sysid.motion import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.records import file_access, option_fields
 from robot_sysid.records.option_fields import (
+    SCALE,
     Option,
     OptionRecord,
     TrajectoryOptions,
+    joint_factors,
     option,
     parse_folder,
 )
-from robot_sysid.records.torque_scale import SCALE, joint_factors
 from robot_sysid.simulation import SimulatedArmOptions
 
 AnyConfig = TypeVar("AnyConfig", bound="Config")

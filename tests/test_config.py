@@ -12,8 +12,7 @@ from robot_sysid.config import PayloadConfig, SysidConfig
 from robot_sysid.dynamics.friction import FrictionModel, friction_model
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.question import CHOSEN, DEFAULT_TERMINAL, EstimationOptions
-from robot_sysid.records.option_fields import MAX_SAMPLES
-from robot_sysid.records.torque_scale import write_torque_scale
+from robot_sysid.records.option_fields import MAX_SAMPLES, write_torque_scale
 from tests.support import option_samples
 
 MODEL = Path("arm.xml")

@@ -14,7 +14,7 @@ from robot_sysid.logs import LogOptions
 from robot_sysid.logs.arrays import recordings_table
 from robot_sysid.logs.reader import open_log
 from robot_sysid.logs.table import LogTable
-from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
+from robot_sysid.records.option_fields import CONSTANTS, SCALE, joint_factors
 from tests.support import log_files
 
 _ARM = log_files.arm_of(log_files.JOINTS, log_files.limits())

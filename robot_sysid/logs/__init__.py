@@ -8,8 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from robot_sysid.records.option_fields import OptionRecord, option
-from robot_sysid.records.torque_scale import Factors, check_factor, parse_factors
+from robot_sysid.records.option_fields import (
+    Factors,
+    OptionRecord,
+    check_factor,
+    option,
+    parse_factors,
+)
 
 CHECKS = {
     "torque-scale": "torque in another unit, on the motor's side of the gear, or scaled",

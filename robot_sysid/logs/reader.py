@@ -38,7 +38,7 @@ from robot_sysid.logs.titles import joint_quantity, read_title
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.messages import Detail, Progress
-from robot_sysid.records.torque_scale import CONSTANTS, SCALE, Factors, joint_factors
+from robot_sysid.records.option_fields import CONSTANTS, SCALE, Factors, joint_factors
 from robot_sysid.signals.process import LogPiece
 from robot_sysid.signals.resampling import piece_notes, split_at_gaps
 

@@ -27,7 +27,7 @@ from robot_sysid.model.bodies import find_flange
 from robot_sysid.pipeline import Identification
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.messages import Progress
-from robot_sysid.records.torque_scale import SCALE, joint_factors
+from robot_sysid.records.option_fields import SCALE, joint_factors
 from robot_sysid.results.record import Payload, Quantity
 from robot_sysid.signals.repetition import resting_poses
 

@@ -41,8 +41,7 @@ from robot_sysid.records import DataOrigin, Estimate, MotionPlan, RobotModel, So
 from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import MODEL_NAMES, atomic_files
 from robot_sysid.records.messages import Detail, Progress
-from robot_sysid.records.option_fields import PerJoint
-from robot_sysid.records.torque_scale import write_torque_scale
+from robot_sysid.records.option_fields import PerJoint, write_torque_scale
 from robot_sysid.results.record import LINK, JointEstimate, Result, Verdict
 from robot_sysid.results.verdict import command_after_weighing, verdict_lines
 from robot_sysid.results.verification import CHECKPOINTS, rollout_refusal

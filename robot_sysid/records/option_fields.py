@@ -1,15 +1,24 @@
 """Options as fields of frozen records, each stated once with its help, its unit and its check.
 
 The parsers of the command line, the defaults, the names in messages and the tables in the README
-all come from these fields. The record of the options of a sampled motion is here, too.
+all come from these fields. The record of the options of a sampled motion is here, too, and so are
+the files that options with one number per joint may name: torque scales and torque constants.
+
+A torque scale says how much too large a joint's torque column reads: tau = column / scale. A torque
+constant turns motor current into torque: tau = constant * current, at the joint, so with the gear
+in it. A file lists them by joint, in version 2 each with its standard error::
+
+    {"version": 1, "torque_scale": {"joint1": 1.31, "joint2": 1.27}}
+    {"version": 2, "torque_scale": {"joint1": {"value": 1.31, "standard_error": 0.004}, ...}}
 """
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache
 from keyword import iskeyword
@@ -18,13 +27,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Optional, TypeVar, Union
 
 from robot_sysid.errors import InputError
-from robot_sysid.records.file_access import refuse_special_file
+from robot_sysid.records.file_access import (
+    read_json,
+    refuse_special_file,
+    write_atomically,
+)
 
 if TYPE_CHECKING:
     from robot_sysid.records import Array
 
 PerJoint = Union[float, tuple[float, ...]]
 """One number for all joints, or one per joint."""
+Factors = Union[PerJoint, Path]
+"""One number for all joints, one per joint, or the file that lists them by name."""
+FACTORS_VERSION = 2
+"""Version of the files of factors that are written, and the newest that is read."""
+SCALE = "torque_scale"
+"""Key of the table of torque scales in a file."""
+CONSTANTS = "torque_constants"
+"""Key of the table of torque constants in a file [N m/A]."""
 DEFAULT_MAX_VELOCITY = 2.0
 """Speed limit of hinge joints for which neither model nor user states one [rad/s]."""
 MAX_SAMPLES = 1e9
@@ -136,14 +157,15 @@ def _options_of_class(record_class: Any) -> Mapping[str, Option]:
     """Return field name to option, with flag and parser completed, of a class of records."""
     options = {}
     for record_field in fields(record_class):
-        if "option" in record_field.metadata:
-            stated: Option = record_field.metadata["option"]
-            flag = stated.flag or "--" + record_field.name.replace("_", "-")
-            # float for "tuple[float, ...] | None".
-            type_names = re.findall(r"\w+", str(record_field.type))
-            parsers = [_PARSERS[name] for name in type_names if name in _PARSERS]
-            parse = stated.parse or next(iter(parsers), None)
-            options[record_field.name] = replace(stated, flag=flag, parse=parse)
+        stated = record_field.metadata.get("option")
+        if stated is None:
+            continue
+        flag = stated.flag or "--" + record_field.name.replace("_", "-")
+        parse = stated.parse
+        # float for "tuple[float, ...] | None".
+        for type_name in re.findall(r"\w+", str(record_field.type)):
+            parse = parse or _PARSERS.get(type_name)
+        options[record_field.name] = replace(stated, flag=flag, parse=parse)
     return options
 
 
@@ -169,14 +191,16 @@ def command_arguments(values: Mapping[str, Any], *records: Any) -> list[str]:
         records: records of options, or their classes.
     """
     arguments = []
-    for stated in (s for record in records for s in options_of(record).values()):
+    for stated in _options_of_all(records):
         value = values.get(stated.key)
         if value is None or value is False:
             continue
         for single in value if stated.repeats else (value,):
             arguments.append(stated.flag)
-            numbers = single if isinstance(single, tuple) else (single,)
-            texts = [f"{n:.12g}" if isinstance(n, float) else str(n) for n in numbers]
+            texts = []
+            for number in _leaves(single):
+                is_float = isinstance(number, float)
+                texts.append(f"{number:.12g}" if is_float else str(number))
             if stated.takes_many or isinstance(stated.metavar, tuple):
                 arguments += texts if stated.parse else []
             elif stated.parse:
@@ -225,12 +249,12 @@ def _checked_value(stated: Option, raw_value: Any) -> Any:
     parser_name = getattr(stated.parse, "__name__", "bool")
     types, type_text = _VALUE_TYPES.get(parser_name, ((object,), ""))
     takes_many = takes_many or has_rows or type_text.endswith(_PER_JOINT)
-    # A bool is a number to Python, and none here.
-    fits = all(
-        isinstance(leaf, types) and (bool in types or not isinstance(leaf, bool))
-        for leaf in _leaves(value)
-    )
-    if not fits or not (takes_many or is_single):
+    fits = takes_many or is_single
+    for leaf in _leaves(value):
+        # A bool is a number to Python, and none here.
+        fits &= isinstance(leaf, types)
+        fits &= bool in types or not isinstance(leaf, bool)
+    if not fits:
         raise InputError(f"{stated.flag} must be {type_text} (got {raw_value!r:.60})")
     return value
 
@@ -256,7 +280,13 @@ def _leaves(value: Any) -> Iterator[Any]:
 
 def keys_of(*records: Any) -> set[str]:
     """Return the keys of all options of some records, or of their classes."""
-    return {stated.key for record in records for stated in options_of(record).values()}
+    return {stated.key for stated in _options_of_all(records)}
+
+
+def _options_of_all(records: Collection[Any]) -> Iterator[Option]:
+    """Yield the options of some records, or of their classes."""
+    for record in records:
+        yield from options_of(record).values()
 
 
 def refuse_unknown(keys: Collection[str], valid_keys: Collection[str]) -> None:
@@ -317,6 +347,98 @@ def parse_numbers(text: str) -> PerJoint:
             f"{text!r} is neither a number nor a list like 0.1,0.1,0.05"
         ) from error
     return numbers[0] if len(numbers) == 1 else numbers
+
+
+def parse_factors(text: str) -> Factors:
+    """Return the numbers in a text, or the file that it names."""
+    try:
+        return parse_numbers(text)
+    except InputError:
+        if not os.path.isfile(text):
+            raise InputError(
+                f"{text!r} is neither a number, nor a list like 1.3,1.2,1.3, nor a file"
+            ) from None
+        return Path(text)
+
+
+def check_factor(value: float | Path) -> str | None:
+    """Return a complaint unless a value is a file or a positive number; None where it is."""
+    if isinstance(value, Path) or (value > 0.0 and math.isfinite(value)):
+        return None
+    return f"must be positive (got {value:g}); turn a sign round in the columns file"
+
+
+def joint_factors(factors: Factors, joint_names: Sequence[str], table: str) -> Array:
+    """Return (2, n): the factor of each joint, and its standard error or NaN where none is stated.
+
+    Args:
+        factors: numbers, or the file to read them from.
+        joint_names: the n joints, in the order of the columns that are returned.
+        table: ``SCALE`` or ``CONSTANTS``, the key in the file and the name of the option.
+
+    Raises:
+        InputError: the number of values does not fit, or the file lacks a joint or cannot be read.
+    """
+    import numpy as np
+
+    if not isinstance(factors, Path):
+        flag = "--" + table.replace("_", "-")
+        values = joint_values(factors, len(joint_names), flag)
+        return np.array([values, np.full(len(values), np.nan)])
+    by_joint = read_factors(factors, table)
+    for name in joint_names:
+        if name not in by_joint:
+            listed = ", ".join(by_joint) or "none"
+            raise InputError(
+                f"{factors} has no {table} of joint {name}; it lists {listed}"
+            )
+    return np.array([by_joint[name] for name in joint_names]).T
+
+
+def read_factors(path: Path, table: str = SCALE) -> Mapping[str, tuple[float, float]]:
+    """Return joint name to factor and standard error of one table of a file, or raise InputError.
+
+    The error is NaN where the file is of version 1, which states none.
+    """
+    form = f'{{"version": 1, "{table}": {{"JOINT": 1.3, ...}}}}'
+    content = read_json(path, f"torque factors have the form {form}")
+    if not isinstance(content, dict) or not isinstance(content.get(table), dict):
+        raise InputError(f"{path} holds no {table}; its form is {form}")
+    version = content.get("version")
+    if version not in range(1, FACTORS_VERSION + 1):
+        raise InputError(
+            f"{path} has version {version!r}, this program reads up to {FACTORS_VERSION}: {form}"
+        )
+    factors = {}
+    for joint, value in content[table].items():
+        error = math.nan
+        if version == FACTORS_VERSION:
+            fields = value if isinstance(value, dict) else {}
+            error = _checked_factor(path, joint, fields.get("standard_error"))
+            value = fields.get("value")
+        factors[str(joint)] = _checked_factor(path, joint, value), error
+    return factors
+
+
+def write_torque_scale(path: Path, scales: Mapping[str, tuple[float, float]]) -> None:
+    """Write the file that ``--torque-scale`` reads: joint to its scale and its standard error."""
+    entries = {}
+    for joint, (scale, error) in scales.items():
+        entries[joint] = {
+            "value": _checked_factor(path, joint, scale),
+            "standard_error": _checked_factor(path, joint, error),
+        }
+    content = {"version": FACTORS_VERSION, SCALE: entries}
+    write_atomically(path, json.dumps(content, indent=2) + "\n")
+
+
+def _checked_factor(path: Path, joint: str, value: object) -> float:
+    """Return a factor of a file, or raise InputError where it is no positive number."""
+    factor = float(value) if isinstance(value, (int, float)) else math.nan
+    complaint = check_factor(factor)
+    if complaint:
+        raise InputError(f"{path}: the factor of joint {joint} {complaint}")
+    return factor
 
 
 def parse_folder(text: str) -> Path:

@@ -9,7 +9,7 @@ import pytest
 
 import robot_sysid as rs
 from robot_sysid.errors import InputError
-from robot_sysid.records.torque_scale import write_torque_scale
+from robot_sysid.records.option_fields import write_torque_scale
 from tests.support import pages
 from tests.support.places import ROOT
 
