@@ -18,7 +18,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import chain
 from operator import attrgetter
 from typing import Any
 
@@ -31,7 +30,7 @@ from robot_sysid.model.chain import joint_friction
 from robot_sysid.motion.clearance import Clearance, Closest, approach_rates
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
 from robot_sysid.records import Array, JointLimits, Motion, MotionPlan, RobotModel
-from robot_sysid.trajectory import SineTrajectory, sample_times
+from robot_sysid.trajectory import SineTrajectory, motion_chunks, sample_times
 
 LEAST_RATE_HZ = 1000.0
 """Lowest rate at which a motion is checked [Hz]."""
@@ -198,23 +197,25 @@ def scale_to_limits(
         sample_rate: at which it will be run [Hz]; it is checked at this rate, at least at 1 kHz.
     """
     rate = max(LEAST_RATE_HZ, sample_rate)
-    share = np.max(
-        (_peaks(problem, plan, rate).joints / problem.limits.largest)[1:3], axis=0
-    )
-    factors = np.minimum(1.0, (1.0 - RESERVE) / np.maximum(share, RESERVE))
-    if keeps_limits(problem, plan.scale_amplitudes(factors), rate):
-        return plan.scale_amplitudes(factors), factors
+    shares = _peaks(problem, plan, rate).joints / problem.limits.largest
+    speed_share = np.max(shares[1:3], axis=0)
+    factors = np.minimum(1.0, (1.0 - RESERVE) / np.maximum(speed_share, RESERVE))
+
+    def fits(factor: float) -> bool:
+        scaled = plan.scale_amplitudes(factor * factors)
+        return keeps_limits(problem, scaled, rate)
+
     high = 1.0
-    low = 0.5
-    while low > SMALLEST and not keeps_limits(
-        problem, plan.scale_amplitudes(low * factors), rate
-    ):
+    low = 1.0
+    while low > SMALLEST and not fits(low):
         high = low
         low = 0.5 * low
-    for _ in range(BISECTIONS):
+    for _ in range(BISECTIONS if low < high else 0):
         middle = np.sqrt(low * high)
-        fits = keeps_limits(problem, plan.scale_amplitudes(middle * factors), rate)
-        low, high = (middle, high) if fits else (low, middle)
+        if fits(middle):
+            low = middle
+        else:
+            high = middle
     return plan.scale_amplitudes(low * factors), low * factors
 
 
@@ -225,9 +226,10 @@ def keeps_limits(
     checked between the samples too.
     """
     # Most motions that break a limit break it at the samples of the lower rate too.
-    rates = (FEW_RATE_HZ, sample_rate)
-    broken = any(any(_excesses(problem, _peaks(problem, plan, rate))) for rate in rates)
-    return not broken and first_contact(problem, plan) is None
+    for rate in (FEW_RATE_HZ, sample_rate):
+        if any(_excesses(problem, _peaks(problem, plan, rate))):
+            return False
+    return first_contact(problem, plan) is None
 
 
 def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> Closest | None:
@@ -260,9 +262,10 @@ def _spans(plan: MotionPlan, rate: float = 0.0) -> tuple[tuple[float, float], ..
 def _motions(
     plan: MotionPlan, rate: float, spans: tuple[tuple[float, float], ...]
 ) -> Iterator[Motion]:
-    """Return an iterator over the motion in chunks, sampled at a rate [Hz] within spans [s]."""
-    times = (sample_times(plan.duration, rate, *span) for span in spans)
-    return map(plan.evaluate, chain.from_iterable(times))
+    """Yield the motion in chunks, sampled at a rate [Hz] within spans (start, end) of time [s]."""
+    for span in spans:
+        for time in sample_times(plan.duration, rate, *span):
+            yield plan.evaluate(time)
 
 
 def _peaks(
@@ -274,14 +277,14 @@ def _peaks(
     """
     columns = np.arange(4 * problem.n_joints + 1)
     largest, time = np.zeros((2, len(columns)))
-    lowest, highest = np.full((2, problem.n_joints), np.inf) * [[1.0], [-1.0]]
+    lowest = np.full(problem.n_joints, np.inf)
+    highest = -lowest
     for motion in _motions(plan, rate, _spans(plan, rate)):
         magnitudes = np.abs(problem.signals(motion, torque=True, tool=tool))
         peak_samples = np.argmax(magnitudes, axis=0)
-        time = np.where(
-            magnitudes[peak_samples, columns] > largest, motion.time[peak_samples], time
-        )
-        largest = np.maximum(largest, magnitudes[peak_samples, columns])
+        peaks = magnitudes[peak_samples, columns]
+        time = np.where(peaks > largest, motion.time[peak_samples], time)
+        largest = np.maximum(largest, peaks)
         lowest = np.minimum(lowest, np.min(motion.q, axis=0))
         highest = np.maximum(highest, np.max(motion.q, axis=0))
     return Peaks(largest, time, lowest, highest)
@@ -312,70 +315,75 @@ def _tightest(
         resolution: largest error of the least slack [m]; infinite where only contacts matter.
         stop_below: the search ends at the first slack below this [m].
     """
-    best = np.inf
-    best_time = 0.0
-    best_q = plan.evaluate(np.zeros(1)).q[0]
-    # A tight configuration from coarse samples lets the search skip all that is less tight.
-    for motion in (
-        _motions(plan, FEW_RATE_HZ, _spans(plan)) if resolution < np.inf else ()
-    ):
-        slacks = obstacles.slack(motion.q).value
-        sample = int(np.argmin(slacks))
-        if slacks[sample] < best:
-            best = float(slacks[sample])
-            best_time = float(motion.time[sample])
-            best_q = motion.q[sample]
-    # Row of ``obstacles.rates`` to the slack that its pairs have not yet used up [m].
-    budget = {-1: -np.inf}
-    known_until = 0.0
-    for motion in _motions(plan, FINEST_RATE_HZ, _spans(plan)):
+    spans = _spans(plan)
+    tightest = _Tightest(plan.evaluate(np.zeros(1)).q[0])
+    if resolution < np.inf:
+        # A tight configuration from coarse samples lets the search skip all that is less tight.
+        for motion in _motions(plan, FEW_RATE_HZ, spans):
+            tightest.update(motion, 0, obstacles.slack(motion.q).value)
+    limits = _NOTHING_TESTED
+    tested_until = 0.0
+    for motion in _motions(plan, FINEST_RATE_HZ, spans):
         approach = _Approach(np.abs(motion.qd), obstacles.rates)
-        is_new_span = motion.time[0] > known_until + 2.0 / FINEST_RATE_HZ
-        sample = 0 if is_new_span else approach.used_up(budget)
+        if motion.time[0] > tested_until + 2.0 / FINEST_RATE_HZ:  # another span
+            limits = _NOTHING_TESTED
+        sample = approach.first_beyond(limits)
         batch = 1
-        while sample < len(motion.time) and best >= stop_below:
-            postures = motion.q[sample : sample + batch]
-            slacks = obstacles.slack(postures).value if batch > 1 else np.zeros(1)
-            batch_start = sample
-            sample = batch_start + len(slacks) - 1
-            slacks[-1], row_slacks = obstacles.slack_at(motion.q[sample])
-            least = batch_start + int(np.argmin(slacks))
-            if slacks[least - batch_start] < best:
-                best = float(slacks[least - batch_start])
-                best_time = float(motion.time[least])
-                best_q = motion.q[least]
+        while sample < len(motion.time) and tightest.slack >= stop_below:
+            last = min(sample + batch, len(motion.time)) - 1
+            slacks = obstacles.slack(motion.q[sample:last]).value
+            last_slack, row_slacks = obstacles.slack_at(motion.q[last])
+            tightest.update(motion, sample, np.append(slacks, last_slack))
             # Slack above the floor may be used up untested: no contact and no lower minimum is
             # missed by it.
-            floor = (
-                best - resolution if best < -TOUCH else max(-TOUCH, best - resolution)
-            )
-            near_rows = np.flatnonzero(np.isfinite(row_slacks))
-            margins = zip(
-                near_rows.tolist(),
-                np.maximum(0.0, row_slacks[near_rows] - floor).tolist(),
-            )
-            budget = {
-                row: float(approach.path(row)[sample]) + more for row, more in margins
-            }
-            previous = sample
-            sample = max(previous + 1, approach.used_up(budget))
-            batch = (
-                min(2 * batch, MOST_TOGETHER)
-                if sample - previous <= WORTH_SKIPPING
-                else 1
-            )
-        budget = {
-            row: margins - float(approach.path(row)[-1])
-            for row, margins in budget.items()
-        }
-        known_until = motion.time[-1]
-    return replace(obstacles.closest(best_q), time=best_time)
+            floor = tightest.slack - resolution
+            if tightest.slack >= -TOUCH:
+                floor = max(-TOUCH, floor)
+            limits = approach.limits(last, row_slacks - floor)
+            sample = max(last + 1, approach.first_beyond(limits))
+            is_near = sample - last <= WORTH_SKIPPING
+            batch = min(2 * batch, MOST_TOGETHER) if is_near else 1
+        limits = approach.remaining(limits)
+        tested_until = motion.time[-1]
+    return replace(obstacles.closest(tightest.q), time=tightest.time)
+
+
+class _Tightest:
+    """The configuration with the least slack of all that were tested.
+
+    Attributes:
+        q: (n,) joint positions.
+        slack: the slack there [m]; infinite before the first test.
+        time: when the motion is there [s].
+    """
+
+    def __init__(self, q: Array) -> None:
+        self.q = q
+        self.slack = np.inf
+        self.time = 0.0
+
+    def update(self, motion: Motion, first: int, slacks: Array) -> None:
+        """Take the sample with the least of ``slacks`` (K,), if that is less than ``self.slack``.
+
+        The slacks [m] are those of K samples of the motion, the first one with index ``first``.
+        """
+        least = int(np.argmin(slacks))
+        if slacks[least] < self.slack:
+            self.slack = float(slacks[least])
+            self.time = float(motion.time[first + least])
+            self.q = motion.q[first + least]
+
+
+_NOTHING_TESTED = {-1: -np.inf}
+"""Limits of the path, see ``_Approach.limits``, before the first test: the last row stands for all
+pairs, and its path is beyond the limit at once."""
 
 
 class _Approach:
-    """Bounds on how far pairs of bodies approach along N samples of a motion.
+    """Bounds on how far pairs of bodies approach each other along N samples of a motion.
 
-    They are computed and cached for the rows that are asked for.
+    The path of a row of ``rates`` is how far its pairs may have approached since the sample before
+    the first [m]. Paths are computed when they are needed and cached.
 
     Args:
         speed: (N, n) absolute joint speeds at ``FINEST_RATE_HZ``.
@@ -387,26 +395,43 @@ class _Approach:
         self._rates = rates
         self._paths: dict[int, Array] = {}
 
-    def path(self, row: int) -> Array:
-        """Return how far the pairs of a row of ``rates`` may have approached (N,) [m] since the
-        sample before the first.
+    def limits(self, sample: int, slacks: Array) -> dict[int, float]:
+        """Return, for each row with a finite slack, how long its path may get before it has used up
+        the slack it has at a sample: the path at this sample plus the slack [m].
+
+        Args:
+            sample: index of the sample.
+            slacks: (P,) of the rows [m]; infinite where no pair is near.
         """
+        limits = {}
+        for row in np.flatnonzero(np.isfinite(slacks)).tolist():
+            slack = max(0.0, float(slacks[row]))
+            limits[row] = float(self._path(row)[sample]) + slack
+        return limits
+
+    def first_beyond(self, limits: Mapping[int, float]) -> int:
+        """Return the index of the first sample at which the path of a row reaches its limit [m]; N
+        if no path does.
+        """
+        first = len(self._speed)
+        for row, limit in limits.items():
+            first = min(first, int(np.searchsorted(self._path(row), limit)))
+        return first
+
+    def remaining(self, limits: Mapping[int, float]) -> dict[int, float]:
+        """Return the limits for the samples that follow: less the path along all N samples [m]."""
+        remaining = {}
+        for row, limit in limits.items():
+            remaining[row] = limit - float(self._path(row)[-1])
+        return remaining
+
+    def _path(self, row: int) -> Array:
+        """Return the path (N,) of a row of ``rates`` [m]."""
         if row not in self._paths:
             speed = self._speed @ self._rates[row]
             previous = np.concatenate((speed[:1], speed[:-1]))
             self._paths[row] = np.cumsum(np.maximum(speed, previous)) / FINEST_RATE_HZ
         return self._paths[row]
-
-    def used_up(self, budget: Mapping[int, float]) -> int:
-        """Return the index of the first sample at which a row may have used up its slack; N if
-        none.
-
-        ``budget`` maps rows to the sum of their slack and their path at the last test [m].
-        """
-        samples = (
-            int(np.searchsorted(self.path(row), slack)) for row, slack in budget.items()
-        )
-        return min(samples, default=len(self._speed))
 
 
 _FAR = 0.2
@@ -448,18 +473,16 @@ class BetweenArms:
         model.geom_gap[:] = 0.0
         self._data = data_at_pose(model, first.reference_qpos)
         both = as_one(first, second)
-        arms = (first, second)
         self._at_q = both.qpos_index
         self._arm = np.zeros(model.nbody, int)
-        for number, arm in enumerate(arms, start=1):
+        rates = []
+        for number, arm in enumerate((first, second), start=1):
             base = model.jnt_bodyid[model.dof_jntid[arm.dof_index[0]]]
             self._arm[subtree(model, int(base))] = number
-        # The last row of ``approach_rates`` bounds the speed of every point of the arm.
-        rates = (
-            approach_rates(arm, self._data, count_moving_joints(arm))[-1]
-            for arm in arms
-        )
-        self._rates = np.concatenate([*rates])
+            # The last row bounds the speed of every point of the arm.
+            bounds = approach_rates(arm, self._data, count_moving_joints(arm))
+            rates.append(bounds[-1])
+        self._rates = np.concatenate(rates)
         # Arms that rest close to each other have to keep half of that distance.
         self._least = min(_TOUCH, 0.5 * self.distance(both.reference))
 
@@ -480,18 +503,16 @@ class BetweenArms:
         ``motion`` has the joints of the first arm, then those of the second. Always None for arms
         that touch at rest.
         """
+        if self._least <= 0.0:
+            return None
         slack = 0.0
-        for time in (
-            sample_times(motion.duration, LEAST_RATE_HZ) if self._least > 0.0 else ()
-        ):
-            chunk = motion.evaluate(time)
-            for k, approach in enumerate(
-                np.abs(chunk.qd) @ self._rates / LEAST_RATE_HZ
-            ):
+        for chunk in motion_chunks(motion, LEAST_RATE_HZ):
+            approaches = np.abs(chunk.qd) @ self._rates / LEAST_RATE_HZ
+            for k, approach in enumerate(approaches):
                 slack -= approach
                 if slack > 0.0:
                     continue
                 slack = self.distance(chunk.q[k])
                 if slack < self._least:
-                    return float(time[k])
+                    return float(chunk.time[k])
         return None

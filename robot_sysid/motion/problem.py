@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -217,9 +217,8 @@ class ExcitationProblem:
     @property
     def has_torque_reserve(self) -> bool:
         """Whether torque is left for the links' errors: something limits it, and they have some."""
-        return bool(np.any(self.link_errors)) and bool(
-            np.any(np.isfinite(self.limits.torque))
-        )
+        is_limited = np.any(np.isfinite(self.limits.torque))
+        return bool(np.any(self.link_errors) and is_limited)
 
     def torque_reserve(self, motion: Motion) -> Array:
         """Return the torques (N, n) reserved for errors of the links [N m]: two standard deviations
@@ -233,8 +232,8 @@ class ExcitationProblem:
         for chunk in split_motion(2 * self.n_joints * len(self.link_errors), *rates):
             regressor = self.dynamics.motion(*chunk).columns(self.links)
             deviations.append(np.linalg.norm(regressor @ self.link_errors, axis=2))
-        is_limited = np.isfinite(self.limits.torque)
-        return RESERVED_DEVIATIONS * is_limited * np.concatenate(deviations)
+        factor = RESERVED_DEVIATIONS * np.isfinite(self.limits.torque)
+        return factor * np.concatenate(deviations)
 
     def torque_per_kilogram(self, motion: Motion) -> Array:
         """Return the torques (N, n) that a load at the tool's tip adds, per kilogram [N m/kg]."""
@@ -337,14 +336,15 @@ def build_problem(
     for name, q, reference in zip(robot.joint_names, start_pose, robot.reference):
         if q != reference:
             moved.append(f"{name} at {q:.3f} instead of {reference:.3f}")
-    notes: tuple[str, ...] = ()
+    notes = []
     if moved:
-        notes = (
+        notes.append(
             "the reference configuration is at or beyond a position limit; the motion starts and "
-            f"ends with {', '.join(moved)}",
+            f"ends with {', '.join(moved)}"
         )
     base = _space_above_base(robot, limits, start_pose)
-    obstacles, obstacle_notes = _obstacles(robot, limits, start_pose, base)
+    obstacles = _obstacles(robot, limits, start_pose, base)
+    notes += _obstacle_notes(obstacles)
     links = (robot.n_joints - 1, *reversed(other_links(robot)))
     rows = tuple(range(robot.n_joints)) if torques == "chain" else (robot.n_joints - 1,)
     return ExcitationProblem(
@@ -361,7 +361,7 @@ def build_problem(
         rows=rows,
         sigma=joint_values(noise_torque, robot.n_joints, "--noise-torque")[list(rows)],
         origins=origins,
-        notes=notes + obstacle_notes,
+        notes=tuple(notes),
         has_floor=bool(base or limits.keep_out or limits.workspace) or has_floor(robot),
     )
 
@@ -370,15 +370,11 @@ def _position_limits(robot: RobotModel) -> tuple[Array, Array]:
     """Return position limits with the margin taken off; an assumed range where there are none."""
     lower = robot.limits.lower
     upper = robot.limits.upper
-    assumed = 0.5 * np.where(
-        robot.is_slide, UNLIMITED_RANGE[True], UNLIMITED_RANGE[False]
-    )
-    lower = np.where(
-        np.isfinite(lower), lower, np.minimum(robot.reference, upper) - assumed
-    )
-    upper = np.where(
-        np.isfinite(upper), upper, np.maximum(robot.reference, lower) + assumed
-    )
+    assumed = np.where(robot.is_slide, UNLIMITED_RANGE[True], UNLIMITED_RANGE[False])
+    assumed_lower = np.minimum(robot.reference, upper) - 0.5 * assumed
+    lower = np.where(np.isfinite(lower), lower, assumed_lower)
+    assumed_upper = np.maximum(robot.reference, lower) + 0.5 * assumed
+    upper = np.where(np.isfinite(upper), upper, assumed_upper)
     margin = POSITION_MARGIN * (upper - lower)
     return lower + margin, upper - margin
 
@@ -389,34 +385,29 @@ def _limits(
     """Return the limits, and per family in ``LIMIT_NAMES`` where that of each joint comes from."""
     model_limits = robot.limits
     is_slide = robot.is_slide
-    acceleration = options.max_acceleration
     top = np.inf
     if top_frequency_hz is not None:
         top = min(top_frequency_hz, TOP_FREQUENCY_HZ)
     natural = 2.0 * np.pi * top * model_limits.velocity
     lower, upper = _position_limits(robot)
-    strongest = np.inf if options.max_torque is None else options.max_torque
-    torque = joint_values(strongest, robot.n_joints, "--max-torque")
-    tool_speed = np.inf if options.max_tool_speed is None else options.max_tool_speed
+    is_natural = is_slide | (options.max_acceleration is None)
+    acceleration = np.where(is_natural, natural, options.max_acceleration or 0.0)
+    torque = joint_values(options.max_torque or np.inf, robot.n_joints, "--max-torque")
     limits = MotionLimits(
         lower=lower,
         upper=upper,
         velocity=model_limits.velocity,
-        acceleration=(
-            natural
-            if acceleration is None
-            else np.where(is_slide, natural, acceleration)
-        ),
+        acceleration=acceleration,
         torque=TORQUE_MARGIN * np.minimum(model_limits.torque, torque),
-        tool_speed=tool_speed,
+        tool_speed=options.max_tool_speed or np.inf,
     )
     speed = joint_values(options.max_velocity, robot.n_joints, "--max-velocity")
     default_speed = np.where(is_slide, np.minimum(DEFAULT_SLIDE_VELOCITY, speed), speed)
     is_default = is_slide | (speed == DEFAULT_MAX_VELOCITY)
     speed_origin = np.where(is_default, ASSUMED, ASKED)
     has_range = np.isfinite(model_limits.lower) & np.isfinite(model_limits.upper)
-    acceleration_origin = np.where(is_slide | (acceleration is None), ASSUMED, ASKED)
-    has_acceleration = np.isfinite(limits.acceleration)
+    acceleration_origin = np.where(is_natural, ASSUMED, ASKED)
+    has_acceleration = np.isfinite(acceleration)
     is_model_torque = limits.torque >= TORQUE_MARGIN * model_limits.torque
     is_model_speed = model_limits.velocity < default_speed
     origins = {
@@ -451,8 +442,8 @@ def _obstacles(
     options: LimitOptions,
     start_pose: Array,
     base: tuple[HalfSpace, ...],
-) -> tuple[Clearance, tuple[str, ...]]:
-    """Return the distances that have to be kept, half-spaces included, and notes on them.
+) -> Clearance:
+    """Return the distances that have to be kept, those from half-spaces included.
 
     Raises:
         InputError: a body is outside a half-space at rest.
@@ -461,22 +452,23 @@ def _obstacles(
     moving = subtree(model, int(model.jnt_bodyid[model.dof_jntid[robot.dof_index[0]]]))
     spaces = (*options.half_spaces(moving, subtree(model, robot.body_id)), *base)
     clearance = Clearance(robot, start_pose, options.clearance, spaces)
-    notes = []
-    if not clearance.is_solid:
-        notes.append(
-            "the model has no collision geometry; nothing keeps the arm from touching itself"
-        )
     if clearance.outside_at_rest:
         space, body, depth = max(clearance.outside_at_rest, key=lambda entry: entry[2])
         raise InputError(
             f"no trajectory is feasible: at rest, body {body} is {1000 * depth:.0f} mm beyond "
             f"{space.label}; move that limit, or change the model's reference configuration"
         )
+    return clearance
+
+
+def _obstacle_notes(clearance: Clearance) -> Iterator[str]:
+    """Yield notes on missing collision geometry, and on bodies that are near each other at rest."""
+    if not clearance.is_solid:
+        yield "the model has no collision geometry; nothing keeps the arm from touching itself"
     for state, description in _STATE_NOTES.items():
         pairs = "; ".join(clearance.at_rest[state])
         if pairs:
-            notes.append(Detail(f"{description}: {pairs}"))
-    return clearance, tuple(notes)
+            yield Detail(f"{description}: {pairs}")
 
 
 _STATE_NOTES = {

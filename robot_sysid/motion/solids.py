@@ -22,11 +22,12 @@ from robot_sysid.motion import HalfSpace
 from robot_sysid.records import Array, RobotModel
 
 _TYPES = mujoco.mjtGeom
-_CORNERS = np.array(
-    [[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
-)
+_CORNERS = 2.0 * np.indices((2, 2, 2)).reshape(3, 8).T - 1.0
+"""Corners (8, 3) of a cube with half sides of one."""
 _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+"""Ends (2, 3) of a capsule's or cylinder's axis with a half length of one."""
 _AXES = np.vstack((np.eye(3), -np.eye(3)))
+"""Directions (6, 3) of the world's axes, and against them."""
 _HULL_POINTS = 60
 """Corners beyond which a convex hull takes less time than it saves."""
 _AT_ONCE = 256
@@ -49,45 +50,38 @@ class Solid:
         geoms = np.flatnonzero(mj_model.geom_bodyid == body)
         solid = mj_model.geom_contype[geoms] | mj_model.geom_conaffinity[geoms]
         shape_geoms = geoms[solid != 0] if np.any(solid) else geoms
-        origin = int(len(shape_geoms) == 0)
-        points = [np.zeros((origin, 3))]
-        spread = [np.zeros((origin, 3, 3))]
-        for geom in shape_geoms:
-            corners, axes = _shape(mj_model, int(geom))
+        origins = np.zeros((int(len(shape_geoms) == 0), 3))
+        points = [origins]
+        spreads = [origins[:, :, None] * np.zeros(3)]
+        for geom in shape_geoms.tolist():
+            corners, axes = _shape(mj_model, geom)
             matrix = np.zeros(9)
             mujoco.mju_quat2Mat(matrix, mj_model.geom_quat[geom])
             turn = matrix.reshape(3, 3)
             points.append(mj_model.geom_pos[geom] + corners @ turn.T)
-            spread.append(np.tile(turn * axes, (len(corners), 1, 1)))
-        self.points = np.concatenate(points)
-        self.spread = np.concatenate(spread)
-        self.radius = np.max(np.linalg.norm(self.spread, axis=1), axis=1)
-        on_hull = _on_the_hull(self.points, self.radius)
-        self.points = self.points[on_hull]
-        self.spread = self.spread[on_hull]
-        self.radius = self.radius[on_hull]
-        self._round = np.flatnonzero(self.radius)
-        self._spreads = self.spread[self._round].transpose(1, 0, 2).reshape(3, -1)
-        empty = len(self.points) == 0
-        ends = (
-            (np.zeros(3),)
-            if empty
-            else (np.min(self.points, 0), np.max(self.points, 0))
-        )
-        self.center = np.mean(ends, axis=0)
+            spreads.append(np.tile(turn * axes, (len(corners), 1, 1)))
+        corners = np.concatenate(points)
+        spread = np.concatenate(spreads)
+        radius = np.max(np.linalg.norm(spread, axis=1), axis=1)
+        on_hull = _on_the_hull(corners, radius)
+        self.points = corners[on_hull]
+        self.spread = spread[on_hull]
+        self.radius = radius[on_hull]
+        self._spreads = self.spread.transpose(1, 0, 2).reshape(3, -1)
+        extent = self.points if len(self.points) else np.zeros((1, 3))
+        self.center = 0.5 * (np.min(extent, axis=0) + np.max(extent, axis=0))
         reach = np.linalg.norm(self.points - self.center, axis=1) + self.radius
         self.bound = float(np.max(reach, initial=0.0))
 
     def farthest(self, directions: Array) -> Array:
-        """Return the points (K, 3) farthest along unit directions (K, 3), in the body's frame."""
+        """Return the points (K, 3) [m] farthest along unit directions (K, 3), both in the body's
+        frame.
+        """
         heights = directions @ self.points.T
-        round_ones = self._round
-        if len(round_ones):
+        if np.any(self.radius):
             turned = (directions @ self._spreads).reshape(len(directions), -1, 3)
-            heights[:, round_ones] += np.sqrt(np.einsum("kpb,kpb->kp", turned, turned))
+            heights += np.sqrt(np.einsum("kpb,kpb->kp", turned, turned))
         best = np.argmax(heights, axis=1)
-        if not len(round_ones):
-            return np.asarray(self.points[best])
         spread = self.spread[best]
         around = np.einsum("ka,kab->kb", directions, spread)
         length = np.sqrt(np.einsum("kb,kb->k", around, around))[:, None]
@@ -97,7 +91,7 @@ class Solid:
 
 def solids_of(mj_model: Any, bodies: Sequence[int]) -> list[Solid]:
     """Return bodies with an extent of their own: MuJoCo's planes have none."""
-    solids = (Solid(mj_model, int(body)) for body in bodies)
+    solids = [Solid(mj_model, int(body)) for body in bodies]
     return [solid for solid in solids if len(solid.points)]
 
 
@@ -139,19 +133,19 @@ class HalfSpaces:
 
     def __init__(self, mj_model: Any, spaces: Sequence[HalfSpace]) -> None:
         self.spaces = tuple(spaces)
-        self.solids = solids_of(
-            mj_model, sorted({body for s in spaces for body in s.bodies})
-        )
-        self.normals = np.array([space.normal for space in spaces]).reshape(-1, 3)
-        self._bodies = np.array([solid.body for solid in self.solids], dtype=int)
-        self._centers = np.array([solid.center for solid in self.solids]).reshape(-1, 3)
-        self._bounds = np.array([[solid.bound] for solid in self.solids])
-        self._offsets = np.array([space.offset for space in spaces])
+        bodies = set[int]().union(*(space.bodies for space in spaces))
+        self.solids = solids_of(mj_model, sorted(bodies))
+        frames = [(solid.body, *solid.center, solid.bound) for solid in self.solids]
+        table = np.array(frames).reshape(-1, 5)
+        self._bodies = table[:, 0].astype(int)
+        self._centers = table[:, 1:4]
+        self._bounds = table[:, 4:]
+        boundaries = np.array([(*space.normal, space.offset) for space in spaces])
+        self.normals, offsets = np.split(boundaries.reshape(-1, 4), [3], axis=1)
+        self._offsets = offsets[:, 0]
         self.required = np.full((len(self.solids), len(spaces)), -np.inf)
-        for row, solid in zip(self.required, self.solids):
-            for k, space in enumerate(spaces):
-                if solid.body in space.bodies:
-                    row[k] = space.clearance
+        for k, space in enumerate(spaces):
+            self.required[np.isin(self._bodies, space.bodies), k] = space.clearance
 
     def heights(
         self, positions: Array, rotations: Array, margin: float = np.inf
@@ -175,43 +169,36 @@ class HalfSpaces:
             directions = (-self.normals @ turn).reshape(-1, 3)
             corner = self.solids[k].farthest(directions).reshape(len(postures), -1, 3)
             lowest = positions[postures, k, None] + corner @ turn.transpose(0, 2, 1)
-            yield (
-                k,
-                postures,
-                np.sum(lowest * self.normals, axis=2) - self._offsets,
-                lowest,
-            )
+            heights = np.sum(lowest * self.normals, axis=2) - self._offsets
+            yield k, postures, heights, lowest
 
 
 def swept_space(robot: RobotModel, q: Array) -> tuple[Array, Array, str]:
-    """Return the box (3,), (3,) [m] that all moving parts stay in, and which body gets lowest.
+    """Return the box that all moving parts stay in at positions q (N, n) of the chain.
 
-    At chain positions q (N, n), in axes of the world.
+    Returns:
+        The lower and the upper corner (3,) of the box in the world [m], and the name of the body
+        that gets lowest.
     """
     model = robot.mj_model
     data = data_at_pose(robot.mj_model, robot.reference_qpos)
     solids = solids_of(model, np.flatnonzero(count_moving_joints(robot)).tolist())
-    bodies = [solid.body for solid in solids]
     reach = np.full((len(solids), 6), -np.inf)
     for chunk in np.array_split(q, 1 + len(q) // _AT_ONCE):
-        frames = np.empty((len(chunk), len(bodies), 4, 3))
-        for posture, frame in zip(chunk, frames):
-            data.qpos[robot.qpos_index] = posture
+        positions = np.empty((len(chunk), model.nbody, 3))
+        turns = np.empty((len(chunk), model.nbody, 3, 3))
+        for k, data.qpos[robot.qpos_index] in enumerate(chunk):
             mujoco.mj_kinematics(model, data)
-            frame[:, 0] = data.xpos[bodies]
-            frame[:, 1:] = data.xmat[bodies].reshape(-1, 3, 3)
-        for k, solid in enumerate(solids):
-            directions = (_AXES @ frames[:, k, 1:]).reshape(-1, 3)
-            height = np.sum(solid.farthest(directions) * directions, axis=1).reshape(
-                -1, 6
-            )
-            highest = np.max(
-                height + frames[:, k, 0] @ _AXES.T, axis=0, initial=-np.inf
-            )
-            reach[k] = np.maximum(reach[k], highest)
+            positions[k] = data.xpos
+            turns[k] = data.xmat.reshape(-1, 3, 3)
+        for row, solid in zip(reach, solids):
+            directions = (_AXES @ turns[:, solid.body]).reshape(-1, 3)
+            extent = np.sum(solid.farthest(directions) * directions, axis=1)
+            heights = extent.reshape(-1, 6) + positions[:, solid.body] @ _AXES.T
+            row[:] = np.maximum(row, np.max(heights, axis=0, initial=-np.inf))
     lowest = int(np.argmax(reach[:, 5]))
-    (*upper, x, y, z) = np.max(reach, axis=0)
-    return -np.array([x, y, z]), np.array(upper), body_label(model, bodies[lowest])
+    upper, minus_lower = np.split(np.max(reach, axis=0), 2)
+    return -minus_lower, upper, body_label(model, solids[lowest].body)
 
 
 def mounting_height(
@@ -239,35 +226,34 @@ def mounting_height(
     data = data_at_pose(model, qpos)
     carrier = int(model.body_parentid[np.flatnonzero(link_of_body)[0]])
     fixed = np.flatnonzero(model.body_weldid == model.body_weldid[carrier])
-    meshes = np.flatnonzero(
-        np.isin(model.geom_bodyid, fixed) & (model.geom_type == _TYPES.mjGEOM_MESH)
-    )
+    is_mesh = model.geom_type == _TYPES.mjGEOM_MESH
 
-    def lowest(solid: Solid) -> float:
-        turn = data.xmat[solid.body].reshape(3, 3)
-        return float(
-            up @ (data.xpos[solid.body] + turn @ solid.farthest(-up[None] @ turn)[0])
-        )
+    def lowest_points(bodies: Any) -> dict[int, float]:
+        """Return the height of the lowest point of each body that has an extent [m]."""
+        heights = {}
+        for solid in solids_of(model, bodies.tolist()):
+            turn = data.xmat[solid.body].reshape(3, 3)
+            lowest = turn @ solid.farthest(-up[None] @ turn)[0]
+            heights[solid.body] = float(up @ (data.xpos[solid.body] + lowest))
+        return heights
 
-    feet = [lowest(solid) for solid in solids_of(model, fixed.tolist())]
-    if len(meshes):
-        corners = [
-            data.geom_xpos[geom]
-            + _shape(model, geom)[0] @ data.geom_xmat[geom].reshape(3, 3).T
-            for geom in meshes.tolist()
-        ]
+    corners = []
+    for geom in np.flatnonzero(np.isin(model.geom_bodyid, fixed) & is_mesh).tolist():
+        vertices, _ = _shape(model, geom)
+        turned = vertices @ data.geom_xmat[geom].reshape(3, 3).T
+        corners.append(data.geom_xpos[geom] + turned)
+    if corners:
         feet = [float(np.min(np.concatenate(corners) @ up))]
+    else:
+        feet = list(lowest_points(fixed).values())
     height = min(float(up @ data.xpos[carrier]), *feet, np.inf)
-    heights = {
-        s.body: lowest(s)
-        for s in solids_of(model, np.flatnonzero(link_of_body).tolist())
-    }
-    low_bodies = [
-        body for body, body_height in heights.items() if body_height <= height
-    ]
-    if any(link_of_body[body] > 1 for body in low_bodies):
-        return None
-    return up, height, [body for body in heights if body not in low_bodies]
+    above = []
+    for body, body_height in lowest_points(np.flatnonzero(link_of_body)).items():
+        if body_height > height:
+            above.append(body)
+        elif link_of_body[body] > 1:
+            return None
+    return up, height, above
 
 
 def has_floor(robot: RobotModel) -> bool:
@@ -275,28 +261,25 @@ def has_floor(robot: RobotModel) -> bool:
     model = robot.mj_model
     fixed = model.body_weldid[model.geom_bodyid] == 0
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    ground = np.isin(
-        model.geom_type, (int(_TYPES.mjGEOM_PLANE), int(_TYPES.mjGEOM_HFIELD))
-    )
-    return bool(np.any(fixed & solid & ground))
+    ground_types = (int(_TYPES.mjGEOM_PLANE), int(_TYPES.mjGEOM_HFIELD))
+    is_ground = np.isin(model.geom_type, ground_types)
+    return bool(np.any(fixed & solid & is_ground))
 
 
 def outermost_points(robot: RobotModel) -> tuple[Array, Array]:
-    """Return corners (P, 3) of the terminal link and all it carries, and the radius of a ball (P,).
+    """Return corners (P, 3) of the terminal link and all it carries, in the terminal body's frame
+    [m], and the radius (P,) of a ball about each [m].
 
-    In the terminal body's frame [m]. All of the link is within the convex hull of these balls.
+    All of the link is within the convex hull of these balls.
     """
     data = data_at_pose(robot.mj_model, robot.reference_qpos)
+    turns = data.xmat.reshape(-1, 3, 3)
     body = robot.body_id
-    solids = solids_of(robot.mj_model, subtree(robot.mj_model, body))
-    axes = data.xmat[body].reshape(3, 3)
     points = [np.zeros((0, 3))]
     radius = [np.zeros(0)]
-    for solid in solids:
-        corners = (
-            data.xpos[solid.body] + solid.points @ data.xmat[solid.body].reshape(3, 3).T
-        )
-        points.append((corners - data.xpos[body]) @ axes)
+    for solid in solids_of(robot.mj_model, subtree(robot.mj_model, body)):
+        corners = data.xpos[solid.body] + solid.points @ turns[solid.body].T
+        points.append((corners - data.xpos[body]) @ turns[body])
         radius.append(solid.radius)
     all_points = np.vstack(points)
     all_radius = np.concatenate(radius)
