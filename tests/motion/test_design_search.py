@@ -42,7 +42,6 @@ from tests.support.excitation_arms import (
 )
 from tests.support.places import ROOT
 
-DEFAULTS = EstimationOptions()
 ARMS = (
     arms.SLIDE_IN_CHAIN,
     arms.UNLIMITED,
@@ -97,16 +96,14 @@ def test_limits_hold_for_a_slide_joint_and_over_a_floor(xml):
 @pytest.mark.slow
 def test_the_seed_alone_decides_the_trajectory():
     """The process_id of workers does not."""
-    alone = run_search(make_design(arms.THREE, starts=2), 1)
+    design = make_design(arms.THREE, starts=2)
+    alone = run_search(design, 1)
     together = run_search(make_design(arms.THREE, workers=2, starts=2), 1)
-    other = run_search(make_design(arms.THREE, starts=2), 2)
-    assert np.array_equal(
-        alone.trajectory.coefficients, together.trajectory.coefficients
-    )
+    other = run_search(design, 2)
+    coefficients = alone.trajectory.coefficients
+    assert np.array_equal(coefficients, together.trajectory.coefficients)
     assert alone.objective == together.objective
-    assert not np.array_equal(
-        alone.trajectory.coefficients, other.trajectory.coefficients
-    )
+    assert not np.array_equal(coefficients, other.trajectory.coefficients)
 
 
 class RecordedProgress(Progress):
@@ -127,16 +124,14 @@ class RecordedProgress(Progress):
 
 def test_rounds_improve_the_objective_and_report_progress():
     progress = RecordedProgress()
-    result = run_search(make_design(arms.THREE, rounds=3, iterations=20), 3, progress)
-    assert result.objective < 0.9 * result.start_objective
-    assert progress.done == sorted(progress.done) and progress.totals == {
-        progress.done[-1]
-    }
     design = make_design(arms.THREE, rounds=3, iterations=20)
-    assert progress.texts[-1] == design.expected_errors(result.trajectory.coefficients)
-    assert progress.texts[-1].startswith("mass ± ") and progress.texts[-1].endswith(
-        " mm"
-    )
+    result = run_search(design, 3, progress)
+    assert result.objective < 0.9 * result.start_objective
+    assert progress.done == sorted(progress.done)
+    assert progress.totals == {progress.done[-1]}
+    text = progress.texts[-1]
+    assert text == design.expected_errors(result.trajectory.coefficients)
+    assert text.startswith("mass ± ") and text.endswith(" mm")
 
 
 def test_the_best_start_is_improved_until_a_round_gains_little(monkeypatch):
@@ -150,25 +145,16 @@ def test_the_best_start_is_improved_until_a_round_gains_little(monkeypatch):
 
     def fake_improve(shared, candidate, deadline):
         feasible_score, score = next(scores)
-        return replace(
-            candidate,
-            feasible_score=feasible_score,
-            score=score,
-            rounds=candidate.rounds + 1,
-        )
+        rounds = candidate.rounds + 1
+        return Candidate(None, None, 1.0, rounds, score, None, feasible_score)
 
-    monkeypatch.setattr(
-        search, "first_candidate", lambda shared, x: Candidate(x, np.zeros(0))
-    )
+    monkeypatch.setattr(search, "first_candidate", lambda _, x: Candidate(x, None))
     monkeypatch.setattr(search, "improve", fake_improve)
     candidates = []
     run = partial(search._run_jobs, None, None)
-    progress = list(
-        search._improve_starts(
-            run, options(rounds=50), [np.zeros(1)] * 2, candidates, np.inf
-        )
-    )
-    assert progress == [1, 2, 3, 4, 5]
+    starts = [np.zeros(1)] * 2
+    jobs = search._improve_starts(run, options(rounds=50), starts, candidates, np.inf)
+    assert list(jobs) == [1, 2, 3, 4, 5]
     first, second = candidates
     assert (first.rounds, first.feasible_score) == (1, -1.0)
     assert (second.rounds, second.feasible_score) == (4, -1.505)
@@ -231,21 +217,17 @@ def test_the_time_budget_ends_a_search_in_the_middle_of_a_job(step, drawn):
 def test_the_limit_that_no_draw_keeps_is_named():
     # However slow, moving takes at least the friction.
     problem = make_problem(arms.DRY_FRICTION)
-    weak_problem = replace(
-        problem, limits=replace(problem.limits, torque=np.full(3, 1e-3))
-    )
-    with pytest.raises(
-        InputError, match=r"6 of 6 .* torque limit of joint joint"
-    ) as caught:
-        search_problem(weak_problem)
+    weak = replace(problem.limits, torque=np.full(3, 1e-3))
+    message = r"6 of 6 .* torque limit of joint joint"
+    with pytest.raises(InputError, match=message) as caught:
+        search_problem(replace(problem, limits=weak))
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.slow
 def test_the_tool_uses_the_speed_that_its_limit_allows():
-    result = search_problem(
-        make_problem(TUBES, max_tool_speed=0.3), iterations=20, rounds=2
-    )
+    problem = make_problem(TUBES, max_tool_speed=0.3)
+    result = search_problem(problem, iterations=20, rounds=2)
     assert result.limit_check.holds
     assert 0.2 < result.limit_check.largest[-1] <= 0.3 * (1.0 + ROUNDING)
 
@@ -253,23 +235,19 @@ def test_the_tool_uses_the_speed_that_its_limit_allows():
 def test_a_load_within_the_reserve_breaks_no_torque_limit():
     """The load's torque is added by hand to the arm's own torque."""
     unloaded = make_problem(arms.THREE, max_torque=8.0)
+
+    def largest_torque(problem):
+        plan = search_problem(problem, rounds=0, draws=3).trajectory
+        motion = plan.evaluate(np.arange(600) / 100.0)
+        torque = unloaded.torque(motion) + 3.0 * unloaded.torque_per_kilogram(motion)
+        return np.max(np.abs(torque))
+
     loaded = make_problem(arms.THREE, max_torque=8.0, payload_reserve=3.0)
-    plan = search_problem(loaded, rounds=0).trajectory
-    motion = plan.evaluate(np.arange(600) / 100.0)
-    torque = unloaded.torque(motion) + 3.0 * unloaded.torque_per_kilogram(motion)
-    assert np.max(np.abs(torque)) <= 0.95 * 8.0 * (1.0 + ROUNDING)
-    wide = search_problem(make_problem(arms.THREE), rounds=0).trajectory.evaluate(
-        motion.time
-    )
-    beyond = unloaded.torque(wide) + 3.0 * unloaded.torque_per_kilogram(wide)
-    assert np.max(np.abs(beyond)) > 8.0, "else the reserve has nothing to do"
+    assert largest_torque(loaded) <= 0.95 * 8.0 * (1.0 + ROUNDING)
+    assert largest_torque(make_problem(arms.THREE)) > 8.0, "else nothing is reserved"
 
 
-DESIGNS = [
-    make_design(arms.THREE),
-    make_design(TUBES_AND_POST),
-    make_design(arms.SLIDE_IN_CHAIN),
-]
+DESIGNS = list(map(make_design, (arms.THREE, TUBES_AND_POST, arms.SLIDE_IN_CHAIN)))
 
 
 @given(st.sampled_from(DESIGNS), SEEDS)
@@ -291,14 +269,14 @@ def test_the_target_decides_the_motion():
     arm = make_problem(arms.serial_arm((arms.Z, arms.Y, arms.X)))
     motion = TrajectoryOptions(duration=4.0, sample_rate=100.0)
     search_options = options(draws=5, rounds=4, iterations=30)
-    link_prior = prior_knowledge(arm, DEFAULTS, "link")
-    payload_prior = prior_knowledge(arm, DEFAULTS, "payload")
-    link = Design(arm, search_options, motion, link_prior)
-    payload = Design(arm, search_options, motion, payload_prior)
+    designs = []
+    for target in ("link", "payload"):
+        prior = prior_knowledge(arm, EstimationOptions(), target)
+        designs.append(Design(arm, search_options, motion, prior))
+    link, payload = designs
     x = design_excitation(link, default_rng(3)).trajectory.coefficients
-    other = design_module.improve(
-        payload, design_module.first_candidate(payload, x)
-    ).feasible_x
+    start = design_module.first_candidate(payload, x)
+    other = design_module.improve(payload, start).feasible_x
     assert payload.criterion_of(other) < payload.criterion_of(x) - 0.01
     assert link.criterion_of(other) > link.criterion_of(x) + 0.005
 
@@ -317,10 +295,8 @@ def test_jobs_of_dead_workers_run_in_the_parent(monkeypatch):
         assert list(run([partial(die_in_worker, number=0)])) == [(0, "1", False)]
         results = list(run([partial(die_in_worker, number=k) for k in range(1, 6)]))
     assert [number for number, *_ in results] == [1, 2, 3, 4, 5]
-    assert (
-        all(is_parent for *_, is_parent in results)
-        and "MKL_NUM_THREADS" not in os.environ
-    )
+    assert all(is_parent for *_, is_parent in results)
+    assert "MKL_NUM_THREADS" not in os.environ
 
 
 def process_id(shared):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
+from scipy.optimize import brentq
 
 from robot_sysid.errors import InputError
 from robot_sysid.model.bodies import count_moving_joints
 from robot_sysid.motion import limit_check
+from robot_sysid.motion.clearance import Closest, Slack
 from robot_sysid.motion.limit_check import (
     CLEARANCE_RESOLUTION,
     RESERVE,
@@ -45,10 +48,8 @@ BRIEF = FourierBasis(0.4, 2.5, 3, 0.15)
 
 def plan_of(problem, seed, size, basis=BRIEF):
     """Return a Fourier trajectory with random coefficients of standard deviation ``size``."""
-    rng = default_rng(seed)
-    return FourierTrajectory(
-        basis, problem.rest, size * rng.normal(size=(problem.n_joints, 7))
-    )
+    coefficients = size * default_rng(seed).normal(size=(problem.n_joints, 7))
+    return FourierTrajectory(basis, problem.rest, coefficients)
 
 
 THREE = make_problem(arms.THREE)
@@ -61,17 +62,13 @@ def test_peaks_equal_those_of_dense_samples(seed, size):
     motion = plan.evaluate(np.arange(401) / 1000.0)
     assert np.allclose(check.lowest, motion.q.min(axis=0), atol=1e-12)
     assert np.allclose(check.highest, motion.q.max(axis=0), atol=1e-12)
-    _, velocity, acceleration, torque = check.joints
-    assert np.allclose(velocity, np.abs(motion.qd).max(axis=0), atol=1e-12)
-    assert np.allclose(acceleration, np.abs(motion.qdd).max(axis=0), atol=1e-12)
-    assert np.allclose(torque, np.abs(THREE.torque(motion)).max(axis=0), atol=1e-9)
+    signals = (motion.qd, motion.qdd, THREE.torque(motion))
+    assert_allclose(check.joints[1:], np.max(np.abs(signals), axis=1), atol=1e-9)
     limits = THREE.limits
-    holds = (
-        np.all((motion.q >= limits.lower) & (motion.q <= limits.upper))
-        and np.all(np.abs(motion.qd) <= limits.velocity)
-        and np.all(np.abs(motion.qdd) <= limits.acceleration)
-    )
-    assert check.holds == holds == keeps_limits(THREE, plan)
+    is_within = (motion.q >= limits.lower) & (motion.q <= limits.upper)
+    is_within &= np.abs(motion.qd) <= limits.velocity
+    is_within &= np.abs(motion.qdd) <= limits.acceleration
+    assert check.holds == np.all(is_within) == keeps_limits(THREE, plan)
 
 
 def test_a_torque_that_is_nan_breaks_its_limit():
@@ -110,14 +107,11 @@ def test_clearance_equals_that_of_dense_samples(seed, size):
 class ThinWall:
     """Forbids a band of 2 mrad in the first joint's position."""
 
-    horizon = 0.1
     rates = np.array([[1.0, 0.0, 0.0]])
     distances = property(lambda self: self)
 
     def slack(self, q):
-        from robot_sysid.motion.clearance import Slack
-
-        value = np.minimum(np.abs(q[:, 0] - 0.2) - 1e-3, self.horizon)
+        value = np.minimum(np.abs(q[:, 0] - 0.2) - 1e-3, 0.1)
         return Slack(value, np.zeros_like(q))
 
     def slack_at(self, q):
@@ -125,9 +119,7 @@ class ThinWall:
         return float(value), np.array([value])
 
     def closest(self, q):
-        from robot_sysid.motion.clearance import Closest
-
-        value = float(self.slack(q[None]).value[0])
+        value, _ = self.slack_at(q)
         return Closest(value, value, "arm and wall")
 
 
@@ -136,16 +128,12 @@ def test_a_wall_between_two_samples_is_detected():
     coefficients = np.zeros((3, 7))
     coefficients[0, 0] = 0.4
     plan = FourierTrajectory(BASIS, problem.rest, coefficients)
-    sampled = problem.obstacles.slack(
-        plan.evaluate(np.arange(80) / 20.0 + 0.02).q
-    ).value
-    assert np.min(sampled) > 0.0
+    sampled = plan.evaluate(np.arange(80) / 20.0 + 0.02)
+    assert np.min(problem.obstacles.slack(sampled.q).value) > 0.0
     check = check_limits(problem, plan)
-    assert not check.holds
     assert "clearance of arm and wall" in str(check.excesses[0])
-    assert first_contact(problem, plan).time == pytest.approx(
-        check.closest.time, abs=3.0
-    )
+    contact = first_contact(problem, plan)
+    assert contact.time == pytest.approx(check.closest.time, abs=3.0)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -184,33 +172,17 @@ def test_a_motion_that_stops_inside_a_wall_is_detected(end, touches):
     assert (first_contact(problem, Stopping(end)) is not None) == touches
 
 
-class PlanWithoutPeriod:
-    """A motion that hides its period, so that all of it is checked."""
-
-    def __init__(self, plan):
-        self.duration = plan.duration
-        self.evaluate = plan.evaluate
-
-
-def check_with_and_without_period(problem, seed, base, fade, speed):
-    """Return a periodic motion, its check, and the check of its full duration."""
-    basis = FourierBasis(3.0, base, 4, fade)
-    shape = 0.05 * default_rng(seed).normal(size=(3, 9))
-    plan = at_speed(FourierTrajectory(basis, problem.rest, shape), speed)
-    return (
-        plan,
-        check_limits(problem, plan),
-        check_limits(problem, PlanWithoutPeriod(plan)),
-    )
-
-
 @pytest.mark.slow
-@given(SEEDS, st.sampled_from([0.97, 1.0]), st.just(0.3), st.floats(0.5, 1.0))
-def test_checking_one_period_and_both_ends_covers_the_motion(seed, base, fade, speed):
+@given(SEEDS, st.sampled_from([0.97, 1.0]), st.floats(0.5, 1.0))
+def test_checking_one_period_and_both_ends_covers_the_motion(seed, base, speed):
     """Also slowed down, and where a period is no integer number of samples."""
-    plan, check, full_check = check_with_and_without_period(
-        THREE, seed, base, fade, speed
-    )
+    basis = FourierBasis(3.0, base, 4, 0.3)
+    shape = 0.05 * default_rng(seed).normal(size=(3, 9))
+    plan = at_speed(FourierTrajectory(basis, THREE.rest, shape), speed)
+    check = check_limits(THREE, plan)
+    # A motion that hides its period is checked from begin to end.
+    hidden = SimpleNamespace(duration=plan.duration, evaluate=plan.evaluate)
+    full_check = check_limits(THREE, hidden)
     assert checked_time(plan) < 0.6 * plan.duration
     for name in ("lowest", "highest", "largest"):
         assert_allclose(getattr(check, name), getattr(full_check, name), rtol=1e-9)
@@ -219,45 +191,38 @@ def test_checking_one_period_and_both_ends_covers_the_motion(seed, base, fade, s
 
 def test_the_failure_counts_the_limits_and_names_the_worst():
     slow = FourierBasis(8.0, 0.125, 3, 4.0)
+    plan = FourierTrajectory(slow, THREE.rest, np.zeros((3, 7)))
+    assert check_limits(THREE, plan).failure is None
     coefficients = np.zeros((3, 7))
-    assert (
-        check_limits(THREE, FourierTrajectory(slow, THREE.rest, coefficients)).failure
-        is None
-    )
     coefficients[2, 0] = 1.05 * (THREE.limits.upper[2] - THREE.rest[2])
-    one = check_limits(THREE, FourierTrajectory(slow, THREE.rest, coefficients))
-    assert one.failure.startswith(
-        "this trajectory must not be run: it breaks the position limit of joint joint2 (5.0 % "
-    )
-    several = check_limits(
-        THREE, FourierTrajectory(BASIS, THREE.rest, coefficients + 3.0)
-    )
+    start = "this trajectory must not be run: it breaks the "
+    failure = check_limits(THREE, replace(plan, coefficients=coefficients)).failure
+    assert failure.startswith(f"{start}position limit of joint joint2 (5.0 % ")
+    several = check_limits(THREE, replace(plan, coefficients=coefficients + 3.0))
     count = len(several.excesses)
-    worst = several.excesses[0]
     assert count > 1
-    assert several.failure.endswith(f"it breaks {count} limits, first the {worst}")
+    ending = f"it breaks {count} limits, first the {several.excesses[0]}"
+    assert several.failure.endswith(ending)
 
 
 @pytest.mark.slow
 @given(SEEDS, st.floats(0.1, 2.0), st.floats(0.3, 5.0))
 def test_only_joints_beyond_their_limits_are_scaled(seed, v, a):
     """Without torque limits and obstacles nothing couples the joints."""
-    unlimited = np.full(3, np.inf)
-    limits = replace(
-        THREE.limits,
-        velocity=np.full(3, v),
-        acceleration=np.full(3, a),
-        torque=unlimited,
-    )
-    problem = replace(THREE, limits=limits)
+    velocity, acceleration, torque = np.outer((v, a, np.inf), np.ones(3))
+    rates = {"velocity": velocity, "acceleration": acceleration, "torque": torque}
+    problem = replace(THREE, limits=replace(THREE.limits, **rates))
     plan, _ = generate_excitation_trajectory(robot(arms.THREE), default_rng(seed), 1.0)
     scaled, factors = scale_to_limits(problem, plan, 0.0)
-    check = check_limits(problem, plan)
-    scaled_check = check_limits(problem, scaled)
-    share = np.maximum(check.joints[1] / v, check.joints[2] / a)
+
+    def largest_share(motion):
+        joints = check_limits(problem, motion).joints
+        return np.maximum(joints[1] / v, joints[2] / a)
+
+    share = largest_share(plan)
     assert_allclose(factors, np.minimum(1.0, (1.0 - RESERVE) / share), rtol=1e-9)
-    scaled_share = np.maximum(scaled_check.joints[1] / v, scaled_check.joints[2] / a)
-    assert_allclose(scaled_share, np.minimum(1.0 - RESERVE, share), rtol=1e-9)
+    expected = np.minimum(1.0 - RESERVE, share)
+    assert_allclose(largest_share(scaled), expected, rtol=1e-9)
     assert keeps_limits(problem, scaled)
 
 
@@ -267,14 +232,14 @@ def test_only_joints_beyond_their_limits_are_scaled(seed, v, a):
 def test_a_clearance_may_fall_short_by_rounding_alone(shortfall, holds):
     """The end pose falls short of its clearance by ``shortfall`` metres."""
     problem = make_problem(TUBES_AND_POST)
-    low = 0.0
-    high = 1.0
     towards = np.array([0.0, 1.2, 0.0, 0.0])
-    while high - low > 1e-12:
-        middle = 0.5 * (low + high)
-        slack = problem.obstacles.slack_at(problem.rest + middle * towards)[0]
-        low, high = (middle, high) if slack > -shortfall else (low, middle)
-    plan = straight_way(problem.rest, problem.rest + high * towards)
+
+    def surplus(share):
+        """Return the slack beyond the shortfall at a share of the way [m]."""
+        return problem.obstacles.slack_at(problem.rest + share * towards)[0] + shortfall
+
+    end = brentq(surplus, 0.0, 1.0, xtol=1e-12)
+    plan = straight_way(problem.rest, problem.rest + end * towards)
     check = check_limits(problem, plan)
     assert any("clearance" in excess.limit for excess in check.excesses) != holds
 
@@ -293,20 +258,19 @@ def pair(tmp_path_factory):
     bodies = LINK.format(side="left", y=0.25) + LINK.format(side="right", y=-0.25)
     head = "<mujoco><compiler angle='radian'/><worldbody>"
     path.write_text(f"{head}{bodies}</worldbody></mujoco>")
-    return load_robot_model(path, joint="left_b"), load_robot_model(
-        path, joint="right_b"
-    )
+    return [load_robot_model(path, joint=f"{side}_b") for side in ("left", "right")]
 
 
 def test_two_arms_as_one_need_the_torques_of_each(pair):
     both = as_one(*pair)
-    rng = default_rng(0)
     assert both.joint_names == ("left_a", "left_b", "right_a", "right_b")
-    derivatives = rng.uniform(-1.0, 1.0, (3, 5, 4))
-    torque = ArmTorque(both)(Motion(np.arange(5.0), *derivatives))
-    for arm, joints in zip(pair, (slice(0, 2), slice(2, 4))):
-        alone = ArmTorque(arm)(Motion(np.arange(5.0), *derivatives[:, :, joints]))
-        assert_allclose(torque[:, joints], alone, atol=1e-12)
+    derivatives = default_rng(0).uniform(-1.0, 1.0, (3, 5, 4))
+    time = np.arange(5.0)
+    torques = []
+    for arm, motion in zip(pair, np.split(derivatives, 2, axis=2)):
+        torques.append(ArmTorque(arm)(Motion(time, *motion)))
+    torque = ArmTorque(both)(Motion(time, *derivatives))
+    assert_allclose(torque, np.hstack(torques), atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -17,52 +17,26 @@ from robot_sysid.motion import (
 
 
 @pytest.mark.parametrize(
-    ("record", "changes", "message"),
+    ("field", "value", "message"),
     [
-        (
-            ExcitationOptions,
-            {"kind": "best"},
-            "--excitation 'best': choose one of sines, optimal",
-        ),
-        (
-            ExcitationOptions,
-            {"time_budget": 0.0},
-            "--excitation-time-budget must be positive",
-        ),
-        (
-            LimitOptions,
-            {"max_velocity": np.nan},
-            "--max-velocity must be positive (got nan)",
-        ),
-        (
-            LimitOptions,
-            {"max_acceleration": -1.0},
-            "--max-acceleration must be positive",
-        ),
-        (
-            LimitOptions,
-            {"max_torque": (5.0, -1.0)},
-            "--max-torque must be positive (got -1)",
-        ),
-        (
-            LimitOptions,
-            {"clearance": -0.01},
-            "--clearance must be a number that is not negative",
-        ),
-        (LimitOptions, {"workspace": (1, 2, 3)}, "six numbers"),
-        (LimitOptions, {"workspace": (1.0, -1.0, 0.0, 1.0, 0.0, 1.0)}, "empty along x"),
-        (LimitOptions, {"keep_out": ((1, 2, 3),)}, "four numbers"),
-        (
-            LimitOptions,
-            {"keep_out": ((0.0, 0.0, 0.0, 1.0),)},
-            "normal that is not zero",
-        ),
-        (LimitOptions, {"keep_out": ((0, 0, 1, np.inf),)}, "normal that is not zero"),
+        ("kind", "best", "--excitation 'best': choose one of sines, optimal"),
+        ("time_budget", 0.0, "--excitation-time-budget must be positive"),
+        ("max_velocity", np.nan, "--max-velocity must be positive (got nan)"),
+        ("max_acceleration", -1.0, "--max-acceleration must be positive"),
+        ("max_torque", (5.0, -1.0), "--max-torque must be positive (got -1)"),
+        ("clearance", -0.01, "--clearance must be a number that is not negative"),
+        ("workspace", (1, 2, 3), "six numbers"),
+        ("workspace", (1.0, -1.0, 0.0, 1.0, 0.0, 1.0), "empty along x"),
+        ("keep_out", ((1, 2, 3),), "four numbers"),
+        ("keep_out", ((0.0, 0.0, 0.0, 1.0),), "normal that is not zero"),
+        ("keep_out", ((0, 0, 1, np.inf),), "normal that is not zero"),
     ],
 )
-def test_an_invalid_option_is_refused_in_one_line(record, changes, message):
+def test_an_invalid_option_is_refused_in_one_line(field, value, message):
+    is_search = field in ("kind", "time_budget")
+    record = ExcitationOptions if is_search else LimitOptions
     with pytest.raises(InputError) as caught:
-        record(**changes)
+        record(**{field: value})
     assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
@@ -85,11 +59,8 @@ def test_a_long_time_budget_uses_all_cores_up_to_two(monkeypatch):
             "os.sched_getaffinity", lambda _, cores=cores: cores, raising=False
         )
         assert ExcitationOptions(time_budget=60.0).n_workers == n_workers
-    assert (
-        ExcitationOptions(time_budget=1.0).n_workers
-        == ExcitationOptions().n_workers
-        == 1
-    )
+    for short_search in (ExcitationOptions(time_budget=1.0), ExcitationOptions()):
+        assert short_search.n_workers == 1
 
 
 def test_half_spaces_follow_the_workspace_and_the_planes():
@@ -111,11 +82,8 @@ def test_a_search_of_many_joints_takes_fewer_steps():
     for_20_joints = defaults.for_joints(20)
     for_60_joints = defaults.for_joints(60)
     for name in ("draws", "rounds", "evaluations"):
-        assert (
-            0
-            < getattr(for_60_joints, name)
-            < getattr(for_20_joints, name)
-            < getattr(defaults, name)
-        )
+        searches = (for_60_joints, for_20_joints, defaults)
+        fewest, fewer, usual = (getattr(search, name) for search in searches)
+        assert 0 < fewest < fewer < usual
     budgeted = ExcitationOptions(time_budget=60.0)
     assert budgeted.for_joints(60) == budgeted

@@ -18,6 +18,8 @@ from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms, witness
 from tests.support.excitation_arms import TUBES, TUBES_AND_POST, options, robot
 
+DURATION = 4.0
+
 
 class Listener(Progress):
     """A progress listener that keeps the notes."""
@@ -31,12 +33,12 @@ class Listener(Progress):
 
 def make_request(trajectory=None, limits=None, excitation=None, played=False):
     """Return a MotionRequest; the dicts are keyword arguments of its option records."""
-    motion = TrajectoryOptions(
-        **{"duration": 4.0, "sample_rate": 200.0, **(trajectory or {})}
-    )
-    limit = LimitOptions(**(limits or {}))
+    settings = {"duration": DURATION, "sample_rate": 200.0, **(trajectory or {})}
     return MotionRequest(
-        motion, excitation or ExcitationOptions(), limit, played=played
+        TrajectoryOptions(**settings),
+        excitation or ExcitationOptions(),
+        LimitOptions(**(limits or {})),
+        played=played,
     )
 
 
@@ -71,9 +73,15 @@ def test_motions_that_are_played_saved_or_limited_are_checked():
     assert (unchecked.check, unchecked.problem, unchecked.failure) == (None, None, None)
 
 
-@pytest.mark.parametrize("excitation", ["sines", "optimal"])
-@pytest.mark.parametrize("purpose", ["link", "weight"])
-@pytest.mark.parametrize("load", [0.0, 0.5])
+@pytest.mark.parametrize(
+    ("excitation", "purpose", "load"),
+    [
+        ("sines", "link", 0.0),
+        ("sines", "weight", 0.5),
+        ("optimal", "link", 0.5),
+        ("optimal", "weight", 0.0),
+    ],
+)
 def test_a_planned_motion_reserves_torque_for_errors_of_the_links(
     excitation, purpose, load
 ):
@@ -81,36 +89,33 @@ def test_a_planned_motion_reserves_torque_for_errors_of_the_links(
 
     Weighing uses half of the limits, and goes slowly.
     """
-    limit = 7.0
-    arm = robot(arms.THREE)
+    limit, fastest = (3.5, 0.6) if purpose == "weight" else (7.0, 2.0)
     request = make_request(
         {"plan_only": True},
-        {"max_torque": limit, "payload_reserve": load},
+        {"max_torque": 7.0, "payload_reserve": load},
         options(kind=excitation),
     )
-    request = replace(
-        request, poses=PoseOptions(purpose=purpose), link_uncertainty=10.0
-    )
-    motion_plan = make_plan(request, arm, 1, Listener())
-    assert motion_plan.check.holds
-    problem = motion_plan.problem
-    motion = motion_plan.plan.evaluate(np.linspace(0.0, motion_plan.plan.duration, 300))
+    poses = PoseOptions(purpose=purpose)
+    request = replace(request, poses=poses, link_uncertainty=10.0)
+    checked = make_plan(request, robot(arms.THREE), 1, Listener())
+    assert checked.check.holds
+    problem = checked.problem
+    motion = checked.plan.evaluate(np.linspace(0.0, checked.plan.duration, 100))
     links = problem.dynamics.motion(motion.q, motion.qd, motion.qdd)
-    rng = default_rng(0)
     torques = []
-    for errors in (
-        rng.normal(size=(2000, problem.link_errors.shape[1])) @ problem.link_errors.T
-    ):
+    for link, parameter in np.ndindex(len(problem.links), 10):
         thetas = np.zeros((problem.n_joints, 10))
-        thetas[list(problem.links)] = errors.reshape(-1, 10)
+        thetas[problem.links[link], parameter] = 1.0
         torques.append(links.torque(thetas))
+    errors = default_rng(0).normal(size=(2000, len(torques))) @ problem.link_errors.T
+    deviation = np.std(np.tensordot(errors, torques, 1), axis=0)
     loaded = problem.arm_torque(motion) + load * problem.torque_per_kilogram(motion)
     needed = np.maximum(np.abs(problem.arm_torque(motion)), np.abs(loaded))
-    share = 0.5 if purpose == "weight" else 1.0
-    assert np.all(needed + 2.0 * np.std(torques, axis=0) <= 0.96 * share * limit)
-    assert np.max(np.abs(motion.qd)) <= (0.6 if purpose == "weight" else 2.0)
+    assert np.all(needed + 2.0 * deviation <= 0.96 * limit)
+    assert np.max(np.abs(motion.qd)) <= fastest
 
 
+RATE = 100.0
 BOX = (-0.17, 0.17, -0.17, 0.17, 1.0, 2.0)
 
 
@@ -123,14 +128,14 @@ def planes_of(box):
 
 def excess_over(limits, arm, plan):
     """Return by how much a plan exceeds each limit, by MuJoCo; negative within the limit."""
-    peaks = witness.peaks(arm, plan, 200.0)
-    distance = partial(witness.distance_to_plane, arm, plan, rate=200.0)
+    peaks = witness.peaks(arm, plan, RATE)
+    distance = partial(witness.distance_to_plane, arm, plan, rate=RATE)
     measures = {
         "max_velocity": lambda limit: np.max(peaks.velocity) - limit,
         "max_acceleration": lambda limit: np.max(peaks.acceleration) - limit,
         "max_torque": lambda limit: np.max(peaks.torque) - limit,
         "max_tool_speed": lambda limit: (
-            witness.fastest_point(arm, plan, "link3", 200.0) - limit
+            witness.fastest_point(arm, plan, "link3", RATE) - limit
         ),
         "workspace": lambda box: max(
             -distance(plane=side, first_body="link3") for side in planes_of(box)
@@ -171,48 +176,42 @@ def test_random_sinusoids_are_scaled_until_every_limit_holds(case):
     assert np.all(peaks.highest - peaks.lowest > 0.0)
 
 
-@pytest.mark.parametrize("case", ["torque", "workspace"])
-def test_a_trajectory_from_a_file_that_breaks_a_limit_fails(case, tmp_path):
-    path = tmp_path / "plan.json"
+@pytest.fixture
+def path(tmp_path):
+    """A file for a trajectory."""
+    return tmp_path / "plan.json"
+
+
+def test_a_trajectory_from_a_file_that_breaks_a_limit_fails(path):
     save_trajectory(path, unlimited_plan(), robot(TUBES).joint_names)
-    motion_plan = plan_motion(TUBES, trajectory={"file": path}, limits=LIMITS[case])
-    assert motion_plan.failure.startswith("this trajectory must not be run: it breaks ")
-    assert plan_motion(TUBES, trajectory={"file": path}).failure is None
+    from_file = partial(plan_motion, TUBES, trajectory={"file": path})
+    assert from_file().failure is None
+    for case in ("torque", "workspace"):
+        failure = from_file(limits=LIMITS[case]).failure
+        assert failure.startswith("this trajectory must not be run: it breaks ")
 
 
-def test_a_trajectory_from_a_file_is_checked_for_collisions(tmp_path):
-    path = tmp_path / "plan.json"
+def test_a_trajectory_from_a_file_is_checked_for_collisions(path):
     plan = unlimited_plan().scale_amplitudes((8.0, 4.0, 1.0, 1.0))
     save_trajectory(path, plan, robot(TUBES).joint_names)
-    assert (
-        plan_motion(
-            TUBES, trajectory={"file": path}, limits={"max_velocity": 1e3}
-        ).failure
-        is None
-    )
-    post = plan_motion(
-        TUBES_AND_POST, trajectory={"file": path}, limits={"max_velocity": 1e3}
-    )
-    assert "post" in post.failure
+    request = {"trajectory": {"file": path}, "limits": {"max_velocity": 1e3}}
+    assert plan_motion(TUBES, **request).failure is None
+    assert "post" in plan_motion(TUBES_AND_POST, **request).failure
 
 
-def test_other_joint_names_are_refused_another_model_of_the_same_joints_is_noted(
-    tmp_path,
-):
-    path = tmp_path / "plan.json"
-    plan = unlimited_plan()
+def test_other_joint_names_are_refused_another_model_of_the_same_joints_is_noted(path):
     arm = robot(TUBES)
-    for sha256, noted in ((arm.sha256, False), ("0" * 64, True)):
+    slight = unlimited_plan().scale_amplitudes(0.1)
+    notes = []
+    for sha256 in (arm.sha256, "0" * 64):
         listener = Listener()
-        save_trajectory(path, plan, arm.joint_names, sha256)
+        save_trajectory(path, slight, arm.joint_names, sha256)
         plan_motion(TUBES, listener=listener, trajectory={"file": path})
-        assert (
-            any("was made for another model file" in n for n in listener.notes) == noted
-        )
+        notes.append(" ".join(listener.notes))
+    assert ["was made for another model file" in text for text in notes] == [0, 1]
     renamed = TUBES.replace('name="joint3"', 'name="wrist"')
-    with pytest.raises(
-        InputError, match="this arm has the 4 joints joint0, joint1, joint2, wr"
-    ):
+    message = "this arm has the 4 joints joint0, joint1, joint2, wr"
+    with pytest.raises(InputError, match=message):
         plan_motion(renamed, trajectory={"file": path})
 
 
@@ -223,10 +222,11 @@ def test_other_joint_names_are_refused_another_model_of_the_same_joints_is_noted
         (float("inf"), "finite duration above 0"),
     ],
 )
-def test_a_file_with_an_endless_duration_is_refused(tmp_path, duration, message):
-    path = tmp_path / "plan.json"
+def test_a_file_with_an_endless_duration_is_refused(path, duration, message):
     save_trajectory(path, unlimited_plan(), robot(TUBES).joint_names)
-    text = path.read_text().replace('"duration": 4.0', f'"duration": {duration}')
+    text = path.read_text().replace(
+        f'"duration": {DURATION}', f'"duration": {duration}'
+    )
     path.write_text(text.replace("inf", "Infinity"))
     with pytest.raises(InputError, match=message):
         plan_motion(TUBES, trajectory={"file": path})

@@ -60,6 +60,7 @@ def make_problem(
     return build_problem(robot(xml), LimitOptions(**limits), torques, noise_torque, top)
 
 
+@cache
 def make_design(xml, torques="chain", duration=DURATION, **changes):
     """Design of an XML string."""
     search_options = options(**changes)
@@ -78,6 +79,5 @@ def random_x(design, seed, size=0.3):
 
 def slope(function, x, direction, step=1e-6):
     """Central difference of a function along a direction."""
-    return (function(x + step * direction) - function(x - step * direction)) / (
-        2.0 * step
-    )
+    difference = function(x + step * direction) - function(x - step * direction)
+    return difference / (2.0 * step)
