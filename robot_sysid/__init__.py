@@ -13,7 +13,7 @@ FUNCTIONS = {
     "identify": "api.calls",
     "identify_from": "api.calls",
     "information": "api.calls",
-    "joint_torque_regressor": "api.equations",
+    "joint_torque_regressor": "api.calls",
     "load_robot_model": "parser",
     "payload": "api.calls",
     "plan": "api.calls",

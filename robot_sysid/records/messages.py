@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 PARAMETER_UNITS = ("kg", *["kg·m"] * 3, *["kg·m²"] * 6)
@@ -78,6 +78,23 @@ def position_unit(is_slide: bool) -> str:
 def term_unit(term: str, is_slide: bool) -> str:
     """Return the unit of a friction term's coefficient, or "" where the term has none."""
     return _TERM_UNITS[term][is_slide] if term in _TERM_UNITS else ""
+
+
+def aligned_lines(
+    rows: Iterable[Sequence[str]], right_aligned: Collection[str] = ()
+) -> list[str]:
+    """Return rows of cells as lines of text with aligned columns, two blanks between columns.
+
+    Args:
+        rows: texts of the cells, equally many in each row; the first row holds the headings.
+        right_aligned: headings of the columns whose cells end at the same place.
+    """
+    columns = []
+    for cells in zip(*rows):
+        align = str.rjust if cells[0] in right_aligned else str.ljust
+        width = max(map(len, cells))
+        columns.append([align(cell, width) for cell in cells])
+    return ["  ".join(cells).rstrip() for cells in zip(*columns)]
 
 
 class Detail(str):

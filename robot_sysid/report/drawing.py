@@ -128,10 +128,9 @@ def table(
         rows: texts and numbers, one sequence per row; a number that is None or not finite is "–".
         note: sentence below the table; one on left-out rows is added to it where there are any.
     """
-    texts = [
-        tuple(cell if isinstance(cell, str) else text(cell) for cell in row)
-        for row in rows
-    ]
+    texts = []
+    for row in rows:
+        texts.append(tuple(c if isinstance(c, str) else text(c) for c in row))
     step = -(-len(texts) // MOST_ROWS)
     if step > 1:
         thinning_note = (
@@ -332,8 +331,8 @@ def curves_figure(
             draw_legend(canvas, axes[0, 0])
 
     header = (horizontal_label, *curve_values)
-    all_rows = zip(horizontal_values, *curve_values.values())
-    rows = [row for row in all_rows if np.isfinite(row[0])]
+    numbers = np.column_stack((horizontal_values, *curve_values.values()))
+    rows = numbers[np.isfinite(horizontal_values)]
     return draw_figure(name, caption, (header, rows), height, draw)
 
 
@@ -452,7 +451,7 @@ def draw_bars(
         axes.barh(
             bar_positions, drawable, 0.92 * height, label=shorten(name, 40), **style
         )
-    axes.set_yticks(positions, [shorten(name) for name in groups])
+    axes.set_yticks(positions, list(map(shorten, groups)))
     axes.set_xlabel(label)
     draw_legend(canvas, axes, 1)
 

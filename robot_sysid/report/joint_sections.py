@@ -65,7 +65,7 @@ def _section_by_joint(
     data = run.data
     if data is None:
         return None
-    figures = [figure_of_joint(data, joint) for joint in range(len(data.joints))]
+    figures = list(map(partial(figure_of_joint, data), range(len(data.joints))))
     tables = [make_table(data) for make_table in table_makers]
     return Section(key, title, (explanation,), tables, figures)
 
@@ -112,15 +112,13 @@ def most_changed(run: Run) -> Figure:
     assert data is not None
     prior_residual = data.measured - data.prior_prediction
     residual = data.measured - data.predicted
-    rms_changes = []
-    for joint in range(len(data.joints)):
-        change = _rms(prior_residual[:, joint]) - _rms(residual[:, joint])
-        rms_changes.append(change)
-    joint = int(np.argmax(np.nan_to_num(np.abs(rms_changes))))
+    prior_rmses = np.array(list(map(_rms, prior_residual.T)))
+    rmses = np.array(list(map(_rms, residual.T)))
+    joint = int(np.argmax(np.nan_to_num(np.abs(prior_rmses - rmses))))
     name = data.joints[joint]
     unit = torque_unit(data.is_slide[joint])
-    prior_rms = _rms(prior_residual[:, joint])
-    residual_rms = _rms(residual[:, joint])
+    prior_rms = prior_rmses[joint]
+    residual_rms = rmses[joint]
     caption = (
         f"Torque of {name}, measured and predicted before and after: the prediction was off by "
         f"{prior_rms:.3g} {unit}, and is by {residual_rms:.3g} {unit} (root mean square)."
@@ -247,11 +245,10 @@ def friction(run: Run) -> Section:
         **run.friction_of_logs(),
         "joint in the written model": run.friction("in_the_file"),
     }
-    tables = tuple(
-        _coefficient_table(title, coefficients, slides)
-        for title, coefficients in coefficient_sets.items()
-        if coefficients
-    )
+    tables = []
+    for title, coefficients in coefficient_sets.items():
+        if coefficients:
+            tables.append(_coefficient_table(title, coefficients, slides))
     explanation = (
         "Dots: what is left of the measured torque when all but friction is taken off. Circles: "
         "their mean in bins of speed. Blue: the identified friction in the same bins, with all its "
@@ -262,9 +259,8 @@ def friction(run: Run) -> Section:
             "Curves need the torques." if tables else "No friction was estimated."
         )
         return Section("friction", "Friction", (explanation,), tables)
-    has_friction = np.any(data.friction, axis=0)
-    joints = np.flatnonzero(has_friction).tolist()
-    figures = tuple(_friction_figure(data, joint) for joint in joints)
+    joints = np.flatnonzero(np.any(data.friction, axis=0)).tolist()
+    figures = list(map(partial(_friction_figure, data), joints))
     return Section("friction", "Friction", (explanation,), tables, figures)
 
 
@@ -287,10 +283,13 @@ def _coefficient_table(
     header = [title]
     for term in terms:
         header.append(f"{term} [{term_unit(term, has_slide) or '1'}]")
-    cells = {key: with_error(*quantity) for key, quantity in coefficients.items()}
     rows = []
     for owner in owners:
-        rows.append([owner, *(cells.get((owner, term), "–") for term in terms)])
+        row = [owner]
+        for term in terms:
+            quantity = coefficients.get((owner, term))
+            row.append("–" if quantity is None else with_error(*quantity))
+        rows.append(row)
     note = ""
     if has_slide and not all(slides.values()):
         note = "Units are those of slides; of hinges N·m for N and rad for m."
@@ -303,13 +302,11 @@ def _friction_figure(data: ReportData, joint: int) -> Figure:
     speed_label = f"speed [{position_unit(data.is_slide[joint])}/s]"
     has_samples = np.isfinite(data.speed[joint])
     columns = (data.speed, data.friction_measured, data.friction_predicted)
+    bins = np.array([column[joint, has_samples] for column in columns])
     # Dry friction jumps where the speed changes its sign: a NaN between the bins of negative and
     # of positive speed keeps the curve from crossing the jump.
-    n_negative = np.count_nonzero(data.speed[joint, has_samples] < 0.0)
-    speeds, measured, identified = (
-        np.insert(statistic[joint, has_samples], n_negative, np.nan)
-        for statistic in columns
-    )
+    n_negative = np.count_nonzero(bins[0] < 0.0)
+    speeds, measured, identified = np.insert(bins, n_negative, np.nan, axis=1)
     caption = f"{data.joints[joint]}: friction torque [{unit}] against {speed_label}."
     lines: Curves = {
         f"measured [{unit}]": (
@@ -457,12 +454,12 @@ def error_numbers(
     joints: dict[str, None] = {}
     for error_set in sets:
         joints.update(dict.fromkeys(error_set.test.rmse_per_joint))
-    joint_titles = [f"{joint} [N·m or N]" for joint in joints]
+    joint_titles = map("{} [N·m or N]".format, joints)
     header = ("data", "all joints [N·m]", "of the torque", *joint_titles)
     rows: list[tuple[Any, ...]] = []
     for description, test, _ in sets:
         share = "–" if test.relative_error is None else percent(test.relative_error)
-        joint_errors = (number(test.rmse_per_joint.get(joint)) for joint in joints)
+        joint_errors = map(number, map(test.rmse_per_joint.get, joints))
         rows.append((description, number(test.rmse), share, *joint_errors))
     return header, rows
 
@@ -483,7 +480,8 @@ def error_sets(run: Run) -> Iterator[ErrorSet]:
         (content["validation"][:1], drawing.OTHER, [file]),
         (content["validation"][1:], drawing.TRUTH, file["others"]),
     ):
-        tests += [("fit", test, colour) for test in fits]
+        for test in fits:
+            tests.append(("fit", test, colour))
         for pair in pairs:
             tests.append(("model before", pair.get("before"), drawing.BEFORE))
             tests.append(("written model", pair.get("after"), drawing.AFTER))

@@ -36,7 +36,7 @@ from robot_sysid.report.body_sections import (
 )
 from robot_sysid.report.drawing import Figure, Section, inline_svg, png, svg, table
 from robot_sysid.report.joint_sections import error_numbers, error_sets, most_changed
-from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, report_data
+from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, number, report_data
 
 _TEMPLATE = Path(__file__).with_name("template.html")
 """Jinja template of the page."""
@@ -224,15 +224,14 @@ def _headline(run: Run) -> str:
     wrote no model.
     """
     file = run.content["file"]
-    errors = [] if file is None else file["torque_error"].values()
-    shares = ["not known" if error is None else percent(error) for error in errors]
     texts = []
     if run.is_payload:
         body = run.bodies[0]
         mass_error = body.errors_or_none(body.errors)[0]
         mass = with_error(float(body.identified[0]), mass_error, "kg")
         texts.append(f"payload {mass}")
-    if shares:
+    if file is not None:
+        shares = map(percent, map(number, file["torque_error"].values()))
         texts.append(f"torque error {' → '.join(shares)}")
     return ", ".join(texts)
 
@@ -273,12 +272,11 @@ def _other_models(run: Run) -> Iterator[str]:
     A written model states the root mean square residual of its run, which identifies the run.
     """
     rmse_text = format_rmse(run.content["rmse"])
-    for path in (run.folder / name for name in MODEL_NAMES.values()):
+    for name in MODEL_NAMES.values():
+        path = run.folder / name
         # A run that writes no model leaves an older one in its folder.
-        if path.is_file() and rmse_text not in path.read_text(
-            "utf-8", errors="replace"
-        ):
-            yield f"Do not load {path.name}: it is from another run, and this one wrote none."
+        if path.is_file() and rmse_text not in path.read_text("utf-8", "replace"):
+            yield f"Do not load {name}: it is from another run, and this one wrote none."
 
 
 def verdicts(runs: Sequence[Run]) -> Section:
@@ -326,7 +324,7 @@ def compare_bodies(runs: Sequence[Run]) -> Section:
     # In the order of the first run.
     common_titles = list(first)
     for other in others:
-        common_titles = [title for title in common_titles if title in other]
+        common_titles = list(filter(other.__contains__, common_titles))
     explanation = (
         "Values ± one standard error. Runs whose ranges do not meet contradict each "
         "other."

@@ -11,6 +11,8 @@ import hashlib
 import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -125,10 +127,9 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
     # The time starts anew with each log: here one log follows the other, a second apart.
     steps = np.diff(traces.time, prepend=traces.time[:1])
     time = np.cumsum(np.where(steps < 0.0, 1.0, steps))
-    drawn: dict[str, Any] = {
-        name: np.asarray(getattr(traces, name)[indices], np.float32)
-        for name in SIGNAL_NAMES
-    }
+    drawn: dict[str, Any] = {}
+    for name in SIGNAL_NAMES:
+        drawn[name] = np.asarray(getattr(traces, name)[indices], np.float32)
     return ReportData(
         joints=traces.joints,
         is_slide=traces.is_slide,
@@ -146,14 +147,11 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
 
 def data_bytes(data: ReportData) -> bytes:
     """Return the content of report_data.npz; equal data give equal bytes."""
-    arrays = {
-        data_field.name: np.asarray(getattr(data, data_field.name))
-        for data_field in fields(data)
-    }
+    arrays = {**vars(data)}
     # In the file, the prior prediction has the name "before".
     arrays["before"] = arrays.pop("prior_prediction")
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, version=np.array(_VERSION), **arrays)  # type: ignore[arg-type]
+    np.savez_compressed(buffer, version=_VERSION, **arrays)
     return buffer.getvalue()
 
 
@@ -163,10 +161,6 @@ def load_data(path: Path) -> ReportData:
     Raises InputError if there is no such file, it is damaged or its version differs.
     """
     converters: dict[str, Callable[[Array], Any]] = {
-        **{
-            data_field.name: lambda a: np.asarray(a, dtype=float)
-            for data_field in fields(ReportData)
-        },
         "n_samples": int,
         "result": str,
         "joints": lambda a: tuple(map(str, a)),
@@ -179,9 +173,11 @@ def load_data(path: Path) -> ReportData:
         if content.pop("version", None) != _VERSION:
             raise InputError(f"{path} was written by another version")
         content["prior_prediction"] = content.pop("before")
-        return ReportData(
-            **{name: convert(content[name]) for name, convert in converters.items()}
-        )
+        values = {}
+        for data_field in fields(ReportData):
+            convert = converters.get(data_field.name, partial(np.asarray, dtype=float))
+            values[data_field.name] = convert(content[data_field.name])
+        return ReportData(**values)
     except InputError as error:
         cause = str(error)
     except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -234,14 +230,14 @@ def autocorrelation(time: Array, residual: Array) -> dict[str, Array]:
     shifts = np.unique(
         np.linspace(0, last, min(last, _MOST_LAGS) + 1).round().astype(int)
     )
-    covariances = [autocovariance(column, last)[0] for column in residual.T]
-    correlation = np.array(
-        [(covariance / (covariance[0] or 1.0))[shifts] for covariance in covariances]
-    )
+    correlation = []
+    for column in residual.T:
+        covariance = autocovariance(column, last)[0]
+        correlation.append((covariance / (covariance[0] or 1.0))[shifts])
     independent = 1.96 / np.sqrt(np.maximum(np.sum(np.isfinite(residual), axis=0), 1))
     return {
         "lags": shifts * step,
-        "correlation": correlation,
+        "correlation": np.array(correlation),
         "independent": independent,
     }
 
@@ -437,7 +433,7 @@ def load_run(folder: Path) -> Run:
         data = None
         missing = (f"measured and predicted torques cannot be drawn: {error}",)
     try:
-        content = {key: _restore_records(value) for key, value in content.items()}
+        content = dict(zip(content, map(_restore_records, content.values())))
         truth = None if data is None or not len(data.truth) else data.truth
         bodies = _bodies(content, truth)
         if not all(np.all(np.isfinite(body.identified)) for body in bodies):
@@ -456,10 +452,10 @@ def _restore_records(value: Any) -> Any:
     if an object of a recognised type is incomplete.
     """
     if isinstance(value, list):
-        return [_restore_records(item) for item in value]
+        return list(map(_restore_records, value))
     if not isinstance(value, dict):
         return value
-    entries = {key: _restore_records(item) for key, item in value.items()}
+    entries = dict(zip(value, map(_restore_records, value.values())))
     if entries.keys() == {"value", "standard_error", "interval"}:
         return Quantity(number(entries["value"]), number(entries["standard_error"]))
     if "relative_error_per_joint" in entries:
@@ -484,18 +480,20 @@ def _bodies(content: Mapping[str, Any], truth: Array | None) -> list[Body]:
             "link": "link without payload",
             "total": "link with payload",
         }
-        return [
-            replace(content["payload"][key], title=title)
-            for key, title in titles.items()
-        ]
-    terminal_entries = {
-        **content,
-        "name": content["body_name"],
-        "source": content["parameter_source"],
-    }
-    links = list(content["links"]) or [
-        _body({**terminal_entries, "error_budget": {}, "model": None})
-    ]
+        bodies = []
+        for key, title in titles.items():
+            bodies.append(replace(content["payload"][key], title=title))
+        return bodies
+    links = list(content["links"])
+    if not links:
+        terminal_entries = {
+            **content,
+            "name": content["body_name"],
+            "source": content["parameter_source"],
+            "error_budget": {},
+            "model": None,
+        }
+        links = [_body(terminal_entries)]
     if truth is not None:
         links[-1] = replace(links[-1], thetas={**links[-1].thetas, "truth": truth})
     return [links[-1], *links[:-1]]
@@ -506,11 +504,9 @@ def _theta(entries: Mapping[str, Any]) -> Array:
 
     ValueError if the first moment does not have three components.
     """
-    inertia = entries["inertia_tensor"]
-    values = [entries["mass"], *entries["center_of_mass_moment"]]
-    theta = np.array(
-        [*values, *(inertia[name] for name in PARAMETER_NAMES[4:])], dtype=float
-    )
+    inertia = itemgetter(*PARAMETER_NAMES[4:])(entries["inertia_tensor"])
+    values = [entries["mass"], *entries["center_of_mass_moment"], *inertia]
+    theta = np.array(values, dtype=float)
     if theta.shape != (10,):
         raise ValueError("the centre of mass has not three components")
     return theta
@@ -518,22 +514,18 @@ def _theta(entries: Mapping[str, Any]) -> Array:
 
 def _body(entries: Mapping[str, Any]) -> Body:
     """Return the body of a JSON object whose own objects are records already."""
-    thetas = {
-        "before": entries["model"],
-        "after": _theta(entries),
-        "in the file": entries.get("in_the_file"),
-    }
+    thetas = {"after": _theta(entries)}
+    if entries["model"] is not None:
+        thetas = {"before": entries["model"], **thetas}
+    if entries.get("in_the_file") is not None:
+        thetas["in the file"] = entries["in_the_file"]
     sources = entries["source"]
+    budget = entries["error_budget"]
     return Body(
         title=str(entries["name"]),
-        thetas={
-            version: theta for version, theta in thetas.items() if theta is not None
-        },
+        thetas=thetas,
         errors=_parameter_array(entries["standard_errors"]),
-        budget={
-            cause: _parameter_array(cause_errors)
-            for cause, cause_errors in entries["error_budget"].items()
-        },
+        budget=dict(zip(budget, map(_parameter_array, budget.values()))),
         central=_parameter_array(entries["standard_errors"], ERROR_NAMES[:4]),
         share=_parameter_array(entries.get("data_share")),
         is_from_model=[sources.get(name) == "from_model" for name in PARAMETER_NAMES],
@@ -550,4 +542,4 @@ def _parameter_array(
         names: the m names, by default those of the ten inertial parameters.
     """
     named = named or {}
-    return np.array([named.get(name) for name in names], dtype=float)
+    return np.array(list(map(named.get, names)), dtype=float)

@@ -18,6 +18,7 @@ from robot_sysid.records import DELAY_NAME, Array, Validation
 from robot_sysid.records.messages import (
     PARAMETER_UNITS,
     Detail,
+    aligned_lines,
     number_text,
     percent,
     term_unit,
@@ -33,7 +34,7 @@ from robot_sysid.results.record import (
     Result,
     RolloutTest,
 )
-from robot_sysid.results.verdict import limitations, verdict_lines
+from robot_sysid.results.verdict import before_after_text, limitations, verdict_lines
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
@@ -254,9 +255,8 @@ def _validation_lines(result: Result) -> Iterator[str]:
         yield from _fit_gain_lines("held-out data", file.validation_after, fits[0])
     for before, after in file.other_validations:
         source = before.source
-        shares = [t.relative_error for t in (before, after)]
-        texts = [percent(share) for share in shares if share is not None]
-        yield f"Torque error of the model on {source}: {' -> '.join(texts) or 'not known'}"
+        shares = before_after_text(before, after)
+        yield f"Torque error of the model on {source}: {shares}"
         if source in fit_by_source:
             yield from _fit_gain_lines(source, after, fit_by_source[source])
     file_sources = [before.source for before, _ in file.other_validations]
@@ -305,8 +305,8 @@ def _detail_lines(result: Result) -> Iterator[str]:
         yield f"    {joint_name}: {rmse:.2e} N·m{noise_text}"
     if result.is_measured:
         texts = []
-        named = zip(estimate.names, result.body.noise_errors, PARAMETER_UNITS)
-        for name, error, unit in named:
+        columns = (estimate.names, result.body.noise_errors, PARAMETER_UNITS)
+        for name, error, unit in zip(*columns):
             if np.isfinite(error):
                 texts.append(f"{name} {error:.2g} {unit}")
         yield f"  Standard errors of noise alone: {', '.join(texts)}"
@@ -433,11 +433,8 @@ class BeforeAfter:
         """How the value has changed, and how much of it comes from the model, as text of a cell."""
         partly = f"partly the model's (data {100.0 * self.share:.0f} %)"
         if self.error is None or np.isfinite(self.error):
-            return (
-                f"{self._difference}; {partly}"
-                if self.share < _ALL_DATA
-                else self._difference
-            )
+            is_partly_prior = self.share < _ALL_DATA
+            return self._difference + (f"; {partly}" if is_partly_prior else "")
         if self.share >= 1.0 - _ALL_DATA:
             return partly
         return "not seen: the model's" if self.after == self.before else "not seen"
@@ -462,16 +459,12 @@ class BeforeAfter:
     def cells(self) -> tuple[str, ...]:
         """The row as text, one cell per heading."""
         error = self.error
-        return (
-            self.name,
-            "" if self.before is None else number_text(self.before, error),
-            number_text(self.after, error),
-            number_text(error, error)
-            if error is not None and np.isfinite(error)
-            else "",
-            self.unit,
-            self.change,
-        )
+        before = "" if self.before is None else number_text(self.before, error)
+        plus_minus = ""
+        if error is not None and np.isfinite(error):
+            plus_minus = number_text(error, error)
+        after = number_text(self.after, error)
+        return (self.name, before, after, plus_minus, self.unit, self.change)
 
 
 def table_lines(rows: Sequence[BeforeAfter], title: str = "") -> list[str]:
@@ -479,47 +472,23 @@ def table_lines(rows: Sequence[BeforeAfter], title: str = "") -> list[str]:
 
     The title stands above the first column.
     """
-    aligned_columns = []
-    for column in zip((title, *HEADINGS[1:]), *(row.cells for row in rows)):
-        if any(column[1:]):
-            width = max(map(len, column))
-            align = str.rjust if column[0] in _RIGHT_ALIGNED else str.ljust
-            aligned_columns.append([align(cell, width) for cell in column])
-    return ["  " + "  ".join(cells).rstrip() for cells in zip(*aligned_columns)]
+    columns = zip((title, *HEADINGS[1:]), *(row.cells for row in rows))
+    shown_columns = [column for column in columns if any(column[1:])]
+    lines = aligned_lines(zip(*shown_columns), _RIGHT_ALIGNED)
+    return list(map("  {}".format, lines))
 
 
 def theta_rows(body: BodyEstimate) -> list[BeforeAfter]:
     """Return the rows of the ten inertial parameters; an error of zero counts as not stated."""
     scale = body.inertial.scale
-    prior = _prior_values(body, "theta", scale)
+    prior: list[float | None] = [None] * 10
+    if body.prior is not None:
+        prior = without_rounding(body.prior.theta, scale).tolist()
     identified = without_rounding(body.inertial.theta, scale).tolist()
-    rows = []
-    for k, name in enumerate(spatial.PARAMETER_NAMES):
-        error = float(body.errors[k]) or None
-        share = float(body.data_share[k])
-        unit = PARAMETER_UNITS[k]
-        rows.append(
-            BeforeAfter(LABELS[name], prior[k], identified[k], error, unit, share)
-        )
-    return rows
-
-
-def _prior_values(
-    body: BodyEstimate, name: str, scale: Array | float
-) -> Sequence[float | None]:
-    """Return parameters of a body in the model, zero where they are rounding error.
-
-    Args:
-        body: an estimated body; a payload has no model, and ten Nones are returned.
-        name: "theta" for the inertial parameters (10,), "com" for the centre of mass (3,) [m].
-        scale: size of a large value of each parameter, beside which rounding errors are small.
-    """
-    if body.prior is None:
-        return [None] * 10
-    values: list[float | None] = without_rounding(
-        getattr(body.prior, name), scale
-    ).tolist()
-    return values
+    errors = [error or None for error in body.errors.tolist()]
+    shares = body.data_share.tolist()
+    columns = (LABELS.values(), prior, identified, errors, PARAMETER_UNITS, shares)
+    return list(map(BeforeAfter, *columns))
 
 
 def without_rounding(values: Array, scale: Array | float) -> Array:
@@ -536,24 +505,25 @@ def parameter_rows(result: Result) -> list[BeforeAfter]:
     """Return the rows of a payload, or of the terminal link with its joint's friction."""
     body = result.body
     mass, *others = theta_rows(body)
-    com = list(_com_rows(body))
+    com = _com_rows(body)
     if result.payload is None:
         return [mass, *com, *others, *_friction_rows(result)]
     return [mass, *com, *(_inertia_rows(body) if com else [])]
 
 
-def _com_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
-    """Yield the centre of mass; nothing where its error is infinite."""
+def _com_rows(body: BodyEstimate) -> list[BeforeAfter]:
+    """Return the rows of the centre of mass; none where its error is infinite."""
     errors = load_errors(body)[1:4]
     if not np.all(np.isfinite(errors)):
-        return
+        return []
     length = max(spatial.characteristic_length(body.inertial.theta), _MIN_LENGTH)
-    prior = _prior_values(body, "com", length)
+    prior: list[float | None] = [None] * 3
+    if body.prior is not None:
+        prior = without_rounding(body.prior.com, length).tolist()
     identified = without_rounding(body.inertial.com, length).tolist()
-    for k, axis in enumerate("xyz"):
-        error = float(errors[k]) or None
-        label = f"centre of mass {axis}"
-        yield BeforeAfter(label, prior[k], identified[k], error, "m")
+    stated_errors = [error or None for error in errors.tolist()]
+    labels = map("centre of mass {}".format, "xyz")
+    return list(map(BeforeAfter, labels, prior, identified, stated_errors, "mmm"))
 
 
 def _inertia_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
@@ -573,10 +543,8 @@ def _friction_rows(result: Result) -> Iterator[BeforeAfter]:
     estimate = result.estimate
     is_slide = joint in result.robot.slides
     model = result.joints[joint].model_terms if joint in result.joints else {}
-    for term, label in (
-        ("coulomb", "Coulomb friction"),
-        ("viscous", "viscous friction"),
-    ):
+    labels = {"coulomb": "Coulomb friction", "viscous": "viscous friction"}
+    for term, label in labels.items():
         value = estimate.value(f"{term}[{joint}]")
         if value is not None:
             error = estimate.error(f"{term}[{joint}]") if result.is_measured else None

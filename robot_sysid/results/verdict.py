@@ -15,7 +15,7 @@ import numpy as np
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.motion import WEIGHT
-from robot_sysid.records import DELAY_NAME, Source
+from robot_sysid.records import DELAY_NAME, Source, Validation
 from robot_sysid.records.file_access import (
     CARD_NAME,
     DAMIAO_NAME,
@@ -215,14 +215,22 @@ def refusal(result: Result) -> str | None:
     return f"{missing} written: {result.failure}"
 
 
+def before_after_text(before: Validation, after: Validation | None) -> str:
+    """Return the relative errors of two models as text, such as "27 % -> 0.3 %"."""
+    texts = []
+    for test in (before, after):
+        if test is not None and test.relative_error is not None:
+            texts.append(percent(test.relative_error))
+    return " -> ".join(texts) or "not known"
+
+
 def _improvements(result: Result) -> Iterator[str]:
     """Yield phrases on the torque error before and after, and on the error of the mass."""
     if result.file is not None:
-        shares = []
-        for test in (result.file.validation_before, result.file.validation_after):
-            if test is not None and test.relative_error is not None:
-                shares.append(percent(test.relative_error))
-        yield f"torque error on held-out data {' -> '.join(shares) or 'not known'}"
+        shares = before_after_text(
+            result.file.validation_before, result.file.validation_after
+        )
+        yield f"torque error on held-out data {shares}"
     if result.payload is not None and result.payload.known_mass is not None:
         yield "torque scales follow from the known mass"
         return
@@ -237,12 +245,9 @@ def _improvements(result: Result) -> Iterator[str]:
 def largest_cause(body: BodyEstimate) -> str:
     """Return the cause of the largest part of a mass's error, or "" where that is not known."""
     causes = body.mass_causes
-    errors = [body.errors[0], *causes.values()]
-    return (
-        max(causes, key=lambda cause: causes[cause])
-        if np.isfinite(errors).all()
-        else ""
-    )
+    if not np.all(np.isfinite([body.errors[0], *causes.values()])):
+        return ""
+    return max(causes, key=lambda cause: causes[cause])
 
 
 def _next_step(result: Result) -> str:

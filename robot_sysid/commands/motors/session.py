@@ -32,7 +32,7 @@ from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
-from robot_sysid.records.messages import Detail
+from robot_sysid.records.messages import Detail, aligned_lines
 from robot_sysid.records.option_fields import command_arguments
 from robot_sysid.results.verdict import two_lines
 
@@ -134,8 +134,8 @@ _MARKS = {"ok": "ok  ", "note": "note", "stop": "STOP"}
 
 def motor_table(
     inspection: Inspection, joints: Sequence[DamiaoJoint] = ()
-) -> Iterator[str]:
-    """Yield a table of the inspected motors, a row per motor.
+) -> list[str]:
+    """Return the lines of a table of the inspected motors, a row per motor.
 
     Args:
         joints: the joints that they should drive, whose motor types are compared.
@@ -144,13 +144,11 @@ def motor_table(
     rows: list[tuple[str, ...]] = [_HEADINGS]
     for address, motor in sorted(inspection.motors.items()):
         rows.append(_motor_row(motor, joint_by_address.get(address)))
-    yield from _align_columns(rows)
+    return aligned_lines(rows)
 
 
-def state_table(
-    states: Iterable[tuple[InspectedMotor, Feedback | None]],
-) -> Iterator[str]:
-    """Yield a table of motors with their last feedback, None where one does not answer."""
+def state_table(states: Iterable[tuple[InspectedMotor, Feedback | None]]) -> list[str]:
+    """Return the lines of a table of motors and their feedback, None where one does not answer."""
     rows = [("motor", "position", "velocity", "torque", "degC", "state")]
     for motor, state in states:
         if state is None:
@@ -163,14 +161,7 @@ def state_table(
         heat = f"{state.temperature_mos[0]}/{state.temperature_rotor[0]}"
         status = protocol.status_text(int(state.status[0]))
         rows.append((motor.name, position, velocity, torque, heat, status))
-    yield from _align_columns(rows)
-
-
-def _align_columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Yield rows of cells as lines with aligned columns."""
-    widths = [max(map(len, column)) for column in zip(*rows)]
-    for row in rows:
-        yield "  ".join(map(str.ljust, row, widths)).rstrip()
+    return aligned_lines(rows)
 
 
 def check_lines(checks: Sequence[Check]) -> Iterator[str]:
