@@ -24,7 +24,7 @@ from robot_sysid.estimation.answer import Answer, estimate_of
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, mean_torque
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.fit import evidence, solve
+from robot_sysid.estimation.fit import Fitter, evidence
 from robot_sysid.estimation.question import Choice, EstimationOptions, Question
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import (
@@ -177,13 +177,15 @@ class NoiseStudy:
         question = Question(EstimationOptions(**KNOWN))
         choice = Choice(self.friction)
         start = self.columns.start()
-        data = evidence((samples,), mean_torque(self.columns.datasets))
-        fit = solve(self.columns, question, choice, start, data, (samples,))
+        torque = mean_torque(self.columns.datasets)
+        linearised = start, evidence((samples,), torque), (samples,)
+        fitter = Fitter(self.columns, torque, linearised=linearised)
+        fit = fitter.solve_around(start, question, choice)
         fits = (fit, replace(fit, values=fit.free))
         errors = fit_errors(fit)
         untested = Validation("nothing", 0, np.nan, None, {}, {})
         possible, plain = (
-            estimate_of(Answer(solution, None, errors, untested)) for solution in fits
+            estimate_of(Answer(solution, errors, untested)) for solution in fits
         )
         return possible, plain
 

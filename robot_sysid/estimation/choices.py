@@ -43,12 +43,7 @@ from robot_sysid.estimation.algebra.priors import (
 )
 from robot_sysid.estimation.columns import Point
 from robot_sysid.estimation.fit import Fit, Fitter
-from robot_sysid.estimation.held_out import (
-    HeldOut,
-    _unknowns_of,
-    is_clearly_lower,
-    squared_errors,
-)
+from robot_sysid.estimation.held_out import HeldOut, is_clearly_lower
 from robot_sysid.estimation.question import Choice, EstimationOptions, Question
 from robot_sysid.estimation.unknowns import (
     COMMON_SCALE,
@@ -56,7 +51,6 @@ from robot_sysid.estimation.unknowns import (
     LINKS,
     PER_CENT,
     Unknowns,
-    build_unknowns,
     independent_prior,
 )
 from robot_sysid.model.chain import CAN_HOLD_ROTORS, shared_motors
@@ -132,26 +126,30 @@ def _link_evidence(fit: Fit) -> LinkEvidence | None:
 
     Only links count whose inertia the model states, not placeholders; None where there is none.
     """
-    group = next((group for group in fit.unknowns.groups if group.cause == LINKS), None)
-    if group is None:
+    others = [group for group in fit.unknowns.groups if group.cause != LINKS]
+    groups = [group for group in fit.unknowns.groups if group.cause == LINKS]
+    if not groups:
         return None
+    (group,) = groups
     columns = fit.columns
-    number = {link.body_name: index for index, link in enumerate(columns.robot.links)}
-    names = list(dict.fromkeys(group.members))
-    thetas = [columns.robot.links[number[name]].theta for name in names]
-    is_stated = np.array(
-        [columns.usual_bodies[name] is theta for name, theta in zip(names, thetas)]
-    )
-    if not np.any(is_stated):
+    is_stated = []
+    stated = []
+    bodies = []
+    for index, link in enumerate(columns.robot.links):
+        if link.body_name in group.members:
+            is_stated.append(columns.usual_bodies[link.body_name] is link.theta)
+            if is_stated[-1]:
+                stated.append(index)
+                bodies.append(tuple(link.theta))
+    if not stated:
         return None
-    stated = np.flatnonzero(is_stated).tolist()
-    lengths = link_lengths(columns.robot, [number[names[index]] for index in stated])
-    bodies = tuple(tuple(thetas[index]) for index in stated)
     share = PER_CENT * fit.question.options.link_uncertainty
-    directions = share * link_directions(bodies, tuple(lengths))
-    others = [other for other in fit.unknowns.groups if other is not group]
+    lengths = link_lengths(columns.robot, stated)
+    directions = share * link_directions(tuple(bodies), tuple(lengths))
     data = fit.evidence.of(fit.unknowns)
-    return link_evidence(data, fit.weights, others, group, directions, is_stated)
+    return link_evidence(
+        data, fit.weights, others, group, directions, np.array(is_stated)
+    )
 
 
 def _select_friction(
@@ -222,7 +220,8 @@ def _candidate_errors(
             if number and not model.nonlinear_terms:
                 continue
             trial = replace(choice, friction=(model,) * robot.n_joints)
-            error = squared_errors(judge, fitter.columns, question, trial)
+            unknowns = data.unknowns(fitter.columns, question, trial)
+            error = judge.squared_errors(unknowns)
             speed = (
                 trial_speeds[model.nonlinear_terms[0]][0]
                 if model.nonlinear_terms
@@ -269,7 +268,8 @@ def is_scaled(fit: Fit, question: Question, choice: Choice) -> bool:
     rows, so that the error may as well be that of all links. Always false where an option states
     the scales, or with a payload.
     """
-    unknowns = _unknowns_of(fit, question, replace(choice, common_scale=COMMON_SCALE))
+    scaled_choice = replace(choice, common_scale=COMMON_SCALE)
+    unknowns = fit.evidence.unknowns(fit.columns, question, scaled_choice)
     names = [f"scale[{joint}]" for joint in fit.columns.joints]
     return unknowns.may_be_scaled(question) and is_worth_a_word(
         *posterior_of(fit, unknowns, names)
@@ -449,9 +449,7 @@ def _promising_couplings(
     if not candidates:
         return []
     choice = replace(fit.choice, couplings=(*present, *candidates))
-    unknowns = build_unknowns(
-        fit.columns, question, choice, fit.evidence.torque, fit.evidence.nonzero
-    )
+    unknowns = fit.evidence.unknowns(fit.columns, question, choice)
     problem = WithPriors(
         fit.evidence.of(unknowns),
         np.sqrt(fit.inflation * fit.residual_correlation) * fit.noise,

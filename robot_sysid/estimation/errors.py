@@ -50,7 +50,6 @@ from robot_sysid.estimation.unknowns import (
     COMMON,
     LINKS,
     SCALES,
-    build_unknowns,
     common_error,
     scale_spread,
 )
@@ -328,7 +327,7 @@ def _common_scale_change(fit: Fit) -> Array:
     unknowns = fit.unknowns
     choice = replace(fit.choice, common_scale=0.0)
     data = fit.evidence
-    plain = build_unknowns(fit.columns, fit.question, choice, data.torque, data.nonzero)
+    plain = data.unknowns(fit.columns, fit.question, choice)
     other_groups = [group for group in unknowns.groups if group.cause != SCALES]
     scales, plain_scales = (
         next(group for group in groups if group.cause == SCALES)

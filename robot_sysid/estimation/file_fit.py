@@ -21,14 +21,7 @@ from robot_sysid.estimation.choices import IN_FILE, WITH_POLYNOMIAL, posterior_o
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Point, split_name
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.fit import Fit, Fitter
-from robot_sysid.estimation.held_out import (
-    HeldOut,
-    _unknowns_of,
-    held_out,
-    is_clearly_lower,
-    score_of,
-    squared_errors,
-)
+from robot_sysid.estimation.held_out import HeldOut, held_out, is_clearly_lower
 from robot_sysid.estimation.question import (
     FILE_FRICTION,
     FILE_GRAVITY,
@@ -37,7 +30,7 @@ from robot_sysid.estimation.question import (
     EstimationOptions,
     Question,
 )
-from robot_sysid.estimation.unknowns import Unknowns, build_unknowns
+from robot_sysid.estimation.unknowns import Unknowns
 from robot_sysid.model.chain import CAN_HOLD_ROTORS
 from robot_sysid.records import Array, RobotModel, Validation
 
@@ -67,10 +60,10 @@ def fit_file(
         carried: the payload (10,) of loaded recordings; None without one.
     """
     robot = fitter.columns.robot
-    keeps_motors = options.torques != "chain" or {FILE_FRICTION, FILE_ROTORS} <= {
-        *unchanged_parts
-    }
-    motors = () if keeps_motors or not CAN_HOLD_ROTORS else estimate.choice.couplings
+    motors = estimate.choice.couplings
+    keeps_motors = {FILE_FRICTION, FILE_ROTORS}.issubset(unchanged_parts)
+    if options.torques != "chain" or keeps_motors or not CAN_HOLD_ROTORS:
+        motors = ()
     question = Question(
         options,
         in_file=True,
@@ -80,9 +73,8 @@ def fit_file(
     )
     if not motors or robot.kind == "mjcf":
         return _fit_kind(fitter, question, motors, estimate, pull)
-    best = _fit_kind(
-        fitter, replace(question, file_kind="mjcf"), motors, estimate, pull
-    )
+    mjcf_question = replace(question, file_kind="mjcf")
+    best = _fit_kind(fitter, mjcf_question, motors, estimate, pull)
     return replace(best, file=_fit_kind(fitter, question, (), estimate, pull))
 
 
@@ -100,34 +92,33 @@ def _fit_kind(
         estimate: a fit of all effects, at which the search starts; rotors are taken from it.
         pull: (joints, p) sum of ``errors.filtering_bias``; None computes it from the rows.
     """
-    robot = fitter.columns.robot
+    columns = fitter.columns
     rotors = select_rotors(estimate) if _holds_rotors(question) else {}
-    friction = _friction(robot, question, rotors, IN_FILE)
+    friction = _friction(columns.robot, question, rotors, IN_FILE)
     choice = Choice(friction, motors, rotors=rotors)
     # Parameters that a file cannot hold go back to the model's values.
     values = estimate.values.copy()
     prefixes = ("scale", "drift", "zero", "load")
-    for name, index in fitter.columns.index.items():
+    for name, index in columns.index.items():
         term, owner = split_name(name)
         if not owner or term in prefixes:
-            values[index] = fitter.columns.model_values[index]
-    point = replace(fitter.columns.start(), values=values, in_file=True)
+            values[index] = columns.model_values[index]
+    point = replace(columns.start(), values=values, in_file=True)
     model_validation = _validate_model(fitter, question, choice, point)
     fit = fitter.fit(question, choice, point, rounds=1)
     judge = held_out(fit)
-    choice = replace(choice, friction=_polynomials(judge, fit, question, choice))
-    scales = predictive_link_scales(judge, fit, question, choice)
-    choice = replace(choice, link_scales=scales)
+    choice = _add_polynomials(judge, fit, question, choice)
+    choice = predictive_link_scales(judge, fit, question, choice)
     choice = select_offsets(fit, question, choice)
     final_question = question
     start = fit.next_point
     rounds = _ROUNDS
     if FILE_GRAVITY not in question.unchanged_parts and fit.unknowns.increments:
-        level = replace(
-            question, unchanged_parts=(*question.unchanged_parts, FILE_GRAVITY)
-        )
-        tilted_score = score_of(judge, fit, question, choice)
-        if not is_clearly_lower(tilted_score, score_of(judge, fit, level, choice)):
+        with_gravity = (*question.unchanged_parts, FILE_GRAVITY)
+        level = replace(question, unchanged_parts=with_gravity)
+        tilted_score = judge.score(fit.evidence.unknowns(columns, question, choice))
+        level_score = judge.score(fit.evidence.unknowns(columns, level, choice))
+        if not is_clearly_lower(tilted_score, level_score):
             final_question = level
             start = point
             rounds = 1
@@ -165,20 +156,17 @@ def _friction(
         rotors: joint, or motor that turns several joints, to its known rotor inertia [kg m^2].
         name: friction model whose terms are estimated.
     """
-    excluded: set[str] = set()
+    excluded = set[str]()
     if FILE_FRICTION in question.unchanged_parts:
-        excluded |= {"coulomb", "viscous", "quadratic", "cubic"}
-    joints = rotors if _holds_rotors(question) else robot.joint_names
-    with_rotor = {("armature", joint) for joint in joints}
-    terms = friction_model(name).terms
-    return tuple(
-        FrictionModel(
-            tuple(
-                t for t in terms if t not in excluded and (t, joint) not in with_rotor
-            )
-        )
-        for joint in robot.joint_names
-    )
+        excluded = {"coulomb", "viscous", "quadratic", "cubic"}
+    without_rotor = rotors if _holds_rotors(question) else robot.joint_names
+    models = []
+    for joint in robot.joint_names:
+        terms = [term for term in friction_model(name).terms if term not in excluded]
+        if joint in without_rotor:
+            terms.remove("armature")
+        models.append(FrictionModel(tuple(terms)))
+    return tuple(models)
 
 
 def _validate_model(
@@ -192,11 +180,9 @@ def _validate_model(
     """
     columns = fitter.columns
     data, _ = fitter.around(point)
-    unknowns = build_unknowns(columns, question, choice, data.torque, data.nonzero)
-    offsets = [columns.index[f"offset[{joint}]"] for joint in columns.joints]
-    indices = np.array(
-        [index for index in offsets if data.nonzero[index]], dtype=np.int64
-    )
+    unknowns = data.unknowns(columns, question, choice)
+    indices = columns.indices([f"offset[{joint}]" for joint in columns.joints])
+    indices = indices[data.nonzero[indices]]
     held = columns.model_values.copy()
     if question.carried is not None:
         held[columns.indices(PAYLOAD_NAMES)] = question.carried
@@ -222,28 +208,28 @@ def holds_polynomial(robot: RobotModel, joint: int, file_kind: str) -> bool:
     )
 
 
-def _polynomials(
+def _add_polynomials(
     judge: HeldOut, fit: Fit, question: Question, choice: Choice
-) -> tuple[FrictionModel, ...]:
-    """Return the friction terms (n,) of a choice, with nonlinear damping added where it helps.
+) -> Choice:
+    """Return the choice with nonlinear damping added to the friction of joints where it helps.
 
     It is added at joints whose held-out error it clearly lowers and whose file can hold it.
     """
     if FILE_FRICTION in question.unchanged_parts:
-        return choice.friction
-    with_polynomial = _friction(
-        fit.columns.robot, question, choice.rotors, WITH_POLYNOMIAL
-    )
+        return choice
     columns = fit.columns
-    errors = squared_errors(judge, columns, question, choice)
-    trial = replace(choice, friction=with_polynomial)
-    trial_errors = squared_errors(judge, columns, question, trial)
+    polynomials = _friction(columns.robot, question, choice.rotors, WITH_POLYNOMIAL)
+    trial = replace(choice, friction=polynomials)
+    errors, trial_errors = (
+        judge.squared_errors(fit.evidence.unknowns(columns, question, alternative))
+        for alternative in (choice, trial)
+    )
     friction = list(choice.friction)
     for row, joint in enumerate(columns.joint_indices):
         is_better = is_clearly_lower(trial_errors[:, row], errors[:, row])
         if is_better and holds_polynomial(columns.robot, joint, question.file_kind):
-            friction[joint] = with_polynomial[joint]
-    return tuple(friction)
+            friction[joint] = polynomials[joint]
+    return replace(choice, friction=tuple(friction))
 
 
 SCALES = (1.0, 2.0, 4.0, 8.0, 16.0)
@@ -268,24 +254,21 @@ def select_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
     a prior standard deviation ``OFFSET``; where none is, all are held at zero.
     """
     deviations = dict(zip(fit.columns.robot.joint_names, OFFSET * fit.evidence.torque))
-    unknowns = _unknowns_of(fit, question, choice)
+    unknowns = fit.evidence.unknowns(fit.columns, question, choice)
     zero_joints = list(choice.offsets)
     names = unknowns.estimated_names
-    free = [
-        j
-        for j in fit.columns.joints
-        if j not in zero_joints and f"offset[{j}]" in names
-    ]
-    offsets, covariance = posterior_of(
-        fit, unknowns, [f"offset[{joint}]" for joint in free]
-    )
+    free = []
+    for joint in fit.columns.joints:
+        if joint not in zero_joints and f"offset[{joint}]" in names:
+            free.append(joint)
+    offset_names = [f"offset[{joint}]" for joint in free]
+    offsets, covariance = posterior_of(fit, unknowns, offset_names)
     while free:
         significance = np.abs(offsets) / np.sqrt(np.diag(covariance))
         index = int(np.argmin(significance))
         if significance[index] > CLEAR_OFFSET:
-            return replace(
-                choice, offsets={joint: deviations[joint] for joint in zero_joints}
-            )
+            priors = {joint: deviations[joint] for joint in zero_joints}
+            return replace(choice, offsets=priors)
         # Set this offset to zero and condition the other offsets on that.
         gain = covariance[:, index] / covariance[index, index]
         others = np.arange(len(free)) != index
@@ -303,15 +286,15 @@ def select_rotors(fit: Fit) -> dict[str, float]:
     is fitted together with the file's few terms would take up their torque in slow motion.
     """
     columns = fit.columns
-    unknowns = _unknowns_of(fit, fit.question, fit.choice)
-    owners = [
-        *columns.robot.joint_names,
-        *(motor.name for motor in fit.choice.couplings),
-    ]
-    owners = [
-        owner for owner in owners if f"armature[{owner}]" in unknowns.estimated_names
-    ]
-    names = [f"armature[{owner}]" for owner in owners]
+    unknowns = fit.evidence.unknowns(columns, fit.question, fit.choice)
+    motors = [motor.name for motor in fit.choice.couplings]
+    owners = []
+    names = []
+    for owner in (*columns.robot.joint_names, *motors):
+        name = f"armature[{owner}]"
+        if name in unknowns.estimated_names:
+            owners.append(owner)
+            names.append(name)
     if not names:
         return {}
     rotors, covariance = posterior_of(fit, unknowns, names)
@@ -324,19 +307,22 @@ def select_rotors(fit: Fit) -> dict[str, float]:
 
 def predictive_link_scales(
     judge: HeldOut, fit: Fit, question: Question, choice: Choice
-) -> LinkScales:
-    """Return the least factor on the links' uncertainty whose held-out error is about the lowest.
+) -> Choice:
+    """Return the choice with the least factor on the links' uncertainty that predicts best.
 
     The factor applies to all kinds of parameters alike. Factors of ``SCALES`` are tried until the
-    error rises. The result is meant for a file, which has to predict well; the
-    uncertainty of links is estimated by ``priors.average_scales``.
+    held-out error rises; errors up to ``AS_GOOD`` times the lowest one count as equal. The result
+    is meant for a file, which has to predict well; the uncertainty of links is estimated by
+    ``priors.average_scales``.
     """
     scores = list[float]()
+    choices = []
     for scale in SCALES:
         wider = replace(choice, link_scales=LinkScales(scale, scale, scale, scale))
-        scores.append(float(np.mean(score_of(judge, fit, question, wider))))
+        unknowns = fit.evidence.unknowns(fit.columns, question, wider)
+        choices.append(wider)
+        scores.append(float(np.mean(judge.score(unknowns))))
         if scores[-1] > AS_GOOD * min(scores):
             break
-    as_good = np.flatnonzero(np.array(scores) <= AS_GOOD * min(scores))
-    best = SCALES[int(as_good[0])]
-    return LinkScales(best, best, best, best)
+    as_good = np.array(scores) <= AS_GOOD * min(scores)
+    return choices[int(np.argmax(as_good))]

@@ -88,6 +88,12 @@ class Evidence:
         squared_torque = np.sum(self.squared_torque, axis=0)[None]
         return Evidence((self.total,), squared_torque, self.torque)
 
+    def unknowns(
+        self, columns: Columns, question: Question, choice: Choice
+    ) -> Unknowns:
+        """Return the unknowns of a question and a choice for the torques and data of this."""
+        return build_unknowns(columns, question, choice, self.torque, self.nonzero)
+
     def of(self, unknowns: Unknowns) -> SquareRootInformation:
         """Return the information of all blocks about the unknowns, without their priors."""
         return restrict(self.total, unknowns.estimated_names, unknowns.held)
@@ -97,8 +103,8 @@ class Evidence:
 
         Every block has m sets of parameters of its own.
         """
-        pairs = zip(self.blocks, values)
-        return np.array([block.squared_residuals(x) for block, x in pairs])
+        squares = map(SquareRootInformation.squared_residuals, self.blocks, values)
+        return np.array(list(squares))
 
     @cached_property
     def nonzero(self) -> np.ndarray:
@@ -233,8 +239,11 @@ class Fit:
     @property
     def noise_per_joint(self) -> dict[str, float]:
         """Joint to standard deviation of its torque noise [N m], only joints with used rows."""
-        pairs = zip(self.evidence.total.joints, self.noise.tolist())
-        return {joint.joint: noise for joint, noise in pairs if joint.n_samples}
+        noise_per_joint = {}
+        for joint, noise in zip(self.evidence.total.joints, self.noise.tolist()):
+            if joint.n_samples:
+                noise_per_joint[joint.joint] = noise
+        return noise_per_joint
 
     @property
     def is_constrained(self) -> bool:
@@ -290,13 +299,20 @@ class Fitter:
         torque: (n,) root mean square of each joint's measured torque [N m].
         visits: which rows pass states that other rows pass, too; None where that is not used.
         on_pass: called before every pass over the recordings.
+        inflation: (joints,) variance inflation by repeated motion, where no ``visits`` count it;
+            None for one.
+        residual_correlation: (joints,) rows per independent row, by the residuals' autocorrelation,
+            where no ``visits`` count it; None for those of the choice.
+        linearised: the last point with the evidence and rows around it; None before there are any.
     """
 
     columns: Columns
     torque: Array
     visits: Visits | None = None
     on_pass: Callable[[], None] = lambda: None
-    _cache: tuple[Point, Evidence, tuple[DecimatedSamples, ...]] | None = None
+    inflation: Array | None = None
+    residual_correlation: Array | None = None
+    linearised: tuple[Point, Evidence, tuple[DecimatedSamples, ...]] | None = None
     _noise: Array | None = None
 
     def around(self, point: Point) -> tuple[Evidence, tuple[DecimatedSamples, ...]]:
@@ -305,17 +321,17 @@ class Fitter:
         The results of the last point (the identical object) are cached and shared: callers drop
         their references before other rows are computed, as rows take most of the memory.
         """
-        if self._cache is None or self._cache[0] is not point:
+        if self.linearised is None or self.linearised[0] is not point:
             self.on_pass()
             self.forget_rows()
             release_memory()
             samples = self.columns.samples(point)
-            self._cache = point, evidence(samples, self.torque), samples
-        return self._cache[1:]
+            self.linearised = point, evidence(samples, self.torque), samples
+        return self.linearised[1:]
 
     def forget_rows(self) -> None:
         """Drop the cached rows, to have memory for others."""
-        self._cache = None
+        self.linearised = None
 
     def correlation_factors(self, fit: Fit) -> Array:
         """Return how many rows (joints,) of each joint count as one independent row in a fit.
@@ -332,12 +348,63 @@ class Fitter:
         return np.maximum(times, burst_factors)
 
     def solve_around(self, point: Point, question: Question, choice: Choice) -> Fit:
-        """Return the solution of the equations linearised around a point, without iterating."""
+        """Return the solution of the equations linearised around a point, without iterating.
+
+        Parameters are within their bounds, bodies are physically consistent.
+        """
         data, samples = self.around(point)
-        visits = self.visits
+        factors = correlation_factors_of(choice, len(self.columns.joints))
+        inflation = self.inflation
+        correlation = self.residual_correlation
+        if inflation is None or correlation is None:
+            inflation = np.ones_like(factors)
+            correlation = factors
         noise = self._noise
-        return solve(
-            self.columns, question, choice, point, data, samples, visits, noise=noise
+        start = data.unknowns(self.columns, question, choice)
+        for _ in range(_MAX_BOUND_ROUNDS):
+            variance_factors = inflation * factors
+            unknowns, free, effective_noise = _solve_within_bounds(
+                self.columns,
+                start,
+                data,
+                variance_factors,
+                correlation / factors,
+                noise,
+            )
+            noise = effective_noise / np.sqrt(variance_factors)
+            if self.visits is not None:
+                assumed = inflation
+                inflation, correlation = self.visits.inflation(
+                    _residuals(samples, free)
+                )
+                widens = any(group.may_widen for group in unknowns.groups)
+                if widens or not np.array_equal(assumed, inflation):
+                    variance_factors = inflation * factors
+                    ratio = correlation / factors
+                    unknowns, free, effective_noise = _solve_within_bounds(
+                        self.columns, unknowns, data, variance_factors, ratio, noise
+                    )
+                    noise = effective_noise / np.sqrt(variance_factors)
+            weights = 1.0 / effective_noise
+            values = make_consistent(unknowns, data, weights, free)
+            # Bodies that are made consistent push other parameters across their bounds.
+            bounded = unknowns.hold_at_bounds(values)
+            if bounded is None:
+                break
+            start = bounded
+        return Fit(
+            self.columns,
+            question,
+            choice,
+            point,
+            samples,
+            data,
+            unknowns,
+            weights,
+            inflation,
+            correlation,
+            free,
+            np.clip(values, unknowns.lower, unknowns.upper),
         )
 
     def fit(
@@ -366,9 +433,9 @@ class Fitter:
         if (point.exact_load, point.in_file) != (exact_load, question.in_file):
             point = replace(point, exact_load=exact_load, in_file=question.in_file)
         auto_names = []
-        if not question.in_file:
-            options = vars(question.options)
-            auto_names = [name for name in ("delay", "tilt") if options[name] == "auto"]
+        for name in ("delay", "tilt"):
+            if not question.in_file and getattr(question.options, name) == "auto":
+                auto_names.append(name)
         rounds = _AUTO_ROUNDS if auto_names else rounds
         for rounds_left in reversed(range(rounds)):
             fit = self.solve_around(point, question, choice)
@@ -421,74 +488,6 @@ def _has_converged(fit: Fit, next_point: Point) -> bool:
         and abs(next_point.delay - point.delay) < _SETTLED_DELAY
         and gravity_change < _SETTLED_ANGLE
         and speed_change < _SETTLED_SPEED
-    )
-
-
-def solve(
-    columns: Columns,
-    question: Question,
-    choice: Choice,
-    point: Point,
-    data: Evidence,
-    samples: tuple[DecimatedSamples, ...] = (),
-    visits: Visits | None = None,
-    inflation: Array | None = None,
-    noise: Array | None = None,
-    residual_correlation: Array | None = None,
-) -> Fit:
-    """Return the solution of the equations around a point, within bounds, with consistent bodies.
-
-    Args:
-        data: evidence of the rows around the point.
-        samples: rows of each recording around the point, which ``visits`` needs.
-        visits: which rows pass states that other rows pass, too; None to use ``inflation``.
-        inflation: (joints,) variance inflation by repeated motion; None for one.
-        noise: (joints,) standard deviation of noise at which to start [N m]; None for a default.
-        residual_correlation: (joints,) rows per independent row, by the residuals' autocorrelation;
-            None for those of the choice.
-    """
-    factors = correlation_factors_of(choice, len(columns.joints))
-    repetition = np.ones_like(factors) if inflation is None else inflation
-    correlation = factors if residual_correlation is None else residual_correlation
-    start = build_unknowns(columns, question, choice, data.torque, data.nonzero)
-    for _ in range(_MAX_BOUND_ROUNDS):
-        variance_factors = repetition * factors
-        unknowns, free, effective_noise = _solve_within_bounds(
-            columns, start, data, variance_factors, correlation / factors, noise
-        )
-        noise = effective_noise / np.sqrt(variance_factors)
-        if visits is not None:
-            assumed = repetition
-            repetition, correlation = visits.inflation(_residuals(samples, free))
-            widens = any(group.may_widen for group in unknowns.groups)
-            if widens or not np.array_equal(assumed, repetition):
-                variance_factors = repetition * factors
-                ratio = correlation / factors
-                unknowns, free, effective_noise = _solve_within_bounds(
-                    columns, unknowns, data, variance_factors, ratio, noise
-                )
-                noise = effective_noise / np.sqrt(variance_factors)
-        weights = 1.0 / effective_noise
-        values = make_consistent(unknowns, data, weights, free)
-        # Bodies that are made consistent push other parameters across their bounds.
-        bounded = unknowns.hold_at_bounds(values)
-        if bounded is None:
-            break
-        start = bounded
-    values = np.clip(values, unknowns.lower, unknowns.upper)
-    return Fit(
-        columns,
-        question,
-        choice,
-        point,
-        samples,
-        data,
-        unknowns,
-        weights,
-        repetition,
-        correlation,
-        free,
-        values,
     )
 
 

@@ -32,8 +32,7 @@ from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.estimation.errors import FitErrors
 from robot_sysid.estimation.fit import Evidence, Fit, evidence_of, links_problem
-from robot_sysid.estimation.question import Choice, Question
-from robot_sysid.estimation.unknowns import Unknowns, build_unknowns
+from robot_sysid.estimation.unknowns import Unknowns
 from robot_sysid.records import Array, SquareRootInformation, Validation
 from robot_sysid.records.data import validation_of
 
@@ -200,12 +199,12 @@ class HeldOut:
             self._triangles[key] = _sums_of_others(triangles, update_triangle)
         return self._triangles[key]
 
-    def score(self, squared: Array) -> Array:
+    def score(self, unknowns: Unknowns) -> Array:
         """Return the mean squared error (blocks,) of all rows, in units of the noise variance.
 
-        Args:
-            squared: (blocks, joints) sums of squared errors [N^2 m^2].
+        Bodies are physically consistent.
         """
+        squared = self.consistent_squared_errors(unknowns)
         counts = np.maximum(np.sum(self.counts, axis=1), 1.0)
         return np.asarray(np.sum(squared / self.noise**2, axis=-1) / counts)
 
@@ -272,36 +271,6 @@ def is_clearly_lower(errors: Array, reference: Array) -> bool:
     threshold = np.log(1.0 - CLEAR_SHARE)
     lower = np.sum(errors) < (1.0 - CLEAR_SHARE) * np.sum(reference)
     return bool(lower and mean < threshold and mean + CLEARLY * standard_error < 0.0)
-
-
-def _unknowns_of(fit: Fit, question: Question, choice: Choice) -> Unknowns:
-    """Return the unknowns of a question and a choice, with the torques and data of a fit."""
-    return build_unknowns(
-        fit.columns, question, choice, fit.evidence.torque, fit.evidence.nonzero
-    )
-
-
-def squared_errors(
-    judge: HeldOut, columns: Columns, question: Question, choice: Choice
-) -> Array:
-    """Return the held-out squared errors (blocks, joints) of a choice [N^2 m^2].
-
-    Bodies may be physically inconsistent here.
-    """
-    data = judge.data
-    return judge.squared_errors(
-        build_unknowns(columns, question, choice, data.torque, data.nonzero)
-    )
-
-
-def score_of(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> Array:
-    """Return the mean squared held-out error (blocks,) of a choice, over the noise variance.
-
-    Bodies are physically consistent.
-    """
-    return judge.score(
-        judge.consistent_squared_errors(_unknowns_of(fit, question, choice))
-    )
 
 
 def held_out_validation(fit: Fit) -> Validation:

@@ -38,7 +38,7 @@ from robot_sysid.estimation.errors import (
     residuals_within,
 )
 from robot_sysid.estimation.file_fit import fit_file
-from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence, solve
+from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence
 from robot_sysid.estimation.held_out import held_out_validation, validate_rows
 from robot_sysid.estimation.identify import Piece, low_pass_recordings
 from robot_sysid.estimation.question import (
@@ -219,38 +219,20 @@ class _Fixed(Fitter):
         super().__init__(columns, information.evidence.torque)
         self._information = information
         self._point = point or columns.start()
+        if information.residuals:
+            times = []
+            for joint in information.residuals:
+                times.append(autocorrelation_time(joint.products, joint.count))
+            self.inflation = information.rows.inflation()
+            self.residual_correlation = np.array(times)
 
     def around(self, point: Point) -> tuple[Evidence, tuple[DecimatedSamples, ...]]:
         """Return the evidence of the logs, and no rows."""
         return self._information.evidence, ()
 
-    def solve_around(self, point: Point, question: Question, choice: Choice) -> Fit:
-        """Return the solution around the fitter's own point, whatever the given one."""
-        data = self._information.evidence
-        if not self._information.residuals:
-            return solve(self.columns, question, choice, self._point, data)
-        return solve(
-            self.columns,
-            question,
-            choice,
-            self._point,
-            data,
-            inflation=self._information.rows.inflation(),
-            residual_correlation=self._residual_memory(),
-        )
-
     def correlation_factors(self, fit: Fit) -> Array:
         """Return how many rows (joints,) of each joint count as one, by the first round."""
-        return self._residual_memory()
-
-    def _residual_memory(self) -> Array:
-        """Return the autocorrelation time (joints,) of residuals [rows]; one in the first round."""
-        residuals = self._information.residuals
-        if not residuals:
-            return np.ones(len(self.columns.joints))
-        return np.array(
-            [autocorrelation_time(joint.products, joint.count) for joint in residuals]
-        )
+        return fit.residual_correlation
 
     def fit(
         self,
