@@ -1,4 +1,4 @@
-"""A whole run on motors: what was asked for, as a plan with its checks; and playing it on a bus."""
+"""A whole run on motors: its plan and checks, from the values of options, and playing it."""
 
 from __future__ import annotations
 
@@ -34,13 +34,7 @@ from robot_sysid.damiao.joints import (
 )
 from robot_sysid.damiao.player import Player, PlayReport, StopRequest
 from robot_sysid.damiao.preflight import Check
-from robot_sysid.damiao.protocol import (
-    BusTiming,
-    Frame,
-    Scaling,
-    refuse_harmful,
-    register_text,
-)
+from robot_sysid.damiao.protocol import BusTiming, Frame, Scaling, refuse_harmful
 from robot_sysid.damiao.recorder import (
     Aside,
     Centring,
@@ -63,6 +57,7 @@ from robot_sysid.damiao.settings import (
     PlaySettings,
     RecordingOptions,
     SecondArm,
+    recording_header,
 )
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
@@ -74,16 +69,19 @@ from robot_sysid.records.option_fields import given_options, record_from
 
 
 class MotorRun:
-    """A run on motors, from the values of its options: plan, checks, bus and playing.
+    """One run on motors: makes its plan, checks it, opens the bus and plays.
+
+    The robot, the joint map and the free transfers are computed once and cached.
 
     Args:
-        values: key of an option to its value, as the command line or the API gives them.
+        values: value of each option that was given, by its key, from the command line or the API.
         tell: takes messages about a driver that does not return, see ``adapters.DriverWatch``.
 
     Attributes:
-        values: as above.
-        clock: of the bus.
-        address, timing: how the bus is reached, and its bit rates.
+        values: as given.
+        clock: clock of the bus.
+        address: how the bus is reached.
+        timing: frame format and bit rates of the bus.
     """
 
     def __init__(self, values: Mapping[str, Any], tell: StallReport) -> None:
@@ -95,9 +93,9 @@ class MotorRun:
         self._order_between: dict[tuple[bytes, bytes], tuple[str, str]] = {}
 
     def plan(self) -> Plan:
-        """Return the plan of the trajectory file, or of both arms' files.
+        """Return the plan of the trajectory file, or of the files of two arms as one.
 
-        InputError where files do not fit the model or the joint map.
+        InputError where a file does not fit the model or the joint map.
         """
         paths = filter(None, (self.values["trajectory"], self.values.get("also")))
         files = [motion.read_damiao_trajectory(path) for path in paths]
@@ -130,10 +128,11 @@ class MotorRun:
         return second.also_joint is not None
 
     def hold_plan(self, inspection: Inspection) -> Plan:
-        """Return a plan that holds the arm for a second where it stands, by torques of its model.
+        """Return a plan that holds the arm for a second in the pose of an inspection.
 
-        The motors' types are those that their registers agree with. HardwareAbort where a motor
-        does not answer, does not tell its state or is of no known type.
+        The feed-forward torques are those of the model's gravity. Each motor's type is the first
+        one whose scaling limits agree with the motor's registers. HardwareAbort where a motor does
+        not answer, does not report its state or is of no known type.
         """
         from robot_sysid.damiao.model_check import gravity_check
 
@@ -192,7 +191,10 @@ class MotorRun:
         )
 
     def _limits(self) -> LimitOptions:
-        """Return the user's limits of all motions; InputError for one that needs a model."""
+        """Return the limits that the user gives for all motions of the run.
+
+        InputError for a limit that needs a model where there is none.
+        """
         limits = {key: self.values[key] for key in motion.LIMITS if key in self.values}
         for key in motion.MODEL_LIMITS if self.robot is None else ():
             if key in limits:
@@ -207,7 +209,10 @@ class MotorRun:
         return record_from(LimitOptions, {**free, **limits})
 
     def _with_joint_map(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
-        """Return joints as the joint map mounts them, or else with the model's names."""
+        """Return joints (base to terminal) with the ids and mounting of the joint map.
+
+        Without a joint map only the model's joint names are added, if there is a model.
+        """
         names = self.robot.joint_names if self.robot else ()
         if self.rows:
             return map_joints(joints, self.rows, self.channels, names)
@@ -217,19 +222,19 @@ class MotorRun:
 
     @cached_property
     def rows(self) -> tuple[DamiaoJoint, ...]:
-        """Joints in the rows of the joint map; empty without one."""
+        """Joints in the rows of the joint map file, in its order; empty without a file."""
         path = self.values.get("joint_map")
         names = self.robot.joint_names if self.robot else ()
         return () if path is None else read_joint_map(Path(path), names)
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of the buses: those that were given, or else those of the joint map."""
+        """Names of the buses in the options, or else in the joint map; may be empty."""
         mapped_to = dict.fromkeys(row.channel for row in self.rows if row.channel)
         return tuple(self.address.buses or mapped_to)
 
     def checks(self, plan: Plan) -> list[Check]:
-        """Return the checks that need no bus, those of a model of the arm included."""
+        """Return the checks of a plan that need no bus, including those against a model."""
         checks = [*preflight.plan_checks(plan), *preflight.limit_checks(plan)]
         if self.robot is None:
             for model_option in given_options(record_from(ModelOptions, self.values)):
@@ -252,9 +257,10 @@ class MotorRun:
         return tuple(self._order(begin, end)[0] for _, begin, end in plan.transfers(q))
 
     def _order(self, begin: Array, end: Array) -> tuple[str, str]:
-        """Return ``Contacts.order`` between two poses (n,) [rad]; straight without a model.
+        """Return an order of joints that touches nothing between two poses (n,) [rad].
 
-        Results are cached, because the checks and the run need them.
+        It is one of ``ORDERS``, or "" where there is none. The second result names the bodies that
+        touch on the straight line, or is "". Without a model the order is straight. Results are cached, because the checks and the run need them.
         """
         if self.robot is None:
             return STRAIGHT, ""
@@ -273,7 +279,10 @@ class MotorRun:
     def inspection_checks(
         self, plan: Plan, inspection: Inspection, real: bool = True
     ) -> list[Check]:
-        """Return the checks of a plan against inspected motors, real ones' directions included."""
+        """Return the checks of a plan against the motors of an inspection.
+
+        ``real`` tells whether the motors are real ones, whose directions are checked too.
+        """
         checks = preflight.bus_checks(plan, inspection)
         q = plan.joint_positions(inspection)
         if np.all(np.isfinite(q)):
@@ -297,7 +306,10 @@ class MotorRun:
         on_phase: Callable[[str], None],
         on_progress: Callable[[float], None],
     ) -> PlayReport:
-        """Play a plan with the model's checks; signals stop it. For the arguments see ``run``."""
+        """Play a plan, checked by the model while it moves, and return the report of the run.
+
+        Signals that end a program stop the run. For the arguments see the function ``run``.
+        """
         with stop.on_signals():
             holding = self.holding(plan)
             orders = self.orders(plan, plan.joint_positions(inspection))
@@ -319,7 +331,7 @@ class MotorRun:
         plan.recording.require_free(*filter(None, map(self.values.get, keys)))
 
     def holding(self, plan: Plan) -> HoldingCheck | None:
-        """Return the check of holding torques by the model's gravity; None without a model."""
+        """Return the check of holding torques against the model's gravity; None without a model."""
         if self.robot is None:
             return None
         from robot_sysid.damiao.model_check import gravity_check
@@ -328,7 +340,7 @@ class MotorRun:
 
     @cached_property
     def robot(self) -> Any:
-        """The arm of the model file as a RobotModel, both arms as one; None without a model."""
+        """The arm of the model file (RobotModel), or both arms as one; None without a model."""
         if not self._has_two_arms:
             return self.robots[0] if self.robots else None
         from robot_sysid.motion.limit_check import as_one
@@ -337,7 +349,10 @@ class MotorRun:
 
     @cached_property
     def robots(self) -> tuple[Any, ...]:
-        """The arm of the model file, or both, as RobotModels; empty without a model."""
+        """The one or two arms of the model file (RobotModel each); empty without a model.
+
+        InputError where the options name joints of one and the same arm.
+        """
         if self.values.get("model") is None:
             return ()
         from robot_sysid.parser import load_robot_model
@@ -362,10 +377,10 @@ class MotorRun:
     def simulated_arm(
         self, plan: Plan, watchdog: float, *timestep: float
     ) -> SimulatedArm:
-        """Return the model's arm at the plan's first point, driven by simulated motors.
+        """Return a simulated arm of the model that stands at the plan's first point.
 
-        ``watchdog`` is that of the motors [s], ``timestep`` that of the physics [s]. InputError
-        without a model.
+        ``watchdog`` is the watchdog time of its motors [s], ``timestep`` the time step of the
+        physics [s]. InputError without a model.
         """
         if self.robot is None:
             raise InputError("a simulated arm needs a model; add --model")
@@ -378,13 +393,13 @@ class MotorRun:
 
     @contextlib.contextmanager
     def open_simulated(self, arm: SimulatedArm) -> Iterator[GuardedLink]:
-        """Open a bus with a simulated arm on it, in simulated time."""
+        """Yield a link to a simulated arm, in simulated time."""
         clock = SimulatedClock()
         wire = SimulatedLink(clock, arm, self.timing, echo=True)
         yield GuardedLink(wire, clock, self.timing.fd, self.channels or ("simulated",))
 
     def open_link(self, timing: BusTiming | None = None) -> Link:
-        """Return the opened bus, with other bit rates than those of the options if given."""
+        """Open the bus and return its link; ``timing`` replaces the bit rates of the options."""
         return open_bus(self.address, timing or self.timing, self.clock, self._tell)
 
     @contextlib.contextmanager
@@ -393,7 +408,12 @@ class MotorRun:
         refuse: Callable[[Frame], None] = refuse_harmful,
         timing: BusTiming | None = None,
     ) -> Iterator[GuardedLink]:
-        """Open the bus for a block; frames for which ``refuse`` raises are not sent."""
+        """Open the bus for a block and yield its link, which refuses harmful frames.
+
+        Args:
+            refuse: called with each frame to be sent; raises for one that must not be sent.
+            timing: bit rates in place of those of the options.
+        """
         if not self.address.channel:
             raise InputError(
                 "this command needs --channel, for instance --channel can0"
@@ -403,7 +423,7 @@ class MotorRun:
 
 
 def lengthen_hold(plan: Plan, seconds: float) -> Plan:
-    """Return a plan of ``hold_plan`` that lasts so many seconds."""
+    """Return a plan of ``MotorRun.hold_plan`` that holds the arm for ``seconds`` [s]."""
     time = np.array([0.0, seconds])
     return replace(plan, trajectory=replace(plan.trajectory, time=time))
 
@@ -418,19 +438,22 @@ def run(
     holding: HoldingCheck | None = None,
     orders: Sequence[str] = (STRAIGHT, STRAIGHT),
 ) -> PlayReport:
-    """Play the plan on inspected motors, record it, and return how it went.
+    """Play a plan on the motors of an inspection, record it, and return the report of the run.
 
     Args:
-        link: of the motors' buses.
-        plan: checked again before anything is enabled.
-        inspection: of the motors on the link.
-        stop, on_phase, on_progress, orders: see ``Player``.
-        holding: see ``Player``; by default the torques of the trajectory.
+        link: link of the motors' buses.
+        plan: the plan; it is checked again before any motor is enabled.
+        inspection: answers of the motors on the link.
+        stop: request for a stop, see ``Player``.
+        on_phase: called with the name of each phase of the run.
+        on_progress: called with the time played so far [s].
+        holding: check of the torques that hold the arm; None compares with the trajectory's own.
+        orders: orders of joints in the transfers, see ``Player``.
 
     Raises:
-        HardwareAbort: a check forbids it, or the run was stopped; says why.
+        HardwareAbort: a check forbids the run, or the run was stopped; the message has the reason.
         InputError: a recording exists already or cannot be written.
-        SysidError: the run went well, but recording or printing did not.
+        SysidError: the trajectory was played, but recording or printing failed.
     """
     checks = [*preflight.plan_checks(plan), *preflight.bus_checks(plan, inspection)]
     preflight.require_no_stop(checks, "not played")
@@ -484,20 +507,22 @@ def run(
 
 
 def _held_joints(plan: Plan, inspection: Inspection) -> tuple[DamiaoJoint, ...]:
-    """Return the motors outside the trajectory that are to be held, as joints of known types."""
-    if plan.settings.others != "hold":
-        return ()
-    return tuple(
-        DamiaoJoint(
-            name, motor.can_id, motor.master_id, "", motor.address.bus, motor.channel
-        )
-        for motor in plan.other_motors(inspection)
-        for name in matching_types(motor.limits)[:1]
-    )
+    """Return a joint for each motor outside the trajectory that is to be held.
+
+    The type is the first one whose limits agree with the motor's; without any there is no joint.
+    """
+    joints = []
+    others = plan.other_motors(inspection) if plan.settings.others == "hold" else ()
+    for motor in others:
+        bus, can_id = motor.address
+        ids = can_id, motor.master_id
+        for name in matching_types(motor.limits)[:1]:
+            joints.append(DamiaoJoint(name, *ids, bus=bus, channel=motor.channel))
+    return tuple(joints)
 
 
 def _settings_with(plan: Plan, held_joints: Sequence[DamiaoJoint]) -> PlaySettings:
-    """Return settings with gains for held motors behind those of the trajectory's joints."""
+    """Return a plan's settings with default gains for held motors after those of its joints."""
     settings = plan.settings
     specs = [joint.spec for joint in held_joints]
     held = PlaySettings(rate=settings.rate).for_motors(specs, plan.timing)
@@ -510,7 +535,7 @@ def _settings_with(plan: Plan, held_joints: Sequence[DamiaoJoint]) -> PlaySettin
 
 
 def _require_complete(console: Aside, writer: Aside) -> None:
-    """Raise SysidError where a run went well, but recording or printing did not."""
+    """Raise SysidError where recording (``writer``) or printing (``console``) has failed."""
     for aside, problem in (
         (writer, "the recording is not complete"),
         (console, "cannot print"),
@@ -526,7 +551,14 @@ def _require_complete(console: Aside, writer: Aside) -> None:
 def _open_recorder(
     link: GuardedLink, plan: Plan, motors: Sequence[InspectedMotor], aside: Aside
 ) -> Iterator[MeasurementRecorder | None]:
-    """Open the recorder of a plan's files for a block; None where nothing is recorded."""
+    """Yield a recorder that writes a plan's files, or None where the plan records nothing.
+
+    Args:
+        link: link whose frames are logged.
+        plan: plan with the names of the files.
+        motors: motors whose registers are written into the file's head.
+        aside: runs the writing.
+    """
     path = plan.recording.frames
     record = plan.recording.record
     played = plan.trajectory
@@ -535,11 +567,10 @@ def _open_recorder(
         return
     registers = [motor.registers for motor in motors[: played.n_joints]]
     head = recording_header(played.joints, registers, plan.settings, played.path.name)
-    names = [
-        joint.name if played.has_two_arms else f"j{j}"
-        for j, joint in enumerate(played.joints)
-    ]
-    # Frames alone are written as the run goes on too: kept until its end, they fill the memory.
+    names = [f"j{j}" for j in range(played.n_joints)]
+    if played.has_two_arms:
+        names = [joint.name for joint in played.joints]
+    # Without a recording, frames pass a recorder too: kept until the end, they fill the memory.
     with contextlib.ExitStack() as stack:
         frames = stack.enter_context(RawFrameLog(path, link))
         centring = Centring(plan.settings.period, plan.ripple)
@@ -548,33 +579,3 @@ def _open_recorder(
         yield stack.enter_context(
             MeasurementRecorder(file, head, names, aside, centring, frames, may_replace)
         )
-
-
-def recording_header(
-    joints: Sequence[DamiaoJoint],
-    registers: Sequence[Mapping[int, float]],
-    run: PlaySettings,
-    source: str,
-) -> list[str]:
-    """Return the comment lines of a recording; registers are, per joint, number to value."""
-    texts = [
-        ",".join(register_text(k, held[k]) for k in sorted(held)) for held in registers
-    ]
-    return [
-        "robot-sysid motors recording",
-        f"trajectory={source}",
-        *(
-            f"motor_type={j.motor_type},can_id={j.can_id},mode=MIT,master_id={j.master_id}"
-            for j in joints
-        ),
-        *(f"registers_j{j}: {text}" for j, text in enumerate(texts)),
-        f"rate_hz={run.rate:g},speed={run.speed:g}",
-        "kp=" + " ".join(f"{x:g}" for x in run.kp),
-        "kd=" + " ".join(f"{x:g}" for x in run.kd),
-        "half_step=1: half a quantisation step added to measured position, velocity and torque, "
-        "because motors drop the fraction",
-        "centred=1: jN_tau is the measured torque plus jN_cmd_mean, the mean of held commands",
-        "jN_cmd_step is the torque step that the command answered by this sample then made",
-        "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment",
-        "jN_doubted=1: an answer came that cannot be true; it is left out here",
-    ]

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from robot_sysid.damiao.bus import InspectedMotor, Inspection
-from robot_sysid.damiao.joints import JointSpace, MotorSpec
-from robot_sysid.damiao.protocol import KD_MAX, KD_STEP, KP_MAX, BusTiming, default_rate
+from robot_sysid.damiao.joints import DamiaoJoint, JointSpace, MotorSpec
+from robot_sysid.damiao.protocol import (
+    KD_MAX,
+    KD_STEP,
+    KP_MAX,
+    BusTiming,
+    default_rate,
+    register_text,
+)
 from robot_sysid.damiao.recorder import SamplingRipple
 from robot_sysid.damiao.safety.guards import CommandRange
 from robot_sysid.damiao.trajectory import NO_LIMITS, DamiaoTrajectory
@@ -386,3 +394,38 @@ class Plan:
         addresses = [joint.address for joint in self.trajectory.joints]
         motors = sorted(inspection.motors.items())
         return tuple(motor for address, motor in motors if address not in addresses)
+
+
+def recording_header(
+    joints: Sequence[DamiaoJoint],
+    registers: Sequence[Mapping[int, float]],
+    run: PlaySettings,
+    source: str,
+) -> list[str]:
+    """Return the comment lines at the head of a recording, without their "# ".
+
+    Args:
+        joints: the n joints of the trajectory.
+        registers: register values of each joint's motor, by register number.
+        run: settings of the run, with one gain per joint.
+        source: name of the trajectory file.
+    """
+    lines = ["robot-sysid motors recording", f"trajectory={source}"]
+    for joint in joints:
+        ids = f"can_id={joint.can_id},mode=MIT,master_id={joint.master_id}"
+        lines.append(f"motor_type={joint.motor_type},{ids}")
+    for j, values in enumerate(registers):
+        texts = starmap(register_text, sorted(values.items()))
+        lines.append(f"registers_j{j}: {','.join(texts)}")
+    lines.append(f"rate_hz={run.rate:g},speed={run.speed:g}")
+    for name, gains in (("kp", run.kp), ("kd", run.kd)):
+        lines.append(f"{name}={' '.join(map('{:g}'.format, gains))}")
+    return [
+        *lines,
+        "half_step=1: half a quantisation step added to measured position, velocity and torque, "
+        "because motors drop the fraction",
+        "centred=1: jN_tau is the measured torque plus jN_cmd_mean, the mean of held commands",
+        "jN_cmd_step is the torque step that the command answered by this sample then made",
+        "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment",
+        "jN_doubted=1: an answer came that cannot be true; it is left out here",
+    ]

@@ -10,17 +10,21 @@ The arm is simulated in simulated time, without waiting, or in real time behind 
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import itertools
 import math
+import os
+import select
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from robot_sysid.damiao import protocol
+from robot_sysid.damiao.adapters import LineReader
 from robot_sysid.damiao.bus import (
     Link,
     SimulatedClock,
@@ -29,6 +33,7 @@ from robot_sysid.damiao.bus import (
 )
 from robot_sysid.damiao.joints import DamiaoJoint, JointSpace
 from robot_sysid.damiao.protocol import BusTiming, Frame
+from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
 if TYPE_CHECKING:
@@ -422,6 +427,69 @@ class SimulatedLink:
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
+
+
+class _NearEnd:
+    """A pseudo-terminal, used by python-can in place of a serial port.
+
+    Attributes:
+        device: path at which another program opens the far end.
+    """
+
+    write_timeout: float | None = None
+
+    def __init__(self) -> None:
+        import tty
+
+        # The far end stays open here too, so that a client may come and go.
+        self._near, self._far = os.openpty()
+        tty.setraw(self._far)
+        os.set_blocking(self._near, False)
+        self.device = os.ttyname(self._far)
+
+    def fetch(self, patience: float) -> bytes:
+        """Return all bytes that have come; wait at most ``patience`` [s] for the first one."""
+        ready = select.select([self._near], [], [], patience)[0]
+        return os.read(self._near, 4096) if ready else b""
+
+    def write(self, data: bytes) -> None:
+        """Write bytes, or drop them where the far end is full because nobody reads it."""
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._near, data)
+
+    def flush(self) -> None:
+        """Do nothing, because ``write`` holds nothing back."""
+
+    def close(self) -> None:
+        """Close both ends."""
+        os.close(self._near)
+        os.close(self._far)
+
+
+def slcan_terminal() -> tuple[Any, str]:
+    """Return a python-can bus behind a pseudo-terminal, and the path of its device.
+
+    A program that opens the device with python-can's slcan interface exchanges frames with this
+    bus. InputError where the system has no pseudo-terminals.
+    """
+    if not hasattr(os, "openpty"):
+        raise InputError("pseudo-terminals need a Unix system")
+    from can.interfaces.slcan import slcanBus
+
+    class Terminal(slcanBus):
+        """The adapter's end of a line: frames are the same text both ways, commands are ignored."""
+
+        def _recv_internal(self, timeout: float | None) -> tuple[Any, bool]:
+            # A client that was killed may leave a part of a line, which is no frame.
+            with contextlib.suppress(ValueError, IndexError):
+                return super()._recv_internal(timeout)
+            return None, False
+
+    bus: Any = Terminal("loop://", sleep_after_open=0)
+    line = _NearEnd()
+    bus.serialPortOrig = line
+    bus._read = LineReader(line.fetch)
+    return bus, line.device
 
 
 _TICK = 1e-3

@@ -24,7 +24,6 @@ from robot_sysid.damiao.adapters import (
     DriverWatch,
     PacketReader,
     open_bus,
-    slcan_terminal,
 )
 from robot_sysid.damiao.bus import (
     GuardedLink,
@@ -35,6 +34,7 @@ from robot_sysid.damiao.bus import (
 )
 from robot_sysid.damiao.protocol import Address, BusTiming, Frame, disable_frame
 from robot_sysid.damiao.recorder import RawFrameLog
+from robot_sysid.damiao.simulated import slcan_terminal
 from robot_sysid.errors import InputError
 from tests.support.damiao_rig import two_motor_arm
 

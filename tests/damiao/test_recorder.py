@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.execution import recording_header
 from robot_sysid.damiao.joints import MOTORS, damiao_joints
 from robot_sysid.damiao.protocol import (
     Feedback,
@@ -27,7 +26,7 @@ from robot_sysid.damiao.recorder import (
     SamplingRipple,
 )
 from robot_sysid.damiao.session import Replies
-from robot_sysid.damiao.settings import PlaySettings, RecordingOptions
+from robot_sysid.damiao.settings import PlaySettings, RecordingOptions, recording_header
 from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import InputError, error_text
 from tests.support.log_files import read_measurements

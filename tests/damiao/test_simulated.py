@@ -8,7 +8,7 @@ import can
 import numpy as np
 import pytest
 
-from robot_sysid.damiao.adapters import BusLink, slcan_terminal
+from robot_sysid.damiao.adapters import BusLink
 from robot_sysid.damiao.bus import SimulatedClock, SystemClock
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.protocol import (
@@ -23,7 +23,7 @@ from robot_sysid.damiao.protocol import (
     refresh_frame,
     set_zero_frame,
 )
-from robot_sysid.damiao.simulated import serve, simulated_motor
+from robot_sysid.damiao.simulated import serve, simulated_motor, slcan_terminal
 from tests.support.damiao_rig import two_motor_arm
 
 

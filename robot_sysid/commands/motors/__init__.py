@@ -34,7 +34,7 @@ from robot_sysid.commands.motors.setup import (
     setup,
 )
 from robot_sysid.damiao import preflight
-from robot_sysid.damiao.adapters import BusAddress, BusLink, import_can, slcan_terminal
+from robot_sysid.damiao.adapters import BusAddress, BusLink, import_can
 from robot_sysid.damiao.bus import GuardedLink, Link, inspect_bus
 from robot_sysid.damiao.execution import lengthen_hold
 from robot_sysid.damiao.player import StopRequest
@@ -46,7 +46,7 @@ from robot_sysid.damiao.settings import (
     RecordingOptions,
     SecondArm,
 )
-from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG, serve
+from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG, serve, slcan_terminal
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
 from robot_sysid.model import ModelOptions
