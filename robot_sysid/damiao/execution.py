@@ -259,8 +259,9 @@ class MotorRun:
     def _order(self, begin: Array, end: Array) -> tuple[str, str]:
         """Return an order of joints that touches nothing between two poses (n,) [rad].
 
-        It is one of ``ORDERS``, or "" where there is none. The second result names the bodies that
-        touch on the straight line, or is "". Without a model the order is straight. Results are cached, because the checks and the run need them.
+        The order is one of ``ORDERS``, or "" where there is none; straight without a model. The
+        second result names the bodies that touch on the straight line, or is "". Results are
+        cached, because the checks and the run need them.
         """
         if self.robot is None:
             return STRAIGHT, ""
