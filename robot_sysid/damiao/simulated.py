@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from robot_sysid.damiao import protocol
-from robot_sysid.damiao.adapters import LineReader
+from robot_sysid.damiao.adapters import LineReader, import_slcan
 from robot_sysid.damiao.bus import (
     Link,
     SimulatedClock,
@@ -474,9 +474,9 @@ def slcan_terminal() -> tuple[Any, str]:
     """
     if not hasattr(os, "openpty"):
         raise InputError("pseudo-terminals need a Unix system")
-    from can.interfaces.slcan import slcanBus
+    slcan_bus: Any = import_slcan()
 
-    class Terminal(slcanBus):
+    class Terminal(slcan_bus):
         """The adapter's end of a line: frames are the same text both ways, commands are ignored."""
 
         def _recv_internal(self, timeout: float | None) -> tuple[Any, bool]:
