@@ -185,7 +185,7 @@ def test_a_plot_shows_every_joint(result, monkeypatch, tmp_path):
     assert [axis.get_ylabel() for axis in axes] == [
         f"joint{k}\n[N m]" for k in range(4)
     ]
-    monkeypatch.setattr(calls, "plan_lines", lambda *_: [])
+    monkeypatch.setattr(calls, "predict_plan", lambda *_: (None, []))
     path = tmp_path / "sliding.xml"
     path.write_text(arms.SLIDE_IN_CHAIN)
     axes = rs.plan(path, excitation="sines", duration=4.0, seed=1).plot().axes
@@ -259,7 +259,8 @@ def test_every_link_has_its_numbers(workshop, result):
 
 
 def test_a_plan_gives_arrays_to_play(workshop, tmp_path, monkeypatch):
-    monkeypatch.setattr(calls, "plan_lines", lambda *_: ["standard deviations"])
+    lines = ["standard deviations"]
+    monkeypatch.setattr(calls, "predict_plan", lambda *_: (None, lines))
     plan = rs.plan(workshop / "arm.xml", excitation="sines", duration=4.0, seed=1)
     motion = plan.sampled(100.0)
     assert plan.failure is None and motion.q.shape == (401, 4)

@@ -52,7 +52,7 @@ def test_a_run_is_that_of_the_command(trajectory, model, tmp_path, capfd):
 
 def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, monkeypatch):
     # What an estimate will know is slow to tell.
-    monkeypatch.setattr(calls, "plan_lines", lambda *_: ())
+    monkeypatch.setattr(calls, "predict_plan", lambda *_: (None, ()))
     motion = {"excitation": "sines", "duration": 0.6, "sample_rate": 250.0, "seed": 0}
     plan = rs.plan(model, **motion, export_damiao=True, motor_type=["DM4340"] * 2)
     report = rs.motors.play(plan, simulate=True, rate=250)

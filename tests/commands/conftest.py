@@ -18,12 +18,11 @@ from tests.support.links import RememberingLink
 def without_prediction(monkeypatch):
     """Plans say what they do beside their limits, not what an estimate will know: that is slow."""
 
-    def plan_lines(checked, *settings):
+    def predict_plan(config, checked):
         motion = checked.problem, checked.plan, checked.check
-        return (*limit_lines(*motion), *motion_lines(*motion))
+        return None, [*limit_lines(*motion), *motion_lines(*motion)]
 
-    monkeypatch.setattr(planning, "plan_lines", plan_lines)
-    monkeypatch.setattr(planning, "predict_identification", lambda *_: None)
+    monkeypatch.setattr(planning, "predict_plan", predict_plan)
 
 
 class SimulatedBus:
