@@ -47,7 +47,7 @@ HELD = {
     "an HDF5 chunk": f"{ARRAYS}test_an_hdf5_chunk_that_unpacks_to_more_than_its_length_is_refused",
     "an HDF5 link": f"{ARRAYS}test_hdf5_does_not_follow_what_leads_to_another_file",
     "a MATLAB file": f"{ARRAYS}test_a_matlab_file_may_end_its_process_and_takes_bounded_time",
-    "bounded memory": f"{ARRAYS}test_a_matlab_files_empty_cells_are_not_unpacked",
+    "bounded memory": f"{ARRAYS}test_arrays_of_a_matlab_struct_are_read_and_empty_cells_are_not",
     "a compressed": "logs/test_ros_bag.py::test_a_bag_that_unpacks_to_too_much_is_refused",
     "JSON nested": "records/test_file_access.py::test_what_is_no_json_is_refused_in_one_line",
     "or of more than 30 MB": "records/test_file_access.py::test_what_is_too_large_is_not_read",

@@ -10,7 +10,7 @@ import pytest
 
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.mjcf.documents import Edits, read_document
-from tests.support.model_files import ARM, write_files
+from tests.support.model_files import ARM, document_of, write_files
 
 BODY = "<mujoco><worldbody><body name='{}'/></worldbody></mujoco>"
 LAUGHS = """<!DOCTYPE a [<!ENTITY a "ha"><!ENTITY b "&a;&a;">]>
@@ -142,7 +142,7 @@ def test_a_pipe_is_not_waited_for(tmp_path):
 def test_a_doctype_in_another_file_is_not_opened(tmp_path):
     os.mkfifo(tmp_path / "other.dtd")  # it would be waited for without end
     text = '<!DOCTYPE mujoco SYSTEM "other.dtd"><mujoco><worldbody/></mujoco>'
-    assert read_document(write_files(tmp_path, {"m.xml": text})).is_urdf is False
+    assert document_of(tmp_path, text).is_urdf is False
 
 
 def test_nothing_of_a_file_that_is_no_model_is_shown(tmp_path):
@@ -195,12 +195,6 @@ TEXT = """<?xml version='1.0'?>
 <!-- <fake/> -- dashes --><mujoco x = '1>2' y="3"><b/><c
    z='4' ><d >t</d ></c  ><!----><worldbody/></mujoco>
 """
-
-
-def document_of(tmp_path, text):
-    path = tmp_path / "m.xml"
-    path.write_bytes(text.encode())
-    return read_document(path)
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from robot_sysid.results.verification import (
     verify_written_model,
 )
 from tests.support.arms import random_rotation
-from tests.support.model_files import ARM, random_theta, write_files
+from tests.support.model_files import ARM, document_of, random_theta, write_files
 from tests.support.releases import since
 
 
@@ -87,10 +87,8 @@ def test_numbers_that_mujoco_cannot_read_are_zero():
 )
 def test_the_old_inertial_goes_and_a_missing_one_comes(tmp_path, old, new):
     text = f"<mujoco><worldbody>{old}</worldbody></mujoco>"
-    included = "<x><inertial pos='0 0 0' mass='1'/></x>"
-    edits = Edits(
-        read_document(write_files(tmp_path, {"m.xml": text, "i.xml": included}))
-    )
+    write_files(tmp_path, {"i.xml": "<x><inertial pos='0 0 0' mass='1'/></x>"})
+    edits = Edits(document_of(tmp_path, text))
     edits.put_inertial(next(edits.document.walk("body")), "<NEW/>")
     assert edits.text().decode() == text.replace(old, new)
 
@@ -110,11 +108,8 @@ def test_nameless_bodies_are_counted_as_mujoco_counts(tmp_path):
     document = read_document(path)
     for number in range(1, mj_model.nbody):
         node = find_element(document, "body", body_label(mj_model, number))
-        assert (
-            float(node.child("geom").get("mass"))
-            == mj_model.body_mass[number]
-            == number
-        )
+        mass = float(node.child("geom").get("mass"))
+        assert mass == mj_model.body_mass[number] == number
 
 
 @pytest.mark.parametrize(
@@ -134,9 +129,7 @@ def test_nameless_bodies_are_counted_as_mujoco_counts(tmp_path):
 def test_what_is_not_written_out_is_one_line(tmp_path, content, label, message):
     text = f"<mujoco><worldbody>{content}</worldbody></mujoco>"
     with pytest.raises(ExportError, match=message) as caught:
-        find_element(
-            read_document(write_files(tmp_path, {"m.xml": text})), "body", label
-        )
+        find_element(document_of(tmp_path, text), "body", label)
     assert "\n" not in str(caught.value)
 
 
@@ -210,15 +203,21 @@ seeds = st.integers(0, 2**32 - 1)
 NOTHING = np.zeros(10)
 
 
-def body(number: int, theta, welded: bool = True) -> SubtreeBody:
-    return SubtreeBody(number, f"b{number}", theta, welded)
+def rigid_bodies(*thetas):
+    """Bodies b3, b4, ... that are welded together."""
+    return [SubtreeBody(k, f"b{k}", t, True) for k, t in enumerate(thetas, 3)]
+
+
+def hanging(number, theta):
+    """A body on a joint of its own."""
+    return SubtreeBody(number, f"b{number}", theta, welded=False)
 
 
 @given(seed=seeds)
 def test_the_terminal_body_takes_the_difference(seed):
     rng = np.random.default_rng(seed)
     link, tool, finger = (random_theta(rng, m) for m in (2.0, 0.3, 0.1))
-    bodies = [body(3, random_theta(rng)), body(4, tool), body(5, finger, welded=False)]
+    bodies = [*rigid_bodies(random_theta(rng), tool), hanging(5, finger)]
     plan = plan_write_back(link + tool + finger, bodies)
     np.testing.assert_allclose(plan.theta, link, rtol=0, atol=1e-14)
     assert plan.emptied == () and plan.note is None
@@ -229,15 +228,11 @@ def test_a_massless_terminal_body_takes_the_whole_rigid_group(seed):
     rng = np.random.default_rng(seed)
     tool, finger, load = (random_theta(rng, m) for m in (1.0, 0.1, 0.5))
     noise = 1e-9 * rng.normal(size=10)
-    bodies = [body(3, NOTHING), body(4, tool), body(5, finger, False), body(6, NOTHING)]
+    bodies = [*rigid_bodies(NOTHING, tool, NOTHING), hanging(6, finger)]
     plan = plan_write_back(tool + finger + noise, bodies)
     np.testing.assert_allclose(plan.theta, tool + noise, rtol=0, atol=1e-14)
     assert [b.name for b in plan.emptied] == ["b4"]
-    assert (
-        plan.note is not None
-        and "'b3'" in plan.note
-        and "'b4' weigh nothing" in plan.note
-    )
+    assert "'b3'" in plan.note and "'b4' weigh nothing" in plan.note
     heavier = plan_write_back(tool + finger + load, bodies)
     assert heavier.emptied == () and spatial.is_consistent(heavier.theta)
 
@@ -246,12 +241,7 @@ def test_a_massless_terminal_body_takes_the_whole_rigid_group(seed):
 def test_what_hangs_on_joints_gets_as_light_as_it_has_to(seed):
     rng = np.random.default_rng(seed)
     link, tool, finger, thumb = (random_theta(rng, m) for m in (0.2, 0.3, 2.0, 1.0))
-    bodies = [
-        body(3, link),
-        body(4, tool),
-        body(5, finger, False),
-        body(6, thumb, False),
-    ]
+    bodies = [*rigid_bodies(link, tool), hanging(5, finger), hanging(6, thumb)]
     composite = link + tool + 0.1 * (finger + thumb)
     plan = plan_write_back(composite, bodies)
     assert 0.1 <= plan.scale < 1.0 and [b.name for b in plan.lightened] == ["b5", "b6"]
@@ -259,24 +249,18 @@ def test_what_hangs_on_joints_gets_as_light_as_it_has_to(seed):
     remainder = composite - plan.scale * (finger + thumb)
     np.testing.assert_allclose(plan.theta, remainder, rtol=0, atol=1e-9)
     assert possible_body(plan.theta, 1.0) is not None
-    assert (
-        possible_body(composite - 1.0001 * plan.scale * (finger + thumb), 1.0) is None
-    )
-    assert (
-        plan.note is not None
-        and "'b4' weigh nothing" in plan.note
-        and "\n" not in plan.note
-    )
+    lighter = composite - 1.0001 * plan.scale * (finger + thumb)
+    assert possible_body(lighter, 1.0) is None
+    assert "'b4' weigh nothing" in plan.note and "\n" not in plan.note
     assert "'b5', 'b6' on joints of their own below body 'b3'" in plan.note
     assert f"inertia are {plan.scale:.4g} of the model's" in plan.note
 
 
 def test_no_scale_makes_an_impossible_link_possible():
     finger = random_theta(np.random.default_rng(0), 1.0)
-    with pytest.raises(ExportError, match="'b1' are not a possible rigid body") as e:
-        plan_write_back(
-            -0.9 * finger, [body(1, NOTHING), body(2, finger, welded=False)]
-        )
+    bodies = [*rigid_bodies(NOTHING), hanging(4, finger)]
+    with pytest.raises(ExportError, match="'b3' are not a possible rigid body") as e:
+        plan_write_back(-0.9 * finger, bodies)
     assert "\n" not in str(e.value)
 
 
@@ -319,14 +303,14 @@ def test_moments_below_the_files_bound_are_raised_where_they_are_not_known_bette
     seed, bound
 ):
     identified = rod(np.random.default_rng(seed))
-    plan = plan_write_back(identified, [body(1, NOTHING)], bound, 2.0 * bound)
+    plan = plan_write_back(identified, rigid_bodies(NOTHING), bound, 2.0 * bound)
     smallest = np.linalg.eigvalsh(spatial.com_from_theta(plan.theta)[2])[0]
     # Rounding of an inertia about an origin metres away, which is of the order of ten.
     np.testing.assert_allclose(smallest, bound, rtol=0, atol=1e-13)
     np.testing.assert_allclose(
         plan.written_composite(identified), plan.theta, rtol=0, atol=1e-13
     )
-    assert plan.note is not None and "less than their standard errors" in plan.note
+    assert "less than their standard errors" in plan.note
 
 
 @given(seed=seeds)
@@ -335,7 +319,7 @@ def test_a_small_body_below_a_rod_is_kept_where_the_moments_allow(seed):
     rng = np.random.default_rng(seed)
     identified = rod(rng)
     frame = spatial.theta_from_com(1e-6, np.zeros(3), 1e-6 * np.eye(3))
-    plan = plan_write_back(identified, [body(1, NOTHING), body(2, frame)], 0.0, 1e-3)
+    plan = plan_write_back(identified, rigid_bodies(NOTHING, frame), 0.0, 1e-3)
     assert plan.emptied == () and spatial.is_consistent(plan.theta)
     np.testing.assert_allclose(
         plan.theta + frame, plan.written_composite(identified), rtol=0, atol=1e-13

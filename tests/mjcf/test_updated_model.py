@@ -36,6 +36,7 @@ from tests.support.model_files import (
     ARM,
     INERTIAL,
     TETRAHEDRON,
+    document_of,
     random_theta,
     write_files,
 )
@@ -45,29 +46,25 @@ from tests.support.releases import since
 THETA = random_theta(np.random.default_rng(1), 2.0)
 
 
-def write_and_verify(source, label, composite, target, mesh_dir=None, original=None):
-    """Write as the results are; return the plan and the verified compiled model."""
-    original = original or compile_model(source, mesh_dir).mj_model
+def write_and_verify(source, label, composite, target):
+    """Write as results are written, and verify the written file."""
+    original = compile_model(source).mj_model
     body = mujoco.mj_name2id(original, int(mujoco.mjtObj.mjOBJ_BODY), label)
     body = int(label[1:]) if label.startswith("#") else body
     plan = plan_write_back(composite, subtree_bodies(original, original.qpos0, body))
-    write(source, label, plan, target, mesh_dir)
-    return (
-        plan,
-        verify_written_model(original, target, change_of(label, plan, body)).mj_model,
-        body,
-    )
+    write(source, label, plan, target)
+    verify_written_model(original, target, change_of(label, plan, body))
 
 
 def change_of(label, plan, body=0):
     return ModelChange((BodyChange(label, body, plan),), 1.23e-4)
 
 
-def write(source, label, plan, target, mesh_dir=None):
+def write(source, label, plan, target):
     principal = not reads_fullinertia_exactly(plan.theta)
     folder = target.absolute().parent
     change = replace(change_of(label, plan), principal=principal)
-    text = changed_model_text(source, change, folder, mesh_dir)
+    text = changed_model_text(source, change, folder)
     folder.mkdir(parents=True, exist_ok=True)
     target.write_bytes(text)
 
@@ -320,7 +317,7 @@ def with_joints(document, *changes):
 @pytest.mark.parametrize("joint", [1, 2, 3, 4])
 @since(3, 1)
 def test_a_joint_is_found_by_its_number(tmp_path, joint):
-    document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
+    document = document_of(tmp_path, MIXED)
     label = "last" if joint == 4 else f"#{joint}"
     text = with_joints(document, JointChange(label, 1.25, 2.5, 3.75))
     original = mujoco.MjModel.from_xml_string(MIXED)
@@ -334,7 +331,7 @@ def test_a_joint_is_found_by_its_number(tmp_path, joint):
 
 def test_nonlinear_damping_behind_the_linear_one_stays(tmp_path):
     text = MIXED.replace('name="last"', 'name="last" damping=".5 .3  .2"')
-    document = read_document(write_files(tmp_path, {"m.xml": text}))
+    document = document_of(tmp_path, text)
     assert 'damping="2.5 .3 .2"' in with_joints(
         document, JointChange("last", damping=2.5)
     )
@@ -349,7 +346,7 @@ def test_nonlinear_damping_behind_the_linear_one_stays(tmp_path):
     ],
 )
 def test_a_joint_that_would_drive_itself_is_refused(tmp_path, change):
-    document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
+    document = document_of(tmp_path, MIXED)
     with pytest.raises(ExportError, match="joint 'last' cannot get .*drive itself"):
         with_joints(document, change)
 
@@ -358,7 +355,7 @@ def test_a_joint_that_would_drive_itself_is_refused(tmp_path, change):
     not hasattr(mujoco.MjModel, "dof_dampingpoly"), reason="MuJoCo before 3.7"
 )
 def test_nonlinear_damping_is_written_where_it_was_found(tmp_path):
-    document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
+    document = document_of(tmp_path, MIXED)
     text = with_joints(
         document, JointChange("last", damping=1.0, polynomial=(2.0, 3.0))
     )

@@ -6,15 +6,15 @@ import pytest
 
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import find_assets, relocated_text
-from robot_sysid.mjcf.documents import Edits, read_document
+from robot_sysid.mjcf.documents import Edits
 from robot_sysid.mjcf.urdf import compilable_urdf
 from tests.support import urdf
-from tests.support.model_files import write_files
+from tests.support.model_files import document_of, write_files
 
 
 def arm(tmp_path, content, *more):
     text = urdf.robot(urdf.serial({"l1": content}), *more)
-    return read_document(write_files(tmp_path, {"m.urdf": text}))
+    return document_of(tmp_path, text, "m.urdf")
 
 
 def test_a_missing_collision_mesh_is_left_out_where_the_link_has_an_inertial(tmp_path):
@@ -37,9 +37,8 @@ def test_a_mesh_that_makes_the_inertia_must_be_there(tmp_path, setting):
 
 
 def test_what_is_only_drawn_is_left_out_in_silence(tmp_path):
-    text, notes = compilable_urdf(
-        arm(tmp_path, urdf.inertial() + urdf.mesh("visual", "x.dae"))
-    )
+    content = urdf.inertial() + urdf.mesh("visual", "x.dae")
+    text, notes = compilable_urdf(arm(tmp_path, content))
     assert b"<visual>" not in text and notes == ()
 
 
@@ -68,16 +67,13 @@ def test_a_link_whose_mass_is_welded_to_it_needs_no_minimum(tmp_path):
 
 
 def document(tmp_path, *elements, name="robots/arm.urdf"):
-    return read_document(
-        write_files(tmp_path, {name: urdf.robot(*elements, urdf.link("base"))})
-    )
+    return document_of(tmp_path, urdf.robot(*elements, urdf.link("base")), name)
 
 
 def mesh_found(tmp_path, name, mesh_dir=None):
     """The file that a mesh of this name is."""
-    (mesh,) = find_assets(
-        document(tmp_path, urdf.link("l1", urdf.mesh("visual", name))), mesh_dir
-    )
+    link = urdf.link("l1", urdf.mesh("visual", name))
+    (mesh,) = find_assets(document(tmp_path, link), mesh_dir)
     return mesh.path
 
 

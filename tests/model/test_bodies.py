@@ -64,9 +64,8 @@ def world_pose(robot, object_type, name):
     mujoco.mj_kinematics(robot.mj_model, data)
     frame = getattr(data, object_type)(name)
     axes = data.xmat[robot.body_id].reshape(3, 3)
-    return axes.T @ frame.xmat.reshape(3, 3), axes.T @ (
-        frame.xpos - data.xpos[robot.body_id]
-    )
+    translation = axes.T @ (frame.xpos - data.xpos[robot.body_id])
+    return axes.T @ frame.xmat.reshape(3, 3), translation
 
 
 @pytest.mark.parametrize(
@@ -80,11 +79,8 @@ def test_a_named_flange_is_where_mujoco_puts_it_whatever_the_joints_do(
     rotation, translation = world_pose(ROBOT, object_type, name)
     np.testing.assert_allclose(flange.rotation, rotation, rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(flange.translation, translation, rtol=0.0, atol=1e-14)
-    assert (flange.name, flange.terminal, flange.note) == (
-        f"{object_type} '{name}'",
-        "link2",
-        None,
-    )
+    assert flange.name == f"{object_type} '{name}'"
+    assert flange.terminal == "link2" and flange.note is None
     carrier = "link2" if name == "attachment_site" else "hand"
     assert flange.carrier == ROBOT.mj_model.body(carrier).id
 
@@ -122,12 +118,9 @@ def test_numbers_are_metres_and_degrees_about_fixed_axes(seed):
 def test_what_is_called_like_a_flange_is_taken_and_said(site, flange_name):
     flange = find_flange(robot_of(serial_arm((Z, Y, X), tip=f'<site name="{site}"/>')))
     assert flange.name == flange_name
-    reason = (
-        "because of its name"
-        if flange_name.startswith("site")
-        else "others that can be named"
-    )
-    assert reason in flange.note
+    is_site = flange_name.startswith("site")
+    assert ("because of its name" in flange.note) == is_site
+    assert ("others that can be named" in flange.note) != is_site
 
 
 def test_a_site_and_a_body_of_one_place_are_one_flange():

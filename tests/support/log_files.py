@@ -8,7 +8,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
+from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.records import JointLimits, Measurement
@@ -76,6 +78,17 @@ def read_measurements(
 ) -> MeasurementLog:
     """Read a log with options such as columns or units."""
     return open_log(arm_of(joint_names, limits, is_slide), path, LogOptions(**options))
+
+
+def assert_refused(
+    message: str, path: Path, joint_names: Sequence[str] = JOINTS, **options: Any
+) -> str:
+    """Assert that a log is refused in one line that matches, and return the line."""
+    with pytest.raises(InputError, match=message) as caught:
+        read_measurements(path, joint_names, **options)
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
 
 
 def read_table(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.mjcf.documents import ModelDocument, read_document
 
 TETRAHEDRON = """v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1
 f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"""
@@ -47,8 +48,13 @@ def write_files(folder: Path, files: dict[str, str]) -> Path:
     for name, content in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(content, encoding="utf-8")
+        path.write_bytes(content.encode())
     return folder / next(iter(files))
+
+
+def document_of(folder: Path, text: str, name: str = "m.xml") -> ModelDocument:
+    """Write a model file, and return it as it is read."""
+    return read_document(write_files(folder, {name: text}))
 
 
 def random_theta(
