@@ -206,7 +206,7 @@ class Config:
         )
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
-        """Yield the files that a run writes, each after the option that names it."""
+        """Yield (option that names a file, path of the file) of each file that a run writes."""
         names = (file_access.PARAMS_NAME, file_access.SERVO_NAME)
         for name in (*names, *file_access.MODEL_NAMES.values()):
             yield "--output-dir", self.output.output_dir / name
@@ -289,7 +289,7 @@ class SysidConfig(Config):
         return replace(self, trajectory=trajectory)
 
     def _is_random(self) -> bool:
-        """Tell whether the run draws a motion or noise."""
+        """Return whether the run draws a motion or noise, so that it needs a seed."""
         is_fixed = self.trajectory.file is not None or self.poses.purpose == "friction"
         is_noisy = self.arm.plant_model is not None and self.arm.is_noisy
         return not self.log.measurements and (is_noisy or not is_fixed)
@@ -323,7 +323,10 @@ class SysidConfig(Config):
         yield from self._motion_option_uses()
 
     def _data_option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
-        """Yield the uses of options on logs, simulated plants, the estimate and its results."""
+        """Yield (whether this run uses some options, why it does not, those that are set).
+
+        The options are those on logs, simulated plants, the estimate and its results.
+        """
         has_log = bool(self.log.measurements)
         is_plan = self.trajectory.plan_only
         is_designed = self.excitation.kind == "optimal"
@@ -381,7 +384,10 @@ class SysidConfig(Config):
         )
 
     def _motion_option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
-        """Yield the uses of options on a motion: its purpose, motors, design and seed."""
+        """Yield (whether this run uses some options, why it does not, those that are set).
+
+        The options are those on a motion: its purpose, motors, design and seed.
+        """
         yield (
             self.trajectory.plan_only,
             "says what a plan is for; use robot-sysid plan",

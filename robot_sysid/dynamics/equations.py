@@ -46,7 +46,7 @@ def friction_per_joint(
         model: friction terms of each joint whose torque is used.
     """
     others = model if torques == "chain" else NO_FRICTION
-    return (others,) * (robot.n_joints - 1) + (model,)
+    return (*[others] * (robot.n_joints - 1), model)
 
 
 def link_names(robot: RobotModel, link: int) -> tuple[str, ...]:
@@ -94,13 +94,13 @@ class Equations:
         self._robot = robot
         self._friction = tuple(friction)
         is_known = np.array([not model.terms for model in friction])
-        self._known_friction = replace(
-            robot.friction,
-            coulomb=np.where(is_known, robot.friction.coulomb, 0.0),
-            viscous=np.where(is_known, robot.friction.viscous, 0.0),
-        )
-        is_estimated = ["armature" in model.terms for model in friction]
-        self._estimates_armature = np.array(is_estimated)
+        coulomb = np.where(is_known, robot.friction.coulomb, 0.0)
+        viscous = np.where(is_known, robot.friction.viscous, 0.0)
+        known_friction = replace(robot.friction, coulomb=coulomb, viscous=viscous)
+        self._known_friction = known_friction
+        is_estimated = np.array(["armature" in model.terms for model in friction])
+        # (n,) rotor inertia of the joints whose rotor inertia is estimated.
+        self._estimated_armature = np.where(is_estimated, robot.armature, 0.0)
         self._links = tuple(links)
         self._dynamics = LinkDynamics(robot)
         self._beyond = BeyondRigidBodies(robot)
@@ -108,49 +108,47 @@ class Equations:
         self._known_thetas = robot.thetas
         self._known_thetas[[*self._links, -1]] = 0.0
         n = robot.n_joints
-        self.joint_indices = tuple(range(n)) if torques == "chain" else (n - 1,)
+        self.joint_indices = tuple(range(0 if torques == "chain" else n - 1, n))
         self.joints = tuple(robot.joint_names[j] for j in self.joint_indices)
         self._motors = tuple(motors)
         self.names, self.columns = self._parameters()
-        thetas = [robot.links[link].theta for link in self._links]
-        self._link_thetas = np.concatenate([np.zeros(0), *thetas])
+        self._link_thetas = robot.thetas[list(self._links)].ravel()
 
     def _parameters(self) -> tuple[tuple[str, ...], tuple[NDArray[np.int64], ...]]:
         """Return the names of all p parameters, and per joint of ``joints`` the indices (k,) of the
         parameters in its equation: other links are in it where the joint carries them.
         """
-        robot = self._robot
-        names = list(PARAMETER_NAMES)
-        for joint in self.joint_indices:
-            names += self._friction[joint].parameter_names(robot.joint_names[joint])
+        every_joint = np.arange(self._robot.n_joints)
+        # Names of parameters, and whether they are in the equation of each joint (n,).
+        blocks: list[tuple[tuple[str, ...], NDArray[np.bool_]]]
+        blocks = [(PARAMETER_NAMES, every_joint >= 0)]
+        for joint, name in zip(self.joint_indices, self.joints):
+            friction_names = self._friction[joint].parameter_names(name)
+            blocks.append((friction_names, every_joint == joint))
         for motor in self._motors:
-            names += motor.parameter_names
+            blocks.append((motor.parameter_names, motor.ratios != 0.0))
         for link in self._links:
-            names += link_names(robot, link)
-        index = {name: number for number, name in enumerate(names)}
-        columns = []
-        for joint in self.joint_indices:
-            joint_names = list(PARAMETER_NAMES)
-            friction = self._friction[joint]
-            joint_names += friction.parameter_names(robot.joint_names[joint])
-            for motor in self._motors:
-                if motor.ratios[joint]:
-                    joint_names += motor.parameter_names
-            for link in self._links:
-                if link >= joint:
-                    joint_names += link_names(robot, link)
-            columns.append(np.array([index[name] for name in joint_names]))
-        return tuple(names), tuple(columns)
+            blocks.append((link_names(self._robot, link), every_joint <= link))
+        names: list[str] = []
+        columns: list[list[int]] = [[] for _ in self.joint_indices]
+        for block, is_in_equation in blocks:
+            indices = range(len(names), len(names) + len(block))
+            names += block
+            for joint, joint_columns in zip(self.joint_indices, columns):
+                if is_in_equation[joint]:
+                    joint_columns += indices
+        return tuple(names), tuple(map(np.array, columns))
 
     @property
     def prior(self) -> Array:
         """The model's own values (p,) of all parameters; zero for friction it does not have."""
         robot = self._robot
         values = dict(zip(PARAMETER_NAMES, robot.prior.theta))
+        armature = robot.armature
         for j, joint in zip(self.joint_indices, self.joints):
             values[f"coulomb[{joint}]"] = robot.friction.coulomb[j]
             values[f"viscous[{joint}]"] = robot.friction.viscous[j]
-            values[f"armature[{joint}]"] = robot.armature[j]
+            values[f"armature[{joint}]"] = armature[j]
         for motor in self._motors:
             values.update(zip(motor.parameter_names, motor.model))
         for link in self._links:
@@ -187,10 +185,11 @@ class Equations:
         """Return the torque (N,) that the model's links make at one joint [N m]; ``bodies``
         (N, k + 1) as ``self.bodies`` yields them.
         """
-        n_carried = bodies.shape[1] - 1 - N_INERTIAL
+        columns = bodies[:, :-1]
+        n_carried = columns.shape[1] - N_INERTIAL
         carried = self._link_thetas[len(self._link_thetas) - n_carried :]
         values = np.concatenate((self._robot.prior.theta, carried))
-        return np.asarray(bodies[:, :-1] @ values + bodies[:, -1])
+        return np.asarray(columns @ values + bodies[:, -1])
 
     def bodies(self, motion: Motion) -> Iterator[Array]:
         """Yield (N, k + 1) per joint of ``joints``: columns of the terminal link, columns of the
@@ -200,12 +199,14 @@ class Equations:
         All of these are smooth functions of the motion (no sign of a speed), so that fewer samples
         are enough to filter them.
         """
-        links = self._dynamics.motion(motion.q, motion.qd, motion.qdd)
-        torque = self._beyond.torque(motion.q, motion.qd, motion.qdd)
+        series = motion.q, motion.qd, motion.qdd
+        links = self._dynamics.motion(*series)
+        torque = self._beyond.torque(*series)
         if np.any(self._known_thetas):
             torque = torque + links.torque(self._known_thetas)
         for j, (terminal, carried) in zip(self.joint_indices, self._columns(links)):
-            yield np.concatenate((terminal.T, carried.T, torque[None, :, j])).T
+            rows = (terminal.T, carried.T, torque[None, :, j])
+            yield np.concatenate(rows).T
 
     def friction(self, motion: Motion, loads: Iterable[Array]) -> Iterator[Array]:
         """Yield (N, k + 1) per joint of ``joints``: columns of its friction, columns of motors that
@@ -222,8 +223,7 @@ class Equations:
         qd = motion.qd
         qdd = motion.qdd
         known_torque = self._known_friction.torque(qd)
-        armature_torque = self._robot.armature * qdd
-        known_torque -= np.where(self._estimates_armature, armature_torque, 0.0)
+        known_torque -= self._estimated_armature * qdd
         motor_columns = [motor.columns(qd, qdd).T for motor in self._motors]
         for motor, columns in zip(self._motors, motor_columns):
             known_torque -= np.outer(motor.model @ columns, motor.ratios)

@@ -80,26 +80,36 @@ def _stribeck(qd: Array, speed: Array | float) -> Array:
 
 
 def _fading(qd: Array, qdd: Array, load: Array, fading_speed: float) -> Array:
-    """Return sign(qd) exp(-abs(qd) / fading_speed) (...) of velocities (...) [rad/s]."""
+    """Return sign(qd) exp(-abs(qd) / fading_speed) (N,), as a column of ``TERMS``.
+
+    Args:
+        qd: (N,) velocities [rad/s].
+        qdd, load: (N,) accelerations and loads, which have no effect.
+        fading_speed: speed at which 1/e of the friction is left [rad/s].
+    """
     decay = np.minimum(np.abs(qd) / fading_speed, _LARGEST_DECAY)
     return np.asarray(np.sign(qd) * np.exp(-decay))
 
 
-_STRIBECK = NonlinearTerm(
-    _stribeck,
-    lambda qd, speed: _stribeck(qd, speed) * 2.0 * qd**2 / speed**3,
-    default_speed=0.1,
-    trial_speeds=(0.02, 0.05, 0.1, 0.2),
-)
-# The square of cosh(300) is the last one that is a number.
-_SIGMOID = NonlinearTerm(
-    lambda qd, speed: np.sign(qd) * np.tanh(np.abs(qd) / speed),
-    lambda qd, speed: (
-        -qd / (speed * np.cosh(np.minimum(np.abs(qd / speed), 300.0))) ** 2
-    ),
-    default_speed=0.05,
-    trial_speeds=(0.01, 0.03, 0.1, 0.3),
-)
+def _stribeck_slope(qd: Array, speed: Array | float) -> Array:
+    """Return the derivative (...) of ``_stribeck`` of velocities (...) by the speed [s/rad]."""
+    return np.asarray(_stribeck(qd, speed) * 2.0 * qd**2 / speed**3)
+
+
+def _sigmoid(qd: Array, speed: Array | float) -> Array:
+    """Return tanh(qd / speed) (...) of velocities (...) [rad/s], odd to the last bit."""
+    return np.asarray(np.sign(qd) * np.tanh(np.abs(qd) / speed))
+
+
+def _sigmoid_slope(qd: Array, speed: Array | float) -> Array:
+    """Return the derivative (...) of ``_sigmoid`` of velocities (...) by the speed [s/rad]."""
+    # The square of cosh(300) is the last one that is a number.
+    ratio = np.minimum(np.abs(qd / speed), 300.0)
+    return np.asarray(-qd / (speed * np.cosh(ratio)) ** 2)
+
+
+_STRIBECK = NonlinearTerm(_stribeck, _stribeck_slope, 0.1, (0.02, 0.05, 0.1, 0.2))
+_SIGMOID = NonlinearTerm(_sigmoid, _sigmoid_slope, 0.05, (0.01, 0.03, 0.1, 0.3))
 NONLINEAR_TERMS: Mapping[str, NonlinearTerm] = {
     "stribeck": _STRIBECK,
     "sigmoid": _SIGMOID,
@@ -159,7 +169,9 @@ class FrictionModel:
         An offset has no sign. The square-root term bends the curve either way and, where it is
         present, only the sum with the viscous term is bound to brake, so neither has one.
         """
-        free = {"offset", "sqrt"} | ({"viscous"} if "sqrt" in self.terms else set())
+        free = ["offset", "sqrt"]
+        if "sqrt" in self.terms:
+            free.append("viscous")
         return tuple(term not in free for term in self.terms)
 
     @property

@@ -39,7 +39,6 @@ import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import accumulate
 from typing import Any
 
 import mujoco
@@ -72,12 +71,13 @@ def analysis_copy(mj_model: Any) -> Any:
     carries the weight), fluid drag, and linear joint damping (friction is added by the caller).
     """
     model = copy.copy(mj_model)
-    disable = mujoco.mjtDisableBit
+    options = model.opt
     for name in ("CONSTRAINT", "CONTACT", "SENSOR"):
-        model.opt.disableflags |= int(getattr(disable, f"mjDSBL_{name}"))
+        flag = getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")
+        options.disableflags |= int(flag)
     # "invdiscrete" would reinterpret qacc, "fwdinv" and "energy" only cost time.
-    model.opt.enableflags = 0
-    model.opt.density = model.opt.viscosity = 0.0
+    options.enableflags = 0
+    options.density = options.viscosity = 0.0
     model.body_gravcomp[:] = 0.0
     model.dof_damping[:] = 0.0
     return model
@@ -93,8 +93,9 @@ def data_at_pose(mj_model: Any, qpos: Array) -> Any:
 
 def subtree(mj_model: Any, body_id: int) -> list[int]:
     """Return the ids of a body and all its descendants, which MuJoCo numbers consecutively."""
-    outside = np.flatnonzero(mj_model.body_parentid[body_id + 1 :] < body_id)
-    end = body_id + 1 + int(outside[0]) if len(outside) else mj_model.nbody
+    end = body_id + 1
+    while end < mj_model.nbody and mj_model.body_parentid[end] >= body_id:
+        end += 1
     return list(range(body_id, end))
 
 
@@ -222,8 +223,10 @@ class LinksMotion:
     @cached_property
     def to_links(self) -> Array:
         """The matrices (n, N, 6, 6) that take twists from the base's frame to each link's."""
-        steps = [np.moveaxis(step, -1, 0) for step in self.steps]
-        return np.array([*accumulate(steps, lambda below, step: step @ below)])
+        to_links = [np.moveaxis(self.steps[0], -1, 0)]
+        for step in self.steps[1:]:
+            to_links.append(np.moveaxis(step, -1, 0) @ to_links[-1])
+        return np.array(to_links)
 
     @cached_property
     def joint_twists(self) -> Array:
@@ -233,9 +236,10 @@ class LinksMotion:
 
     def _to_base(self, twists: Array) -> Array:
         """Return twists (6, n, N) of the links' frames in the base's frame."""
-        blocks = self.to_links.reshape(*self.to_links.shape[:2], 2, 3, 2, 3)
+        shape = self.to_links.shape
+        blocks = self.to_links.reshape(*shape[:2], 2, 3, 2, 3)
         # Ad(T) has the blocks of Ad(T^-1) transposed.
-        to_base = blocks.swapaxes(-1, -3).reshape(self.to_links.shape)
+        to_base = blocks.swapaxes(-1, -3).reshape(shape)
         return np.einsum("inab,bin->ain", to_base, twists)
 
     def gradient(
@@ -290,9 +294,8 @@ class LinksMotion:
                 twist[:] = np.einsum("abn,bn->an", self.steps[link], twist)
             jacobian[link] = self.screws[link][:, None]
             for number in np.flatnonzero(np.equal(links, link)):
-                wrench = wrench_regressor(
-                    self.velocity[link].T, self.acceleration[link].T
-                )
+                motion = self.velocity[link].T, self.acceleration[link].T
+                wrench = wrench_regressor(*motion)
                 for twist, block in zip(jacobian[: link + 1], columns[:, number]):
                     np.einsum("in,ikn->kn", twist, wrench, out=block)
         return columns.reshape(joints, -1, samples).transpose(2, 0, 1)
@@ -335,12 +338,12 @@ class LinksMotion:
             by_position = -np.stack((by_velocity, by_acceleration))
             twists = np.concatenate((twists, by_position[:, :, None]), axis=2)
             inertia = _inertia(theta)
-            momentum = np.tensordot(inertia, velocity[:, None], 1)
+            velocity = velocity[:, None]
+            momentum = np.tensordot(inertia, velocity, 1)
+            momentum_slope = np.tensordot(inertia, twists[0], 1)
             slope = np.tensordot(inertia, twists[1], 1)
             slope -= bracket_transposed(twists[0], momentum)
-            slope -= bracket_transposed(
-                velocity[:, None], np.tensordot(inertia, twists[0], 1)
-            )
+            slope -= bracket_transposed(velocity, momentum_slope)
             wrench_slopes.append(slope)
         wrench = np.zeros((6, samples))
         total = np.zeros((6, count, samples))

@@ -29,16 +29,17 @@ def checked_array(value: Any, shape: tuple[int | None, ...], name: str) -> Array
         InputError: the shape differs, or an element is not finite.
     """
     array = np.asarray(value, dtype=np.float64).view()
-    fits = array.ndim == len(shape) and all(
-        want is None or want == got for want, got in zip(shape, array.shape)
-    )
+    fits = array.ndim == len(shape)
+    for expected, length in zip(shape, array.shape):
+        fits &= expected in (None, length)
     if not fits:
         raise InputError(
             f"{name} has shape {array.shape}, expected {shape} (None = any length)"
         )
-    if not np.all(np.isfinite(array)):
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise InputError(f"{name} is not finite at index {where}")
+    is_finite = np.isfinite(array)
+    if not np.all(is_finite):
+        index = tuple(np.argwhere(~is_finite)[0].tolist())
+        raise InputError(f"{name} is not finite at index {index}")
     array.flags.writeable = False
     return array
 
@@ -54,9 +55,8 @@ def check_arrays(record: Any, **shapes: tuple[int | None, ...]) -> None:
         InputError: a shape differs, or an element is not finite.
     """
     for name, shape in shapes.items():
-        object.__setattr__(
-            record, name, checked_array(getattr(record, name), shape, name)
-        )
+        array = checked_array(getattr(record, name), shape, name)
+        object.__setattr__(record, name, array)
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,14 @@ class InertialParameters:
 
 @dataclass(frozen=True)
 class SubtreeBody:
-    """One body of the terminal link, the terminal body itself or one below it, welded where no
-    joint lies between: theta (10,) in the TERMINAL body's frame, inertia about that one's origin.
+    """One body of the terminal link: the terminal body itself or one below it.
+
+    Attributes:
+        body_id: its MuJoCo id.
+        name: of the body ("#7" for a nameless body with id 7).
+        theta: (10,) inertial parameters in the frame of the TERMINAL body, with the inertia about
+            the origin of that frame.
+        welded: whether no joint lies between the body and the terminal body.
     """
 
     body_id: int
@@ -127,6 +133,7 @@ class ArmLink:
     """What one chain joint moves: a body with all that hangs on it up to the next chain joint.
 
     Attributes:
+        body_id: MuJoCo id of the body.
         body_name: its name ("#7" for a nameless body with id 7).
         screw: (6,) twist [omega, v] of the body per unit of joint speed, in the body's frame.
         rotation, translation: (3, 3), (3,) the body's frame in that of the link before it (the
@@ -147,7 +154,7 @@ class ArmLink:
 
     @property
     def has_mass(self) -> bool:
-        """Whether there is anything to identify about it."""
+        """Whether the link has any mass or inertia, without which it makes no torque."""
         return bool(np.any(self.theta))
 
 
@@ -158,6 +165,7 @@ class Flange:
     Attributes:
         name: of the site or body, or the numbers it was given by.
         rotation, translation: (3, 3), (3,) its axes and origin in the terminal body's frame [m].
+        terminal: name of the terminal body.
         carrier: MuJoCo id of the body it belongs to.
         note: how it was chosen, where nobody named it.
     """
@@ -171,8 +179,8 @@ class Flange:
 
     def __post_init__(self) -> None:
         check_arrays(self, rotation=(3, 3), translation=(3,))
-        square = self.rotation @ self.rotation.T
-        if not np.allclose(square, np.eye(3)) or np.linalg.det(self.rotation) < 0.0:
+        is_orthonormal = np.allclose(self.rotation @ self.rotation.T, np.eye(3))
+        if not is_orthonormal or np.linalg.det(self.rotation) < 0.0:
             raise InputError(
                 f"the axes of flange {self.name} are not a right-handed frame"
             )
@@ -204,14 +212,8 @@ class JointLimits:
     torque: Array
 
     def __post_init__(self) -> None:
-        sizes = {
-            np.shape(v) for v in (self.lower, self.upper, self.velocity, self.torque)
-        }
-        if (
-            len(sizes) != 1
-            or np.any(np.isnan(self.lower))
-            or np.any(np.isnan(self.upper))
-        ):
+        sizes = {np.shape(values) for values in vars(self).values()}
+        if len(sizes) != 1 or np.any(np.isnan((self.lower, self.upper))):
             raise InputError(
                 f"joint limits must be numbers of one length, got shapes {sizes}"
             )
@@ -255,10 +257,10 @@ class JointFriction:
                 their sign, or a smooth function in place of it.
         """
         assert self.shared is not None
-        speed = (
-            qd @ (self.shared / np.max(np.abs(self.shared), axis=1, keepdims=True)).T
-        )
-        return np.asarray(self.coulomb * direction(qd) + direction(speed) @ self.shared)
+        largest = np.max(np.abs(self.shared), axis=1, keepdims=True)
+        motor_speed = qd @ (self.shared / largest).T
+        by_joints = self.coulomb * direction(qd)
+        return np.asarray(by_joints + direction(motor_speed) @ self.shared)
 
     @property
     def largest_dry(self) -> Array:
@@ -272,12 +274,15 @@ class RobotModel:
     """One arm as the identification sees it.
 
     Attributes:
+        path: of the model file.
         mj_model: the compiled MuJoCo model, exactly as the file describes it.
         joint_names: the n chain joints, base to terminal ("#3" for a nameless joint with id 3).
         body_name: the terminal body ("#7" for a nameless body with id 7).
+        body_id: MuJoCo id of the terminal body.
         qpos_index, dof_index: (n,) addresses of the chain joints in qpos and qvel.
         reference_qpos: (nq,) configuration at which joints outside the chain are held.
         is_slide: (n,) whether a chain joint is a slide.
+        limits, friction: of the chain joints.
         prior: composite terminal link (terminal body and all below it at the reference
             configuration), in the terminal body's frame.
         bodies: what that is made of, the terminal body first.
@@ -342,9 +347,7 @@ class RobotModel:
     @property
     def slides(self) -> tuple[str, ...]:
         """Names of the chain joints that are slides."""
-        return tuple(
-            name for name, slide in zip(self.joint_names, self.is_slide) if slide
-        )
+        return tuple(self.joint_names[j] for j in np.flatnonzero(self.is_slide))
 
     @property
     def reference(self) -> Array:

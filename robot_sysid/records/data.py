@@ -32,12 +32,20 @@ class Motion:
 
 
 def _check_samples(record: Motion | Measurement, *names: str) -> None:
-    """Check the time (N,) of a record, and its fields of some names (N, n) that are not None."""
+    """Make the arrays of a record read-only and check their shapes.
+
+    Args:
+        record: the record, whose fields are replaced by views; its ``time`` has the shape (N,).
+        names: of its fields of the shape (N, n); one that is None is left out.
+
+    Raises:
+        InputError: a shape differs, or an element is not finite.
+    """
     check_arrays(record, time=(None,))
     n_joints = np.shape(record.q)[1] if np.ndim(record.q) == 2 else None
-    for name in names:
-        if getattr(record, name) is not None:
-            check_arrays(record, **{name: (len(record.time), n_joints)})
+    shape = len(record.time), n_joints
+    shapes = {name: shape for name in names if getattr(record, name) is not None}
+    check_arrays(record, **shapes)
 
 
 class MotionPlan(Protocol):
@@ -237,9 +245,9 @@ class Estimate:
 
     def value(self, name: str) -> float | None:
         """Return one parameter by name, or None where it was not estimated."""
-        return (
-            float(self.values[self.names.index(name)]) if name in self.names else None
-        )
+        if name not in self.names:
+            return None
+        return float(self.values[self.names.index(name)])
 
     def error(self, name: str) -> float | None:
         """Return the standard error of one parameter by name, or None where there is none."""

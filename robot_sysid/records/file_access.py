@@ -202,20 +202,20 @@ class AtomicFiles:
     def discard(self) -> None:
         """Remove all drafts without a final name, and the created folders that are empty."""
         for draft in self._drafts.values():
-            # It may have its final name, or never have been made.
+            # The draft may have its final name, or never have been made.
             with contextlib.suppress(OSError):
                 draft.unlink()
         for folder in reversed(self._created_folders):
-            # It may hold a file.
+            # The folder may hold a file.
             with contextlib.suppress(OSError):
                 folder.rmdir()
 
     def create_folder(self, folder: Path) -> None:
         """Create a folder and those above it; ``discard`` removes them if they stay empty."""
-        missing = [f for f in (folder, *folder.parents) if not os.path.exists(f)]
-        for new_folder in reversed(missing):
-            new_folder.mkdir(exist_ok=True)
-            self._created_folders.append(new_folder)
+        for new_folder in reversed((folder, *folder.parents)):
+            if not os.path.exists(new_folder):
+                new_folder.mkdir(exist_ok=True)
+                self._created_folders.append(new_folder)
 
 
 @contextlib.contextmanager

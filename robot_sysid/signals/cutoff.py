@@ -23,6 +23,7 @@ import numpy as np
 from robot_sysid.records import Array
 from robot_sysid.records.messages import percent
 from robot_sysid.signals.filters import design_low_pass
+from robot_sysid.signals.resampling import is_new_sample
 
 # Expected squared error of the acceleration, relative to its mean square, that does no harm: it
 # biases an identified inertia by the same share, 0.005 %.
@@ -113,17 +114,17 @@ def choose_cutoff(spectra: Spectra) -> CutoffChoice:
     lowest = 4.0 * half_width_times_cutoff / (_TRIMMED_SHARE * spectra.count / rate)
     candidates = np.geomspace(min(lowest, highest), highest, 40)
     # The highest frequency at which the arm moves; the highest of all where it does not move.
-    frequency = spectra.frequency
-    motion = spectra.motion
-    fastest = frequency[_speed_index(frequency, motion) if np.any(motion) else -1]
+    fastest = spectra.frequency[-1]
+    if np.any(spectra.motion):
+        fastest = spectra.frequency[_speed_index(spectra.frequency, spectra.motion)]
     bound = max(candidates[0], _LARGEST_CUTOFF_RATIO * fastest)
     candidates = candidates[candidates <= bound]
     errors = np.array([_squared_error(cutoff, spectra) for cutoff in candidates])
     largest_error = max(_HARMLESS_ERROR, _ERROR_TOLERANCE * errors.min())
     index = np.flatnonzero(errors <= largest_error)[-1]
     cutoff = float(candidates[index])
-    sigma = spectra.position_noise
     expected = float(np.sqrt(errors[index]))
+    sigma = spectra.position_noise
     reason = (
         f"cut-off {cutoff:.3g} Hz chosen from the data: position noise {sigma.min():.2g} to "
         f"{sigma.max():.2g} rad, expected error of the acceleration {percent(expected)}"
@@ -135,10 +136,10 @@ def acceleration_noise(spectra: Spectra | None, cutoff: float) -> float:
     """Return the root mean square of the noise that a cut-off [Hz] leaves in the acceleration over
     that of the motion's acceleration; infinite where nothing moves or there are no spectra.
     """
-    moved = 0.0 if spectra is None else np.sum(spectra.motion)
-    if spectra is None or moved <= 0.0:
+    if spectra is None or not np.any(spectra.motion > 0.0):
         return math.inf
-    return math.sqrt(np.sum(spectra.noise[spectra.frequency <= cutoff]) / moved)
+    passed = spectra.frequency <= cutoff
+    return math.sqrt(np.sum(spectra.noise[passed]) / np.sum(spectra.motion))
 
 
 def acceleration_spectra(q: Array, rate: float, steps: Array) -> Spectra | None:
@@ -155,22 +156,20 @@ def acceleration_spectra(q: Array, rate: float, steps: Array) -> Spectra | None:
     longest = max(_SHORTEST_SEGMENT, round(_LONGEST_SEGMENT * rate))
     length = min((len(q) - 2) // 4, longest)
     frequency, power, shape = _second_difference_spectrum(q, rate, length)
+    shape = shape[:, None]
     high = (frequency > 0.25 * rate) & (frequency < 0.475 * rate)
     # The median of a chi-square lies a little below its mean; with this many segments by 5 %.
-    level = 1.05 * np.median(power[high] / shape[high, None], axis=0)
-    noise = level * shape[:, None]
+    level = 1.05 * np.median(power[high] / shape[high], axis=0)
+    white_noise = level * shape
     staircase = np.zeros_like(power)
     stepped = np.any(steps, axis=0)
     if np.any(stepped):
-        _, power_of_steps, _ = _second_difference_spectrum(
-            steps[:, stepped], rate, length
-        )
-        staircase[:, stepped] = power_of_steps
-    motion = _motion_power(frequency, power, np.maximum(noise, staircase))
-    noise = np.maximum(noise, np.where(motion > 0.0, 0.0, power))
-    motion = np.sum(motion, axis=1)
-    noise = np.sum(noise, axis=1)
-    return Spectra(rate, len(q), length, frequency, motion, noise, level)
+        steps = steps[:, stepped]
+        staircase[:, stepped] = _second_difference_spectrum(steps, rate, length)[1]
+    motion = _motion_power(frequency, power, np.maximum(white_noise, staircase))
+    noise = np.maximum(white_noise, np.where(motion > 0.0, 0.0, power))
+    sums = np.sum(motion, axis=1), np.sum(noise, axis=1)
+    return Spectra(rate, len(q), length, frequency, *sums, level)
 
 
 def _drop_repeated_readings(
@@ -187,10 +186,9 @@ def _drop_repeated_readings(
         steps: (N, n) quantisation errors [rad].
         rate: of the grid [Hz].
     """
-    is_new = np.concatenate(([True], np.any(q[1:] != q[:-1], axis=1)))
-    share = float(np.mean(is_new))
-    row = np.arange(len(q))
-    new_rows = np.flatnonzero(is_new)
+    is_new = np.any(np.diff(q, axis=0), axis=1)
+    new_rows = np.concatenate(([0], np.flatnonzero(is_new) + 1))
+    share = len(new_rows) / len(q)
     if share > _FRESH_SHARE or len(new_rows) < _SHORTEST_SEGMENT:
         return q, steps, rate
     waits = np.diff(new_rows)
@@ -200,42 +198,61 @@ def _drop_repeated_readings(
     even = np.linspace(0.0, len(q) - 1.0, len(new_rows))
     fresh_q = np.empty((len(even), q.shape[1]))
     for joint, reading in enumerate(q.T):
-        fresh_q[:, joint] = np.interp(even, row[new_rows], reading[new_rows])
+        fresh_q[:, joint] = np.interp(even, new_rows, reading[new_rows])
     return fresh_q, np.zeros_like(fresh_q), rate * share
 
 
-def quantisation_error(q: Array) -> Array:
-    """Return the error (N, n) that the steps of an encoder make in its readings q (N, n) [rad].
+def quantisation_error(q: Array, joint_time: Array | None = None) -> Array:
+    """Return the error (N, n) that the steps of encoders make in their readings [rad].
 
     The error is the reading minus a piecewise straight line: between two successive readings that
     differ, the joint passed the middle of the two, and between two such middles it moved at nearly
     constant speed. The error is zero for a joint whose reading hardly ever repeats while the joint
     moves: its steps are too fine to make a staircase.
+
+    Args:
+        q: (N, n) readings [rad].
+        joint_time: (N, n) time stamps of each joint's readings [s]; None where every row holds a
+            new reading. A row that repeats an older reading has no error and is left out.
     """
     error = np.zeros_like(q)
-    sample = np.arange(len(q))
-    for joint, reading in enumerate(q.T):
+    for joint in range(q.shape[1]):
+        is_new = np.ones(len(q), dtype=bool)
+        if joint_time is not None:
+            is_new = is_new_sample(joint_time[:, joint])
+        reading = q[is_new, joint]
         last_samples = np.flatnonzero(np.diff(reading))
         repeats = np.diff(last_samples, prepend=-1) > 1
         if np.count_nonzero(repeats) > _REPEATED_SHARE * len(last_samples):
             middles = 0.5 * (reading[last_samples] + reading[last_samples + 1])
-            error[:, joint] = reading - np.interp(sample, last_samples + 0.5, middles)
+            samples = np.arange(len(reading))
+            line = np.interp(samples, last_samples + 0.5, middles)
+            error[is_new, joint] = reading - line
     return error
 
 
 def _second_difference_spectrum(
     q: Array, rate: float, length: int
 ) -> tuple[Array, Array, Array]:
-    """Return frequency (F,) [Hz], spectrum of the second difference of positions q (N, n), (F, n),
-    and the spectrum (F,) that white noise of unit density would have.
+    """Return the spectrum of the second difference of positions, an acceleration.
 
-    The mean over segments of ``length`` samples of the squared Fourier transform under a
-    Blackman-Harris window, after subtraction of the mean (Welch, IEEE Trans. Audio Electroacoust.
-    15, 1967; Harris, Proc. IEEE 66, 1978).
+    It is the mean over segments of the squared Fourier transform under a Blackman-Harris window,
+    after subtraction of the segment's mean (Welch, IEEE Trans. Audio Electroacoust. 15, 1967;
+    Harris, Proc. IEEE 66, 1978).
+
+    Args:
+        q: (N, n) positions on a uniform grid [rad].
+        rate: of the grid [Hz].
+        length: samples of a segment.
+
+    Returns:
+        Frequencies (F,) [Hz], zero left out; power densities (F, n); and the power density (F,)
+        where positions are white noise of unit density.
     """
     angle = 2.0 * np.pi / length * np.arange(length)
     window = np.cos(np.outer(angle, range(4))) @ _BLACKMAN_HARRIS
-    starts = range(0, len(q) - 2 - length + 1, length - 3 * length // 4)
+    last_start = len(q) - 2 - length
+    starts = range(0, last_start + 1, length - 3 * length // 4)
     frequency = np.asarray(np.fft.rfftfreq(length, 1.0 / rate))
     power = np.zeros((len(frequency), q.shape[1]))
     for start in starts:
@@ -244,9 +261,11 @@ def _second_difference_spectrum(
         transform = np.fft.rfft(deviation * window[:, None], axis=0)
         power += transform.real**2 + transform.imag**2
     power *= 2.0 / (rate * np.sum(window**2) * len(starts))
-    # The Nyquist frequency, which an even length has, is the one bin without a mirror image.
-    power[length // 2 :] *= 0.5 if length % 2 == 0 else 1.0
-    shape = ((2.0 - 2.0 * np.cos(2.0 * np.pi * frequency / rate)) * rate**2) ** 2
+    if length % 2 == 0:
+        # The Nyquist frequency, which an even length has, is the one bin without a mirror image.
+        power[-1] *= 0.5
+    phase = 2.0 * np.pi * frequency / rate
+    shape = ((2.0 - 2.0 * np.cos(phase)) * rate**2) ** 2
     return frequency[1:], power[1:], shape[1:]
 
 
@@ -267,10 +286,12 @@ def _motion_power(frequency: Array, power: Array, noise: Array) -> Array:
     moved = np.sum(motion, axis=1)
     slow = _speed_index(frequency, moved)
     smooth = _smooth(np.sum(power, axis=1))
-    lowest = slow + int(np.argmin(smooth[slow : max(slow + 1, int(0.9 * len(power)))]))
+    end = max(slow + 1, int(0.9 * len(power)))
+    lowest = slow + int(np.argmin(smooth[slow:end]))
     gap = frequency[_gap_index(frequency, moved)]
     last = min(lowest, int(np.searchsorted(frequency, _GAP_RATIO * gap)))
-    return np.where(np.arange(len(frequency))[:, None] <= last, motion, 0.0)
+    motion[last + 1 :] = 0.0
+    return motion
 
 
 def _speed_index(frequency: Array, motion: Array) -> int:
@@ -303,14 +324,19 @@ def _gap_index(frequency: Array, motion: Array) -> int:
     Beyond such a gap lie images of the motion, which repeated samples and jitter in time leave. The
     search begins at the frequency below which half of the squared speed of the lower half of all
     octaves lies: power there is motion for certain. Where there is no gap, the last index is
-    returned. The arguments are those of ``_speed_index``.
+    returned.
+
+    Args:
+        frequency: (F,) [Hz].
+        motion: (F,) power density of the motion's acceleration.
     """
     speed = _cumulative_squared_speed(frequency, motion)
     last = len(frequency) - 1
     octave = np.minimum(np.searchsorted(frequency, 2.0 * frequency), last)
     is_empty = speed[octave] - speed < _GAP_SHARE * speed
     lower_half = speed[int(np.sqrt(len(speed)))]
-    is_empty[: int(np.searchsorted(speed, 0.5 * lower_half))] = False
+    start = int(np.searchsorted(speed, 0.5 * lower_half))
+    is_empty[:start] = False
     is_empty[octave == last] = False
     return int(np.argmax(is_empty)) if np.any(is_empty) else last
 

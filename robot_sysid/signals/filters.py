@@ -115,18 +115,19 @@ class LowPass:
 
         Computed by Fourier transforms of overlapping blocks (Oppenheim, Schafer, sec. 8.7.3).
         """
-        width = len(self.kernel)
-        count = max(0, len(values) - len(self.kernel) + 1)
-        if width == 1:
+        lost = len(self.kernel) - 1
+        if lost == 0:
             return self.kernel[0] * values
-        size = 1 << (4 * width).bit_length()
-        gain = np.fft.rfft(self.kernel, size).reshape(-1, *(1,) * (np.ndim(values) - 1))
+        count = max(0, len(values) - lost)
+        size = 1 << (4 * len(self.kernel)).bit_length()
+        gain = np.fft.rfft(self.kernel, size)
+        gain = gain.reshape(-1, *(1,) * (np.ndim(values) - 1))
         filtered = np.empty((count, *np.shape(values)[1:]))
-        for start in range(0, count, size - width + 1):
+        for start in range(0, count, size - lost):
             transform = np.fft.rfft(values[start : start + size], size, axis=0)
-            block = filtered[start : start + size - width + 1]
             convolution = np.fft.irfft(gain * transform, size, axis=0)
-            block[:] = convolution[width - 1 : width - 1 + len(block)]
+            block = filtered[start : start + size - lost]
+            block[:] = convolution[lost : lost + len(block)]
         return filtered
 
     def decimate(self, values: Array) -> Array:
@@ -161,16 +162,17 @@ def design_low_pass(
         raise InputError(
             f"cut-off {cutoff:g} Hz does not fit a rate of {rate:g} Hz; {remedy}"
         )
-    width = 2.0 * math.pi * _TRANSITION * cutoff / rate
-    half = (attenuation - 8.0) / (2.285 * width) / 2.0
-    if half > _LONGEST_HALF_WIDTH:
-        fault = f"cut-off {cutoff:g} Hz would average over {2.0 * half / rate:.3g} s"
+    transition = 2.0 * math.pi * _TRANSITION * cutoff / rate
+    least_half = (attenuation - 8.0) / (2.285 * transition) / 2.0
+    if least_half > _LONGEST_HALF_WIDTH:
+        duration = 2.0 * least_half / rate
+        fault = f"cut-off {cutoff:g} Hz would average over {duration:.3g} s"
         raise InputError(f"{fault}, longer than any log; choose a higher --cutoff")
     step = max(1, int(rate / (2.0 * cutoff)))
     fewest = max(2, step // _COARSEST_STRIDE)
     strides = range(fewest, step // _FINEST_STRIDE + 1) or (1,)
     stride = min(strides, key=lambda width: (step % width, -width))
-    half = math.ceil(half / stride) * stride
+    half = math.ceil(least_half / stride) * stride
     ideal = np.sinc(2.0 * cutoff / rate * np.arange(-half, half + 1))
     kernel = ideal * np.kaiser(2 * half + 1, _kaiser_beta(attenuation))
     return LowPass(cutoff, rate, kernel / np.sum(kernel), step - step % stride)
@@ -182,7 +184,11 @@ def _kaiser_beta(attenuation: float) -> float:
 
 
 class Decimator:
-    """Filters and decimates a stream of samples that arrives in chunks of any size."""
+    """Filters and decimates a stream of samples that arrives in chunks of any size.
+
+    Args:
+        low_pass: the filter, which also states how many samples become one.
+    """
 
     def __init__(self, low_pass: LowPass) -> None:
         self._kernel = low_pass.kernel
@@ -246,8 +252,8 @@ def second_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
     (N - 2 reach, ...).
 
     A central difference of order 2 reach: the samples k steps later and earlier have the weight
-    2 w_k / k^2, w_k as in ``first_derivative``; the weight of the middle sample makes the sum of
-    all weights zero.
+    2 w_k / k^2, w_k = (-1)^(k + 1) C(2 reach, reach - k) / C(2 reach, reach); the weight of the
+    middle sample makes the sum of all weights zero.
     """
     ahead, weights = _central_weights(reach)
     later = 2.0 * weights / ahead**2
@@ -256,7 +262,9 @@ def second_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
 
 
 def _central_weights(reach: int) -> tuple[Array, Array]:
-    """Return k = 1 ... reach and w_k of ``first_derivative``, each (reach,)."""
+    """Return k = 1 ... reach, and w_k = (-1)^(k + 1) C(2 reach, reach - k) / C(2 reach, reach), of
+    which the weights of central differences are made; each (reach,).
+    """
     ahead = range(1, reach + 1)
     weights = [-((-1) ** k) * math.comb(2 * reach, reach - k) for k in ahead]
     return np.array(ahead, dtype=float), np.array(weights) / math.comb(2 * reach, reach)
@@ -278,10 +286,9 @@ def shift_samples(values: Array, samples: float) -> tuple[Array, int]:
     window = np.i0(_kaiser_beta(_SHIFT_ATTENUATION) * np.sqrt(inside))
     stencil = np.sinc(offset) * window
     inner = _correlate(values, stencil / stencil.sum())
-    first = SHIFT_REACH + max(0, -whole_samples)
-    start = max(0, whole_samples)
-    stop = len(inner) + min(0, whole_samples)
-    return inner[start:stop], first
+    if whole_samples < 0:
+        return inner[:whole_samples], SHIFT_REACH - whole_samples
+    return inner[whole_samples:], SHIFT_REACH
 
 
 def _correlate(

@@ -53,11 +53,7 @@ from robot_sysid.signals.filters import (
     second_derivative,
     shift_samples,
 )
-from robot_sysid.signals.resampling import (
-    UniformSignals,
-    is_new_sample,
-    resample_uniformly,
-)
+from robot_sysid.signals.resampling import UniformSignals, resample_uniformly
 
 LARGEST_SLOW_SHARE = 0.07
 """Share of the filter's weight that samples inside the deadband may have in a row that is used;
@@ -167,13 +163,12 @@ class ProcessedSignals:
         stride = self.low_pass.stride if smooth else 1
         low_pass = self.low_pass.at_lower_rate(stride)
         size = min(chunk, CHUNK) * stride
+        decimators: defaultdict[int, Decimator]
+        decimators = defaultdict(lambda: Decimator(low_pass))
         decimated: defaultdict[int, list[Array]] = defaultdict(list)
-        decimators: list[Decimator] = []
         for start in range(0, len(self), size):
             motion = self.motion(slice(start, start + size, stride))
             for number, values in enumerate(make_columns(motion)):
-                if number == len(decimators):
-                    decimators.append(Decimator(low_pass))
                 decimated[number].append(decimators[number].push(values))
         return [np.concatenate(chunks) for chunks in decimated.values()]
 
@@ -255,11 +250,11 @@ class ProcessedSignals:
         """Return (K, n) whether each decimated row of each joint may be used: the filter's window
         holds no bridged sample and little weight of slow or standing samples.
         """
-        centres = self.low_pass.centres(len(self))
         moving = self.slow_share() <= LARGEST_SLOW_SHARE
         holes = np.concatenate(([0], np.cumsum(self.bridged)))
         half = self.low_pass.half_width
-        is_complete = holes[centres + half + 1] == holes[centres - half]
+        first = self.low_pass.centres(len(self)) - half
+        is_complete = holes[first + 2 * half + 1] == holes[first]
         return moving & is_complete[:, None]
 
 
@@ -269,7 +264,9 @@ class LogPiece(Measurement):
 
     @classmethod
     def of(cls, measurement: Measurement) -> LogPiece:
-        """Return a measurement as a log piece; a log piece is returned itself, spectra and all."""
+        """Return a measurement as a log piece; the argument itself, with its cached spectra, where
+        that is a log piece already.
+        """
         return measurement if isinstance(measurement, cls) else cls(**vars(measurement))
 
     def without_velocities(self) -> LogPiece:
@@ -283,7 +280,8 @@ class LogPiece(Measurement):
         """Spectra that a cut-off is chosen from; None where the piece is too short for them."""
         uniform = resample_uniformly(self)
         # The steps of encoders are found in the raw readings: interpolation rounds them off.
-        steps = resample_uniformly(replace(self, q=_reading_errors(self))).q
+        errors = quantisation_error(self.q, self.joint_time)
+        steps = resample_uniformly(replace(self, q=errors)).q
         return acceleration_spectra(uniform.q, uniform.rate, steps)
 
     @cached_property
@@ -337,8 +335,9 @@ def process(
     q = position_filter.filter(uniform.q)
     lost = position_filter.half_width + reach
     # The low-passed motion at each sample depends on samples up to ``lost`` away.
+    width = 2 * lost + 1
     holes = np.concatenate(([0], np.cumsum(uniform.gap > _HARMLESS_GAP / cutoff)))
-    bridged = holes[2 * lost + 1 :] > holes[: len(holes) - 2 * lost - 1]
+    bridged = holes[width:] > holes[:-width]
     qd = first_derivative(q, uniform.rate, reach)
     qdd = second_derivative(q, uniform.rate, reach)
     slow = np.maximum(DEADBAND_SHARE * np.max(np.abs(qd), axis=0), _LEAST_DEADBAND)
@@ -406,27 +405,11 @@ def turning_samples(readings: Array, qd: Array, noise: Array) -> NDArray[np.bool
         for start, turn, stop in zip(edges, edges[1:], edges[2:]):
             outward = np.sign(speed[turn - 1] - speed[turn])
             height = outward * reading[start:stop]
-            is_away = np.max(height) - height > distance
-            away_earlier = np.flatnonzero(is_away[: turn - start])
-            away_later = np.flatnonzero(is_away[turn - start :])
-            first = start + away_earlier[-1] + 1 if len(away_earlier) else start
-            last = turn + away_later[0] if len(away_later) else stop
+            away = start + np.flatnonzero(np.max(height) - height > distance)
+            first = np.max(away[away < turn] + 1, initial=start)
+            last = np.min(away[away >= turn], initial=stop)
             is_turning[first:last, joint] = True
     return is_turning
-
-
-def _reading_errors(measurement: Measurement) -> Array:
-    """Return the quantisation errors (N, n) of the positions [rad]; zero in rows that repeat an
-    older reading of a joint with its own time stamps.
-    """
-    if measurement.joint_time is None:
-        return quantisation_error(measurement.q)
-    errors = np.zeros_like(measurement.q)
-    for joint, stamps in enumerate(measurement.joint_time.T):
-        is_new = is_new_sample(stamps)
-        readings = measurement.q[is_new, joint, None]
-        errors[is_new, joint] = quantisation_error(readings)[:, 0]
-    return errors
 
 
 def _corners(uniform: UniformSignals, low_pass: LowPass) -> NDArray[np.bool_] | None:

@@ -24,7 +24,7 @@ as large both ways), so that gravity alone remains.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,13 +80,13 @@ class Visits:
         probes = np.unique(self.probes)
         for joint_residual in residuals:
             residual = np.nan_to_num(joint_residual)
-            covariance = 0.0
+            inflation = 1.0
             squared = float(np.sum(residual[probes] ** 2))
             if self.repeats >= 1.0 and squared > 0.0:
-                products = residual[self.probes] @ residual[self.others]
-                covariance = float(products) / squared
-            inflations.append(max(1.0 + covariance, 1.0))
-            memories.append(residual_correlation_time(joint_residual, inflations[-1]))
+                covariance = float(residual[self.probes] @ residual[self.others])
+                inflation = max(1.0 + covariance / squared, 1.0)
+            inflations.append(inflation)
+            memories.append(residual_correlation_time(joint_residual, inflation))
         return np.array(inflations), np.array(memories)
 
 
@@ -100,9 +100,9 @@ def find_visits(motions: Sequence[Motion]) -> Visits:
     qd = np.concatenate([motion.qd for motion in motions])
     offset = q - np.mean(q, axis=0)
     state = np.hstack([offset / _spread(offset), qd / _spread(qd)])
-    ends = np.cumsum([len(motion.time) for motion in motions])[:-1]
-    steps = [_step_lengths(states) for states in np.split(state, ends)]
-    radius = RADIUS_SHARE * np.concatenate(steps)
+    ends = np.cumsum([len(motion.time) for motion in motions])
+    steps = map(_step_lengths, np.split(state, ends[:-1]))
+    radius = RADIUS_SHARE * np.concatenate(list(steps))
     rows = np.unique(np.linspace(0, len(state) - 1, PROBES).astype(np.int64))
     probes = []
     others = []
@@ -165,17 +165,21 @@ class RowSample:
     total: int
 
     def __add__(self, other: RowSample) -> RowSample:
-        """Return the sample of the rows of both; InputError where a row is in both."""
+        """Return the sample of all rows that this sample and another one stand for.
+
+        Raises:
+            InputError: both contain the same row of the same log.
+        """
         order = np.argsort(np.concatenate((self.drawn, other.drawn)), kind="stable")
         order = order[:MOST_ROWS]
         columns = {}
-        for field in fields(self):
-            if field.name != "total":
-                pair = (getattr(self, field.name), getattr(other, field.name))
-                columns[field.name] = np.concatenate(pair)[order]
-        log = columns["log"]
-        row = columns["place"]
-        if np.any((log[1:] == log[:-1]) & (row[1:] == row[:-1])):
+        for name, values in vars(self).items():
+            if name != "total":
+                both = np.concatenate((values, getattr(other, name)))
+                columns[name] = both[order]
+        is_same = np.diff(columns["log"]) == 0
+        is_same &= np.diff(columns["place"]) == 0
+        if np.any(is_same):
             raise InputError(
                 "the same log is in both parts of a sum; add each log once"
             )

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -100,7 +101,8 @@ def count_lost_rows(measurement: Measurement) -> NDArray[np.int64]:
         previous, moved, following = np.diff(measurement.q[row - 1 : row + 3], axis=0)
         around = 0.5 * (previous + following)
         expected = (1.0 + 0.5 * missing) * np.sum(around**2)
-        lost[row] = missing if np.sum(moved * around) - expected > 0.0 else 0
+        if np.sum(moved * around) - expected > 0.0:
+            lost[row] = missing
     return lost
 
 
@@ -135,13 +137,11 @@ def _interpolate(measurement: Measurement, rate: float, reason: str) -> UniformS
 
     time = measurement.time
     joint_time = measurement.joint_time
-    first = time[0]
-    last = time[-1]
+    start = float(time[0])
+    end = float(time[-1])
     if joint_time is not None:
-        first = max(first, joint_time[0].max())
-        last = min(last, joint_time[-1].min())
-    start = float(first)
-    end = float(last)
+        start = float(max(start, joint_time[0].max()))
+        end = float(min(end, joint_time[-1].min()))
     # A last sample that rounding puts just beyond the end is still on the grid.
     count = math.floor((end - start) * rate + 1e-6) + 1
     grid = np.minimum(start + np.arange(count) / rate, end)
@@ -153,11 +153,13 @@ def _interpolate(measurement: Measurement, rate: float, reason: str) -> UniformS
         spline = CubicSpline(stamps[is_new], columns[is_new])
         q[:, joint], tau[:, joint] = spline(grid).T
     note = f"resampled to a uniform {rate:.6g} Hz ({reason})"
-    step = np.diff(time)
-    index = np.clip(np.searchsorted(time, grid) - 1, 0, len(step) - 1)
-    nearest = np.minimum(np.abs(grid - time[index]), np.abs(grid - time[index + 1]))
-    is_bridged = (step[index] > GAP_STEPS / rate) & (nearest >= 1e-3 / rate)
-    gap = np.where(is_bridged, step[index], 0.0)
+    index = np.clip(np.searchsorted(time, grid) - 1, 0, len(time) - 2)
+    earlier = time[index]
+    later = time[index + 1]
+    step = later - earlier
+    nearest = np.minimum(np.abs(grid - earlier), np.abs(grid - later))
+    is_bridged = (step > GAP_STEPS / rate) & (nearest >= 1e-3 / rate)
+    gap = np.where(is_bridged, step, 0.0)
     return UniformSignals(start, rate, q, tau, gap, (note,))
 
 
@@ -201,21 +203,24 @@ def split_at_gaps(samples: Measurement) -> tuple[Measurement, ...]:
     cuts = np.flatnonzero(step > splitting_gap(period)) + 1
     edges = [0, *cuts.tolist(), len(samples)]
     most_rows = MOST_PIECE_ROWS
-    if float(samples.time[-1] - samples.time[0]) > MOST_TIME:
+    if _duration(samples) > MOST_TIME:
         most_rows = min(most_rows, round(PIECE_TIME / period))
-    spans: list[tuple[int, int]] = []
+    pieces: list[Measurement] = []
     for first, last in zip(edges, edges[1:]):
         if last - first > 1:
             # Pieces of equal length.
             count = -(-(last - first) // most_rows)
             ends = np.linspace(first, last, count + 1).astype(int).tolist()
-            spans += zip(ends, ends[1:])
-    if len(spans) == 1:
+            pieces += map(partial(slice_samples, samples), ends, ends[1:])
+    if len(pieces) == 1:
         return (samples,)
-    time = samples.time
-    long = [(a, b) for a, b in spans if time[b - 1] - time[a] >= SHORTEST_PIECE]
-    selected = _select_spans(samples, long)
-    return tuple(slice_samples(samples, a, b) for a, b in selected) or (samples,)
+    long = [piece for piece in pieces if _duration(piece) >= SHORTEST_PIECE]
+    return tuple(_select_pieces(long)) or (samples,)
+
+
+def _duration(samples: Measurement) -> float:
+    """Return the time from the first to the last sample [s]."""
+    return float(samples.time[-1] - samples.time[0])
 
 
 def piece_notes(
@@ -228,8 +233,7 @@ def piece_notes(
     omission = ""
     if n_used < len(samples):
         omission = f"; {len(samples) - n_used} rows of other pieces are left out"
-        duration = sum(float(piece.time[-1] - piece.time[0]) for piece in pieces)
-        if duration > 0.5 * MOST_TIME:
+        if sum(map(_duration, pieces)) > 0.5 * MOST_TIME:
             omission += ", as the log is longer than any result needs"
     step = np.diff(samples.time)
     gap = float(np.max(step))
@@ -242,19 +246,17 @@ def piece_notes(
     )
 
 
-def _select_spans(
-    samples: Measurement, spans: list[tuple[int, int]]
-) -> list[tuple[int, int]]:
-    """Return as many spans (first row, row after the last) of a log as ``MOST_TIME`` allows, evenly
-    spread over those in which a joint moves.
+def _select_pieces(pieces: list[Measurement]) -> list[Measurement]:
+    """Return as many pieces of a log as ``MOST_TIME`` allows, evenly spread over those in which a
+    joint moves.
     """
-    time = samples.time
-    if sum(time[b - 1] - time[a] for a, b in spans) <= MOST_TIME:
-        return spans
-    ranges = np.array([np.ptp(samples.q[a:b], axis=0) for a, b in spans])
-    moved = np.max(ranges / np.maximum(np.max(ranges, axis=0), 1e-12), axis=1)
-    moving = [span for span, share in zip(spans, moved) if share > _MOVING_SHARE]
-    total = float(sum(time[b - 1] - time[a] for a, b in moving))
+    if sum(map(_duration, pieces)) <= MOST_TIME:
+        return pieces
+    ranges = np.array([np.ptp(piece.q, axis=0) for piece in pieces])
+    largest = np.maximum(np.max(ranges, axis=0), 1e-12)
+    moved = np.max(ranges / largest, axis=1)
+    moving = [pieces[k] for k in np.flatnonzero(moved > _MOVING_SHARE)]
+    total = sum(map(_duration, moving))
     count = max(1, int(len(moving) * min(1.0, MOST_TIME / total)))
     numbers = np.linspace(0, len(moving) - 1, count).round().astype(int)
     return [moving[number] for number in numbers]
@@ -282,10 +284,14 @@ and aliases fold back to frequencies above that."""
 def condense_run(
     chunks: Iterable[Measurement], count: int
 ) -> tuple[tuple[Measurement, ...], tuple[str, ...]]:
-    """Return (pieces of a simulated run of ``count`` samples, a sentence on how it was cut).
+    """Return the pieces of a simulated run, and the sentences on how it was cut.
 
     A long run is decimated and cut as a log is. It then has no velocities and accelerations, which
     no estimate takes from a recording.
+
+    Args:
+        chunks: consecutive chunks of the run.
+        count: number of its samples.
     """
     if count <= MOST_ROWS_KEPT:
         return (join_measurements(chunks),), ()
