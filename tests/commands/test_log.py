@@ -59,26 +59,21 @@ def test_without_a_model_it_lists_the_columns(command):
 
 
 def test_a_wrong_log_is_refused_and_right_with_the_scale_that_was_named(command):
-    success = "nothing that stops an identification was found"
-    assert success in command.run("log", "log.csv", "arm.xml").out
-    answer = json.loads(command.run("log", "late.csv", "arm.xml", "--json", code=1).out)
-    assert {finding["level"] for finding in answer["findings"]} == {"warn"} and answer[
-        "samples"
-    ] == 3000
     message = command.refused("log", "wrong.csv", "arm.xml")
     assert "as in mN·m" in message and "--torque-scale 1000" in message
-    assert (
-        success
-        in command.run("log", "wrong.csv", "arm.xml", "--torque-scale", "1000").out
-    )
+    scaled = command.run("log", "wrong.csv", "arm.xml", "--torque-scale", "1000")
+    assert "nothing that stops an identification was found" in scaled.out
 
 
 def test_a_warning_stops_unless_it_is_accepted(command):
-    message = command.refused("log", "late.csv", "arm.xml", code=1)
+    printed = command.run("log", "late.csv", "arm.xml", "--json", code=1)
+    answer = json.loads(printed.out)
+    assert {finding["level"] for finding in answer["findings"]} == {"warn"}
+    assert answer["samples"] == 3000
+    message = printed.err.splitlines()[-1]
     assert "stands still for 2 s" in message and "--accept held" in message
-    printed = command.run(
-        "log", "late.csv", "arm.xml", "--accept", "held", "--accept", "unexplained"
-    )
+    accepted = ("--accept", "held", "--accept", "unexplained")
+    printed = command.run("log", "late.csv", "arm.xml", *accepted)
     assert "warn: the torque of joint joint1 stands still" in printed.out
 
 
