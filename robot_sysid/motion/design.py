@@ -25,9 +25,9 @@ from robot_sysid.motion import ExcitationOptions
 from robot_sysid.motion.information import (
     Gradient,
     Information,
+    InformationModel,
     PriorKnowledge,
     design_criterion,
-    information_model,
     known_arm,
     mass_and_centre_errors,
 )
@@ -260,7 +260,7 @@ class Design:
         n_points = len(self.grid[INFORMATION_POINTS])
         sigma = problem.sigma / np.sqrt(n_samples / n_points)
         self.criterion = design_criterion(problem, knowledge)
-        self.information = information_model(problem, sigma, knowledge, SMOOTHING_SHARE)
+        self.information = InformationModel(problem, sigma, knowledge, SMOOTHING_SHARE)
 
     def trajectory(self, x: Array) -> FourierTrajectory:
         """Return the trajectory of the free coefficients x (n, M)."""

@@ -89,6 +89,12 @@ BETTER_LINKS = 0.5
 """Share of the links' uncertainty that remains in the suggestion to know them better."""
 _NO_NOISE = 1e-4
 """Torque noise whose error is negligible beside that of the priors [N m]."""
+_WEIGHING = "its mass known, by weighing the part"
+"""Description of the change after which the mass has no error."""
+_PAYLOAD_BY_DIFFERENCE = (
+    "what is bolted to it as a payload by difference (plan --for payload)"
+)
+"""Description of the change to identify the part as a payload instead."""
 _WEIGHED_SHARE = 1.0 - 1e-6
 """Share of the variance of a mass that weighing removes."""
 _LARGEST_ERROR = 100.0
@@ -202,6 +208,7 @@ def predict(
     if recording.is_payload:
         subject = f"a payload of {PAYLOAD_MASS:g} kg"
         theta = _PAYLOAD
+        size = size / robot.prior.mass
         scale_error = _common_scale_error(problem, recording.options)
     caveat = ""
     link_errors = dict[str, float]()
@@ -210,7 +217,7 @@ def predict(
         posterior = predict_posterior(problem, plan, recording)
     except InputError as error:
         caveat = f"{ALL_SAMPLES}: {error}"
-        covariance = _bound_from_all_samples(problem, plan, recording, knowledge, size)
+        covariance = _bound_from_all_samples(problem, plan, recording, knowledge)
         by_cause = {NOISE: covariance}
     else:
         names = PAYLOAD_NAMES if recording.is_payload else PARAMETER_NAMES
@@ -222,7 +229,7 @@ def predict(
     return Prediction(
         subject=subject,
         theta=theta,
-        size=size / robot.prior.mass if recording.is_payload else size,
+        size=size,
         covariance=covariance,
         covariance_by_cause=by_cause,
         link_mass_errors=link_errors,
@@ -239,13 +246,13 @@ def _bound_from_all_samples(
     plan: MotionPlan,
     recording: RecordingPlan,
     knowledge: PriorKnowledge,
-    size: Array,
 ) -> Array:
     """Return the covariance (10, 10) that all samples of a motion would give, a lower bound.
 
-    The diagonal is infinite for parameters whose errors are many times their sizes (10,): these are
-    not identifiable, and their variances are rounding.
+    The diagonal is infinite for parameters whose errors are many times their sizes: these are not
+    identifiable, and their variances are rounding.
     """
+    size = parameter_sizes(problem)
     criterion = design_criterion(problem, knowledge)
     information = plan_information(problem, plan, recording.sample_rate, knowledge)
     covariance = criterion.covariance(information).copy()
@@ -482,87 +489,67 @@ def _improvements(
     """Return changes of the motion or the priors with the errors of mass and centre of mass after
     each, the change with the smallest error of the centre of mass first.
 
-    () for a motion that rests, and where the torque of only one joint is used.
+    () for a motion that rests, and where the torque of only one joint is used. A payload's mass
+    also has the error of torque scales; the covariance of a link is projected onto physically
+    consistent bodies.
     """
     poses = plan.evaluate(np.linspace(0.0, plan.duration, 9)).q
     if len(problem.rows) == 1 or np.all(poses == poses[0]):
         return ()
     theta = _PAYLOAD if recording.is_payload else problem.robot.prior.theta
-    options = recording.options
-    improve = partial(_improvement, problem, theta, options)
-    information_of = partial(plan_information, problem, plan, recording.sample_rate)
-    information = information_of(knowledge)
-    fast_information = information_of(knowledge, speed_factor=FASTER)
-    improvements = [
-        improve(
-            f"a motion {LONGER:g} times as long",
-            criterion.covariance(LONGER * information),
-            recording.is_payload,
-            ("--duration", f"{LONGER * plan.duration:.3g}"),
-        ),
-        improve(
-            f"a motion {FASTER:g} times as fast, over the same time",
-            criterion.covariance(fast_information),
-            recording.is_payload,
-        ),
-    ]
-    if not recording.is_payload:
-        if len(knowledge.link_factor):
-            factor = BETTER_LINKS * knowledge.link_factor
-            better = replace(criterion, link_factor=factor)
-            percentage = f"{BETTER_LINKS * options.link_uncertainty:g}"
-            description = f"other links known to {percentage} % (--link-uncertainty)"
-            improvements.append(improve(description, better.covariance(information)))
-        covariance = criterion.covariance(information)
-        mass_column = covariance[0]
-        mass_share = _WEIGHED_SHARE * np.outer(mass_column, mass_column)
-        weighed = improve(
-            "its mass known, by weighing the part",
-            covariance - mass_share / covariance[0, 0],
-        )
-        improvements.append(replace(weighed, mass_error=0.0))
-        payload = prior_knowledge(problem, options, "payload")
-        by_difference = design_criterion(problem, payload)
-        improvements.append(
-            improve(
-                "what is bolted to it as a payload by difference (plan --for payload)",
-                by_difference.covariance(information_of(payload)),
-                True,
-                ("--for", "payload"),
-            )
-        )
+    scale_error = _common_scale_error(problem, recording.options) * theta[0]
+    improvements = []
+    changes = _changes(problem, plan, recording, knowledge, criterion)
+    for description, covariance, is_payload, options in changes:
+        if not is_payload:
+            covariance = projected_covariance(theta, covariance)
+        mass_error, centre_error = mass_and_centre_errors(theta, covariance)
+        if is_payload:
+            mass_error = float(np.hypot(mass_error, scale_error))
+        if description == _WEIGHING:
+            mass_error = 0.0
+        improvement = Improvement(description, mass_error, centre_error, options)
+        improvements.append(improvement)
     return tuple(sorted(improvements, key=lambda change: change.centre_error))
 
 
-def _improvement(
+def _changes(
     problem: ExcitationProblem,
-    theta: Array,
-    options: EstimationOptions,
-    description: str,
-    covariance: Array,
-    is_payload: bool = False,
-    plan_options: tuple[str, ...] = (),
-) -> Improvement:
-    """Return a suggested change with the errors of mass and centre of mass after it.
+    plan: MotionPlan,
+    recording: RecordingPlan,
+    knowledge: PriorKnowledge,
+    criterion: Criterion,
+) -> Iterator[tuple[str, Array, bool, tuple[str, ...]]]:
+    """Yield changes that may make the errors smaller: a longer and a faster motion; for a link also
+    better known other links, its weight, and what is bolted to it as a payload.
 
-    Args:
-        problem: the arm.
-        theta: (10,) parameters of the body.
-        options: of the identification.
-        description: of the change, in words.
-        covariance: (10, 10) of theta after the change.
-        is_payload: whether the body is a payload, whose mass also has the error of torque scales;
-            the covariance of a link is projected onto physically consistent bodies instead.
-        plan_options: command-line options that plan such a motion, if any.
+    Each is a tuple of its description, the covariance (10, 10) after it, whether that is the one of
+    a payload and not of the terminal link, and the command-line options that plan such a motion.
     """
-    scale_error = 0.0
+    information_of = partial(plan_information, problem, plan, recording.sample_rate)
+    information = information_of(knowledge)
+    is_payload = recording.is_payload
+    description = f"a motion {LONGER:g} times as long"
+    options = ("--duration", f"{LONGER * plan.duration:.3g}")
+    covariance = criterion.covariance(LONGER * information)
+    yield description, covariance, is_payload, options
+    description = f"a motion {FASTER:g} times as fast, over the same time"
+    fast_information = information_of(knowledge, speed_factor=FASTER)
+    yield description, criterion.covariance(fast_information), is_payload, ()
     if is_payload:
-        scale_error = _common_scale_error(problem, options) * theta[0]
-    else:
-        covariance = projected_covariance(theta, covariance)
-    mass_error, centre_error = mass_and_centre_errors(theta, covariance)
-    mass_error = float(np.hypot(mass_error, scale_error))
-    return Improvement(description, mass_error, centre_error, plan_options)
+        return
+    if len(knowledge.link_factor):
+        better = replace(criterion, link_factor=BETTER_LINKS * knowledge.link_factor)
+        percentage = f"{BETTER_LINKS * recording.options.link_uncertainty:g}"
+        description = f"other links known to {percentage} % (--link-uncertainty)"
+        yield description, better.covariance(information), False, ()
+    covariance = criterion.covariance(information)
+    mass_column = covariance[0]
+    mass_share = _WEIGHED_SHARE * np.outer(mass_column, mass_column)
+    yield _WEIGHING, covariance - mass_share / covariance[0, 0], False, ()
+    payload = prior_knowledge(problem, recording.options, "payload")
+    covariance = design_criterion(problem, payload).covariance(information_of(payload))
+    yield _PAYLOAD_BY_DIFFERENCE, covariance, True, ("--for", "payload")
 
 
 def identifiability_note(

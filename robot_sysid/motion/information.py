@@ -19,13 +19,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import (
-    LinkDynamics,
     LinksMotion,
     bracket_transposed,
     split_motion,
@@ -102,46 +101,55 @@ class Information(NamedTuple):
     vjp: Callable[[Array], Gradient]
 
 
-@dataclass(frozen=True)
 class InformationModel:
     """Maps motions to the information that torques along them hold about all links with mass.
 
-    Attributes:
-        dynamics: motion of all links.
-        links: numbers (L,) of the links with mass, in descending order.
-        theta: (L, 10) parameters of these links in the model.
-        joints: (rows,) chain joints whose torque is used.
-        sigma: (rows,) standard deviation of their torque noise [N m].
-        smoothing: (n,) speed below which sign(qd) is rounded off to tanh [rad/s]; 0 for none.
-        joint_deviations: (7, rows), see ``PriorKnowledge``.
+    Args:
+        problem: the arm, and its joints whose torque is used.
+        sigma: (rows,) standard deviation of the torque noise of each used joint [N m].
+        knowledge: priors of the joint terms.
+        smoothing: share of the speed limits below which Coulomb friction's jump is rounded off.
     """
 
-    dynamics: LinkDynamics
-    links: tuple[int, ...]
-    theta: Array
-    joints: tuple[int, ...]
-    sigma: Array
-    smoothing: Array
-    joint_deviations: Array
+    def __init__(
+        self,
+        problem: ExcitationProblem,
+        sigma: Array,
+        knowledge: PriorKnowledge,
+        smoothing: float = 0.0,
+    ) -> None:
+        self._dynamics = problem.dynamics
+        self._links = list(problem.links)
+        self._theta = np.ravel([problem.robot.links[k].theta for k in self._links])
+        self._joints = list(problem.rows)
+        self._sigma = sigma
+        # (rows, 1) speed below which sign(qd) is rounded off to tanh [rad/s]; 0 for none.
+        smooth_speed = smoothing * problem.limits.velocity[self._joints]
+        self._smooth_speed = smooth_speed[:, None]
+        self._joint_deviations = knowledge.joint_deviations
+        # Number of link parameters in each used joint's equation: ten per link that it moves.
+        n_moved = np.less_equal.outer(self._joints, self._links).sum(axis=1)
+        self._n_carried = (10 * n_moved).tolist()
 
     def evaluate(self, q: Array, qd: Array, qdd: Array) -> Information:
         """Return the information of a motion with one sample per row of q, qd, qdd (N, n)."""
-        motion = self.dynamics.motion(q, qd, qdd)
-        joints = list(self.joints)
-        links = list(self.links)
+        motion = self._dynamics.motion(q, qd, qdd)
+        joints = self._joints
+        links = self._links
         velocity = np.stack(motion.velocity, axis=1)[:, links]
         acceleration = np.stack(motion.acceleration, axis=1)[:, links]
         # (N, 6, 10 L): of each sample, the wrench regressors of all links in the base's frame.
         in_link_frame = body_wrench(velocity, acceleration).transpose(2, 3, 0, 1)
-        wrench = motion.to_links[links].swapaxes(-1, -2) @ in_link_frame
+        to_base = motion.to_links[links].swapaxes(-1, -2)
+        wrench = to_base @ in_link_frame
         wrench = wrench.transpose(1, 2, 0, 3).reshape(len(q), 6, -1)
         joint_twists = motion.joint_twists[:, joints]
-        rows = np.empty((len(joints), len(q), self.theta.size))
+        rows = np.empty((len(joints), len(q), len(self._theta)))
         np.matmul(joint_twists.transpose(2, 1, 0), wrench, out=rows.swapaxes(0, 1))
         self._clear_uncarried(rows)
-        torque = rows @ self.theta.ravel()
+        torque = rows @ self._theta
         terms, slopes = self._joint_terms(qd[:, joints].T, qdd[:, joints].T, torque)
-        weight = 1.0 / self.sigma[:, None, None]
+        weight = 1.0 / self._sigma[:, None, None]
         rows *= weight
         terms *= weight
         # The regression of each joint's rows on the terms that only this joint has.
@@ -149,11 +157,11 @@ class InformationModel:
         normal = transposed @ terms
         ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None]
         # A prior is one more row, in units of its standard deviation.
-        ridge = ridge + np.isfinite(self.joint_deviations).T
+        ridge = ridge + np.isfinite(self._joint_deviations).T
         precision = normal + ridge[:, None] * np.eye(_N_TERMS)
         gain = np.linalg.solve(precision, transposed @ rows)
         residual = rows - terms @ gain
-        information = np.zeros((self.theta.size, self.theta.size))
+        information = np.zeros((len(self._theta), len(self._theta)))
         for row, joint_residual, count in zip(rows, residual, self._n_carried):
             block = row[:, :count].T @ joint_residual[:, :count]
             information[:count, :count] += block
@@ -162,11 +170,6 @@ class InformationModel:
             self._vjp, motion, (qd, qdd), velocity, wrench, slopes, gain, residual
         )
         return Information(0.5 * (information + information.T), vjp)
-
-    @cached_property
-    def _n_carried(self) -> list[int]:
-        """Per used joint the number of link parameters in its equation: ten per link it moves."""
-        return [10 * sum(link >= joint for link in self.links) for joint in self.joints]
 
     def _clear_uncarried(self, rows: Array) -> None:
         """Set to zero the columns of rows (joints, N, 10 L) of links that a joint does not move."""
@@ -185,7 +188,7 @@ class InformationModel:
             qdd: (rows, N) accelerations [rad/s^2].
             torque: (rows, N) torques of the model's links [N m].
         """
-        speed = self.smoothing[list(self.joints)][:, None]
+        speed = self._smooth_speed
         divisor = np.where(speed > 0.0, speed, 1.0)
         smooth = np.tanh(qd / divisor)
         sign = np.where(speed > 0.0, smooth, np.sign(qd))
@@ -194,8 +197,8 @@ class InformationModel:
         one = np.ones_like(qd)
         zero = np.zeros_like(qd)
         root_slope = 0.5 * np.abs(sign) / np.maximum(root, _STILL)
-        is_prior = np.isfinite(self.joint_deviations)
-        unit = np.where(is_prior, self.joint_deviations, 1.0).T[:, None]
+        is_prior = np.isfinite(self._joint_deviations)
+        unit = np.where(is_prior, self._joint_deviations, 1.0).T[:, None]
         load = np.abs(torque)
         tables = (
             (sign, qd, one, qdd, torque, sign * load, sign * root),
@@ -234,13 +237,12 @@ class InformationModel:
         """
         rows_adjoint = (-2.0 * residual @ factor) @ factor.T
         terms_adjoint = -rows_adjoint @ gain.transpose(0, 2, 1)
-        by_qd, by_qdd, by_torque = (
-            np.sum(terms_adjoint * slope, axis=2) for slope in slopes
-        )
-        rows_adjoint += by_torque[:, :, None] * self.theta.ravel()
+        adjoints = [np.sum(terms_adjoint * slope, axis=2) for slope in slopes]
+        by_qd, by_qdd, by_torque = adjoints
+        rows_adjoint += by_torque[:, :, None] * self._theta
         self._clear_uncarried(rows_adjoint)
-        joints = list(self.joints)
-        links = list(self.links)
+        joints = self._joints
+        links = self._links
         sample_adjoint = rows_adjoint.swapaxes(0, 1)
         by_screws, by_turns, *by_motion = np.zeros((4, *motion.joint_twists.shape))
         screw_adjoint = sample_adjoint @ wrench.swapaxes(1, 2)
@@ -400,32 +402,6 @@ def mass_and_centre_errors(theta: Array, covariance: Array) -> tuple[float, floa
     return mass_error, centre_error
 
 
-def information_model(
-    problem: ExcitationProblem,
-    sigma: Array,
-    knowledge: PriorKnowledge,
-    smoothing: float = 0.0,
-) -> InformationModel:
-    """Return the function object that maps motions of an arm to their information.
-
-    Args:
-        problem: the arm.
-        sigma: (rows,) standard deviation of the torque noise of each used joint [N m].
-        knowledge: priors of the joint terms.
-        smoothing: share of the speed limits below which Coulomb friction's jump is rounded off.
-    """
-    theta = np.array([problem.robot.links[link].theta for link in problem.links])
-    return InformationModel(
-        dynamics=problem.dynamics,
-        links=problem.links,
-        theta=theta,
-        joints=problem.rows,
-        sigma=sigma,
-        smoothing=smoothing * problem.limits.velocity,
-        joint_deviations=knowledge.joint_deviations,
-    )
-
-
 def design_criterion(
     problem: ExcitationProblem, knowledge: PriorKnowledge
 ) -> Criterion:
@@ -460,7 +436,7 @@ def random_information(
     q, qd, qdd = rng.normal(size=(3, count, problem.n_joints))
     q = np.clip(problem.rest + 2.0 * q, problem.limits.lower, problem.limits.upper)
     sigma = np.full(len(problem.rows), noise)
-    return information_model(problem, sigma, knowledge).evaluate(q, qd, qdd).information
+    return InformationModel(problem, sigma, knowledge).evaluate(q, qd, qdd).information
 
 
 def plan_information(
@@ -487,7 +463,7 @@ def plan_information(
     count = int(np.clip(n_instants, _FEWEST_INSTANTS, _MOST_INSTANTS))
     motion = plan.evaluate((np.arange(count) + 0.5) * plan.duration / count)
     sigma = problem.sigma * np.sqrt(count / (rate * plan.duration))
-    model = information_model(problem, sigma, knowledge)
+    model = InformationModel(problem, sigma, knowledge)
     series = motion.q, speed_factor * motion.qd, speed_factor**2 * motion.qdd
     chunks = split_motion(10 * problem.n_joints**2, *series)
     return np.asarray(sum(model.evaluate(*chunk).information for chunk in chunks))

@@ -104,19 +104,21 @@ class RolloutRunner:
         self._robot = robot
         self.model = model
         self._pool: Any = None
-        threads = processor_count() if _has_threads() else 1
-        self._data = [mujoco.MjData(model) for _ in range(threads)]
+        threads = 1
         if _has_threads():
             from mujoco import rollout
 
+            threads = processor_count()
             self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
+        self._data = [mujoco.MjData(model) for _ in range(threads)]
 
     def positions(self, inputs: RolloutInputs) -> Array:
         """Return chain positions (B, S, n) after each step; NaN from where a rollout diverged."""
         run = self._run_stepwise if self._pool is None else self._run_threads
         with captured_warnings():
             q = run(inputs)
-        q[np.logical_or.accumulate(~np.all(np.isfinite(q), axis=2), axis=1)] = np.nan
+        is_lost = ~np.all(np.isfinite(q), axis=2)
+        q[np.logical_or.accumulate(is_lost, axis=1)] = np.nan
         return q
 
     def _run_threads(self, inputs: RolloutInputs) -> Array:
@@ -288,29 +290,23 @@ def rollout_error(
     model = rollout_model(robot, horizon / steps)
     edges = np.arange(steps + 1) * model.opt.timestep
     middles = 0.5 * (edges[1:] + edges[:-1])
-    positions = []
-    velocities = []
-    torques = []
-    for piece, start in windows:
+    n_joints = robot.n_joints
+    q, qd = np.empty((2, len(windows), steps + 1, n_joints))
+    torque = np.empty((len(windows), steps, n_joints))
+    for k, (piece, start) in enumerate(windows):
         assert piece.qd is not None
-        positions.append(interpolate(edges + start, piece.time, piece.q))
-        velocities.append(interpolate(edges + start, piece.time, piece.qd))
-        torques.append(interpolate(middles + start, piece.time, piece.tau))
-    q = np.stack(positions)
-    qd = np.stack(velocities)
-    torque = np.stack(torques)
+        q[k] = interpolate(edges + start, piece.time, piece.q)
+        qd[k] = interpolate(edges + start, piece.time, piece.qd)
+        torque[k] = interpolate(middles + start, piece.time, piece.tau)
     if servo is not None:
         model.jnt_stiffness[model.dof_jntid[robot.dof_index]] += servo.stiffness
         model.dof_damping[robot.dof_index] += servo.damping
         spring_rest = np.array(model.qpos_spring[robot.qpos_index])
-        torque = (
-            torque
-            + servo.stiffness * (q[:, :-1] - spring_rest)
-            + servo.damping * qd[:, 1:]
-        )
+        torque += servo.stiffness * (q[:, :-1] - spring_rest)
+        torque += servo.damping * qd[:, 1:]
     inputs = RolloutInputs(q[:, 0], qd[:, 0], torque)
     error = np.abs(RolloutRunner(robot, model).positions(inputs) - q[:, 1:])
-    largest = np.array([LARGEST_ERROR[bool(is_slide)] for is_slide in robot.is_slide])
+    largest = np.where(robot.is_slide, LARGEST_ERROR[True], LARGEST_ERROR[False])
     # A rollout that diverged is NaN, and no comparison with NaN is true.
     is_small = error < largest
     ran_away = ~np.all(is_small, axis=(1, 2))
@@ -394,16 +390,17 @@ def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float, f
     for actuator in actuators_on(model, joint):
         is_static = model.actuator_dyntype[actuator] == int(mujoco.mjtDyn.mjDYN_NONE)
         if is_static and model.actuator_gear[actuator, 0] != 0.0:
-            usable.append(actuator)
+            is_position = _is_position_actuator(model, actuator)
+            usable.append((not is_position, actuator))
     if not usable:
         return NO_ACTUATOR, 1.0, np.nan, np.nan, np.inf
     # The first position actuator, or else the first of all.
-    actuator = min(usable, key=lambda a: not _is_position_actuator(model, a))
+    is_other, actuator = min(usable, key=lambda entry: entry[0])
     gear = float(model.actuator_gear[actuator, 0])
     limit = np.inf
     if model.actuator_forcelimited[actuator]:
         limit = abs(gear) * float(np.max(np.abs(model.actuator_forcerange[actuator])))
-    if not _is_position_actuator(model, actuator):
+    if is_other:
         return actuator, gear, np.nan, np.nan, limit
     kp = float(gear**2 * model.actuator_gainprm[actuator, 0])
     kv = float(gear**2 * -model.actuator_biasprm[actuator, 2])
@@ -430,10 +427,13 @@ def servos_in_model(robot: RobotModel) -> ServoParameters:
     model = robot.mj_model
     dofs = robot.dof_index
     actuators = chain_actuators(robot)
-    damping = model.dof_damping[dofs] + np.nan_to_num(actuators.damping)
-    friction = model.dof_frictionloss[dofs]
-    armature = model.dof_armature[dofs]
-    return ServoParameters(actuators.stiffness, damping, friction, armature, 0.0)
+    return ServoParameters(
+        stiffness=actuators.stiffness,
+        damping=model.dof_damping[dofs] + np.nan_to_num(actuators.damping),
+        frictionloss=model.dof_frictionloss[dofs],
+        armature=model.dof_armature[dofs],
+        delay=0.0,
+    )
 
 
 def servo_model(robot: RobotModel, timestep: float) -> Any:
@@ -471,9 +471,8 @@ def set_servos(model: Any, robot: RobotModel, servos: ServoParameters) -> None:
     model.actuator_forcelimited[ids] = np.isfinite(limit)
     model.actuator_forcerange[ids] = np.column_stack((-limit, limit))
     springs = _chain_joints(robot)[~driven]
-    model.jnt_stiffness[springs] = (
-        robot.mj_model.jnt_stiffness[springs] + servos.stiffness[~driven]
-    )
+    own_stiffness = robot.mj_model.jnt_stiffness[springs]
+    model.jnt_stiffness[springs] = own_stiffness + servos.stiffness[~driven]
 
 
 @dataclass(frozen=True)
@@ -505,13 +504,11 @@ class ServoWindow:
         # The integral of the commands over time is piecewise linear; the last command lasts 1 s.
         knots = np.append(self.time, self.time[-1] + 1.0)
         durations = np.diff(self.time, append=self.time[-1] + 1.0)[:, None]
-        integral = np.vstack(
-            (np.zeros_like(self.q), np.cumsum(self.command * durations, axis=0))
-        )
+        steps = self.command * durations
+        integral = np.cumsum(np.vstack((np.zeros_like(self.q), steps)), axis=0)
         time_before_first = np.minimum(times - self.time[0], 0.0)[:, None]
-        values = (
-            interpolate(times, knots, integral) + time_before_first * self.command[0]
-        )
+        values = interpolate(times, knots, integral)
+        values += time_before_first * self.command[0]
         return np.asarray(np.diff(values, axis=0) / np.diff(edges)[:, None])
 
 
@@ -538,15 +535,15 @@ class ServoRollouts:
         model.opt.timestep = edges[1] - edges[0]
         q = np.stack([window.q for window in windows])
         qd = np.stack([window.qd for window in windows])
-        commands = {}
-        for delay in {servos.delay for servos in candidates}:
-            controls = [window.controls(delay, edges) for window in windows]
-            commands[delay] = np.stack(controls)
+        commands = dict[float, Array]()
         index = chain_actuators(robot).index
         driven = index != NO_ACTUATOR
         spring_rest = np.array(robot.mj_model.qpos_spring[robot.qpos_index])
         for servos in candidates:
             set_servos(model, robot, servos)
+            if servos.delay not in commands:
+                controls = [window.controls(servos.delay, edges) for window in windows]
+                commands[servos.delay] = np.stack(controls)
             command = commands[servos.delay]
             control = np.zeros((*command.shape[:2], model.nu))
             control[:, :, index[driven]] = command[:, :, driven]

@@ -15,7 +15,7 @@ from robot_sysid.motion import ExcitationOptions
 from robot_sysid.motion import design as design_module
 from robot_sysid.motion.design import GRID_PER_CYCLE, INFORMATION_POINTS
 from robot_sysid.motion.design_search import draw_trajectories
-from robot_sysid.motion.information import information_model, known_arm
+from robot_sysid.motion.information import InformationModel, known_arm
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms
@@ -73,7 +73,7 @@ def deviations(design, plan, rate, smooth):
     motion = plan.evaluate(time)
     prior = known_arm(design.problem)
     sigma = design.problem.sigma * np.sqrt(len(time))
-    model = information_model(design.problem, sigma, prior, 0.03 if smooth else 0.0)
+    model = InformationModel(design.problem, sigma, prior, 0.03 if smooth else 0.0)
     information = model.evaluate(motion.q, motion.qd, motion.qdd).information
     return np.sqrt(np.diag(design.criterion.covariance(information)))
 
@@ -97,7 +97,7 @@ def test_unidentifiable_directions_have_no_information_on_any_motion(seed):
     assert make_design(arms.SEVEN).criterion.visible.shape == (10, 10)
     assert design.criterion.visible.shape == (10, 7)
     scale = np.diag(design.problem.scale)
-    model = information_model(design.problem, np.ones(1), known_arm(design.problem))
+    model = InformationModel(design.problem, np.ones(1), known_arm(design.problem))
     q, qd, qdd = default_rng(seed).normal(size=(3, 50, 7))
     matrix = scale @ model.evaluate(q, qd, qdd).information[:10, :10] @ scale
     visible = np.linalg.solve(scale, design.criterion.visible)

@@ -17,34 +17,35 @@ from robot_sysid.dynamics.inverse_dynamics import (
     data_at_pose,
 )
 from robot_sysid.errors import AmbiguousJointError
-from robot_sysid.motion.information import JOINT_TERMS, Criterion, InformationModel
+from robot_sysid.motion.information import (
+    JOINT_TERMS,
+    Criterion,
+    InformationModel,
+    PriorKnowledge,
+)
 from robot_sysid.records import Measurement
 from tests.support import arms
 from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
-from tests.support.excitation_arms import slope
+from tests.support.excitation_arms import make_problem, slope
 
 FREE = FrictionModel(JOINT_TERMS[:4])
 SAMPLES = 60
 
 
-def make_model(robot, prior_deviations, smoothing=0.0, rows=None):
-    """Return the InformationModel of all links of an arm.
+def make_model(xml, prior_deviations, smoothing=0.0, torques="chain"):
+    """Return the InformationModel of all links of an arm, and the noise of each torque (rows,).
 
     Args:
-        robot: the arm.
-        prior_deviations: (7,) prior standard deviation of each joint term, infinite for free
-    ones.
-        smoothing: speed below which dry friction is rounded [rad/s].
-        rows: joints whose torque is used; all by default.
+        xml: the arm.
+        prior_deviations: (7,) prior standard deviation of each joint term, infinite for free ones.
+        smoothing: share of the speed limits below which dry friction is rounded off.
+        torques: "chain" or "terminal".
     """
-    n = robot.n_joints
-    links = (n - 1, *reversed(other_links(robot)))
-    rows = tuple(range(n)) if rows is None else rows
-    theta = np.array([robot.links[link].theta for link in links])
-    prior_deviations = np.tile(np.array(prior_deviations)[:, None], len(rows))
-    sigma = np.linspace(0.5, 2.0, len(rows))
-    arm = LinkDynamics(robot), links, theta, rows
-    return InformationModel(*arm, sigma, np.full(n, smoothing), prior_deviations)
+    problem = make_problem(xml, torques)
+    sigma = np.linspace(0.5, 2.0, len(problem.rows))
+    deviations = np.tile(np.array(prior_deviations)[:, None], len(sigma))
+    knowledge = PriorKnowledge(np.zeros((0, 0)), deviations)
+    return InformationModel(problem, sigma, knowledge, smoothing), sigma
 
 
 def schur_complement(robot, motion, torques, sigma, prior_deviations):
@@ -72,16 +73,11 @@ def schur_complement(robot, motion, torques, sigma, prior_deviations):
         root = TERMS["sqrt"](qd[:, joint], qdd[:, joint], torque)
         nuisance = np.column_stack((rows[:, 10:14], torque, load, root))
         has_prior = np.isfinite(prior_deviations)
-        nuisance = np.vstack(
-            (
-                nuisance / s * np.where(has_prior, prior_deviations, 1.0),
-                np.diag(has_prior.astype(float)),
-            )
-        )
+        scaled = nuisance / s * np.where(has_prior, prior_deviations, 1.0)
+        nuisance = np.vstack((scaled, np.diag(has_prior.astype(float))))
         body_rows = np.vstack((bodies / s, np.zeros((len(JOINT_TERMS), len(total)))))
-        residual = (
-            body_rows - nuisance @ np.linalg.lstsq(nuisance, body_rows, rcond=None)[0]
-        )
+        gain = np.linalg.lstsq(nuisance, body_rows, rcond=None)[0]
+        residual = body_rows - nuisance @ gain
         total += residual.T @ residual
     link_order = [*range(10), *np.arange(10, len(total)).reshape(-1, 10)[::-1].ravel()]
     return total[np.ix_(link_order, link_order)]
@@ -101,24 +97,21 @@ def test_information_equals_the_schur_complement_of_the_equations(
 ):
     robot = robot_of(xml)
     motion = random_motion(default_rng(0), robot.n_joints, SAMPLES)
-    rows = None if torques == "chain" else (robot.n_joints - 1,)
-    model = make_model(robot, prior_deviations, rows=rows)
+    model, sigma = make_model(xml, prior_deviations, torques=torques)
     ours = model.evaluate(*motion).information
-    theirs = schur_complement(
-        robot, motion, torques, model.sigma, np.array(prior_deviations)
-    )
+    deviations = np.array(prior_deviations)
+    theirs = schur_complement(robot, motion, torques, sigma, deviations)
     assert np.max(np.abs(ours - theirs)) < 1e-7 * np.max(np.abs(theirs))
 
 
 @pytest.mark.parametrize("target", ["link", "arm", "payload"])
 @pytest.mark.parametrize("prior_deviations", PRIORS.values(), ids=PRIORS)
 def test_the_gradient_of_the_criterion_equals_differences(target, prior_deviations):
-    robot = robot_of(arms.THREE)
     rng = default_rng(0)
-    model = make_model(robot, prior_deviations, 0.3)
-    factor = (
-        np.zeros((0, 0)) if target == "payload" else 0.1 * rng.normal(size=(20, 20))
-    )
+    model, _ = make_model(arms.THREE, prior_deviations, 0.15)
+    factor = 0.1 * rng.normal(size=(20, 20))
+    if target == "payload":
+        factor = np.zeros((0, 0))
     criterion = Criterion(np.diag(rng.uniform(0.1, 1.0, 10)), factor, target)
     motion, direction = rng.normal(size=(2, 3, 40, 3))
 

@@ -12,8 +12,8 @@ from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.motion.design_search import draw_trajectories
 from robot_sysid.motion.information import (
+    InformationModel,
     design_criterion,
-    information_model,
     known_arm,
     mass_and_centre_errors,
 )
@@ -76,7 +76,7 @@ def test_predicted_deviations_equal_monte_carlo(xml):
     prior = known_arm(problem)
     time = np.arange(1201) / 200.0
     motion = plan.evaluate(time)
-    model = information_model(problem, problem.sigma, known_arm(problem))
+    model = InformationModel(problem, problem.sigma, known_arm(problem))
     information = model.evaluate(motion.q, motion.qd, motion.qdd).information
     deviation = np.sqrt(
         np.diag(design_criterion(problem, prior).covariance(information))
