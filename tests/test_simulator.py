@@ -17,9 +17,8 @@ from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.support import arms
 from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
 
-PLAIN = {
-    name: robot_of(arms.MODELS[name]) for name in ("seven", "dry friction", "springs")
-}
+NAMES = ("seven", "dry friction", "springs")
+PLAIN = {name: robot_of(arms.MODELS[name]) for name in NAMES}
 
 
 def random_chunk(robot, seed, samples=5):
@@ -60,17 +59,14 @@ def test_friction_is_coulomb_and_viscous_with_the_models_coefficients(name, seed
     robot = PLAIN[name]
     motion = random_chunk(robot, seed)
     model = copy.copy(robot.mj_model)
+    friction = model.dof_frictionloss * np.sign(motion.qd)
+    friction += model.dof_damping * motion.qd
+    assert np.max(np.abs(friction)) > 0.0
     model.dof_frictionloss[:] = model.dof_damping[:] = 0.0
     smooth = simulated(robot_of(model), motion).tau
-    friction = (
-        robot.mj_model.dof_frictionloss * np.sign(motion.qd)
-        + robot.mj_model.dof_damping * motion.qd
-    )
-    assert np.max(np.abs(friction)) > 0.0
-    zero = simulated(robot, motion).tau - friction
-    np.testing.assert_allclose(
-        zero, smooth, rtol=0.0, atol=1e-13 * np.max(np.abs(smooth))
-    )
+    rigid = simulated(robot, motion).tau - friction
+    tolerance = 1e-13 * np.max(np.abs(smooth))
+    np.testing.assert_allclose(rigid, smooth, rtol=0.0, atol=tolerance)
 
 
 def test_contacts_and_joint_limits_do_not_push():
@@ -84,17 +80,15 @@ def test_contacts_and_joint_limits_do_not_push():
     )
     motion = random_chunk(robot_of(free), 2)
     expected = simulated(robot_of(free), motion).tau
-    np.testing.assert_allclose(
-        simulated(robot_of(boxed), motion).tau, expected, rtol=1e-12
-    )
+    tau = simulated(robot_of(boxed), motion).tau
+    np.testing.assert_allclose(tau, expected, rtol=1e-12)
 
 
 def test_a_torque_that_is_not_finite_stops_the_run_with_time_joint_and_cause():
     robot = robot_of(arms.SEVEN)
     robot.mj_model.body_mass[robot.body_id] = np.nan
     plan, _ = generate_excitation_trajectory(robot, np.random.default_rng(0), 2.0)
-    with pytest.raises(
-        SimulationError, match=r"joint joint\d .* at \d\.\d{3} s.*<inertial>"
-    ) as caught:
+    message = r"joint joint\d .* at \d\.\d{3} s.*<inertial>"
+    with pytest.raises(SimulationError, match=message) as caught:
         list(simulate_inverse(robot, motion_chunks(plan, 100.0)))
     assert "\n" not in str(caught.value)

@@ -56,12 +56,9 @@ def test_limit_options_tighten_those_of_the_model():
 )
 def test_a_joint_without_a_limit_gets_an_assumed_range(changes):
     problem = build(limited_arm(**changes))
-    assert np.all(np.isfinite(problem.limits.upper)) and np.all(
-        problem.limits.upper > problem.rest
-    )
-    assert np.all(np.isfinite(problem.limits.lower)) and np.all(
-        problem.limits.lower < problem.rest
-    )
+    lower, upper = problem.limits.lower, problem.limits.upper
+    assert np.all((-np.inf < lower) & (lower < problem.rest))
+    assert np.all((problem.rest < upper) & (upper < np.inf))
 
 
 def test_a_reference_beyond_a_limit_is_moved_to_it_and_noted():
@@ -72,11 +69,11 @@ def test_a_reference_beyond_a_limit_is_moved_to_it_and_noted():
 
 def test_without_a_band_only_an_option_limits_accelerations():
     arm = robot(arms.SLIDE_IN_CHAIN)
-    assert np.all(np.isinf(build(arm, "chain", 0.3, None).limits.acceleration))
-    acceleration = build(
-        arm, "chain", 0.3, None, max_acceleration=3.0
-    ).limits.acceleration
-    assert np.array_equal(acceleration, np.where(arm.is_slide, np.inf, 3.0))
+    free = build(arm, "chain", 0.3, None)
+    assert np.all(np.isinf(free.limits.acceleration))
+    limited = build(arm, "chain", 0.3, None, max_acceleration=3.0)
+    expected = np.where(arm.is_slide, np.inf, 3.0)
+    assert np.array_equal(limited.limits.acceleration, expected)
 
 
 TOOL = Tool(default_rng(0).normal(size=(7, 3)), np.array([0.0, 0.0, 0.3, 0, 0.1, 0, 0]))
@@ -96,10 +93,10 @@ def test_no_point_of_the_tool_exceeds_its_speed(seed):
     away = rng.normal(size=(50, 7, 3))
     away *= TOOL.radius[:, None] / np.linalg.norm(away, axis=2, keepdims=True)
     inside = np.einsum("sp,spi->si", share, TOOL.points + away)
-    for w, v, fastest in zip(twist[:3].T, twist[3:].T, TOOL.speed(twist)):
-        assert (
-            np.max(np.linalg.norm(v + np.cross(w, inside), axis=1)) <= fastest + 1e-12
-        )
+    w, v = np.split(twist.T, 2, axis=1)
+    velocities = v[:, None] + np.cross(w[:, None], inside)
+    speeds = np.linalg.norm(velocities, axis=2)
+    assert np.all(speeds <= TOOL.speed(twist)[:, None] + 1e-12)
 
 
 @given(SEEDS)
@@ -108,9 +105,8 @@ def test_the_gradient_of_the_speed_equals_differences(seed):
     direction = twists(seed + 1)
     weight = np.arange(5.0)
     second, fastest = np.sort(TOOL._speeds(twist)[0], axis=0)[-2:]
-    assume(
-        np.all(fastest - second > 1e-3)
-    )  # where two corners are as fast there is none
+    # Where two corners are equally fast there is no gradient.
+    assume(np.all(fastest - second > 1e-3))
     exact = np.sum(TOOL.speed_vjp(twist, weight) * direction)
     difference = slope(lambda at: np.sum(weight * TOOL.speed(at)), twist, direction)
     assert difference == pytest.approx(exact, rel=1e-5, abs=1e-5)
@@ -128,9 +124,8 @@ SEVEN = make_problem(arms.SEVEN)
 
 def random_motion(joints, seed, count=6):
     """Return a random Motion of ``count`` samples."""
-    return Motion(
-        np.arange(float(count)), *default_rng(seed).normal(size=(3, count, joints))
-    )
+    derivatives = default_rng(seed).normal(size=(3, count, joints))
+    return Motion(np.arange(float(count)), *derivatives)
 
 
 def loaded_torque(motion, mass):
@@ -191,16 +186,13 @@ def test_faster_harmonics_do_not_raise_the_acceleration_limit(top):
 
 def test_a_workspace_that_the_link_exceeds_at_rest_is_refused():
     box = (-1.0, 1.0, -1.0, 1.0, 0.0, 1.0)
-    with pytest.raises(
-        InputError, match=r"body link3 is 230 mm beyond the workspace's zmax = 1 m"
-    ):
+    message = "body link3 is 230 mm beyond the workspace's zmax = 1 m"
+    with pytest.raises(InputError, match=message):
         make_problem(TUBES, workspace=box)
 
 
 def test_terminal_torques_use_one_row():
-    problem = make_problem(
-        arms.SEVEN, torques="terminal", noise_torque=tuple(range(1, 8))
-    )
+    problem = make_problem(arms.SEVEN, "terminal", tuple(range(1, 8)))
     assert problem.rows == (6,)
     assert problem.sigma.tolist() == [7.0]
     assert SEVEN.rows == tuple(range(7))
@@ -228,10 +220,10 @@ def test_bodies_stay_above_the_support_of_an_arm_that_does_not_hang(
 ):
     arm = robot(model)
     half_spaces = _space_above_base(arm, LimitOptions(**limits), arm.reference)
-    assert [half_space.offset for half_space in half_spaces] == (
-        [] if lowest is None else [pytest.approx(lowest)]
-    )
-    assert all(len(half_space.bodies) == arm.n_joints for half_space in half_spaces)
+    assert len(half_spaces) == (lowest is not None)
+    for half_space in half_spaces:
+        assert half_space.offset == pytest.approx(lowest)
+        assert len(half_space.bodies) == arm.n_joints
 
 
 def torque_variance(problem, motion):
@@ -254,17 +246,15 @@ def test_the_torque_reserve_is_two_deviations_of_the_link_errors(seed, uncertain
     motion = random_motion(3, seed, 5)
     reserve = 2.0 * np.sqrt(torque_variance(problem, motion)) * [1.0, 0.0, 1.0]
     assert np.allclose(problem.torque_reserve(motion), reserve)
-    assert np.allclose(
-        np.abs(problem.torque(motion)), np.abs(problem.arm_torque(motion)) + reserve
-    )
+    needed = np.abs(problem.arm_torque(motion)) + reserve
+    assert np.allclose(np.abs(problem.torque(motion)), needed)
 
 
 def test_exact_links_and_unlimited_torques_need_no_reserve():
     motion = Motion(np.zeros(1), *np.zeros((3, 1, 3)))
     exact_arm = build_problem(limited_arm(torque=9.0), LimitOptions())
-    unlimited = build_problem(
-        robot_of(arms.THREE), LimitOptions(), link_uncertainty=5.0
-    )
+    arm = robot_of(arms.THREE)
+    unlimited = build_problem(arm, LimitOptions(), link_uncertainty=5.0)
     for problem in (exact_arm, unlimited):
         assert not problem.has_torque_reserve
         assert np.all(problem.torque_reserve(motion) == 0.0)

@@ -43,10 +43,8 @@ def inside(shape, p):
 @cache
 def all_shapes():
     """Return MuJoCo data and the Solids of one body per shape, each turned and shifted."""
-    content = "".join(
-        f'<body><geom type="{shape}" size=".3 .2 .5" pos=".1 .2 {k}" quat="1 .5 {k} .2"/></body>'
-        for k, shape in enumerate(SHAPES)
-    )
+    geom = '<body><geom type="{}" size=".3 .2 .5" pos=".1 .2 {}" quat="1 .5 {} .2"/></body>'
+    content = "".join(map(geom.format, SHAPES, range(5), range(5)))
     model = compile_xml(f"<mujoco><worldbody>{content}</worldbody></mujoco>")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -63,14 +61,12 @@ def test_the_farthest_point_of_a_shape_lies_on_its_boundary(seed):
     for geom, (shape, solid) in enumerate(zip(SHAPES, solids)):
         position = data.geom_xpos[geom]
         rotation = data.geom_xmat[geom].reshape(3, 3)
-        points = (
-            position + inside(shape, rng.uniform(-1.0, 1.0, size=(400, 3))) @ rotation.T
-        )
+        local = inside(shape, rng.uniform(-1.0, 1.0, size=(400, 3)))
+        points = position + local @ rotation.T
         (farthest,) = solid.farthest(direction)
         assert np.max(points @ direction[0]) <= direction[0] @ farthest + 1e-12
-        assert (
-            np.max(np.linalg.norm(points - solid.center, axis=1)) <= solid.bound + 1e-12
-        )
+        distance = np.linalg.norm(points - solid.center, axis=1)
+        assert np.max(distance) <= solid.bound + 1e-12
         balls = solid.points @ direction[0] + solid.radius
         assert direction[0] @ farthest <= np.max(balls) + 1e-12
         x, y, z = (farthest - position) @ rotation

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -124,11 +125,6 @@ def test_each_pose_is_held_and_each_speed_of_a_sweep(seed):
     assert np.all(np.max(np.abs(along.qdd), axis=0) <= peak * (1.0 + 1e-12))
 
 
-def line_with_ramp(ramp):
-    """Return a move of one joint in 1 s that takes ``ramp`` seconds to reach its speed."""
-    return LineTrajectory(np.zeros((2, 1)), np.ones(1), np.zeros(2), [ramp])
-
-
 def test_peaks_of_the_step():
     _, speed, acceleration = smooth_step(np.linspace(0.0, 1.0, 100001))
     assert np.max(speed) == pytest.approx(PEAK_SPEED, rel=1e-6)
@@ -138,25 +134,14 @@ def test_peaks_of_the_step():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: FourierBasis(10.0, float("inf"), 5, 1.0), "positive"),
+        (lambda: FourierBasis(10.0, np.inf, 5, 1.0), "positive"),
         (lambda: FourierBasis(10.0, 0.1, 5, 6.0), "twice"),
-        (
-            lambda: FourierTrajectory(
-                FourierBasis(9.0, 0.1, 4, 1.0), np.zeros(2), np.ones((2, 8))
-            ),
-            "coefficients has shape",
-        ),
-        (
-            lambda: LineTrajectory(np.zeros((2, 1)), np.zeros(1), np.zeros(2)),
-            "take time",
-        ),
-        (lambda: line_with_ramp(0.0), "ramps f"),
-        (lambda: line_with_ramp(0.6), "ramps f"),
+        (lambda: replace(fourier(0), coefficients=np.ones((3, 6))), "has shape"),
+        (lambda: replace(poses(0), moves=0.0 * poses(0).moves), "take time"),
+        (lambda: replace(sweeps(0), ramps=0.0 * sweeps(0).ramps), "ramps f"),
+        (lambda: replace(sweeps(0), ramps=0.6 * sweeps(0).moves), "ramps f"),
         (lambda: at_speed(sines(0), 1.2), "--speed must be above 0 and at most 1"),
-        (
-            lambda: at_speed(sines(0), float("nan")),
-            "--speed must be above 0 and at most 1",
-        ),
+        (lambda: at_speed(sines(0), np.nan), "--speed must be above 0 and at most 1"),
     ],
 )
 def test_invalid_trajectories_are_refused(make, message):
@@ -181,17 +166,15 @@ EARLIER = {
 def saved_text(**changes):
     """Return the JSON text of a saved trajectory with changed entries; None removes one."""
     content = {**EARLIER, **changes}
-    return json.dumps(
-        {key: value for key, value in content.items() if value is not None}
-    )
+    kept = {key: value for key, value in content.items() if value is not None}
+    return json.dumps(kept)
 
 
 def test_files_of_earlier_versions_are_read(tmp_path):
     """With a speed and a byte-order mark; and a series without fade that ends at rest."""
     path = tmp_path / "plan.json"
-    path.write_bytes(
-        b"\xef\xbb\xbf" + saved_text(speed=0.5).replace(", ", ",\r\n").encode()
-    )
+    text = saved_text(speed=0.5).replace(", ", ",\r\n")
+    path.write_text(text, encoding="utf-8-sig", newline="")
     plan = load_trajectory(path).plan
     assert plan.duration == 10.0
     rising = 0.1 * np.sin(2.0 * np.pi * 0.05 * 4.0)
@@ -216,18 +199,12 @@ def test_files_of_earlier_versions_are_read(tmp_path):
     [
         ("time,q1\n0,0\n", "takes the .json file"),
         (saved_text(version=9), "has version 9 of the format"),
-        (
-            saved_text(kind="splines"),
-            "unknown kind of trajectory 'splines'; valid: sines, fourier",
-        ),
+        (saved_text(kind="splines"), "kind of .*'splines'; valid: sines, fourier"),
         (saved_text(phase=None), "lacks the entry 'phase'"),
         (saved_text(phase=[[0.0]]), "phase has shape"),
         (saved_text(center=["x", 0, 0]), "not a usable trajectory"),
         (saved_text(speed=3.0), "--speed must be above 0"),
-        (
-            saved_text(joints=["base", "elbow"]),
-            "a trajectory of 3 joints names 2: base, elbow",
-        ),
+        (saved_text(joints=NAMES[:2]), "a trajectory of 3 joints names 2: base, elbow"),
         (saved_text(center=[0.0, float("nan"), 0.0]), "center"),
         ("[" * 100_000, "is not JSON"),
         (saved_text(duration=10**400), "finite"),
@@ -259,8 +236,7 @@ def test_an_arm_with_other_joints_or_another_order_is_refused(tmp_path):
     save_trajectory(tmp_path / "plan.json", sines(0), NAMES)
     saved = load_trajectory(tmp_path / "plan.json")
     saved.require_fits(NAMES)
+    message = "made for the 3 joints base, elbow, wrist"
     for others in (("elbow", "base", "wrist"), NAMES[:2], (*NAMES, "hand")):
-        with pytest.raises(
-            InputError, match="made for the 3 joints base, elbow, wrist"
-        ):
+        with pytest.raises(InputError, match=message):
             saved.require_fits(others)
