@@ -29,6 +29,7 @@ from robot_sysid.motion.limit_check import as_one
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulation.plant import ArmStepper
 from tests.support import arms
+from tests.support.command_line import fail, succeed
 from tests.support.command_line import run_motors as run
 from tests.support.damiao_rig import (
     fault,
@@ -80,8 +81,7 @@ def no_real_time(monkeypatch):
 
 def test_check_prints_a_table_and_enables_nothing(capsys, bus, trajectory):
     bus.motors[1].registers[TIMEOUT] = 100000.0
-    code, out, err = run(capsys, "check", trajectory, *CAN0, "--verbose")
-    assert (code, err) == (0, "")
+    out = succeed(capsys, "check", trajectory, *CAN0, "--verbose")
     assert "ready to play" in out and "load classic CAN to 14 %" in out
     assert re.search(
         r"2 +0x12 +MIT +12.5 +10 +28 +DM4340 +5000 ms +40 +31/29 +status 0", out
@@ -134,8 +134,7 @@ def test_check_says_what_has_to_change(capsys, bus, trajectory):
 def test_play_records_and_disables(capsys, bus, trajectory, tmp_path):
     record = tmp_path / "measured.csv"
     arguments = ("--yes", "--record", record, "--kd", "2", "--rate", "100")
-    code, out, err = run(capsys, "play", trajectory, *CAN0, *arguments)
-    assert (code, err) == (0, ""), err
+    out = succeed(capsys, "play", trajectory, *CAN0, *arguments)
     assert "all motors are disabled" in out
     assert [m.status for m in bus.motors] == [DISABLED] * 2
     recording = read_recording(record)
@@ -145,10 +144,10 @@ def test_play_records_and_disables(capsys, bus, trajectory, tmp_path):
 
 
 def test_dry_run_without_a_bus_checks_the_file(capsys, bus, trajectory):
-    code, out, _ = run(capsys, "play", trajectory, "--dry-run", "--verbose")
-    assert code == 0 and "[ok  ] ids are unique: 1, 2" in out
-    code, out, err = run(capsys, "play", trajectory, "--dry-run", "--rate", "2000")
-    assert code == 3 and "limit 70 %; use --rate 1000" in err
+    out = succeed(capsys, "play", trajectory, "--dry-run", "--verbose")
+    assert "[ok  ] ids are unique: 1, 2" in out
+    err = fail(capsys, 3, "play", trajectory, "--dry-run", "--rate", "2000")
+    assert "limit 70 %; use --rate 1000" in err
     assert bus.wire is None
     code, out, _ = run(capsys, "play", trajectory, *CAN0, "--dry-run")
     assert "[ok  ] ids" not in out and "[ok  ] 11 points" in out
@@ -157,15 +156,15 @@ def test_dry_run_without_a_bus_checks_the_file(capsys, bus, trajectory):
 
 
 def test_playing_needs_a_confirmation(capsys, bus, trajectory, monkeypatch):
-    code, _, err = run(capsys, "play", trajectory, *CAN0)
-    assert code == 2 and "give --yes" in err
+    err = fail(capsys, 2, "play", trajectory, *CAN0)
+    assert "give --yes" in err
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda prompt: "no")
-    code, _, err = run(capsys, "play", trajectory, *CAN0)
-    assert code == 2 and "not confirmed" in err
+    err = fail(capsys, 2, "play", trajectory, *CAN0)
+    assert "not confirmed" in err
     assert only_asks(bus.wire.sent)
     monkeypatch.setattr("builtins.input", lambda prompt: " Yes ")
-    assert run(capsys, "play", trajectory, *CAN0, *AT_100)[0] == 0
+    succeed(capsys, "play", trajectory, *CAN0, *AT_100)
 
 
 def test_existing_recordings_are_kept_and_nobody_is_asked_first(
@@ -174,18 +173,13 @@ def test_existing_recordings_are_kept_and_nobody_is_asked_first(
     record = ("--record", tmp_path / "measured.csv")
     for existing in (tmp_path / "measured.csv", tmp_path / "measured.log"):
         existing.write_text("precious")
-        code, _, err = run(capsys, "play", trajectory, *CAN0, *record)
-        assert code == 2 and f"{existing.name} exists" in err
+        err = fail(capsys, 2, "play", trajectory, *CAN0, *record)
+        assert f"{existing.name} exists" in err
         assert existing.read_text() == "precious"
         assert sorted(tmp_path.iterdir()) == sorted([trajectory, existing])
         existing.unlink()
     existing.write_text("precious")
-    assert (
-        run(
-            capsys, "play", trajectory, *CAN0, *record, *AT_100, "--yes", "--overwrite"
-        )[0]
-        == 0
-    )
+    succeed(capsys, "play", trajectory, *CAN0, *record, *AT_100, "--yes", "--overwrite")
     assert (
         read_recording(tmp_path / "measured.csv").ending == "completed"
         and person[1] == []
@@ -197,8 +191,8 @@ def test_interrupting_before_anything_moves(capsys, bus, trajectory, person):
         raise KeyboardInterrupt
 
     person[0].append(interrupt)
-    code, _, err = run(capsys, "play", trajectory, *CAN0)
-    assert code == 130 and "no motor is enabled" in err
+    err = fail(capsys, 130, "play", trajectory, *CAN0)
+    assert "no motor is enabled" in err
     assert only_asks(bus.wire.sent)
 
 
@@ -255,8 +249,8 @@ def test_bad_usage_is_one_line_and_exit_code_2(
     capsys, trajectory, model, arguments, command_options
 ):
     files = {"T": trajectory, "M": model}
-    code, _, err = run(capsys, *(files.get(word, word) for word in arguments))
-    assert code == 2 and command_options in err, err
+    err = fail(capsys, 2, *(files.get(word, word) for word in arguments))
+    assert command_options in err, err
 
 
 # --- a model of the arm -------------------------------------------------------------------------
@@ -276,8 +270,8 @@ def refused_by(capsys, folder, trajectory, path):
         ("simulate", trajectory, "--model", path, "--play", "--record", record),
         ("simulate", trajectory, "--model", path, *CAN0),
     ):
-        code, out, err = run(capsys, *arguments)
-        assert code == 3 and len(err.splitlines()) == 1
+        err = fail(capsys, 3, *arguments)
+        assert len(err.splitlines()) == 1
         message.append(
             err.partition(" played: ")[2] or err.partition("not rehearsed: ")[2]
         )
@@ -308,32 +302,26 @@ def test_a_trajectory_beyond_the_joint_ranges_is_refused(
 
 def test_limits_hold_for_what_is_played(capsys, bus, trajectory, model):
     """At 0.31 rad/s; planes only with a model."""
-    code, _, err = run(
-        capsys, "play", trajectory, *CAN0, "--yes", "--max-velocity", "0.3"
-    )
-    assert code == 3 and "rad/s is beyond --max-velocity 0.3" in err
+    err = fail(capsys, 3, "play", trajectory, *CAN0, "--yes", "--max-velocity", "0.3")
+    assert "rad/s is beyond --max-velocity 0.3" in err
     plane = "--keep-out", "0", "0", "1", "0"
-    code, _, err = run(capsys, "play", trajectory, *CAN0, "--yes", *plane)
-    assert code == 2 and "--keep-out is about a model; add --model" in err
+    err = fail(capsys, 2, "play", trajectory, *CAN0, "--yes", *plane)
+    assert "--keep-out is about a model; add --model" in err
     # What is played at 0.6 keeps it, and the way to the first point does not.
     slow = "--max-velocity", "0.4", "--speed", "0.6"
     bus.arm.mechanism.q[:] = 0.3
-    code, _, err = run(
-        capsys, "play", trajectory, *CAN0, "--yes", *slow, "--approach-speed", "0.5"
+    err = fail(
+        capsys, 3, "play", trajectory, *CAN0, "--yes", *slow, "--approach-speed", "0.5"
     )
     assert (
-        code == 3
-        and "on the way to the first point, motor 1: 0." in err
-        and "rad/s is beyond" in err
+        "on the way to the first point, motor 1: 0." in err and "rad/s is beyond" in err
     )
     assert only_asks(bus.wire.sent)
 
 
 def test_a_model_with_other_joints_is_refused(capsys, bus, trajectory, arm_file):
-    code, _, err = run(
-        capsys, "play", trajectory, *CAN0, "--model", arm_file(arms.THREE)
-    )
-    assert code == 2 and "has 2 joints but the chain" in err and "has 3" in err
+    err = fail(capsys, 2, "play", trajectory, *CAN0, "--model", arm_file(arms.THREE))
+    assert "has 2 joints but the chain" in err and "has 3" in err
     assert bus.wire is None
 
 
@@ -372,8 +360,8 @@ def test_an_arm_is_held_where_it_stands_without_sagging(capsys, bus, leaning, tm
         "--record",
         record,
     )
-    code, out, err = run(capsys, *command_options)
-    assert (code, err) == (0, "") and "holding; Ctrl-C ends it" in out
+    out = succeed(capsys, *command_options)
+    assert "holding; Ctrl-C ends it" in out
     q = read_recording(record).joint_values("pos")
     assert len(q) == 51 and np.max(np.abs(q - start)) < 5e-3
     assert [m.status for m in bus.motors] == [DISABLED] * 2
@@ -384,22 +372,20 @@ def test_holding_ends_well_when_it_is_asked_to_and_badly_when_a_motor_fails(
 ):
     command_options = ("hold", "--model", leaning[0], *CAN0, *SOFT, "--yes")
     bus.clock.at(4.0, lambda: signal.raise_signal(signal.SIGINT))
-    code, out, err = run(capsys, *command_options)
-    assert (code, err) == (0, "") and out.endswith(
-        "Done: held, and all motors are disabled\n"
-    )
+    out = succeed(capsys, *command_options)
+    assert out.endswith("Done: held, and all motors are disabled\n")
     bus.clock.at(bus.clock.now() + 4.0, lambda: fault("status", 1, 0xA)(bus))
-    code, _, err = run(capsys, *command_options)
-    assert code == 3 and "motor 2 (joint joint1) reports status A" in err
+    err = fail(capsys, 3, *command_options)
+    assert "motor 2 (joint joint1) reports status A" in err
 
 
 def test_a_motor_that_cannot_hold_is_named_before_anything_moves(capsys, bus, leaning):
     fault("vmax", 1, 17.0)(bus)
-    code, _, err = run(capsys, "hold", "--model", leaning[0], *CAN0, "--yes")
-    assert code == 3 and "motor 2 (joint joint1) is of no known type" in err
+    err = fail(capsys, 3, "hold", "--model", leaning[0], *CAN0, "--yes")
+    assert "motor 2 (joint joint1) is of no known type" in err
     fault("silent", 1)(bus)
-    code, _, err = run(capsys, "hold", "--model", leaning[0], *CAN0, "--yes")
-    assert code == 3 and "motor 2 (joint joint1) does not answer" in err
+    err = fail(capsys, 3, "hold", "--model", leaning[0], *CAN0, "--yes")
+    assert "motor 2 (joint joint1) does not answer" in err
     assert only_asks(bus.wire.sent)
 
 
@@ -425,8 +411,7 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
         "--record",
         record,
     )
-    code, out, err = run(capsys, "simulate", trajectory, *arguments)
-    assert (code, err) == (0, "")
+    out = succeed(capsys, "simulate", trajectory, *arguments)
     assert (
         "played 126 cycles, 0 skipped; started late by 0.00 ms" in out
         and len(read) == 1
@@ -443,10 +428,7 @@ def test_a_simulated_arm_on_a_bus_says_how_to_reach_it(capsys, bus, trajectory, 
     fd = ("--fd",)
     spaced = model.rename(model.with_name("an arm.xml"))
     arm = ("--model", str(spaced), "--joint", "joint1")
-    code, out, err = run(
-        capsys, "simulate", trajectory, *arm, *address, *fd, "--for", "2"
-    )
-    assert (code, err) == (0, "")
+    out = succeed(capsys, "simulate", trajectory, *arm, *address, *fd, "--for", "2")
     command_options = [
         "play",
         str(trajectory),
@@ -474,10 +456,10 @@ def two_buses(tmp_path):
 
 
 def test_a_map_of_two_buses_needs_none_to_be_checked(capsys, trajectory, two_buses):
-    code, out, _ = run(
+    out = succeed(
         capsys, "play", trajectory, "--joint-map", two_buses, "--dry-run", "-v"
     )
-    assert code == 0 and "ids are unique: 1, 1" in out
+    assert "ids are unique: 1, 1" in out
 
 
 SIDE = """<body name="{side}" pos="0 {y} .5">
@@ -528,8 +510,8 @@ def test_both_arms_of_a_model_are_played_in_one_run(
     write_joint_map(
         tmp_path / "map.csv", [map_line("right_j", "right", 1, 0x11), mirrored]
     )
-    code, out, err = run(capsys, *command_options, "--verbose", "--record", record)
-    assert (code, err) == (0, "") and "the limits of two.xml, and the arms apart" in out
+    out = succeed(capsys, *command_options, "--verbose", "--record", record)
+    assert "the limits of two.xml, and the arms apart" in out
     columns = read_recording(record).columns
     left = columns["left_j_pos"]
     right = columns["right_j_pos"]
@@ -540,10 +522,10 @@ def test_both_arms_of_a_model_are_played_in_one_run(
 def test_arms_that_would_touch_are_not_played_together(capsys, both_arms):
     """Each alone passes: it moves by 20 mm, and the other one is 30 mm away."""
     command_options = both_arms(0.11)
-    code, _, err = run(capsys, *command_options)
-    assert code == 3 and "the arms touch while both move, at 0.1" in err
+    err = fail(capsys, 3, *command_options)
+    assert "the arms touch while both move, at 0.1" in err
     alone = [word for word in command_options[1:-1] if word not in command_options[4:8]]
-    assert run(capsys, "play", *alone, "--dry-run")[0] == 0
+    succeed(capsys, "play", *alone, "--dry-run")
 
 
 def stand_on_two_buses(bus, q):
@@ -572,7 +554,7 @@ def test_arms_that_are_in_each_others_way_to_the_first_point_are_not_played(
         "on the way to the first point the model's arms touch if it goes straight, and "
         "joint by"
     )
-    assert code == 3 and message in err, out + err
+    assert code == 3 and message in err
 
 
 def test_both_arms_are_held_in_one_run(capsys, both_arms, bus, tmp_path):
@@ -594,18 +576,15 @@ def test_both_arms_are_held_in_one_run(capsys, both_arms, bus, tmp_path):
     bus.arm.mechanism = ArmStepper(as_one(*arms), np.array(start), 4e-3)
     buses = ("--channel", "left", "--channel", "right", *SOFT, "--yes", "--for", "0.5")
     record = tmp_path / "held.csv"
-    code, _, err = run(capsys, "hold", *both, *buses, "--record", record)
-    assert (code, err) == (0, "")
+    succeed(capsys, "hold", *both, *buses, "--record", record)
     columns = read_recording(record).columns
     for side, angle in zip(("left", "right"), start):
         assert np.max(np.abs(columns[f"{side}_j_pos"] - angle)) < 5e-3
     assert [m.status for m in bus.motors] == [DISABLED] * 2
-    code, _, err = run(capsys, "hold", *both[:3], "left_j", *both[4:], *buses)
-    assert (
-        code == 2 and "--joint and --also-joint are of one arm: both move left_j" in err
-    )
-    code, _, err = run(capsys, "hold", *both[2:], *buses)
-    assert code == 2 and "two arms need --model, --joint and --also-joint" in err
+    err = fail(capsys, 2, "hold", *both[:3], "left_j", *both[4:], *buses)
+    assert "--joint and --also-joint are of one arm: both move left_j" in err
+    err = fail(capsys, 2, "hold", *both[2:], *buses)
+    assert "two arms need --model, --joint and --also-joint" in err
 
 
 def test_the_small_motions_of_two_arms_are_checked_and_not_their_files(
@@ -614,10 +593,8 @@ def test_the_small_motions_of_two_arms_are_checked_and_not_their_files(
     """They stand at the end of their ranges, where their files never bring them."""
     stand_on_two_buses(bus, 2.98)
     buses = ("--channel", "left", "--channel", "right", "--verify")
-    code, out, err = run(capsys, "play", *both_arms(3.0)[1:-1], *buses)
-    assert code == 3 and "not moved (where there is no room for 0.1 rad" in err, (
-        out + err
-    )
+    err = fail(capsys, 3, "play", *both_arms(3.0)[1:-1], *buses)
+    assert "not moved (where there is no room for 0.1 rad" in err
     assert "position 3.08 rad is beyond the model's limit 3" in err
     assert only_asks(bus.wire.sent)
 
@@ -627,8 +604,7 @@ def test_terminals_of_a_map_of_two_buses_have_its_names(
     capsys, trajectory, model, two_buses
 ):
     arm = ("--model", model, "--joint-map", two_buses)
-    code, out, err = run(capsys, "simulate", trajectory, *arm, "--for", "0.01")
-    assert (code, err) == (0, "")
+    out = succeed(capsys, "simulate", trajectory, *arm, "--for", "0.01")
     command_options = shlex.split(
         next(line for line in out.splitlines() if line.startswith("robot-sysid"))
     )
@@ -663,7 +639,7 @@ def test_a_simulated_arm_goes_on_until_it_is_interrupted(
     capsys, bus, trajectory, model
 ):
     bus.clock.at(3.0, lambda: signal.raise_signal(signal.SIGINT))
-    assert run(capsys, "simulate", trajectory, "--model", model, *CAN0)[0] == 0
+    succeed(capsys, "simulate", trajectory, "--model", model, *CAN0)
     assert bus.clock.now() == pytest.approx(3.0, abs=2e-3)
 
 

@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 
 from robot_sysid.commands.motors import mapping
-from robot_sysid.damiao.joints import damiao_joints, read_joint_map
-from robot_sysid.damiao.references import HoldingCheck
-from robot_sysid.errors import HardwareAbort
+from robot_sysid.damiao.joints import read_joint_map
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion
 from robot_sysid.simulation.plant import ArmStepper
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms
-from tests.support.command_line import run_motors as run
+from tests.support.command_line import fail, succeed
 from tests.support.damiao_rig import only_asks, swing, trajectory_file
 
 CAN0 = ("--channel", "can0", "--rate", "100")
@@ -42,25 +40,21 @@ def arguments(bus, arm_file, tmp_path, monkeypatch):
 def test_nothing_is_played_before_somebody_has_seen_which_way_joints_turn(
     capsys, bus, arguments
 ):
-    code, _, err = run(capsys, *arguments, "--yes")
-    assert code == 3 and "nobody has verified which way motor 1 (joint joint0)" in err
+    err = fail(capsys, 3, *arguments, "--yes")
+    assert "nobody has verified which way motor 1 (joint joint0)" in err
     assert only_asks(bus.wire.sent)
-    code, out, err = run(capsys, *arguments, "--yes", "--accept-directions")
-    assert (code, err) == (
-        0,
-        "",
-    ) and "mirrored or swapped, they would be played like that" in out
+    out = succeed(capsys, *arguments, "--yes", "--accept-directions")
+    assert "mirrored or swapped, they would be played like that" in out
     # Without a model it is said.
-    code, out, err = run(capsys, *arguments[:-2], "--yes")
-    assert (code, err) == (0, "") and "nobody has verified which way motor 1" in out
+    out = succeed(capsys, *arguments[:-2], "--yes")
+    assert "nobody has verified which way motor 1" in out
 
 
 def test_a_small_motion_verifies_a_set_up_once(
     capsys, bus, arguments, person, tmp_path
 ):
     person[0][:] = ["yes"] * 3
-    code, out, err = run(capsys, *arguments, "--verify", "--park", "start")
-    assert (code, err) == (0, ""), err
+    out = succeed(capsys, *arguments, "--verify", "--park", "start")
     assert (
         "motor 1 (joint joint0) is to turn so that" in out
         and "parking, straight" in out
@@ -68,10 +62,9 @@ def test_a_small_motion_verifies_a_set_up_once(
     assert np.max(np.abs(bus.arm.mechanism.q - START)[0]) < 0.02
     rows = read_joint_map(tmp_path / "joint_map.csv")
     assert [row.verified for row in rows] == ["motion"] * 2
-    code, out, err = run(capsys, *arguments, "--yes", "--joint-map", "joint_map.csv")
-    assert (code, err) == (0, ""), err
-    code, out, _ = run(capsys, *arguments, "--verify", "--joint-map", "joint_map.csv")
-    assert code == 0 and "somebody has verified it" in out
+    out = succeed(capsys, *arguments, "--yes", "--joint-map", "joint_map.csv")
+    out = succeed(capsys, *arguments, "--verify", "--joint-map", "joint_map.csv")
+    assert "somebody has verified it" in out
 
 
 def test_what_is_seen_is_never_written_into_a_file_of_lerobots(
@@ -83,8 +76,8 @@ def test_what_is_seen_is_never_written_into_a_file_of_lerobots(
     theirs.write_text(text)
     monkeypatch.setattr(mapping, "_nudge_joints", lambda *_: ["up"] * 2)
     person[0][:] = ["yes"] * 3
-    code, _, err = run(capsys, *arguments, "--verify", "--joint-map", theirs)
-    assert (code, err) == (0, "") and theirs.read_text() == text
+    succeed(capsys, *arguments, "--verify", "--joint-map", theirs)
+    assert theirs.read_text() == text
     assert "motion" in [
         row.verified for row in read_joint_map(tmp_path / "joint_map.csv")
     ]
@@ -94,21 +87,9 @@ def test_a_joint_that_went_another_way_leaves_nothing_written(
     capsys, arguments, person, tmp_path
 ):
     person[0][:] = ["yes", "no"]
-    code, _, err = run(capsys, *arguments, "--verify")
-    assert code == 2 and "motor 1 (joint joint0) is not verified" in err
+    err = fail(capsys, 2, *arguments, "--verify")
+    assert "motor 1 (joint joint0) is not verified" in err
     assert (
         "Did motor 1 (joint joint0), and no other joint, turn so that" in person[1][-1]
     )
     assert not (tmp_path / "joint_map.csv").exists()
-
-
-def test_a_motor_that_carries_nothing_where_its_joint_carries_much_is_stopped():
-    """Two wrist ids are swapped: 2.5 N m are needed, and its motor holds what hangs straight."""
-    joints = damiao_joints(["DM4310"], 1)
-    check = HoldingCheck(joints, lambda q: np.array([2.5]), 0.0, "the model needs")
-    check(np.zeros(1), np.array([1.0]))
-    with pytest.raises(
-        HardwareAbort, match="motor 1 holds the arm with 0.1 N m but the model"
-    ):
-        check(np.zeros(1), np.array([0.1]))
-    assert check.unverified_joints(np.zeros(1)) == []

@@ -18,6 +18,7 @@ from robot_sysid.damiao.protocol import (
     is_special,
 )
 from tests.support import arms
+from tests.support.command_line import fail, succeed
 from tests.support.command_line import run_motors as run
 from tests.support.damiao_rig import only_asks
 
@@ -32,8 +33,8 @@ def drives_nothing(frames):
 
 
 def test_setup_alone_lists_the_motors_and_changes_nothing(capsys, bus):
-    code, out, err = run(capsys, "setup", *CAN0)
-    assert (code, err) == (0, "") and "DM4340" in out
+    out = succeed(capsys, "setup", *CAN0)
+    assert "DM4340" in out
     assert only_asks(bus.wire.sent)
 
 
@@ -51,8 +52,7 @@ def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
         "--watchdog",
         "0.2",
     )
-    code, out, err = run(capsys, "setup", *CAN0, *options, "--store")
-    assert (code, err) == (0, "")
+    out = succeed(capsys, "setup", *CAN0, *options, "--store")
     assert (
         "motor 1: CTRL_MODE=2 is now CTRL_MODE=1" in out
         and "ESC_ID=1 is now ESC_ID=5" in out
@@ -72,7 +72,7 @@ def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
 
 
 def test_nothing_is_stored_unless_asked_for(capsys, bus):
-    assert run(capsys, "setup", *CAN0, "--motor", 1, "--watchdog", "0.2")[0] == 0
+    succeed(capsys, "setup", *CAN0, "--motor", 1, "--watchdog", "0.2")
     assert (
         bus.motors[0].registers[protocol.TIMEOUT] == 4000.0
         and bus.motors[0].stored == {}
@@ -87,8 +87,8 @@ def test_an_enabled_motor_is_never_changed(capsys, bus, person, change):
     bus.motors[0].status = ENABLED
     bus.motors[0].registers[protocol.TIMEOUT] = 0.0
     registers = dict(bus.motors[0].registers)
-    code, _, err = run(capsys, "setup", *CAN0, "--motor", 1, *change)
-    assert code == 3 and "motor 1 is enabled" in err
+    err = fail(capsys, 3, "setup", *CAN0, "--motor", 1, *change)
+    assert "motor 1 is enabled" in err
     assert bus.motors[0].registers == registers and only_asks(bus.wire.sent)
 
 
@@ -96,11 +96,11 @@ def test_a_zero_is_set_after_two_questions(capsys, bus, person):
     waiting, prompts = person
     bus.arm.mechanism.q[0] = 0.4
     waiting += ["yes", "no"]
-    code, _, err = run(capsys, "setup", *CAN0, "--motor", 1, "--set-zero")
-    assert code == 2 and "the zero is as it was" in err and only_asks(bus.wire.sent)
+    err = fail(capsys, 2, "setup", *CAN0, "--motor", 1, "--set-zero")
+    assert "the zero is as it was" in err and only_asks(bus.wire.sent)
     waiting += ["yes", "yes"]
-    code, out, _ = run(capsys, "setup", *CAN0, "--motor", 1, "--set-zero")
-    assert code == 0 and "motor 1: 0.4000 rad is now" in out and len(prompts) == 4
+    out = succeed(capsys, "setup", *CAN0, "--motor", 1, "--set-zero")
+    assert "motor 1: 0.4000 rad is now" in out and len(prompts) == 4
     assert bus.motors[0].shift == pytest.approx(-0.4)
 
 
@@ -111,15 +111,15 @@ def test_no_zero_is_set_where_the_angle_is_not_known(capsys, bus, person):
     motor.handle = lambda frame, time: (
         None if frame.data[2:4] == request else answer(frame, time)
     )
-    code, _, err = run(capsys, "setup", *CAN0, "--motor", 1, "--set-zero")
-    assert code == 3 and "does not tell its PMAX" in err and only_asks(bus.wire.sent)
+    err = fail(capsys, 3, "setup", *CAN0, "--motor", 1, "--set-zero")
+    assert "does not tell its PMAX" in err and only_asks(bus.wire.sent)
     assert person[1] == []
 
 
 def test_an_error_is_cleared_by_name(capsys, bus):
     bus.motors[1].status = 0xA
-    code, out, _ = run(capsys, "setup", *CAN0, "--motor", 2, "--clear-error")
-    assert code == 0 and "status A: over-current is cleared" in out
+    out = succeed(capsys, "setup", *CAN0, "--motor", 2, "--clear-error")
+    assert "status A: over-current is cleared" in out
     assert bus.motors[1].status == DISABLED
 
 
@@ -177,7 +177,7 @@ def test_ids_of_motors_that_already_clash_can_be_put_right_one_by_one(
     for motor in bus.motors:
         motor.registers[protocol.MST_ID] = 0.0
     bus.motors[1].registers[protocol.MST_ID] = 0x101
-    assert run(capsys, "setup", *CAN0, "--motor", 1, *options)[0] == 0
+    succeed(capsys, "setup", *CAN0, "--motor", 1, *options)
 
 
 def test_an_id_is_free_where_only_another_bus_has_it(capsys, bus):
@@ -185,28 +185,24 @@ def test_an_id_is_free_where_only_another_bus_has_it(capsys, bus):
     bus.arm.motors[1].joint = replace(bus.arm.motors[1].joint, bus=1)
     both = ("setup", *CAN0, "--channel", "can1")
     options = ("--motor", 2, "--new-id", 1, "--new-master-id", "0x11")
-    assert run(capsys, *both, *options)[0] == 0
+    succeed(capsys, *both, *options)
     assert bus.motors[1].registers[protocol.ESC_ID] == 1.0
-    code, _, err = run(capsys, *both, "--motor", 1, "--mit")
-    assert (
-        code == 3
-        and "can0 and can1 each have a motor 1; give only the --channel" in err
-    )
+    err = fail(capsys, 3, *both, "--motor", 1, "--mit")
+    assert "can0 and can1 each have a motor 1; give only the --channel" in err
 
 
 def test_a_bit_rate_is_changed_with_one_motor_on_the_bus(capsys, bus):
     bus.motors[1].silent = True
-    code, out, _ = run(
+    out = succeed(
         capsys, "setup", *CAN0, "--motor", 1, "--motor-bitrate", 500000, "--store"
     )
-    assert code == 0 and "can_br=4 is now can_br=3" in out and "not stored" in out
+    assert "can_br=4 is now can_br=3" in out and "not stored" in out
     assert bus.motors[0].registers[protocol.CAN_BR] == 3.0
 
 
 def test_monitor_shows_the_motors_and_enables_nothing(capsys, bus):
     bus.arm.mechanism.q[:] = [0.25, -0.5]
-    code, out, err = run(capsys, "monitor", *CAN0, "--for", "1")
-    assert (code, err) == (0, "")
+    out = succeed(capsys, "monitor", *CAN0, "--for", "1")
     assert out.count("motor 1 ") == 5 and " 0.250 " in out and "-0.500" in out
     assert only_asks(bus.wire.sent)
 
@@ -228,8 +224,7 @@ def test_a_map_is_made_by_hand(capsys, bus, person, tmp_path, arm_file):
         q[:] = [0.3, -0.1]
 
     waiting += [turn(1, 0.05), turn(1, -0.5), turn(0, 0.4), home]
-    code, _, err = run(capsys, "map", *CAN0, "--model", model, "--output", output)
-    assert (code, err) == (0, "")
+    succeed(capsys, "map", *CAN0, "--model", model, "--output", output)
     assert (
         "move joint joint0 alone" in prompts[0]
         and "no motor turned far enough" in prompts[1]
@@ -256,8 +251,8 @@ def test_a_map_is_not_guessed(capsys, bus, person, tmp_path, arm_file):
         bus.arm.mechanism.q += 0.5
 
     waiting += [both] * 3
-    code, _, err = run(capsys, "map", *CAN0, "--model", model, "--output", output)
-    assert code == 3 and "cannot be told which motor drives joint0" in err
+    err = fail(capsys, 3, "map", *CAN0, "--model", model, "--output", output)
+    assert "cannot be told which motor drives joint0" in err
     assert not output.exists()
 
 
@@ -274,13 +269,13 @@ def test_the_model_says_which_way_is_positive(arm_file):
 def test_motors_are_looked_for_at_every_bit_rate_that_the_adapter_has(capsys, bus):
     bus.impossible = [1e6, 2e5]
     scan = ("setup", *CAN0, "--interface", "slcan", "--scan")
-    code, out, _ = run(capsys, *scan)
-    assert code == 0 and "500000 bit/s: 2 motors" in out
+    out = succeed(capsys, *scan)
+    assert "500000 bit/s: 2 motors" in out
     assert (
         "200000 bit/s: not tried, cannot open" in out
         and "125000 bit/s: 2 motors" in out
     )
     assert bus.rates == [1e6, 5e5, 2.5e5, 2e5, 1.25e5]
     bus.impossible = bus.rates
-    code, _, err = run(capsys, *scan)
-    assert code == 2 and "cannot open slcan" in err
+    err = fail(capsys, 2, *scan)
+    assert "cannot open slcan" in err

@@ -55,16 +55,24 @@ def test_a_mirrored_and_shifted_motor_moves_its_joint_as_the_file_says(tmp_path)
 # --- motors outside the trajectory ----------------------------------------------------------------
 
 
+@pytest.fixture
+def gripper():
+    """A motor outside the trajectory."""
+    motor = simulated_motor(DamiaoJoint("DM4310", 8, 0x18))
+    motor.position = 0.3
+    return motor
+
+
 @pytest.mark.parametrize("treatment", ["limp", "hold"])
-def test_other_motors_are_left_limp_or_held_where_they_are(tmp_path, treatment):
-    gripper = simulated_motor(DamiaoJoint("DM4310", 8, 0x18))
-    gripper.position = 0.3
+def test_other_motors_are_left_limp_or_held_where_they_are(
+    tmp_path, gripper, treatment
+):
     phases = []
     run = rig(tmp_path, extra_motors=[gripper], others=treatment)
     run.during(
         "playing", 0.3, lambda r: phases.append((gripper.status, gripper.command))
     ).run()
-    assert run.error is None and run.states() == [DISABLED] * 3
+    run.assert_played()
     notes = [
         check.text for check in run.checks if "not in the trajectory" in check.text
     ]
@@ -77,12 +85,10 @@ def test_other_motors_are_left_limp_or_held_where_they_are(tmp_path, treatment):
 
 
 def test_a_motor_that_another_program_has_enabled_is_refused_or_taken_over_when_asked(
-    tmp_path,
+    tmp_path, gripper
 ):
     """Left alone it would go on driving while the run says that all motors are disabled."""
-    gripper = simulated_motor(DamiaoJoint("DM4310", 8, 0x18))
     gripper.status = ENABLED
-    gripper.position = 0.3
     gripper.registers[TIMEOUT] = 9e4
     run = rig(tmp_path, extra_motors=[gripper], others="limp").run()
     assert "motor 8 is enabled by another program and not in the trajectory" in str(
@@ -96,7 +102,7 @@ def test_a_motor_that_another_program_has_enabled_is_refused_or_taken_over_when_
         in stops(bus_checks(run.plan, silent))[0]
     )
     run = rig(tmp_path, extra_motors=[gripper], others="hold").run()
-    assert run.error is None and run.states() == [DISABLED] * 3
+    run.assert_played()
     assert any(
         "motor 8 is enabled by another program: it is taken" in c.text
         for c in run.checks
@@ -104,9 +110,8 @@ def test_a_motor_that_another_program_has_enabled_is_refused_or_taken_over_when_
 
 
 def test_an_unknown_motor_cannot_be_held_and_the_fault_of_a_held_one_stops_the_arm(
-    tmp_path,
+    tmp_path, gripper
 ):
-    gripper = simulated_motor(DamiaoJoint("DM4310", 8, 0x18))
     run = rig(tmp_path, extra_motors=[gripper], others="hold")
     run.during("playing", 0.1, lambda r: gripper.fail(0xA)).run()
     assert "motor 8 reports status A" in str(run.error)
@@ -138,7 +143,7 @@ def test_an_arm_is_lowered_until_nothing_pulls(tmp_path):
     run = rig(tmp_path, motion=lift_motion(), start=[STANDING] * 2, park="rest")
     speeds = fastest_after(run, "lowering")
     run.run(settle=1.0)
-    assert run.error is None and run.states() == [DISABLED] * 2
+    run.assert_played()
     assert np.max(np.abs(run.arm.mechanism.q)) < 0.1
     assert np.max(speeds) < 0.4
 

@@ -103,7 +103,7 @@ def test_every_way_out_disables(error):
         with bench.session as session:
             session.enable()
             assert [m.status for m in bench.motors] == [ENABLED] * 2
-            session.exchange(bench.command(), bench.clock.now() + 0.004)
+            bench.exchange()
             if error:
                 raise error
     except BaseException as raised:
@@ -113,16 +113,11 @@ def test_every_way_out_disables(error):
 
 def test_a_reply_is_the_state_before_the_command_acted():
     bench = Bench()
-    with bench.session as session:
-        session.enable()
-        bench.clock.sleep_until(bench.clock.now() + 0.004)
-        first = session.exchange(
-            bench.command(0.03, kp=500.0), bench.clock.now() + 0.004
-        )
-        bench.clock.sleep_until(bench.clock.now() + 0.004)
-        second = session.exchange(
-            bench.command(0.03, kp=500.0), bench.clock.now() + 0.004
-        )
+    with bench.enabled():
+        bench.wait(0.004)
+        first = bench.exchange(0.03, kp=500.0)
+        bench.wait(0.004)
+        second = bench.exchange(0.03, kp=500.0)
     half = 0.5 * 28.0 * 2 / 4095
     assert np.all(np.abs(first.feedback.torque) <= half * 1.01)
     assert np.all(second.feedback.torque > 10.0)
@@ -130,13 +125,10 @@ def test_a_reply_is_the_state_before_the_command_acted():
 
 def test_joints_that_were_not_asked_do_not_answer():
     bench = Bench(3)
-    with bench.session as session:
-        session.enable()
-        session.exchange(bench.command(), bench.clock.now() + 0.004)
+    with bench.enabled():
+        bench.exchange()
         only = np.array([True, False, True])
-        replies = session.exchange(
-            bench.command(0.005), bench.clock.now() + 0.004, only
-        )
+        replies = bench.exchange(0.005, joints=only)
     # Who was told nothing is under its old command.
     np.testing.assert_allclose(replies.command.position, [0.005, 0.0, 0.005], atol=1e-3)
     assert replies.answered.tolist() == [True, False, True]
@@ -146,23 +138,21 @@ def test_joints_that_were_not_asked_do_not_answer():
 
 def test_stale_replies_are_not_taken_for_fresh_ones():
     bench = Bench()
-    with bench.session as session:
-        session.enable()
-        late = session.exchange(bench.command(), bench.clock.now())
+    with bench.enabled():
+        late = bench.exchange(seconds=0.0)
         assert not np.any(late.answered)
-        bench.clock.sleep_until(bench.clock.now() + 0.02)
+        bench.wait(0.02)
         start = bench.clock.now()
-        fresh = session.exchange(bench.command(), start + 0.004)
+        fresh = bench.exchange()
     assert np.all(fresh.answered) and np.all(fresh.time > start)
 
 
 @pytest.mark.parametrize("echo", [False, True])
 def test_stamps_differ_from_joint_to_joint(echo):
     bench = Bench(3, echo)
-    with bench.session as session:
-        session.enable()
+    with bench.enabled():
         start = bench.clock.now()
-        replies = session.exchange(bench.command(), start + 0.004)
+        replies = bench.exchange()
     frame = 135e-6
     first = frame if echo else 4 * frame
     np.testing.assert_allclose(
@@ -176,9 +166,8 @@ def test_garbage_on_the_bus_is_ignored():
     garbage.append(Frame(17, bytes(8), error=True))
     ours = bench.arm.handle
     bench.arm.handle = lambda frame, time: [*garbage, *ours(frame, time)]
-    with bench.session as session:
-        session.enable()
-        replies = session.exchange(bench.command(), bench.clock.now() + 0.004)
+    with bench.enabled():
+        replies = bench.exchange()
     assert np.all(replies.answered)
     assert replies.feedback.status.tolist() == [ENABLED, ENABLED]
 
@@ -186,7 +175,7 @@ def test_garbage_on_the_bus_is_ignored():
 def test_a_watchdog_trip_needs_more_than_enabling():
     bench = Bench()
     bench.session.enable()
-    bench.clock.sleep_until(bench.clock.now() + 0.2)
+    bench.wait(0.2)
     bench.arm.advance(bench.clock.now())
     assert [m.status for m in bench.motors] == [LOST_COMMUNICATION] * 2
     with pytest.raises(HardwareAbort, match="motor 1 did not enable: status D"):
@@ -215,26 +204,22 @@ def test_a_damaged_answer_while_enabling_is_asked_again():
 
 def test_a_command_beyond_its_bounds_is_not_sent():
     bench = Bench()
-    with bench.session as session:
-        session.enable()
+    with bench.enabled():
         sent = len(bench.bus.sent)
         with pytest.raises(HardwareAbort, match="motor 1 would be sent to 1.000 rad"):
-            session.exchange(bench.command(1.0), bench.clock.now() + 0.004)
+            bench.exchange(1.0)
         assert len(bench.bus.sent) == sent
-        replies = session.exchange(
-            bench.command(1.0), bench.clock.now() + 0.004, braking=True
-        )
+        replies = bench.exchange(1.0, braking=True)
     assert np.all(np.abs(replies.command.position) < 0.1)
 
 
 def test_commands_of_others_and_answers_that_nobody_asked_for_are_counted():
     bench = Bench()
-    with bench.session as session:
-        session.enable()
-        session.exchange(bench.command(), bench.clock.now() + 0.004)
+    with bench.enabled():
+        bench.exchange()
         bench.bus.inject(Frame(2, bytes(8)))
         bench.bus.inject(bench.motors[0].handle(refresh_frame(Address(0, 1)), 0.0))
-        replies = session.exchange(bench.command(), bench.clock.now() + 0.004)
+        replies = bench.exchange()
     assert replies.foreign.tolist() == [0, 1]
     assert replies.surplus.tolist() == [1, 0]
 
@@ -275,11 +260,10 @@ def test_one_lost_answer_costs_the_pause_and_no_more():
 def test_a_late_cycle_and_a_timely_one_after_it_are_within_the_bounds():
     """Their commands are farther apart than the times at which they were sent."""
     bench = Bench()
-    with bench.session as session:
-        session.enable()
+    with bench.enabled():
         speed = 10.0
         begin = bench.clock.now()
         for k, late in enumerate((0.0, 0.0, 0.008, 0.0, 0.005, 0.001)):
             bench.clock.sleep_until(begin + 0.01 * k + late)
             q = 0.9 * speed * 0.01 * k
-            session.exchange(bench.command(q, kp=0.0), bench.clock.now() + 1e-3)
+            bench.exchange(q, kp=0.0, seconds=1e-3)

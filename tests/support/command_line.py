@@ -53,3 +53,17 @@ class CommandLine:
         (error,) = [line for line in lines if not line.startswith("note: ")]
         assert error.startswith("robot-sysid: error: ")
         return error
+
+
+def succeed(capsys, *arguments):
+    """What a command of motors prints that ends well, without a word on standard error."""
+    code, out, err = run_motors(capsys, *arguments)
+    assert (code, err) == (0, ""), err
+    return out
+
+
+def fail(capsys, code, *arguments):
+    """What a command of motors says on standard error that ends with this exit code."""
+    actual_code, _, err = run_motors(capsys, *arguments)
+    assert actual_code == code, err
+    return err

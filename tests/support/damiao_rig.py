@@ -307,6 +307,12 @@ class Rig:
         self.assert_harmless()
         self.assert_nothing_lost()
 
+    def assert_played(self):
+        """The run was played to its end, all motors are disabled; return the recording."""
+        assert self.error is None, self.error
+        assert self.states() == [protocol.DISABLED] * len(self.arm.motors)
+        return self.assert_nothing_lost()
+
     def assert_harmless(self):
         """Nothing was sent that stores something in a motor or clears an error."""
         special = [

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 
 from robot_sysid.damiao.bus import GuardedLink, RegisterClient
@@ -35,6 +37,22 @@ class Bench:
         self.link = GuardedLink(self.bus, self.clock)
         self.client = RegisterClient(self.link)
         self.session = MotorSession(self.link, joints, Scaling([SPEC.limits] * n))
+
+    @contextlib.contextmanager
+    def enabled(self):
+        """Enable the motors for a block."""
+        with self.session:
+            self.session.enable()
+            yield
+
+    def wait(self, seconds):
+        """Let time [s] pass."""
+        self.clock.sleep_until(self.clock.now() + seconds)
+
+    def exchange(self, q=0.0, kp=20.0, seconds=0.004, **options):
+        """Command all joints to q [rad] and return their replies of so many seconds."""
+        until = self.clock.now() + seconds
+        return self.session.exchange(self.command(q, kp), until, **options)
 
     def command(self, q=0.0, kp=20.0):
         n = len(self.motors)

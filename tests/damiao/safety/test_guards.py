@@ -60,10 +60,16 @@ def answer(k, q=None, qd=None, tau=None, status=1, heat=30):
     return Replies(answered, np.array([k * CYCLE]), feedback, answered), command
 
 
-def believe_answers(*changes):
-    """Return for each of some answers, after ten good ones, whether it is believed."""
+def started_filter():
+    """A filter of one joint that stands at zero."""
     judge = SampleFilter(np.array([PEAK]), np.array([STEP]))
     judge.start(0.0, np.zeros(1))
+    return judge
+
+
+def believe_answers(*changes):
+    """Return for each of some answers, after ten good ones, whether it is believed."""
+    judge = started_filter()
     verdicts = []
     for k in range(1, 11 + len(changes)):
         change = changes[k - 11] if k > 10 else {}
@@ -108,8 +114,7 @@ def test_a_position_that_the_torque_contradicts_is_never_believed():
 
 def test_an_encoder_that_jumps_with_its_motor_is_a_finding():
     """A motor whose encoder jumps pulls its joint after it, and its torque shows that."""
-    judge = SampleFilter(np.array([PEAK]), np.array([STEP]))
-    judge.start(0.0, np.zeros(1))
+    judge = started_filter()
     jumps = []
     for k in range(1, 14):
         shift = 0.15 if k > 10 else 0.0
@@ -125,8 +130,7 @@ def test_a_motor_that_goes_off_does_not_jump():
 
 
 def test_missing_answers_change_nothing():
-    judge = SampleFilter(np.array([PEAK]), np.array([STEP]))
-    judge.start(0.0, np.zeros(1))
+    judge = started_filter()
     replies, command = answer(1)
     judge.believe(replies, command)
     missing = replace(replies, answered=np.zeros(1, bool), time=np.full(1, np.nan))
@@ -149,8 +153,7 @@ SAMPLES = st.lists(
 @given(SAMPLES)
 def test_no_history_moves_what_is_believed_farther_than_a_joint_can_go(samples):
     """Unless its own torque says that it was there."""
-    judge = SampleFilter(np.array([PEAK]), np.array([STEP]))
-    judge.start(0.0, np.zeros(1))
+    judge = started_filter()
     last = 0.0
     for k, (q, qd, tau, is_enabled) in enumerate(samples, 1):
         replies = judge.believe(*answer(k, q, qd, tau, int(is_enabled)))

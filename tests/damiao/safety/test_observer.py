@@ -90,48 +90,39 @@ FADES = SETTINGS.period * SETTINGS.kp[1] / SETTINGS.kd[1]
 SLOWED = 2.0 * FADES / np.expm1(FADES)
 # Commanded values at which nothing but what is tested can be out of order.
 LIMITS = (
+    (lambda x: sample(q=0.2 * x), (0.0, 0.0, 0.0), "motor 2 is 0.200 rad off its path"),
     (
-        lambda x: ([sample(q=0.2 * x)], (0.0, 0.0, 0.0)),
-        "motor 2 is 0.200 rad off its path",
-    ),
-    (
-        lambda x: ([sample(q=-0.2 * x)], (0.0, 0.0, 0.0)),
+        lambda x: sample(q=-0.2 * x),
+        (0.0, 0.0, 0.0),
         "motor 2 is 0.200 rad off its path",
     ),
     # One rad/s and two steps of the velocity channel.
+    (lambda x: sample(qd=2.0 + 1.2 * x), (0.0, 2.0, 0.0), "1.200 rad/s off its speed"),
     (
-        lambda x: ([sample(qd=2.0 + 1.2 * x)], (0.0, 2.0, 0.0)),
+        lambda x: sample(qd=SLOWED - 1.2 * x),
+        (0.0, 2.0, 0.0),
         "1.200 rad/s off its speed",
     ),
     (
-        lambda x: ([sample(qd=SLOWED - 1.2 * x)], (0.0, 2.0, 0.0)),
-        "1.200 rad/s off its speed",
-    ),
-    (
-        lambda x: ([sample(tau=3.0 + 7.0 * x)], (0.0, 0.0, 3.0)),
+        lambda x: sample(tau=3.0 + 7.0 * x),
+        (0.0, 0.0, 3.0),
         "7.000 N m off its torque, limit 7",
     ),
+    (lambda x: sample(mos=80 + (x > 1.0)), (0.0, 0.0, 0.0), "is at 81 deg C, limit 80"),
     (
-        lambda x: ([sample(mos=80 + (x > 1.0))], (0.0, 0.0, 0.0)),
+        lambda x: sample(rotor=80 + (x > 1.0)),
+        (0.0, 0.0, 0.0),
         "is at 81 deg C, limit 80",
     ),
-    (
-        lambda x: ([sample(rotor=80 + (x > 1.0))], (0.0, 0.0, 0.0)),
-        "is at 81 deg C, limit 80",
-    ),
-    (
-        lambda x: ([sample(status=1 if x < 1.0 else 0)], (0.0, 0.0, 0.0)),
-        "reports status 0",
-    ),
+    (lambda x: sample(status=1 if x < 1.0 else 0), (0.0, 0.0, 0.0), "reports status 0"),
 )
 
 
-@pytest.mark.parametrize(("case", "message"), LIMITS)
-def test_each_limit_holds_to_a_millionth(case, message):
+@pytest.mark.parametrize(("answer", "reference", "message"), LIMITS)
+def test_each_limit_holds_to_a_millionth(answer, reference, message):
     for share in (WITHIN, BEYOND):
-        samples, reference = case(share)
         # Speeds and torques count when two samples in a row agree.
-        finding = stop_words(*samples, *samples, reference=reference)
+        finding = stop_words(*[answer(share)] * 2, reference=reference)
         assert (finding is None) == (share < 1.0), finding
     assert message in finding
     assert finding.startswith("motor 2")
