@@ -48,18 +48,15 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("model_check")
 
 
-def write_trajectory(folder, motion):
-    return trajectory_file(folder, motion, MOTOR)
-
-
 def limited_robot(arm, share, peaks):
     """The arm with limits (3, n) that peaks of position, velocity and torque are a share of."""
     position, velocity, torque = np.array(peaks) / share
     return replace(arm, limits=JointLimits(-position, position, velocity, torque))
 
 
-def check_trajectory(played, speed, robot, park=None, limits=NO_LIMITS):
+def check_trajectory(folder, motion, speed, robot, park=None, limits=NO_LIMITS):
     """What a model says to a motion played at a share of its speed."""
+    played = trajectory_file(folder, motion, MOTOR)
     plan = Plan(
         played, PlaySettings(speed=speed, park=park and str(park)), limits=limits
     )
@@ -103,10 +100,7 @@ def test_every_row_counts_however_short_its_peak(
     position, velocity, torque = peaks_of(motion)
     robot = limited_robot(arm, share, (position, speed * velocity, torque))
     expected = {(JOINTS[j], WHAT[i]) for i, j in np.argwhere(share > 1.0)}
-    assert (
-        limit_findings(check_trajectory(write_trajectory(folder, motion), speed, robot))
-        == expected
-    )
+    assert limit_findings(check_trajectory(folder, motion, speed, robot)) == expected
 
 
 @given(speed=SPEEDS, share=SHARES, rate=st.sampled_from([100.0, 250.0, 1000.0]))
@@ -119,7 +113,7 @@ def test_what_the_positions_do_counts_also_where_the_file_states_no_velocity(
     free = np.full(3, np.inf)
     robot = replace(arm, limits=JointLimits(-free, free, steepest / share, free))
     excesses = limit_findings(
-        check_trajectory(write_trajectory(folder, (time, q, 0 * qd, tau)), speed, robot)
+        check_trajectory(folder, (time, q, 0 * qd, tau), speed, robot)
     )
     assert excesses == (
         {(joint, "velocity") for joint in JOINTS} if share > 1.0 else set()
@@ -136,10 +130,7 @@ def test_printed_digits_of_positions_do_not_count_as_speed(arm, folder, rate=100
         arm, limits=JointLimits(-free, free, np.full(3, velocity + 1e-4), free)
     )
     motion = time, q, np.full_like(q, velocity), 0 * q
-    assert (
-        limit_findings(check_trajectory(write_trajectory(folder, motion), 1.0, robot))
-        == set()
-    )
+    assert limit_findings(check_trajectory(folder, motion, 1.0, robot)) == set()
 
 
 def test_a_message_tells_joint_limit_value_and_moment(arm, folder):
@@ -147,9 +138,7 @@ def test_a_message_tells_joint_limit_value_and_moment(arm, folder):
     free = np.full(3, np.inf)
     narrow = np.array([0.3, 2.0, 2.0])
     robot = replace(arm, limits=JointLimits(-narrow, narrow, free, free))
-    (check,) = check_trajectory(
-        write_trajectory(folder, (time, -q, -qd, tau)), 0.5, robot
-    )
+    (check,) = check_trajectory(folder, (time, -q, -qd, tau), 0.5, robot)
     assert check.severity == STOP
     assert check.text.startswith(
         "joint joint0: position -0.98 rad is beyond the model's limit -0.3, at 1.00 s; export a "
@@ -240,7 +229,7 @@ def test_a_wall_on_the_way_is_found_even_where_the_file_states_no_velocity(
 ):
     """The wall stands at a right angle; ball and box touch within 0.1 rad of it."""
     robot = arms.robot_of(WALL, max_velocity=np.inf)
-    (check,) = check_trajectory(write_trajectory(folder, turn(angle)), speed, robot)
+    (check,) = check_trajectory(folder, turn(angle), speed, robot)
     if angle > np.pi / 2:
         assert check.severity == STOP and "wall" in check.text and "arm" in check.text
     else:
@@ -253,10 +242,7 @@ def test_where_the_arm_is_parked_and_each_way_are_compared_too(folder, angle):
     robot = arms.robot_of(WALL, max_velocity=np.inf)
     (folder / "pose").write_text(f"{angle}")
     texts = [
-        c.text
-        for c in check_trajectory(
-            write_trajectory(folder, turn(0.5)), 1.0, robot, folder / "pose"
-        )
+        c.text for c in check_trajectory(folder, turn(0.5), 1.0, robot, folder / "pose")
     ]
     assert any(
         "outside the model's -3 to 3; choose another" in text for text in texts
@@ -290,13 +276,9 @@ def test_planes_and_boxes_hold_for_what_is_played_approached_and_parked(folder):
             workspace=(-1.0, 1.0, -1.0, 0.3, -1.0, 1.0), clearance=0.0, below_base=True
         ),
     ):
-        (fits,) = check_trajectory(
-            write_trajectory(folder, low), 1.0, robot, None, limits
-        )
+        (fits,) = check_trajectory(folder, low, 1.0, robot, None, limits)
         assert fits.severity == OK
-        (beyond,) = check_trajectory(
-            write_trajectory(folder, high), 1.0, robot, None, limits
-        )
+        (beyond,) = check_trajectory(folder, high, 1.0, robot, None, limits)
         assert beyond.severity == STOP and "0.3 m" in beyond.text
         order, touching = Contacts([robot], limits).order(np.zeros(1), np.ones(1))
         assert order == "" and "0.3 m" in touching

@@ -147,10 +147,16 @@ def test_the_identification_reads_it_directly(tmp_path):
 def one_cycle(n, value=1.0):
     """Arguments of ``MeasurementRecorder.write`` for n joints."""
     same = np.full(n, value)
-    codes = np.ones(n, dtype=int)
-    feedback = Feedback(codes, codes, same, same, same, codes, codes)
-    replies = Replies(codes > 0, same, feedback, codes > 0)
+    replies = replies_of(same, same, same, torque=same)
     return 0.0, 0.0, replies, MitCommand(*[same] * 5)
+
+
+def replies_of(q, qd, time, command=None, torque=0.0):
+    """The answers of a cycle, in which the motors took a new command."""
+    codes = np.zeros(len(q), int)
+    answered = np.isfinite(q)
+    feedback = Feedback(codes, codes, q, qd, torque + 0.0 * qd, codes, codes)
+    return Replies(answered, time, feedback, answered, command)
 
 
 class FullDisk:
@@ -247,12 +253,9 @@ def test_a_centred_torque_is_the_mean_of_both_sides_of_the_step(
     """A motor samples at the end of one command; the next one steps its torque at that moment."""
     q = np.array([q])
     qd = np.array([qd])
-    code = np.array([1])
-    torque_before, torque_after = (
-        command.motor_torque(q, qd) for command in (acted, sent)
-    )
-    feedback = Feedback(code, code, q, qd, torque_before, code, code)
-    replies = Replies(code > 0, np.zeros(1), feedback, code > 0, sent)
+    torque_before = acted.motor_torque(q, qd)
+    torque_after = sent.motor_torque(q, qd)
+    replies = replies_of(q, qd, np.zeros(1), sent, torque_before)
     path = tmp_path_factory.mktemp("rec") / "measured.csv"
     with recorder_for(path) as recorder:
         recorder.write(0.0, 0.0, replies, acted)
@@ -298,16 +301,6 @@ def test_somebody_who_does_not_answer_is_not_waited_for():
 
 
 PERIOD = 0.01
-
-
-def replies_of(q, qd, time, command):
-    """The answers of a cycle, in which the motors took a new command."""
-    n = len(q)
-    codes = np.zeros(n, int)
-    nothing = np.zeros(n)
-    answered = np.isfinite(q)
-    feedback = Feedback(codes, codes, q, qd, nothing, codes, codes)
-    return Replies(answered, time, feedback, answered, command)
 
 
 def stiff(position, kp=100.0, kd=2.0):
@@ -361,7 +354,7 @@ def one_period(mobility, stiffness, damping, torques, start):
 
 def sampled_ripple(mobility, stiffness, damping, step, growth, time):
     """Positions and velocities of the motion that sawteeth of torque make and that recurs."""
-    fine = 2000
+    fine = 800
     n = len(step)
     share = ((np.arange(fine)[:, None] + 0.5) / fine - time / PERIOD) % 1.0
     torques = step * (0.5 - share) + 0.5 * growth * (share**2 - share + 1.0 / 6.0)

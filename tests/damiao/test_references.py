@@ -87,23 +87,28 @@ def test_an_arm_is_lowered_to_the_end_of_its_range_and_no_farther():
 
 
 FAR = CommandRange(np.full(2, -9.0), np.full(2, 9.0), np.full(2, 9.0))
+ZERO = (0.0, 0.0)
 KP = 180.0
 KD = 4.5
 PERIOD = 0.004
 
 
 def stop(
-    position, velocity, torque, q, qd, fed=None, stuck=(False, False), command_range=FAR
+    position=ZERO,
+    velocity=ZERO,
+    torque=ZERO,
+    q=ZERO,
+    qd=ZERO,
+    stuck=(False, False),
+    command_range=FAR,
 ):
     """A stop of two joints."""
-    reference = Reference(
-        *(np.array(x, dtype=float) for x in (position, velocity, torque))
-    )
+    reference = Reference(*np.array([position, velocity, torque]))
     start = StopStart(
         reference,
-        np.array(q, dtype=float),
-        np.array(qd, dtype=float),
-        np.array(torque if fed is None else fed, dtype=float),
+        np.array(q),
+        np.array(qd),
+        reference.torque,
         np.full(2, KP),
         np.full(2, KD),
         np.array(stuck),
@@ -134,20 +139,15 @@ def test_it_begins_where_the_joints_were_led_and_ends_at_rest(q, v, off):
 
 
 def test_a_joint_that_was_slower_brakes_from_its_own_speed():
-    path = stop((0.0, 0.0), (1.0, 1.0), (0.0, 0.0), (0.0, 0.0), (0.4, -0.5))
+    path = stop(velocity=(1.0, 1.0), qd=(0.4, -0.5))
     np.testing.assert_allclose(path(0.0).velocity, [0.4, 0.0])
 
 
 def test_it_stays_within_the_range():
     narrow_range = CommandRange(np.full(2, -1.0), np.full(2, 1.0), np.full(2, 9.0))
-    path = stop(
-        (0.9, 0.0),
-        (2.0, 0.0),
-        (0.0, 0.0),
-        (0.9, 0.0),
-        (2.0, 0.0),
-        command_range=narrow_range,
-    )
+    q = (0.9, 0.0)
+    v = (2.0, 0.0)
+    path = stop(q, v, q=q, qd=v, command_range=narrow_range)
     assert path(path.duration).position[0] == 1.0
 
 
@@ -167,7 +167,7 @@ def pull(reference, q):
 
 def test_what_leans_on_an_obstacle_is_given_back():
     q = (0.0, -0.05)
-    path = stop((0.0, 0.0), (0.0, 0.0), (2.0, 3.0), q, (0.0, 0.0))
+    path = stop(torque=(2.0, 3.0), q=q)
     assert pull(path(0.0), q)[1] == pytest.approx(12.0)
     assert pull(step_by_step(path, q, 2.0), q)[1] == pytest.approx(3.0, abs=0.05)
 
@@ -175,7 +175,7 @@ def test_what_leans_on_an_obstacle_is_given_back():
 def test_what_a_sagging_joint_needs_is_kept():
     """It begins to sink as soon as a part of its torque is given back."""
     q = (0.0, -0.05)
-    path = stop((0.0, 0.0), (0.0, 0.0), (2.0, 3.0), q, (0.0, 0.0))
+    path = stop(torque=(2.0, 3.0), q=q)
     pull_before = pull(step_by_step(path, q, 0.1), q)[1]
     sunk = (0.0, -0.062)
     assert pull(step_by_step(path, sunk, 3.0), sunk)[1] > pull_before
@@ -183,13 +183,13 @@ def test_what_a_sagging_joint_needs_is_kept():
 
 def test_a_joint_that_stands_against_its_motor_is_pushed_no_more_at_once():
     q = (0.0, -0.05)
-    path = stop((0.0, 0.0), (0.0, 0.0), (2.0, 3.0), q, (0.0, 0.0), stuck=(False, True))
+    path = stop(torque=(2.0, 3.0), q=q, stuck=(False, True))
     assert pull(path(0.0), q)[1] == pytest.approx(3.0)
 
 
 @given(st.floats(0.002, 0.2), st.sampled_from([-1.0, 1.0]))
 def test_a_joint_that_leaves_its_way_is_held_stiffer(away, side):
-    path = stop((0.0, 0.0), (0.0, 0.0), (2.0, 3.0), (0.0, 0.0), (0.0, 0.0))
+    path = stop(torque=(2.0, 3.0))
     path(0.0)
     path.q = np.array([0.0, side * away])
     path.qd = np.array([0.0, side * 2.0])
@@ -212,7 +212,7 @@ def test_an_unknown_place_is_held_as_it_was():
 
 
 def test_it_is_done_when_the_joints_have_stood():
-    path = stop((0.0, 0.0), (1.0, 0.0), (0.0, 0.0), (0.0, 0.0), (1.0, 0.0))
+    path = stop(velocity=(1.0, 0.0), qd=(1.0, 0.0))
     path.qd = np.array([0.2, 0.0])
     for moment in (0.0, 0.1, 0.5, 0.9):
         path(moment)
