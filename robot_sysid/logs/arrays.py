@@ -292,15 +292,17 @@ def _list_datasets(
     h5py: Any, path: Path, file: Any
 ) -> tuple[dict[str, Any], list[str]]:
     """Return name to data set of an HDF5 file, and descriptions of its first external links."""
-    datasets = {}
-    links: list[str] = []
-    count = 0
+    members = [("", file)]
 
     def visit(name: str, member: Any) -> None:
-        """Add a data set to ``datasets``, or the external links of a group to ``links``."""
-        nonlocal count
-        refuse_many_arrays(path, count)
-        count += 1
+        """Add a data set or group to ``members``, unless these are too many for a log."""
+        refuse_many_arrays(path, len(members))
+        members.append((name, member))
+
+    file.visititems(visit)
+    datasets = {}
+    links: list[str] = []
+    for name, member in members:
         # The group #refs# holds the cell arrays of a MATLAB file.
         if isinstance(member, h5py.Dataset) and not name.startswith("#"):
             datasets[name] = member
@@ -308,21 +310,24 @@ def _list_datasets(
             link = member.get(key, getlink=True)
             if isinstance(link, h5py.ExternalLink) and len(links) < _MAX_LINKS:
                 links.append(_link_text(f"{name}/{key}".lstrip("/"), link))
-
-    visit("", file)
-    file.visititems(visit)
     return datasets, links
 
 
 def _read_datasets(path: Path, datasets: Mapping[str, Any]) -> dict[str, Array]:
     """Return the numbers of the data sets that can be columns of a log, by name.
 
-    InputError where they take too much memory.
+    InputError where they take too much memory, or where the numbers of one are in another file.
     """
     columns = {name: data for name, data in datasets.items() if can_be_column(data)}
     unpacked = 0.0
     for name, data in columns.items():
-        _refuse_other_files(path, name, data)
+        files = [str(segment[0]) for segment in data.external or ()]
+        if data.is_virtual:
+            files += [source.file_name for source in data.virtual_sources()]
+        for file in files:
+            if file != ".":
+                fault = f"{name} has its numbers in another file, {file}"
+                raise InputError(f"{path}: {fault}; {_COPY}")
         # A chunk is unpacked completely, however little of it belongs to the array.
         chunk = math.prod(data.chunks or ()) * data.dtype.itemsize
         unpacked += max(data.nbytes, chunk)
@@ -358,26 +363,8 @@ def _link_text(name: str, link: Any) -> str:
     return f"{name} is a link to another file, {link.filename}"
 
 
-def _refuse_other_files(path: Path, name: str, data: Any) -> None:
-    """Raise InputError for a data set whose numbers are in other files."""
-    files = [str(segment[0]) for segment in data.external or ()]
-    if data.is_virtual:
-        files += [source.file_name for source in data.virtual_sources()]
-    for file in files:
-        if file != ".":
-            fault = f"{name} has its numbers in another file, {file}"
-            raise InputError(f"{path}: {fault}; {_COPY}")
-
-
 ALOHA_RATE = 50.0
 """Rows per second of ALOHA's recorder [Hz]; its files hold no time."""
-_ALOHA_PATHS = {
-    "qpos": "observations/qpos",
-    "qvel": "observations/qvel",
-    "effort": "observations/effort",
-    "command": "action",
-}
-"""Name of an array of ALOHA's to its path in the file."""
 _ALOHA_JOINTS = (
     *("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate"),
     "gripper",
@@ -386,14 +373,13 @@ _ALOHA_JOINTS = (
 
 
 def _find_aloha_arrays(h5py: Any, file: Any, commanded: bool) -> dict[str, Any]:
-    """Return the data sets of ``_ALOHA_PATHS`` that a file has; commands only where asked for."""
+    """Return those of ALOHA's data sets that a file has, and its actions as "command" if wanted."""
     datasets = {}
-    for name, member_path in _ALOHA_PATHS.items():
-        is_read = commanded or name != "command"
-        member = _find_member(h5py, file, member_path) if is_read else None
-        if member is not None:
-            datasets[name] = member
-    return datasets
+    for name in ("qpos", "qvel", "effort"):
+        datasets[name] = _find_member(h5py, file, f"observations/{name}")
+    if commanded:
+        datasets["command"] = _find_member(h5py, file, "action")
+    return {name: data for name, data in datasets.items() if data is not None}
 
 
 def _aloha_table(path: Path, arrays: Mapping[str, Any]) -> LogTable:
@@ -461,9 +447,8 @@ def _numeric_columns(schema: Any) -> list[str]:
 
 def _arrow_table(path: Path, layout: str, columns: Any) -> LogTable:
     """Return an Arrow table as a log's table."""
-    names = columns.column_names
-    arrays = map(_arrow_array, names, columns.columns)
-    return arrays_table(path, layout, dict(zip(names, arrays)))
+    arrays = map(_arrow_array, columns.column_names, columns.columns)
+    return arrays_table(path, layout, dict(zip(columns.column_names, arrays)))
 
 
 def _arrow_array(name: str, column: Any) -> Array:
@@ -557,7 +542,7 @@ def lerobot_table(source: LogSource) -> LogTable:
     fps = info.get("fps", "unknown")
     layout = f"LeRobot data set {version} at {fps} Hz, {len(recordings)} episodes"
     columns = ["timestamp [s]", *chain.from_iterable(titles.values())]
-    width = sum(values.reshape(len(values), -1).shape[1] for values in frames.values())
+    width = sum(values[0].size for values in frames.values())
     if width != len(columns):
         fault = f"names {len(columns) - 1} numbers of a frame in meta/info.json, not {width - 1}"
         raise InputError(f"{path} {fault}; {_DOWNLOAD}")

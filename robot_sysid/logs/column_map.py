@@ -120,7 +120,7 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
         content = re.sub(r"(^|\s)#(?!\d).*", "", line).strip()
         if not content:
             continue
-        key, equals, value = (text.strip() for text in content.partition("="))
+        key, equals, value = map(str.strip, content.partition("="))
         if not equals or not value or key in values:
             raise InputError(
                 f"{path} line {number}: expected one 'key = value' per key: {line!r}"
@@ -161,8 +161,7 @@ def _titles_by_joint(
         )
     if joint or value == "none":
         return dict.fromkeys([joint] if joint else joint_names, value)
-    ranges = (_expand_range(title.strip()) for title in value.split(","))
-    titles = list(chain.from_iterable(ranges))
+    titles = list(chain(*map(_expand_range, value.split(","))))
     if len(titles) != len(joint_names):
         chain_has = f"the chain has {len(joint_names)} joints: {', '.join(joint_names)}"
         raise InputError(f"{path}: {quantity} lists {len(titles)} columns, {chain_has}")
@@ -171,13 +170,13 @@ def _titles_by_joint(
 
 def _expand_range(title: str) -> list[str]:
     """Return the columns "#2", "#3", ... of a range "#2-8", or the one of a title."""
-    match = re.fullmatch(r"#(\d{1,5})\s*-\s*#?(\d{1,5})", title)
+    match = re.fullmatch(r"#(\d{1,5})\s*-\s*#?(\d{1,5})", title.strip())
     if not match:
-        return [title]
+        return [title.strip()]
     first = int(match[1])
     last = int(match[2])
     step = 1 if last >= first else -1
-    return [f"#{number}" for number in range(first, last + step, step)]
+    return list(map("#{}".format, range(first, last + step, step)))
 
 
 def _parse_rate(path: Path, value: str) -> float:
@@ -487,7 +486,7 @@ class _ColumnFinder:
             factor = -1.0
         texts = self._texts
         if re.fullmatch(r"#\d+", title) and title not in texts:
-            texts = [f"#{k + 1}" for k in range(len(texts))]
+            texts = list(map("#{}".format, range(1, len(texts) + 1)))
         if texts.count(title) == 1:
             return texts.index(title), factor
         raise InputError(
@@ -517,9 +516,11 @@ class _ColumnFinder:
 
 def _quote(columns: Sequence[Column]) -> str:
     """Return titles in quotes, with their factors; a factor that all share is given once."""
-    titles = [f"'{column.title}'" for column in columns]
-    factors = [column.factor for column in columns]
-    scales = ["" if k == 1.0 else f" x {k:.6g}" for k in factors]
-    if len(set(factors)) > 1 or len(columns) == 1:
+    titles = []
+    scales = []
+    for column in columns:
+        titles.append(f"'{column.title}'")
+        scales.append("" if column.factor == 1.0 else f" x {column.factor:.6g}")
+    if len({column.factor for column in columns}) > 1 or len(columns) == 1:
         return ", ".join(map("".join, zip(titles, scales)))
     return ", ".join(titles) + (scales[0] and f" (each{scales[0]})")

@@ -169,10 +169,12 @@ def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
     """Return files, duration and mean sampling rate of logs, as the origin of a result's data."""
     duration = sum(log.duration for log in logs)
     rate = sum(len(log.samples) - 1 for log in logs) / duration
-    listed = ", ".join(str(log.path) for log in logs)
-    paths = [log.path for log in logs]
-    files = [path if path == STANDARD_INPUT else path.absolute() for path in paths]
-    return DataOrigin(Source.LOG, listed, duration, rate, files=tuple(map(str, files)))
+    files = []
+    for log in logs:
+        is_piped = log.path == STANDARD_INPUT
+        files.append(str(log if is_piped else log.path.absolute()))
+    listed = ", ".join(map(str, logs))
+    return DataOrigin(Source.LOG, listed, duration, rate, files=tuple(files))
 
 
 TableReader = Callable[[LogSource], LogTable]

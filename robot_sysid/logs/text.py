@@ -71,7 +71,9 @@ class Dialect:
     @property
     def titles(self) -> tuple[str, ...]:
         """The header, or "#1", "#2", ... where there is none."""
-        return self.header or tuple(f"#{k + 1}" for k in range(len(self.first_row)))
+        return self.header or tuple(
+            map("#{}".format, range(1, len(self.first_row) + 1))
+        )
 
     def cells(self, line: str) -> list[str]:
         """Return the cells of a line, without an empty cell behind a trailing separator."""
@@ -149,7 +151,7 @@ def split_line(line: str, separator: str) -> list[str]:
     single = " ".join(line.split()) if separator == " " else line
     reader = csv.reader([single], delimiter=separator, skipinitialspace=True)
     try:
-        return [cell.strip() for cell in next(reader, [])]
+        return list(map(str.strip, next(reader, [])))
     except csv.Error:
         return []
 

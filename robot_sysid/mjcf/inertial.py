@@ -87,12 +87,12 @@ def plan_write_back(
     emptied: tuple[SubtreeBody, ...] = ()
     lightened: tuple[SubtreeBody, ...] = ()
     scale = 1.0
-    described = _sum_theta(bodies[1:])
+    described = sum_theta(bodies[1:])
     if admissible(composite - described) is None:
         below = [body for body in bodies[1:] if np.any(body.theta)]
         emptied = tuple(body for body in below if body.welded)
         hanging = tuple(body for body in below if not body.welded)
-        described = _sum_theta(hanging)
+        described = sum_theta(hanging)
         if admissible(composite - described) is None:
             scale = _largest_scale(composite, described)
             lightened = hanging
@@ -108,7 +108,7 @@ def plan_write_back(
     return replace(plan, note="; ".join(_notes(bodies[0], plan)) or None)
 
 
-def _sum_theta(bodies: Sequence[SubtreeBody]) -> Array:
+def sum_theta(bodies: Sequence[SubtreeBody]) -> Array:
     """Return the sum of the bodies' theta (10,); zeros for no bodies."""
     return np.sum([np.zeros(10), *(body.theta for body in bodies)], axis=0)
 
@@ -131,19 +131,22 @@ def _largest_scale(composite: Array, hanging: Array) -> float:
     return low
 
 
+def _list_names(bodies: Sequence[SubtreeBody]) -> str:
+    """Return the names of bodies in quotes, separated by commas."""
+    return ", ".join(f"'{body.name}'" for body in bodies)
+
+
 def _notes(top: SubtreeBody, plan: WriteBack) -> Iterator[str]:
     """Yield sentences on a plan for the terminal body ``top``."""
     if plan.emptied:
-        names = ", ".join(f"'{body.name}'" for body in plan.emptied)
         yield (
             f"body '{top.name}' now holds the inertia of all that is rigidly attached to it; "
-            f"{names} weigh nothing in the written model"
+            f"{_list_names(plan.emptied)} weigh nothing in the written model"
         )
     if plan.lightened:
-        names = ", ".join(f"'{body.name}'" for body in plan.lightened)
         yield (
-            f"{names} on joints of their own below body '{top.name}' left no possible body "
-            "of what was identified of all of them, so their mass and inertia are "
+            f"{_list_names(plan.lightened)} on joints of their own below body '{top.name}' left no "
+            "possible body of what was identified of all of them, so their mass and inertia are "
             f"{plan.scale:.4g} of the model's in the written model"
         )
     moments = np.linalg.eigvalsh(spatial.com_from_theta(plan.theta)[2])

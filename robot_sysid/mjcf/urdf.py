@@ -193,9 +193,10 @@ def _lacks_inertia(link: Node) -> bool:
         return link.child("collision") is None
     if _mass(link) <= 0.0:
         return True
-    names = ("ixx", "iyy", "izz")
-    moments = [link.child_attribute("inertial", "inertia", name) for name in names]
-    return max(float(moment or 0.0) for moment in moments) <= 0.0
+    for name in ("ixx", "iyy", "izz"):
+        if float(link.child_attribute("inertial", "inertia", name) or 0.0) > 0.0:
+            return False
+    return True
 
 
 def _mass(link: Node) -> float:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.errors import InputError, ModelError
+from robot_sysid.mjcf.inertial import sum_theta
 from robot_sysid.model.chain import body_label
 from robot_sysid.records import ArmLink, Array, Flange, Motion, RobotModel, SubtreeBody
 
@@ -119,7 +120,7 @@ def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink
                 screw=np.concatenate([new_axes.T @ turn, new_axes.T @ slide]),
                 rotation=axes.T @ new_axes,
                 translation=axes.T @ (new_origin - origin),
-                theta=np.sum([np.zeros(10), *(body.theta for body in bodies)], axis=0),
+                theta=sum_theta(bodies),
             )
         )
         axes = new_axes
