@@ -34,7 +34,6 @@ from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
     gravity_vector,
     turn_gravity,
-    with_gravity,
 )
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.consistent_bodies import projected_covariance
@@ -124,24 +123,18 @@ def simulate_log(robot, columns, values, motion):
         """Return the value of a term for each joint (n,)."""
         return np.array([at[f"{term}[{joint}]"] for joint in robot.joint_names])
 
-    down = turn_gravity(
-        gravity_vector(robot), np.array([at[name] for name in TILT_NAMES])
-    )
-    dynamics = LinkDynamics(with_gravity(robot, down))
-    gear = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(
-        columns.thetas(values)
-    )
+    tilt = np.array([at[name] for name in TILT_NAMES])
+    down = turn_gravity(gravity_vector(robot), tilt)
+    links = LinkDynamics(robot, down).motion(motion.q, motion.qd, motion.qdd)
+    gear = links.torque(columns.thetas(values))
     sign = np.sign(motion.qd)
+    root = sign * np.sqrt(np.abs(motion.qd))
     friction = sign * (of("coulomb") + of("load") * np.abs(gear))
-    friction += of("viscous") * motion.qd + of("sqrt") * sign * np.sqrt(
-        np.abs(motion.qd)
-    )
+    friction += of("viscous") * motion.qd + of("sqrt") * root
     torque = (1.0 + of("scale")) * gear + friction + of("armature") * motion.qdd
     late = motion.time - at[DELAY_NAME]
-    delayed = np.column_stack(
-        [np.interp(late, motion.time, column) for column in torque.T]
-    )
-    return delayed, motion.q + of("zero")
+    delayed = [np.interp(late, motion.time, column) for column in torque.T]
+    return np.column_stack(delayed), motion.q + of("zero")
 
 
 def identification_errors(problem, motion, rng, exact):
@@ -198,16 +191,13 @@ def lines(path, runs, exact):
     design = Design(problem, options, motion, prior_knowledge(problem, OPTIONS, "link"))
     plan = design_excitation(design, np.random.default_rng(1)).trajectory
     posterior = predict_posterior(problem, plan, RecordingPlan(RATE, OPTIONS))
-    terminal = np.ix_(
-        *[[posterior.unknowns.estimated_names.index(name) for name in PARAMETER_NAMES]]
-        * 2
-    )
-    covariance = (posterior.errors.noise if exact else posterior.errors.covariance)[
-        terminal
-    ]
-    then = projected_covariance(
-        robot.prior.theta, posterior.suspected_errors.covariance[terminal]
-    )
+    names = posterior.unknowns.estimated_names
+    indices = [names.index(name) for name in PARAMETER_NAMES]
+    terminal = np.ix_(indices, indices)
+    errors = posterior.errors
+    covariance = (errors.noise if exact else errors.covariance)[terminal]
+    suspected = posterior.suspected_errors.covariance[terminal]
+    then = projected_covariance(robot.prior.theta, suspected)
     both = (1.0 - posterior.suspicion) * covariance + posterior.suspicion * then
     moves = plan.evaluate(np.arange(sample_count(plan.duration, RATE)) / RATE)
     began = time.process_time()

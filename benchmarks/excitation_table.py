@@ -82,15 +82,8 @@ def figures(design, information):
     scale = parameter_sizes(design.problem)
     centre = mass_and_centre_errors(design.problem.robot.prior.theta, covariance)[1]
     mean = np.exp(design.criterion.evaluate(information)[0])
-    return np.array(
-        [
-            standard_errors[0],
-            centre,
-            standard_errors[9],
-            np.median(standard_errors / scale),
-            mean,
-        ]
-    )
+    median = np.median(standard_errors / scale)
+    return np.array([standard_errors[0], centre, standard_errors[9], median, mean])
 
 
 def nearest(robot, plan):
@@ -125,13 +118,10 @@ def nearest(robot, plan):
 def parts_by_joints(robot):
     """Return the number of chain joints above each body."""
     model = robot.mj_model
-    joints = set(model.dof_jntid[robot.dof_index].tolist())
-    groups = np.zeros(model.nbody, dtype=int)
+    joint_bodies = model.dof_bodyid[robot.dof_index]
+    groups = np.bincount(joint_bodies, minlength=model.nbody)
     for body in range(1, model.nbody):
-        joint_bodies = [
-            j for j in range(model.njnt) if model.jnt_bodyid[j] == body and j in joints
-        ]
-        groups[body] = groups[model.body_parentid[body]] + len(joint_bodies)
+        groups[body] += groups[model.body_parentid[body]]
     return groups
 
 
@@ -145,13 +135,11 @@ def line(path, joint, seeds, budget):
     prior = prior_knowledge(problem, EstimationOptions(), "link")
     design = Design(problem, options, motion, prior)
     torque = ArmTorque(robot)
-    sines = np.median(
-        [
-            left_by(design, generate_excitation_trajectory(robot, rng, 15.0, torque)[0])
-            for rng in map(np.random.default_rng, range(5))
-        ],
-        axis=0,
-    )
+    rows = []
+    for rng in map(np.random.default_rng, range(5)):
+        plan = generate_excitation_trajectory(robot, rng, 15.0, torque)[0]
+        rows.append(left_by(design, plan))
+    sines = np.median(rows, axis=0)
     least = figures(design, random_information(problem, prior, 1e-6))
     began = time.process_time()
     ratios = []

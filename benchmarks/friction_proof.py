@@ -64,9 +64,8 @@ class Truth:
     def __init__(self, robot, rng: np.random.Generator) -> None:
         joints = robot.n_joints
         self.robot = robot
-        self.thetas = np.array(
-            [draw_wrong_link(link.theta, rng) for link in robot.links]
-        )
+        thetas = [draw_wrong_link(link.theta, rng) for link in robot.links]
+        self.thetas = np.array(thetas)
         self.armature = np.geomspace(1.0, 0.01, joints)
         self.coulomb = np.geomspace(6.0, 1.0, joints) * rng.uniform(0.8, 1.2, joints)
         self.viscous = self.coulomb * rng.uniform(0.5, 1.5, joints)

@@ -53,6 +53,7 @@ from robot_sysid.results.record import BodyEstimate
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support.core_fits import ORIGIN, result_of_logs
+from tests.support.synthetic_data import autocorrelated
 
 ARMS = {
     "kinova": "kinova_gen3/gen3.xml",
@@ -120,16 +121,14 @@ class Arm:
         self.has_gear_friction = cell.has_gear_friction
         angles = np.radians(cell.tilt) * rng.standard_normal(2)
         self.arm = with_gravity(robot, turn_gravity(gravity_vector(robot), angles))
-        links = other_links(robot)
-        lengths = [
-            float(np.linalg.norm(robot.links[link + 1].translation)) for link in links
-        ]
         self.thetas = robot.thetas
         if cell.links:
-            reference_links = [robot.links[link].theta for link in links]
-            factor = link_factor(reference_links, 0.01 * cell.links, lengths)
+            links = list(other_links(robot))
+            joints = [robot.links[link + 1].translation for link in links]
+            lengths = [float(np.linalg.norm(joint)) for joint in joints]
+            factor = link_factor(self.thetas[links], 0.01 * cell.links, lengths)
             deviation = factor @ rng.standard_normal(len(factor))
-            self.thetas[list(links)] += deviation.reshape(-1, 10)
+            self.thetas[links] += deviation.reshape(-1, 10)
         self.scales = 1.0 + 0.01 * cell.scale * rng.standard_normal(robot.n_joints)
         self.zeros = 1e-3 * cell.zero * rng.standard_normal(robot.n_joints)
         self.plan, _ = generate_excitation_trajectory(robot, rng, DURATION)
@@ -139,29 +138,21 @@ class Arm:
         """Return a log with a Stribeck drop and friction that grows with load."""
         motion = self.plan.evaluate(np.arange(int(RATE * DURATION)) / RATE)
         exact = next(iter(simulate_inverse(self.arm, iter([motion]))))
-        links = self.robot.thetas
-        moves = LinkDynamics(self.arm).motion(exact.q, exact.qd, exact.qdd)
-        other_torque = (
-            exact.tau - self.arm.friction.torque(exact.qd) - moves.torque(links)
-        )
+        links = LinkDynamics(self.arm).motion(exact.q, exact.qd, exact.qdd)
+        other_torque = exact.tau - self.arm.friction.torque(exact.qd)
+        other_torque = other_torque - links.torque(self.robot.thetas)
         carried = self.thetas.copy()
-        bare = other_torque + moves.torque(carried)
+        bare = other_torque + links.torque(carried)
         carried[-1] += PAYLOAD * loaded
-        rigid = other_torque + moves.torque(carried)
+        rigid = other_torque + links.torque(carried)
         self.dry = 0.03 * np.max(np.abs(bare), axis=0)
-        fastest = np.max(np.abs(exact.qd), axis=0)
-        dry = self.dry * (
-            1.0
-            + STRIBECK
-            * self.has_gear_friction
-            * np.exp(-np.abs(exact.qd) / (0.1 * fastest))
-        )
+        speed = np.abs(exact.qd)
+        fastest = np.max(speed, axis=0)
+        drop = np.exp(-speed / (0.1 * fastest))
+        dry = self.dry * (1.0 + STRIBECK * self.has_gear_friction * drop)
         dry = dry + LOSS * self.has_gear_friction * np.abs(rigid)
-        tau = (
-            self.scales * rigid
-            + dry * np.sign(exact.qd)
-            + self.dry / fastest * exact.qd
-        )
+        tau = self.scales * rigid + dry * np.sign(exact.qd)
+        tau += self.dry / fastest * exact.qd
         tau += NOISE * np.max(np.abs(tau), axis=0) * noise(self.rng, tau.shape)
         q = exact.q + self.zeros
         return Measurement(exact.time, np.round(q / STEP) * STEP, None, tau)
@@ -169,12 +160,9 @@ class Arm:
 
 def noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
     """Return noise of a shape (N, n): white, plus half as large autocorrelated noise."""
-    from scipy.signal import lfilter
-
-    memory = np.exp(-1.0 / (RATE * MEMORY))
     ahead = int(10 * RATE * MEMORY)
     drawn = rng.standard_normal((shape[0] + ahead, shape[1]))
-    slow = lfilter([np.sqrt(1.0 - memory**2)], [1.0, -memory], drawn, axis=0)[ahead:]
+    slow = autocorrelated(drawn, RATE * MEMORY)[ahead:]
     return rng.standard_normal(shape) + COLOURED * slow
 
 
@@ -186,23 +174,14 @@ def body_off(estimate: BodyEstimate, true: Array) -> Iterator[Off]:
     """Yield how far a body's numbers are off."""
     mass, com, inertia = spatial.com_from_theta(true)
     size = float(np.sqrt(np.trace(inertia) / mass))
-    spread = load_errors(estimate)[1:4]
-    yield (
-        "mass",
-        estimate.inertial.mass - true[0],
-        float(estimate.errors[0]),
-        float(true[0]),
-    )
-    for k in range(3):
-        yield (
-            "centre of mass",
-            float(estimate.inertial.com[k] - com[k]),
-            float(spread[k]),
-            size,
-        )
+    stated = estimate.errors.tolist()
+    off = (estimate.inertial.theta - true).tolist()
+    yield "mass", off[0], stated[0], mass
+    com_off = (estimate.inertial.com - com).tolist()
+    for error, com_stated in zip(com_off, load_errors(estimate)[1:4].tolist()):
+        yield "centre of mass", error, com_stated, size
     for k in range(4, 10):
-        off = float(estimate.inertial.theta[k] - true[k])
-        yield "inertia", off, float(estimate.errors[k]), mass * size**2
+        yield "inertia", off[k], stated[k], mass * size**2
 
 
 def link_errors(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[str]]:
@@ -227,22 +206,19 @@ def link_errors(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[s
 
 def payload_errors(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[str]]:
     """Return how far a payload's numbers are off, and the causes whose priors are contradicted."""
-    order_positions = np.linspace(-1.0, 1.0, len(ORDER)).tolist()
-    pieces = [
-        Piece(f"log{k}", arm.log(loaded), loaded, order_positions[k])
-        for k, loaded in enumerate(ORDER)
-    ]
-    datasets, _ = low_pass_recordings(
-        arm.robot, sorted(pieces, key=lambda p: p.is_loaded), options
-    )
+    positions = np.linspace(-1.0, 1.0, len(ORDER)).tolist()
+    pieces = []
+    for k, loaded in enumerate(ORDER):
+        pieces.append(Piece(f"log{k}", arm.log(loaded), loaded, positions[k]))
+    pieces.sort(key=lambda piece: piece.is_loaded)
+    datasets, _ = low_pass_recordings(arm.robot, pieces, options)
     question = Question(options, loaded=True, drifts=True)
     flange = find_flange(arm.robot, None)
     answer, free = answer_payload(arm.robot, datasets, question, Progress(), None)
     result = payload_of(answer, free, flange, ORIGIN)
     assert result.payload is not None
-    wide = [
-        g.cause for g in answer.fit.unknowns.groups if g.may_widen and g.widened > WIDER
-    ]
+    groups = answer.fit.unknowns.groups
+    wide = [g.cause for g in groups if g.may_widen and g.widened > WIDER]
     if not result.verdict.is_trustworthy:
         wide.append(result.verdict.name)
     return list(body_off(result.payload.body, flange.to_flange(PAYLOAD))), wide
@@ -255,9 +231,8 @@ def study(robot: RobotModel, name: str, cell: Cell, runs: int) -> Iterator[str]:
     for seed in range(runs):
         arm = Arm(robot, cell, np.random.default_rng(seed))
         options = cell.options() if name == "given" else EstimationOptions()
-        off, causes = (
-            payload_errors if name in ("payload", "loaded") else link_errors
-        )(arm, options)
+        is_payload = name in ("payload", "loaded")
+        off, causes = (payload_errors if is_payload else link_errors)(arm, options)
         causes_of_runs.append(causes)
         for quantity, *numbers in off:
             rows_by_quantity.setdefault(quantity, []).append(tuple(numbers))

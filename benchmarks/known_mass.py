@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.payload_by_difference import MODELS, recordings, rms, weigh
+from benchmarks.honest_intervals import ARMS
+from benchmarks.payload_by_difference import recordings, rms, weigh
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.parser import load_robot_model
@@ -44,10 +45,8 @@ def calibration(robot, arm, rng, sets):
     scale = np.ones(robot.n_joints)
     sure = None
     for _ in range(sets):
-        logs = [
-            divide_by_scale(recording, scale)
-            for recording in recordings(robot, arm, rng, payload=body(WEIGHT))
-        ]
+        raw = recordings(robot, arm, rng, payload=body(WEIGHT))
+        logs = [divide_by_scale(recording, scale) for recording in raw]
         options = EstimationOptions(scale_uncertainty=sure)
         payload = weigh(robot, logs, options, known_mass=WEIGHT).payload
         more, errors = np.transpose(
@@ -85,11 +84,11 @@ def main():
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--sets", type=int, default=1)
     parser.add_argument(
-        "--arms", nargs="+", default=["kinova", "panda"], choices=list(MODELS)
+        "--arms", nargs="+", default=["kinova", "panda"], choices=list(ARMS)
     )
     options = parser.parse_args()
     for name in options.arms:
-        robot = load_robot_model(options.models / MODELS[name])
+        robot = load_robot_model(options.models / ARMS[name])
         rows = []
         for seed in range(options.runs):
             rows.append(run(robot, seed, options.sets))

@@ -26,7 +26,7 @@ import numpy as np
 
 from robot_sysid.cli import main as robot_sysid
 from robot_sysid.dynamics import spatial
-from tests.support.arms import LINK, SEVEN_AXES, TIP, hinge, link, world
+from tests.support.arms import LINK, SEVEN_AXES, TIP, serial_bodies, world
 
 UNCERTAIN = ("link", "scale", "zero", "gravity", "delay", "friction")
 EXACT = [word for cause in UNCERTAIN for word in (f"--{cause}-uncertainty", "0")]
@@ -45,16 +45,12 @@ class Case:
 
     def model(self, tip: float = 1.0) -> str:
         """Return the arm as MJCF, its last link's numbers times ``tip``."""
-        content = ""
         friction = self.friction
         joint = f'range="-2.5 2.5" frictionloss="{0.4 * friction}" damping="{0.1 * friction}"'
-        for index in reversed(range(7)):
-            inertial = (
-                times(TIP, self.tip * tip) if index == 6 else times(LINK, self.others)
-            )
-            joints = hinge(f"joint{index}", SEVEN_AXES[index], joint)
-            content = link(joints, content, f"link{index}", inertial=inertial)
-        return world(content)
+        bodies = serial_bodies(
+            SEVEN_AXES, joint=joint, tip_inertial=times(TIP, self.tip * tip)
+        )
+        return world(bodies.replace(LINK, times(LINK, self.others)))
 
 
 CASES = {
@@ -72,9 +68,8 @@ def times(inertial: str, factor: float) -> str:
     fields = inertial.split('"')
     for index, word in enumerate(fields[:-1]):
         if word.endswith(("mass=", "fullinertia=")):
-            fields[index + 1] = " ".join(
-                repr(factor * float(x)) for x in fields[index + 1].split()
-            )
+            numbers = map(float, fields[index + 1].split())
+            fields[index + 1] = " ".join(repr(factor * x) for x in numbers)
     return '"'.join(fields)
 
 
@@ -93,13 +88,9 @@ def run(folder: Path, *arguments: object) -> dict:
 
 def line(params: dict, truth: np.ndarray) -> str:
     """Return errors and stated ones of a result."""
-    theta = np.array(
-        [
-            params["mass"],
-            *params["center_of_mass_moment"],
-            *params["inertia_tensor"].values(),
-        ]
-    )
+    moments = params["center_of_mass_moment"]
+    inertia = params["inertia_tensor"].values()
+    theta = np.array([params["mass"], *moments, *inertia])
     errors = np.array(list(params["standard_errors"].values())[:10], dtype=float)
     size = spatial.parameter_scale(truth[0], spatial.characteristic_length(truth))
     off = np.abs(theta - truth)
@@ -117,16 +108,8 @@ def lines(
     log = folder / "log.csv"
     true.write_text(case.model())
     guess.write_text(case.model(WRONG))
-    arguments = (
-        true,
-        "--sample-rate",
-        rate,
-        "--seed",
-        seed,
-        "--save-measurements",
-        log,
-    )
-    params = run(folder / "own", *arguments)
+    motion = ("--sample-rate", rate, "--seed", seed)
+    params = run(folder / "own", true, *motion, "--save-measurements", log)
     truth = truth_of(true)
     yield "own simulation", line(params, truth)
     for name, more in (("log, noise only", EXACT), ("log, defaults", [])):

@@ -14,10 +14,12 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.honest_intervals import ARMS
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.build_result import payload_of
 from robot_sysid.estimation.identify import Piece, answer_payload, low_pass_recordings
@@ -30,12 +32,6 @@ from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support.core_fits import ORIGIN, result_of_logs
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
 
-MODELS = {
-    "kinova": "kinova_gen3/gen3.xml",
-    "panda": "franka_panda/panda_nohand.xml",
-    "ur5e": "universal_robots_ur5e/ur5e.xml",
-    "xarm7": "ufactory_xarm7/xarm7.xml",
-}
 PAYLOAD = spatial.theta_from_com(
     1.0, np.array([0.03, -0.02, 0.08]), np.diag([0.004, 0.005, 0.003])
 )
@@ -53,9 +49,8 @@ def trajectory(robot, rng, wide):
     plan = generate_excitation_trajectory(robot, rng, torque=ArmTorque(robot))[0]
     if not wide:
         return plan
-    speed = np.max(
-        np.abs(plan.evaluate(np.arange(0.0, plan.duration, 0.01)).qd), axis=0
-    )
+    qd = plan.evaluate(np.arange(0.0, plan.duration, 0.01)).qd
+    speed = np.max(np.abs(qd), axis=0)
     factor = np.minimum(WIDER, SPEED_SHARE * robot.limits.velocity / speed)
     factor[-1] = 1.0
     return plan.scale_amplitudes(factor)
@@ -64,13 +59,8 @@ def trajectory(robot, rng, wide):
 def turn_body(theta, angle):
     """Return a body (10,) turned about the z axis by an angle [rad]."""
     mass, com, inertia = spatial.com_from_theta(theta)
-    turn = np.array(
-        [
-            [np.cos(angle), -np.sin(angle), 0.0],
-            [np.sin(angle), np.cos(angle), 0.0],
-            [0.0, 0.0, 1.0],
-        ]
-    )
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     return spatial.theta_from_com(mass, turn @ com, turn @ inertia @ turn.T)
 
 
@@ -89,10 +79,9 @@ def recordings(
 
 def weigh(robot, raw, estimation=USUAL, drifts=True, **question_options):
     """Return the result of ``robot-sysid payload`` on recordings."""
-    order_positions = np.linspace(-1.0, 1.0, len(raw))
-    pieces = [
-        Piece(r.name, r.samples, r.is_loaded, at) for r, at in zip(raw, order_positions)
-    ]
+    pieces = []
+    for recording, position in zip(raw, np.linspace(-1.0, 1.0, len(raw))):
+        pieces.append(replace(recording, order=position))
     datasets, _ = low_pass_recordings(robot, pieces, estimation)
     question = Question(estimation, loaded=True, drifts=drifts, **question_options)
     answer, free = answer_payload(
@@ -103,17 +92,11 @@ def weigh(robot, raw, estimation=USUAL, drifts=True, **question_options):
 
 def single_difference(robot, raw):
     """Return the difference of the terminal link's mass in two separate fits [kg]."""
-    options = EstimationOptions(
-        link_uncertainty=0.0,
-        scale_uncertainty=0.0,
-        zero_uncertainty=0.0,
-        gravity_uncertainty=0.0,
-    )
+    exact = ("link", "scale", "zero", "gravity")
+    options = EstimationOptions(**{f"{cause}_uncertainty": 0.0 for cause in exact})
     masses = []
     for is_loaded in (False, True):
-        logs = [
-            recording.samples for recording in raw if recording.is_loaded is is_loaded
-        ]
+        logs = [piece.samples for piece in raw if piece.is_loaded is is_loaded]
         masses.append(result_of_logs(robot, logs, options).links[-1].inertial.mass)
     return masses[1] - masses[0]
 
@@ -150,7 +133,7 @@ def main():
         "--scale", type=float, nargs="+", default=[0.0, 1.0], help="per cent"
     )
     parser.add_argument(
-        "--arms", nargs="+", default=["kinova", "panda"], choices=list(MODELS)
+        "--arms", nargs="+", default=["kinova", "panda"], choices=list(ARMS)
     )
     parser.add_argument(
         "--noise", type=float, default=0.3, help="of a strong joint, N m"
@@ -173,7 +156,7 @@ def main():
         PAYLOAD, np.radians(options.turned)
     )
     for name in options.arms:
-        robot = load_robot_model(options.models / MODELS[name])
+        robot = load_robot_model(options.models / ARMS[name])
         for scale in options.scale:
             rows = []
             for seed in range(options.runs):

@@ -135,25 +135,18 @@ def draw_arm(
     is_off = deviation != "exact"
     angles = np.radians(0.3) * rng.standard_normal(2) * is_off
     arm = with_gravity(robot, turn_gravity(gravity_vector(robot), angles))
-    draw_links = {
-        "real": wrong_links,
-        "priors": prior_links,
-        "exact": lambda r, _: r.thetas,
-    }
-    thetas = draw_links[deviation](robot, rng)
+    thetas = robot.thetas
+    if is_off:
+        thetas = (wrong_links if deviation == "real" else prior_links)(robot, rng)
+    series = exact.q, exact.qd, exact.qdd
     beyond_links = exact.tau - robot.friction.torque(exact.qd)
-    beyond_links -= (
-        LinkDynamics(robot).motion(exact.q, exact.qd, exact.qdd).torque(robot.thetas)
-    )
-    rigid = beyond_links + LinkDynamics(arm).motion(
-        exact.q, exact.qd, exact.qdd
-    ).torque(thetas)
+    beyond_links -= LinkDynamics(robot).motion(*series).torque(robot.thetas)
+    rigid = beyond_links + LinkDynamics(arm).motion(*series).torque(thetas)
 
     peak = np.max(np.abs(rigid), axis=0)
     fastest = np.max(np.abs(exact.qd), axis=0)
-    nominal = np.maximum(0.04 * peak, 0.004 * np.max(peak)) * rng.uniform(
-        0.7, 1.4, len(peak)
-    )
+    nominal = np.maximum(0.04 * peak, 0.004 * np.max(peak))
+    nominal = nominal * rng.uniform(0.7, 1.4, len(peak))
     visible_share = 0.1 if has_sensors else 1.0
     coulomb = visible_share * nominal
     viscous = coulomb / fastest * rng.uniform(0.5, 1.5, len(peak))
@@ -175,9 +168,8 @@ def draw_arm(
     tau = tau + NOISE * nominal * _noise(rng, tau.shape, white)
     if deviation == "priors":
         lag = 5e-3 * rng.standard_normal()
-        tau = np.stack(
-            [np.interp(exact.time - lag, exact.time, c) for c in tau.T], axis=1
-        )
+        late = exact.time - lag
+        tau = np.stack([np.interp(late, exact.time, c) for c in tau.T], axis=1)
     q = exact.q + 2e-3 * is_off * rng.standard_normal(len(peak))
     log = Measurement(exact.time, np.round(q / STEP) * STEP, None, tau)
     return RealArm(robot, thetas, coulomb, viscous, rotor, scales, exact, rigid, log)

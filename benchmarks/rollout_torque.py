@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.real_arms import ARMS
 from robot_sysid.config import SysidConfig
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
@@ -28,13 +29,7 @@ from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.support.places import MODELS
 
-ARMS = {
-    "panda": ("franka_panda/panda_nohand.xml", None),
-    "iiwa": ("kuka_iiwa_14/iiwa14.xml", None),
-    "ur5e": ("universal_robots_ur5e/ur5e.xml", None),
-    "xarm7": ("ufactory_xarm7/xarm7_nohand.xml", None),
-    "gen3": ("kinova_gen3/gen3.xml", None),
-}
+NAMES = ("panda", "iiwa14", "ur5e", "xarm7", "gen3")
 RATE = 500.0
 SECONDS = 30.0
 LOGS = 2
@@ -45,15 +40,13 @@ WRONG = 0.02
 
 def main(*names: str) -> None:
     """Print a table."""
-    for name in names or ARMS:
-        path, joint = ARMS[name]
-        robot = load_robot_model(MODELS / path, joint=joint)
+    for name in names or NAMES:
+        robot = load_robot_model(MODELS / ARMS[name])
         begun = time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
             logs = write_logs(robot, Path(folder), np.random.default_rng(7))
             config = SysidConfig.of(
                 robot.path,
-                joint=joint,
                 measurements=logs,
                 verify_rollout=True,
                 output_dir=Path(folder) / "out",
