@@ -161,30 +161,21 @@ def definitions(module: str) -> dict[str, ast.AST]:
         if isinstance(node, (*FUNCTIONS, ast.ClassDef)):
             nodes[node.name] = node
         if isinstance(node, ast.ClassDef):
-            constants = [
-                statement
-                for statement in node.body
-                if isinstance(statement, (ast.Assign, ast.AnnAssign))
-            ]
-            nodes |= {
-                f"{node.name}.{name}": statement
-                for statement in constants
-                for name in targets(statement)
-            }
+            for statement in node.body:
+                for name in targets(statement):
+                    nodes[f"{node.name}.{name}"] = statement
         nodes |= dict.fromkeys(targets(node), node)
     return nodes
 
 
 def targets(node: ast.AST) -> list[str]:
     """Return the names that a statement assigns to."""
-    assigned = getattr(node, "targets", [getattr(node, "target", None)])
-    return [
-        n.id
-        for target in assigned
-        if target
-        for n in ast.walk(target)
-        if isinstance(n, ast.Name)
-    ]
+    if not isinstance(node, (ast.Assign, ast.AnnAssign)):
+        return []
+    names = []
+    for target in getattr(node, "targets", None) or [node.target]:
+        names += [n.id for n in ast.walk(target) if isinstance(n, ast.Name)]
+    return names
 
 
 @cache
@@ -192,15 +183,13 @@ def imported_symbols(module: str) -> dict[str, Symbol]:
     """Return name in a module to what of the package it stands for; "" is a module itself."""
     symbols = {}
     for node in nodes_of(package_sources()[module]):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(
-            "robot_sysid"
-        ):
+        is_import = isinstance(node, ast.ImportFrom)
+        if is_import and node.module.startswith("robot_sysid"):
             for alias in node.names:
-                full_name = f"{node.module}.{alias.name}"
-                is_module = full_name in package_sources()
-                symbols[alias.asname or alias.name] = (
-                    (full_name, "") if is_module else (node.module, alias.name)
-                )
+                symbol = node.module, alias.name
+                if ".".join(symbol) in package_sources():
+                    symbol = ".".join(symbol), ""
+                symbols[alias.asname or alias.name] = symbol
     return symbols
 
 
@@ -237,11 +226,12 @@ def leads_to(source: Symbol) -> frozenset[Symbol]:
     module, name = source
     symbols = set()
     nodes = nodes_of_symbol(source)
-    local = {n.arg for n in nodes if isinstance(n, ast.arg)}
-    local |= {
-        n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
-    }
-    local = local if isinstance(definitions(module)[name], FUNCTIONS) else set()
+    local = set()
+    if isinstance(definitions(module)[name], FUNCTIONS):
+        local = {node.arg for node in nodes if isinstance(node, ast.arg)}
+        for node in nodes:
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+                local.add(node.id)
     for node in nodes:
         if isinstance(node, ast.Name) and node.id not in local:
             symbols.add(origin_of(module, node.id))
@@ -251,33 +241,26 @@ def leads_to(source: Symbol) -> frozenset[Symbol]:
                 symbols.add(origin_of(origin[0], node.attr))
             elif origin is not None:
                 symbols.add((origin[0], f"{origin[1]}.{node.attr}"))
-    return frozenset(
-        symbol for symbol in symbols if symbol and symbol[1] in definitions(symbol[0])
-    )
+    return frozenset(s for s in symbols if s and s[1] in definitions(s[0]))
 
 
 @cache
 def reachable(command: str) -> frozenset[Symbol]:
     """Return what a command may run."""
     word, _, name = command.partition(" ")
+    never = set(NEVER.get(command, ()))
     if name:
-        waiting = [
-            (motors.COMMANDS[name].run.__module__, motors.COMMANDS[name].run.__name__)
-        ]
+        run = motors.COMMANDS[name].run
+        waiting = {(run.__module__, run.__name__)}
     else:
         start = f"robot_sysid.commands.{NAMES.get(word, 'identify')}"
-        waiting = [
-            *((start, symbol) for symbol in definitions(start)),
-            *ONLY.get(word, ()),
-        ]
-        waiting = [symbol for symbol in waiting if symbol not in NEVER.get(word, ())]
+        waiting = {(start, symbol) for symbol in definitions(start)}
+        waiting = waiting.union(ONLY.get(word, ())) - never
     reached_symbols = set(waiting)
     while waiting:
-        for symbol in (
-            leads_to(waiting.pop()) - reached_symbols - set(NEVER.get(command, ()))
-        ):
-            reached_symbols.add(symbol)
-            waiting.append(symbol)
+        new_symbols = leads_to(waiting.pop()) - reached_symbols - never
+        reached_symbols |= new_symbols
+        waiting |= new_symbols
     return frozenset(reached_symbols)
 
 
@@ -293,10 +276,9 @@ def texts(symbol: Symbol) -> tuple[str, ...]:
     texts_in_code = []
     for node in nodes_of_symbol(symbol):
         if isinstance(node, ast.JoinedStr):
-            filled = [
-                p.value if isinstance(p, ast.Constant) else "{}" for p in node.values
-            ]
-            texts_in_code.append("".join(map(str, filled)))
+            parts = [getattr(value, "value", "") for value in node.values]
+            filled = [part if isinstance(part, str) else "{}" for part in parts]
+            texts_in_code.append("".join(filled))
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             texts_in_code.append(node.value)
     return tuple(text for text in texts_in_code if OPTION.search(text))
@@ -316,37 +298,23 @@ def faults(command: str, text: str) -> Iterator[str]:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_what_a_command_may_say_names_its_own_options(command):
-    foreign_options = [
-        f"{module}.{name}: {option} in {text!r}"
-        for module, name in sorted(reachable(command))
-        if not is_record((module, name))
-        for text in texts((module, name))
-        if text != UNSAID.get(command)
-        for reader in (RUNS if module.startswith("robot_sysid.report.") else (command,))
-        for option in faults(reader, text)
-    ]
-    assert foreign_options == []
+    for symbol in sorted(reachable(command)):
+        is_page = symbol[0].startswith("robot_sysid.report.")
+        for text in () if is_record(symbol) else texts(symbol):
+            for reader in RUNS if is_page else (command,):
+                is_unsaid = text == UNSAID.get(command)
+                assert is_unsaid or not list(faults(reader, text)), (symbol, text)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_help_of_a_command_names_its_own_options(command):
     parser = parser_of(command)
-    help_texts = [
-        parser._example,
-        parser.description,
-        *(action.help for action in parser._actions),
-    ]
-    assert [
-        (text, option)
-        for text in help_texts
-        for option in faults(command, f"{text or ''}")
-    ] == []
+    help_texts = [action.help for action in parser._actions]
+    for text in (parser._example, parser.description, *help_texts):
+        assert not list(faults(command, f"{text or ''}")), text
 
 
 def test_what_is_left_out_is_there():
-    left_out = {
-        symbol for symbols in (*ONLY.values(), *NEVER.values()) for symbol in symbols
-    }
-    assert [
-        symbol for symbol in left_out if symbol[1] not in definitions(symbol[0])
-    ] == []
+    for symbols in (*ONLY.values(), *NEVER.values()):
+        for module, name in symbols:
+            assert name in definitions(module), (module, name)

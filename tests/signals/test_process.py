@@ -149,12 +149,10 @@ def test_rows_over_a_corner_of_exact_motion_are_masked_and_no_others(seed, corne
     swing = Swing(seed)
     time = seconds(40.0, 10.0)
     log = swing.measurement(time)
-    signals = process(
-        replace(log, q=log.q + corner_motion(time, corner)[0]), cutoff=2.0
-    )
-    error = (
-        signals.qdd - swing.q(signals.time, 2) - corner_motion(signals.time, corner)[1]
-    )
+    bent = log.q + corner_motion(time, corner)[0]
+    signals = process(replace(log, q=bent), cutoff=2.0)
+    true = swing.q(signals.time, 2) + corner_motion(signals.time, corner)[1]
+    error = signals.qdd - true
     assert signals.is_noiseless and np.max(np.abs(error)) > 1e-6
     assert np.max(np.abs(error[~signals.bridged])) < 1e-8
     assert 0 < np.sum(signals.bridged) <= 2 * (FINE_REACH + 2) + 1
@@ -165,16 +163,14 @@ def test_rows_over_a_corner_of_exact_motion_are_masked_and_no_others(seed, corne
 def test_refiltering_exact_motion_bounds_its_error():
     """The bound is at most a hundred times the error; 6 samples per period are few."""
     time = seconds(20.0, 10.0)
-    q = np.sin(2.0 * np.pi * 1.6 * time)[:, None]
+    omega = 2.0 * np.pi * 1.6
+    q = np.sin(omega * time)[:, None]
     signals = process(Measurement(time, q, None, q + 1.0), cutoff=3.0)
     rows, refiltered = signals.refiltered_motion
     once = signals.decimated_motion()
     assert signals.is_noiseless and len(rows) > 0.7 * len(once.time)
     assert_array_equal(refiltered.q, once.q[rows])
-    true = (
-        -((2.0 * np.pi * 1.6) ** 2)
-        * np.sin(2.0 * np.pi * 1.6 * refiltered.time)[:, None]
-    )
+    true = -(omega**2) * np.sin(omega * refiltered.time)[:, None]
     error = root_mean_square(true - once.qdd[rows])
     stated_error = root_mean_square(refiltered.qdd - once.qdd[rows])
     assert 1e-6 < error < stated_error < 100.0 * error
@@ -203,12 +199,9 @@ def test_joints_that_move_in_one_direction_are_named():
     q = np.column_stack((swing, swing + time, swing - time))
     signals = low_pass_with_deadband(Measurement(time, q, None, q + 1.0), 0.05)
     forwards, backwards = signals.one_way_joints(("a", "b", "c"))
-    assert forwards.startswith(
-        "b moves faster than 0.05 rad/s in 100 % of the samples forwards"
-    )
-    assert backwards.startswith(
-        "c moves faster than 0.05 rad/s in 0 % of the samples forwards"
-    )
+    sentence = "{} moves faster than 0.05 rad/s in {} % of the samples forwards"
+    assert forwards.startswith(sentence.format("b", 100))
+    assert backwards.startswith(sentence.format("c", 0))
 
 
 def test_a_joint_at_rest_is_masked_and_named():
