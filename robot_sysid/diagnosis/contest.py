@@ -10,13 +10,19 @@ are scored again.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from robot_sysid.diagnosis import Finding, Level
-from robot_sysid.diagnosis.evidence import Hypotheses, Posterior
 from robot_sysid.diagnosis.explanations import BaseFit, Explanation, explanations
+from robot_sysid.diagnosis.log_model import (
+    LogModel,
+    Posterior,
+    base_prior,
+    log_rows,
+    rms,
+)
 from robot_sysid.diagnosis.relabelling import (
     Correction,
     find_wrong_columns,
@@ -25,7 +31,6 @@ from robot_sysid.diagnosis.relabelling import (
     odd_unit_finding,
     typical_scale,
 )
-from robot_sysid.diagnosis.rows import LogRows, Prior, base_prior, log_rows, rms
 from robot_sysid.dynamics.equations import link_names, other_links
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import Array, RobotModel
@@ -59,9 +64,9 @@ GROSS_JOINT = 0.5
 SMALL = 0.02
 """Share of unexplained torque that a relabelling may always leave, even if the log has less."""
 TYPICAL_STRAIN = 7.0
-"""``Contest.strain`` of typical arms: squared deviation of their links from the model."""
+"""``strain`` of typical arms: squared deviation of their links from the model."""
 FAR = 40.0
-"""``Contest.strain`` that no arm reaches with its own model."""
+"""``strain`` that no arm reaches with its own model."""
 ODD_SCALE = 1.3
 """Ratio of measured torque to the model's above which torque scales are tried."""
 STRETCHES = 8
@@ -90,8 +95,7 @@ class Score:
         values: (e,) coefficients of the explanation, in units of its columns.
         errors: (e,) their standard errors.
         sureness: distance of all coefficients together from zero, in standard errors.
-        hypotheses: equations of the model with the explanation's columns.
-        posterior: posterior of these equations.
+        posterior: posterior of the model with the explanation's columns.
     """
 
     explanation: Explanation
@@ -99,7 +103,6 @@ class Score:
     values: Array
     errors: Array
     sureness: float
-    hypotheses: Hypotheses
     posterior: Posterior
 
     @property
@@ -113,10 +116,104 @@ class Score:
         return self.explanation.is_possible(self.values, self.errors)
 
     @property
-    def torque(self) -> Array:
-        """Torque (K, n) of the explanation, (K, 1) where it acts at one joint [N m]."""
+    def torque_share(self) -> float:
+        """Standard deviation of the explanation's torque over time, as a share of all torque."""
+        # (K, n) [N m], or (K,) where the explanation acts at one joint.
         torque = self.explanation.columns @ self.values
-        return torque if torque.ndim == 2 else torque[:, None]
+        size = np.linalg.norm(np.std(torque, axis=0))
+        return float(size / np.linalg.norm(rms(self.posterior.model.log.torque)))
+
+    @property
+    def is_reportable(self) -> bool:
+        """Whether the explanation is significant and worth a finding.
+
+        It is, as a fault of the whole log, or if it explains ``LEAST_SHARE`` of the torque.
+        """
+        explanation = self.explanation
+        if self.sureness < SURE or not self.is_possible:
+            return False
+        is_of_log = explanation.joint is None and explanation.level is not Level.NOTE
+        return is_of_log or self.torque_share > LEAST_SHARE
+
+    def is_harmful(self, previous: Posterior) -> bool:
+        """Return whether a result without this explanation (``previous``) would be wrong."""
+        explanation = self.explanation
+        is_large = bool(abs(self.values[0]) >= explanation.harmful_from)
+        if is_large or explanation.level is Level.REFUSE:
+            return True
+        moved = self.posterior.coefficients[:10] - previous.coefficients[:10]
+        errors = np.sqrt(np.diag(previous.covariance)[:10])
+        moves_last_link = bool(np.any(np.abs(moved) > MATTERS * errors))
+        return moves_last_link or self.torque_share > HARMFUL_SHARE
+
+
+def last_mass(posterior: Posterior) -> tuple[float, float]:
+    """Return the last link's mass and its standard error [kg]."""
+    error = posterior.model.prior.spread[0] * np.sqrt(posterior.covariance[0, 0])
+    return float(posterior.values[0]), float(error)
+
+
+def strain(posterior: Posterior) -> float:
+    """Return the other links' squared deviation from the model, in prior standard deviations.
+
+    The prior with the smallest deviation, the widest one, counts.
+    """
+    log = posterior.model.log
+    prior = posterior.model.prior
+    names: list[str] = []
+    for link in other_links(log.robot):
+        names += link_names(log.robot, link)
+    at = np.searchsorted(prior.estimated, log.columns.indices(names))
+    off = posterior.coefficients[at]
+    return min(float(off @ p[np.ix_(at, at)] @ off) for p in prior.precisions)
+
+
+def is_plausible(posterior: Posterior) -> bool:
+    """Return whether the last link's mass and the strain of all links are plausible."""
+    robot = posterior.model.log.robot
+    largest_mass = max(HEAVIEST * robot.mass, robot.prior.mass + 0.3 * robot.mass)
+    mass, error = last_mass(posterior)
+    is_possible = mass + 2.0 * error > 0.0 and mass - 2.0 * error < largest_mass
+    return is_possible and strain(posterior) < FAR
+
+
+def dry_friction(posterior: Posterior) -> tuple[Array, Array]:
+    """Return the Coulomb friction (n,) of each joint and its standard error (n,) [N m]."""
+    prior = posterior.model.prior
+    indices = posterior.model.log.friction_indices("coulomb")
+    at = np.searchsorted(prior.estimated, indices)
+    error = prior.spread[at] * np.sqrt(np.diag(posterior.covariance)[at])
+    return posterior.values[indices], error
+
+
+def least_friction_share(posterior: Posterior) -> Array:
+    """Return a lower bound (n,) of Coulomb friction, as a share of the typical torque."""
+    dry, error = dry_friction(posterior)
+    least = np.maximum(np.abs(dry) - SURE * error, 0.0)
+    return np.asarray(least / posterior.model.log.typical_torque)
+
+
+def misfit_by_joint(posterior: Posterior) -> Array:
+    """Return the unexplained torque (n,) of each joint, as a share of its typical torque.
+
+    That is the residual without white noise. White noise is the residual in the upper half of the
+    frequencies, in which links make little torque.
+    """
+    squares = posterior.residual**2
+    slow = np.zeros(squares.shape[1])
+    for window in posterior.model.log.windows:
+        spectrum = squares[window]
+        white = len(spectrum) * np.mean(spectrum[len(spectrum) // 2 :], axis=0)
+        slow += np.maximum(np.sum(spectrum, axis=0) - white, 0.0)
+    typical_torque = posterior.model.log.typical_torque
+    return np.asarray(np.sqrt(slow / posterior.model.count) / typical_torque)
+
+
+def misfit(posterior: Posterior) -> float:
+    """Return the unexplained torque of all joints together, as a share of all torque."""
+    log = posterior.model.log
+    slow = misfit_by_joint(posterior) * log.typical_torque
+    return float(np.linalg.norm(slow) / np.linalg.norm(rms(log.torque)))
 
 
 class Contest:
@@ -124,13 +221,10 @@ class Contest:
 
     Args:
         robot: the arm with its model.
-        signals: low-passed signals of the log's pieces, see ``rows.low_pass``.
+        signals: low-passed signals of the log's pieces, see ``log_checks.low_pass``.
         options: prior uncertainties of the estimate.
 
     Attributes:
-        log: equations of the log.
-        prior: prior of the base model.
-        base: transformed equations of the base model.
         posterior: posterior of the base model.
     """
 
@@ -142,67 +236,8 @@ class Contest:
     ) -> None:
         self.signals = signals
         self.options = options
-        self.log = log_rows(robot, signals)
-        self.prior = base_prior(self.log, options)
-        self.base = Hypotheses(self.log, self.prior)
-        self.posterior = self.base.posterior()
-
-    def last_mass(
-        self, posterior: Posterior, prior: Prior | None = None
-    ) -> tuple[float, float]:
-        """Return the last link's mass and its standard error [kg]; ``prior`` None: the base's."""
-        prior = prior or self.prior
-        mass = prior.mean[0] + prior.spread[0] * posterior.values[0]
-        return float(mass), float(prior.spread[0] * np.sqrt(posterior.covariance[0, 0]))
-
-    def is_plausible(self, posterior: Posterior, prior: Prior | None = None) -> bool:
-        """Return whether the last link's mass and the strain of all links are plausible."""
-        arm = self.log.robot.mass
-        largest_mass = max(HEAVIEST * arm, self.log.robot.prior.mass + 0.3 * arm)
-        mass, error = self.last_mass(posterior, prior)
-        possible = mass + 2.0 * error > 0.0 and mass - 2.0 * error < largest_mass
-        return possible and self.strain(posterior, prior) < FAR
-
-    def dry_friction(self, posterior: Posterior, prior: Prior) -> tuple[Array, Array]:
-        """Return the Coulomb friction (n,) of each joint and its standard error (n,) [N m]."""
-        names = [f"coulomb[{name}]" for name in self.log.robot.joint_names]
-        indices = self.log.columns.indices(names)
-        positions = np.searchsorted(prior.estimated, indices)
-        error = prior.spread[positions] * np.sqrt(
-            np.diag(posterior.covariance)[positions]
-        )
-        return prior.parameters(posterior.values)[indices], error
-
-    def friction_share(self, posterior: Posterior) -> Array:
-        """Return a lower bound (n,) of Coulomb friction, as a share of the typical torque."""
-        dry, error = self.dry_friction(posterior, self.prior)
-        return np.asarray(
-            np.maximum(np.abs(dry) - SURE * error, 0.0) / self.log.typical_torque
-        )
-
-    def reverses_friction(self, mistake: Correction) -> bool:
-        """Return whether a correction turns a joint's friction from braking into driving.
-
-        Where links hardly load a joint, everything but its friction fits with either sign.
-        """
-        dry, error = self.dry_friction(self.posterior, self.prior)
-        undone, undone_error = self.dry_friction(mistake.posterior, mistake.prior)
-        return bool(np.any((dry > SURE * error) & (undone < -SURE * undone_error)))
-
-    def strain(self, posterior: Posterior, prior: Prior | None = None) -> float:
-        """Return the other links' squared deviation from the model, in prior standard deviations.
-
-        The prior with the smallest deviation, the widest one, counts.
-        """
-        prior = prior or self.prior
-        robot = self.log.robot
-        names = [
-            name for link in other_links(robot) for name in link_names(robot, link)
-        ]
-        at = np.searchsorted(prior.estimated, self.log.columns.indices(names))
-        off = posterior.values[at]
-        quadratic_forms = [off @ p[np.ix_(at, at)] @ off for p in prior.precisions]
-        return float(min(quadratic_forms))
+        log = log_rows(robot, signals)
+        self.posterior = LogModel(log, base_prior(log, options)).posterior()
 
     def corrections(self, divided: Array, winner: Score | None) -> list[Correction]:
         """Return plausible corrections of mistaken columns, the largest gain first.
@@ -214,31 +249,25 @@ class Contest:
             divided: (n,) torque scales by which the torques were divided already.
             winner: the best explanation of the first round; None where there is none.
         """
-        corrections = find_wrong_torques(
-            self.log, self.signals, self.base, self.posterior
-        )
-        best = self.posterior if winner is None else winner.posterior
-        by_joint = misfit_by_joint(self.log, best)
-        is_gross = (
-            misfit(self.log, best) > GROSS or float(np.max(by_joint)) > GROSS_JOINT
-        )
-        is_far = is_gross or not self.is_plausible(best)
-        if is_far or abs(np.log(typical_scale(self.log))) > np.log(ODD_SCALE):
-            corrections += find_wrong_scales(
-                self.log, self.posterior, self.options, divided
-            )
+        base = self.posterior
+        corrections = find_wrong_torques(base, self.signals)
+        best = base if winner is None else winner.posterior
+        largest_of_joint = float(np.max(misfit_by_joint(best)))
+        is_gross = misfit(best) > GROSS or largest_of_joint > GROSS_JOINT
+        is_far = is_gross or not is_plausible(best)
+        if is_far or abs(np.log(typical_scale(base.model.log))) > np.log(ODD_SCALE):
+            corrections += find_wrong_scales(base, self.options, divided)
         if is_far:
-            corrections += find_wrong_columns(
-                self.log, self.signals, self.posterior, self.options
-            )
-        largest_misfit = max(misfit(self.log, self.posterior), SMALL)
+            corrections += find_wrong_columns(base, self.signals, self.options)
+        largest_misfit = max(misfit(base), SMALL)
         plausible = []
         for correction in corrections:
-            is_fitting = misfit(correction.log, correction.posterior) <= largest_misfit
+            corrected = correction.posterior
+            is_fitting = misfit(corrected) <= largest_misfit
             if (
                 is_fitting
-                and self.is_plausible(correction.posterior, correction.prior)
-                and not self.reverses_friction(correction)
+                and is_plausible(corrected)
+                and not reverses_friction(base, corrected)
             ):
                 plausible.append(correction)
         return sorted(plausible, key=lambda correction: -correction.gain)
@@ -248,24 +277,21 @@ class Contest:
 
         Each round starts from the model with the winners of the previous rounds.
         """
-        trusted = self.is_plausible(self.posterior)
-        fit = BaseFit(self.log, self.signals, self.prior, self.posterior, trusted)
+        fit = BaseFit(self.posterior, self.signals, is_plausible(self.posterior))
         offered = [e for e in explanations(fit) if not self.is_estimated(e)]
-        columns = transform_columns(self.base, offered)
+        columns = transform_columns(self.posterior.model, offered)
         winners: list[list[Score]] = []
-        model = self.base
-        posterior = self.posterior
+        model = self.posterior
         while len(winners) < _MOST_ROUNDS:
             count = _REFITTED if not winners else _REFITTED_AGAIN
-            ranked = self._rank(model, posterior, offered, columns, count)
+            ranked = _rank(model, offered, columns, count)
             if not ranked or ranked[0].gain < MARGIN:
                 break
             ties = [score for score in ranked if score.gain > ranked[0].gain - TIE]
             # Of equally likely explanations, one that its coefficients do not contradict.
             ties.sort(key=lambda score: not score.is_possible)
             winners.append(ties)
-            model = ties[0].hypotheses
-            posterior = ties[0].posterior
+            model = ties[0].posterior
         return winners
 
     def is_estimated(self, explanation: Explanation) -> bool:
@@ -273,199 +299,142 @@ class Contest:
         settings = {"delay": self.options.delay, "tilt": self.options.tilt}
         return explanation.joint is None and settings.get(explanation.name) == "auto"
 
-    def _rank(
-        self,
-        model: Hypotheses,
-        posterior: Posterior,
-        offered: Sequence[Explanation],
-        columns: Sequence[Sequence[Array | None]],
-        count: int,
-    ) -> list[Score]:
-        """Return the score of the best explanation of each family, the best families first.
 
-        Args:
-            model: equations that the explanations are added to, with their ``posterior``.
-            offered: explanations to score.
-            columns: ``transform_columns`` of these explanations.
-            count: largest number of families, whose noise is estimated anew.
-        """
-        penalties = np.log([explanation.choices for explanation in offered])
-        gains = screen_gains(model, posterior, columns) - penalties
-        best_of_family: dict[object, int] = {}
-        for k in np.argsort(-gains):
-            if gains[k] > _WORTH:
-                best_of_family.setdefault(offered[k].family, int(k))
-        finalists = list(best_of_family.values())[:count]
-        scores = []
-        for k in finalists:
-            score = self._score(model, posterior, offered[k], columns[k])
-            if score.gain > MARGIN:
-                score = self._refine(model, posterior, score)
-            scores.append(score)
-        return sorted(scores, key=lambda score: -score.gain)
+def reverses_friction(base: Posterior, corrected: Posterior) -> bool:
+    """Return whether a correction turns a joint's friction from braking into driving.
 
-    def _score(
-        self,
-        model: Hypotheses,
-        posterior: Posterior,
-        explanation: Explanation,
-        columns: Sequence[Array | None],
-    ) -> Score:
-        """Return the score of an explanation added to a model, with noise estimated anew."""
-        width = len(explanation.spread)
-        no_torque = np.zeros((len(model.right_sides), width))
-        added = [no_torque if column is None else column for column in columns]
-        wider = model.with_columns(added)
-        result = wider.posterior(posterior.noise)
-        gain = (
-            result.log_evidence
-            - posterior.log_evidence
-            - float(np.log(explanation.choices))
-        )
-        scaled = result.values[-width:]
-        covariance = result.covariance[-width:, -width:]
-        sureness = float(np.sqrt(scaled @ np.linalg.solve(covariance, scaled)))
-        errors = explanation.spread * np.sqrt(np.diag(covariance))
-        return Score(
-            explanation,
-            gain,
-            explanation.spread * scaled,
-            errors,
-            sureness,
-            wider,
-            result,
-        )
-
-    def _refine(self, model: Hypotheses, posterior: Posterior, score: Score) -> Score:
-        """Return the best score of an explanation and of its ``nearby`` ones, searched uphill."""
-        best = score
-        while nearby := best.explanation.nearby():
-            columns = transform_columns(model, nearby)
-            # With the noise of the best score: with the model's, all gains are nearly equal.
-            quieter = model.at_noise(best.posterior.noise)
-            k = int(np.argmax(screen_gains(model, quieter, columns)))
-            candidate = self._score(model, posterior, nearby[k], columns[k])
-            if candidate.gain <= best.gain:
-                break
-            best = candidate
-        return best
-
-    def is_reportable(self, score: Score) -> bool:
-        """Return whether an explanation is significant and worth a finding.
-
-        It is, as a fault of the whole log, or if it explains ``LEAST_SHARE`` of the torque.
-        """
-        explanation = score.explanation
-        if score.sureness < SURE or not score.is_possible:
-            return False
-        is_of_log = explanation.joint is None and explanation.level is not Level.NOTE
-        return is_of_log or self.torque_share(score) > LEAST_SHARE
-
-    def is_harmful(self, score: Score, previous: Posterior) -> bool:
-        """Return whether a result without this explanation (``previous``) would be wrong."""
-        explanation = score.explanation
-        is_large = bool(abs(score.values[0]) >= explanation.harmful_from)
-        if is_large or explanation.level is Level.REFUSE:
-            return True
-        return self.torque_share(score) > HARMFUL_SHARE or self.moves_link(
-            score, previous
-        )
-
-    def torque_share(self, score: Score) -> float:
-        """Return the standard deviation of an explanation's torque, as a share of all torque."""
-        torque = np.linalg.norm(np.std(score.torque, axis=0))
-        return float(torque / np.linalg.norm(rms(self.log.torque)))
-
-    def moves_link(self, score: Score, previous: Posterior) -> bool:
-        """Return whether an explanation moves the last link by ``MATTERS`` standard errors."""
-        moved = score.posterior.values[:10] - previous.values[:10]
-        errors = np.sqrt(np.diag(previous.covariance)[:10])
-        return bool(np.any(np.abs(moved) > MATTERS * errors))
-
-
-def misfit_by_joint(log: LogRows, posterior: Posterior) -> Array:
-    """Return the unexplained torque (n,) of each joint, as a share of its typical torque.
-
-    That is the residual without white noise. White noise is the residual in the upper half of the
-    frequencies, in which links make little torque.
+    Where links hardly load a joint, everything but its friction fits with either sign.
     """
-    squares = posterior.residual**2
-    slow = np.zeros(squares.shape[1])
-    for window in log.windows:
-        spectrum = squares[window]
-        white = len(spectrum) * np.mean(spectrum[len(spectrum) // 2 :], axis=0)
-        slow += np.maximum(np.sum(spectrum, axis=0) - white, 0.0)
-    counts = np.maximum(np.sum(log.used, axis=0), 1)
-    return np.asarray(np.sqrt(slow / counts) / log.typical_torque)
+    dry, error = dry_friction(base)
+    corrected_dry, corrected_error = dry_friction(corrected)
+    is_driving = corrected_dry < -SURE * corrected_error
+    return bool(np.any((dry > SURE * error) & is_driving))
 
 
-def misfit(log: LogRows, posterior: Posterior) -> float:
-    """Return the unexplained torque of all joints together, as a share of all torque."""
-    slow = misfit_by_joint(log, posterior) * log.typical_torque
-    return float(np.linalg.norm(slow) / np.linalg.norm(rms(log.torque)))
+Blocks = dict[int, Array]
+"""Transformed columns (K, e) of an explanation in prior units, by the index of each joint on which
+it acts."""
 
 
-def transform_columns(
-    model: Hypotheses, offered: Sequence[Explanation]
-) -> list[list[Array | None]]:
-    """Return, per explanation and joint, its transformed columns (K, e) in prior units.
-
-    None stands for a joint that an explanation does not act on.
-    """
-    transformed: list[list[Array | None]] = [[None] * len(model.rows) for _ in offered]
+def transform_columns(model: LogModel, offered: Sequence[Explanation]) -> list[Blocks]:
+    """Return the transformed columns of each explanation, of all explanations at once per joint."""
+    transformed: list[Blocks] = [{} for _ in offered]
     for joint in range(len(model.rows)):
-        of_joint = {
-            k: explanation.of_joint(joint) for k, explanation in enumerate(offered)
-        }
-        columns = {k: column for k, column in of_joint.items() if column is not None}
-        if not columns:
-            continue
-        ends = np.cumsum([column.shape[1] for column in columns.values()])[:-1]
-        stacked = model.transform.of_joint(joint, np.hstack([*columns.values()]))
-        for k, block in zip(columns, np.split(stacked, ends, axis=1)):
-            transformed[k][joint] = block
+        acting = [k for k, e in enumerate(offered) if e.joint in (None, joint)]
+        if acting:
+            blocks = [offered[k].of_joint(joint) for k in acting]
+            ends = np.cumsum([block.shape[1] for block in blocks])[:-1]
+            stacked = model.transform(joint, np.hstack(blocks))
+            for k, block in zip(acting, np.split(stacked, ends, axis=1)):
+                transformed[k][joint] = block
     return transformed
 
 
-def screen_gains(
-    model: Hypotheses, posterior: Posterior, columns: Sequence[Sequence[Array | None]]
-) -> Array:
+def screen_gains(posterior: Posterior, columns: Sequence[Blocks]) -> Array:
     """Return the gain of each explanation in log marginal likelihood at fixed noise [nats].
 
     With E the columns of the explanation, A those of the model, r the residual and C the posterior
     covariance, in units of noise and prior, the gain is 1/2 v' (1 + M)^-1 v - 1/2 log |1 + M|,
     M = E'E - E'A C A'E and v = E'r. ``columns`` are those of ``transform_columns``.
     """
-    widths = [
-        next(c.shape[1] for c in of_joints if c is not None) for of_joints in columns
-    ]
+    widths = [next(iter(blocks.values())).shape[1] for blocks in columns]
     ends = np.cumsum([0, *widths])
-    crossed = np.zeros((len(posterior.values), ends[-1]))
+    crossed = np.zeros((len(posterior.coefficients), ends[-1]))
     pull = np.zeros(ends[-1])
     squares = [np.eye(width) for width in widths]
-    for joint in range(len(model.rows)):
-        indices, rows = model.equations(joint)
-        all_columns = {k: of_joints[joint] for k, of_joints in enumerate(columns)}
-        of_joint = {k: block for k, block in all_columns.items() if block is not None}
-        if not of_joint:
+    for joint in range(len(posterior.model.rows)):
+        acting = [k for k, blocks in enumerate(columns) if joint in blocks]
+        if not acting:
             continue
-        at = np.concatenate([np.arange(ends[k], ends[k + 1]) for k in of_joint])
+        indices, rows = posterior.model.equations(joint)
+        at = np.concatenate([np.arange(ends[k], ends[k + 1]) for k in acting])
         weight = 1.0 / posterior.noise[:, joint, None]
-        stacked = np.hstack([*of_joint.values()])
+        stacked = np.hstack([columns[k][joint] for k in acting])
         crossed[np.ix_(indices, at)] += (rows * weight).T @ stacked
         pull[at] += posterior.residual[:, joint] @ (stacked * weight)
-        for k, block in of_joint.items():
+        for k in acting:
+            block = columns[k][joint]
             squares[k] += block.T @ (block * weight)
     solved = posterior.covariance @ crossed
-    gains = []
+    gains = np.empty(len(columns))
     for k, square in enumerate(squares):
-        of_explanation = slice(ends[k], ends[k + 1])
-        inside = square - crossed[:, of_explanation].T @ solved[:, of_explanation]
-        best = np.linalg.solve(inside, pull[of_explanation])
-        gains.append(
-            0.5 * (float(pull[of_explanation] @ best) - np.linalg.slogdet(inside)[1])
-        )
-    return np.array(gains)
+        own = slice(ends[k], ends[k + 1])
+        inside = square - crossed[:, own].T @ solved[:, own]
+        explained = float(pull[own] @ np.linalg.solve(inside, pull[own]))
+        gains[k] = 0.5 * (explained - np.linalg.slogdet(inside)[1])
+    return gains
+
+
+def _rank(
+    model: Posterior,
+    offered: Sequence[Explanation],
+    columns: Sequence[Blocks],
+    count: int,
+) -> list[Score]:
+    """Return the score of the best explanation of each family, the best families first.
+
+    Args:
+        model: posterior of the model that the explanations are added to.
+        offered: explanations to score.
+        columns: ``transform_columns`` of these explanations.
+        count: largest number of families, whose noise is estimated anew.
+    """
+    penalties = np.log([explanation.choices for explanation in offered])
+    gains = screen_gains(model, columns) - penalties
+    best_of_family: dict[object, int] = {}
+    for k in np.argsort(-gains):
+        if gains[k] > _WORTH:
+            best_of_family.setdefault(offered[k].family, int(k))
+    scores = []
+    for k in list(best_of_family.values())[:count]:
+        score = _score(model, offered[k], columns[k])
+        if score.gain > MARGIN:
+            score = _refine(model, score)
+        scores.append(score)
+    return sorted(scores, key=lambda score: -score.gain)
+
+
+def _score(previous: Posterior, explanation: Explanation, columns: Blocks) -> Score:
+    """Return the score of an explanation added to a model, with noise estimated anew.
+
+    ``previous`` is the posterior of the model without the explanation.
+    """
+    model = previous.model
+    width = len(explanation.spread)
+    no_torque = np.zeros((len(model.right_sides), width))
+    added = [columns.get(joint, no_torque) for joint in range(len(model.rows))]
+    posterior = model.with_columns(added).posterior(previous.noise)
+    penalty = float(np.log(explanation.choices))
+    coefficients = posterior.coefficients[-width:]
+    covariance = posterior.covariance[-width:, -width:]
+    squared_distance = coefficients @ np.linalg.solve(covariance, coefficients)
+    return Score(
+        explanation,
+        posterior.log_evidence - previous.log_evidence - penalty,
+        explanation.spread * coefficients,
+        explanation.spread * np.sqrt(np.diag(covariance)),
+        float(np.sqrt(squared_distance)),
+        posterior,
+    )
+
+
+def _refine(previous: Posterior, score: Score) -> Score:
+    """Return the best score of an explanation and of its ``nearby`` ones, searched uphill.
+
+    ``previous`` is the posterior of the model without the explanation.
+    """
+    best = score
+    model = previous.model
+    while nearby := best.explanation.nearby():
+        columns = transform_columns(model, nearby)
+        # With the noise of the best score: with the model's, all gains are nearly equal.
+        gains = screen_gains(model.at_noise(best.posterior.noise), columns)
+        k = int(np.argmax(gains))
+        candidate = _score(previous, nearby[k], columns[k])
+        if candidate.gain <= best.gain:
+            break
+        best = candidate
+    return best
 
 
 def findings(contest: Contest, divided: Array) -> list[Finding]:
@@ -478,101 +447,104 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
         divided: (n,) torque scales by which the torques were divided already.
     """
     rounds = contest.rounds()
-    undone = contest.corrections(divided, rounds[0][0] if rounds else None)
-    odd_unit = odd_unit_finding(contest.log)
-    if odd_unit is not None and not (undone and undone[0].name == "order"):
+    winner = rounds[0][0] if rounds else None
+    corrections = contest.corrections(divided, winner)
+    correction = corrections[0] if corrections else None
+    odd_unit = odd_unit_finding(contest.posterior.model.log)
+    if odd_unit and not (correction and correction.finding.name == "order"):
         return [odd_unit]
-    best_gain = rounds[0][0].gain if rounds else 0.0
-    # An explanation of the correction's check is one aspect of that fault and does not compete.
-    if rounds and undone and undone[0].name == rounds[0][0].explanation.name:
-        best_gain = 0.0
-    if undone and undone[0].gain > max(RELABELLED_MARGIN, best_gain - TIE):
-        winner = undone[0]
-        text = winner.text
-        if misfit(winner.log, winner.posterior) > UNEXPLAINED:
-            text = f"this looks like the model of another arm; if it is not, {text}"
-        return [Finding(winner.name, winner.level, text)]
-    named = name_causes(contest, rounds)
+    if correction:
+        finding = correction.finding
+        # An explanation of the correction's check is one aspect of that fault and does not compete.
+        is_other = winner is not None and winner.explanation.name != finding.name
+        best_gain = winner.gain if winner is not None and is_other else 0.0
+        if correction.gain > max(RELABELLED_MARGIN, best_gain - TIE):
+            if misfit(correction.posterior) > UNEXPLAINED:
+                text = "this looks like the model of another arm; if it is not, "
+                finding = replace(finding, text=f"{text}{finding.text}")
+            return [finding]
+    named = name_causes(contest.posterior, rounds)
     last = rounds[-1][0].posterior if rounds else contest.posterior
-    if misfit(contest.log, last) > UNEXPLAINED:
-        return [unexplained_torque(contest, last)]
-    if not contest.is_plausible(last):
-        return [implausible_links(contest, last)]
+    if misfit(last) > UNEXPLAINED:
+        return [unexplained_torque(last)]
+    if not is_plausible(last):
+        return [implausible_links(last)]
     if len(named) > MOST_NAMES:
-        return [too_many_causes(contest, named)]
+        return [too_many_causes(contest.posterior, named)]
     # Explanations after the first ``MOST_NAMES`` only fit their residuals.
-    return name_causes(contest, rounds[:MOST_NAMES])
+    return name_causes(contest.posterior, rounds[:MOST_NAMES])
 
 
-def name_causes(contest: Contest, rounds: Sequence[Sequence[Score]]) -> list[Finding]:
-    """Return a finding per round of ``Contest.rounds`` whose winner is reportable and new."""
+def name_causes(base: Posterior, rounds: Sequence[Sequence[Score]]) -> list[Finding]:
+    """Return a finding per round of ``Contest.rounds`` whose winner is reportable and new.
+
+    ``base`` is the posterior of the base model.
+    """
     named: list[Finding] = []
-    previous = contest.posterior
+    previous = base
     already: set[tuple[str, int | None]] = set()
     for ranked in rounds:
-        clear = [score for score in ranked if contest.is_reportable(score)]
-        clear = [score for score in clear if score.explanation.subject not in already]
-        if any(score is ranked[0] for score in clear):
-            already |= {score.explanation.subject for score in clear}
-            best: dict[str, Score] = {}
-            for score in clear:
+        best: dict[str, Score] = {}
+        subjects = set()
+        for score in ranked:
+            if score.is_reportable and score.explanation.subject not in already:
+                subjects.add(score.explanation.subject)
                 best.setdefault(score.explanation.name, score)
-            harmful = [
-                score for score in best.values() if contest.is_harmful(score, previous)
-            ]
-            named.append(_finding([*best.values()], harmful))
+        if best.get(ranked[0].explanation.name) is ranked[0]:
+            already |= subjects
+            named.append(_finding([*best.values()], previous))
         previous = ranked[0].posterior
     return named
 
 
-def _finding(scores: Sequence[Score], harmful: Sequence[Score]) -> Finding:
+def _finding(scores: Sequence[Score], previous: Posterior) -> Finding:
     """Return one finding for explanations that tie, the winner first.
 
-    Args:
-        harmful: the scores without which a result would be wrong; their levels set the finding's.
+    Its level is the most severe one of those without which a result (``previous``) would be wrong.
     """
     texts = dict.fromkeys(score.text for score in scores)
-    levels = {score.explanation.level for score in harmful}
+    levels = {s.explanation.level for s in scores if s.is_harmful(previous)}
     order = (Level.REFUSE, Level.WARN, Level.NOTE)
     level = next((level for level in order if level in levels), Level.NOTE)
     return Finding(scores[0].explanation.name, level, "; or ".join(texts))
 
 
-def unexplained_torque(contest: Contest, posterior: Posterior) -> Finding:
+def unexplained_torque(posterior: Posterior) -> Finding:
     """Return the finding that torque is unexplained: its share, its worst joints and its time."""
-    log = contest.log
-    by_joint = misfit_by_joint(log, posterior)
-    share = misfit(log, posterior)
+    log = posterior.model.log
+    by_joint = misfit_by_joint(posterior)
+    share = misfit(posterior)
     worst = np.argsort(-by_joint * log.typical_torque)[:3]
-    listed = ", ".join(
-        f"{log.robot.joint_names[j]} {percent(float(by_joint[j]))}" for j in worst
-    )
+    names = log.robot.joint_names
+    listed = ", ".join(f"{names[j]} {percent(float(by_joint[j]))}" for j in worst)
     text = (
         f"{percent(share)} of the torque is explained by nothing that is looked for ({listed} of "
-        f"its own{stretch_of_misfit(contest, posterior)}): is the model of this arm, with what is "
+        f"its own{stretch_of_misfit(posterior)}): is the model of this arm, with what is "
         "fixed to its links, and did it carry the same all the time with nothing touching it?"
     )
     return Finding("model" if share > OTHER_ARM else "unexplained", Level.WARN, text)
 
 
-def stretch_of_misfit(contest: Contest, posterior: Posterior) -> str:
+def stretch_of_misfit(posterior: Posterior) -> str:
     """Return a phrase on the stretch of time with ``CONCENTRATED`` of the residual; else ""."""
-    residual = (
-        contest.base.transform.inverse(posterior.residual) / contest.log.typical_torque
-    )
+    model = posterior.model
+    residual = model.inverse_transform(posterior.residual) / model.log.typical_torque
     squares = np.sum(residual**2, axis=1)
     stretches = np.array_split(np.arange(len(squares)), STRETCHES)
     sums = [float(np.sum(squares[rows])) for rows in stretches]
     worst = int(np.argmax(sums))
     if sums[worst] < CONCENTRATED * sum(sums):
         return ""
-    time = contest.log.motion.time[stretches[worst]]
+    time = model.log.motion.time[stretches[worst]]
     return f", most of it from {time[0]:.3g} s to {time[-1]:.3g} s"
 
 
-def too_many_causes(contest: Contest, named: Sequence[Finding]) -> Finding:
-    """Return the finding that a log needs more explanations at once than are likely."""
-    share = percent(misfit(contest.log, contest.posterior))
+def too_many_causes(base: Posterior, named: Sequence[Finding]) -> Finding:
+    """Return the finding that a log needs more explanations at once than are likely.
+
+    ``base`` is the posterior of the base model, ``named`` the findings of its explanations.
+    """
+    share = percent(misfit(base))
     count = len(named)
     names = ", ".join(cause.name for cause in named)
     text = (
@@ -582,11 +554,11 @@ def too_many_causes(contest: Contest, named: Sequence[Finding]) -> Finding:
     return Finding("unexplained", Level.WARN, text)
 
 
-def implausible_links(contest: Contest, posterior: Posterior) -> Finding:
+def implausible_links(posterior: Posterior) -> Finding:
     """Return the finding that the estimated links are implausible for this arm."""
-    mass, error = contest.last_mass(posterior)
-    arm = contest.log.robot.mass
-    differences = np.sqrt(contest.strain(posterior) / TYPICAL_STRAIN)
+    mass, error = last_mass(posterior)
+    arm = posterior.model.log.robot.mass
+    differences = np.sqrt(strain(posterior) / TYPICAL_STRAIN)
     text = (
         f"to fit this log, the terminal link would have {with_error(mass, error, 'kg')} on an arm "
         f"of {arm:.3g} kg, and the other links {differences:.1f} times the usual "

@@ -17,8 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from robot_sysid.diagnosis import Level
-from robot_sysid.diagnosis.evidence import Posterior
-from robot_sysid.diagnosis.rows import PAYLOAD, REACH, LogRows, Prior, rms
+from robot_sysid.diagnosis.log_model import PAYLOAD, REACH, Posterior, rms
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     LinkDynamics,
@@ -83,11 +82,10 @@ class Explanation:
         """Key of similar explanations, of which only the best is scored with its own noise."""
         return *self.subject, len(self.spread), self.choices
 
-    def of_joint(self, joint: int) -> Array | None:
-        """Return the columns (K, e) of a joint in prior units; None where it has none."""
-        if self.joint is None:
-            return self.columns[:, joint] * self.spread
-        return self.columns * self.spread if joint == self.joint else None
+    def of_joint(self, joint: int) -> Array:
+        """Return the columns (K, e) of a joint on which it acts, in prior units."""
+        columns = self.columns[:, joint] if self.joint is None else self.columns
+        return columns * self.spread
 
 
 class BaseFit:
@@ -96,9 +94,8 @@ class BaseFit:
     All torques are low-passed like the rows: an unfiltered one would explain the filter's effect.
 
     Args:
-        signals: low-passed signals of the log's pieces.
-        prior: prior of the base model.
         posterior: posterior of the base model.
+        signals: low-passed signals of the log's pieces.
         trusted: whether the estimated last link is plausible; if not, its prior's mean is used.
 
     Attributes:
@@ -116,46 +113,37 @@ class BaseFit:
     """
 
     def __init__(
-        self,
-        log: LogRows,
-        signals: Sequence[ProcessedSignals],
-        prior: Prior,
-        posterior: Posterior,
-        trusted: bool,
+        self, posterior: Posterior, signals: Sequence[ProcessedSignals], trusted: bool
     ) -> None:
+        log = posterior.model.log
         self.log = log
         self.robot = log.robot
         ends = log.motion.time[[0, -1]]
         self.time = (2.0 * log.motion.time - ends.sum()) / np.ptp(ends)
-        self.values = prior.parameters(posterior.values)
-        explained = [rows @ self.values[at] for rows, at in zip(log.rows, log.indices)]
-        self.residual = (log.right_sides - np.column_stack(explained)) * log.used
-
-        bodies = prior.mean.copy()
+        self.values = posterior.values
+        self.residual = (log.right_sides - log.torque_of(self.values)) * log.used
+        bodies = posterior.model.prior.mean.copy()
         if trusted:
             bodies[:10] = self.values[:10]
         self.rigid = log.links_torque(bodies)
         self._thetas = log.columns.thetas(bodies[: len(log.columns.names)])
-        filtered = [
-            log.filter_columns(self._of_positions, smooth=True) for log in signals
-        ]
+        filtered = [s.filter_columns(self._of_positions, smooth=True) for s in signals]
         self.weight, self.tip_force, self.last_weight = map(
             np.concatenate, zip(*filtered)
         )
 
     def _of_positions(self, motion: Motion) -> tuple[Array, Array, Array]:
         """Return (weight, tip_force, last_weight) of the class, unfiltered, along a motion."""
-        zero_speed = np.zeros_like(motion.q)
-        last = self.robot.n_joints - 1
+        zero = np.zeros_like(motion.q)
+        last = [self.robot.n_joints - 1]
+        forces = []
         # The weight of one kilogram under a gravity of one along an axis stands for a unit force.
-        pulls = [LinkDynamics(self.robot, axis) for axis in np.eye(3)]
-        forces = [
-            -pull.motion(motion.q, zero_speed, zero_speed).columns([last])[:, :, :4]
-            for pull in pulls
-        ]
-        resting = LinkDynamics(self.robot).motion(motion.q, zero_speed, zero_speed)
-        columns = resting.columns([last])[:, :, :4]
-        return resting.torque(self._thetas), np.concatenate(forces, axis=-1), columns
+        for axis in np.eye(3):
+            pulled = LinkDynamics(self.robot, axis).motion(motion.q, zero, zero)
+            forces.append(-pulled.columns(last)[:, :, :4])
+        resting = LinkDynamics(self.robot).motion(motion.q, zero, zero)
+        weight = resting.torque(self._thetas)
+        return weight, np.concatenate(forces, axis=-1), resting.columns(last)[:, :, :4]
 
     @cached_property
     def inertial(self) -> Array:
@@ -178,15 +166,16 @@ def _first_coefficient(
     """Return a description: ``text`` with the first coefficient and its error in place of {}.
 
     Args:
+        text: with {} where the number goes, if it is shown.
         factor: from the coefficient's unit to ``unit``.
+        unit: of the number in the text.
         shift: added to the coefficient before it is multiplied by the factor.
     """
 
     def describe(v: Array, e: Array) -> str:
         """Return the text for coefficients v (e,) with standard errors e (e,)."""
-        return text.format(
-            with_error(factor * (float(v[0]) + shift), abs(factor) * e[0], unit)
-        )
+        value = factor * (float(v[0]) + shift)
+        return text.format(with_error(value, abs(factor) * e[0], unit))
 
     return describe
 
@@ -198,8 +187,10 @@ def _norm(text: str, factor: float = 1.0, unit: str = "") -> Description:
     """
 
     def describe(v: Array, e: Array) -> str:
-        size = factor * float(np.linalg.norm(v))
-        return text.format(with_error(size, factor * float(np.max(e)), unit))
+        """Return the text for coefficients v (e,) with standard errors e (e,)."""
+        return _first_coefficient(text, factor, unit)(
+            np.array([np.linalg.norm(v)]), np.array([np.max(e)])
+        )
 
     return describe
 
@@ -209,21 +200,20 @@ def _of_each_joint(
     name: str,
     torque: Array,
     spread: float,
-    description_of: Callable[[str], Description],
+    describe: Callable[[str], Description],
 ) -> Iterator[Explanation]:
     """Yield one explanation per joint, whose column is the joint's column of a torque (K, n).
 
     Args:
         name: of the check.
         spread: prior standard deviation of the coefficient.
-        description_of: returns the description for a joint name.
+        describe: returns the description for a joint name.
     """
+    spreads = np.array([spread])
     for joint, joint_name in enumerate(fit.robot.joint_names):
-        column = torque[:, joint, None]
-        sizes = np.array([spread])
-        yield Explanation(
-            name, Level.WARN, column, sizes, description_of(joint_name), joint
-        )
+        column = torque[:, [joint]]
+        text = describe(joint_name)
+        yield Explanation(name, Level.WARN, column, spreads, text, joint)
 
 
 def torque_scales(fit: BaseFit) -> Iterator[Explanation]:
@@ -246,44 +236,29 @@ def drifting_scales(fit: BaseFit) -> Iterator[Explanation]:
     text = "the torque of {0} changes its scale by {{}} over the log; let motors and sensors warm "
     text += "up, and record again"
     drifting = fit.rigid * fit.time[:, None]
-    describe = _first_coefficient(text.format("all joints"), 200.0, "%")
+
+    def describe(joint: str) -> Description:
+        """Return the description for a joint, or all, by name."""
+        return _first_coefficient(text.format(joint), 200.0, "%")
+
+    spread = np.array([0.1])
     yield Explanation(
-        "torque-scale", Level.WARN, drifting[:, :, None], np.array([0.1]), describe
+        "torque-scale", Level.WARN, drifting[:, :, None], spread, describe("all joints")
     )
     yield from _of_each_joint(
-        fit,
-        "torque-scale",
-        drifting,
-        0.15,
-        lambda joint: _first_coefficient(text.format(f"joint {joint}"), 200.0, "%"),
-    )
-
-
-def _columns(fit: BaseFit, names: Sequence[str]) -> Array:
-    """Return the columns (K, n, e) of the estimate's parameters ``names`` (e,)."""
-    joints = range(fit.robot.n_joints)
-    return np.transpose(
-        [[fit.log.column(j, name) for j in joints] for name in names], (2, 1, 0)
+        fit, "torque-scale", drifting, 0.15, lambda joint: describe(f"joint {joint}")
     )
 
 
 def zeros(fit: BaseFit) -> Iterator[Explanation]:
     """Yield a constant error of each joint's position."""
+    text = "the position of joint {} reads {{}} too much; correct its zero"
+    spread = np.array([0.1])
     for name in fit.robot.joint_names:
-        describe = _first_coefficient(
-            f"the position of joint {name} reads {{}} too much; correct its zero",
-            1.0,
-            "rad",
-        )
-        columns = _columns(fit, [f"zero[{name}]"])
-        yield Explanation(
-            "zero",
-            Level.WARN,
-            columns,
-            np.array([0.1]),
-            describe,
-            harmful_from=GROSS_ZERO,
-        )
+        columns = fit.log.columns_of([f"zero[{name}]"])
+        describe = _first_coefficient(text.format(name), 1.0, "rad")
+        zero = Explanation("zero", Level.WARN, columns, spread, describe)
+        yield replace(zero, harmful_from=GROSS_ZERO)
 
 
 def tilt(fit: BaseFit) -> Iterator[Explanation]:
@@ -291,9 +266,8 @@ def tilt(fit: BaseFit) -> Iterator[Explanation]:
     if np.any(gravity_vector(fit.robot)):
         text = "the base is tilted by {} against the model's; have it found (identify --tilt auto)"
         describe = _norm(text, float(np.degrees(1.0)), "degrees")
-        yield Explanation(
-            "tilt", Level.WARN, _columns(fit, TILT_NAMES), np.full(2, 0.15), describe
-        )
+        columns = fit.log.columns_of(TILT_NAMES)
+        yield Explanation("tilt", Level.WARN, columns, np.full(2, 0.15), describe)
 
 
 def time_base(fit: BaseFit) -> Iterator[Explanation]:
@@ -314,16 +288,15 @@ def time_base(fit: BaseFit) -> Iterator[Explanation]:
             f"first, {_too_long(v[0] + v[1])} at the end; {advice}"
         )
 
-    yield Explanation(
-        "clock", Level.WARN, slope, np.array([0.1]), describe_scale, harmful_from=0.0
-    )
-    both = np.concatenate((slope, slope * fit.time[:, None, None]), axis=-1)
-    yield Explanation(
-        "clock", Level.WARN, both, np.full(2, 0.1), describe_drift, harmful_from=0.0
-    )
+    drift = np.concatenate((slope, slope * fit.time[:, None, None]), axis=-1)
+    for columns, describe in ((slope, describe_scale), (drift, describe_drift)):
+        spread = np.full(columns.shape[-1], 0.1)
+        clock = Explanation("clock", Level.WARN, columns, spread, describe)
+        yield replace(clock, harmful_from=0.0)
 
 
 def _too_long(share: float) -> str:
+    """Return "3 % too long" for a share of 0.03, "3 % too short" for -0.03."""
     return f"{percent(abs(float(share)))} too {'long' if share > 0.0 else 'short'}"
 
 
@@ -333,9 +306,8 @@ def delays(fit: BaseFit) -> Iterator[Explanation]:
     text = (
         "torque lags position by {}; record both at the same instant, or have it found "
     )
-    describe = _first_coefficient(
-        f"{text}(identify --delay auto; payload does so by itself)", 1e3, "ms"
-    )
+    text += "(identify --delay auto; payload does so by itself)"
+    describe = _first_coefficient(text, 1e3, "ms")
     yield Explanation("delay", Level.WARN, late[:, :, None], np.array([0.04]), describe)
     text = "torque of joint {0} alone lags position by {{}}; record all joints at once"
     yield from _of_each_joint(
@@ -343,7 +315,7 @@ def delays(fit: BaseFit) -> Iterator[Explanation]:
         "delay",
         late,
         0.04,
-        lambda joint: _first_coefficient(text.format(joint), 1e3, "ms"),
+        lambda j: _first_coefficient(text.format(j), 1e3, "ms"),
     )
 
 
@@ -382,11 +354,11 @@ def _payload_step(fit: BaseFit, row: int, spacing: int, choices: int) -> Explana
     at = float(fit.log.motion.time[row])
 
     def nearby() -> list[Explanation]:
+        """Return steps at up to eleven instants around this one, at a sixth of the spacing."""
         step = -(-spacing // 6)
         rows = range(row - step * ((spacing - 1) // step), row + spacing, step)
-        return [
-            _payload_step(fit, k, step, choices) for k in rows if 0 < k < len(bodies)
-        ]
+        inside = [k for k in rows if 0 < k < len(bodies)]
+        return [_payload_step(fit, k, step, choices) for k in inside]
 
     def describe(v: Array, e: Array) -> str:
         return (
@@ -406,6 +378,7 @@ def _payload_step(fit: BaseFit, row: int, spacing: int, choices: int) -> Explana
 
 
 def _more(mass: float, error: float) -> str:
+    """Return a difference in mass [kg] with its error as text, such as "0.5 ± 0.1 kg more"."""
     return f"{with_error(abs(float(mass)), float(error), 'kg')} {'more' if mass > 0.0 else 'less'}"
 
 
@@ -444,14 +417,8 @@ def springs(fit: BaseFit) -> Iterator[Explanation]:
         q = fit.log.motion.q[:, joint]
         shapes = np.stack((q, np.sin(q), np.cos(q)), axis=1)
         spread = np.full(3, 0.5 * fit.log.typical_torque[joint])
-        yield Explanation(
-            "force",
-            Level.REFUSE,
-            shapes,
-            spread,
-            _first_coefficient(text.format(name)),
-            joint,
-        )
+        describe = _first_coefficient(text.format(name))
+        yield Explanation("force", Level.REFUSE, shapes, spread, describe, joint)
 
 
 def pushes(fit: BaseFit) -> Iterator[Explanation]:
@@ -480,10 +447,13 @@ def _push(fit: BaseFit, start: int, width: int, choices: int) -> Explanation:
     first, last = time[rows[[0, -1]]]
 
     def nearby() -> list[Explanation]:
-        starts = range(start - width // 2, start + width // 2, -(-width // 6))
-        widths = (round(0.7 * width), width, round(1.4 * width))
-        pushes = [_push(fit, k, size, choices) for k in starts for size in widths]
-        return [replace(push, nearby=list) for push in pushes]
+        """Return contacts that begin up to half a width earlier or later, of three widths."""
+        contacts = []
+        for first_row in range(start - width // 2, start + width // 2, -(-width // 6)):
+            for size in (round(0.7 * width), width, round(1.4 * width)):
+                contact = _push(fit, first_row, size, choices)
+                contacts.append(replace(contact, nearby=list))
+        return contacts
 
     def describe(v: Array, e: Array) -> str:
         joint = int(np.argmax(np.abs(v)))
@@ -495,19 +465,9 @@ def _push(fit: BaseFit, start: int, width: int, choices: int) -> Explanation:
         )
 
     columns = wave[:, None, None] * np.eye(fit.robot.n_joints)
-    level = Level.WARN
     spread = fit.log.typical_torque
-    return Explanation(
-        "contact",
-        level,
-        columns,
-        spread,
-        describe,
-        None,
-        choices,
-        nearby=nearby,
-        harmful_from=0.0,
-    )
+    contact = Explanation("contact", Level.WARN, columns, spread, describe)
+    return replace(contact, choices=choices, nearby=nearby, harmful_from=0.0)
 
 
 def hums(fit: BaseFit) -> Iterator[Explanation]:
@@ -552,9 +512,10 @@ def couplings(fit: BaseFit) -> Iterator[Explanation]:
         [1.0, np.max(rms(fit.log.motion.qd)), np.max(rms(fit.log.motion.qdd))]
     )
     names = fit.robot.joint_names
+    typical_torque = fit.log.typical_torque
     for motor in fit.log.columns.couplings:
-        columns = _columns(fit, [f"{term}[{motor.name}]" for term in terms])
-        size = 0.3 * float(np.min(fit.log.typical_torque[motor.ratios != 0.0]))
+        columns = fit.log.columns_of([f"{term}[{motor.name}]" for term in terms])
+        size = 0.3 * float(np.min(typical_torque[motor.ratios != 0.0]))
         describe = _first_coefficient(f"one motor turns with joints {motor.name}")
         # Couplings are reported by the estimate, which uses them only with clear evidence.
         coupling = Explanation("coupling", Level.NOTE, columns, size / units, describe)
@@ -562,33 +523,28 @@ def couplings(fit: BaseFit) -> Iterator[Explanation]:
     text = "the torque of joint {} holds {{}} of that of joint {}; calibrate its sensor"
     for one, other in itertools.permutations(range(len(names)), 2):
         if abs(one - other) == 1:
-            describe = _first_coefficient(
-                text.format(names[one], names[other]), 100.0, "%"
-            )
-            share = 0.1 * min(
-                1.0, fit.log.typical_torque[one] / fit.log.typical_torque[other]
-            )
-            column = fit.rigid[:, other, None]
-            yield Explanation(
-                "crosstalk", Level.WARN, column, np.array([share]), describe, one
-            )
+            ratio = typical_torque[one] / typical_torque[other]
+            spread = np.array([0.1 * min(1.0, ratio)])
+            column = fit.rigid[:, [other]]
+            message = text.format(names[one], names[other])
+            describe = _first_coefficient(message, 100.0, "%")
+            yield Explanation("crosstalk", Level.WARN, column, spread, describe, one)
 
 
 def warming(fit: BaseFit) -> Iterator[Explanation]:
     """Yield friction that falls as gears warm up."""
     time = fit.log.motion.time - fit.log.motion.time[0]
-    names = [f"coulomb[{name}]" for name in fit.robot.joint_names]
-    sizes = np.abs(fit.values[fit.log.columns.indices(names)])
+    if time[-1] <= WARM_UP[0]:
+        return
+    coulomb = fit.log.columns_of([f"coulomb[{name}]" for name in fit.robot.joint_names])
+    sizes = np.abs(fit.values[fit.log.friction_indices("coulomb")])
     spread = 0.5 * np.maximum(sizes, 0.01 * fit.log.typical_torque)
-    describe = _first_coefficient(
-        "friction falls over the log; let the arm warm up before it is recorded"
-    )
-    for constant in WARM_UP if time[-1] > WARM_UP[0] else ():
-        columns = _columns(fit, names) * np.exp(-time / constant)[:, None, None]
-        count = len(WARM_UP)
-        yield Explanation(
-            "friction", Level.NOTE, columns, spread, describe, None, count
-        )
+    text = "friction falls over the log; let the arm warm up before it is recorded"
+    describe = _first_coefficient(text)
+    for constant in WARM_UP:
+        columns = coulomb * np.exp(-time / constant)[:, None, None]
+        friction = Explanation("friction", Level.NOTE, columns, spread, describe)
+        yield replace(friction, choices=len(WARM_UP))
 
 
 LINEAR: tuple[Callable[[BaseFit], Iterator[Explanation]], ...] = (
@@ -600,4 +556,4 @@ LINEAR: tuple[Callable[[BaseFit], Iterator[Explanation]], ...] = (
 
 def explanations(fit: BaseFit) -> list[Explanation]:
     """Return all explanations of the base model's residual torque."""
-    return [explanation for family in LINEAR for explanation in family(fit)]
+    return list(itertools.chain.from_iterable(family(fit) for family in LINEAR))

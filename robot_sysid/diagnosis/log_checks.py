@@ -15,16 +15,15 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.diagnosis import Finding, Level
-from robot_sysid.diagnosis.contest import Contest, findings
-from robot_sysid.diagnosis.relabelling import model_torque
-from robot_sysid.diagnosis.rows import low_pass, rms
+from robot_sysid.diagnosis.contest import Contest, findings, least_friction_share
+from robot_sysid.diagnosis.log_model import WINDOW, rms
 from robot_sysid.errors import InputError, SysidError, prefix_input_errors
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.messages import Progress, percent
-from robot_sysid.signals.process import ProcessedSignals
-from robot_sysid.signals.resampling import sampling_period
+from robot_sysid.signals.process import LogPiece, ProcessedSignals, process
+from robot_sysid.signals.resampling import sampling_period, slice_samples
 
 SHORTEST = 1.0
 """Length of a log below which no arm does anything worth fitting [s]."""
@@ -98,12 +97,11 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
     steps = [_steps(piece) for piece in pieces if len(piece) > _ENOUGH]
     if not steps:
         return
-    speed, longer = (np.concatenate(same) for same in zip(*steps))
+    speed, longer = map(np.concatenate, zip(*steps))
     if len(speed) < _ENOUGH:
         return
-    jumps = int(
-        np.count_nonzero((longer > _JUMP) & (speed * longer < _NO_WAY) & (speed > 0.0))
-    )
+    is_jump = (longer > _JUMP) & (speed * longer < _NO_WAY) & (speed > 0.0)
+    jumps = int(np.count_nonzero(is_jump))
     plain = longer < _JUMP
     lost = float(np.mean(plain & (speed > LOST[0]) & (speed < LOST[1])))
     between = float(np.mean(plain & (speed > 1.25) & (speed < 1.5)))
@@ -124,7 +122,7 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
         yield Finding("clock", Level.WARN, f"{text}the controller's own clock")
 
 
-WINDOW = 1.0
+INTEGRATION_TIME = 1.0
 """Time over which recorded velocities are integrated [s]: filters of a drive hardly change such
 integrals."""
 WRONG_TIME = 0.03
@@ -160,10 +158,9 @@ def velocity_findings(
     is_other_motion = other - ratios * crossed > OTHER**2 * other
     descriptions = []
     for k in np.flatnonzero(is_off):
-        ratio = (
-            "another motion" if is_other_motion[k] else f"{ratios[k]:.3g} times that"
-        )
-        descriptions.append(f"{joint_names[clear[k]]} {ratio}")
+        ratio = f"{ratios[k]:.3g} times that"
+        motion = "another motion" if is_other_motion[k] else ratio
+        descriptions.append(f"{joint_names[clear[k]]} {motion}")
     if not descriptions:
         return
     name = "angle-unit"
@@ -179,7 +176,7 @@ def velocity_findings(
 
 
 def _products(pieces: Sequence[Measurement], joint: int) -> Array:
-    """Return Y^T Y (2, 2) of a joint's displacements Y in all windows of ``WINDOW`` seconds.
+    """Return Y^T Y (2, 2) of a joint's displacements Y in all windows of ``INTEGRATION_TIME``.
 
     The first column of Y is from positions, the second from integrated velocities; both minus their
     mean. One joint at a time: arrays of all joints would take twice the memory of a long log.
@@ -189,17 +186,14 @@ def _products(pieces: Sequence[Measurement], joint: int) -> Array:
         assert piece.qd is not None
         q = piece.q[:, joint]
         qd = piece.qd[:, joint]
-        length = max(1, round(WINDOW / sampling_period(piece.time)))
+        length = max(1, round(INTEGRATION_TIME / sampling_period(piece.time)))
         moved = 0.5 * (qd[1:] + qd[:-1]) * np.diff(piece.time)
-        summed = np.concatenate(([0.0], np.cumsum(moved)))
-        displacements.append(
-            (q[length:] - q[:-length], summed[length:] - summed[:-length])
-        )
+        tracks = np.stack((q, np.append(0.0, np.cumsum(moved))))
+        displacements.append(tracks[:, length:] - tracks[:, :-length])
     displacement = np.concatenate(displacements, axis=1)
     # A constant error of a drive's speed is neither an error of time nor another motion.
-    displacement -= np.sum(displacement, axis=1, keepdims=True) / max(
-        displacement.shape[1], 1
-    )
+    count = max(displacement.shape[1], 1)
+    displacement -= np.sum(displacement, axis=1, keepdims=True) / count
     return np.asarray(displacement @ displacement.T)
 
 
@@ -217,7 +211,7 @@ def _steps(piece: Measurement) -> tuple[Array, Array]:
     for q in piece.q.T:
         displacement = np.diff(q)
         pace = displacement * (typical_step / step)
-        a, b, c, d = (pace[k : len(pace) - 4 + k] for k in (0, 1, 3, 4))
+        a, b, _, c, d = np.lib.stride_tricks.sliding_window_view(pace, 5).T
         # The mean of the middle two is the median of four.
         lower = np.maximum(np.minimum(a, b), np.minimum(c, d))
         around = 0.5 * (lower + np.minimum(np.maximum(a, b), np.maximum(c, d)))
@@ -253,21 +247,14 @@ def sensor_findings(
             continue
         share, value = max(_at_end(tau, 1.0), _at_end(tau, -1.0))
         if share > OFTEN:
-            yield Finding(
-                "saturated",
-                Level.WARN,
-                f"the torque of joint {name} is exactly {value:.4g} N m, the end of its range, in "
-                f"{100.0 * share:.2g} % of the samples: the sensor is at its end; move slower, or "
-                "carry less",
-            )
+            text = f"the torque of joint {name} is exactly {value:.4g} N m, the end of its range, "
+            text += f"in {100.0 * share:.2g} % of the samples: the sensor is at its end; move "
+            yield Finding("saturated", Level.WARN, f"{text}slower, or carry less")
         held = max(_longest_hold(piece, joint) for piece in pieces)
         if held > LONG:
             text = f"the torque of joint {name} stands still for {held:.2g} s while the arm moves: "
-            yield Finding(
-                "held",
-                Level.WARN,
-                f"{text}the channel holds its last value; record again",
-            )
+            text += "the channel holds its last value; record again"
+            yield Finding("held", Level.WARN, text)
 
 
 def _at_end(tau: Array, sign: float) -> tuple[float, float]:
@@ -279,14 +266,13 @@ def _at_end(tau: Array, sign: float) -> tuple[float, float]:
     end = float(np.max(sign * tau))
     is_at_end = sign * tau == end
     is_near_end = (sign * tau > end - 0.02 * float(np.ptp(tau))) & ~is_at_end
-    runs = np.diff(
-        np.flatnonzero(np.diff(np.concatenate(([0], is_at_end.view(np.int8), [0]))))
-    )
     count = int(np.sum(is_at_end))
     near_count = int(np.sum(is_near_end))
-    steady = np.max(runs[::2], initial=0) >= _RUN and count > 3 * near_count
-    clipped = steady or (count >= _SEEN and count > 5 * near_count)
-    return (float(np.mean(is_at_end)) if clipped else 0.0, sign * end)
+    edges = np.flatnonzero(np.diff(np.pad(is_at_end.view(np.int8), 1)))
+    longest_run = np.max(np.diff(edges)[::2], initial=0)
+    is_steady = longest_run >= _RUN and count > 3 * near_count
+    is_clipped = is_steady or (count >= _SEEN and count > 5 * near_count)
+    return float(np.mean(is_at_end)) if is_clipped else 0.0, sign * end
 
 
 def _longest_hold(piece: Measurement, joint: int) -> float:
@@ -305,6 +291,13 @@ def _longest_hold(piece: Measurement, joint: int) -> float:
     return longest
 
 
+CUTOFF_HZ = 8.0
+"""Highest cut-off of the low-pass [Hz]: faster motion has little information on links."""
+CUTOFF_SHARE = 0.6
+"""Cut-off over the one that suits accelerations. It is lower because explanations have columns that
+are time derivatives of torques: their noise of positions would count as evidence."""
+MOST_WINDOWS = 4
+"""Number of windows of a long log that are used, spread evenly."""
 OF_LINKS = (
     "torque-scale",
     "zero",
@@ -322,6 +315,42 @@ _EXACT = 0.004
 _QUIET = 5e-4
 # Largest Coulomb friction of a torque that was computed, as a share of the typical torque.
 _FRICTIONLESS = 0.002
+
+
+def low_pass(
+    pieces: Sequence[Measurement], cutoff: float | None
+) -> list[ProcessedSignals]:
+    """Return the low-passed signals of each piece of a log, or of evenly spread windows of it where
+    the log is longer than ``MOST_WINDOWS`` windows.
+
+    Args:
+        pieces: the log without gaps.
+        cutoff: cut-off of the low-pass [Hz]; None chooses it from the data.
+    """
+    signals = []
+    for piece in _spread_windows(pieces):
+        log_piece = LogPiece.of(piece)
+        cutoff_hz = min(cutoff or CUTOFF_SHARE * log_piece.choice[0], CUTOFF_HZ)
+        processed = process(log_piece, (), cutoff_hz)
+        # Every row is used: those of a joint that is too slow are masked later.
+        deadband = np.zeros_like(processed.deadband)
+        turning = np.zeros_like(processed.turning)
+        signals.append(replace(processed, deadband=deadband, turning=turning))
+    return signals
+
+
+def _spread_windows(pieces: Sequence[Measurement]) -> list[Measurement]:
+    """Return the pieces of a log, or ``MOST_WINDOWS`` windows of them where they are longer."""
+    durations = [float(piece.time[-1] - piece.time[0]) for piece in pieces]
+    if sum(durations) <= MOST_WINDOWS * WINDOW:
+        return list(pieces)
+    windows = []
+    for piece, duration in zip(pieces, durations):
+        count = max(1, int(duration / WINDOW))
+        for rows in np.array_split(np.arange(len(piece)), count):
+            windows.append(slice_samples(piece, int(rows[0]), int(rows[-1]) + 1))
+    spread = np.linspace(0, len(windows) - 1, MOST_WINDOWS)
+    return [windows[k] for k in np.unique(spread.astype(int))]
 
 
 def check_against_model(
@@ -355,18 +384,15 @@ def check_against_model(
     if not model_findings:
         contest = Contest(robot, signals, options)
         scales = (
-            np.ones(robot.n_joints)
-            if divided is None
-            else np.asarray(divided, dtype=float)
+            np.ones(robot.n_joints) if divided is None else np.array(divided, float)
         )
+        qd = contest.posterior.model.log.motion.qd
         model_findings = _computed_findings(contest) or findings(contest, scales)
-        model_findings = model_findings or [*slow_findings(contest.log.motion.qd)]
-    if not links_known:
-        model_findings = [
-            replace(f, level=Level.NOTE) if f.name in OF_LINKS else f
-            for f in model_findings
-        ]
-    return (*raw, *model_findings)
+        model_findings = model_findings or [*slow_findings(qd)]
+    for finding in model_findings:
+        is_of_links = finding.name in OF_LINKS and not links_known
+        raw.append(replace(finding, level=Level.NOTE) if is_of_links else finding)
+    return tuple(raw)
 
 
 def check_log(
@@ -393,10 +419,9 @@ def check_log(
             robot, log.pieces, options, links_known, log.torque_scale
         )
     for finding in findings:
+        is_accepted = finding.level is Level.WARN and finding.name in accepted
         # Findings that forbid an estimate become the error below.
-        if finding.level is Level.NOTE or (
-            finding.level is Level.WARN and finding.name in accepted
-        ):
+        if finding.level is Level.NOTE or is_accepted:
             progress.note(finding.line().removeprefix("note: "))
     try:
         require_acceptable(str(log.path), findings, accepted)
@@ -420,34 +445,30 @@ def require_acceptable(
         InputError: a finding refuses the log.
         SysidError: there is a warning that is not accepted.
     """
-    all_findings = list(findings)
-    refused = [
-        finding.text for finding in all_findings if finding.level is Level.REFUSE
-    ]
+    refused = []
+    warned = []
+    for finding in findings:
+        if finding.level is Level.REFUSE:
+            refused.append(finding.text)
+        elif finding.level is Level.WARN and finding.name not in accepted:
+            warned.append(finding)
     if refused:
         raise InputError(f"{log}: {'; '.join(refused)}")
-    warned = [
-        f for f in all_findings if f.level is Level.WARN and f.name not in accepted
-    ]
     if warned:
-        names = " ".join(
-            f"--accept {name}" for name in dict.fromkeys(f.name for f in warned)
-        )
+        names = dict.fromkeys(f"--accept {finding.name}" for finding in warned)
         texts = "; ".join(finding.text for finding in warned)
-        raise SysidError(
-            f"{log}: {texts}; nothing was written (to go on all the same: {names})"
-        )
+        advice = f"nothing was written (to go on all the same: {' '.join(names)})"
+        raise SysidError(f"{log}: {texts}; {advice}")
 
 
 def _computed_findings(contest: Contest) -> list[Finding]:
     """Return a finding where the torque was computed from the model: no noise and no friction."""
-    log = contest.log
     posterior = contest.posterior
-    model = model_torque(log)
-    loaded = model > 0.1 * float(np.max(model))
+    log = posterior.model.log
+    loaded = log.model_torque > 0.1 * float(np.max(log.model_torque))
     exact = rms(posterior.residual) < _EXACT * log.typical_torque
     quiet = _fast_torque(contest.signals) < _QUIET * log.typical_torque
-    friction = contest.friction_share(posterior) < _FRICTIONLESS
+    friction = least_friction_share(posterior) < _FRICTIONLESS
     if not np.all((exact & quiet & friction)[loaded]):
         return []
     text = (
@@ -460,10 +481,8 @@ def _computed_findings(contest: Contest) -> list[Finding]:
 def _fast_torque(signals: Sequence[ProcessedSignals]) -> Array:
     """Return the rms torque (n,) above the cut-off of the low-pass [N m]: noise, if measured."""
     residuals = []
-    for log_signals in signals:
-        half = log_signals.low_pass.half_width
-        residuals.append(
-            log_signals.tau[half : len(log_signals) - half]
-            - log_signals.low_pass.filter(log_signals.tau)
-        )
+    for piece in signals:
+        half = piece.low_pass.half_width
+        slow = piece.low_pass.filter(piece.tau)
+        residuals.append(piece.tau[half : len(piece) - half] - slow)
     return rms(np.concatenate(residuals))

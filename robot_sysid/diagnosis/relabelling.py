@@ -12,19 +12,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from heapq import nlargest
 from itertools import combinations
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import Finding, Level
-from robot_sysid.diagnosis.evidence import Hypotheses, Posterior
-from robot_sysid.diagnosis.rows import (
+from robot_sysid.diagnosis.log_model import (
     LEAST_TORQUE,
+    LogModel,
     LogRows,
-    Prior,
+    Posterior,
     base_prior,
     log_rows,
     rms,
@@ -99,78 +101,74 @@ class Relabelling:
     torque: Callable[[Array], Array] | None = None
 
     def correct(self, signals: Sequence[ProcessedSignals]) -> list[ProcessedSignals]:
-        """Return the signals with the mistake corrected."""
-        return [self._of(log) for log in signals]
-
-    def _of(self, signals: ProcessedSignals) -> ProcessedSignals:
-        """Return a copy of one piece's signals with the mistake corrected."""
-        arrays: dict[str, Any] = {}
-        if self.motion is not None:
-            arrays = {
-                name: self.motion(getattr(signals, name)) for name in ("q", "qd", "qdd")
-            }
-        if self.torque is not None:
-            arrays["tau"] = self.torque(signals.tau)
-        return replace(signals, **arrays)
+        """Return the signals of all pieces with the mistake corrected."""
+        corrected = []
+        for piece in signals:
+            arrays: dict[str, Any] = {}
+            if self.motion is not None:
+                for name in ("q", "qd", "qdd"):
+                    arrays[name] = self.motion(getattr(piece, name))
+            if self.torque is not None:
+                arrays["tau"] = self.torque(piece.tau)
+            corrected.append(replace(piece, **arrays))
+        return corrected
 
 
 def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
     """Yield every mistake in signs, order and units of angles, those of torques alone first."""
     names = robot.joint_names
-    all_quantities = (("torque",), ("position",), ("position", "torque"))
-    orders = list(_orders(names))
-    for quantities in all_quantities:
-        moved = "position" in quantities
-        turned = "torque" in quantities
-        for joint, name in enumerate(names):
-            sign = np.where(np.arange(len(names)) == joint, -1.0, 1.0)
-            flip = sign.__mul__
-            columns = " and ".join(
-                f"{quantity}.{name} = -TITLE" for quantity in quantities
-            )
-            subject = f"the {' and '.join(quantities)} of joint {name}"
-            text = f"{subject} has the opposite sign of the model's; "
-            text += f"flip it in the file of --columns: {columns}"
+    for quantities in (("torque",), ("position",), ("position", "torque")):
+        mistakes = [*_sign_mistakes(names, quantities)]
+        mistakes += _order_mistakes(names, quantities)
+        for name, text, correct in mistakes:
+            motion = correct if "position" in quantities else None
             yield Relabelling(
-                "sign", text, flip if moved else None, flip if turned else None
-            )
-        where = "" if moved and turned else f" in the {quantities[0]}s"
-        for text, order in orders:
-
-            def arrange(values: Array, order: list[int] = order) -> Array:
-                """Return values (N, n) with the joints in the corrected order."""
-                return values[:, order]
-
-            advice = "put the columns right with --columns FILE"
-            yield Relabelling(
-                "order",
-                f"{text}{where}; {advice}",
-                arrange if moved else None,
-                arrange if turned else None,
+                name, text, motion, correct if "torque" in quantities else None
             )
     to_radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
-    yield Relabelling(
-        "angle-unit",
-        "positions look like degrees; pass --units deg",
-        to_radians.__mul__,
-    )
-    yield Relabelling(
-        "angle-unit",
-        "positions look like radians that were taken for degrees; say rad where degrees are said: "
-        "in --units, the file of --columns, a column's title or the recorder",
-        (1.0 / to_radians).__mul__,
-    )
+    text = "positions look like degrees; pass --units deg"
+    yield Relabelling("angle-unit", text, to_radians.__mul__)
+    text = "positions look like radians that were taken for degrees; say rad where degrees are "
+    text += "said: in --units, the file of --columns, a column's title or the recorder"
+    yield Relabelling("angle-unit", text, (1.0 / to_radians).__mul__)
 
 
-def _orders(names: Sequence[str]) -> Iterator[tuple[str, list[int]]]:
-    """Yield (text, joint indices (n,) in their correct order) of every mistaken order of joints."""
-    plain = list(range(len(names)))
-    for first, second in combinations(plain, 2):
-        order = plain.copy()
-        order[first], order[second] = order[second], order[first]
-        yield f"joints {names[first]} and {names[second]} are exchanged", order
+_Mistake = tuple[str, str, Callable[[Array], Array]]
+"""(check, text, correction) of a mistake; the correction turns values (N, n) into right ones."""
+
+
+def _sign_mistakes(
+    names: Sequence[str], quantities: Sequence[str]
+) -> Iterator[_Mistake]:
+    """Yield the wrong sign of each of the joints (n,) in "position", "torque" or both."""
+    for joint, name in enumerate(names):
+        sign = np.where(np.arange(len(names)) == joint, -1.0, 1.0)
+        columns = " and ".join(f"{quantity}.{name} = -TITLE" for quantity in quantities)
+        text = f"the {' and '.join(quantities)} of joint {name} has the opposite sign of the "
+        text += f"model's; flip it in the file of --columns: {columns}"
+        yield "sign", text, sign.__mul__
+
+
+def _order_mistakes(
+    names: Sequence[str], quantities: Sequence[str]
+) -> Iterator[_Mistake]:
+    """Yield every mistaken order of the joints (n,) in "position", "torque" or both."""
+    scope = "" if len(quantities) == 2 else f" in the {quantities[0]}s"
+    advice = f"{scope}; put the columns right with --columns FILE"
+    right_order = list(range(len(names)))
+    for first, second in combinations(right_order, 2):
+        order = right_order.copy()
+        order[first], order[second] = second, first
+        text = f"joints {names[first]} and {names[second]} are exchanged{advice}"
+        yield "order", text, partial(_arrange, order)
     if len(names) > 2:
-        yield "the order of the joints is reversed", plain[::-1]
+        text = f"the order of the joints is reversed{advice}"
+        yield "order", text, partial(_arrange, right_order[::-1])
+
+
+def _arrange(order: list[int], values: Array) -> Array:
+    """Return values (N, n) with the joints in an order, given by their indices (n,)."""
+    return values[:, order]
 
 
 @dataclass(frozen=True)
@@ -178,64 +176,56 @@ class Correction:
     """A corrected mistake and the log after its correction.
 
     Attributes:
-        name: of the check that reports the mistake.
-        level: severity of the finding.
-        text: the mistake and what to do, for the user.
+        finding: the mistake and what to do, for the user.
         gain: increase of the log marginal likelihood by the correction [nats].
-        posterior: posterior of the base model after the correction.
-        prior: prior of the base model after the correction.
-        log: equations of the corrected log.
+        posterior: posterior of the base model of the corrected log.
     """
 
-    name: str
-    level: Level
-    text: str
+    finding: Finding
     gain: float
     posterior: Posterior
-    prior: Prior
-    log: LogRows
+
+
+def _correction(
+    mistake: Relabelling, posterior: Posterior, base: Posterior
+) -> Correction:
+    """Return the correction of a mistake, which refuses the log.
+
+    Args:
+        mistake: the mistake.
+        posterior: posterior of the base model of the corrected log.
+        base: posterior of the base model of the log as it is.
+    """
+    gain = posterior.log_evidence - base.log_evidence
+    finding = Finding(mistake.name, Level.REFUSE, mistake.text)
+    return Correction(finding, float(gain), posterior)
 
 
 def find_wrong_torques(
-    log: LogRows,
-    signals: Sequence[ProcessedSignals],
-    base: Hypotheses,
-    base_posterior: Posterior,
+    base: Posterior, signals: Sequence[ProcessedSignals]
 ) -> list[Correction]:
     """Return the best corrections of torques alone, which keep the rows of the log.
 
     Args:
-        log: equations of the log.
+        base: posterior of the base model of the log.
         signals: low-passed signals of the log's pieces.
-        base: transformed equations of the base model.
-        base_posterior: posterior of the base model.
     """
-    mistakes = [m for m in relabellings(log.robot) if m.motion is None]
-    if typical_scale(log) < SMALL:
-        mistakes += _without_links(log, signals)
+    model = base.model
+    mistakes = [m for m in relabellings(model.log.robot) if m.motion is None]
+    if typical_scale(model.log) < SMALL:
+        mistakes += _without_links(model.log, signals)
     candidates = []
     for mistake in mistakes:
         assert mistake.torque is not None
-        log_with_torque = log.with_torque(mistake.torque(log.torque))
-        candidates.append(
-            (
-                base.gain_of_torque(log_with_torque, base_posterior),
-                mistake,
-                log_with_torque,
-            )
-        )
-    candidates.sort(key=lambda candidate: -candidate[0])
-    undone = []
-    for screened_gain, mistake, log_with_torque in candidates[:_FINALISTS]:
-        if screened_gain > 0.0:
-            posterior = base.with_torque_of(log_with_torque).posterior(
-                base_posterior.noise
-            )
-            gain = posterior.log_evidence - base_posterior.log_evidence
-            undone.append(
-                _correction(mistake, gain, posterior, base.prior, log_with_torque)
-            )
-    return undone
+        corrected = model.log.with_torque(mistake.torque(model.log.torque))
+        gain = model.gain_of_torque(corrected, base)
+        if gain > 0.0:
+            candidates.append((gain, mistake, corrected))
+    corrections = []
+    for _, mistake, corrected in nlargest(_FINALISTS, candidates, key=itemgetter(0)):
+        posterior = model.with_torque_of(corrected).posterior(base.noise)
+        corrections.append(_correction(mistake, posterior, base))
+    return corrections
 
 
 def _without_links(
@@ -246,18 +236,15 @@ def _without_links(
 
     def torques(motion: Motion) -> tuple[Array, Array]:
         """Return (weight, inverse dynamics) of the model's links, (N, n) each [N m]."""
-        zero_speed = np.zeros_like(motion.q)
+        zero = np.zeros_like(motion.q)
         dynamics = LinkDynamics(robot)
-        weight = dynamics.motion(motion.q, zero_speed, zero_speed).torque(robot.thetas)
-        inverse_dynamics = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(
-            robot.thetas
-        )
-        return weight, inverse_dynamics
+        resting = dynamics.motion(motion.q, zero, zero)
+        moving = dynamics.motion(motion.q, motion.qd, motion.qdd)
+        return resting.torque(robot.thetas), moving.torque(robot.thetas)
 
     # Low-passed like the torque: the part that the filter removes may exceed the noise.
-    filtered = [log.filter_columns(torques, smooth=True) for log in signals]
-    weight = np.concatenate([of_log[0] for of_log in filtered])
-    inverse_dynamics = np.concatenate([of_log[1] for of_log in filtered])
+    filtered = [piece.filter_columns(torques, smooth=True) for piece in signals]
+    weight, inverse_dynamics = map(np.concatenate, zip(*filtered))
     yield Relabelling(
         "gravity",
         "the torque fits the model without gravity: gravity is compensated in it already; record "
@@ -273,44 +260,36 @@ def _without_links(
 
 
 def find_wrong_columns(
-    log: LogRows,
-    signals: Sequence[ProcessedSignals],
-    base_posterior: Posterior,
-    options: EstimationOptions,
+    base: Posterior, signals: Sequence[ProcessedSignals], options: EstimationOptions
 ) -> list[Correction]:
     """Return the corrections of motions, with or without torques, that are best on a short stretch.
 
     Args:
-        log: equations of the log.
+        base: posterior of the base model of the log.
         signals: low-passed signals of the log's pieces.
-        base_posterior: posterior of the base model without a correction.
         options: prior uncertainties of the estimate.
     """
+    robot = base.model.log.robot
+
+    def correct(
+        mistake: Relabelling,
+        pieces: Sequence[ProcessedSignals],
+        used: NDArray[np.bool_],
+    ) -> Posterior:
+        """Return the posterior of pieces after a mistake's correction, with ``used`` (K, n)."""
+        rows = log_rows(robot, mistake.correct(pieces), used)
+        return LogModel(rows, base_prior(rows, options)).posterior()
+
     stretch = [_busiest(signals)]
-    short = log_rows(log.robot, stretch)
+    used = log_rows(robot, stretch).used
     candidates = []
-    for mistake in relabellings(log.robot):
-        rows = log_rows(log.robot, mistake.correct(stretch), short.used)
-        posterior = Hypotheses(rows, base_prior(rows, options)).posterior()
-        candidates.append((posterior.log_evidence, mistake))
-    candidates.sort(key=lambda candidate: -candidate[0])
-    undone = []
-    for _, mistake in candidates[:_FINALISTS]:
-        rows = log_rows(log.robot, mistake.correct(signals), log.used)
-        prior = base_prior(rows, options)
-        posterior = Hypotheses(rows, prior).posterior()
-        gain = posterior.log_evidence - base_posterior.log_evidence
-        undone.append(_correction(mistake, gain, posterior, prior, rows))
-    return undone
-
-
-def _correction(
-    mistake: Relabelling, gain: float, posterior: Posterior, prior: Prior, log: LogRows
-) -> Correction:
-    """Return the correction of a mistake, which refuses the log; fields as in ``Correction``."""
-    return Correction(
-        mistake.name, Level.REFUSE, mistake.text, float(gain), posterior, prior, log
-    )
+    for mistake in relabellings(robot):
+        candidates.append((correct(mistake, stretch, used).log_evidence, mistake))
+    corrections = []
+    for _, mistake in nlargest(_FINALISTS, candidates, key=itemgetter(0)):
+        posterior = correct(mistake, signals, base.model.log.used)
+        corrections.append(_correction(mistake, posterior, base))
+    return corrections
 
 
 def _busiest(signals: Sequence[ProcessedSignals]) -> ProcessedSignals:
@@ -375,13 +354,12 @@ class TorqueScales:
 
 
 def find_wrong_scales(
-    log: LogRows, base_posterior: Posterior, options: EstimationOptions, divided: Array
+    base: Posterior, options: EstimationOptions, divided: Array
 ) -> list[Correction]:
     """Return the correction of torque scales: a unit, a common scale or a scale per joint.
 
     Args:
-        log: equations of the log.
-        base_posterior: posterior of the base model without a correction.
+        base: posterior of the base model of the log.
         options: prior uncertainties of the estimate.
         divided: (n,) torque scales by which the torques were divided already, as the user gave
             them.
@@ -389,6 +367,7 @@ def find_wrong_scales(
     Returns:
         One correction, none where no scale is identified.
     """
+    log = base.model.log
     scales = torque_scales(log, options)
     if not len(scales.identified):
         return []
@@ -397,42 +376,31 @@ def find_wrong_scales(
     if scales.spread < _SAME:
         scale = np.full(len(scale), _unit_near(typical, common_error) or typical)
     undone = log.with_torque(log.torque / scale)
-    prior = base_prior(undone, options)
-    posterior = Hypotheses(undone, prior).posterior()
-    density = float(np.sum(np.maximum(np.sum(log.used, axis=0), 1) * np.log(scale)))
-    gain = (
-        posterior.log_evidence - density - base_posterior.log_evidence - scales.penalty
-    )
-    listed = ", ".join(
-        f"{log.robot.joint_names[j]} {scale[j]:.3g}" for j in scales.identified
-    )
+    posterior = LogModel(undone, base_prior(undone, options)).posterior()
+    density = float(np.sum(base.model.count * np.log(scale)))
+    gain = posterior.log_evidence - density - base.log_evidence - scales.penalty
+    names = log.robot.joint_names
+    listed = ", ".join(f"{names[j]} {scale[j]:.3g}" for j in scales.identified)
+    meaning = _meaning(typical, scales.spread, common_error, divided)
     text = (
-        f"torque reads {typical:.3g} times what the model takes ({listed}): "
-        f"{_meaning(typical, scales.spread, common_error, divided)}"
+        f"torque reads {typical:.3g} times what the model takes ({listed}): {meaning}"
     )
     off = float(np.max(np.abs(np.log(scale[scales.identified]))))
-    level = Level.REFUSE if off > np.log(REFUSED) else Level.WARN
-    level = level if off > np.log(WARNED) else Level.NOTE
-    return [Correction("torque-scale", level, text, gain, posterior, prior, undone)]
+    level = Level.WARN if off > np.log(WARNED) else Level.NOTE
+    level = Level.REFUSE if off > np.log(REFUSED) else level
+    return [Correction(Finding("torque-scale", level, text), gain, posterior)]
 
 
 def typical_scale(log: LogRows) -> float:
     """Return the median ratio of rms measured torque to the model's, of joints that links load."""
-    model = model_torque(log)
+    model = log.model_torque
     loaded = model > _LOADED * float(np.max(model))
     return float(np.median((rms(log.torque) / np.maximum(model, 1e-12))[loaded]))
 
 
-def model_torque(log: LogRows) -> Array:
-    """Return the root mean square torque (n,) of the model's links along the log [N m]."""
-    motion = log.motion
-    moves = LinkDynamics(log.robot).motion(motion.q, motion.qd, motion.qdd)
-    return rms(moves.torque(log.robot.thetas))
-
-
 def odd_unit_finding(log: LogRows) -> Finding | None:
     """Return the finding that one joint's torque has another unit than the others', or None."""
-    model = model_torque(log)
+    model = log.model_torque
     ratio = rms(log.torque) / np.maximum(model, _LEAST_LOAD * float(np.max(model)))
     joint = int(np.argmax(ratio))
     if len(ratio) < 3:
@@ -455,7 +423,7 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
     In each round the torque of the estimated links is one more column of each joint's equations;
     its coefficient is the relative change of the scale.
     """
-    model = model_torque(log)
+    model = log.model_torque
     loaded = model > _LOADED * float(np.max(model))
     ratio = np.clip(
         rms(log.torque) / np.maximum(model, 1e-6 * np.max(model)), _LEAST, _MOST
@@ -473,22 +441,19 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
     for _ in range(_ROUNDS):
         undone = log.with_torque(log.torque / scale)
         prior = base_prior(undone, options)
-        base = Hypotheses(undone, prior)
+        base = LogModel(undone, prior)
         rigid = undone.links_torque(prior.mean if values is None else values)
         columns = []
         for joint, own_column in enumerate(np.eye(len(scale))):
             of_joint = _FAR * rigid[:, joint, None] * own_column
-            columns.append(base.transform.of_joint(joint, of_joint))
+            columns.append(base.transform(joint, of_joint))
         posterior = base.with_columns(columns).posterior()
-        scale_slice = slice(len(prior.estimated), None)
-        change = np.clip(1.0 + _FAR * posterior.values[scale_slice], 0.2, 5.0)
-        covariance = (
-            _FAR**2
-            * posterior.covariance[scale_slice, scale_slice]
-            / np.outer(change, change)
-        )
+        first = len(prior.estimated)
+        change = np.clip(1.0 + _FAR * posterior.coefficients[first:], 0.2, 5.0)
+        covariance = _FAR**2 * posterior.covariance[first:, first:]
+        covariance = covariance / np.outer(change, change)
         scale = np.clip(scale * change, lower, upper)
-        values = prior.parameters(posterior.values)
+        values = posterior.values
     is_sure = np.sqrt(np.diag(covariance)) < _KNOWN
     # Where a loaded joint's torque does not follow its links, units do not explain it.
     sure = np.flatnonzero(is_sure & np.all(is_sure[loaded]))
@@ -503,12 +468,8 @@ def _unit_near(typical: float, error: float) -> float | None:
     ``error`` is the relative standard error of the scale.
     """
     nearest = min(UNITS, key=lambda factor: abs(np.log(typical / factor)))
-    off = abs(np.log(typical / nearest))
-    return (
-        nearest
-        if off < max(np.log(_CLOSE), 3.0 * error) and abs(np.log(nearest)) > 1
-        else None
-    )
+    is_close = abs(np.log(typical / nearest)) < max(np.log(_CLOSE), 3.0 * error)
+    return nearest if is_close and abs(np.log(nearest)) > 1 else None
 
 
 def _meaning(typical: float, spread: float, error: float, divided: Array) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from robot_sysid.diagnosis.contest import Contest
-from robot_sysid.diagnosis.rows import low_pass
+from robot_sysid.diagnosis.log_checks import low_pass
 from robot_sysid.estimation.question import EstimationOptions
 from tests.support import arms
 from tests.support.wrong_logs import truth_of

@@ -6,15 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.diagnosis.contest import Contest, findings, misfit
-from robot_sysid.diagnosis.rows import low_pass
+from robot_sysid.diagnosis.contest import (
+    Contest,
+    findings,
+    is_plausible,
+    last_mass,
+    misfit,
+)
+from robot_sysid.diagnosis.log_checks import low_pass
 from robot_sysid.estimation.question import EstimationOptions
 
 
 def test_a_correct_log_fits_shows_the_link_and_has_no_explanation(truth, contest):
-    assert misfit(contest.log, contest.posterior) < 0.02
-    assert contest.is_plausible(contest.posterior)
-    mass, error = contest.last_mass(contest.posterior)
+    assert misfit(contest.posterior) < 0.02
+    assert is_plausible(contest.posterior)
+    mass, error = last_mass(contest.posterior)
     assert abs(mass - truth.theta[0]) < 3.0 * error
     assert findings(contest, np.ones(5)) == []
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from robot_sysid.diagnosis.contest import MARGIN
-from robot_sysid.diagnosis.evidence import Hypotheses
 from robot_sysid.diagnosis.relabelling import (
     find_wrong_scales,
     relabellings,
@@ -21,26 +21,28 @@ OPTIONS = EstimationOptions()
 
 
 def test_every_relabelling_of_torque_is_its_own_inverse_and_less_likely(truth, contest):
-    log = contest.log
+    log = contest.posterior.model.log
     mistakes = [m for m in relabellings(truth.robot) if m.motion is None]
     for mistake in mistakes[::3]:
         spoilt = log.with_torque(mistake.torque(log.torque))
         restored = spoilt.with_torque(mistake.torque(spoilt.torque))
         assert_allclose(restored.right_sides, log.right_sides, atol=1e-9)
-        hypotheses = Hypotheses(log, contest.prior).with_torque_of(spoilt)
-        log_evidence = hypotheses.posterior().log_evidence
+        model = contest.posterior.model.with_torque_of(spoilt)
+        log_evidence = model.posterior().log_evidence
         assert log_evidence < contest.posterior.log_evidence - MARGIN
 
 
 def test_estimated_scales_are_proportional_to_the_torques(contest):
-    scales = torque_scales(contest.log, OPTIONS)
-    scaled = torque_scales(contest.log.with_torque(300.0 * contest.log.torque), OPTIONS)
+    log = contest.posterior.model.log
+    scales = torque_scales(log, OPTIONS)
+    scaled = torque_scales(log.with_torque(300.0 * log.torque), OPTIONS)
     assert_allclose(scaled.scale, 300.0 * scales.scale, rtol=0.02)
 
 
 def test_scales_of_single_joints_are_found_within_their_errors(contest):
     truth = np.array([1.3, 1.9, 1.5, 1.7, 1.2])
-    log = contest.log.with_torque(truth * contest.log.torque)
+    log = contest.posterior.model.log
+    log = log.with_torque(truth * log.torque)
     scales = torque_scales(log, OPTIONS)
     error = np.log(scales.scale / truth)[scales.identified]
     assert len(error) > 2
@@ -49,11 +51,13 @@ def test_scales_of_single_joints_are_found_within_their_errors(contest):
 
 @pytest.mark.parametrize(("factor", "cause"), [(1e3, "mN·m"), (1 / 101, "gear of 1:")])
 def test_the_advised_scale_includes_the_applied_ones(contest, factor, cause):
-    log = contest.log.with_torque(factor * contest.log.torque)
+    base = contest.posterior
+    log = base.model.log.with_torque(factor * base.model.log.torque)
+    base = replace(base, model=base.model.with_torque_of(log))
     applied = np.array([2.0, 3.0, 4.0, 5.0, 6.0])
     advised = []
     for divided in (np.ones(5), applied):
-        (correction,) = find_wrong_scales(log, contest.posterior, OPTIONS, divided)
+        (correction,) = find_wrong_scales(base, OPTIONS, divided)
         assert cause in correction.text
         numbers = re.search(r"--torque-scale ([0-9.,]+[0-9])", correction.text)[1]
         advised.append([float(number) for number in numbers.split(",")])

@@ -97,9 +97,8 @@ class LinksProblem:
         """
         bodies = []
         for link in self.links:
-            theta = spatial.nearest_consistent_body(
-                self.prior[link], self.prior[link], _FLOOR
-            )
+            prior = self.prior[link]
+            theta = spatial.nearest_consistent_body(prior, prior, _FLOOR)
             root = np.linalg.cholesky(spatial.pseudo_inertia(theta))
             units = _components(root @ _BASIS @ root.T) @ _THETAS
             bodies.append((theta, units.T))
@@ -165,13 +164,10 @@ class ConsistentLinks:
         count = len(self._others)
         scaled = self._matrix @ self._unit
         right_side = self._right_side - self._matrix @ self._origin
-        rows = np.column_stack(
-            (scaled[:, self._others], scaled[:, self._bodies], right_side)
-        )
-        ridge = np.pad(
-            _RIDGE * np.eye(count),
-            ((0, len(self._bodies) + 1), (0, len(rows.T) - count)),
-        )
+        order = np.append(self._others, self._bodies)
+        rows = np.column_stack((scaled[:, order], right_side))
+        ridge = np.zeros((rows.shape[1], rows.shape[1]))
+        ridge[range(count), range(count)] = _RIDGE
         triangle = np.asarray(np.linalg.qr(np.vstack((rows, ridge)), mode="r"))
         return triangle[:count], triangle[count:, count:]
 
@@ -258,13 +254,10 @@ class ConsistentLinks:
                 unexplained = self._projected - self._singular * (self._turn.T @ z)
                 newton = _Newton(cone, self._singular, unexplained, self._turn)
                 bold = newton.step(gamma)
+                remainder = 1.0 - min(1.0, newton.step_limit(bold))
                 # Where the predictor step is short but the previous step was long, t decreases
                 # nevertheless.
-                factor = min(
-                    (1.0 - min(1.0, newton.step_limit(bold))) ** 2,
-                    1.0 - _EAGER * length,
-                )
-                t = max(gamma, factor * t)
+                t = max(gamma, min(remainder**2, 1.0 - _EAGER * length) * t)
                 step, length = newton.best(t, bold)
                 z = z + length * step.direction
                 duals = cone.move_duals(length * step.dual)
@@ -295,16 +288,13 @@ class ScaledBodies:
 
     def __init__(self, z: Array, duals: Array) -> None:
         bodies = np.eye(4) + np.tensordot(z.reshape(-1, 10), _BASIS, 1)
-        left, self._diagonal, _ = np.linalg.svd(
-            _transpose(duals) @ np.linalg.cholesky(bodies)
-        )
+        product = _transpose(duals) @ np.linalg.cholesky(bodies)
+        left, self._diagonal, _ = np.linalg.svd(product)
+        scaled = left / np.sqrt(self._diagonal)[:, None, :]
         # G^-1 with G^-1 K G^-T = G^T Z G = D.
-        self._inverse = _transpose(
-            left / np.sqrt(self._diagonal)[:, None, :]
-        ) @ _transpose(duals)
-        self._basis = (
-            self._inverse[:, None] @ _BASIS @ _transpose(self._inverse)[:, None]
-        )
+        self._inverse = _transpose(scaled) @ _transpose(duals)
+        inverse = self._inverse[:, None]
+        self._basis = inverse @ _BASIS @ _transpose(inverse)
         self._here = self._diagonal[:, :, None] * np.eye(4)
 
     def rows(self) -> Array:
@@ -349,15 +339,15 @@ class ScaledBodies:
         Raises:
             LinAlgError: a matrix is not positive definite after its change.
         """
-        roots = [np.linalg.cholesky(self._here + change) for change in (primal, dual)]
-        products = np.linalg.svd(_transpose(roots[0]) @ roots[1], compute_uv=False) ** 2
+        root = np.linalg.cholesky(self._here + primal)
+        dual_root = np.linalg.cholesky(self._here + dual)
+        products = np.linalg.svd(_transpose(root) @ dual_root, compute_uv=False) ** 2
         return float(np.min(products / np.mean(products, axis=1, keepdims=True)))
 
     def move_duals(self, change: Array) -> Array:
         """Return roots of the duals (links, 4, 4), not scaled, after a scaled change of them."""
-        return np.asarray(
-            _transpose(self._inverse) @ np.linalg.cholesky(self._here + change)
-        )
+        root = np.linalg.cholesky(self._here + change)
+        return np.asarray(_transpose(self._inverse) @ root)
 
 
 @dataclass(frozen=True)
@@ -398,12 +388,11 @@ class _Newton:
         self._unexplained = unexplained
         self._turn = turn
         curvature = cone.rows() @ turn.reshape(-1, 10, len(turn))
+        rows = np.vstack((np.diag(singular), curvature.reshape(turn.shape)))
         # Q as Householder vectors: to form it would take longer than all other steps.
-        packed = dgeqrf(np.vstack((np.diag(singular), curvature.reshape(turn.shape))))[
-            :2
-        ]
-        self._turned = partial(dormqr, "L", "T", *packed)
-        self._inverse, failed = dtrtri(np.triu(packed[0][: len(turn)]))
+        packed, factors, *_ = dgeqrf(rows)
+        self._turned = partial(dormqr, "L", "T", packed, factors)
+        self._inverse, failed = dtrtri(np.triu(packed[: len(turn)]))
         if failed:
             raise np.linalg.LinAlgError("singular")
 
@@ -415,12 +404,12 @@ class _Newton:
             bold: predictor step, whose second-order term corrects this one; None for no correction.
         """
         cone = self._cone
-        goal = cone.aim(t)
-        correction = (
-            0.0 * goal if bold is None else cone.second_order(bold.primal, bold.dual)
-        )
-        slope = t * (self._turn.T @ np.tile(_TRACES, len(goal)))
-        goal = np.append(self._unexplained, _components(goal - correction))
+        aim = cone.aim(t)
+        correction = 0.0 * aim
+        if bold is not None:
+            correction = cone.second_order(bold.primal, bold.dual)
+        slope = t * (self._turn.T @ np.tile(_TRACES, len(aim)))
+        goal = np.append(self._unexplained, _components(aim - correction))
         turned = self._turned(goal[:, None], len(goal))[0][: len(slope), 0]
         scaled = turned - self._inverse.T @ slope
         direction = self._turn @ (self._inverse @ scaled)
@@ -452,11 +441,9 @@ class _Newton:
         That is, its smallest eigenvalue is at least ``_CENTRALITY`` of the mean.
         """
         length = min(1.0, _TO_THE_WALL * self.step_limit(step))
+        centrality = self._cone.centrality
         for _ in range(_MOST_STEPS):
-            if (
-                self._cone.centrality(length * step.primal, length * step.dual)
-                >= _CENTRALITY
-            ):
+            if centrality(length * step.primal, length * step.dual) >= _CENTRALITY:
                 break
             length *= 0.7
         return length
@@ -472,19 +459,12 @@ def _components(matrices: Array) -> Array:
     return np.tensordot(matrices, _BASIS, ((-2, -1), (1, 2)))
 
 
-def _orthonormal_basis() -> Array:
-    """Return (10, 4, 4) symmetric matrices, orthonormal in tr(A B)."""
-    basis = []
-    for i in range(4):
-        for j in range(i, 4):
-            matrix = np.zeros((4, 4))
-            matrix[i, j] = matrix[j, i] = 1.0 if i == j else np.sqrt(0.5)
-            basis.append(matrix)
-    return np.array(basis)
-
-
-# Orthonormal basis (10, 4, 4) of symmetric matrices.
-_BASIS = _orthonormal_basis()
+# Orthonormal basis (10, 4, 4) of symmetric matrices with the inner product tr(A B): a matrix has a
+# one on its diagonal, or sqrt(1/2) at (i, j) and (j, i).
+_ROWS, _COLUMNS = np.triu_indices(4)
+_BASIS = np.zeros((10, 4, 4))
+_BASIS[range(10), _ROWS, _COLUMNS] = np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(0.5))
+_BASIS[range(10), _COLUMNS, _ROWS] = _BASIS[range(10), _ROWS, _COLUMNS]
 # Inertial parameters (10, 10) of the pseudo-inertias in the basis: theta = coefficients @ _THETAS.
 _THETAS = np.array([spatial.theta_from_pseudo_inertia(matrix) for matrix in _BASIS])
 # Trace (10,) of each matrix of the basis.
@@ -533,11 +513,9 @@ def project_errors(
         return rows + rows[:, indices] @ change
 
     by_cause = {cause: project(rows) for cause, rows in causes.items()}
-    by_cause[BODIES] = residual @ along
-    covariance = (
-        project(project(uncertainty.covariance).T)
-        + by_cause[BODIES].T @ by_cause[BODIES]
-    )
+    by_cause[BODIES] = rows_of_bodies = residual @ along
+    covariance = project(project(uncertainty.covariance).T)
+    covariance = covariance + rows_of_bodies.T @ rows_of_bodies
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     hidden = np.isinf(uncertainty.standard_errors)
     return replace(

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,9 +44,11 @@ RELATIVE_CUT = 1e-10
 # number of unit columns.
 _WELL_SEEN = 1e8
 # Components of unit vectors below this count as zero; a choice, far above their rounding (1e-13).
-_COMPONENT_TOLERANCE = 1e-6
-# Columns of the first moments and of the inertias, which share a unit each.
-_SAME_UNIT = (slice(1, 4), slice(4, 10))
+_TOLERANCE = 1e-6
+# Indices of the first moments among the parameters.
+_FIRST_MOMENT = range(1, 4)
+# Indices of the inertias among the parameters.
+_INERTIA = range(4, 10)
 
 
 @dataclass(frozen=True)
@@ -81,9 +84,8 @@ class VisibleSpace:
     @property
     def is_identified(self) -> tuple[bool, ...]:
         """Per parameter (p,), whether it is zero in all invisible directions."""
-        return tuple(
-            bool(h < _COMPONENT_TOLERANCE) for h in np.linalg.norm(self.null, axis=1)
-        )
+        is_zero = np.linalg.norm(self.null, axis=1) < _TOLERANCE
+        return tuple(is_zero.tolist())
 
     def solve(self, right_hand_side: Array) -> Array:
         """Return the least-squares solution x (p,) of A x = b (M,), of minimum norm in scaled y."""
@@ -108,21 +110,18 @@ def visible_space(matrix: Array) -> VisibleSpace:
     scale, zero = column_scale(matrix)
     scaled = np.where(zero, 0.0, matrix * scale)
     missing = max(matrix.shape[1] - len(matrix), 0)
-    left_basis, singular, right_basis = np.linalg.svd(
-        np.pad(scaled, ((0, missing), (0, 0))), False
-    )
-    rank = int(
-        np.count_nonzero(singular > RELATIVE_CUT * np.max(singular, initial=0.0))
-    )
-    left_basis = left_basis[: len(matrix), :rank]
+    padded = np.pad(scaled, ((0, missing), (0, 0)))
+    left, singular, right = np.linalg.svd(padded, False)
+    rank = _count_visible(singular, np.max(singular, initial=0.0))
+    left = left[: len(matrix), :rank]
     return VisibleSpace(
-        scale,
-        left_basis,
-        singular[:rank],
-        right_basis[:rank].T,
-        right_basis[rank:].T,
-        zero,
+        scale, left, singular[:rank], right[:rank].T, right[rank:].T, zero
     )
+
+
+def _count_visible(singular: NDArray[Any], largest: float) -> int:
+    """Return how many singular values (k,) exceed ``RELATIVE_CUT`` of the ``largest`` one."""
+    return int(np.count_nonzero(singular > RELATIVE_CUT * largest))
 
 
 def triangle_space(triangle: Array) -> VisibleSpace:
@@ -152,7 +151,7 @@ def column_scale(matrix: Array) -> tuple[Array, np.ndarray]:
     """
     length = np.linalg.norm(matrix, axis=0)
     zero = length <= RELATIVE_CUT * np.max(length, initial=0.0)
-    for group in _SAME_UNIT:
+    for group in (_FIRST_MOMENT, _INERTIA):
         length[group] = np.max(length[group], initial=0.0)
     return 1.0 / np.where(zero, 1.0, length), zero
 
@@ -175,9 +174,7 @@ def analyse_identifiability(information: SquareRootInformation) -> Identifiabili
     visible = np.where(space.zero, 0.0, matrix)
     length = np.where(space.zero, 1.0, np.linalg.norm(matrix, axis=0))
     singular = np.linalg.svd((visible * space.scale)[:, ~interest], compute_uv=False)
-    hidden = int(
-        np.count_nonzero(singular > RELATIVE_CUT * np.max(space.singular, initial=0.0))
-    )
+    hidden = _count_visible(singular, np.max(space.singular, initial=0.0))
     return Identifiability(
         rank=space.rank - hidden,
         n_parameters=int(np.count_nonzero(interest)),
@@ -198,14 +195,8 @@ def _condition(matrix: Array) -> float:
     return float(singular[0] / singular[rank - 1]) if rank else float("inf")
 
 
-# Weight of a parameter in an invisible direction below which it counts as zero.
-_TOLERANCE = 1e-6
 # Relative difference within which weights count as equally large.
 _SAME = 5e-4
-# Indices of the first moments among the parameters.
-_FIRST_MOMENT = range(1, 4)
-# Indices of the inertias among the parameters.
-_INERTIA = range(4, 10)
 # Phrases for single parameters, by the name before "[joint]".
 _SINGLE = {
     "m": "mass",
@@ -226,12 +217,13 @@ def describe(null: Array, scale: Array, names: Sequence[str]) -> tuple[str, ...]
         names: (p,) parameter names, the ten inertial ones first.
     """
     phrases = []
-    for row in (vector * scale for vector in readable_basis(null)):
+    for vector in readable_basis(null):
+        row = vector * scale
         first = int(np.argmax(np.abs(row) > (1.0 - _SAME) * np.max(np.abs(row))))
-        alone = np.count_nonzero(row) == 1
-        phrases.append(
-            _single(names[first]) if alone else in_words(row / row[first], first, names)
-        )
+        phrase = _single(names[first])
+        if np.count_nonzero(row) > 1:
+            phrase = in_words(row / row[first], first, names)
+        phrases.append(phrase)
     return tuple(phrases)
 
 
@@ -263,10 +255,8 @@ def readable_basis(null: Array) -> list[Array]:
     for group in (_FIRST_MOMENT, _INERTIA, range(10), range(size)):
         for candidate in _row_echelon(_within(null, group)):
             extended = np.array([*basis, candidate])
-            is_incomplete = len(basis) < dimension
-            if is_incomplete and np.linalg.matrix_rank(extended, _TOLERANCE) > len(
-                basis
-            ):
+            rank = np.linalg.matrix_rank(extended, _TOLERANCE)
+            if len(basis) < min(dimension, rank):
                 basis.append(candidate)
     return sorted(basis, key=lambda v: int(np.flatnonzero(v)[0]))
 
@@ -278,9 +268,8 @@ def _within(null: Array, group: Sequence[int]) -> Array:
         null: orthonormal basis of the null space.
         group: indices of parameters.
     """
-    outside = [
-        k for k in range(len(null)) if k not in group
-    ]  # setdiff1d imports numpy.ma
+    # Not setdiff1d, which imports numpy.ma.
+    outside = [k for k in range(len(null)) if k not in group]
     _, singular, directions = np.linalg.svd(null[outside])
     padded = np.zeros(null.shape[1])
     padded[: len(singular)] = singular
@@ -296,9 +285,8 @@ def _row_echelon(basis: Array) -> list[Array]:
     """
     rows = basis.T.copy()
     for k in range(len(rows)):
-        pivot_row, column = np.unravel_index(
-            np.argmax(np.abs(rows[k:])), rows[k:].shape
-        )
+        largest = np.argmax(np.abs(rows[k:]))
+        pivot_row, column = divmod(int(largest), rows.shape[1])
         rows[[k, k + pivot_row]] = rows[[k + pivot_row, k]]
         if abs(rows[k, column]) >= _TOLERANCE:
             rows[k] /= rows[k, column]
@@ -311,9 +299,8 @@ def _row_echelon(basis: Array) -> list[Array]:
 def _single(name: str) -> str:
     """Return the phrase for one parameter: "viscous friction of j1" for "viscous[j1]"."""
     term, _, joint = name.partition("[")
-    phrase = _SINGLE.get(
-        term, f"inertia {name}" if name in spatial.PARAMETER_NAMES else term
-    )
+    phrase = f"inertia {name}" if name in spatial.PARAMETER_NAMES else term
+    phrase = _SINGLE.get(term, phrase)
     return f"{phrase} of {joint.removesuffix(']')}" if joint else phrase
 
 
@@ -350,10 +337,8 @@ class BaseCombinations:
 
     def names(self, names: Sequence[str]) -> tuple[str, ...]:
         """Return each combination as text, such as "hx + 0.5*m", from parameter names (p,)."""
-        return tuple(
-            in_words(row, int(first), names)
-            for row, first in zip(self.matrix, self.leading)
-        )
+        pairs = zip(self.matrix, self.leading.tolist())
+        return tuple(in_words(row, first, names) for row, first in pairs)
 
 
 def base_combinations(regressor: Array, scale: Array) -> BaseCombinations:
@@ -403,9 +388,8 @@ def essential(base: Array, nuisance: Array, right_side: Array) -> NDArray[np.boo
         scaled = columns[:, is_essential] / np.where(length > 0.0, length, 1.0)
         inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
         values = inverse @ (scaled.T @ target)
-        relative = np.sqrt(np.maximum(np.diag(inverse), 0.0)) / np.maximum(
-            np.abs(values), 1e-300
-        )
+        errors = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+        relative = errors / np.maximum(np.abs(values), 1e-300)
         if np.max(relative) <= max(ESSENTIAL_RATIO * np.min(relative), WELL_KNOWN):
             break
         is_essential[np.flatnonzero(is_essential)[int(np.argmax(relative))]] = False

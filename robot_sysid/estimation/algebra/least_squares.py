@@ -115,7 +115,7 @@ def solver(information: SquareRootInformation, prior: Array) -> Solve:
     plain = partial(_solve_by_decomposition, information, prior)
     if information.prior is None:
         return plain
-    normal = _Normal(information, prior)
+    solve_normally = _normal_solver(information, information.prior, prior)
     solutions = dict[bytes, tuple[Array, Array]]()
 
     def solve(weights: Array) -> tuple[Array, Array]:
@@ -123,7 +123,7 @@ def solver(information: SquareRootInformation, prior: Array) -> Solve:
         # At the floor of the noise, weights repeat from round to round.
         key = weights.tobytes()
         if key not in solutions:
-            solutions[key] = normal.solve(weights) or plain(weights)
+            solutions[key] = solve_normally(weights) or plain(weights)
         return solutions[key]
 
     return solve
@@ -148,48 +148,55 @@ def inverse_root(normal: Array) -> Array | None:
     return np.asarray(scale[:, None] * dtrtri(root.T)[0]) if is_clear else None
 
 
-class _Normal:
-    """Normal equations of data with a prior, for weights of the joints that change.
+def _normal_solver(
+    information: SquareRootInformation, prior_rows: Array, prior: Array
+) -> Callable[[Array], tuple[Array, Array] | None]:
+    """Return a function that solves the normal equations of data and prior for given weights.
+
+    The function takes the weights (joints,) of each joint's equations [1/(N m)]. It returns the
+    values (p,) and the leverage (joints,) of ``solver``, or None where the normal equations are
+    ill-conditioned.
 
     Args:
-        information: equations of all joints, with a prior.
+        information: equations of all joints.
+        prior_rows: (r, p + 1) equations of the prior, of unit variance.
         prior: (p,) values that stay where nothing identifies a parameter.
     """
+    size = len(information.names)
+    has_column = np.zeros((len(information.joints), size), dtype=bool)
+    for row, joint in zip(has_column, information.joints):
+        row[joint.columns] = True
+    # Columns of few joints come first, so that each joint's columns are contiguous.
+    order = np.lexsort((np.argmax(has_column, axis=0), np.sum(has_column, axis=0)))
+    indices = np.append(np.argsort(order), size)
+    blocks: list[Block] = []
+    for joint in information.joints:
+        blocks.append((indices[[*joint.columns, -1]], joint.triangle))
+    blocks.append((indices, prior_rows))
+    grams = []
+    for at, rows in blocks:
+        ordered = rows[:, np.argsort(at)]
+        grams.append((ordered.T @ ordered, stretches(np.sort(at))))
 
-    def __init__(self, information: SquareRootInformation, prior: Array) -> None:
-        assert information.prior is not None
-        size = len(information.names)
-        # Columns of few joints come first, so that each joint's columns are contiguous.
-        has = np.array(
-            [np.isin(np.arange(size), j.columns) for j in information.joints]
-        )
-        order = np.lexsort((np.argmax(has, axis=0), np.sum(has, axis=0)))
-        self._indices = np.append(np.argsort(order), size)
-        self._prior = prior[order]
-        blocks = [
-            (self._indices[[*j.columns, -1]], j.triangle) for j in information.joints
-        ]
-        self._blocks: list[Block] = [*blocks, (self._indices, information.prior)]
-        ordered = ((np.sort(at), rows[:, np.argsort(at)]) for at, rows in self._blocks)
-        self._squares = [(rows.T @ rows, stretches(at)) for at, rows in ordered]
-
-    def solve(self, weights: Array) -> tuple[Array, Array] | None:
-        """Return (x, leverage) of ``solver``; None where the equations are ill-conditioned."""
-        normal = np.zeros((len(self._prior) + 1,) * 2)
+    def solve(weights: Array) -> tuple[Array, Array] | None:
+        """Return (values (p,), leverage (joints,)), or None, for weights (joints,)."""
+        normal = np.zeros((size + 1, size + 1))
         squares = np.append(weights, 1.0) ** 2
-        for (gram, runs), square in zip(self._squares, squares):
+        for (gram, runs), square in zip(grams, squares):
             for source, target in runs:
                 normal[target] += square * gram[source]
-        solution = solve_normal(normal, self._blocks, squares, self._prior)
+        solution = solve_normal(normal, blocks, squares, prior[order])
         if solution is None:
             return None
         values, root = solution
         spread = np.pad(root @ root.T, (0, 1))
-        leverage = []
-        for (gram, runs), square in zip(self._squares, squares[:-1]):
-            traces = [np.einsum("ij,ij", gram[i], spread[j]) for i, j in runs]
-            leverage.append(square * sum(traces))
-        return values[self._indices[:-1]], np.array(leverage)
+        leverage = np.zeros(len(weights))
+        for k, (gram, runs) in enumerate(grams[:-1]):
+            for source, target in runs:
+                leverage[k] += np.einsum("ij,ij", gram[source], spread[target])
+        return values[indices[:-1]], squares[:-1] * leverage
+
+    return solve
 
 
 def solve_normal(
@@ -245,10 +252,8 @@ def noise_floor(information: SquareRootInformation) -> float:
 
     The latter is the error of filtering, which nuisances would explain otherwise.
     """
-    squared = sum(
-        float(np.sum(joint.triangle[:, -1] ** 2)) for joint in information.joints
-    )
-    rms = np.sqrt(squared / max(information.n_samples, 1))
+    squares = [np.sum(joint.triangle[:, -1] ** 2) for joint in information.joints]
+    rms = np.sqrt(float(sum(squares)) / max(information.n_samples, 1))
     share = _NOISE_FLOOR if information.prior is None else _NOISE_FLOOR_WITH_PRIOR
     return float(share * rms) or 1.0
 
@@ -355,12 +360,8 @@ class InformationAccumulator:
 
     def result(self) -> SquareRootInformation:
         """Return the information of all rows added so far."""
-        joints = tuple(
-            JointInformation(joint, columns, triangle, count)
-            for joint, columns, triangle, count in zip(
-                self._joints, self._columns, self._triangles, self._counts
-            )
-        )
+        fields = (self._joints, self._columns, self._triangles, self._counts)
+        joints = tuple(map(JointInformation, *fields))
         return SquareRootInformation(self._names, joints)
 
 
@@ -425,8 +426,11 @@ def stretches(at: NDArray[np.int64]) -> list[tuple[Any, Any]]:
         at: (k,) ascending indices of the larger matrix.
     """
     ends = [0, *(np.flatnonzero(np.diff(at) != 1) + 1).tolist(), len(at)]
-    edges = [pair for pair in zip(ends, ends[1:]) if pair[0] < pair[1]]
-    runs = [(slice(a, b), slice(int(at[a]), int(at[b - 1]) + 1)) for a, b in edges]
+    runs = []
+    for start, end in zip(ends, ends[1:]):
+        if start < end:
+            target = slice(int(at[start]), int(at[end - 1]) + 1)
+            runs.append((slice(start, end), target))
     return [tuple(zip(*pair)) for pair in product(runs, repeat=2)]
 
 
@@ -449,13 +453,12 @@ def residual_errors(
         per joint name.
     """
     squared = information.squared_residuals(values)
-    counts = sample_counts(information)
-    joints = [joint.joint for joint in information.joints]
-    rms = np.sqrt(squared / np.maximum(counts, 1.0)).tolist()
+    samples = {joint.joint: joint.n_samples for joint in information.joints}
+    rms = np.sqrt(squared / np.maximum(sample_counts(information), 1.0)).tolist()
     return {
         "rmse": float(np.sqrt(np.sum(squared) / max(information.n_samples, 1))),
-        "rmse_per_joint": dict(zip(joints, rms)),
-        "samples": {joint.joint: joint.n_samples for joint in information.joints},
+        "rmse_per_joint": dict(zip(samples, rms)),
+        "samples": samples,
     }
 
 
@@ -468,11 +471,10 @@ def combine(blocks: Sequence[SquareRootInformation]) -> SquareRootInformation:
     if len(blocks) == 1:
         return blocks[0]
     joints = []
-    for joint_blocks in zip(*[block.joints for block in blocks]):
-        first = joint_blocks[0]
-        rows = np.vstack([block.triangle for block in joint_blocks])
+    for first, *others in zip(*(block.joints for block in blocks)):
+        rows = np.vstack([first.triangle, *(joint.triangle for joint in others)])
         triangle = update_triangle(first.triangle[:0], rows)
-        count = sum(block.n_samples for block in joint_blocks)
+        count = first.n_samples + sum(joint.n_samples for joint in others)
         joints.append(replace(first, triangle=triangle, n_samples=count))
     return SquareRootInformation(blocks[0].names, tuple(joints), blocks[0].prior)
 
@@ -488,24 +490,19 @@ def parts_of(
         total: ``combine`` of the blocks.
         blocks: information of separate data.
     """
-    counts = np.array(
-        [[len(joint.triangle) for joint in block.joints] for block in blocks]
-    )
-    sizes = [joint.triangle.shape for joint in total.joints]
-    # The total holds the blocks' rows one below the other, not factorised, where they are fewer
-    # than its columns.
-    shared = [
-        count == rows < width
-        for count, (rows, width) in zip(np.sum(counts, axis=0), sizes)
-    ]
-    for block, ends, sizes_of_block in zip(blocks, np.cumsum(counts, axis=0), counts):
-        joints = []
-        for k, joint in enumerate(block.joints):
-            if shared[k]:
-                rows = total.joints[k].triangle[ends[k] - sizes_of_block[k] : ends[k]]
-                joint = replace(joint, triangle=rows)
-            joints.append(joint)
-        yield replace(block, joints=tuple(joints))
+    of_all_blocks = []
+    for k, whole in enumerate(total.joints):
+        joints = [block.joints[k] for block in blocks]
+        ends = np.cumsum([len(joint.triangle) for joint in joints])
+        rows, width = whole.triangle.shape
+        # Where the blocks have fewer rows than columns, the total has their rows one below the
+        # other, not factorised.
+        if ends[-1] == rows < width:
+            views = np.split(whole.triangle, ends[:-1])
+            joints = [replace(joint, triangle=v) for joint, v in zip(joints, views)]
+        of_all_blocks.append(joints)
+    for block, joints_of_block in zip(blocks, zip(*of_all_blocks)):
+        yield replace(block, joints=joints_of_block)
 
 
 def restrict(
@@ -521,19 +518,17 @@ def restrict(
         held: (p,) values at which the others are held, in the order of ``information``; those of
             remaining parameters do not count. Zeros by default.
     """
+    is_free = np.isin(information.names, names)
+    new_index = np.cumsum(is_free) - 1
     joints = []
-    selected = set(names)
-    is_free = np.array([name in selected for name in information.names])
     for joint in information.joints:
         free = is_free[joint.columns]
         triangle = joint.triangle[:, np.append(free, True)]
         if held is not None:
-            triangle[:, -1] -= (
-                joint.triangle[:, :-1][:, ~free] @ held[joint.columns[~free]]
-            )
-        columns = (np.cumsum(is_free) - 1)[joint.columns[free]]
+            fixed = joint.columns[~free]
+            triangle[:, -1] -= joint.triangle[:, :-1][:, ~free] @ held[fixed]
         smaller = update_triangle(triangle[:0], triangle)
-        joints.append(JointInformation(joint.joint, columns, smaller, joint.n_samples))
-    return SquareRootInformation(
-        tuple(compress(information.names, is_free)), tuple(joints)
-    )
+        columns = new_index[joint.columns[free]]
+        joints.append(replace(joint, columns=columns, triangle=smaller))
+    remaining = tuple(compress(information.names, is_free))
+    return SquareRootInformation(remaining, tuple(joints))

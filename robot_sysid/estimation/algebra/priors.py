@@ -141,15 +141,13 @@ class NuisanceGroup:
             names: (p,) names of the estimated parameters.
             inverse: C (p, p), the inverse of the normal matrix of data and priors.
         """
-        return np.asarray(
-            np.linalg.solve(self.widened * self.factor, inverse[self.indices(names)])
-        )
+        rows = inverse[self.indices(names)]
+        return np.asarray(np.linalg.solve(self.widened * self.factor, rows))
 
     def deviations(self, names: Sequence[str], values: Array) -> Array:
         """Return F^-1 (d - d0) (k,), from parameters ``values`` (p,) in the order of ``names``."""
-        return np.asarray(
-            np.linalg.solve(self.factor, values[self.indices(names)] - self.mean)
-        )
+        off = values[self.indices(names)] - self.mean
+        return np.asarray(np.linalg.solve(self.factor, off))
 
 
 def with_prior(
@@ -190,8 +188,8 @@ def link_factor(
 
 def link_lengths(robot: RobotModel, links: Sequence[int]) -> list[float]:
     """Return the distance from each link's joint to the next one [m]; 0 for the last link."""
-    ends = [*(link.translation for link in robot.links[1:]), np.zeros(3)]
-    return [float(np.linalg.norm(ends[link])) for link in links]
+    lengths = [float(np.linalg.norm(link.translation)) for link in robot.links[1:]]
+    return [[*lengths, 0.0][link] for link in links]
 
 
 def model_link_factor(robot: RobotModel, links: Sequence[int], share: float) -> Array:
@@ -249,9 +247,8 @@ def own_errors(theta: Array, share: float, length: float) -> tuple[Array, Array]
     moment = max(float(np.trace(inertia)) / 3.0, mass * (0.1 * size) ** 2)
     columns = []
     for step in share * size * np.eye(3):
-        ahead, behind = (
-            spatial.theta_from_com(mass, com + s * step, inertia) for s in (1.0, -1.0)
-        )
+        ahead = spatial.theta_from_com(mass, com + step, inertia)
+        behind = spatial.theta_from_com(mass, com - step, inertia)
         columns.append(0.5 * (ahead - behind))
     turns = list(2.0 * share * moment * np.eye(10)[4:])
     return np.column_stack([share * theta, *columns, *turns]), np.column_stack(columns)
@@ -277,20 +274,17 @@ def widened_groups(
     problem = WithPriors(information, noise)
     for _ in range(_ROUNDS if widened else 0):
         values, covariance, _ = problem.solve(widened)
+        previous = widened
         next_groups = []
-        largest_change = 0.0
-        for group in widened:
-            factor = group.widened
+        for group in previous:
             if group.may_widen or least < 1.0:
-                identity = np.eye(len(group.names))
-                names = problem.names
-                alpha, _ = _widening(group, identity, names, values, covariance)
-                factor = max(alpha, least)
-            change = abs(factor / group.widened - 1.0)
-            largest_change = max(largest_change, change)
-            next_groups.append(replace(group, widened=factor))
+                aspect = np.eye(len(group.names))
+                alpha, _ = _widening(group, aspect, problem.names, values, covariance)
+                group = replace(group, widened=max(alpha, least))
+            next_groups.append(group)
         widened = tuple(next_groups)
-        if largest_change < _SETTLED:
+        ratios = [new.widened / old.widened for new, old in zip(widened, previous)]
+        if max(abs(ratio - 1.0) for ratio in ratios) < _SETTLED:
             break
     return widened
 
@@ -313,23 +307,19 @@ class WithPriors:
 
         The misfit is the sum of all squared residuals, of data and priors, in standard deviations.
         """
-        prior = np.vstack(
-            (self._gram[:0], *(group.prior_rows(self.names) for group in groups))
-        )
+        rows_of_groups = [group.prior_rows(self.names) for group in groups]
+        prior = np.vstack((self._gram[:0], *rows_of_groups))
         size = len(self.names)
         squares = np.append(self._weights, 1.0) ** 2
-        blocks = [
-            (np.append(joint.columns, size), joint.triangle)
-            for joint in self._data.joints
-        ]
+        blocks = []
+        for joint in self._data.joints:
+            blocks.append((np.append(joint.columns, size), joint.triangle))
         blocks.append((np.arange(size + 1), prior))
-        solution = solve_normal(
-            self._gram + prior.T @ prior, blocks, squares, np.zeros(size)
-        )
+        normal = self._gram + prior.T @ prior
+        solution = solve_normal(normal, blocks, squares, np.zeros(size))
         if solution is None:
-            solution = solve_rows(
-                np.vstack((*self._data.equation_blocks(self._weights), prior))
-            )
+            rows = np.vstack((*self._data.equation_blocks(self._weights), prior))
+            solution = solve_rows(rows)
         values, root = solution
         residual = self._weights**2 @ self._data.squared_residuals(values)
         misfit = residual + np.sum((prior @ np.append(values, -1.0)) ** 2)
@@ -342,10 +332,10 @@ class WithPriors:
         exp(-misfit / 2) |C|^1/2 / |F| (MacKay 1992, eq. 7 and 8).
         """
         values, covariance, misfit = self.solve(groups)
-        prior = sum(
-            np.linalg.slogdet(group.widened * group.factor)[1] for group in groups
-        )
-        return values, float(0.5 * (np.linalg.slogdet(covariance)[1] - misfit) - prior)
+        factors = [group.widened * group.factor for group in groups]
+        log_prior = sum(np.linalg.slogdet(factor)[1] for factor in factors)
+        log_covariance = np.linalg.slogdet(covariance)[1]
+        return values, float(0.5 * (log_covariance - misfit) - log_prior)
 
 
 def _widening(
@@ -361,22 +351,25 @@ def _widening(
     """
     root = np.linalg.cholesky(aspect @ group.factor @ group.factor.T @ aspect.T)
     off = np.linalg.solve(root, aspect @ (values[group.indices(names)] - group.mean))
-    determined = max(float(np.sum(_data_shares(group, aspect, names, covariance))), 1.0)
+    determined = _determined(group, aspect, names, covariance)
     return float(min(np.sqrt(np.sum(off**2) / determined), WIDEST)), determined
 
 
-def _data_shares(
+def _determined(
     group: NuisanceGroup, aspect: Array, names: Sequence[str], covariance: Array
-) -> Array:
-    """Return 1 - posterior / prior variance (m,), whitened, of combinations (m, k) of a group."""
+) -> float:
+    """Return gamma, the number of combinations ``aspect`` (m, k) of a group that the data
+    determines, at least one: the sum of 1 - posterior / prior variance over whitened directions.
+
+    ``covariance`` (p, p) is that of the estimate in the order of ``names`` (p,).
+    """
     indices = group.indices(names)
-    root = group.widened * np.linalg.cholesky(
-        aspect @ group.factor @ group.factor.T @ aspect.T
-    )
-    left = np.linalg.solve(
-        root, aspect @ covariance[np.ix_(indices, indices)] @ aspect.T
-    )
-    return np.clip(1.0 - np.diag(np.linalg.solve(root, left.T)), 0.0, 1.0)
+    prior = aspect @ group.factor @ group.factor.T @ aspect.T
+    root = group.widened * np.linalg.cholesky(prior)
+    posterior = aspect @ covariance[np.ix_(indices, indices)] @ aspect.T
+    whitened = np.linalg.solve(root, np.linalg.solve(root, posterior).T)
+    shares = np.clip(1.0 - np.diag(whitened), 0.0, 1.0)
+    return max(float(np.sum(shares)), 1.0)
 
 
 def misfits(
@@ -401,18 +394,16 @@ def misfits(
     for index, group in enumerate(groups):
         fixed = [*groups[:index], replace(group, widened=_FIXED), *groups[index + 1 :]]
         gained = problem.solve(fixed)[2] - with_all
-        identity = np.eye(len(group.names))
-        freedom = max(
-            float(np.sum(_data_shares(group, identity, problem.names, covariance))), 1.0
+        freedom = _determined(
+            group, np.eye(len(group.names)), problem.names, covariance
         )
         if is_no_chance(gained, freedom, 1.0 - SURE ** (1.0 / len(groups))):
             if not wide_groups:
                 wide_groups = widened_groups(information, noise, groups, _NARROWEST)
                 wide_solution = problem.solve(wide_groups)[:2]
             worst = _worst_members(group, group.deviations(problem.names, values))
-            factor = _contradicted_factor(
-                wide_groups[index], problem.names, *wide_solution
-            )
+            wide = wide_groups[index]
+            factor = _contradicted_factor(wide, problem.names, *wide_solution)
             conflicts.append(PriorConflict(group.cause, worst, factor, group.widened))
     return tuple(conflicts)
 
@@ -450,8 +441,9 @@ def _worst_members(group: NuisanceGroup, off: Array) -> tuple[str, ...]:
     """Return the links or joints with the largest deviations, from ``group.deviations`` (k,)."""
     members = np.array(group.members)
     squares = {name: float(np.sum(off[members == name] ** 2)) for name in group.members}
-    clear = [n for n in squares if squares[n] > _SHARE_OF_WORST * max(squares.values())]
-    return tuple(sorted(clear, key=lambda name: -squares[name]))
+    least = _SHARE_OF_WORST * max(squares.values())
+    descending = sorted(squares, key=lambda name: -squares[name])
+    return tuple(name for name in descending if squares[name] > least)
 
 
 MASS_SCALES = (2.0, 4.0, 8.0)
@@ -512,20 +504,16 @@ def link_evidence(
         is_stated: (links,) whether the model states a link; links of which it only has a
             placeholder keep their prior.
     """
-    normal = normal_matrix(information, weights)
-    for group in others:
-        rows = group.prior_rows(information.names)
-        normal += rows.T @ rows
-    rows = links.prior_rows(information.names)[np.repeat(np.logical_not(is_stated), 10)]
-    normal += rows.T @ rows
+    names = information.names
     stated = np.repeat(is_stated, 10)
-    indices = np.array(links.indices(information.names))[stated]
-    curvature, pull = eliminate_others(normal, indices)
-    pull = pull - curvature @ links.mean[stated]
+    prior_rows = [group.prior_rows(names) for group in others]
+    normal = normal_matrix(information, weights)
+    for rows in (*prior_rows, links.prior_rows(names)[~stated]):
+        normal += rows.T @ rows
+    curvature, pull = eliminate_others(normal, np.array(links.indices(names))[stated])
+    pull = directions.T @ (pull - curvature @ links.mean[stated])
     count = int(np.count_nonzero(is_stated))
-    return LinkEvidence(
-        count, directions.T @ curvature @ directions, directions.T @ pull
-    )
+    return LinkEvidence(count, directions.T @ curvature @ directions, pull)
 
 
 def average_scales(evidence: LinkEvidence) -> LinkScales:

@@ -29,7 +29,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import starmap
 
 import mujoco
 import numpy as np
@@ -71,12 +70,10 @@ class Uncertainty:
 
     def with_cause(self, covariance: Array) -> Uncertainty:
         """Return the errors with those of one more, independent cause, of covariance (p, p)."""
-        spread = np.hypot(
-            self.standard_errors, np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        )
-        return replace(
-            self, covariance=self.covariance + covariance, standard_errors=spread
-        )
+        further = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        errors = np.hypot(self.standard_errors, further)
+        total = self.covariance + covariance
+        return replace(self, covariance=total, standard_errors=errors)
 
 
 def uncertainty(
@@ -97,30 +94,29 @@ def uncertainty(
     """
     space = space or joint_space(information, weights)
     inverse = space.inverse()
-    score = np.zeros((len(information.names),) * 2)
+    size = len(information.names)
     effective = sample_counts(information).tolist()
-    alone = [_alone(*pair, inverse) for pair in zip(residuals, weights)]
-    for _ in range(_ROUNDS if residuals else 0):
-        kernels = list(_kernels(residuals, alone, inverse @ score @ inverse))
-        omegas = (joint.score(c) for c, joint in zip(kernels, residuals))
-        score = _score(
-            [joint.columns for joint in residuals], omegas, weights, len(score)
-        )
-        effective = [joint.effective_samples(c) for c, joint in zip(kernels, residuals)]
-    if not residuals:
+    if residuals:
+        columns = [joint.columns for joint in residuals]
+        alone = [_alone(*pair, inverse) for pair in zip(residuals, weights)]
+        score = np.zeros((size, size))
+        for _ in range(_ROUNDS):
+            kernels = list(_kernels(residuals, alone, inverse @ score @ inverse))
+            omegas = map(JointResiduals.score, residuals, kernels)
+            score = _score(columns, omegas, weights, size)
+        effective = list(map(JointResiduals.effective_samples, residuals, kernels))
+    else:
+        columns = [joint.columns for joint in information.joints]
         rows = [joint.triangle[:, :-1] for joint in information.joints]
         white = (sigma**2 * block.T @ block for sigma, block in zip(noise, rows))
-        score = _score(
-            [j.columns for j in information.joints], white, weights, len(score)
-        )
+        score = _score(columns, white, weights, size)
     of_noise = inverse @ score @ inverse
     prior = information.prior
-    of_prior = np.zeros((0, len(score))) if prior is None else prior[:, :-1] @ inverse
+    of_prior = np.zeros((0, size)) if prior is None else prior[:, :-1] @ inverse
     covariance = of_noise + of_prior.T @ of_prior
     covariance = 0.5 * (covariance + covariance.T)
-    errors = np.where(
-        space.is_identified, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.inf
-    )
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    errors = np.where(space.is_identified, errors, np.inf)
     # The squared part of each parameter's unit vector that lies in the visible directions.
     share = np.clip(1.0 - np.sum(space.null**2, axis=1), 0.0, 1.0)
     return Uncertainty(covariance, of_noise, errors, share, inverse, tuple(effective))
@@ -287,16 +283,10 @@ class JointResiduals:
     def limit_lags(self) -> JointResiduals:
         """Return a copy without lags and time constants above a tenth of the samples."""
         lags, kernels = _reach(self.count)
-        first = slice(lags + 1)
-        return replace(
-            self,
-            decay=self.decay[:kernels],
-            sums=self.sums[: 1 + kernels],
-            **{
-                name: getattr(self, name)[first]
-                for name in ("lags", "products", "hats", "pairs")
-            },
-        )
+        names = ("lags", "products", "hats", "pairs")
+        shorter = {name: getattr(self, name)[: lags + 1] for name in names}
+        decay = self.decay[:kernels]
+        return replace(self, decay=decay, sums=self.sums[: 1 + kernels], **shorter)
 
     def absorbed_share(self, hat: Array) -> Array:
         """Return the share (1 + m,) of each kernel's noise energy that is missing in residuals.
@@ -306,10 +296,9 @@ class JointResiduals:
         Args:
             hat: ``inside`` of w^2 C (k, k), w the joint's weight, C the inverse normal matrix.
         """
-        twice = hat @ self.sums[0] @ hat
-        lost = 2.0 * np.tensordot(self.sums, hat, axes=2) - np.tensordot(
-            self.sums, twice, axes=2
-        )
+        once = np.tensordot(self.sums, hat, axes=2)
+        twice = np.tensordot(self.sums, hat @ self.sums[0] @ hat, axes=2)
+        lost = 2.0 * once - twice
         return np.clip(lost / max(self.count, 1), 0.0, _MOST_ABSORBED)
 
     def fit(self, absorbed: Array, leaked: float) -> Array:
@@ -323,36 +312,29 @@ class JointResiduals:
             leaked: mean square of the errors due to the noise of other joints [N^2 m^2].
         """
         energy = float(self.products[0])
-        shape = (
-            self.hats / self.hats[0] if self.hats[0] > 0.0 else np.zeros(len(self.lags))
-        )
-        products = self.products - min(leaked, 0.5 * energy) * shape
         if energy <= 0.0:
             return np.zeros(1 + len(self.decay))
-        kernels = np.column_stack(
-            (self.lags == 0, self.decay ** self.lags[:, None])
-        ).astype(float)
+        count = len(self.lags)
+        shape = self.hats / self.hats[0] if self.hats[0] > 0.0 else np.zeros(count)
+        products = self.products - min(leaked, 0.5 * energy) * shape
+        kernels = np.ones((count, 1 + len(self.decay)))
+        kernels[1:, 0] = 0.0
+        kernels[:, 1:] = self.decay ** self.lags[:, None]
         shapes = kernels - np.outer(shape, absorbed)
         # The first lag of each bin; bins widen in proportion to the lag.
-        count = len(self.lags)
-        edges = np.floor(np.geomspace(1.0, max(count - 1, 1), _LAG_BINS)).astype(
-            np.int64
-        )
+        edges = np.floor(np.geomspace(1.0, max(count - 1, 1), _LAG_BINS)).astype(int)
         bins = np.unique(np.clip(np.append(0, edges), 0, count - 1))
-        kernel_shares = _simplest_fit(
-            _sum_bins(shapes, bins), _sum_bins(products / energy, bins), self.count
-        )
-        return kernel_shares * products[0] / float(kernel_shares @ shapes[0])
+        binned_products = _sum_bins(products / energy, bins)
+        shares = _simplest_fit(_sum_bins(shapes, bins), binned_products, self.count)
+        return shares * products[0] / float(shares @ shapes[0])
 
     def effective_samples(self, kernels: Array) -> float:
         """Return the equivalent number of independent samples, n gamma(0) / sum_l gamma(l)."""
-        summed = np.concatenate(([1.0], (1.0 + self.decay) / (1.0 - self.decay)))
+        summed = np.append(1.0, (1.0 + self.decay) / (1.0 - self.decay))
         spread = float(kernels @ summed)
-        return (
-            self.count * float(np.sum(kernels)) / spread
-            if spread > 0.0
-            else float(self.count)
-        )
+        if spread <= 0.0:
+            return float(self.count)
+        return self.count * float(np.sum(kernels)) / spread
 
 
 def collect_residuals(
@@ -374,14 +356,13 @@ def collect_residuals(
         to_add: keep all lags, so that the result can be added to that of another log.
     """
 
-    def of(index: int, rows: Array, tau: Array) -> JointResiduals:
-        """Return the sums of the joint ``index`` with rows (N, k) and torque (N,) [N m]."""
+    residuals = []
+    for index, rows, tau in samples:
         columns = information.joints[index].columns
         residual = tau - rows @ values[columns]
         scaled = weights[index] * root[columns]
-        return joint_residuals(columns, scaled, rows, residual, to_add)
-
-    return list(starmap(of, samples))
+        residuals.append(joint_residuals(columns, scaled, rows, residual, to_add))
+    return residuals
 
 
 def joint_residuals(
@@ -416,25 +397,15 @@ def joint_residuals(
         hats = np.array([np.trace(hat, lag) for lag in range(lags + 1)])
     else:
         sums = _sums(rows, is_used, decay)
+        hats = np.zeros(lags + 1)
         # A few channels at a time: all channels together would be as large as the log.
-        roots = np.array_split(root, -(-root.shape[1] // _CHANNELS), axis=1)
-        hats = np.sum(
-            [
-                lagged_sums(np.where(is_used[:, None], rows @ r, 0.0), lags)
-                for r in roots
-            ],
-            axis=0,
-        )
+        for channels in np.array_split(root, -(-root.shape[1] // _CHANNELS), axis=1):
+            image = np.where(is_used[:, None], rows @ channels, 0.0)
+            hats += lagged_sums(image, lags)
+    hats = hats / np.maximum(pairs, 1.0)
+    lag = np.arange(lags + 1)
     return JointResiduals(
-        columns=columns,
-        count=count,
-        decay=decay,
-        sums=sums,
-        lags=np.arange(lags + 1),
-        products=products,
-        hats=hats / np.maximum(pairs, 1.0),
-        pairs=pairs,
-        basis=basis,
+        columns, count, decay, sums, lag, products, hats, pairs, basis
     )
 
 
@@ -489,13 +460,15 @@ def _simplest_fit(shapes: Array, products: Array, count: int) -> Array:
     the variance of an autocovariance is (1 / n) sum_l rho_l^2 (Bartlett 1946).
     """
     size = shapes.shape[1]
-    fits = [non_negative(shapes[:, :m], products) for m in range(1, size + 1)]
     variance = (1.0 + 2.0 * float(np.sum(products[1:] ** 2))) / max(count, 1)
-    scores = [misfit**2 / variance + 2.0 * np.count_nonzero(c) for c, misfit in fits]
-    best = fits[int(np.argmin(scores))][0]
-    full = np.append(best, np.zeros(size - len(best)))
-    full[0] += float(not np.any(full))
-    return full
+    fits = np.zeros((size, size))
+    criteria = np.zeros(size)
+    for k in range(size):
+        fits[k, : k + 1], misfit = non_negative(shapes[:, : k + 1], products)
+        criteria[k] = misfit**2 / variance + 2.0 * np.count_nonzero(fits[k])
+    best = fits[np.argmin(criteria)]
+    best[0] += float(not np.any(best))
+    return best
 
 
 def non_negative(matrix: Array, right_side: Array) -> tuple[Array, float]:
@@ -508,15 +481,11 @@ def non_negative(matrix: Array, right_side: Array) -> tuple[Array, float]:
     goal = matrix.T @ right_side
     x = np.zeros(size)
     workspace = np.zeros((size, size + 7))
-    failed = (
-        mujoco.mju_boxQP(
-            x, workspace, None, matrix.T @ matrix, -goal, np.zeros(size), None
-        )
-        < 0
-    )
+    gram = matrix.T @ matrix
+    rank = mujoco.mju_boxQP(x, workspace, None, gram, -goal, np.zeros(size), None)
     slope = goal - matrix.T @ (matrix @ x)
     uphill = np.max(np.where(x > 0.0, np.abs(slope), slope))
-    if failed or uphill > _FLAT * np.max(np.abs(goal)):
+    if rank < 0 or uphill > _FLAT * np.max(np.abs(goal)):
         from scipy.optimize import nnls
 
         x = nnls(matrix, right_side)[0]
@@ -554,9 +523,8 @@ def concentration(residual: Array) -> float:
     squares = residual[np.isfinite(residual)] ** 2
     if len(squares) < 2 * _STRETCHES or not np.any(squares):
         return 1.0
-    energies = np.array(
-        [np.sum(stretch) for stretch in np.array_split(squares, _STRETCHES)]
-    )
+    bursts = np.array_split(squares, _STRETCHES)
+    energies = np.array([np.sum(burst) for burst in bursts])
     return float(_STRETCHES * np.sum(energies**2) / np.sum(energies) ** 2)
 
 

@@ -1,4 +1,4 @@
-"""The evidence of a log under its priors, against dense covariances."""
+"""The model of a log is linear in the torque, and its evidence that of dense covariances."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from robot_sysid.diagnosis.log_model import rms
+
 
 def test_the_evidence_is_that_of_a_normal_distribution(contest):
     """Against the dense covariance of all rows of one joint after another."""
-    base = contest.base
+    base = contest.posterior.model
     noise = contest.posterior.noise
     n_rows = len(base.right_sides)
     matrix = np.zeros((base.right_sides.size, len(base.prior.estimated)))
@@ -32,16 +34,31 @@ def test_the_evidence_is_that_of_a_normal_distribution(contest):
 
 
 def test_the_transform_keeps_the_norm_of_the_used_rows(contest):
-    rows = np.random.default_rng(0).normal(size=(len(contest.log.torque), 2))
+    model = contest.posterior.model
+    rows = np.random.default_rng(0).normal(size=(len(model.log.torque), 2))
     for joint in range(5):
-        transformed = contest.base.transform.of_joint(joint, rows)
-        used = rows[contest.log.used[:, joint]]
+        transformed = model.transform(joint, rows)
+        used = rows[model.log.used[:, joint]]
         squares = np.sum(transformed**2, axis=0)
         assert_allclose(squares, np.sum(used**2, axis=0))
 
 
 def test_zero_columns_do_not_change_the_evidence(contest):
-    columns = [np.zeros((len(contest.base.right_sides), 2))] * 5
-    posterior = contest.base.with_columns(columns).at_noise(contest.posterior.noise)
+    model = contest.posterior.model
+    columns = [np.zeros((len(model.right_sides), 2))] * 5
+    posterior = model.with_columns(columns).at_noise(contest.posterior.noise)
     expected = contest.posterior.log_evidence
     assert posterior.log_evidence == pytest.approx(expected, abs=1e-6)
+
+
+def test_right_sides_are_linear_in_the_torque(contest):
+    """Two torques and their sum: what the model needs at prior values stays out of it."""
+    log = contest.posterior.model.log
+    zero = log.with_torque(0.0 * log.torque).right_sides
+    double = log.with_torque(2.0 * log.torque).right_sides
+    assert_allclose(double - zero, 2.0 * (log.right_sides - zero), atol=1e-9)
+
+
+def test_rms_is_that_of_each_column():
+    values = np.array([[3.0, 0.0], [-3.0, 2.0]])
+    assert_allclose(rms(values), [3.0, np.sqrt(2.0)])
