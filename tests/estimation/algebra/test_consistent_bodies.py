@@ -59,10 +59,8 @@ def problem_of(thetas):
 
 def unit_sizes(thetas):
     """Return the usual size of each parameter of links, and ones for friction."""
-    sizes = []
-    for theta in thetas:
-        length = spatial.characteristic_length(theta)
-        sizes.append(spatial.parameter_scale(theta[0], length))
+    lengths = map(spatial.characteristic_length, thetas)
+    sizes = map(spatial.parameter_scale, [theta[0] for theta in thetas], lengths)
     return np.concatenate((*sizes, np.ones(FRICTION)))
 
 
@@ -200,15 +198,9 @@ def random_covariance(share, seed=0):
 
 
 def uncertainty_of(covariance):
-    size = len(covariance)
-    return Uncertainty(
-        covariance,
-        np.zeros((size, size)),
-        np.sqrt(np.diag(covariance)),
-        np.ones(size),
-        np.eye(size),
-        (1.0,),
-    )
+    errors = np.sqrt(np.diag(covariance))
+    unit = np.eye(len(covariance))
+    return Uncertainty(covariance, 0.0 * unit, errors, np.diag(unit), unit, (1.0,))
 
 
 @pytest.mark.slow

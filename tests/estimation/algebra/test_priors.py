@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.stats
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -61,20 +62,15 @@ def random_groups(rng, size=1.0):
 
 def random_truth(rng, groups, size=1.0):
     """Return ten random parameters and nuisances drawn from their priors times ``size``."""
-    truth = [rng.normal(size=10)]
-    for group in groups:
-        deviation = group.factor @ rng.normal(size=len(group.names))
-        truth.append(group.mean + size * deviation)
-    return np.concatenate(truth)
+    mean, covariance = prior_moments(groups)
+    deviation = np.linalg.cholesky(covariance) @ rng.normal(size=6)
+    return np.concatenate((rng.normal(size=10), mean + size * deviation))
 
 
 def prior_moments(groups):
     """Return the prior mean (6,) and covariance (6, 6) of the nuisances."""
-    links, scales = (group.factor @ group.factor.T for group in groups)
-    covariance = np.zeros((6, 6))
-    covariance[:4, :4] = links
-    covariance[4:, 4:] = scales
-    return np.concatenate([group.mean for group in groups]), covariance
+    factor = scipy.linalg.block_diag(*[group.factor for group in groups])
+    return np.concatenate([group.mean for group in groups]), factor @ factor.T
 
 
 def information_of(rows, tau, names=NAMES):
@@ -301,10 +297,8 @@ def mass_and_scale_priors():
 
 
 def precision_of(groups):
-    rows = np.vstack(
-        [group.covariance_rows(SCALED_NAMES, np.eye(5)) for group in groups]
-    )
-    return rows.T @ rows
+    rows = [group.covariance_rows(SCALED_NAMES, np.eye(5)) for group in groups]
+    return np.vstack(rows).T @ np.vstack(rows)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -312,18 +306,15 @@ def test_the_rate_of_false_alarms_is_that_of_drawn_arms(seed, monkeypatch):
     rng = np.random.default_rng(seed)
     # Each joint feels its own scale, and both masses by its own arms.
     rows = np.hstack((rng.uniform(0.3, 1.0, (3, 2)), np.eye(3))) / 0.01
-    narrow, wide = mass_and_scale_priors()
+    narrow, wide = map(np.linalg.inv, map(precision_of, mass_and_scale_priors()))
     posteriors = [
-        np.linalg.inv(rows.T @ rows + precision_of(groups)) for groups in (narrow, wide)
+        np.linalg.inv(rows.T @ rows + np.linalg.inv(prior)) for prior in (narrow, wide)
     ]
     monkeypatch.setattr(priors, "LEAST_SCALE", 0.05)
-    scale_priors = [group.factor @ group.factor.T for _, group in (narrow, wide)]
-    pairs = [
-        (prior, posterior[2:, 2:]) for prior, posterior in zip(scale_priors, posteriors)
-    ]
+    scale_priors = narrow[2:, 2:], wide[2:, 2:]
+    pairs = zip(scale_priors, [posterior[2:, 2:] for posterior in posteriors])
     rate, products = false_alarms(*pairs)
-    covariance = np.linalg.inv(precision_of(narrow))
-    arms = rng.multivariate_normal(np.zeros(5), covariance, 20000)
+    arms = rng.multivariate_normal(np.zeros(5), narrow, 20000)
     data = (arms @ rows.T + rng.normal(size=(20000, 3))) @ rows
     common_scale = np.mean((data @ posteriors[1])[:, 2:], axis=1)
     threshold = max(0.05, np.sqrt(np.mean(posteriors[1][2:, 2:])))
