@@ -345,9 +345,16 @@ def _widening(
     values: Array,
     covariance: Array,
 ) -> tuple[float, float]:
-    """Return (alpha, gamma) of combinations ``aspect`` (m, k) of a group; gamma is at least one.
+    """Return (alpha, gamma) of the module's formulas for some combinations of a group's nuisances.
 
-    ``values`` (p,) and ``covariance`` (p, p) are the estimate in the order of ``names`` (p,).
+    alpha is at most ``WIDEST``, gamma at least one.
+
+    Args:
+        group: k nuisances with their prior.
+        aspect: (m, k) weights of the nuisances in m combinations.
+        names: (p,) names of the estimated parameters.
+        values: (p,) the estimate.
+        covariance: (p, p) of the estimate.
     """
     root = np.linalg.cholesky(aspect @ group.factor @ group.factor.T @ aspect.T)
     off = np.linalg.solve(root, aspect @ (values[group.indices(names)] - group.mean))
@@ -413,7 +420,8 @@ def _contradicted_factor(
 ) -> float:
     """Return the largest significant factor alpha of a group's aspects and of all its parameters.
 
-    Without a significant one, return the factor of all parameters, at most one.
+    Without a significant one, return the factor of all parameters, at most one. ``values`` (p,) and
+    ``covariance`` (p, p) are the estimate of the parameters ``names`` (p,).
     """
     factors = []
     identity = np.eye(len(group.names))
@@ -582,7 +590,8 @@ def false_alarms(
     far = _least(common_posterior) / sqrt(variance)
     along = products @ weights
     share = erfc(far / sqrt(2.0))
-    # Of a Gaussian beyond L standard deviations, the square is 1 + L phi(L) / (1 - Phi(L)).
+    # The mean square of a unit Gaussian beyond L is 1 + L phi(L) / (1 - Phi(L)) (Johnson, Kotz,
+    # Balakrishnan, "Continuous Univariate Distributions", vol. 1, 1994, ch. 13).
     more = far * exp(-0.5 * far**2) * sqrt(2.0 / pi) / share if share else 0.0
     products = products + more / variance * np.outer(along, along)
     return share, freed @ products @ freed

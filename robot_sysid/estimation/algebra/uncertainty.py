@@ -5,9 +5,11 @@ joint j's rows, P the prior precision of the nuisances (``priors``), so that its
 
     C (sum_j w_j^4 Omega_j + P) C,
 
-Omega_j the covariance of joint j's score Y_j^T e_j: sigma_j^2 Y_j^T Y_j for white noise. The sum
-splits by cause: C P_c C is the contribution of the nuisances of cause c. Directions that neither
-data nor P identify have zero covariance and infinite standard errors.
+Omega_j the covariance of joint j's score Y_j^T e_j: sigma_j^2 Y_j^T Y_j for white noise. For noise
+that is correlated in time this is a sandwich covariance (Newey, West, "A simple, positive
+semi-definite, heteroskedasticity and autocorrelation consistent covariance matrix", Econometrica
+55(3), 1987). The sum splits by cause: C P_c C is the contribution of the nuisances of cause c.
+Directions that neither data nor P identify have zero covariance and infinite standard errors.
 
 There are two models of the autocorrelation of noise, for two purposes. ``autocorrelation_time`` is
 one number per joint, by which rows are weighted while choices are compared. Standard errors need
@@ -410,13 +412,20 @@ def joint_residuals(
 
 
 def _decay(kernels: int) -> Array:
-    """Return exp(-1 / T_i) (m,) for m kernels with T_i = 1, 2, 4, ... samples."""
+    """Return exp(-1 / T_i) (m,) for a number m of kernels with T_i = 1, 2, 4, ... samples."""
     return np.exp(-1.0 / 2.0 ** np.arange(kernels))
 
 
 @lru_cache(maxsize=2)
 def _sums_of_ones(count: int, kernels: int) -> Array:
-    """Return the Q_i (1 + m, n, n) of a unit matrix; cached: do not change it."""
+    """Return the Q_i (1 + m, n, n) of a unit matrix: 1, then exp(-|t - s| / T_i) at (t, s).
+
+    The array is cached: do not change it.
+
+    Args:
+        count: number of samples n.
+        kernels: number of kernels m.
+    """
     lags = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
     return np.asarray(np.append(0.0, _decay(kernels))[:, None, None] ** lags)
 
@@ -448,7 +457,9 @@ def _sums(rows: Array, is_used: NDArray[np.bool_], decay: Array) -> Array:
 
 
 def _reach(count: int) -> tuple[int, int]:
-    """Return (largest lag, number of kernels) for a number of samples."""
+    """Return (largest lag [samples], number of kernels) for a number of samples: lags and time
+    constants stay below a tenth of it.
+    """
     lags = int(np.clip(count // 10, 1, _MAX_LAG))
     return lags, max(int(np.log2(max(lags / 2.0, 1.0))) + 1, 1)
 
@@ -458,6 +469,11 @@ def _simplest_fit(shapes: Array, products: Array, count: int) -> Array:
 
     Among the fits with the first 1, 2, ... kernels the one of least Akaike's criterion is taken;
     the variance of an autocovariance is (1 / n) sum_l rho_l^2 (Bartlett 1946).
+
+    Args:
+        shapes: (bins, 1 + m) expected autocovariance of each kernel.
+        products: (bins,) measured autocovariance, relative to that of lag 0.
+        count: number of samples n.
     """
     size = shapes.shape[1]
     variance = (1.0 + 2.0 * float(np.sum(products[1:] ** 2))) / max(count, 1)
@@ -516,9 +532,9 @@ def residual_correlation_time(residual: Array, repeats: float = 1.0) -> float:
 def concentration(residual: Array) -> float:
     """Return the factor by which bursts reduce the effective number of rows of a residual (K,).
 
-    Of B stretches with energies E_b, (sum E_b)^2 / sum E_b^2 count: all of them where the energy is
-    spread evenly, one where a single burst holds it. The residual is NaN where a sample is left
-    out.
+    Of B stretches with energies E_b, (sum E_b)^2 / sum E_b^2 count (Kish, "Survey Sampling", 1965):
+    all of them where the energy is spread evenly, one where a single burst holds it. The residual
+    is NaN where a sample is left out.
     """
     squares = residual[np.isfinite(residual)] ** 2
     if len(squares) < 2 * _STRETCHES or not np.any(squares):
