@@ -58,7 +58,9 @@ def test_the_advised_scale_includes_the_applied_ones(contest, factor, cause):
     advised = []
     for divided in (np.ones(5), applied):
         (correction,) = find_wrong_scales(base, OPTIONS, divided)
-        assert cause in correction.text
-        numbers = re.search(r"--torque-scale ([0-9.,]+[0-9])", correction.text)[1]
+        assert cause in correction.finding.text
+        numbers = re.search(r"--torque-scale ([0-9.,]+[0-9])", correction.finding.text)[
+            1
+        ]
         advised.append([float(number) for number in numbers.split(",")])
     assert_allclose(advised[1], advised[0] * applied, rtol=0.01)
