@@ -349,7 +349,7 @@ def params_json_text(
         "friction_formulas": FORMULAS,
         "sensors": result.sensors,
         **_fit_entries(result),
-        **_run_entries(replace(result, notes=(*result.notes, *notes))),
+        **_run_entries(result, notes),
     }
     return json_text(content)
 
@@ -566,7 +566,7 @@ def _fit_entries(result: Result) -> dict[str, Any]:
     }
 
 
-def _run_entries(result: Result) -> dict[str, Any]:
+def _run_entries(result: Result, notes: Sequence[str]) -> dict[str, Any]:
     """Return the entries on base parameters, validation and notes, and on data, model, versions."""
     base = result.base
     data = result.data
@@ -588,7 +588,7 @@ def _run_entries(result: Result) -> dict[str, Any]:
         "cutoff": result.cutoff,
         "friction_model": result.friction_model,
         "limitations": limitations(result),
-        "notes": result.notes,
+        "notes": [*result.notes, *notes],
         "source": data.description,
         "logs": data.files,
         "model": {"path": str(robot.path), "sha256": robot.sha256},

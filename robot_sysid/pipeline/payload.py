@@ -218,14 +218,7 @@ def order_positions(
     """
     if order is not None:
         is_loaded = np.array([letter == LOADED for letter in order])
-        turns = {
-            True: iter(np.flatnonzero(is_loaded)),
-            False: iter(np.flatnonzero(~is_loaded)),
-        }
-        positions = [
-            float(next(turns[recording.is_loaded])) for recording in recordings
-        ]
-        return _scaled_to_unit(np.array(positions))
+        return _scaled_to_unit(np.argsort(is_loaded, kind="stable").astype(float))
     ends = np.array([recording.samples.time[[0, -1]] for recording in recordings])
     spans = ends[np.lexsort(ends.T[::-1])]
     if np.any(spans[1:, 0] <= spans[:-1, 1]):

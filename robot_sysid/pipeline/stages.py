@@ -228,9 +228,9 @@ def run_self_test(
     progress.stage("Solving for parameters...")
     estimate = identify_parameters(information, equations.prior, possible=True)
     friction = {}
-    for index in range(N_INERTIAL, len(equations.names)):
-        term = equations.names[index].partition("[")[0]
-        friction[term] = float(equations.prior[index])
+    coefficients = equations.prior[N_INERTIAL:].tolist()
+    for name, coefficient in zip(equations.names[N_INERTIAL:], coefficients):
+        friction[name.partition("[")[0]] = coefficient
     result = Result(
         robot=robot,
         question=LINK,

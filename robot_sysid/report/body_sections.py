@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +68,7 @@ def masses(bodies: Sequence[Body]) -> Table:
 
     The versions are those of ``Body.thetas``; one with zero mass has no row.
     """
-    header = ("body", "", "mass [kg]", *(f"centre {axis} [m]" for axis in "xyz"))
+    header = ("body", "", "mass [kg]", *map("centre {} [m]".format, "xyz"))
     rows = []
     for body in bodies:
         for version, theta in body.thetas.items():
@@ -238,9 +240,7 @@ def visibility(run: Run) -> Section:
             base_rows.append((combination, *value_cells, _YES_OR_NO[is_essential]))
         tables.append(table(header, base_rows))
     if sensors:
-        sensor_rows = [
-            (name, with_error(*quantity)) for name, quantity in sensors.items()
-        ]
+        sensor_rows = zip(sensors, itertools.starmap(with_error, sensors.values()))
         tables.append(table(("sensor", "found beside them"), sensor_rows))
     hidden = list(content["unidentifiable_combinations"])
     if not run.is_fully_known:
@@ -275,11 +275,9 @@ def card(run: Run) -> Section | None:
     payload = run.content["payload"]
     if payload is None:
         return None
-    rows = [
-        (joint, with_error(*quantity))
-        for joint, quantity in payload["torque_scale"].items()
-    ]
-    tables = [table(("joint", "torque scale"), rows)] if rows else []
+    scales = payload["torque_scale"]
+    rows = zip(scales, itertools.starmap(with_error, scales.values()))
+    tables = [table(("joint", "torque scale"), rows)] if scales else []
     if not payload["cards"]:
         reason = "no card was written, because the payload is not to be used"
         if payload["known_mass"] is not None:
@@ -292,9 +290,8 @@ def card(run: Run) -> Section | None:
     )
     blocks = []
     for entry in payload["cards"].values():
-        comment = "\n".join(
-            f"# {line}" for line in (entry["explanation"], *entry["notes"]) if line
-        )
+        lines = filter(None, (entry["explanation"], *entry["notes"]))
+        comment = "\n".join(map("# {}".format, lines))
         blocks.append((entry["title"], f"{comment}\n{entry['text']}"))
     return Section(
         "card", "Payload card", (explanation,), tables, blocks=blocks, is_open=True
@@ -312,8 +309,8 @@ def scatter(run: Run) -> Section | None:
     header = ("recording", "kind", "mass [kg]", "± noise alone [kg]", "± all [kg]")
     rows = []
     for recording in payload["scatter"]:
-        mass, noise, error = (
-            number(recording[key]) for key in ("mass", "noise_error", "error")
+        mass, noise, error = map(
+            number, itemgetter("mass", "noise_error", "error")(recording)
         )
         pair = drawing.cells(mass, noise)
         side = "loaded" if recording["is_loaded"] else "empty"
@@ -464,7 +461,9 @@ def _drawn_bodies(robot: RobotModel, run: Run) -> Iterator[tuple[int, Body]]:
         return
     yield robot.body_id, first
     ids = {link.body_name: link.body_id for link in robot.links}
-    yield from ((ids[body.title], body) for body in others if body.title in ids)
+    for body in others:
+        if body.title in ids:
+            yield ids[body.title], body
 
 
 def _approach_last_link(studio: Studio, robot: RobotModel, body: Body) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -18,8 +19,7 @@ from robot_sysid.records.messages import (
 )
 from robot_sysid.report import drawing
 from robot_sysid.report.drawing import Curves, Figure, Panel, Section, Table
-from robot_sysid.report.runs import LONGEST_LAG, ReportData, Run, number
-from robot_sysid.results.record import Quantity as Estimated
+from robot_sysid.report.runs import LONGEST_LAG, Friction, ReportData, Run, number
 
 _NEAR = 0.5
 """Largest distance of a limit from the recorded values at which it is drawn, as a share of the
@@ -265,30 +265,26 @@ def friction(run: Run) -> Section:
 
 
 def _coefficient_table(
-    title: str,
-    coefficients: Mapping[tuple[str, str], Estimated],
-    slides: Mapping[str, bool],
+    title: str, coefficients: Friction, slides: Mapping[str, bool]
 ) -> Table:
     """Return a table of friction coefficients: one row per joint, one column per friction term.
 
     Args:
         title: title of the first column, which names the joints.
-        coefficients: (joint or coupling, friction term) to coefficient and standard error; "–"
-            stands for a pair that is not in it.
+        coefficients: joint or coupling to friction term to coefficient and standard error; "–"
+            stands for a term that a joint lacks and another one has.
         slides: joint to whether it is a slide, which determines the units; empty if not known.
     """
-    owners = dict.fromkeys(owner for owner, _ in coefficients)
-    terms = dict.fromkeys(term for _, term in coefficients)
+    all_terms = dict.fromkeys(itertools.chain.from_iterable(coefficients.values()))
     has_slide = any(slides.values())
     header = [title]
-    for term in terms:
+    for term in all_terms:
         header.append(f"{term} [{term_unit(term, has_slide) or '1'}]")
     rows = []
-    for owner in owners:
+    for owner, terms in coefficients.items():
         row = [owner]
-        for term in terms:
-            quantity = coefficients.get((owner, term))
-            row.append("–" if quantity is None else with_error(*quantity))
+        for term in all_terms:
+            row.append(with_error(*terms[term]) if term in terms else "–")
         rows.append(row)
     note = ""
     if has_slide and not all(slides.values()):

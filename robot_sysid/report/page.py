@@ -10,6 +10,7 @@ import base64
 import re
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -80,7 +81,7 @@ def sections_of(
                 "Drawing the report", len(sections), len(makers), ""
             )
             sections.append(maker(runs[0]))
-        return [section for section in sections if section is not None]
+        return list(filter(None, sections))
     except _ODD as error:
         cause = f"{type(error).__name__}: {error}"
         raise InputError(
@@ -304,7 +305,7 @@ def verdicts(runs: Sequence[Run]) -> Section:
 
 def run_by_name(runs: Sequence[Run]) -> dict[str, Run]:
     """Return the runs by the name of their folder, or by its path if several have that name."""
-    folder_names = [run.name for run in runs]
+    folder_names = list(map(attrgetter("name"), runs))
     run_of = {}
     for run in runs:
         is_unique = folder_names.count(run.name) == 1
@@ -360,16 +361,14 @@ def compare_friction(runs: Sequence[Run]) -> Section:
 
     "–" stands for a coefficient that a run did not estimate.
     """
-    text_by_run = {}
-    keys: dict[tuple[str, str], None] = {}
-    for name, run in run_by_name(runs).items():
-        coefficients = run.friction()
-        keys.update(dict.fromkeys(coefficients))
-        text_by_run[name] = {k: with_error(*q) for k, q in coefficients.items()}
-    rows = []
-    for key in keys:
-        rows.append((*key, *(texts.get(key, "–") for texts in text_by_run.values())))
-    comparison = table(("joint", "term", *text_by_run), rows)
+    names = run_by_name(runs)
+    rows: dict[tuple[str, str], list[str]] = {}
+    for column, run in enumerate(names.values(), start=2):
+        for owner, terms in run.friction().items():
+            for term, quantity in terms.items():
+                row = rows.setdefault((owner, term), [owner, term, *"–" * len(runs)])
+                row[column] = with_error(*quantity)
+    comparison = table(("joint", "term", *names), list(rows.values()))
     return Section("friction", "Friction", tables=(comparison,))
 
 

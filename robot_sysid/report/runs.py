@@ -324,6 +324,10 @@ class Body:
         return errors.tolist() if self.budget else [None] * len(errors)
 
 
+Friction = Mapping[str, Mapping[str, Quantity]]
+"""Joint, or coupling of several, to friction term to its coefficient and standard error."""
+
+
 @dataclass(frozen=True)
 class Run:
     """A finished run, loaded from its folder.
@@ -361,34 +365,29 @@ class Run:
         """
         return bool(self.content["valid"]["all_identified"]) or not self.is_payload
 
-    def friction(self, key: str = "terms") -> dict[tuple[str, str], Quantity]:
-        """Return (joint or coupling, friction term) to the term's coefficient and standard error.
+    def friction(self, key: str = "terms") -> Friction:
+        """Return joint or coupling to friction term to the term's coefficient and standard error.
 
         Args:
             key: "terms" for the identified coefficients, "in_the_file" for those of the written
                 model, "another_day" for those in a log that was recorded on another day.
         """
         owners = {**self.content["joints"], **self.content["couplings"]}
-        coefficients: dict[tuple[str, str], Quantity] = {}
-        for owner, entry in owners.items():
-            for term, quantity in entry.get(key, {}).items():
-                coefficients[owner, term] = quantity
-        return coefficients
+        return {owner: entry[key] for owner, entry in owners.items() if entry.get(key)}
 
-    def friction_of_logs(self) -> dict[str, dict[tuple[str, str], Quantity]]:
+    def friction_of_logs(self) -> dict[str, Friction]:
         """Return the friction coefficients of each log, if the run had several.
 
         Returns:
-            "joint in LOG", the heading of a table, to (joint, friction term) to the coefficient and
+            "joint in LOG", the heading of a table, to joint to friction term to the coefficient and
             its standard error in that log.
         """
-        tables: dict[str, dict[tuple[str, str], Quantity]] = {}
+        tables: dict[str, dict[str, Mapping[str, Quantity]]] = {}
         for joint, entry in self.content["joints"].items():
             for log, terms in entry.get("logs", {}).items():
-                table = tables.setdefault(f"joint in {log}", {})
-                for term, quantity in terms.items():
-                    table[joint, term] = quantity
-        return tables
+                if terms:
+                    tables.setdefault(f"joint in {log}", {})[joint] = terms
+        return {**tables}
 
 
 def number(value: Any) -> float:

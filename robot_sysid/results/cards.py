@@ -348,7 +348,7 @@ def card_text(cards: Sequence[Card], payload: Payload, model_name: str) -> str:
     for card in cards:
         lines = [f"== {card.title} =="]
         for paragraph in (card.explanation, *card.notes):
-            lines += [f"# {line}" for line in wrap(paragraph, _LINE_WIDTH - 2)]
+            lines += map("# {}".format, wrap(paragraph, _LINE_WIDTH - 2))
         blocks.append("\n".join([*lines, card.text]))
     return "\n\n".join(blocks) + "\n"
 
@@ -403,8 +403,8 @@ def _number_groups(payload: InertialParameters) -> tuple[Array, dict[str, Any]]:
 def round_group(values: Sequence[float] | Array) -> list[float]:
     """Return numbers with the digits of a card; zero where they are rounding beside the largest."""
     smallest = _ROUNDING * float(np.max(np.abs(values)))
-    is_rounding = np.abs(values) < smallest
-    return [0.0 if zero else float(plain(v)) for zero, v in zip(is_rounding, values)]
+    cleared = np.where(np.abs(values) < smallest, 0.0, values)
+    return list(map(float, map(plain, cleared)))
 
 
 def plain(value: float) -> str:
@@ -415,7 +415,7 @@ def plain(value: float) -> str:
 
 def join_numbers(values: Sequence[float]) -> str:
     """Return numbers without exponent, separated by commas."""
-    return ", ".join(plain(value) for value in values)
+    return ", ".join(map(plain, values))
 
 
 def _fill_values(form: Mapping[str, Any], groups: Mapping[str, Any]) -> dict[str, Any]:
@@ -537,9 +537,10 @@ def _error_notes(error_texts: Mapping[str, str], form: Mapping[str, Any]) -> lis
     for group in form.values():
         groups += group.values() if isinstance(group, dict) else [group]
     # One text per quantity, in the order of the values.
-    texts = dict.fromkeys(
-        error_texts[group] for group in groups if group in error_texts
-    )
+    texts: dict[str, None] = {}
+    for group in groups:
+        if group in error_texts:
+            texts[error_texts[group]] = None
     is_unknown = NOT_KNOWN in texts
     texts.pop(NOT_KNOWN, None)
     notes = [f"Standard errors: {'; '.join(texts)}."]

@@ -342,10 +342,10 @@ class RolloutTest:
     @property
     def score(self) -> float | None:
         """Geometric mean of the error ratios of all loops and horizons; None without any."""
-        ratios = [error.ratio for error in self.errors]
-        logarithms = [
-            np.log(max(ratio, 1e-12)) for ratio in ratios if ratio is not None
-        ]
+        logarithms = []
+        for error in self.errors:
+            if error.ratio is not None:
+                logarithms.append(np.log(max(error.ratio, 1e-12)))
         return float(np.exp(np.mean(logarithms))) if logarithms else None
 
     @property
@@ -500,11 +500,11 @@ def _strict(value: Any) -> Any:
     if is_dataclass(value) and not isinstance(value, type):
         return _strict(asdict(value))
     if isinstance(value, Mapping):
-        return {str(key): _strict(item) for key, item in value.items()}
+        return dict(zip(map(str, value), map(_strict, value.values())))
     if isinstance(value, (np.ndarray, np.generic)):
         return _strict(value.tolist())
     if isinstance(value, (list, tuple)):
-        return [_strict(item) for item in value]
+        return list(map(_strict, value))
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -169,8 +169,8 @@ def _mass_lines(result: Result) -> Iterator[str]:
     except ExportError:
         yield line
         return
-    merged = [body.name for body in plan.emptied]
-    written = " + ".join([names[0], *merged]) + (" together" if merged else " alone")
+    bodies_text = " + ".join([names[0], *(body.name for body in plan.emptied)])
+    written = f"{bodies_text} {'together' if plan.emptied else 'alone'}"
     yield f"{line}; {written}, as written in the file: {plan.theta[0]:.4g} kg"
 
 
@@ -349,7 +349,7 @@ def clamping_lines(
     lines = ["Damiao export, clamped to motor limits:"]
     for joint, motor, share in zip(joints, report.joints, report.clamped_percent):
         lines.append(f"  {joint} ({motor.motor_type}): {share:.1f} %")
-    return lines + [f"  {warning}" for warning in report.warnings]
+    return [*lines, *map("  {}".format, report.warnings)]
 
 
 def folder_text(folder: Path) -> str:
@@ -375,7 +375,7 @@ def rollout_lines(test: RolloutTest) -> Iterator[str]:
         joint_errors = zip(test.joint_names, error.errors_before, error.errors_after)
         for name, old_joint_error, new_joint_error in joint_errors:
             yield Detail(f"    {name}: {old_joint_error:.3g} -> {new_joint_error:.3g}")
-    yield from (f"  {note}" for note in test.notes)
+    yield from map("  {}".format, test.notes)
     if test.errors:
         longest = test.errors[-1]
         texts = []

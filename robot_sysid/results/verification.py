@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -75,13 +76,8 @@ DERIVED = {
     # Collision bounding boxes are kept in the inertial frame of their body.
     *["bvh_aabb", "bvh_child", "bvh_depth", "bvh_nodeid"],
     # Scene size and mean mass, for drawing and for scaling contacts.
-    *[
-        "stat.center",
-        "stat.extent",
-        "stat.meaninertia",
-        "stat.meanmass",
-        "stat.meansize",
-    ],
+    *["stat.center", "stat.extent", "stat.meaninertia"],
+    *["stat.meanmass", "stat.meansize"],
 }
 # Paths of asset files, and the sizes that follow from the length of these names. The signature is a
 # hash of sizes and types, which are compared themselves; MuJoCo loses it when it pickles.
@@ -134,13 +130,14 @@ class _RequiredValue(NamedTuple):
 
 def _required_values(original: Any, change: ModelChange) -> Iterator[_RequiredValue]:
     """Yield the values of joints, actuators, tendons and gravity that a change requires."""
-    labels = [joint_label(original, joint) for joint in range(original.njnt)]
+    labels = list(map(partial(joint_label, original), range(original.njnt)))
     for joint in change.joints:
         dof = int(original.jnt_dofadr[labels.index(joint.label)])
-        numbers: dict[str, Any] = {f"dof_{n}": v for n, v in joint.numbers.items()}
+        numbers: dict[str, Any] = {**joint.numbers}
         if joint.polynomial is not None and hasattr(original, "dof_dampingpoly"):
-            numbers["dof_dampingpoly"] = joint.polynomial
-        for field, value in numbers.items():
+            numbers["dampingpoly"] = joint.polynomial
+        for name, value in numbers.items():
+            field = f"dof_{name}"
             advice = _ADVICE.get(field, "no model was written")
             owner = f"joint '{joint.label}'"
             yield _RequiredValue(owner, field, (dof,), value, advice)
@@ -189,9 +186,8 @@ def require_change(original: Any, changed: Any, change: ModelChange) -> None:
             changed, int(mujoco.mjtObj.mjOBJ_BODY), welded.name
         )
         if new_body < 0 or changed.nbody != original.nbody + 1:
-            raise ExportError(
-                f"the written model has no body '{welded.name}' of its own"
-            )
+            name = welded.name
+            raise ExportError(f"the written model has no body '{name}' of its own")
     # Body to its parameters and to those that set the scale.
     thetas: dict[int, tuple[Array, Array]] = {}
     for body_change in change.bodies:
@@ -206,8 +202,9 @@ def require_change(original: Any, changed: Any, change: ModelChange) -> None:
         rows.setdefault(required.field, set()).update(indices)
     new_tendons = sum(tendon.is_new for tendon in change.tendons)
     if changed.ntendon != original.ntendon + new_tendons:
+        count = changed.ntendon
         raise ExportError(
-            f"the written model has {changed.ntendon} tendons; no model was written"
+            f"the written model has {count} tendons; no model was written"
         )
     require_same_model(original, changed, rows, new_body)
     for body_id, (theta, scale_theta) in thetas.items():
@@ -244,17 +241,18 @@ def require_same_model(
     """
     other_fields = dict(compiled_fields(other))
     ignored = DERIVED | PATHS
+    ignored_prefixes: tuple[str, ...] = ()
     if other.ntendon > original.ntendon:
         ignored |= {"ntendon", "nwrap", "nJten", *_NAME_FIELDS}
-        ignored |= {name for name in other_fields if name.startswith("name_")}
+        ignored_prefixes = ("name_",)
         for name, value in compiled_fields(original):
             if name.startswith(("tendon_", "ten_", "wrap_")):
                 other_fields[name] = other_fields[name][: len(value)]
     if new_body is not None:
         ignored |= _BODY_COUNT_FIELDS
-        ignored |= {name for name in other_fields if name.startswith(("name_", "B_"))}
+        ignored_prefixes = ("name_", "B_")
     for name, value in compiled_fields(original):
-        if name in ignored:
+        if name in ignored or name.startswith(ignored_prefixes):
             continue
         rows = changed_rows.get(name, ())
         if not _is_same(name, value, other_fields.get(name), rows, new_body):
@@ -344,7 +342,7 @@ def _is_same(
         is_shifted = (other == original + 1) & (original >= new_body)
         other = np.where(is_shifted, original, other)
     if changed_rows:
-        rows = [row for row in range(len(original)) if row not in changed_rows]
+        rows = np.setdiff1d(np.arange(len(original)), list(changed_rows))
         original = original[rows]
         other = other[rows]
     if name == "actuator_biasprm":
@@ -395,8 +393,7 @@ def require_reproduction(
         force = tendon.numbers.get("armature", 0.0) * (motion.qdd @ ratios)
         force += tendon.numbers.get("damping", 0.0) * (motion.qd @ ratios)
         predicted += np.outer(force, ratios)
-    # Its meshes take memory that the written model's dynamics needs.
-    del expected
+    del expected  # its meshes take memory that the written model's dynamics needs
     actual = ArmDynamics(robot, written).torque(*samples)
     peak = np.max(np.abs(predicted), axis=0)
     scale = np.maximum(peak, _MIN_TORQUE_SHARE * np.max(peak, initial=0.0))

@@ -186,7 +186,8 @@ def _joint_changes(
             polynomial = values.get("quadratic", 0.0), values.get("cubic", 0.0)
             # One attribute holds all three numbers, so that the one that stays is written again.
             values.setdefault("viscous", model_viscous)
-        numbers = {name: values.get(term) for term, name in _MJCF_ATTRIBUTES.items()}
+        attributes = _MJCF_ATTRIBUTES.values()
+        numbers = dict(zip(attributes, map(values.get, _MJCF_ATTRIBUTES)))
         text = _terms_text(terms)
         changes.append(
             JointChange(joint, **numbers, polynomial=polynomial, comment=text)
@@ -255,8 +256,7 @@ def _body_changes(
     body_ids = [link.body_id for link in robot.links]
     bound = setting_number(read_document(robot.path), "boundinertia")
     written_thetas = np.array(thetas, dtype=float)
-    is_changed = [np.any(t != link.theta) for t, link in zip(thetas, robot.links)]
-    indices = np.flatnonzero(is_changed).tolist()
+    indices = np.flatnonzero(np.any(thetas != robot.thetas, axis=1)).tolist()
     comments = _link_comments(robot, indices, joints)
     if terminal_comment:
         comments[len(body_ids) - 1].insert(0, terminal_comment)
@@ -441,7 +441,7 @@ def _bundled_model(model: Path, folder: str) -> tuple[bytes, dict[Path, str]]:
         if path is None or path in names:
             continue
         # Two files never get one name, not even on a disk that ignores the case of letters.
-        used_names = {name.lower() for name in names.values()}
+        used_names = set(map(str.lower, names.values()))
         name = f"{folder}{path.name}"
         for number in itertools.count(2):
             if name.lower() not in used_names:
