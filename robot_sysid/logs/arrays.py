@@ -55,9 +55,8 @@ def recordings_table(
 ) -> LogTable:
     """Return recordings in memory as one table, the rows of one after those of the other.
 
-    Args:
-        titles: (C,) of the columns of all arrays of a recording, from left to right.
-        recordings: per recording its arrays, (N,) or (N, k), side by side; N may vary.
+    ``titles`` (C,) are those of all columns of a recording, from left to right; ``recordings`` has
+    a list per recording of its arrays, (N,) or (N, k), side by side; N may vary.
     """
     return LogTable(path, layout, tuple(titles), partial(_blocks, recordings))
 
@@ -155,9 +154,9 @@ def npz_arrays(path: Path) -> dict[str, Any]:
             refuse_bomb(path, sum(m.file_size for m in archive.infolist()), size)
             refuse_many_arrays(path, len(names))
             if not any(name.endswith(".npy") for name in names):
-                remedy = "unpack it, and give the log in it"
-                if "[Content_Types].xml" in names:
-                    remedy = "export it as CSV"
+                is_spreadsheet = "[Content_Types].xml" in names
+                unpack = "unpack it, and give the log in it"
+                remedy = "export it as CSV" if is_spreadsheet else unpack
                 listed = ", ".join(names[:3]) or "nothing"
                 raise InputError(
                     f"{path} is no recording but an archive of {listed}; {remedy}"
@@ -491,8 +490,11 @@ def _unpacked_bytes(metadata: Any, columns: Sequence[str]) -> float:
 
 
 LEROBOT = "a LeRobot data set"
+"""Name of the form in messages."""
 STATE = "observation.state"
+"""Feature (array of a frame) that holds what was measured."""
 ACTION = "action"
+"""Feature that holds what was commanded."""
 # Last word of a name in a feature to the title's quantity and unit.
 _SUFFIXES = {
     "pos": "position [deg]",

@@ -47,8 +47,8 @@ from robot_sysid.logs.titles import (
 )
 from robot_sysid.records import Array
 
-# Keys of a columns file; those of quantities may be followed by ".joint".
 _KEYS = ("time", *QUANTITIES, "acceleration", "units", "rate")
+"""Keys of a columns file; those of quantities may be followed by ".joint"."""
 # A factor and a title: "0.95 * I3".
 _SCALED = re.compile(
     r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*\s*(.+)", re.ASCII
@@ -335,9 +335,14 @@ def recognise_columns(
 
 @dataclass(frozen=True)
 class _ColumnFinder:
-    """Finds the columns of each quantity of one log, whose parsed titles are ``_titles``.
+    """Finds the columns of each quantity of one log.
 
     Attributes:
+        _texts: titles of the columns as the file has them.
+        _titles: these titles, cut into tokens, numbers and unit.
+        _joint_names: (n,) of the chain, base to terminal.
+        _choices: declarations, which outrank the titles.
+        _is_slide: (n,) whether a joint is a slide, whose positions are never angles.
         driven: the quantity that is needed beside positions, "torque" or "command".
         recognised: quantity to its columns, () for none; filled by ``find_all``.
     """

@@ -390,10 +390,15 @@ def read_blocks(
 class _RowCleaner:
     """Leaves out unusable rows and unwraps positions, block by block, in the order of the log.
 
-    Args: as of ``read_rows``.
+    Args:
+        table: the log.
+        columns: the column of each quantity.
+        is_slide: (n,) whether a joint is a slide, whose positions are not unwrapped.
 
     Attributes:
-        n_read, n_foreign, anomalies: of all blocks so far, as in ``LogRows``.
+        n_read: number of rows so far that hold something of this arm.
+        n_foreign: number of rows so far that hold nothing of this arm.
+        anomalies: UNREADABLE, MISSING, REPEATED, BACKWARDS and WRAPPED to their counts so far.
         empty_cells: (C,) number of MISSING rows in which each column is empty.
     """
 

@@ -273,7 +273,10 @@ def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
 def _read_with_numpy(
     dialect: Dialect, columns: Sequence[int], lines: Sequence[str]
 ) -> Array | None:
-    """Return the cells (R, C) of lines; None where a line has to be read cell by cell."""
+    """Return the cells (R, C) of R lines in the C columns of these indices, as NumPy reads them.
+
+    None where a line has to be read cell by cell.
+    """
     if dialect.is_quoted:
         return None
     separator = None if dialect.separator == " " else dialect.separator
@@ -326,7 +329,10 @@ def _read_rows(
 
 
 def _read_row(dialect: Dialect, columns: Sequence[int], line: str, row: Array) -> str:
-    """Write the numbers of a line's columns into ``row`` (C,); return "", or the line's fault."""
+    """Write the numbers in a line's columns of these indices (C,) into ``row`` (C,), in place.
+
+    Returns "", or the fault of a line that is not numbers, for the user.
+    """
     cells = dialect.cells(line)
     titles = dialect.titles
     if len(cells) != len(titles):
@@ -367,10 +373,10 @@ def write_measurement_csv(
             if not attributes:
                 pairs = _ATTRIBUTES.items()
                 attributes = {q: a for q, a in pairs if getattr(chunk, a) is not None}
-                titles = ["time"]
-                for quantity, joint in product(attributes, joint_names):
-                    titles.append(re.sub(r"[\r\n]", " ", f"{joint}_{quantity}"))
-                writer.writerow(titles)
+                columns = product(attributes, joint_names)
+                titles = [f"{joint}_{quantity}" for quantity, joint in columns]
+                lines = [re.sub(r"[\r\n]", " ", title) for title in titles]
+                writer.writerow(["time", *lines])
             values = [getattr(chunk, name) for name in attributes.values()]
             rows = np.column_stack((chunk.time, *values)).tolist()
             writer.writerows(map(repr, row) for row in rows)

@@ -60,7 +60,8 @@ class AssetFolders:
     """Where MuJoCo looks for assets.
 
     Attributes:
-        strip: whether it drops the folders in the names of files.
+        mesh, texture: absolute path of the folder of meshes, and of that of textures.
+        strip: whether MuJoCo drops the folders in the names of files.
         is_override: whether the user said where meshes are.
     """
 
@@ -217,8 +218,12 @@ def relocated_text(
 ) -> bytes:
     """Return the UTF-8 text of an edited document as it must read in another folder.
 
-    None makes every path absolute and inlines all includes. References to files that were not found
-    stay as they are.
+    References to files that were not found stay as they are.
+
+    Args:
+        edits: the edits so far; those of paths are added.
+        folder: where the text will live; None makes every path absolute and inlines all includes.
+        mesh_dir: folder of the meshes; default as the file says.
     """
     document = edits.document
     edits.folder = folder

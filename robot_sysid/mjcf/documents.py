@@ -25,7 +25,9 @@ from robot_sysid.errors import InputError, ModelError, error_text
 from robot_sysid.records.file_access import refuse_special_file, require_utf8
 
 _ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([A-Za-z0-9._-]+)[\"']")
+"""XML declaration with the encoding that it states."""
 SUFFIXES = (".xml", ".mjcf", ".urdf")
+"""Ends of the names of model files."""
 _MAX_INCLUDE_DEPTH = 50
 """Includes in one another; no model at hand has more than three."""
 _MAX_ELEMENT_DEPTH = 256
@@ -197,7 +199,10 @@ def read_document(path: Path) -> ModelDocument:
 
 
 def _read(path: Path, files: dict[Path, SourceFile], depth: int = 0) -> SourceFile:
-    """Return a file with its includes, and add each to ``files`` by its real path, in order."""
+    """Return a file with its includes; all are added to ``files``, by their real path, in order.
+
+    ``depth``: number of includes that the file stands in. ModelError where one cannot be read.
+    """
     raw = _read_bytes(path)
     n_elements = sum(len(file.elements) for file in files.values())
     file = SourceFile(path, raw, _as_utf8(raw, path))
@@ -212,7 +217,12 @@ def _read(path: Path, files: dict[Path, SourceFile], depth: int = 0) -> SourceFi
 
 
 def _read_include(node: Node, files: dict[Path, SourceFile], depth: int) -> SourceFile:
-    """Return the file that an ``<include>`` names, read as ``_read`` does."""
+    """Return the file that an ``<include>`` names, with its own includes, or raise ModelError.
+
+    Args:
+        files: all files read so far by their real path, the main file first; those read are added.
+        depth: number of includes that this one stands in, itself counted.
+    """
     including = node.file.path
     name = node.get("file")
     location = f"{including}, line {node.line}"
@@ -372,7 +382,7 @@ class Edits:
 
     Attributes:
         settings: elements to add to MuJoCo's settings, which in a URDF stand in ``<mujoco>``.
-        settings_lead: white space before each of them.
+        settings_lead: white space before each of these settings.
         folder: where the text will live; None makes the paths of includes absolute.
         inlined: further included files whose text must take the place of their ``<include>``.
     """

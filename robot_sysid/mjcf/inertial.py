@@ -44,7 +44,7 @@ class WriteBack:
         note: a sentence for the user on what was changed, or None.
         inflation: by how much all moments of inertia are larger than identified [kg m^2].
         lightened: the bodies on joints of their own that keep only a share of their inertia.
-        scale: that share.
+        scale: share of their inertia that the lightened bodies keep, 0 to 1.
     """
 
     theta: Array
@@ -170,7 +170,9 @@ def possible_body(
 
     Args:
         scale: mass of the larger of the two bodies [kg], beside which a tiny mass is nothing.
-        least_moment, max_inflation: as in ``plan_write_back``.
+        least_moment: smallest principal moment of inertia that the body must have [kg m^2].
+        max_inflation: by how much all three moments may be inflated, because they are not known any
+            better [kg m^2].
     """
     mass, com, inertia = spatial.com_from_theta(theta)
     size = float(np.trace(inertia)) / 2.0

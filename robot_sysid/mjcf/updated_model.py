@@ -135,9 +135,11 @@ class ModelChange:
     """All changes of a model.
 
     Attributes:
+        bodies, joints, actuators, tendons: those that get new numbers.
         rmse: residual of the identification, for the comments [N m].
-        gravity: new gravity in the world frame [m/s^2].
-        principal: as in ``inertial.mjcf_inertial``.
+        welded: a new body, or None.
+        gravity: new gravity in the world frame [m/s^2]; None leaves the file's.
+        principal: whether inertias are written as principal moments and axes, not as full matrix.
     """
 
     bodies: tuple[BodyChange, ...]
@@ -201,7 +203,10 @@ def _write_bodies(edits: Edits, change: ModelChange) -> list[Node]:
 
 
 def _inertial(document: ModelDocument, theta: Array, principal: bool) -> str:
-    """Return the ``<inertial>`` of theta (10,) in the language of a document."""
+    """Return the ``<inertial>`` of theta (10,), in URDF where the document is URDF, else in MJCF.
+
+    ``principal``: whether MJCF states principal moments and axes, not the full matrix.
+    """
     if document.is_urdf:
         return urdf_inertial_about_com(*spatial.com_from_theta(theta))
     return mjcf_inertial(theta, principal)

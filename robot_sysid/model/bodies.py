@@ -78,8 +78,8 @@ def composite_theta(mj_model: Any, qpos: Array, body_id: int) -> Array:
 def link_reach(mj_model: Any, qpos: Array, body_id: int) -> float:
     """Return how far a body and all below it, held at ``qpos``, reach from its origin [m].
 
-    The farthest point of its geoms' bounding spheres, and at least the length of the uniform rod
-    whose mass is as far from its end.
+    It is the distance of the farthest point of its geoms' bounding spheres, but at least sqrt(3)
+    times the root mean square distance of its mass, which is the length of a uniform rod.
     """
     data = data_at_pose(mj_model, qpos)
     geoms = np.isin(mj_model.geom_bodyid, subtree(mj_model, body_id))

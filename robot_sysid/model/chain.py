@@ -142,7 +142,11 @@ def find_terminal_joint(mj_model: Any) -> int:
 
 
 def _require_end(mj_model: Any, arm: Run) -> None:
-    """Raise where the last joint of a run may not be the arm's: a jaw, a loose tool, a ball."""
+    """Raise AmbiguousJointError where the last joint of a run may not be the arm's last one.
+
+    It may be the jaw of a gripper, or a joint without a motor. ModelError where a ball joint is
+    behind it.
+    """
     last = arm[-1]
     joint = joint_label(mj_model, last)
     children = [j for j in range(mj_model.njnt) if _parent(mj_model, j) == last]

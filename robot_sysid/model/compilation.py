@@ -39,6 +39,7 @@ from robot_sysid.records.messages import Progress
 
 # RuntimeError is what the bindings make of an exception of C++, such as one for want of memory.
 FAILURES = (ValueError, RuntimeError, mujoco.FatalError, mujoco.UnexpectedError)
+"""Exceptions by which MuJoCo refuses a model."""
 _NAME = re.compile(r"(?:Element name|Object name =) ?'?([^',\n]+)")
 _LINE = re.compile(r"line(?: =)? (\d+)")
 _MUST_BE_FINITE = (
@@ -266,6 +267,7 @@ def restore_exact_inertias(
 
 
 InMemory = Union["mujoco.MjSpec", "mujoco.MjModel"]
+"""A model that a program holds in memory."""
 _FOLDERS: list[tempfile.TemporaryDirectory[str]] = []
 """Folders of the files that ``file_of`` wrote; they are removed when the process ends."""
 _WRITTEN: WeakKeyDictionary[Any, tuple[Path, Any]] = WeakKeyDictionary()
