@@ -26,7 +26,7 @@ from robot_sysid.estimation.answer import (
     model_file,
     written_payload,
 )
-from robot_sysid.estimation.columns import PAYLOAD_NAMES
+from robot_sysid.estimation.columns import PAYLOAD_NAMES, split_name
 from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.identify import contradiction, payloads_by_recording
 from robot_sysid.estimation.trust import (
@@ -164,7 +164,9 @@ def _common(answer: Answer, data: DataOrigin) -> Result:
     fit = answer.fit
     robot = answer.robot
     options = fit.question.options
+    scales = fit.choice.link_scales
     joints = dict(answer.joints())
+    chain_joints = {name: joints.pop(name) for name in robot.joint_names}
     signals = [log.signals for log in fit.columns.datasets if log.signals is not None]
     models = {model.name for model in fit.choice.friction}
     return Result(
@@ -174,18 +176,12 @@ def _common(answer: Answer, data: DataOrigin) -> Result:
         verdict=Verdict.OK,
         torques=fit.columns.torques,
         data=data,
-        joints={name: joints[name] for name in robot.joint_names},
-        couplings={
-            name: joint
-            for name, joint in joints.items()
-            if name not in robot.joint_names
-        },
+        joints=chain_joints,
+        couplings=joints,
         sensors=answer.sensors(),
         friction_model=models.pop() if len(models) == 1 else "per joint",
         cutoff=signals[0].cutoff if signals else None,
-        link_scales={
-            name: getattr(fit.choice.link_scales, name) for name in LINK_KINDS
-        },
+        link_scales={name: getattr(scales, name) for name in LINK_KINDS},
         conflicts=answer.errors.conflicts,
         delay=fit.value(DELAY_NAME) if options.delay == "auto" else None,
         tilt=math.hypot(*map(fit.value, TILT_NAMES))
@@ -200,7 +196,8 @@ def _result_notes(answer: Answer, file: ModelFile | None) -> Iterator[str]:
     Args:
         file: the written model file; None where none is written.
     """
-    scales = [f.value for n, f in answer.sensors().items() if n.startswith("scale[")]
+    sensors = answer.sensors()
+    scales = [sensors[name].value for name in sensors if name.startswith("scale[")]
     common_scale = float(np.mean(scales)) if answer.fit.choice.common_scale else 0.0
     # A first fit calls for the common scale; the last one may find it to be near zero.
     if abs(common_scale) > LEAST_SCALE:
@@ -220,7 +217,7 @@ def _result_notes(answer: Answer, file: ModelFile | None) -> Iterator[str]:
                 f"the recordings ask for errors by {group.cause} {group.widened:.1f} times as "
                 "large as was thought; those that are printed allow for it"
             )
-    for name, quantity in answer.sensors().items():
+    for name, quantity in sensors.items():
         large = abs(quantity.value) > max(_CLEAR * quantity.error, _SMALL_ZERO)
         if name.startswith("zero[") and large:
             yield (
@@ -294,25 +291,22 @@ def _payload_estimate(
     """
     columns = answer.fit.columns
     known_mass = answer.fit.question.known_mass
-    scales = {
-        joint: answer.quantity(f"scale[{joint}]")
-        for joint in columns.joints
-        if known_mass
-    }
+    torque_scale = {}
+    if known_mass:
+        for joint in columns.joints:
+            scale = answer.quantity(f"scale[{joint}]")
+            torque_scale[joint] = Quantity(1.0 + scale.value, scale.error)
+    recordings: dict[str, tuple[str, ...]] = {"empty": (), "loaded": ()}
+    for log in columns.datasets:
+        recordings["loaded" if log.is_loaded else "empty"] += (log.name,)
     return Payload(
         flange,
         _payload(answer, flange, values),
         _link(answer, values, False),
         _link(answer, values, True),
-        {
-            side: tuple(log.name for log in columns.datasets if log.is_loaded is loaded)
-            for side, loaded in (("empty", False), ("loaded", True))
-        },
+        recordings,
         scatter,
-        {
-            joint: Quantity(1.0 + scale.value, scale.error)
-            for joint, scale in scales.items()
-        },
+        torque_scale,
         known_mass,
     )
 
@@ -323,18 +317,12 @@ def _without_inertia(payload: Payload) -> Payload:
     This holds for the payload and for the terminal link with the payload.
     """
     is_first = np.arange(10) < 4  # mass and first moments
-    body = payload.body
-    total = payload.total
-    body = replace(
-        body,
-        is_determined=body.is_determined & is_first,
-        data_share=body.data_share * is_first,
+    body, total = (
+        replace(body, is_determined=body.is_determined & is_first)
+        for body in (payload.body, payload.total)
     )
-    return replace(
-        payload,
-        body=body,
-        total=replace(total, is_determined=total.is_determined & is_first),
-    )
+    body = replace(body, data_share=body.data_share * is_first)
+    return replace(payload, body=body, total=total)
 
 
 def _arm_file(answer: Answer) -> tuple[ModelFile | None, tuple[str, ...]]:
@@ -357,11 +345,10 @@ def _payload(answer: Answer, flange: Flange, values: Array) -> BodyEstimate:
     Args:
         values: (p,) of all parameters, from which the payload is taken.
     """
-    to_flange = np.stack([flange.to_flange(unit) for unit in np.eye(10)], axis=1)
+    to_flange = np.stack(list(map(flange.to_flange, np.eye(10))), axis=1)
     theta = to_flange @ values[answer.fit.columns.indices(PAYLOAD_NAMES)]
-    return answer.body(
-        "payload", to_flange @ answer.selection_matrix(PAYLOAD_NAMES), theta, None
-    )
+    combinations = to_flange @ answer.selection_matrix(PAYLOAD_NAMES)
+    return answer.body("payload", combinations, theta, None)
 
 
 def _link(answer: Answer, values: Array, loaded: bool) -> BodyEstimate:
@@ -376,10 +363,9 @@ def _link(answer: Answer, values: Array, loaded: bool) -> BodyEstimate:
     if loaded:
         combinations = combinations + answer.selection_matrix(PAYLOAD_NAMES)
         theta = theta + values[answer.fit.columns.indices(PAYLOAD_NAMES)]
-    name = answer.robot.body_name
-    return answer.body(
-        name, combinations, theta, None if loaded else answer.robot.prior.theta
-    )
+    robot = answer.robot
+    model_theta = None if loaded else robot.prior.theta
+    return answer.body(robot.body_name, combinations, theta, model_theta)
 
 
 # Terms of parameter names with a joint in brackets that are no torque of friction.
@@ -417,13 +403,19 @@ def make_traces(
             pieces.append(np.column_stack(interpolated))
         return np.concatenate(pieces)
 
+    def products(values: Mapping[str, float]) -> Array:
+        """Return the torque (K, joints) of all rows that named parameters make [N m]."""
+        coefficients = np.array([values.get(name, 0.0) for name in samples[0].names])
+        torques = [np.stack(log.torque(coefficients), axis=1) for log in samples]
+        return np.concatenate(torques)
+
     right_sides = stack_joints("tau")
     measured = stack_joints("measured")
     limits = robot.limits
     friction = {}
     for name, value in estimate.items():
-        term, bracket, _ = name.partition("[")
-        if bracket and term not in _NOT_FRICTION:
+        term, owner = split_name(name)
+        if owner and term not in _NOT_FRICTION:
             friction[name] = value
     return Traces(
         joints=joints,
@@ -433,9 +425,9 @@ def make_traces(
         qd=interpolate_motion("qd"),
         measured=np.where(np.isfinite(right_sides), measured, np.nan),
         # A right-hand side lacks the torque that depends on no parameter: it is added back.
-        predicted=measured - right_sides + _products(samples, estimate),
-        prior_prediction=measured - right_sides + _products(samples, prior),
-        friction=_products(samples, friction),
+        predicted=measured - right_sides + products(estimate),
+        prior_prediction=measured - right_sides + products(prior),
+        friction=products(friction),
         limits=JointLimits(
             limits.lower[indices],
             limits.upper[indices],
@@ -443,23 +435,6 @@ def make_traces(
             limits.torque[indices],
         ),
     )
-
-
-def _products(
-    samples: Sequence[DecimatedSamples], values: Mapping[str, float]
-) -> Array:
-    """Return the torque (K, joints) of all logs' rows that named parameters make [N m].
-
-    Args:
-        values: parameter name to value; missing parameters are zero.
-    """
-    coefficients = np.array([values.get(name, 0.0) for name in samples[0].names])
-    torques = []
-    for log in samples:
-        pairs = zip(log.rows, log.columns)
-        log_torques = [rows @ coefficients[columns] for rows, columns in pairs]
-        torques.append(np.stack(log_torques, axis=1))
-    return np.concatenate(torques)
 
 
 def traces_of(answer: Answer) -> Traces:
@@ -474,11 +449,11 @@ def traces_of(answer: Answer) -> Traces:
     estimate = dict(zip(names, fit.values.tolist()))
     prior = dict(zip(names, fit.columns.model_values.tolist()))
     if fit.question.loaded:
-        prior = {
-            name: value for name, value in estimate.items() if name not in PAYLOAD_NAMES
-        }
-    prior.update({n: v for n, v in estimate.items() if n.startswith("offset[")})
-    motions = [
-        dataset.remove_delay(fit.point.delay).motion for dataset in fit.columns.datasets
-    ]
+        prior = estimate | dict.fromkeys(PAYLOAD_NAMES, 0.0)
+    for name, value in estimate.items():
+        if name.startswith("offset["):
+            prior[name] = value
+    motions = []
+    for dataset in fit.columns.datasets:
+        motions.append(dataset.remove_delay(fit.point.delay).motion)
     return make_traces(fit.columns.robot, fit.samples, motions, estimate, prior)

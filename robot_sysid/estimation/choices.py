@@ -15,7 +15,7 @@ Shapes: the chain has n joints; "joints" counts those with equations; p paramete
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,8 @@ from robot_sysid.estimation.algebra.priors import (
     link_evidence,
     link_lengths,
 )
-from robot_sysid.estimation.columns import Point
+from robot_sysid.estimation.columns import Columns, Point, split_name
+from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.estimation.fit import Fit, Fitter
 from robot_sysid.estimation.held_out import HeldOut, is_clearly_lower
 from robot_sysid.estimation.question import Choice, EstimationOptions, Question
@@ -209,10 +210,10 @@ def _candidate_errors(
     speeds: dict[str, Array] = {}
     n_trials = max(len(term.trial_speeds) for term in NONLINEAR_TERMS.values())
     for number in range(n_trials):
-        trial_speeds = {
-            term: np.full(robot.n_joints, nonlinear_term.trial_speeds[number])
-            for term, nonlinear_term in NONLINEAR_TERMS.items()
-        }
+        trial_speeds = {}
+        for term, nonlinear in NONLINEAR_TERMS.items():
+            speed = nonlinear.trial_speeds[number]
+            trial_speeds[term] = np.full(robot.n_joints, speed)
         data, _ = fitter.around(replace(point, speed=trial_speeds, exact_load=True))
         judge = HeldOut(data, noise)
         for name in CANDIDATES:
@@ -222,17 +223,14 @@ def _candidate_errors(
             trial = replace(choice, friction=(model,) * robot.n_joints)
             unknowns = data.unknowns(fitter.columns, question, trial)
             error = judge.squared_errors(unknowns)
-            speed = (
-                trial_speeds[model.nonlinear_terms[0]][0]
-                if model.nonlinear_terms
-                else 0.0
-            )
-            least = squared.get(name, np.full_like(error, np.inf))
+            trial_speed = np.zeros(error.shape[1])
+            for term in model.nonlinear_terms:
+                trial_speed[:] = trial_speeds[term][0]
+            least = squared.setdefault(name, np.full_like(error, np.inf))
             lower = error.sum(axis=0) < least.sum(axis=0)
             squared[name] = np.where(lower, error, least)
-            speeds[name] = np.where(
-                lower, speed, speeds.get(name, np.zeros(error.shape[1]))
-            )
+            least_speed = speeds.get(name, 0.0)
+            speeds[name] = np.where(lower, trial_speed, least_speed)
         counts = judge.counts
         # Before the next ones are made: they take as much memory as the rows.
         del data, judge
@@ -251,14 +249,14 @@ def clearly_best(scores: Mapping[str, Array]) -> str:
     """
     best = next(iter(scores))
     while True:
-        better = [
-            name for name in scores if is_clearly_lower(scores[name], scores[best])
-        ]
+        better = {}
+        for name, score in scores.items():
+            if is_clearly_lower(score, scores[best]):
+                n_terms = len(friction_model(name).terms)
+                better[name] = (n_terms, float(np.mean(score)))
         if not better:
             return best
-        fewest = min(len(friction_model(name).terms) for name in better)
-        short = [name for name in better if len(friction_model(name).terms) == fewest]
-        best = min(short, key=lambda name: float(np.mean(scores[name])))
+        best = min(better, key=lambda name: better[name])
 
 
 def is_scaled(fit: Fit, question: Question, choice: Choice) -> bool:
@@ -349,9 +347,7 @@ def couplings_of_model(robot: RobotModel) -> tuple[Coupling, ...]:
     A tendon without friction and rotor inertia is no motor, but a spring or a gripper's fingers.
     """
     ratios = shared_motors(robot.mj_model, robot.dof_index)
-    motors = (
-        coupling(robot, joint_ratios, tendon) for tendon, joint_ratios in ratios.items()
-    )
+    motors = [coupling(robot, row, tendon) for tendon, row in ratios.items()]
     return tuple(motor for motor in motors if np.any(motor.model))
 
 
@@ -381,21 +377,31 @@ def couplings_of(
     if options.torques != "chain":
         return stated, ()
     of_model = couplings_of_model(robot)
-    fixed = (*of_model, *(motor for motor in stated if not _is_among(motor, of_model)))
     if options.coupling is not None:
-        return fixed, ()
-    offered = tuple(motor for motor in neighbours(robot) if not _is_among(motor, fixed))
-    return (*fixed, *offered), offered
+        return (*of_model, *_missing(stated, of_model)), ()
+    offered = tuple(_missing(neighbours(robot), of_model))
+    return (*of_model, *offered), offered
 
 
-def _is_among(motor: Coupling, others: Sequence[Coupling]) -> bool:
-    """Tell whether a motor's ratios are parallel to those of one of the others."""
-    direction = motor.ratios / np.linalg.norm(motor.ratios)
-    for other in others:
-        cosine = direction @ (other.ratios / np.linalg.norm(other.ratios))
-        if abs(cosine) > _SAME_DIRECTION:
-            return True
-    return False
+def columns_of(
+    robot: RobotModel, datasets: Sequence[Dataset], options: EstimationOptions
+) -> Columns:
+    """Return the columns of recordings with all couplings of ``couplings_of``."""
+    return Columns(robot, datasets, options.torques, couplings_of(robot, options)[0])
+
+
+def _missing(
+    motors: Iterable[Coupling], present: Sequence[Coupling]
+) -> Iterator[Coupling]:
+    """Yield the motors whose ratios are not parallel to those of any present one."""
+    for motor in motors:
+        direction = motor.ratios / np.linalg.norm(motor.ratios)
+        cosines = [0.0]
+        for other in present:
+            other_direction = other.ratios / np.linalg.norm(other.ratios)
+            cosines.append(abs(direction @ other_direction))
+        if max(cosines) <= _SAME_DIRECTION:
+            yield motor
 
 
 def select_couplings(
@@ -422,16 +428,18 @@ def select_couplings(
     )
     fit = fitter.fit(question, choice, rounds=1)
     while True:
-        wider = [
-            fitter.solve_around(
-                fit.point, question, replace(fit.choice, couplings=motors)
-            )
-            for motors in _promising_couplings(fit, question, offered)
-        ]
-        gains = [_evidence_gain(fit, wider_fit) for wider_fit in wider]
-        if not gains or max(gains) < CLEAR_EVIDENCE:
+        best_gain = CLEAR_EVIDENCE
+        best = fit
+        for motors in _promising_couplings(fit, question, offered):
+            wider_choice = replace(fit.choice, couplings=motors)
+            wider = fitter.solve_around(fit.point, question, wider_choice)
+            gain = _evidence_gain(fit, wider)
+            if gain >= best_gain:
+                best_gain = gain
+                best = wider
+        if best is fit:
             return fit.choice.couplings
-        fit = wider[int(np.argmax(gains))]
+        fit = best
 
 
 def _promising_couplings(
@@ -443,9 +451,8 @@ def _promising_couplings(
     than a fit of each. Motors that do not make the torques more likely are left out.
     """
     present = fit.choice.couplings
-    candidates = [
-        motor for motor in offered if all(motor is not other for other in present)
-    ]
+    present_names = [motor.name for motor in present]
+    candidates = [motor for motor in offered if motor.name not in present_names]
     if not candidates:
         return []
     choice = replace(fit.choice, couplings=(*present, *candidates))
@@ -456,13 +463,11 @@ def _promising_couplings(
     )
     priors = [_motor_prior(fit, unknowns, motor) for motor in candidates]
     absent = [replace(prior, widened=_ABSENT) for prior in priors]
-    groups = [*unknowns.groups, *absent]
-    evidence_without = problem.log_evidence(groups)[1]
+    evidence_without = problem.log_evidence([*unknowns.groups, *absent])[1]
     gains = []
-    for k in range(len(candidates)):
-        groups[len(unknowns.groups) + k] = priors[k]
+    for k, prior in enumerate(priors):
+        groups = [*unknowns.groups, *absent[:k], prior, *absent[k + 1 :]]
         gains.append(problem.log_evidence(groups)[1] - evidence_without)
-        groups[len(unknowns.groups) + k] = absent[k]
     best = np.argsort(gains)[::-1][:2]
     return [(*present, candidates[k]) for k in best if gains[k] > 0.0]
 
@@ -485,9 +490,8 @@ def _evidence_gain(fit: Fit, wider: Fit) -> float:
     )
     values, covariance, _ = problem.solve(priors)
     indices = prior.indices(wider.unknowns.estimated_names)
-    if not np.any(
-        np.abs(values[indices]) > _CLEAR * np.sqrt(np.diag(covariance)[indices])
-    ):
+    errors = np.sqrt(np.diag(covariance)[indices])
+    if not np.any(np.abs(values[indices]) > _CLEAR * errors):
         return -np.inf
     problem_without = WithPriors(
         fit.evidence.of(fit.unknowns), np.sqrt(correlation) * fit.noise
@@ -513,21 +517,20 @@ def _motor_prior(fit: Fit, unknowns: Unknowns, motor: Coupling) -> NuisanceGroup
     names = [name for name in motor.parameter_names if name in unknowns.estimated_names]
     sizes = []
     for name in names:
-        term = name.partition("[")[0]
-        terms = columns.indices(
-            [f"{term}[{columns.robot.joint_names[joint]}]" for joint in turned]
-        )
-        size = max(float(np.max(np.abs(fit.values[terms]))), _LEAST)
+        term, _ = split_name(name)
+        size = _LEAST
         for joint in turned:
+            joint_name = columns.robot.joint_names[joint]
+            size = max(
+                size, abs(float(fit.values[columns.index[f"{term}[{joint_name}]"]]))
+            )
             rows = fit.evidence.total.joints[joint]
             column = rows.triangle[:, :-1][:, rows.columns == columns.index[name]]
-            column_size = float(np.linalg.norm(column)) / np.sqrt(
-                max(rows.n_samples, 1)
-            )
+            root = np.sqrt(max(rows.n_samples, 1))
+            column_size = float(np.linalg.norm(column)) / root
             if column_size > 0.0:
-                size = max(
-                    size, LEAST_COULOMB * fit.evidence.torque[joint] / column_size
-                )
+                least_torque = LEAST_COULOMB * fit.evidence.torque[joint]
+                size = max(size, least_torque / column_size)
         sizes.append(size)
     return independent_prior("couplings", names, names, np.array(sizes))
 

@@ -72,6 +72,11 @@ class DecimatedSamples:
         """Yield (joint number, rows (K, k), right-hand sides (K,)) of each joint."""
         return zip(range(len(self.rows)), self.rows, self.tau)
 
+    def torque(self, values: Array) -> list[Array]:
+        """Return each joint's torque (K,) that parameters (p,) make in its rows [N m]."""
+        pairs = zip(self.rows, self.columns)
+        return [rows @ values[columns] for rows, columns in pairs]
+
     def in_use(self, joint: int) -> tuple[Array, Array]:
         """Return the used rows (m, k) of a joint number and their right-hand sides (m,)."""
         is_used = np.isfinite(self.tau[joint])
@@ -91,10 +96,8 @@ class DecimatedSamples:
             used: (K,) for all joints, or (K, joints).
         """
         masks = np.broadcast_to(used.T, (len(self.tau), len(self)))
-        pairs = zip(masks, self.tau)
-        return replace(
-            self, tau=tuple(np.where(mask, tau, np.nan) for mask, tau in pairs)
-        )
+        tau = np.where(masks, self.tau, np.nan)
+        return replace(self, tau=tuple(tau))
 
     def only(self, names: tuple[str, ...]) -> DecimatedSamples:
         """Return the equations with the columns of named parameters only, which become ``names``.
@@ -113,10 +116,10 @@ class DecimatedSamples:
 
     def squared_torque(self) -> Array:
         """Return the sum of squares (joints,) of the measured torque over used rows [N^2 m^2]."""
-        pairs = zip(self.tau, self.measured)
-        return np.array(
-            [np.sum(measured[np.isfinite(tau)] ** 2) for tau, measured in pairs]
-        )
+        squares = []
+        for tau, measured in zip(self.tau, self.measured):
+            squares.append(np.sum(measured[np.isfinite(tau)] ** 2))
+        return np.array(squares)
 
 
 def release_memory() -> None:

@@ -499,12 +499,11 @@ def correlation_factors_of(choice: Choice, n_joints: int) -> Array:
 
 def _residuals(samples: Sequence[DecimatedSamples], values: Array) -> Iterator[Array]:
     """Yield each joint's residuals (K,) at parameters (p,) [N m]; NaN where a row is not used."""
+    torques = [recording.torque(values) for recording in samples]
     for joint in range(len(samples[0].joints)):
         residuals = []
-        for recording in samples:
-            coefficients = values[recording.columns[joint]]
-            torque = recording.rows[joint] @ coefficients
-            residuals.append(recording.tau[joint] - torque)
+        for recording, torque in zip(samples, torques):
+            residuals.append(recording.tau[joint] - torque[joint])
         yield np.concatenate(residuals)
 
 

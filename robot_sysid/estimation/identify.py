@@ -7,7 +7,7 @@ Shapes: n joints of the chain; K rows (instants of equations) of a recording; p 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from robot_sysid.estimation.answer import Answer, written_payload
 from robot_sysid.estimation.choices import (
     WITH_ALL,
     choose,
+    columns_of,
     couplings_of,
     select_couplings,
 )
@@ -86,7 +87,7 @@ def low_pass_recordings(
         with prefix_input_errors(piece.name):
             cutoffs.append(options.cutoff or log.choice[0])
     low_passed = []
-    notes: dict[str, tuple[str, ...]] = {}
+    notes: dict[str, dict[str, None]] = {}
     for piece, log, required in zip(pieces, resampled, cutoffs):
         cutoff = options.cutoff
         reason = "as given"
@@ -96,25 +97,23 @@ def low_pass_recordings(
         with prefix_input_errors(piece.name):
             signals = process(log, robot.joint_names, cutoff, reason)
         low_passed.append(Dataset(piece.name, signals, piece.is_loaded, piece.order))
-        piece_notes = (*notes.get(piece.name, ()), *signals.notes)
-        notes[piece.name] = tuple(dict.fromkeys(piece_notes))
+        notes.setdefault(piece.name, {}).update(dict.fromkeys(signals.notes))
     datasets = [without_standing(robot, dataset, options) for dataset in low_passed]
     return datasets, tuple(shared_notes(notes))
 
 
-def shared_notes(notes_by_name: Mapping[str, Sequence[str]]) -> Iterator[str]:
+def shared_notes(notes_by_name: Mapping[str, Collection[str]]) -> Iterator[str]:
     """Yield each note once, with the names of its recordings where there are several recordings.
 
     Args:
         notes_by_name: name of a recording to its notes; a note may be a subclass of ``str``.
     """
-    for note in dict.fromkeys(
-        note for notes in notes_by_name.values() for note in notes
-    ):
+    all_notes = dict.fromkeys(itertools.chain(*notes_by_name.values()))
+    for note in all_notes:
         about = [name for name, notes in notes_by_name.items() if note in notes]
-        where = (
-            "all recordings" if len(about) == len(notes_by_name) else ", ".join(about)
-        )
+        where = ", ".join(about)
+        if len(about) == len(notes_by_name):
+            where = "all recordings"
         yield note if len(notes_by_name) == 1 else type(note)(f"{where}: {note}")
 
 
@@ -229,9 +228,8 @@ def refit(
         unchanged_parts: parts of the model file that stay as they are.
     """
     fit = answer.fit
-    datasets = [
-        replace(dataset, used=mask) for dataset, mask in zip(fit.columns.datasets, used)
-    ]
+    pairs = zip(fit.columns.datasets, used)
+    datasets = [replace(dataset, used=mask) for dataset, mask in pairs]
     return answer_link(
         answer.robot, datasets, fit.question.options, Progress(), unchanged_parts
     )
@@ -302,9 +300,7 @@ def without_standing(
     if signals is None or not np.any(signals.turning):
         return dataset
 
-    columns = Columns(
-        robot, [dataset], options.torques, couplings_of(robot, options)[0]
-    )
+    columns = columns_of(robot, [dataset], options)
     model = friction_model(WITH_ALL)
     if options.friction is not None and not options.friction.terms:
         model = options.friction
@@ -369,24 +365,22 @@ def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[RecordingPayload, .
     logs = [restrict_samples(samples, unknowns) for samples in fit.samples]
     prior = fit.columns.model_values[unknowns.estimated]
     indices = np.searchsorted(unknowns.estimated, fit.columns.indices(PAYLOAD_NAMES))
-    for is_loaded in (False, True):
-        same = [k for k, log in enumerate(recordings) if log.is_loaded is is_loaded]
-        others = [
-            k for k, log in enumerate(recordings) if log.is_loaded is not is_loaded
-        ]
-        for k in same if len(same) > 1 else ():
-            values, *spread = estimate_alone(
-                [logs[i] for i in (k, *others)], unknowns.groups, prior, fit.noise
-            )
-            theta = flange.to_flange(values[indices])
-            noise, error = (
-                float(np.sqrt(matrix[indices[0], indices[0]])) for matrix in spread
-            )
-            mass = float(theta[0])
-            com = theta[1:4] / mass if mass else np.full(3, np.nan)
-            payloads.append(
-                RecordingPayload(recordings[k].name, is_loaded, mass, com, noise, error)
-            )
+    kinds = np.array([log.is_loaded for log in recordings])
+    for k in np.argsort(kinds, kind="stable"):
+        is_loaded = recordings[k].is_loaded
+        if np.count_nonzero(kinds == is_loaded) < 2:
+            continue
+        others = np.flatnonzero(kinds != is_loaded)
+        selected = [logs[k], *(logs[other] for other in others)]
+        values, *spread = estimate_alone(selected, unknowns.groups, prior, fit.noise)
+        variances = np.array(spread)[:, indices[0], indices[0]]
+        noise, error = np.sqrt(variances).tolist()
+        theta = flange.to_flange(values[indices])
+        mass = float(theta[0])
+        com = theta[1:4] / mass if mass else np.full(3, np.nan)
+        name = recordings[k].name
+        payload = RecordingPayload(name, is_loaded, mass, com, noise, error)
+        payloads.append(payload)
     return tuple(payloads)
 
 
@@ -407,11 +401,11 @@ def contradiction(fit: Fit, flange: Flange) -> str:
     differences: list[tuple[float, int, str]] = []
     if len(kinds) < 3:
         return ""
-    for samples in (
-        lambda: fit.samples,
-        lambda: fit.columns.samples(fit.columns.start()),
-    ):
-        bodies, covariance = bodies_apart(fit, samples())
+    for around_model in (False, True):
+        samples = fit.samples
+        if around_model:
+            samples = fit.columns.samples(fit.columns.start())
+        bodies, covariance = bodies_apart(fit, samples)
         differences = sorted(_differences(kinds, bodies, covariance))
         if not differences:
             return ""
@@ -420,15 +414,15 @@ def contradiction(fit: Fit, flange: Flange) -> str:
     lightest = int(np.argmin(bodies[:, 0]))
     carried = bodies - bodies[lightest]
     least = LEAST_MASS * float(np.max(carried[:, 0]))
-    listed = [
-        f"{log.name} {_describe_body(flange.to_flange(theta), least)}"
-        for log, theta in zip(recordings, carried)
-        if log is not recordings[lightest]
-    ]
+    phrases = []
+    for log, theta in zip(recordings, carried):
+        if log is not recordings[lightest]:
+            body = _describe_body(flange.to_flange(theta), least)
+            phrases.append(f"{log.name} {body}")
     return (
         f"{recordings[number].name} differs from {', '.join(recordings[k].name for k in same)} in "
         f"{quantity}; compared with {recordings[lightest].name} the arm carries: "
-        f"{', '.join(listed)}"
+        f"{', '.join(phrases)}"
     )
 
 
@@ -470,21 +464,16 @@ def _differences(
         change = weights @ bodies
         spread = np.einsum("i,iajb,j", weights, covariance, weights)
         moved = change[1:4] - change[0] * payload[1:4] / mass
-        sizes = {
-            "mass": (abs(change[0]), LEAST_MASS * mass, slice(0, 4)),
-            "centre of mass": (np.linalg.norm(moved), LEAST_PLACE * mass, slice(0, 4)),
-            "inertia": (
-                np.max(np.abs(change[4:])),
-                LEAST_GYRATION**2 * mass,
-                slice(4, 10),
-            ),
-        }
-        for quantity, (size, least, block) in sizes.items():
+        inertia = np.max(np.abs(change[4:]))
+        for quantity, size, least, block in (
+            ("mass", abs(change[0]), LEAST_MASS, slice(0, 4)),
+            ("centre of mass", np.linalg.norm(moved), LEAST_PLACE, slice(0, 4)),
+            ("inertia", inertia, LEAST_GYRATION**2, slice(4, 10)),
+        ):
             off = change[block]
-            ratio = float(
-                np.sqrt(off @ np.linalg.solve(spread[block, block], off) / len(off))
-            )
-            if size > least and ratio > SURE_MISFIT:
+            squared = off @ np.linalg.solve(spread[block, block], off)
+            ratio = float(np.sqrt(squared / len(off)))
+            if size > least * mass and ratio > SURE_MISFIT:
                 yield ratio, number, quantity
 
 

@@ -26,10 +26,11 @@ from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.choices import (
     CANDIDATES,
     choose,
+    columns_of,
     couplings_of,
     select_couplings,
 )
-from robot_sysid.estimation.columns import Columns, Point
+from robot_sysid.estimation.columns import Point
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
 from robot_sysid.estimation.errors import (
     filtering_bias,
@@ -87,14 +88,14 @@ class CommonSettings:
             "joint": "the terminal joint",
             "around": "the first round",
         }
-        ours, theirs = (
-            dict(vars(settled.estimation), **vars(settled)) for settled in (self, other)
-        )
-        return [
-            labels.get(name, f"{name} ({ours[name]} and {theirs[name]})")
-            for name in (*labels, *vars(self.estimation))
-            if ours[name] != theirs[name]
-        ]
+        ours = {**vars(self), **vars(self.estimation)}
+        theirs = {**vars(other), **vars(other.estimation)}
+        phrases = []
+        for name in (*labels, *vars(self.estimation)):
+            if ours[name] != theirs[name]:
+                phrase = f"{name} ({ours[name]} and {theirs[name]})"
+                phrases.append(labels.get(name, phrase))
+        return phrases
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +216,7 @@ class _Fixed(Fitter):
         self, robot: RobotModel, information: LogInformation, point: Point | None = None
     ) -> None:
         options = information.settled.estimation
-        columns = Columns(robot, (), options.torques, couplings_of(robot, options)[0])
+        columns = columns_of(robot, (), options)
         super().__init__(columns, information.evidence.torque)
         self._information = information
         self._point = point or columns.start()
@@ -271,24 +272,21 @@ def log_information(
                 f"the first round was settled differently: {', '.join(differences)}"
             )
         settled = replace(settled, around=around.digest())
-    datasets, messages = low_pass_recordings(
-        robot, [Piece("", log) for log in logs], options
-    )
-    columns = Columns(robot, datasets, options.torques, couplings_of(robot, options)[0])
-    first = None if around is None else _fit_sum(robot, around)
-    point = (
-        columns.start()
-        if first is None
-        else replace(columns.start(), values=first.values)
-    )
+    pieces = [Piece("", log) for log in logs]
+    datasets, messages = low_pass_recordings(robot, pieces, options)
+    columns = columns_of(robot, datasets, options)
+    point = columns.start()
+    if around is not None:
+        first = _fit_sum(robot, around)
+        point = replace(point, values=first.values)
     samples = columns.samples(point)
-    torque = np.sum([np.sum(dataset.torque**2, axis=0) for dataset in datasets], axis=0)
-    count = sum(len(dataset.torque) for dataset in datasets)
-    pairs = list(zip(datasets, samples))
     residuals: tuple[JointResiduals, ...] = ()
-    if first is not None:
+    if around is not None:
         log_sums = [residuals_to_add(first, log_samples) for log_samples in samples]
         residuals = tuple(reduce(add, joint_sums) for joint_sums in zip(*log_sums))
+    pairs = list(zip(datasets, samples))
+    torque = np.sum([np.sum(dataset.torque**2, axis=0) for dataset in datasets], axis=0)
+    count = sum(len(dataset.torque) for dataset in datasets)
     return LogInformation(
         settled=settled,
         evidence=evidence(samples, np.sqrt(torque / count)),
@@ -324,8 +322,9 @@ def _sample_rows(
     dataset: Dataset, samples: DecimatedSamples, values: Array
 ) -> RowSample:
     """Return a random sample of a recording's rows, with the residuals at parameters (p,)."""
-    pairs = zip(samples, samples.columns)
-    residuals = [tau - rows @ values[columns] for (_, rows, tau), columns in pairs]
+    residuals = [
+        tau - torque for tau, torque in zip(samples.tau, samples.torque(values))
+    ]
     assert dataset.signals is not None
     content = dataset.signals.q.tobytes() + dataset.signals.tau.tobytes()
     number = int.from_bytes(hashlib.sha256(content).digest()[:8], "little")
