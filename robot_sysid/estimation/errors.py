@@ -43,7 +43,7 @@ from robot_sysid.estimation.algebra.uncertainty import (
     joint_space,
     uncertainty,
 )
-from robot_sysid.estimation.columns import Columns, Point
+from robot_sysid.estimation.columns import Columns, Point, split_name
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, release_memory
 from robot_sysid.estimation.fit import EstimatedRows, Fit, squared_effect
 from robot_sysid.estimation.unknowns import (
@@ -116,9 +116,8 @@ class FitErrors:
         budget = {}
         for cause, rows in self.causes.items():
             if cause != COMMON:
-                budget[cause] = standard_errors(
-                    (used_combinations @ rows[:, used].T) ** 2
-                )
+                effects = used_combinations @ rows[:, used].T
+                budget[cause] = standard_errors(effects**2)
         if self.common and theta is not None:
             covariance = covariance + self.common**2 * np.outer(theta, theta)
             budget[SCALES] = np.hypot(budget[SCALES], self.common * np.abs(theta))
@@ -161,18 +160,14 @@ def fit_errors(
     """
     if pull is None:
         point = replace(fit.point, values=fit.values)
-        pairs = zip(
-            [dataset.remove_delay(point.delay) for dataset in fit.columns.datasets],
-            fit.samples,
-        )
-        pull = np.sum(
-            [filtering_bias(fit.columns, point, *pair) for pair in pairs], axis=0
-        )
+        pairs = zip(fit.columns.datasets, fit.samples)
+        biases = [filtering_bias(fit.columns, point, *pair) for pair in pairs]
+        pull = np.sum(biases, axis=0)
     total = _noise_errors(fit, residuals)
-    causes = {
-        group.cause: group.covariance_rows(fit.unknowns.estimated_names, total.inverse)
-        for group in fit.unknowns.groups
-    }
+    names = fit.unknowns.estimated_names
+    causes = {}
+    for group in fit.unknowns.groups:
+        causes[group.cause] = group.covariance_rows(names, total.inverse)
     conflicts = _conflicts(fit, total.effective)
     bias = total.inverse @ (fit.weights**2 @ pull[:, fit.unknowns.estimated])
     further = _further_causes(fit, total.inverse, causes, conflicts)
@@ -189,8 +184,8 @@ def fit_errors(
     if len(move):
         causes[BODIES] = np.vstack((causes.get(BODIES, move[:0]), move))
         total = total.with_cause(move.T @ move)
-    counts = tuple(n / d for n, d in zip(total.effective, fit.inflation.tolist()))
-    total = replace(total, effective=counts)
+    counts = np.array(total.effective) / fit.inflation
+    total = replace(total, effective=tuple(counts.tolist()))
     return FitErrors(total, causes, _common_scale_error(fit), conflicts)
 
 
@@ -208,16 +203,14 @@ def _unlikely_move(fit: Fit) -> Array:
     """
     move = (fit.values - fit.free)[None, fit.unknowns.estimated]
     cost = squared_effect(fit, fit.values - fit.free)
-    bodies = [fit.free[indices] for indices, _ in fit.unknowns.bodies.values()]
-    impossible = sum(not spatial.is_consistent(theta) for theta in bodies)
-    cost_by_chance = largest_by_chance(
-        float(N_INERTIAL * max(impossible, 1)), 1.0 - SURE
-    )
-    return (
-        np.sqrt(1.0 - cost_by_chance / cost) * move
-        if cost > cost_by_chance
-        else move[:0]
-    )
+    impossible = 0
+    for indices, _ in fit.unknowns.bodies.values():
+        impossible += not spatial.is_consistent(fit.free[indices])
+    freedom = float(N_INERTIAL * max(impossible, 1))
+    cost_by_chance = largest_by_chance(freedom, 1.0 - SURE)
+    if cost <= cost_by_chance:
+        return move[:0]
+    return np.sqrt(1.0 - cost_by_chance / cost) * move
 
 
 def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
@@ -235,15 +228,14 @@ def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
         values = fit.values[fit.unknowns.estimated]
         root = space.inverse_root()
         residuals = collect_residuals(information, fit.rows, values, root, weights)
-    residuals = [
-        replace(r, products=d * r.products) for r, d in zip(residuals, fit.inflation)
-    ]
-    if (
-        residuals
-    ):  # they take as much memory as the triangles, which are no longer needed
+    inflated = []
+    for joint, inflation in zip(residuals, fit.inflation):
+        inflated.append(replace(joint, products=inflation * joint.products))
+    if inflated:
+        # They take as much memory as the triangles, which are no longer needed.
         information = replace(information, joints=())
     release_memory()
-    return uncertainty(information, weights, 1.0 / weights, residuals, space)
+    return uncertainty(information, weights, 1.0 / weights, inflated, space)
 
 
 def _conflicts(fit: Fit, effective: Sequence[float]) -> tuple[PriorConflict, ...]:
@@ -292,9 +284,8 @@ def _further_causes(
         normal = normal_matrix(fit.evidence.total, fit.weights)
         crossed = normal[np.ix_(fit.unknowns.estimated, at_bound)]
         move = inverse @ crossed
-        eigenvalues, axes = np.linalg.eigh(
-            normal[np.ix_(at_bound, at_bound)] - crossed.T @ move
-        )
+        inside = normal[np.ix_(at_bound, at_bound)]
+        eigenvalues, axes = np.linalg.eigh(inside - crossed.T @ move)
         large = eigenvalues > _SEEN * eigenvalues[-1]
         yield HELD, (move @ (axes[:, large] / np.sqrt(eigenvalues[large]))).T
 
@@ -307,14 +298,14 @@ def _scaled_friction(fit: Fit) -> Array:
     """
     spread = scale_spread(fit.columns, fit.question.options, fit.question.loaded)
     names = fit.unknowns.estimated_names
-    rows = np.zeros((len(spread), len(names)))
-    for row, joint in enumerate(fit.columns.joints):
-        for column, name in enumerate(names):
-            term, _, member = name.partition("[")
-            if term in TERMS and term != "load" and member == f"{joint}]":
-                rows[row, column] = (
-                    spread[row] * fit.values[fit.unknowns.estimated[column]]
-                )
+    joints = fit.columns.joints
+    rows = np.zeros((len(joints), len(names)))
+    for column, name in enumerate(names):
+        term, owner = split_name(name)
+        if term in TERMS and term != "load" and owner in joints:
+            row = joints.index(owner)
+            value = fit.values[fit.unknowns.estimated[column]]
+            rows[row, column] = spread[row] * value
     return rows
 
 
@@ -328,14 +319,12 @@ def _common_scale_change(fit: Fit) -> Array:
     choice = replace(fit.choice, common_scale=0.0)
     data = fit.evidence
     plain = data.unknowns(fit.columns, fit.question, choice)
-    other_groups = [group for group in unknowns.groups if group.cause != SCALES]
-    scales, plain_scales = (
-        next(group for group in groups if group.cause == SCALES)
-        for groups in (unknowns.groups, plain.groups)
-    )
+    groups = [group for group in unknowns.groups if group.cause != SCALES]
     posterior = WithPriors(data.of(unknowns), 1.0 / fit.weights).log_evidence
-    values, evidence = posterior([*other_groups, scales])
-    plain_values, plain_evidence = posterior([*other_groups, plain_scales])
+    (scales,) = (group for group in unknowns.groups if group.cause == SCALES)
+    (plain_scales,) = (group for group in plain.groups if group.cause == SCALES)
+    values, evidence = posterior([*groups, scales])
+    plain_values, plain_evidence = posterior([*groups, plain_scales])
     share = 1.0 / (1.0 + np.exp(min(np.nan_to_num(evidence - plain_evidence), _SURE)))
     return np.asarray(np.sqrt(share) * (values - plain_values))[None]
 
@@ -387,11 +376,8 @@ def residuals_within(
     for joint in residuals:
         is_unknown = np.isin(joint.columns, indices)
         columns = np.searchsorted(indices, joint.columns[is_unknown])
-        restricted_sums.append(
-            replace(
-                joint, columns=columns, sums=joint.sums[:, is_unknown][:, :, is_unknown]
-            )
-        )
+        sums = joint.sums[:, is_unknown][:, :, is_unknown]
+        restricted_sums.append(replace(joint, columns=columns, sums=sums))
     return restricted_sums
 
 
@@ -418,26 +404,24 @@ def filtering_bias(
 
     Args:
         point: linearisation point, with the estimate as its values.
-        dataset: the recording, from which the delay of the point is removed.
+        dataset: the recording; the delay of the point is removed here.
         samples: its rows around the point.
     """
     pull = np.zeros((len(samples.joints), len(samples.names)))
-    if dataset.signals is None:
+    signals = dataset.remove_delay(point.delay).signals
+    if signals is None:
         return pull
-    rows, second = dataset.signals.refiltered_motion
-    motion = dataset.signals.decimated_motion()
+    rows, second = signals.refiltered_motion
+    motion = signals.decimated_motion()
     first = Motion(motion.time[rows], motion.q[rows], motion.qd[rows], motion.qdd[rows])
     same_direction = np.sign(first.qd) == np.sign(second.qd)
     equations, values = columns.arm_torque(point, dataset.is_loaded)
-    torques = zip(
-        _torques(equations, first, values), _torques(equations, second, values)
-    )
-    for (index, block, tau), joint, (torque, refiltered) in zip(
-        samples, equations.joint_indices, torques
-    ):
+    torques = _torques(equations, first, values)
+    refiltered = _torques(equations, second, values)
+    for (index, block, tau), joint in zip(samples, equations.joint_indices):
         # Where the second low-pass reverses a velocity, the difference is the sign of friction.
         is_used = np.isfinite(tau[rows]) & same_direction[:, joint]
-        difference = (torque - refiltered)[is_used]
+        difference = (torques[index] - refiltered[index])[is_used]
         pull[index, samples.columns[index]] = block[rows][is_used].T @ difference
     return pull
 
@@ -452,11 +436,10 @@ def _torques(equations: Equations, motion: Motion, values: Array) -> list[Array]
     pieces = []
     for time, q, qd, qdd in split_motion(width, *vars(motion).values()):
         measurement = Measurement(time, q, qd, np.zeros_like(q), qdd)
-        pairs = zip(equations.rows(measurement), equations.columns)
-        pieces.append(
-            [
-                block @ values[columns] - right_side
-                for (block, right_side), columns in pairs
-            ]
-        )
-    return [np.concatenate(joint_pieces) for joint_pieces in zip(*pieces)]
+        torques = []
+        for (block, right_side), columns in zip(
+            equations.rows(measurement), equations.columns
+        ):
+            torques.append(block @ values[columns] - right_side)
+        pieces.append(torques)
+    return list(map(np.concatenate, zip(*pieces)))

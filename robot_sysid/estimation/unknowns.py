@@ -10,6 +10,7 @@ them unknown. A body has ten inertial parameters in the order of ``PARAMETER_NAM
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -127,8 +128,7 @@ class Unknowns:
     @cached_property
     def nuisance_friction(self) -> set[str]:
         """Names of the friction terms that only a prior allows for (cause ``FRICTION``)."""
-        groups = [group.names for group in self.groups if group.cause == FRICTION]
-        return set().union(*groups)
+        return _names_by_cause(self.groups, FRICTION)
 
     def full(self, estimate: Array) -> Array:
         """Return all parameters (p,) from the estimate (k,) of the unknown ones."""
@@ -149,21 +149,27 @@ class Unknowns:
         """
         inside = np.clip(values, self.lower, self.upper)
         slack = 1e-9 * (1.0 + np.abs(inside))
-        crossing = [k for k in self.estimated if abs(values[k] - inside[k]) > slack[k]]
-        if not crossing:
+        crosses = np.abs(values - inside) > slack
+        crossing = self.estimated[crosses[self.estimated]]
+        if not len(crossing):
             return None
         held = self.held.copy()
         held[crossing] = inside[crossing]
         names = tuple(self.names[k] for k in crossing)
+        unknown_names = set(self.estimated_names).difference(names)
         return replace(
             self,
             estimated=np.setdiff1d(self.estimated, crossing),
             held=held,
-            groups=tuple(
-                _restrict_groups(self.groups, {*self.estimated_names}.difference(names))
-            ),
+            groups=tuple(_restrict_groups(self.groups, unknown_names)),
             names_at_bound=(*self.names_at_bound, *names),
         )
+
+
+def _names_by_cause(groups: Iterable[NuisanceGroup], cause: str) -> set[str]:
+    """Return the names of all nuisances with a cause of error."""
+    names = [group.names for group in groups if group.cause == cause]
+    return set(itertools.chain(*names))
 
 
 def _restrict_groups(
@@ -206,11 +212,9 @@ def build_unknowns(
     bodies = dict(_bodies(columns, question))
     increments = tuple(_increment_names(columns, question, choice))
     names = set(increments)
-    nuisance_friction = set[str]()
+    nuisance_friction = _names_by_cause(groups, FRICTION)
     for group in groups:
         names.update(group.names)
-        if group.cause == FRICTION:
-            nuisance_friction.update(group.names)
     for indices, _ in bodies.values():
         names.update(columns.names[index] for index in indices)
     lower = np.full(len(columns.names), -np.inf)
@@ -250,10 +254,8 @@ def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:
     """
     for row, joint in zip(columns.joint_indices, columns.joints):
         model = choice.friction[row]
-        yield (
-            joint,
-            {*model.terms, *(f"{term}_speed" for term in model.nonlinear_terms)},
-        )
+        speeds = [f"{term}_speed" for term in model.nonlinear_terms]
+        yield joint, {*model.terms, *speeds}
     for motor in choice.couplings:
         terms = set[str]()
         for index in np.flatnonzero(motor.ratios):
@@ -277,9 +279,8 @@ def _increment_names(
     if question.options.tilt == "auto":
         yield from TILT_NAMES
     for row, joint in zip(columns.joint_indices, columns.joints):
-        yield from (
-            speed_name(term, joint) for term in choice.friction[row].nonlinear_terms
-        )
+        for term in choice.friction[row].nonlinear_terms:
+            yield speed_name(term, joint)
 
 
 def _held_values(columns: Columns, question: Question, choice: Choice) -> Array:
@@ -295,10 +296,12 @@ def _held_values(columns: Columns, question: Question, choice: Choice) -> Array:
     if question.carried is not None:
         held[columns.indices(PAYLOAD_NAMES)] = question.carried
     for joint, model in zip(columns.robot.joint_names, choice.friction):
-        keeps = not model.terms or FILE_FRICTION in question.unchanged_parts
-        own_terms = ("coulomb", "viscous") if keeps else ()
-        armature = "armature" not in model.terms and question.file_kind != "urdf"
-        for term in (*own_terms, *(("armature",) if armature else ())):
+        kept_terms = []
+        if not model.terms or FILE_FRICTION in question.unchanged_parts:
+            kept_terms += ["coulomb", "viscous"]
+        if "armature" not in model.terms and question.file_kind != "urdf":
+            kept_terms.append("armature")
+        for term in kept_terms:
             index = columns.index.get(f"{term}[{joint}]")
             if index is not None:
                 held[index] = columns.model_values[index]
@@ -315,17 +318,13 @@ def _bodies(
 ) -> Iterator[tuple[str, tuple[NDArray[np.int64], Array]]]:
     """Yield each unknown body's name, indices of its parameters (10,) and a usual body (10,)."""
     last = columns.robot.body_name
-    others = (
-        question.options.link_uncertainty > 0.0
-        and FILE_LINKS not in question.unchanged_parts
-    )
+    is_kept = FILE_LINKS in question.unchanged_parts
+    others = question.options.link_uncertainty > 0.0 and not is_kept
     for name, indices in columns.bodies().items():
         is_unknown = question.loaded if name == "payload" else name == last or others
         if is_unknown:
-            yield (
-                name,
-                (indices, columns.usual_bodies[last if name == "payload" else name]),
-            )
+            model_name = last if name == "payload" else name
+            yield name, (indices, columns.usual_bodies[model_name])
 
 
 def independent_prior(
@@ -480,24 +479,23 @@ def _link_group(
     usual_bodies = [bodies[name][1] for name in names]
     lengths = link_lengths(robot, links)
     factor = np.zeros((10 * len(links), 10 * len(links)))
-    is_believed = [
-        usual_bodies[k] is robot.links[link].theta for k, link in enumerate(links)
-    ]
-    blocks = [(np.flatnonzero(is_believed), share, choice.link_scales)]
-    blocks += [
-        (np.array([k]), 1.0, AS_STATED)
-        for k in np.flatnonzero(np.logical_not(is_believed))
-    ]
-    for block_links, deviation, scales in blocks:
-        if len(block_links):
-            indices = np.add.outer(10 * block_links, np.arange(10)).ravel()
-            thetas = [usual_bodies[k] for k in block_links]
-            block_lengths = [lengths[k] for k in block_links]
-            factor[np.ix_(indices, indices)] = link_factor(
-                thetas, deviation, block_lengths, scales
-            )
+    stated = []
+    blocks = []
+    for k, link in enumerate(links):
+        if usual_bodies[k] is robot.links[link].theta:
+            stated.append(k)
+        else:
+            blocks.append(([k], 1.0, AS_STATED))
+    if stated:
+        blocks.append((stated, share, choice.link_scales))
+    for members, deviation, scales in blocks:
+        indices = np.add.outer(10 * np.array(members), np.arange(10)).ravel()
+        thetas = [usual_bodies[k] for k in members]
+        sizes = [lengths[k] for k in members]
+        block = link_factor(thetas, deviation, sizes, scales)
+        factor[np.ix_(indices, indices)] = block
     indices = np.concatenate([bodies[name][0] for name in names])
-    members = tuple(name for name in names for _ in PARAMETER_NAMES)
+    members = tuple(np.repeat(names, len(PARAMETER_NAMES)).tolist())
     parameter_names = tuple(columns.names[k] for k in indices)
     mean = np.concatenate(usual_bodies)
     aspects = partial(link_aspects, usual_bodies, lengths)
