@@ -195,17 +195,16 @@ class Columns:
             down, delay, rows = base
             names = columns._arm_names
             # Each is released once it is copied: they take most of the memory.
-            fewer = (rows.pop(0).only(names) for _ in range(len(rows)))
+            fewer = (rows.pop(0).only(names) for _ in self.datasets)
             columns._base = down, delay, store_rows(fewer)
         return columns
 
     def start(self) -> Point:
         """Return the point at the model's own values."""
         n = self.robot.n_joints
-        speed = {
-            term: np.full(n, nonlinear.default_speed)
-            for term, nonlinear in NONLINEAR_TERMS.items()
-        }
+        speed = {}
+        for term, nonlinear in NONLINEAR_TERMS.items():
+            speed[term] = np.full(n, nonlinear.default_speed)
         return Point(self.model_values, gravity_vector(self.robot), 0.0, speed)
 
     def indices(self, names: Sequence[str]) -> NDArray[np.int64]:
@@ -259,8 +258,9 @@ class Columns:
         new[self.indices(increments)] = 0.0
         angles = np.array([step.get(name, 0.0) for name in TILT_NAMES])
         for term, nonlinear in NONLINEAR_TERMS.items():
-            names = [speed_name(term, joint) for joint in self.robot.joint_names]
-            steps = [step.get(name, 0.0) for name in names]
+            steps = []
+            for joint in self.robot.joint_names:
+                steps.append(step.get(speed_name(term, joint), 0.0))
             speed[term] = np.clip(speed[term] + steps, *nonlinear.bounds)
         return replace(
             point,
@@ -274,9 +274,8 @@ class Columns:
         """Return a point's gravity (3,), tilted by angles (2,) [rad] about horizontal axes."""
         if not np.any(angles):
             return point.gravity
-        return turn_gravity(
-            point.gravity, angles, tilt_axes(gravity_vector(self.robot), point.gravity)
-        )
+        axes = tilt_axes(gravity_vector(self.robot), point.gravity)
+        return turn_gravity(point.gravity, angles, axes)
 
     def total_tilt(self, point: Point, values: Array) -> Array:
         """Return the tilt angles (2,) [rad] between the model's gravity and that of an estimate.
@@ -402,11 +401,12 @@ class Columns:
             gear = linear + base.measured[row] - base.tau[row]
 
             joint_friction = {}
-            for term, column in friction_columns.items():
-                joint_friction[f"{term}[{self.joints[row]}]"] = column[:, row]
             friction = block[:, drifting] @ coefficients[drifting]
-            for name in [*joint_friction][: 1 + len(NONLINEAR_TERMS)]:
-                friction += joint_friction[name] * point.values[self.index[name]]
+            for term, column in friction_columns.items():
+                name = f"{term}[{self.joints[row]}]"
+                joint_friction[name] = column[:, row]
+                if term == "load" or term in NONLINEAR_TERMS:
+                    friction += column[:, row] * point.values[self.index[name]]
             drifted = 1.0 + drift * dataset.order
 
             smooth_torque = block[:, smooth] @ coefficients[smooth]
@@ -446,15 +446,17 @@ class Columns:
         loaded = PAYLOAD_NAMES if PAYLOAD_NAMES[0] not in self._nowhere else ()
         indices = self.indices((*self._tilts, *loaded))
         payload = slice(len(loaded))
-        blocks = [
-            ((slice(None), 1.0), (tilt[:, joint], 1.0), (payload, dataset.is_loaded))
-            for joint in self.joint_indices
-        ]
-        columns = tuple(np.append(at, indices) for at in base.columns)
+        blocks = []
+        columns = []
+        for joint, base_columns in zip(self.joint_indices, base.columns):
+            tilt_block = tilt[:, joint], 1.0
+            payload_block = payload, dataset.is_loaded
+            blocks.append(((slice(None), 1.0), tilt_block, payload_block))
+            columns.append(np.append(base_columns, indices))
         return replace(
             base,
             names=self.names,
-            columns=columns,
+            columns=tuple(columns),
             rows=AssembledRows(base.rows, blocks),
         )
 
@@ -520,10 +522,11 @@ class Columns:
                 torque = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(theta)
                 return (np.sign(motion.qd) * np.abs(torque))[:, rows]
 
-            loads[point.exact_load] = [
-                _low_pass(dataset, point, partial(load, thetas[dataset.is_loaded]))
-                for dataset in delayed
-            ]
+            columns = []
+            for dataset in delayed:
+                make = partial(load, thetas[dataset.is_loaded])
+                columns.append(_low_pass(dataset, point, make))
+            loads[point.exact_load] = columns
         return loads[point.exact_load], smooth
 
     def _nonlinear(self, dataset: Dataset, point: Point) -> dict[str, Array]:
@@ -584,22 +587,22 @@ def usual_bodies(robot: RobotModel) -> dict[str, Array]:
     placeholder's centre of mass, with the median mass and radius of gyration of the other links.
     """
     bodies = {link.body_name: link.theta for link in robot.links if link.has_mass}
-    heaviest = max(theta[0] for theta in bodies.values())
-    stated = [
-        theta
-        for theta in bodies.values()
-        if theta[0] >= PLACEHOLDER * heaviest and spatial.is_consistent(theta)
-    ] or list(bodies.values())
-    median_mass = float(np.median([theta[0] for theta in stated]))
-    inertias = [spatial.com_from_theta(theta) for theta in stated]
-    gyration = float(
-        np.median([np.trace(inertia) / (3.0 * mass) for mass, _, inertia in inertias])
-    )
+    all_bodies = list(bodies.values())
+    least_mass = PLACEHOLDER * max(theta[0] for theta in all_bodies)
+    masses = []
+    gyrations = []
+    possible = [theta for theta in all_bodies if spatial.is_consistent(theta)]
+    stated = [theta for theta in possible if theta[0] >= least_mass]
+    for theta in stated or all_bodies:
+        mass, _, inertia = spatial.com_from_theta(theta)
+        masses.append(theta[0])
+        gyrations.append(np.trace(inertia) / (3.0 * mass))
+    median_mass = float(np.median(masses))
+    gyration = float(np.median(gyrations))
     for name, theta in bodies.items():
         if theta[0] < PLACEHOLDER * median_mass or not spatial.is_consistent(theta):
             mass = max(median_mass, float(theta[0]))
             com = theta[1:4] / theta[0] if theta[0] > 0.0 else np.zeros(3)
-            bodies[name] = spatial.theta_from_com(
-                mass, com, mass * gyration * np.eye(3)
-            )
+            inertia = mass * gyration * np.eye(3)
+            bodies[name] = spatial.theta_from_com(mass, com, inertia)
     return bodies

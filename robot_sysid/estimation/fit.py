@@ -339,7 +339,7 @@ class Fitter:
         It is the larger one of the autocorrelation time of the residuals, and the concentration of
         residuals in a few bursts.
         """
-        residuals = list(_residuals(fit.samples, fit.values))
+        residuals = list(residuals_of(fit.samples, fit.values))
         burst_factors = [concentration(residual) for residual in residuals]
         if self.visits is None:
             times = np.array(list(map(residual_correlation_time, residuals)))
@@ -375,7 +375,7 @@ class Fitter:
             if self.visits is not None:
                 assumed = inflation
                 inflation, correlation = self.visits.inflation(
-                    _residuals(samples, free)
+                    residuals_of(samples, free)
                 )
                 widens = any(group.may_widen for group in unknowns.groups)
                 if widens or not np.array_equal(assumed, inflation):
@@ -497,7 +497,7 @@ def correlation_factors_of(choice: Choice, n_joints: int) -> Array:
     return np.ones(n_joints) if factors is None else np.array(factors)
 
 
-def _residuals(samples: Sequence[DecimatedSamples], values: Array) -> Iterator[Array]:
+def residuals_of(samples: Sequence[DecimatedSamples], values: Array) -> Iterator[Array]:
     """Yield each joint's residuals (K,) at parameters (p,) [N m]; NaN where a row is not used."""
     torques = [recording.torque(values) for recording in samples]
     for joint in range(len(samples[0].joints)):

@@ -281,12 +281,10 @@ def held_out_validation(fit: Fit) -> Validation:
     judge = held_out(fit, fit.unknowns)
     errors = judge.consistent_squared_errors(fit.unknowns)
     noise = judge.counts * fit.noise**2
-    return replace(
-        judge.validation(errors),
-        is_informative=is_informative_test(
-            errors, noise, lambda: judge.expected_squared_errors(fit)
-        ),
+    is_informative = is_informative_test(
+        errors, noise, lambda: judge.expected_squared_errors(fit)
     )
+    return replace(judge.validation(errors), is_informative=is_informative)
 
 
 NOISE_EXPLAINS = 3.0
@@ -301,9 +299,8 @@ def _error_ratio(squared: Array, expected: Array) -> float:
         expected: (blocks, joints) expected squared errors [N^2 m^2].
     """
     used = np.any(expected > 0.0, axis=0)
-    return float(
-        np.sqrt(np.mean(squared.sum(axis=0)[used] / expected.sum(axis=0)[used]))
-    )
+    ratios = squared.sum(axis=0)[used] / expected.sum(axis=0)[used]
+    return float(np.sqrt(np.mean(ratios)))
 
 
 def is_informative_test(
@@ -326,10 +323,9 @@ def is_informative_test(
     expected = variance()
     is_known = np.all(np.isfinite(expected), axis=0)
     expected = expected[:, is_known]
-    return (
-        bool(np.any(expected))
-        and _error_ratio(squared[:, is_known], expected) > NOISE_EXPLAINS
-    )
+    if not np.any(expected):
+        return False
+    return _error_ratio(squared[:, is_known], expected) > NOISE_EXPLAINS
 
 
 def validate_datasets(
@@ -344,13 +340,11 @@ def validate_datasets(
     Raises:
         InputError: the recordings hold no usable samples.
     """
-    columns = Columns(
-        fit.columns.robot, datasets, fit.columns.torques, fit.columns.couplings
-    )
+    fitted = fit.columns
+    columns = Columns(fitted.robot, datasets, fitted.torques, fitted.couplings)
     samples = columns.samples(replace(fit.point, values=fit.values))
-    return validate_rows(
-        fit, errors, evidence_of([samples], fit.evidence.torque), source
-    )
+    data = evidence_of([samples], fit.evidence.torque)
+    return validate_rows(fit, errors, data, source)
 
 
 def validate_rows(

@@ -44,7 +44,7 @@ from robot_sysid.estimation.algebra.priors import (
 from robot_sysid.estimation.algebra.uncertainty import residual_correlation_time
 from robot_sysid.estimation.columns import split_name
 from robot_sysid.estimation.dataset import DecimatedSamples
-from robot_sysid.estimation.fit import Fit, evidence_of, restrict_samples
+from robot_sysid.estimation.fit import Fit, evidence_of, residuals_of, restrict_samples
 from robot_sysid.estimation.held_out import HeldOut, is_informative_test
 from robot_sysid.estimation.unknowns import Unknowns
 from robot_sysid.records import Array, SquareRootInformation, Validation
@@ -85,15 +85,12 @@ def estimate_alone(
         (values (k,), covariance (k, k) due to torque noise, covariance (k, k) of the whole error,
         infinite for parameters that are not identifiable).
     """
-    plain = combine([log.information() for log in logs])
+    plain = combine(list(map(DecimatedSamples.information, logs)))
     information = with_prior(plain, groups)
     solved = solver(information, prior)
     noise = estimate_noise(information, solved, start)
     values = solved(1.0 / noise)[0]
-    memories = []
-    for joint, at in enumerate(logs[0].columns):
-        residuals = [log.tau[joint] - log.rows[joint] @ values[at] for log in logs]
-        memories.append(residual_correlation_time(np.concatenate(residuals)))
+    memories = list(map(residual_correlation_time, residuals_of(logs, values)))
     weights = 1.0 / (noise * np.sqrt(memories))
     space = visible_space(information.equations(weights)[0])
     inverse = space.inverse()
@@ -214,18 +211,15 @@ def compare_recordings(
                 validation_of(joints, errors[k], squares, judge.counts[k], source)
             )
     unknowns = fit.unknowns
-    own_rows = {
-        name: [restrict_samples(block, unknowns) for block in log]
-        for name, log in logs.items()
-    }
+    own_rows = {}
+    for name, log in logs.items():
+        own_rows[name] = [restrict_samples(samples, unknowns) for samples in log]
     friction = friction_of_logs(fit, own_rows, data.blocks)
     masses = {}
+    model_values = fit.columns.model_values[unknowns.estimated]
     for name, log in own_rows.items():
         values, _, covariance = estimate_alone(
-            log,
-            unknowns.groups,
-            fit.columns.model_values[unknowns.estimated],
-            fit.noise,
+            log, unknowns.groups, model_values, fit.noise
         )
         masses[name] = float(values[0]), float(np.sqrt(covariance[0, 0]))
     note = () if friction is None else friction.note
@@ -250,9 +244,8 @@ def friction_of_logs(
         return None
     indices = np.array([unknowns.estimated_names.index(name) for name in names])
     values = fit.values[unknowns.estimated[indices]]
-    plain = [
-        restrict(block, unknowns.estimated_names, unknowns.held) for block in blocks
-    ]
+    restriction = unknowns.estimated_names, unknowns.held
+    plain = [restrict(block, *restriction) for block in blocks]
     ones = np.ones(len(fit.weights))
     squares = sum(normal_matrix(one, ones)[np.ix_(indices, indices)] for one in plain)
     terms, owners = np.array(list(map(split_name, names))).T
@@ -272,17 +265,12 @@ def friction_of_logs(
     between = compare_logs(normals, prior, indices, values, sizes, kinds)
 
     joints = dict.fromkeys(owners.tolist())
-    rubbing = {
-        joint: np.flatnonzero((owners == joint) & (terms != "offset"))
-        for joint in joints
-    }
     differences = {}
-    for joint, terms_of_joint in rubbing.items():
-        if len(terms_of_joint) and between.differ(terms_of_joint, len(joints)):
-            share = _largest_difference(
-                between.values[:, terms_of_joint],
-                squares[terms_of_joint][:, terms_of_joint],
-            )
+    for joint in joints:
+        columns = np.flatnonzero((owners == joint) & (terms != "offset"))
+        if len(columns) and between.differ(columns, len(joints)):
+            friction = between.values[:, columns]
+            share = _largest_difference(friction, squares[columns][:, columns])
             if share > LEAST_DIFFERENCE:
                 differences[joint] = share
     ordered = sorted(differences.items(), key=lambda item: -item[1])
@@ -310,9 +298,8 @@ def _weights_beside_friction(
     values = fit.values[fit.unknowns.estimated]
     weights = np.zeros(len(log[0].columns))
     for joint, columns in enumerate(log[0].columns):
-        rows, tau = (
-            np.concatenate(pieces) for pieces in zip(*[p.in_use(joint) for p in log])
-        )
+        pieces = [samples.in_use(joint) for samples in log]
+        rows, tau = map(np.concatenate, zip(*pieces))
         if not len(tau):
             continue
         residual = tau - rows @ values[columns]
@@ -344,12 +331,12 @@ def _agreement(
 ) -> Iterator[str]:
     """Yield sentences on how far the masses of the logs agree, (mass, standard error) each [kg]."""
     identified = {name: pair for name, pair in masses.items() if 0.0 < pair[1] < np.inf}
-    phrases = [
-        f"{name} {masses[name][0]:.4g} \u00b1 {masses[name][1]:.2g} kg"
-        if name in identified
-        else f"{name} does not tell the mass"
-        for name in masses
-    ]
+    phrases = []
+    for name, (mass, error) in masses.items():
+        phrase = f"{name} does not tell the mass"
+        if name in identified:
+            phrase = f"{name} {mass:.4g} \u00b1 {error:.2g} kg"
+        phrases.append(phrase)
     yield f"mass of each log alone: {'; '.join(phrases)}"
     if len(identified) < 2:
         return
@@ -413,9 +400,8 @@ class BetweenLogs:
         off = self.contrasts[:, numbers].ravel()
         noise = self.noise[:, numbers][:, :, :, numbers].reshape(len(off), len(off))
         squared = float(off @ np.linalg.solve(noise, off))
-        return is_no_chance(
-            squared, float(len(off)), 1.0 - SURE_DIFFERENCE ** (1.0 / tests)
-        )
+        chance = 1.0 - SURE_DIFFERENCE ** (1.0 / tests)
+        return is_no_chance(squared, float(len(off)), chance)
 
 
 def compare_logs(
@@ -445,10 +431,10 @@ def compare_logs(
 
     # The errors of the contrasts are divided between the logs as the errors of each log alone.
     weak = np.diag((_UNSEEN * sizes) ** -2)
-    variances = [
-        np.diag(np.linalg.inv(normal[np.ix_(indices, indices)] + weak))
-        for normal in normals
-    ]
+    variances = []
+    for normal in normals:
+        precision = normal[np.ix_(indices, indices)] + weak
+        variances.append(np.diag(np.linalg.inv(precision)))
     total = np.einsum("ifif->f", noise) / (1.0 - 1.0 / count)
     errors = np.sqrt(np.array(variances) * total / np.sum(variances, axis=0))
     return BetweenLogs(values, errors, spread, contrasts, noise)

@@ -97,9 +97,8 @@ def first(
     Without findings, the verdict is ``otherwise``.
     """
     judged = list(findings)
-    return (judged[0][0] if judged else otherwise), tuple(
-        reason for _, reason in judged
-    )
+    verdict = judged[0][0] if judged else otherwise
+    return verdict, tuple(reason for _, reason in judged)
 
 
 def find_misfits(
@@ -122,33 +121,35 @@ def find_misfits(
             "the positions are too coarse or too seldom to have accelerations: expected error "
             f"{percent(acceleration_error)}",
         )
-    for test in (test for test in tests if test.is_informative):
-        errors = test.rmse_per_joint
-        squares = [
-            (errors[joint] / noise[joint]) ** 2 for joint in noise if joint in errors
-        ]
+    for test in tests:
+        if not test.is_informative or (test.relative_error or 0.0) <= HARMLESS:
+            continue
+        squares = []
+        for joint, error in test.rmse_per_joint.items():
+            if joint in noise:
+                squares.append((error / noise[joint]) ** 2)
         ratio = float(np.sqrt(np.mean(squares or [0.0])))
-        if ratio > NOISE_EXPLAINS and (test.relative_error or 0.0) > HARMLESS:
+        if ratio > NOISE_EXPLAINS:
             yield (
                 Verdict.UNEXPLAINED,
                 f"torques of {test.source} are predicted {ratio:.1f} times worse than the noise "
                 "of the fit allows",
             )
     torque = dict(zip(fit.columns.robot.joint_names, fit.evidence.torque.tolist()))
-    shares = {
-        joint: noise[joint] / torque[joint] for joint in noise if torque.get(joint)
-    }
+    shares = {}
+    for joint in noise:
+        if torque[joint]:
+            shares[joint] = noise[joint] / torque[joint]
     for joint, share in shares.items():
         others = [shares[other] for other in shares if other != joint]
-        if (
-            others
-            and independent_share.get(joint, 0.0) < MEMORY
-            and share > max(ODD_NOISE, ODD_JOINT * float(np.median(others)))
-        ):
+        if not others or independent_share.get(joint, 0.0) >= MEMORY:
+            continue
+        median = float(np.median(others))
+        if share > max(ODD_NOISE, ODD_JOINT * median):
             yield (
                 Verdict.UNEXPLAINED,
                 f"{percent(share)} of the torque of {joint} is unexplained, of the other "
-                f"joints' {percent(float(np.median(others)))}",
+                f"joints' {percent(median)}",
             )
 
 
@@ -162,19 +163,20 @@ def unexplained_share(
             are noise.
     """
     torque = dict(zip(fit.columns.robot.joint_names, fit.evidence.torque.tolist()))
-    slow = {
-        joint: noise * np.sqrt(max(1.0 - independent_share.get(joint, 0.0), 0.0))
-        for joint, noise in fit.noise_per_joint.items()
-        if torque.get(joint)
-    }
+    slow = {}
+    for joint, noise in fit.noise_per_joint.items():
+        if torque[joint]:
+            slow_share = max(1.0 - independent_share.get(joint, 0.0), 0.0)
+            slow[joint] = noise * np.sqrt(slow_share)
     total = np.linalg.norm([torque[joint] for joint in slow])
     share = float(np.linalg.norm([*slow.values()]) / total) if slow else 0.0
     largest = sorted(slow, key=lambda joint: -slow[joint])[:3]
-    by_joint = ", ".join(
+    phrases = [
         f"{percent(slow[joint] / torque[joint])} of {joint}" for joint in largest
-    )
+    ]
     return share, (
-        f"{percent(share)} of the torque is explained by neither the model nor noise ({by_joint})"
+        f"{percent(share)} of the torque is explained by neither the model nor noise "
+        f"({', '.join(phrases)})"
     )
 
 
@@ -189,9 +191,8 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judgemen
     if not body.mass > 0.0:
         return
     reach = link_reach(robot.mj_model, robot.reference_qpos, robot.body_id)
-    arm = reach + sum(
-        float(np.linalg.norm(other.translation)) for other in robot.links[1:]
-    )
+    lengths = [float(np.linalg.norm(other.translation)) for other in robot.links[1:]]
+    arm = reach + sum(lengths)
     off = _SURE * float(np.linalg.norm(errors[1:4])) / body.mass
     distance = float(np.linalg.norm(body.com))
     where = f"on a link that reaches {reach:.2g} m"
@@ -225,10 +226,9 @@ def implausible_joints(
     """
     inertia = robot.mass * robot.length**2
     for index, (name, slide) in enumerate(zip(robot.joint_names, robot.is_slide)):
-        terms = {
-            term: figure.value - _SURE * figure.error
-            for term, figure in joints[name].terms.items()
-        }
+        terms = {}
+        for term, figure in joints[name].terms.items():
+            terms[term] = figure.value - _SURE * figure.error
         dry = terms.get("coulomb", terms.get("sigmoid", 0.0))
         rotor = terms.get("armature", 0.0)
         others = np.delete(torque, index)[np.delete(robot.is_slide, index) == slide]
@@ -264,9 +264,8 @@ def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[WrongLink]:
         moment = float(direction @ link.inertial.theta[1:4])
         error = float(np.sqrt(direction @ link.covariance[1:4, 1:4] @ direction))
         off = abs(moment - expected)
-        if np.all(link.is_determined[1:4]) and off > max(
-            _SURE * error, LEAST_WRONG * expected
-        ):
+        least = max(_SURE * error, LEAST_WRONG * expected)
+        if np.all(link.is_determined[1:4]) and off > least:
             yield WrongLink(link.name, expected, moment, error)
 
 
@@ -381,9 +380,8 @@ def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Jud
     lengths = [float(np.linalg.norm(link.translation)) for link in robot.links[1:]]
     farthest = FARTHEST_PAYLOAD * max(sum(lengths), LEAST_REACH)
     distance = float(np.linalg.norm(payload.com))
-    gyration = float(
-        np.sqrt(max(np.trace(payload.inertia_com), 0.0) / (2.0 * payload.mass))
-    )
+    trace = max(np.trace(payload.inertia_com), 0.0)
+    gyration = float(np.sqrt(trace / (2.0 * payload.mass)))
     for quantity, size in (
         ("centre of mass is", distance),
         ("radius of gyration is", gyration),
@@ -407,9 +405,9 @@ def judge_known_mass(
         mass: the known mass [kg].
     """
     # An implausible size may come from the torque scales, which a known mass corrects.
-    yield from (
-        finding for finding in findings if finding[0] is not Verdict.IMPLAUSIBLE
-    )
+    for finding in findings:
+        if finding[0] is not Verdict.IMPLAUSIBLE:
+            yield finding
     if not mass / MOST_FACTOR < weighed < mass * MOST_FACTOR:
         reason = f"weighed with torques as they are, {mass:g} kg come out as {weighed:.4g} kg"
         yield Verdict.WRONG_WEIGHT, reason
