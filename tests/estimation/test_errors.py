@@ -52,9 +52,8 @@ def exact_recording(robot):
     return arm, arm.recording(wide_motion(3, 3), False)
 
 
-@pytest.mark.parametrize(
-    "memory", [pytest.param(0.0, marks=pytest.mark.slow), 0.1 * RATE]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("memory", [0.0, 0.1 * RATE])
 def test_errors_are_the_spread_of_many_recordings(memory):
     """Of torque noise alone, white or autocorrelated (``memory`` in samples)."""
     arm, exact = exact_recording(SMALL)

@@ -51,9 +51,9 @@ def fit_file_of(model, datasets, options, kept=(), couplings=(), friction=BASIC)
     return fit_file(fitter, options, kept, fit)
 
 
-def record_and_fit(plant, model, kept=(), extra_torque=None, couplings=()):
-    recording = record(plant, model, extra_torque=extra_torque)
-    return fit_file_of(model, *recording, kept, couplings)
+@pytest.fixture(scope="module")
+def recording(plant, robot):
+    return record(plant, robot)
 
 
 def compile_fit(robot, fit):
@@ -82,11 +82,12 @@ def angle_between(vector, other):
     return np.degrees(np.arccos(min(cosine, 1.0)))
 
 
-def test_the_file_predicts_with_the_stated_error(plant, robot):
-    file = record_and_fit(plant, robot)
+def test_the_file_predicts_with_the_stated_error(plant, robot, recording):
+    file = fit_file_of(robot, *recording)
     fit = file.fit
+    other_recording = record(plant, robot, 11)
     signals, other_signals = (
-        record(plant, robot, seed)[0][0].signals for seed in (1, 11)
+        datasets[0].signals for datasets, _ in (recording, other_recording)
     )
     assert all(spatial.is_consistent(theta) for theta in fit.columns.thetas(fit.values))
     prior_error = torque_error(robot.mj_model, robot, signals, "log").relative_error
@@ -127,9 +128,10 @@ def test_a_tilted_gravity_is_estimated_unless_it_is_kept(plant, robot):
     axis = np.array([0.5, 0.8, 0.0])
     turn = Rotation.from_rotvec(np.radians(2.0) * axis / np.linalg.norm(axis))
     tilted = with_gravity(plant, turn.apply(gravity_vector(plant)))
-    file = record_and_fit(tilted, robot)
+    recording = record(tilted, robot)
+    file = fit_file_of(robot, *recording)
     assert angle_between(file.fit.point.gravity, gravity_vector(tilted)) < 0.3
-    kept = record_and_fit(tilted, robot, (GRAVITY,))
+    kept = fit_file_of(robot, *recording, (GRAVITY,))
     assert np.array_equal(kept.fit.point.gravity, gravity_vector(robot))
     assert kept.validation.relative_error > file.validation.relative_error
 
@@ -156,8 +158,8 @@ def test_a_rotor_is_that_of_the_estimate_where_it_is_clear_else_the_models(
 
 
 @pytest.mark.parametrize("kept", [(FRICTION,), (ROTORS, LINKS)])
-def test_a_kept_part_stays(plant, robot, kept):
-    fit = record_and_fit(plant, without_rotors(robot), (*kept, GRAVITY)).fit
+def test_a_kept_part_stays(robot, recording, kept):
+    fit = fit_file_of(without_rotors(robot), *recording, (*kept, GRAVITY)).fit
     for name, part in {
         "coulomb[joint1]": FRICTION,
         "viscous[joint2]": FRICTION,
@@ -171,9 +173,9 @@ def test_a_kept_part_stays(plant, robot, kept):
     assert "offset[joint1]" in fit.unknowns.estimated_names
 
 
-def test_a_urdf_gets_no_rotors(plant, robot):
+def test_a_urdf_gets_no_rotors(robot, recording):
     """It cannot hold them: beside links it has friction only, and rotors count as links."""
-    fit = record_and_fit(plant, replace(robot, kind="urdf")).fit
+    fit = fit_file_of(replace(robot, kind="urdf"), *recording).fit
     assert not any("armature[" in name for name in fit.unknowns.estimated_names)
     assert joint_values(fit, "armature") == [0.0] * 3
 
@@ -185,13 +187,14 @@ def test_nonlinear_damping_is_given_to_the_joint_that_has_it(plant, robot):
     def quadratic(motion):
         return 0.3 * motion.qd * np.abs(motion.qd) * MIDDLE
 
-    fit = record_and_fit(plant, robot, (GRAVITY,), quadratic).fit
+    recording = record(plant, robot, extra_torque=quadratic)
+    fit = fit_file_of(robot, *recording, (GRAVITY,)).fit
     has_polynomial = ["quadratic" in model.terms for model in fit.choice.friction]
     assert has_polynomial == [False, True, False]
     curvature = fit.value("quadratic[joint1]") + fit.value("cubic[joint1]")
     assert curvature == pytest.approx(0.3, abs=0.15)
     assert holds_polynomial(robot, 1, "mjcf") and not holds_polynomial(robot, 1, "urdf")
-    kept = record_and_fit(plant, robot, (FRICTION, GRAVITY), quadratic).fit
+    kept = fit_file_of(robot, *recording, (FRICTION, GRAVITY)).fit
     assert not any("quadratic" in model.terms for model in kept.choice.friction)
 
 
@@ -204,35 +207,40 @@ def shared_motor(motion):
     return np.outer(1.5 * np.sign(speed) + 0.4 * speed + 0.02 * acceleration, WRIST)
 
 
+@pytest.fixture(scope="module")
+def recording_of_motor(plant, robot):
+    return record(plant, robot, extra_torque=shared_motor)
+
+
 @holds_motors
-def test_a_motor_that_turns_two_joints_is_in_the_file(plant, robot):
+def test_a_motor_that_turns_two_joints_is_in_the_file(robot, recording_of_motor):
     motors = (coupling(robot, WRIST),)
-    file = record_and_fit(plant, robot, (GRAVITY,), shared_motor, motors)
-    without = record_and_fit(plant, robot, (GRAVITY,), shared_motor)
+    file = fit_file_of(robot, *recording_of_motor, (GRAVITY,), motors)
+    without = fit_file_of(robot, *recording_of_motor, (GRAVITY,))
     for term, value in {"coulomb": 1.5, "viscous": 0.4, "armature": 0.02}.items():
         estimate = file.fit.value(f"{term}[joint1+joint2]")
         assert estimate == pytest.approx(value, rel=0.1)
     assert file.validation.relative_error < 0.2 * without.validation.relative_error
     assert file.file is None
 
-    kept = [GRAVITY, FRICTION]
-    fit = record_and_fit(plant, robot, (*kept,), shared_motor, motors).fit
+    kept = (GRAVITY, FRICTION)
+    fit = fit_file_of(robot, *recording_of_motor, kept, motors).fit
     assert fit.value("coulomb[joint1+joint2]") == 0.0
     assert fit.value("armature[joint1+joint2]") != 0.0
-    fit = record_and_fit(plant, robot, (*kept, ROTORS), shared_motor, motors).fit
+    fit = fit_file_of(robot, *recording_of_motor, (*kept, ROTORS), motors).fit
     assert not fit.choice.couplings
 
 
 @holds_motors
 def test_a_urdf_beside_the_mjcf_that_holds_a_shared_motor_is_fitted_as_a_urdf(
-    plant, robot
+    robot, recording_of_motor
 ):
     model = replace(robot, kind="urdf")
     motors = (coupling(robot, WRIST),)
-    file = record_and_fit(plant, model, (GRAVITY,), shared_motor, motors)
+    file = fit_file_of(model, *recording_of_motor, (GRAVITY,), motors)
     assert file.fit.question.file_kind == "mjcf"
     assert file.file.fit.question.file_kind == "urdf"
-    alone = record_and_fit(plant, model, (GRAVITY,), shared_motor)
+    alone = fit_file_of(model, *recording_of_motor, (GRAVITY,))
     error = alone.validation.relative_error
     assert file.file.validation.relative_error == pytest.approx(error, rel=0.05)
     assert file.validation.relative_error < 0.2 * error

@@ -89,13 +89,17 @@ def validate(fit, *logs):
     return validate_datasets(fit, fit_errors(fit), datasets, "other.csv")
 
 
-def record_other(arm, plant):
+@pytest.fixture(scope="module")
+def other_logs(plant):
+    """Return logs of the plant, and of an arm with twice its last link's mass."""
+    heavy = arms.robot_of(XML.replace('mass=".8"', 'mass="1.6"'))
+    sensors = {"noise_torque": 0.1, "encoder_resolution": 1e-4}
     plan = plan_of(plant, 7)
-    return log_of(arm, plan, 7, noise_torque=0.1, encoder_resolution=1e-4)
+    return [log_of(arm, plan, 7, **sensors) for arm in (plant, heavy)]
 
 
-def test_another_log_is_predicted_down_to_its_noise(plant, noisy_fit):
-    log = record_other(plant, plant)
+def test_another_log_is_predicted_down_to_its_noise(noisy_fit, other_logs):
+    log, _ = other_logs
     validation = validate(noisy_fit, log)
     assert validation.source == "other.csv"
     assert validation.rmse < 1.3 * np.sqrt(np.mean(noisy_fit.weights**-2.0))
@@ -105,7 +109,7 @@ def test_another_log_is_predicted_down_to_its_noise(plant, noisy_fit):
 
 @pytest.mark.parametrize("is_moving", [True, False])
 def test_only_another_body_is_informative_where_a_joints_friction_is_unknown(
-    plant, robot, noisy_fit, is_moving
+    robot, noisy_fit, other_logs, is_moving
 ):
     """A link of another mass shows even if one joint stood still in the fitted log."""
     (recording,) = noisy_fit.columns.datasets
@@ -113,8 +117,5 @@ def test_only_another_body_is_informative_where_a_joints_friction_is_unknown(
     used[:, 1] = is_moving
     options = noisy_fit.question.options
     fit = fit_recordings(robot, [replace(recording, used=used)], options)
-    is_informative = []
-    for mass in (".8", "1.6"):
-        arm = arms.robot_of(XML.replace('mass=".8"', f'mass="{mass}"'))
-        is_informative.append(validate(fit, record_other(arm, plant)).is_informative)
+    is_informative = [validate(fit, log).is_informative for log in other_logs]
     assert is_informative == [is_moving, True]
