@@ -41,7 +41,7 @@ from robot_sysid.estimation.algebra.priors import (
     link_evidence,
     link_lengths,
 )
-from robot_sysid.estimation.columns import Columns, Point, split_name
+from robot_sysid.estimation.columns import Columns, Point, names_of, split_name
 from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.estimation.fit import Fit, Fitter
 from robot_sysid.estimation.held_out import HeldOut, is_clearly_lower
@@ -128,7 +128,7 @@ def _link_evidence(fit: Fit) -> LinkEvidence | None:
     Only links count whose inertia the model states, not placeholders; None where there is none.
     """
     others = [group for group in fit.unknowns.groups if group.cause != LINKS]
-    groups = [group for group in fit.unknowns.groups if group.cause == LINKS]
+    groups = fit.unknowns.groups_of(LINKS)
     if not groups:
         return None
     (group,) = groups
@@ -268,10 +268,10 @@ def is_scaled(fit: Fit, question: Question, choice: Choice) -> bool:
     """
     scaled_choice = replace(choice, common_scale=COMMON_SCALE)
     unknowns = fit.evidence.unknowns(fit.columns, question, scaled_choice)
-    names = [f"scale[{joint}]" for joint in fit.columns.joints]
-    return unknowns.may_be_scaled(question) and is_worth_a_word(
-        *posterior_of(fit, unknowns, names)
-    )
+    if not unknowns.may_be_scaled(question):
+        return False
+    names = names_of("scale", fit.columns.joints)
+    return is_worth_a_word(*posterior_of(fit, unknowns, names))
 
 
 def posterior_of(
@@ -293,9 +293,9 @@ def posterior_of(
 def dry_friction(fit: Fit) -> tuple[float, ...]:
     """Return the dry friction (joints,) of a fit [N m]: Coulomb and sigmoid terms added up."""
     sizes = np.zeros(len(fit.columns.joints))
-    for row, joint in enumerate(fit.columns.joints):
-        names = [f"{term}[{joint}]" for term in ("coulomb", "sigmoid")]
-        sizes[row] = np.sum(np.abs(fit.values[fit.columns.indices(names)]))
+    for term in ("coulomb", "sigmoid"):
+        indices = fit.columns.indices(names_of(term, fit.columns.joints))
+        sizes += np.abs(fit.values[indices])
     return tuple(sizes.tolist())
 
 
@@ -553,7 +553,7 @@ def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:
         rows = {f"row {index + 1}": row for index, row in enumerate(content)}
     else:
         rows = {"": content}
-    ratios = []
+    motors = []
     for label, entry in rows.items():
         row: Any = entry
         if isinstance(row, list) and len(row) == robot.n_joints:
@@ -569,10 +569,10 @@ def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:
                 f"--coupling {path}: {label} turns with {unknown[0]!r}, which is no joint of the "
                 f"arm: {', '.join(names)}"
             )
-        ratios.append(np.array([float(row.get(joint, 0.0)) for joint in names]))
-    return tuple(
-        coupling(robot, motor) for motor in ratios if np.count_nonzero(motor) > 1
-    )
+        ratios = np.array([float(row.get(joint, 0.0)) for joint in names])
+        if np.count_nonzero(ratios) > 1:
+            motors.append(coupling(robot, ratios))
+    return tuple(motors)
 
 
 def _is_number(value: Any) -> bool:

@@ -18,7 +18,7 @@ off: by 5 % for an iiwa whose links are 5 % off.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -39,7 +39,6 @@ from robot_sysid.dynamics.friction import (
     TERMS,
     Coupling,
     FrictionModel,
-    speed_name,
 )
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
@@ -112,6 +111,11 @@ def split_name(name: str) -> tuple[str, str]:
     return term, owner[:-1]
 
 
+def names_of(term: str, joints: Iterable[str]) -> tuple[str, ...]:
+    """Return the name of a term's parameter in each joint, such as "scale[joint6]"."""
+    return tuple(f"{term}[{joint}]" for joint in joints)
+
+
 class Columns:
     """Names of all p parameters, and the linearised rows of recordings in these parameters.
 
@@ -152,9 +156,9 @@ class Columns:
         point_terms = ["load"]
         for term in NONLINEAR_TERMS:
             point_terms += [term, f"{term}_speed"]
-        self._scales = tuple(f"scale[{joint}]" for joint in self.joints)
-        self._drifts = tuple(f"drift[{joint}]" for joint in self.joints)
-        self._zeros = tuple(f"zero[{joint}]" for joint in robot.joint_names)
+        self._scales = names_of("scale", self.joints)
+        self._drifts = names_of("drift", self.joints)
+        self._zeros = names_of("zero", robot.joint_names)
         self._tilts = TILT_NAMES if np.any(gravity_vector(robot)) else ()
         point_names = list[str]()
         for joint in self.joints:
@@ -258,9 +262,8 @@ class Columns:
         new[self.indices(increments)] = 0.0
         angles = np.array([step.get(name, 0.0) for name in TILT_NAMES])
         for term, nonlinear in NONLINEAR_TERMS.items():
-            steps = []
-            for joint in self.robot.joint_names:
-                steps.append(step.get(speed_name(term, joint), 0.0))
+            names = names_of(f"{term}_speed", self.robot.joint_names)
+            steps = [step.get(name, 0.0) for name in names]
             speed[term] = np.clip(speed[term] + steps, *nonlinear.bounds)
         return replace(
             point,
@@ -482,7 +485,8 @@ class Columns:
         """
         columns = dict[int, Array]()
         motions = [dataset.motion for dataset in delayed]
-        ends = np.cumsum([len(motion.time) for motion in motions])
+        counts = np.array([len(motion.time) for motion in motions])
+        ends = np.cumsum(counts)
         batches = dict[tuple[bool, int], list[int]]()
         for index, dataset in enumerate(delayed):
             key = dataset.is_loaded, int(ends[index] // _TOGETHER)
@@ -490,10 +494,10 @@ class Columns:
         for (is_loaded, _), batch in batches.items():
             fields = zip(*[vars(motions[index]).values() for index in batch])
             motion = Motion(*map(np.concatenate, fields))
-            batch_ends = np.cumsum([len(motions[index].time) for index in batch])
+            batch_ends = np.cumsum(counts[batch])
             batch_columns = make(self.thetas(point.values, is_loaded), motion)
             columns.update(zip(batch, np.split(batch_columns, batch_ends[:-1])))
-        return [columns[index] for index in range(len(delayed))]
+        return list(map(columns.__getitem__, range(len(delayed))))
 
     def _smooth_columns(
         self, arm: RobotModel, point: Point, delayed: Sequence[Dataset]
@@ -502,8 +506,8 @@ class Columns:
 
         They depend on links, gravity and delay only and are cached: trials of friction share them.
         """
-        thetas = [self.thetas(point.values, loaded) for loaded in (False, True)]
-        links = tuple(theta.tobytes() for theta in thetas)
+        thetas = self.thetas(point.values), self.thetas(point.values, is_loaded=True)
+        links = np.array(thetas).tobytes()
         key = (point.delay, point.gravity.tobytes(), links)
         if self._link_columns[0] != key:
             # These columns are smooth and small and need no low-pass: the motion at the instant
@@ -539,8 +543,8 @@ class Columns:
         speed = point.speed or {}
         sizes = {}
         for term in NONLINEAR_TERMS:
-            names = [f"{term}[{joint}]" for joint in self.joints]
-            sizes[term] = point.values[self.indices(names)]
+            indices = self.indices(names_of(term, self.joints))
+            sizes[term] = point.values[indices]
         sloped = [term for term, size in sizes.items() if np.any(size)]
 
         def make(motion: Motion) -> Array:

@@ -321,10 +321,8 @@ def _common_scale_change(fit: Fit) -> Array:
     plain = data.unknowns(fit.columns, fit.question, choice)
     groups = [group for group in unknowns.groups if group.cause != SCALES]
     posterior = WithPriors(data.of(unknowns), 1.0 / fit.weights).log_evidence
-    (scales,) = (group for group in unknowns.groups if group.cause == SCALES)
-    (plain_scales,) = (group for group in plain.groups if group.cause == SCALES)
-    values, evidence = posterior([*groups, scales])
-    plain_values, plain_evidence = posterior([*groups, plain_scales])
+    values, evidence = posterior([*groups, *unknowns.groups_of(SCALES)])
+    plain_values, plain_evidence = posterior([*groups, *plain.groups_of(SCALES)])
     share = 1.0 / (1.0 + np.exp(min(np.nan_to_num(evidence - plain_evidence), _SURE)))
     return np.asarray(np.sqrt(share) * (values - plain_values))[None]
 
@@ -387,11 +385,10 @@ def _common_scale_error(fit: Fit) -> float:
     It is zero unless the fit holds the mean of all scales (cause ``COMMON``), which data does not
     determine.
     """
-    groups = {group.cause: group for group in fit.unknowns.groups}
-    if COMMON not in groups or SCALES not in groups:
-        return 0.0
-    scale = groups[SCALES]
-    return scale.widened * common_error(np.diag(scale.factor))
+    if fit.unknowns.groups_of(COMMON):
+        for scale in fit.unknowns.groups_of(SCALES):
+            return scale.widened * common_error(np.diag(scale.factor))
+    return 0.0
 
 
 def filtering_bias(

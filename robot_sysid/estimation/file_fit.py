@@ -18,7 +18,7 @@ from robot_sysid.dynamics.friction import Coupling, FrictionModel, friction_mode
 from robot_sysid.estimation.algebra.priors import LinkScales
 from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.choices import IN_FILE, WITH_POLYNOMIAL, posterior_of
-from robot_sysid.estimation.columns import PAYLOAD_NAMES, Point, split_name
+from robot_sysid.estimation.columns import PAYLOAD_NAMES, Point, names_of, split_name
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.fit import Fit, Fitter
 from robot_sysid.estimation.held_out import HeldOut, held_out, is_clearly_lower
@@ -181,7 +181,7 @@ def _validate_model(
     columns = fitter.columns
     data, _ = fitter.around(point)
     unknowns = data.unknowns(columns, question, choice)
-    indices = columns.indices([f"offset[{joint}]" for joint in columns.joints])
+    indices = columns.indices(names_of("offset", columns.joints))
     indices = indices[data.nonzero[indices]]
     held = columns.model_values.copy()
     if question.carried is not None:
@@ -220,10 +220,10 @@ def _add_polynomials(
     columns = fit.columns
     polynomials = _friction(columns.robot, question, choice.rotors, WITH_POLYNOMIAL)
     trial = replace(choice, friction=polynomials)
-    errors, trial_errors = (
-        judge.squared_errors(fit.evidence.unknowns(columns, question, alternative))
-        for alternative in (choice, trial)
-    )
+    unknowns = fit.evidence.unknowns(columns, question, choice)
+    trial_unknowns = fit.evidence.unknowns(columns, question, trial)
+    errors = judge.squared_errors(unknowns)
+    trial_errors = judge.squared_errors(trial_unknowns)
     friction = list(choice.friction)
     for row, joint in enumerate(columns.joint_indices):
         is_better = is_clearly_lower(trial_errors[:, row], errors[:, row])
@@ -261,8 +261,7 @@ def select_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
     for joint in fit.columns.joints:
         if joint not in zero_joints and f"offset[{joint}]" in names:
             free.append(joint)
-    offset_names = [f"offset[{joint}]" for joint in free]
-    offsets, covariance = posterior_of(fit, unknowns, offset_names)
+    offsets, covariance = posterior_of(fit, unknowns, names_of("offset", free))
     while free:
         significance = np.abs(offsets) / np.sqrt(np.diag(covariance))
         index = int(np.argmin(significance))

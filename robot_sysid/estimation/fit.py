@@ -121,7 +121,9 @@ def evidence(samples: Sequence[DecimatedSamples], torque: Array) -> Evidence:
     Args:
         torque: (n,) root mean square of each joint's measured torque [N m].
     """
-    recordings = [[log.where(mask) for mask in block_masks(log)] for log in samples]
+    recordings = []
+    for log in samples:
+        recordings.append([log.where(mask) for mask in block_masks(log)])
     return evidence_of(list(zip(*recordings)), torque)
 
 
@@ -426,7 +428,9 @@ class Fitter:
         """
         # Columns of load and of nonlinear terms depend on the estimate. While friction terms are
         # selected, load-dependent friction that only a prior allows for needs no exact columns.
-        terms = {term for model in choice.friction for term in model.terms}
+        terms = set[str]()
+        for model in choice.friction:
+            terms.update(model.terms)
         has_nonlinear_terms = not terms.isdisjoint(("load", *NONLINEAR_TERMS))
         exact_load = has_nonlinear_terms or choice.dry_friction is not None
         point = point or self.columns.start()

@@ -262,7 +262,7 @@ def _fitter(
     repetitions = None
     if options.tilt == "auto":
         tilt_axes(gravity_vector(robot))  # raises without gravity
-    if all(dataset.signals is not None for dataset in datasets):
+    if not question.resting:
         repetitions = find_visits([dataset.motion for dataset in datasets])
     motors, offered = couplings_of(robot, options)
     columns = Columns(robot, datasets, options.torques, motors)
@@ -491,7 +491,9 @@ def bodies_apart(fit: Fit, samples: Sequence[DecimatedSamples]) -> tuple[Array, 
     count = len(samples) - 1
     common = np.setdiff1d(fit.unknowns.estimated, fit.columns.indices(PAYLOAD_NAMES))
     fewer = replace(fit.unknowns, estimated=common)
-    added = tuple(f"{n}({k})" for k in range(count) for n in PARAMETER_NAMES)
+    added = list[str]()
+    for number in range(count):
+        added += [f"{name}({number})" for name in PARAMETER_NAMES]
     names = (*fewer.estimated_names, *added)
 
     def add_body_columns(number: int, samples: DecimatedSamples) -> DecimatedSamples:

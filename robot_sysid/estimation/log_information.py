@@ -322,9 +322,7 @@ def _sample_rows(
     dataset: Dataset, samples: DecimatedSamples, values: Array
 ) -> RowSample:
     """Return a random sample of a recording's rows, with the residuals at parameters (p,)."""
-    residuals = [
-        tau - torque for tau, torque in zip(samples.tau, samples.torque(values))
-    ]
+    residuals = list(map(np.subtract, samples.tau, samples.torque(values)))
     assert dataset.signals is not None
     content = dataset.signals.q.tobytes() + dataset.signals.tau.tobytes()
     number = int.from_bytes(hashlib.sha256(content).digest()[:8], "little")
@@ -362,9 +360,8 @@ def answer_from(
         )
     fit = _fit_sum(robot, information)
     options = information.settled.estimation
-    residuals = [
-        joint.limit_lags() for joint in residuals_within(fit, information.residuals)
-    ]
+    sums = residuals_within(fit, information.residuals)
+    residuals = list(map(JointResiduals.limit_lags, sums))
     errors = fit_errors(fit, residuals, information.pull)
     fixed = _Fixed(robot, information, fit.point)
     file = fit_file(fixed, options, (FILE_GRAVITY,), fit, information.pull)

@@ -29,7 +29,7 @@ from robot_sysid.estimation.algebra.priors import (
     link_factor,
     link_lengths,
 )
-from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
+from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns, names_of
 from robot_sysid.estimation.question import (
     FILE_FRICTION,
     FILE_GRAVITY,
@@ -130,6 +130,10 @@ class Unknowns:
         """Names of the friction terms that only a prior allows for (cause ``FRICTION``)."""
         return _names_by_cause(self.groups, FRICTION)
 
+    def groups_of(self, cause: str) -> list[NuisanceGroup]:
+        """Return the priors with a cause of error: one, or none."""
+        return [group for group in self.groups if group.cause == cause]
+
     def full(self, estimate: Array) -> Array:
         """Return all parameters (p,) from the estimate (k,) of the unknown ones."""
         values = self.held.copy()
@@ -140,7 +144,7 @@ class Unknowns:
         """Tell whether to try a common torque scale: no option states it, and links identify it."""
         if question.loaded or question.options.scale_uncertainty is not None:
             return False
-        return any(group.cause == LINKS for group in self.groups)
+        return bool(self.groups_of(LINKS))
 
     def hold_at_bounds(self, values: Array) -> Unknowns | None:
         """Return the unknowns with parameters whose values (p,) cross a bound held at that bound.
@@ -369,7 +373,7 @@ def _prior_groups(
     if links is not None:
         yield links
     if choice.offsets:
-        names = tuple(f"offset[{joint}]" for joint in choice.offsets)
+        names = names_of("offset", choice.offsets)
         deviations = np.maximum([*choice.offsets.values()], _EXACT)
         yield independent_prior(OFFSETS, names, tuple(choice.offsets), deviations)
     tilts = tuple(name for name in TILT_NAMES if name in columns.index)
@@ -386,7 +390,7 @@ def _prior_groups(
         (DRIFT, "drift", joints, DRIFTS if question.drifts else 0.0),
     )
     for cause, prefix, members, deviation in joint_priors:
-        names = tuple(f"{prefix}[{joint}]" for joint in members)
+        names = names_of(prefix, members)
         if np.any(np.greater(deviation, 0.0)):
             prior = independent_prior(
                 cause, names, members, np.maximum(deviation, _EXACT), may_widen
@@ -488,10 +492,10 @@ def _link_group(
             blocks.append(([k], 1.0, AS_STATED))
     if stated:
         blocks.append((stated, share, choice.link_scales))
-    for members, deviation, scales in blocks:
-        indices = np.add.outer(10 * np.array(members), np.arange(10)).ravel()
-        thetas = [usual_bodies[k] for k in members]
-        sizes = [lengths[k] for k in members]
+    for numbers, deviation, scales in blocks:
+        indices = np.add.outer(10 * np.array(numbers), np.arange(10)).ravel()
+        thetas = [usual_bodies[k] for k in numbers]
+        sizes = [lengths[k] for k in numbers]
         block = link_factor(thetas, deviation, sizes, scales)
         factor[np.ix_(indices, indices)] = block
     indices = np.concatenate([bodies[name][0] for name in names])
