@@ -45,6 +45,7 @@ MODEL = {
 WEIGHT = "2.000"
 """Mass of the payload [kg], the one that docs/payload.md calls known."""
 _BLOCK = re.compile(r"^```(bash|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+_TABLE_COMMAND = re.compile(r"^\|.*\| `(robot-sysid [^`]+)` \|", re.MULTILINE)
 _PRINTED = re.compile(
     r"^<!-- printed -->\n```text\n(.*?)^```$", re.DOTALL | re.MULTILINE
 )
@@ -52,8 +53,10 @@ _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.]*\w)")
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:
-    """Return (language, text) of a page's blocks that can be run, in their order."""
-    return _BLOCK.findall(page.read_text(encoding="utf-8"))
+    """Return (language, text) of a page's blocks that can be run, then of its tables' commands."""
+    text = page.read_text(encoding="utf-8")
+    in_tables = [("bash", command) for command in _TABLE_COMMAND.findall(text)]
+    return _BLOCK.findall(text) + in_tables
 
 
 def command_lines(block: str) -> list[list[str]]:
