@@ -111,6 +111,7 @@ def _record_interrupts(process_ends: bool = False) -> Iterator[list[int]]:
     numbers: list[int] = []
 
     def interrupt(number: int, frame: Any) -> None:
+        """Note the signal and stop the command."""
         numbers.append(number)
         raise KeyboardInterrupt
 

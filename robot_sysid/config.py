@@ -192,10 +192,8 @@ class Config:
     def input_files(self) -> tuple[Path | None, ...]:
         """Return the files that a run reads and must not write over; None stands for no file."""
         log = self.log
-        scale_files = []
-        for factors in (log.torque_scale, log.torque_constants):
-            if isinstance(factors, Path):
-                scale_files.append(factors)
+        factors = (log.torque_scale, log.torque_constants)
+        scale_files = [path for path in factors if isinstance(path, Path)]
         return (
             self.output.config,
             self.model.path,
@@ -268,7 +266,11 @@ class SysidConfig(Config):
         return self.output.output_dir / file_access.PLAN_NAME
 
     def command_words(self) -> tuple[list[str], list[str]]:
-        """Return words of another command line: the model's, and those of its motors' limits."""
+        """Return words of a command line that this run suggests to the user.
+
+        Returns:
+            The model file with its options, and the options on limits that motors have too.
+        """
         from robot_sysid.damiao.trajectory import LIMITS
 
         model_options = option_fields.command_arguments(vars(self.model), self.model)
@@ -295,6 +297,7 @@ class SysidConfig(Config):
         return not self.log.measurements and (is_noisy or not is_fixed)
 
     def _exclusive_options(self) -> Iterator[tuple[bool, str, str]]:
+        """Yield (whether both are set, an option, another option that excludes it)."""
         plan = self.trajectory
         logs = self.log.measurements
         has_plant = self.arm.plant_model is not None
@@ -319,6 +322,7 @@ class SysidConfig(Config):
         yield is_from_file and has_duration, "--trajectory", "--duration"
 
     def _option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
+        """Yield (whether this run uses some options, why it does not, those that are set)."""
         yield from self._data_option_uses()
         yield from self._motion_option_uses()
 
@@ -339,19 +343,16 @@ class SysidConfig(Config):
         yield (
             has_log,
             "describes a log; add --measurements LOG.csv",
-            [
-                *_set_options(self.log),
-                *_set_options(self.estimation, only=("torque_from",)),
-            ],
+            _set_options(self.log)
+            + _set_options(self.estimation, only=("torque_from",)),
         )
-        result_keys = ("bundle", "report", "plots", "plant_model", "save_measurements")
+        files = ("bundle", "report", "plots", "plant_model", "save_measurements")
         yield (
             not is_plan,
             "is about an estimate; a plan stops before it",
-            [
-                *_set_options(self.estimation, only=("no_friction",)),
-                *_set_options(self.output, self.arm, only=result_keys),
-            ],
+            _set_options(
+                self.estimation, self.output, self.arm, only=("no_friction", *files)
+            ),
         )
         needs_plant = (
             "belongs to a simulated plant; add --plant-model (the model file itself "
@@ -372,10 +373,8 @@ class SysidConfig(Config):
         yield (
             self.is_measured,
             "is about measured torques; add --measurements or --plant-model",
-            [
-                *_set_options(self.estimation, leave_out=("torques", "no_friction")),
-                *_set_options(self.output, only=("keep", "links")),
-            ],
+            _set_options(self.estimation, leave_out=("torques", "no_friction"))
+            + _set_options(self.output, only=("keep", "links")),
         )
         yield (
             self.estimation.torque_from is None,
@@ -419,6 +418,7 @@ class SysidConfig(Config):
         return (*super().input_files(), self.arm.plant_model, self.trajectory.file)
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
+        """Yield (option that names a file, path of the file) of each file that a run writes."""
         if self.arm.save_measurements is not None:
             yield "--save-measurements", self.arm.save_measurements
         if self.plan_file is not None:
@@ -504,6 +504,7 @@ class PayloadConfig(Config):
     payload: PayloadOptions = field(default_factory=PayloadOptions)
 
     def _exclusive_options(self) -> Iterator[tuple[bool, str, str]]:
+        """Yield (whether both are set, an option, another option that excludes it)."""
         is_exact = self.estimation.scale_uncertainty in (0.0, (0.0,))
         yield (
             self.payload.known_mass is not None and is_exact,
@@ -512,6 +513,7 @@ class PayloadConfig(Config):
         )
 
     def _option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
+        """Yield (whether this run uses some options, why it does not, those that are set)."""
         yield (
             self.payload.known_mass is None,
             "is about a written model; --known-mass writes none",
@@ -528,6 +530,7 @@ class PayloadConfig(Config):
         return (*super().input_files(), *self.payload.empty, *self.payload.loaded)
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
+        """Yield (option that names a file, path of the file) of each file that a run writes."""
         yield "--output-dir", self.output.output_dir / file_access.CARD_NAME
         if self.payload.save_torque_scale is not None:
             yield "--save-torque-scale", self.payload.save_torque_scale

@@ -170,8 +170,10 @@ def delay_signals(signals: tuple[signal.Signals, ...] = STOP_SIGNALS) -> Iterato
             cleanup.callback(signal.pthread_sigmask, signal.SIG_SETMASK, mask)
         if _in_main_thread():
             # A signal that another thread receives has its Python handler called in this one.
-            handled = [n for n in signals if signal.getsignal(n) is not None]
-            handlers = {n: signal.signal(n, arrived.setdefault) for n in handled}
+            handlers = {}
+            for number in signals:
+                if signal.getsignal(number) is not None:
+                    handlers[number] = signal.signal(number, arrived.setdefault)
             cleanup.callback(_deliver, arrived, handlers)
         yield
 
@@ -199,6 +201,7 @@ def ignore_repeated_ctrl_c() -> Iterator[None]:
         return
 
     def stop(number: int, frame: Any) -> None:
+        """Ignore further signals while the earlier handler runs, which may raise an exception."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         handler(number, frame)
         # The handler raised nothing, so nothing was stopped.

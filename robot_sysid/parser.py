@@ -78,10 +78,9 @@ def robot_from_compiled(
     chain = arm_without_base(mj_model, carriers)
     body = int(mj_model.jnt_bodyid[terminal])
     keyframe_id = rest_keyframe(mj_model, keyframe)
-    rest_qpos = (
-        mj_model.qpos0 if keyframe_id is None else mj_model.key_qpos[keyframe_id]
-    )
-    qpos = np.array(rest_qpos, dtype=float)
+    qpos = np.array(mj_model.qpos0, dtype=float)
+    if keyframe_id is not None:
+        qpos[:] = mj_model.key_qpos[keyframe_id]
     dofs = mj_model.jnt_dofadr[list(chain)].astype(np.int64)
     names = tuple(joint_label(mj_model, j) for j in chain)
     bodies = subtree_bodies(mj_model, qpos, body)

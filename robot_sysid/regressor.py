@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.records import Array
 
 
@@ -30,6 +30,7 @@ def derive_regressor() -> tuple[Any, tuple[Any, ...]]:
     import sympy as sp
 
     def hat(x: Any, y: Any, z: Any) -> Any:
+        """Return the matrix (3, 3) whose product with b is the cross product (x, y, z) x b."""
         return sp.Matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
     motion = sp.symbols("wx wy wz vx vy vz awx awy awz avx avy avz")
@@ -40,17 +41,14 @@ def derive_regressor() -> tuple[Any, tuple[Any, ...]]:
     # ad(V) = [[[omega]x, 0], [[v]x, [omega]x]].
     adjoint = omega.row_join(sp.zeros(3)).col_join(v.row_join(omega))
     columns = []
-    for k in range(len(PARAMETER_NAMES)):
-        m, hx, hy, hz, xx, xy, xz, yy, yz, zz = (
-            int(i == k) for i in range(len(PARAMETER_NAMES))
-        )
+    for unit in sp.eye(N_INERTIAL).tolist():
+        m, hx, hy, hz, xx, xy, xz, yy, yz, zz = unit
         # G = [[I, [h]x], [-[h]x, m 1]].
         inertia = sp.Matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         h = hat(hx, hy, hz)
         spatial_inertia = inertia.row_join(h).col_join((-h).row_join(m * sp.eye(3)))
-        columns.append(
-            spatial_inertia * acceleration - adjoint.T * (spatial_inertia * twist)
-        )
+        momentum = spatial_inertia * twist
+        columns.append(spatial_inertia * acceleration - adjoint.T * momentum)
     return sp.Matrix.hstack(*columns), motion
 
 
@@ -85,7 +83,7 @@ def wrench_regressor(velocity: Array, acceleration: Array) -> Array:
     more_x = alpha_x + yz
     more_y = alpha_y + xz
     more_z = alpha_z + xy
-    regressor = np.zeros((6, len(PARAMETER_NAMES), len(velocity)))
+    regressor = np.zeros((6, N_INERTIAL, len(velocity)))
     regressor[0, 2:] = (az, -ay, alpha_x, less_y, more_z, -yz, yy - zz, yz)
     regressor[1, 1] = -az
     regressor[1, 3:] = (ax, xz, more_x, zz - xx, alpha_y, less_z, -xz)

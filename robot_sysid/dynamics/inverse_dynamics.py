@@ -442,8 +442,10 @@ def bracket_transposed(a: Array, b: Array) -> Array:
 
 
 def _sum_outwards(values: Array) -> Array:
-    """Return for each link the sum of values (6, n, N) over it and all links beyond it (6, n,
-    N).
+    """Return (6, n, N) the sums of values over each link and all links beyond that link.
+
+    Args:
+        values: (6, n, N) of the n links, base to terminal.
     """
     return np.cumsum(values[:, ::-1], axis=1)[:, ::-1]
 
@@ -547,8 +549,9 @@ def tilt_columns(
 
 
 def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
-    """Return the torque (N, n, n) of the joints (second axis) per radian by which the position
-    reading of each joint (third axis) is too large [N m/rad].
+    """Return the torque (N, n, n) per radian by which positions are read too large [N m/rad].
+
+    Entry [:, i, j] is the torque of joint i per radian of error of joint j's position reading.
 
     Args:
         robot: the arm.

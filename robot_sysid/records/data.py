@@ -20,7 +20,13 @@ from robot_sysid.records.arm import Array, InertialParameters, JointLimits, chec
 
 @dataclass(frozen=True)
 class Motion:
-    """Chain joint motion at times (N,) [s], and its derivatives (N, n) [rad, rad/s, rad/s^2]."""
+    """Motion of the n chain joints at N instants.
+
+    Attributes:
+        time: (N,) instants [s].
+        q, qd, qdd: (N, n) positions [rad], velocities [rad/s] and accelerations [rad/s^2]; m in
+            place of rad for a slide. Columns are the joints, base to terminal.
+    """
 
     time: Array
     q: Array
@@ -352,7 +358,7 @@ class PriorConflict:
 
 
 class Source(Enum):
-    """Where the torques of an identification come from, with its description."""
+    """Where the torques of an identification come from; the value describes the source."""
 
     ITSELF = "simulation of the model itself"
     SIMULATED_ARM = "simulated plant"

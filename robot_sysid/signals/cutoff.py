@@ -352,8 +352,8 @@ def _smooth(power: Array) -> Array:
 
 
 def _squared_error(cutoff: float, spectra: Spectra) -> float:
-    """Return the expected squared error of the acceleration at a cut-off [Hz], relative to its mean
-    square; absolute where nothing moves.
+    """Return the expected squared error of the acceleration at a cut-off [Hz], over the mean square
+    of the acceleration; where nothing moves, the squared error itself [rad^2/s^4].
     """
     kernel = design_low_pass(cutoff, spectra.rate).kernel
     gain = np.abs(np.fft.rfft(kernel, spectra.length))[1:]

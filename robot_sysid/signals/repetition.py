@@ -123,7 +123,9 @@ def _spread(values: Array) -> Array:
 
 
 def _step_lengths(state: Array) -> Array:
-    """Return (K,) the mean distance of each state (K, 2 n) of a log from those before and after."""
+    """Return (K,) the mean of the distances from each state (K, 2 n) of a log to the state before
+    and to the state after.
+    """
     moved = np.linalg.norm(np.diff(state, axis=0), axis=1)
     return 0.5 * (np.append(moved[:1], moved) + np.append(moved, moved[-1:]))
 
@@ -297,8 +299,11 @@ def resting_poses(samples: Measurement) -> tuple[Measurement, NDArray[np.bool_]]
 
 
 def _rests(samples: Measurement) -> Iterator[Array]:
-    """Yield a row (1 + 3 n,) per rest of a log: its time [s], mean position (n,) [rad], mean torque
-    (n,) [N m] and direction of approach (n,), which is 1, -1 or 0.
+    """Yield a row (1 + 3 n,) for each stretch of a log in which the arm rests.
+
+    A row holds the time at which the rest begins [s], the mean position (n,) [rad], the mean torque
+    (n,) [N m], and the direction (n,) from which each joint came: 1, -1, or 0 for a joint that had
+    hardly moved.
     """
     time = samples.time
     q = samples.q
