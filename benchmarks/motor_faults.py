@@ -20,17 +20,19 @@ was stopped.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import multiprocessing
 import re
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.speed_table import rewrite
 from tests.support.damaged_links import Damage
 from tests.support.fault_bench import (
     ARMS,
@@ -40,13 +42,13 @@ from tests.support.fault_bench import (
     loaded_joint,
     outcomes_of,
 )
-from tests.support.fault_lines import LINES
+from tests.support.fault_lines import LINES, SHOULDER, UNSEEN, WRIST, Line
 from tests.support.motor_causes import (
     DamagedFrame,
     LostMotor,
+    SecondMaster,
     WeakMotor,
     joint_of,
-    named_causes,
 )
 from tests.support.places import ROOT
 
@@ -76,6 +78,9 @@ PAGE = ROOT / "benchmarks" / "motor_faults.md"
 PAGE_BEGIN = "<!-- faults: python -m benchmarks.motor_faults page -->"
 PAGE_END = "<!-- end of faults -->"
 PAGE_HEAD = "| Fault | Departure [rad] | The message contains |\n| --- | --- | --- |"
+_UNSEEN_MASTER = SecondMaster(SHOULDER, 0.5, False)
+FAULTS = (*LINES, Line("second master, shoulder, not seen", _UNSEEN_MASTER, UNSEEN))
+"""Faults of ``faults``: those of the page, and one more."""
 FAULT_AFTER = 1.5
 HOLD_FAULT_AFTER = 1.0
 HOLD_STIFFNESS = (60.0, 180.0)
@@ -85,7 +90,9 @@ RATES = (50.0, 100.0, 250.0, 500.0)
 def damage_cases(arm: str, runs: int, seed: int) -> list[Case]:
     """Return cases of one damaged frame each, spread over fields, sizes, phases and joints."""
     random = np.random.default_rng(seed)
-    kinds = [(name, size) for name, sizes in DAMAGES.items() for size in sizes]
+    kinds = []
+    for name, sizes in DAMAGES.items():
+        kinds += zip(itertools.repeat(name), sizes)
     shares = np.array([share for *_, share in MOMENTS.values()])
     cases = []
     for number in range(runs):
@@ -120,14 +127,21 @@ def _damage(name, size, joint: int, n: int, random: np.random.Generator) -> Dama
 def fault_cases(
     arm: str, belief: str = "guess", instant: float = FAULT_AFTER
 ) -> list[Case]:
-    """Return a case for each named fault, with the model given and without."""
+    """Return a case for each fault, with the model given and without.
+
+    Faults of the shoulder are those of the arm's most loaded joint.
+    """
     cases = []
     for is_given in (True, False):
         setup = SetUp(arm, belief, is_given)
         light = len(ARMS[arm].motor_types) - 2
-        for name, (cause, phase) in named_causes(loaded_joint(setup), light).items():
+        joints = {SHOULDER: loaded_joint(setup), WRIST: light, None: None}
+        for line in FAULTS:
+            joint = joints[joint_of(line.cause)]
+            cause = line.cause if joint is None else replace(line.cause, joint=joint)
+            phase = line.options.get("phase", "playing")
             delay = instant if phase else 0.0
-            cases.append(Case(name, setup, cause, phase, delay, None, joint_of(cause)))
+            cases.append(Case(line.name, setup, cause, phase, delay, None, joint))
     return cases
 
 
@@ -151,12 +165,10 @@ def hold_cases(arm: str, belief: str = "truth") -> list[Case]:
 
 def clean_setups(arms: Sequence[str], rates: Sequence[float] = RATES) -> list[SetUp]:
     """Return what has to be played through undisturbed."""
-    return [
-        SetUp(arm, "guess", is_given, rate=rate)
-        for arm in arms
-        for rate in rates
-        for is_given in (True, False)
-    ]
+    setups = []
+    for arm, rate, is_given in itertools.product(arms, rates, (True, False)):
+        setups.append(SetUp(arm, "guess", is_given, rate=rate))
+    return setups
 
 
 def clean_result(setup: SetUp) -> dict:
@@ -208,14 +220,11 @@ def print_damage_table(outcomes: list) -> None:
     print("|---|---|---|---|---|---|---|")
     for name, group in _by_name(outcomes):
         worst = max(group, key=lambda outcome: outcome.departure)
-        stopped = [
-            outcome for outcome in group if outcome.ending in ("stopped", "refused")
-        ]
+        stopped = [o for o in group if o.ending in ("stopped", "refused")]
         top_speed = max(outcome.top_speed for outcome in group)
         endings = Counter(_rough(outcome.words) for outcome in stopped)
-        summary = "; ".join(
-            f"{count}x {text}" for text, count in endings.most_common(3)
-        )
+        texts = [f"{count}x {text}" for text, count in endings.most_common(3)]
+        summary = "; ".join(texts)
         print(
             f"| {name} | {len(group)} | {len(stopped)} | {worst.departure:.3f} "
             f"| {worst.phase[:12]} | {top_speed:.2f} | {summary} |"
@@ -290,10 +299,9 @@ def print_clean_runs(
 
 def write_page(jobs: int) -> None:
     """Write the table of faults into benchmarks/motor_faults.md."""
-    outcomes = {
-        outcome.name: outcome for outcome in outcomes_of([i.case for i in LINES], jobs)
-    }
     rows = [PAGE_HEAD]
+    cases = [line.case for line in LINES]
+    outcomes = {outcome.name: outcome for outcome in outcomes_of(cases, jobs)}
     for line in LINES:
         outcome = outcomes[line.name]
         message = re.sub(r" \(joint [^)]*\)", "", line.words)
@@ -302,11 +310,7 @@ def write_page(jobs: int) -> None:
         rows.append(
             f"| {line.name} | {measured} | {message or 'nothing: it plays to the end'} |"
         )
-    page = PAGE.read_text(encoding="utf-8")
-    head, _, later = page.partition(PAGE_BEGIN)
-    tail = later.partition(PAGE_END)[2]
-    table = "\n".join(rows)
-    PAGE.write_text(f"{head}{PAGE_BEGIN}\n{table}\n{PAGE_END}{tail}", encoding="utf-8")
+    rewrite(PAGE, PAGE_BEGIN, PAGE_END, rows)
 
 
 def parser() -> argparse.ArgumentParser:

@@ -205,52 +205,6 @@ class JammedJoint:
         run.arm.jam_damping[self.joint] = JAM_DAMPING
 
 
-def named_causes(loaded, light):
-    """Return the faults by name: cause, phase ("" at the very beginning), and joint at fault.
-
-    Args:
-        loaded: the joint on which gravity pulls most.
-        light: a joint of the wrist.
-    """
-    playing = {
-        "weak motor, half": WeakMotor(loaded, 0.5),
-        "weak motor, 0.6": WeakMotor(loaded, 0.6),
-        "weak motor, half, and it says so": WeakMotor(loaded, 0.5, is_reported=True),
-        "motor lost": LostMotor(loaded),
-        "motor reports a fault": FailedMotor(loaded),
-        "second motor, enabled": SecondMotor(light, 0.7),
-        "second motor, answers last": SecondMotor(light, 0.7, is_first=False),
-        "second motor, disabled": SecondMotor(light, 0.7, status=protocol.DISABLED),
-        "second motor at the shoulder": SecondMotor(loaded, 0.7),
-        "second master, seen": SecondMaster(light, 0.5, is_seen=True),
-        "second master, not seen": SecondMaster(light, 0.5, is_seen=False),
-        "second master at the shoulder": SecondMaster(loaded, 0.5, is_seen=True),
-        "second master there, not seen": SecondMaster(loaded, 0.5, is_seen=False),
-        "encoder frozen": FrozenEncoder(loaded),
-        "encoder frozen, light joint": FrozenEncoder(light),
-        "feedback frozen": FrozenEncoder(loaded, is_in_servo=False),
-        "gear slips": SlippingGear(loaded),
-        "gear slips, joint's speed": SlippingGear(loaded, is_felt=False),
-        "gear slips, light joint": SlippingGear(light),
-        "stale answers": MotorSetting(loaded, "is_stale", True),
-        "velocity sign reversed": MotorSetting(loaded, "velocity_factor", -1.0),
-        "torque sign reversed": MotorSetting(loaded, "torque_factor", -1.0),
-        "supply sags": SaggingSupply(loaded),
-        "3 kg gripped": GrippedMass(),
-        "push of 60 N": Push(),
-        "joint jammed": JammedJoint(loaded),
-        "joint jammed, light joint": JammedJoint(light),
-        "answers lost": MotorSetting(loaded, "lost_replies", True),
-    }
-    start = {
-        "zero 0.3 rad off": MovedZero(loaded, 0.3),
-        "zero -0.3 rad off": MovedZero(loaded, -0.3),
-    }
-    causes = {name: (cause, "playing") for name, cause in playing.items()}
-    causes.update({name: (cause, "") for name, cause in start.items()})
-    return causes
-
-
 def joint_of(cause):
     """Return the joint at fault of a cause, or None."""
     if isinstance(cause, DamagedFrame):
