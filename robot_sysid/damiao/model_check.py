@@ -49,21 +49,23 @@ from robot_sysid.simulation.plant import ArmStepper
 from robot_sysid.simulation.playback import interpolate
 from robot_sysid.simulator import ArmTorque
 
-# Relative; for limits and trajectories that came out of the same numbers.
 _ROUNDING = 1e-9
-# Two positions with four decimals are this far apart from what was meant at most [rad or m].
+"""Relative excess of a limit that is ignored: limits and trajectories share their numbers."""
 _PRINTED = 1e-4
+"""Largest error of the difference of two positions with four decimals [rad or m]."""
 
 
 class SampledTrajectory:
-    """A motor trajectory as a motion plan, played at a factor of its speed.
+    """A motor trajectory of n joints and N rows as a motion plan, played at a factor of its speed.
 
     Attributes:
-        time: of the N rows, from zero [s].
-        q, qd, tau: (N, n) [rad, rad/s, N m].
-        slope: velocity (N - 1, n) of the positions between rows [rad/s].
-        duration: [s].
-        n_joints: n.
+        time: times (N,) of the rows, from zero [s].
+        q: positions (N, n) [rad].
+        qd: velocities (N, n) at the played speed [rad/s].
+        tau: feed-forward torques (N, n) [N m].
+        slope: slope (N - 1, n) of the positions between rows [rad/s].
+        duration: time of the last row [s].
+        n_joints: number n of joints.
     """
 
     def __init__(self, trajectory: DamiaoTrajectory, speed: float) -> None:
@@ -76,7 +78,10 @@ class SampledTrajectory:
         self.n_joints = trajectory.n_joints
 
     def evaluate(self, time: Array) -> Motion:
-        """Return the motion at times (N,) [s]; the acceleration is left at zero."""
+        """Return position and velocity at times (K,) [s], with zero acceleration.
+
+        The velocity is the slope of the positions, as the player interpolates them.
+        """
         q = interpolate(time, self.time, self.q)
         between = np.searchsorted(self.time, time, side="right") - 1
         qd = self.slope[np.clip(between, 0, len(self.slope) - 1)]
@@ -84,13 +89,17 @@ class SampledTrajectory:
 
 
 class Contacts:
-    """Finds contacts of a model's arms: with themselves, each other, surroundings and planes.
+    """Finds contacts of one or two arms: with themselves, each other, surroundings and planes.
+
+    Args:
+        arms: the one or two arms of a model.
+        limits: the user's planes and boxes, and the least clearance.
 
     Attributes:
-        arms: one arm or two.
-        between: check of two arms against each other; None for one.
-        problems: limits of each arm.
-        joints_of_arms: slice of each arm's joints among all n.
+        arms: as given.
+        between: check of two arms against each other; None for one arm.
+        problems: obstacles and limits of each arm.
+        joints_of_arms: slice of each arm's joints among the joints of all arms.
     """
 
     def __init__(
@@ -100,15 +109,14 @@ class Contacts:
         self.between = BetweenArms(*arms) if len(arms) > 1 else None
         self.problems = [build_problem(robot, limits) for robot in arms]
         ends = np.cumsum([0, *(robot.n_joints for robot in arms)]).tolist()
-        self.joints_of_arms = [slice(begin, end) for begin, end in zip(ends, ends[1:])]
-        """Which of all joints are those of each arm."""
+        self.joints_of_arms = list(map(slice, ends, ends[1:]))
 
     def order(self, begin: Array, end: Array) -> tuple[str, str]:
-        """Return the order of joints in which arms touch nothing between two poses (n,) [rad].
+        """Return an order of joints in which arms touch nothing between two poses (n,) [rad].
 
         Returns:
-            One of ``ORDERS``, or "" where there is none; and what touches on the straight line,
-            or "".
+            The first such order of ``ORDERS``, or "" where there is none; and the names of the
+            bodies that touch on the straight line, or "".
         """
         touching = self._contact_between(poses_between(begin, end, STRAIGHT))
         if not touching or np.max(np.abs(end - begin)) <= _THERE:
@@ -119,7 +127,7 @@ class Contacts:
         return "", touching
 
     def _contact_between(self, poses: Sequence[Array]) -> str:
-        """Return what touches on straight lines between poses (n,), "" where nothing does."""
+        """Return the bodies that touch on straight lines between poses (n,) [rad], or ""."""
         for begin, end in zip(poses, poses[1:]):
             for problem, joints in zip(self.problems, self.joints_of_arms):
                 contact = first_contact(
@@ -133,14 +141,15 @@ class Contacts:
         return ""
 
 
-# A contact on a transfer shorter than this is the model's error [rad].
 _THERE = 0.02
+"""Length of a transfer [rad] below which a contact is an error of the model."""
 
 
 def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
-    """Yield where a plan exceeds a model's limits or touches something, parking pose included.
+    """Yield a stop for each limit of the model that a plan exceeds and each contact, or one OK.
 
-    Models are loaded without a speed limit, so that only their own hold.
+    The trajectory and the parking pose are checked. The arms of ``contacts`` have been loaded
+    without a limit of speed by the user, so that only the limits of the model count.
     """
     played = plan.trajectory
     speed = plan.settings.speed
@@ -179,7 +188,7 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
 
 
 def _smaller_motion_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
-    """Return what to do about a motion that is too large for an arm, as a command if it can be."""
+    """Return the remedy for a motion that is too large for an arm: a command, if there is one."""
     if not np.any(np.ptp(trajectory.q, axis=0)):
         return "bring the arm elsewhere by hand"
     remedy = "export a smaller trajectory for this arm"
@@ -190,9 +199,9 @@ def transfer_check(name: str, order: str, touching: str) -> Iterator[Check]:
     """Yield a note or stop for a transfer on whose straight line the arms touch something.
 
     Args:
-        name: of the transfer, see ``Plan.transfers``.
-        order: of ``ORDERS`` in which it is free; "" where there is none.
-        touching: bodies that touch on the straight line; "" where nothing does.
+        name: name of the transfer, see ``Plan.transfers``.
+        order: the order of ``ORDERS`` in which nothing touches; "" where there is none.
+        touching: names of the bodies that touch on the straight line; "" where nothing touches.
     """
     if not touching:
         return
@@ -218,8 +227,11 @@ def _pose_excesses(robot: RobotModel, pose: Array) -> Iterator[str]:
 
 
 def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[str]:
-    """Yield a sentence for each joint whose range, speed or torque in the model is exceeded."""
-    # Up to the next row, if the positions show more than the velocities say.
+    """Yield a sentence for each joint and limit of the model that a motion exceeds.
+
+    The limits are those of position, velocity and torque.
+    """
+    # The velocity up to the next row, where the positions show more than the velocity column.
     slope = np.zeros_like(motion.qd)
     slope[:-1] = np.abs(motion.slope) - _PRINTED / np.diff(motion.time)[:, None]
     limits = robot.limits
@@ -241,20 +253,30 @@ def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[st
 
 
 def _unit(quantity: str, robot: RobotModel, joint: int) -> str:
-    """Return the unit of a joint's position, velocity or torque: rad or, for slides, m."""
+    """Return the unit of a quantity of joint number ``joint``: of a hinge, or else of a slide.
+
+    ``quantity`` is "position", "velocity" or "torque".
+    """
     length, force = ("m", "N") if robot.is_slide[joint] else ("rad", "N m")
     return {"position": length, "velocity": f"{length}/s", "torque": force}[quantity]
 
 
-# How far feed-forward torque is off, of what its motion needs (rms): 1 where there is none, 2 with
-# the other sign; 0.5 where a new load doubles what a joint carries. A judgement between them.
 _OTHER_TORQUE = 0.8
+"""Error of the feed-forward torque, as a share of the torque that the motion needs (both rms).
+
+From this value on it is the torque of another motion. The share is 1 without any torque, 2 with the
+other sign, and 0.5 where a new load doubles the torque of a joint: this is a judgement between.
+"""
 
 
 def torque_checks(
     trajectory: DamiaoTrajectory, settings: PlaySettings, robot: RobotModel
 ) -> Iterator[Check]:
-    """Yield a stop where a motion needs more torque than motors make, or another than is fed."""
+    """Yield a stop for each joint whose motion needs more torque than its motor can make.
+
+    Further stops are yielded where the file feeds forward another torque than the motion needs. The
+    needed torques are those of ``robot``, which is a model of the arm.
+    """
     played = SampledTrajectory(trajectory, settings.speed)
     qdd = settings.speed**2 * trajectory.qdd
     needed = ArmTorque(robot)(Motion(played.time, played.q, played.qd, qdd))
@@ -280,7 +302,10 @@ def torque_checks(
 def _foreign_torque_checks(
     trajectory: DamiaoTrajectory, robot: RobotModel
 ) -> Iterator[Check]:
-    """Yield a note or stop for each joint whose torque in the file is not that of its motion."""
+    """Yield a note or stop for each joint whose feed-forward torque its motion does not need.
+
+    It is a note where the file agrees with its own model, and the motion weighs an unknown load.
+    """
     fed = _FedTorque.of(trajectory, robot)
     is_as_planned = bool(np.any(fed.is_foreign)) and _is_as_planned(trajectory)
     for j in np.flatnonzero(fed.is_foreign).tolist():
@@ -309,14 +334,14 @@ def _foreign_torque_checks(
 
 @dataclass(frozen=True)
 class _FedTorque:
-    """Agreement of a file's feed-forward torque with the torque of its motion by a model.
+    """Agreement of a file's feed-forward torque with the torque that its motion needs by a model.
 
     Attributes:
-        needed: rms (n,) of what the motion needs [N m].
-        error: rms (n,) of how far the file's torque is from that [N m].
-        is_missing: joints (n,) for which the file has next to none.
-        is_against: joints (n,) for which it has the other sign.
-        is_foreign: joints (n,) for which it is not that of the motion.
+        needed: rms (n,) of the needed torque [N m].
+        error: rms (n,) of feed-forward minus needed torque [N m].
+        is_missing: whether the file has hardly any torque for a joint (n,).
+        is_against: whether the file's torque has the other sign (n,).
+        is_foreign: whether the file's torque is not that of the motion (n,).
     """
 
     needed: Array
@@ -327,7 +352,7 @@ class _FedTorque:
 
     @classmethod
     def of(cls, trajectory: DamiaoTrajectory, robot: RobotModel) -> _FedTorque:
-        """Compare the torque of a file with a model's, both at the file's own speed."""
+        """Return the agreement of a file's torque with that of a model, at the file's own speed."""
         signals = trajectory.q, trajectory.qd, trajectory.qdd
         motion = Motion(trajectory.time, *signals)
         needed = ArmTorque(robot)(motion)
@@ -344,13 +369,16 @@ class _FedTorque:
 
 
 def _is_weighing(trajectory: DamiaoTrajectory) -> bool:
-    """Tell whether a motion was planned to weigh an arm that its model may not know."""
+    """Tell whether the plan beside a file was made for weighing an unknown load."""
     settings = plan_settings(trajectory.path.parent)
     return settings is not None and settings[1].get("for_") == WEIGHT
 
 
 def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
-    """Tell whether a file's torque is that of its motion by the model that it was planned with."""
+    """Tell whether a file's torque agrees with the model that the motion was planned with.
+
+    False where the plan beside the file, or its model, is not there or fits no more.
+    """
     settings = (
         None if trajectory.has_two_arms else plan_settings(trajectory.path.parent)
     )
@@ -364,7 +392,6 @@ def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
             path, model.mesh_dir, model.joint, free, model.keyframe
         )
     except (InputError, KeyError):
-        # What is not there any more speaks for no file.
         return False
     fits = robot.n_joints == trajectory.n_joints
     return fits and not np.any(_FedTorque.of(trajectory, robot).is_foreign)
@@ -385,13 +412,13 @@ def _planning_remedy(
 
 
 def weighing_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
-    """Return the remedy for an arm that needs more than its motors make, as a command."""
+    """Return the remedy for an arm that needs more torque than its motors make, with a command."""
     command = _plan_command(trajectory, robot)
     if not command:
         return "plan a smaller motion for that arm with robot-sysid plan --for weight"
     folder = trajectory.path.parent
     if _is_weighing(trajectory):
-        # Weighing uses half of the limits: half of what this motion took.
+        # Weighing uses half of the limits, so the next motion takes half of this one's torques.
         peaks = np.abs(trajectory.tau).max(axis=0)
         command += ["--max-torque", ",".join(f"{peak:.3g}" for peak in peaks)]
     command += ["--for", WEIGHT, "--output-dir", str(folder / "weighing")]
@@ -401,10 +428,10 @@ def weighing_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
 def _plan_command(
     trajectory: DamiaoTrajectory, robot: RobotModel, for_model: bool = False
 ) -> list[str]:
-    """Return the command that plans another motion for the motors of a file; none of two arms.
+    """Return the words of the command that plans another motion for the motors of a file.
 
-    Where the settings that the motion was planned with stand beside it, they are asked for again,
-    with the model that was planned with, or ``for_model`` with the one that is checked.
+    Where the settings of the plan stand beside the file, the command uses them; with ``for_model``
+    it takes the model of ``robot`` in place of theirs. Empty for a file of two arms.
     """
     if trajectory.has_two_arms:
         return []
@@ -420,20 +447,20 @@ def _plan_command(
     return [*program, *model, *motors]
 
 
-# For slopes of the end's place [rad].
 _STEP = 1e-4
+"""Step of central differences of the tip's position [rad]."""
 
 
 def gravity_check(
     robot: RobotModel, joints: tuple[DamiaoJoint, ...], is_chain: bool = True
 ) -> HoldingCheck:
-    """Return the check that compares measured torques at rest with those of a model's gravity.
+    """Return a check of the torques that hold an arm against the gravity of its model.
 
     Args:
-        robot: the model of the arm.
-        joints: the arm's motors, base to terminal.
-        is_chain: whether every joint carries all later ones; then the torques during a motion are
-            also watched for joints whose zero has moved (``MovedZeroCheck``).
+        robot: model of the arm with n joints.
+        joints: joints of the arm with their motors, base to terminal.
+        is_chain: whether every joint carries all later ones; then the torques of a motion are also
+            checked for joints whose zero has moved, see ``MovedZeroCheck``.
     """
     arm = ArmTorque(robot)
 

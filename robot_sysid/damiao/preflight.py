@@ -41,21 +41,26 @@ NOTE = "note"
 """Severity of a finding that the user should know."""
 STOP = "stop"
 """Severity of a finding that forbids to play."""
-# A quarter of the speed at which an arm goes to its first point [rad/s].
 _REST_SPEED = 0.05
-# A motor whose answer is missing gets no command for some cycles; twice that, and both ends.
+"""Largest speed at the ends of a trajectory [rad/s]: a quarter of the default approach speed."""
 _LEAST_WATCHDOG_CYCLES = 2 + 2 * PAUSE
-# Judgements [s]: half a second lets an arm that nobody commands fall or run a quarter of its
-# range; nobody waits five for a stop.
+"""Least watchdog time in control cycles.
+
+A motor whose answer is missing gets no command for ``PAUSE`` cycles, which may happen twice.
+"""
 _LONG_WATCHDOG = 0.5
+"""Watchdog time above which an arm that nobody commands falls or runs far [s] (a judgement)."""
 _NO_WATCHDOG = 5.0
-# Share of a control cycle within which all answers have to be there: the player waits that long.
+"""Watchdog time above which the watchdog is no protection at all [s] (a judgement)."""
 _ANSWER_SHARE = 0.9
-# Speed that one step of torque may give a joint within a cycle [rad/s]: a judgement, a third of
-# what ``--max-speed-error`` stops at.
+"""Share of a control cycle for which the player waits for answers."""
 _SHAKING_SPEED = 0.3
-# Relative; register values went through float32.
+"""Largest speed that one step of torque may give a joint within a cycle [rad/s].
+
+A judgement: a third of the speed error at which a run is stopped by default.
+"""
 _FLOAT32_SLACK = 1e-6
+"""Relative excess of a frame's limit that is ignored, because registers hold float32."""
 
 
 @dataclass(frozen=True)
@@ -246,7 +251,7 @@ def _frame_limit_checks(
 def general_checks(
     inspection: Inspection, settings: PlaySettings, timing: protocol.BusTiming
 ) -> list[Check]:
-    """Return the checks of inspected motors that no trajectory is needed for."""
+    """Return the checks of inspected motors that need no trajectory: load, traffic, conditions."""
     checks = [
         _load_check(inspection.motors, settings, timing),
         *_traffic_checks(inspection),
@@ -257,7 +262,7 @@ def general_checks(
 
 
 def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
-    """Return the checks of a plan against the motors on the bus."""
+    """Return the checks of a plan against the answers of the motors on the bus."""
     joints = plan.trajectory.joints
     settings = plan.settings
     checks = list(_traffic_checks(inspection))
@@ -282,7 +287,7 @@ def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
 
 
 def _traffic_checks(inspection: Inspection) -> Iterator[Check]:
-    """Yield signs of another program, of another bit rate and of ids that clash on the bus."""
+    """Yield a finding for each sign of another program, another bit rate, or clashing ids."""
     if inspection.unsolicited:
         yield _stop(
             f"{inspection.unsolicited} frames came without being asked for: another program is "
@@ -301,7 +306,7 @@ def _traffic_checks(inspection: Inspection) -> Iterator[Check]:
 def _other_motor_checks(
     plan: Plan, motors: Sequence[InspectedMotor]
 ) -> Iterator[Check]:
-    """Yield the checks of motors that are not in the trajectory: left limp, or held."""
+    """Yield the checks of ``motors`` outside the trajectory, which are left limp or are held."""
     if not motors:
         return
     names = ", ".join(motor.name for motor in motors)
@@ -324,7 +329,7 @@ def _other_motor_checks(
 
 
 def _limp_checks(motor: InspectedMotor) -> Iterator[Check]:
-    """Yield why a motor cannot be left limp: it may drive something that nobody watches."""
+    """Yield a stop where a motor outside the trajectory may be enabled by another program."""
     if motor.feedback is None:
         yield _stop(
             f"{motor.name} does not tell whether it is enabled; take it off the bus"
@@ -436,7 +441,10 @@ def _watchdog_check(name: str, timeout: float, settings: PlaySettings) -> Check:
 def _state_checks(
     motor: InspectedMotor, settings: PlaySettings, name: str, taken_over: bool
 ) -> Iterator[Check]:
-    """Yield why a motor's state or temperature forbids to enable it."""
+    """Yield a finding where a motor's state or temperature forbids to enable it.
+
+    ``name`` is the motor's name in messages; a motor that is ``taken_over`` may be enabled already.
+    """
     feedback = motor.feedback
     if feedback is None:
         yield _stop(f"{name} does not tell its state; its firmware may be too old")
@@ -481,9 +489,11 @@ def _answer_time_checks(
 
 
 def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
-    """Yield which joints may turn the other way: gravity does not show it, and nobody verified it.
+    """Yield whether the direction of every joint is known, by its load or a verification.
 
-    ``model`` knows what holds the arm; without one the trajectory's torques are used.
+    Args:
+        plan: plan with the joints and the first point.
+        model: computes the torques that hold the arm; None for the torques of the trajectory.
     """
     holding = model or FileHolding(plan.trajectory)
     unverified = [
@@ -509,7 +519,7 @@ def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
 
 
 def _start_checks(plan: Plan, q: Array) -> Iterator[Check]:
-    """Yield which joints, at positions q (n,) [rad], are too far from the first point."""
+    """Yield a stop for each joint that is too far from the first point at q (n,) [rad]."""
     tolerance = plan.settings.start_tolerance
     for joint, position, first in zip(plan.trajectory.joints, q, plan.trajectory.q[0]):
         distance = abs(position - first)

@@ -56,6 +56,7 @@ from robot_sysid.records.file_access import atomic_file, refuse_special_file
 from robot_sysid.records.option_fields import joint_values
 
 _PAIR = re.compile(r"\s*([a-z_]+)\s*=\s*([^,\s]+)\s*")
+"""A name and a value in a comment line of a file."""
 
 MotionChunk = tuple[Array, Array, Array, Array]
 """Time (N,), position, velocity, feed-forward torque (N, n) [s, rad, rad/s, N m]."""
@@ -63,10 +64,10 @@ MotionChunk = tuple[Array, Array, Array, Array]
 
 @dataclass(frozen=True)
 class DamiaoExportReport:
-    """What the export of a trajectory wrote.
+    """Result of the export of a trajectory with n joints.
 
     Attributes:
-        joints: the motors in the file, base to terminal.
+        joints: joints in the file with their motors, base to terminal.
         clamped_percent: share (n,) of each joint's samples that have a clamped value [%].
         warnings: sentences about ratings, rates and clamped samples.
     """
@@ -81,13 +82,15 @@ class DamiaoTrajectory:
     """Trajectory of n joints at N moments, as read from a file.
 
     Attributes:
-        path: the file.
-        joints: the motors, base to terminal.
+        path: file from which the trajectory was read.
+        joints: joints with their motors, base to terminal.
         line: number (N,) of each row's line in the file.
-        time: (N,) increasing [s].
-        q, qd, tau: positions, velocities and feed-forward torques (N, n) [rad, rad/s, N m].
-        has_two_arms: whether it joins the files of two arms; recordings call columns by the
-            joints' names then.
+        time: increasing times (N,) of the rows [s].
+        q: positions (N, n) [rad].
+        qd: velocities (N, n) [rad/s].
+        tau: feed-forward torques (N, n) [N m].
+        has_two_arms: whether the files of two arms are joined; the columns of a recording then
+            have the joints' names.
     """
 
     path: Path
@@ -123,12 +126,15 @@ def export_damiao_trajectory(
     master_ids: Sequence[int] | None = None,
     joint_names: Sequence[str] = (),
 ) -> DamiaoExportReport:
-    """Write a trajectory for Damiao motors, clamped to what their frames can carry.
+    """Write a trajectory for Damiao motors, clamped to the limits of their frames.
 
     Args:
-        motion_chunks: written as they come; the first one has all joints' columns.
-        motor_types, can_ids, master_ids, joint_names: of the motors, see ``damiao_joints``.
-        path_or_file: a path gets its file only once everything is written.
+        motion_chunks: successive parts of the motion, which are written one after the other.
+        motor_types: type of each of the n motors, base to terminal.
+        path_or_file: open text file, or a path, which gets its file when everything is written.
+        can_ids: CAN id of each motor; by default 1 to n.
+        master_ids: id of each motor's replies; by default its CAN id + 0x10.
+        joint_names: name of each joint, for messages; by default none.
 
     Raises:
         InputError: motors do not fit, there are no samples, or a value is not finite.
@@ -237,8 +243,8 @@ def rating_warnings(
         )
 
 
-# Accelerations so near to each other compare torques between which a load hardly changes [s].
 _MOMENT = 0.1
+"""Time between two accelerations within which the load of a joint hardly changes [s]."""
 
 
 def rotor_problems(
@@ -251,9 +257,10 @@ def rotor_problems(
     the rotor takes: less is the torque of another motion. No model of the arm is needed.
 
     Args:
+        trajectory: trajectory of n joints.
         speed: factor of the file's speed at which it is played.
-        doubt: torque (n,) of each joint that proves nothing [N m]; rotors that take less than
-            twice as much are not judged.
+        doubt: torque (n,) of each joint that friction alone may explain [N m]; a joint whose rotor
+            takes less than twice this torque is not judged.
     """
     time = trajectory.time
     signals = zip(trajectory.joints, trajectory.qdd.T, trajectory.tau.T)
@@ -366,7 +373,7 @@ def _merge_times(first: Array, second: Array) -> Array:
     for moment in np.union1d(first, second):
         if moment - merged[-1] >= shortest:
             merged.append(moment)
-    # The last one stays: files end at rest there.
+    # The last time of both stays, because the files end at rest there.
     merged[-1] = max(first[-1], second[-1])
     return np.array(merged)
 
@@ -446,14 +453,20 @@ def limit_excesses(
             yield f"{name}: {peak:.4g} {unit} is beyond {flag} {joint_limits[j]:g}"
 
 
-# Numbers with four decimals, as the export writes them, are this far from what was meant.
 _ROUNDING = 0.5e-4
-# A tenth of a second hides 1e-4 rad of rounding behind 1e-3 rad/s and is short beside a swing.
+"""Largest rounding error of a number with four decimals, as the export writes it."""
 _WINDOW = 0.1
+"""Length of a window in which velocities are compared with positions [s].
+
+Over this time 1e-4 rad of rounding are 1e-3 rad/s, and a swing takes longer.
+"""
 _LEAST_ROWS = 4
-# Rows on either side whose slopes count as around: a difference quotient is half a row early or
-# late, and one more row is room for where the motion bends.
+"""Least number of rows in a window."""
 _AROUND = 2
+"""Number of rows on either side of a row with whose slopes its velocity is compared.
+
+A difference quotient is half a row early or late, and the motion may bend in one more row.
+"""
 
 
 class Mismatch(NamedTuple):
@@ -469,9 +482,14 @@ class Mismatch(NamedTuple):
 
 
 def velocity_mismatch(time: Array, q: Array, qd: Array) -> Mismatch | None:
-    """Return where velocities qd (N, n) first differ from slopes of positions q (N, n), or None.
+    """Return the first row where velocities disagree with the slopes of positions, or None.
 
-    Single rows come first, then windows of a tenth of a second; see the module's text.
+    Single rows are compared first, then windows of a tenth of a second.
+
+    Args:
+        time: times (N,) of the rows [s].
+        q: positions (N, n) [rad].
+        qd: velocities (N, n) [rad/s].
     """
     slope = np.diff(q, axis=0) / np.diff(time)[:, None]
     mismatch = _row_mismatch(time, slope, qd)

@@ -191,10 +191,10 @@ class MotorCommand(NamedTuple):
     """One subcommand of motors.
 
     Attributes:
-        run: runs it and returns the exit code.
-        example: words of a complete command line after the command.
-        description: its help.
-        groups: heading in the help to classes of option records that other commands lack.
+        run: runs the command and returns the exit code.
+        example: words that follow the command's name in an example.
+        description: description of the command in its help.
+        groups: classes of option records that other commands lack, by heading in the help.
     """
 
     run: Callable[[Session], int]
@@ -412,11 +412,13 @@ def _play_on(
     one InputError.
 
     Args:
-        link: the open bus.
-        plan: the motion, or the pose to hold.
-        checks: the checks that were made without a bus.
-        holds: the plan holds the arm until somebody stops it.
-        is_real: the motors are real ones.
+        link: link of the open bus.
+        plan: plan of the motion, or of the pose to hold.
+        checks: checks that were made without a bus.
+        choices: whether to stop after the checks, and whether to ask the user.
+        session: run of the command.
+        holds: whether the plan holds the arm until somebody stops it.
+        is_real: whether the motors are real ones.
     """
     console = session.console
     inspection = inspect_bus(link)
@@ -457,7 +459,7 @@ def _play_on(
 
 
 def _conclude_run(session: Session, plan: Plan, holds: bool, is_real: bool) -> None:
-    """Set the verdict of a finished run, and the next command."""
+    """Set the verdict of a run that ended well, and the next command; arguments: ``_play_on``."""
     record = plan.recording.record
     done = f"{'held' if holds else 'played'}, and all motors are disabled"
     verdict = f"Done: {done}"
@@ -509,17 +511,12 @@ def _open_simulated_end(session: Session) -> Link:
     else:
         import_can()
         names = session.channels
-        terminals = []
-        devices = []
-        for _ in names or ("",):
-            terminal, device = slcan_terminal()
-            terminals.append(terminal)
-            devices.append(device)
+        ends = [slcan_terminal() for _ in names or ("",)]
+        terminals, channels = zip(*ends)
         link = BusLink(terminals, session.clock)
         interface = "slcan"
-        channels = tuple(devices)
         if len(names) > 1:
-            channels = tuple(map("=".join, zip(names, devices)))
+            channels = tuple(map("=".join, zip(names, channels)))
     # The motors of a simulated arm turn as its model does.
     play_command = session.command(
         "play",
@@ -537,7 +534,10 @@ def _open_simulated_end(session: Session) -> Link:
 
 
 def _conclude_dry_run(checks: Sequence[preflight.Check], session: Session) -> int:
-    """Set the verdict of checks without a run; HardwareAbort where one forbids it."""
+    """Set the verdict of checks that no run follows and return 0.
+
+    HardwareAbort where a check forbids to play.
+    """
     preflight.require_no_stop(checks, "would not be played")
     verdict = "Usable: nothing speaks against playing (nothing was enabled)"
     session.conclude(verdict, session.play_command())

@@ -34,12 +34,15 @@ _LEAST_TURN = 0.15
 _CLEAR_RATIO = 3.0
 """The moved motor turns so many times as far as any that a limp arm drags along; a judgement."""
 _ATTEMPTS = 3
+"""Number of times that a person is asked to move the same joint."""
 _ENTER = "; then press Enter: "
+"""End of a request to a person."""
 _PROBE_TURN = 0.3
 """Turn of a joint by which its effect on the tip is judged [rad]."""
 _VISIBLE_SHIFT = 0.02
 """Movement of the tip from which on a person sees it [m]."""
 _DIRECTIONS = ("-x", "+x"), ("-y", "+y"), ("-z (down)", "+z (up)")
+"""Names of the negative and the positive direction of each axis of the world."""
 _NUDGE = 0.1
 """Movement of a joint for verification [rad]: enough to be seen, little enough the wrong way."""
 _PACE = (0.2, 2.0)
@@ -71,11 +74,12 @@ class DirectionChoices(OptionRecord):
 def movement_texts(
     robot: RobotModel, q: Array | None = None, signs: Array | float = 1.0
 ) -> list[str]:
-    """Return, per joint, a sentence on the movement that a person sees when it turns.
+    """Return a sentence per joint (n) on the movement that a person sees when the joint turns.
 
     Args:
-        q: (n,) positions before the movement [rad or m]; default the model's reference.
-        signs: (n,) direction in which each joint turns, 1 for the model's positive one.
+        robot: model of the arm.
+        q: positions (n,) before the movement [rad or m]; None for the model's reference.
+        signs: direction (n,) in which each joint turns: 1 for the model's positive one, or -1.
     """
     # Imported here so that setting up and monitoring do not wait for MuJoCo.
     from robot_sysid.simulation.plant import ArmStepper
@@ -183,9 +187,10 @@ def _find_motor(
     """Have a person move a joint; return the motor that turned, and 1 or -1 for its direction.
 
     Args:
-        name: of the joint.
-        movement: its positive movement in words.
-        addresses: motors that no other joint has.
+        name: name of the joint.
+        movement: positive movement of the joint in words.
+        addresses: addresses of the motors that do not belong to another joint.
+        read_positions: returns the present positions of all motors [rad].
     """
     complaint = ""
     for _ in range(_ATTEMPTS):
@@ -269,7 +274,8 @@ def _nudge_joints(
 ) -> list[str]:
     """Move joints one after the other; return the movement of each that a person should see.
 
-    Each moves into the direction with more room; checks allow for the opposite one too.
+    Each joint moves into the direction with more room; the opposite direction is checked too,
+    because the joint may turn that way. InputError where a person does not confirm.
     """
     inspection = inspect_bus(link)
     console = session.console
@@ -310,12 +316,14 @@ def _nudge_joints(
 def _nudge_plan(
     session: Session, plan: Plan, q: Array, indices: Sequence[int], signs: Array
 ) -> Plan:
-    """Return a plan that moves joints a little and back, one after the other.
+    """Return a plan that moves joints by ``_NUDGE`` and back, one after the other.
 
     Args:
-        q: (n,) positions where the arm stands [rad or m].
-        indices: of the joints, in this order.
-        signs: (n,) direction of each joint's movement.
+        session: run that has a model.
+        plan: plan of the trajectory, whose settings are used.
+        q: positions (n,) where the arm stands [rad or m].
+        indices: indices of the joints to move, in this order.
+        signs: direction (n,) of each joint's movement: 1 or -1.
     """
     holding = session.holding(plan)
     assert holding is not None

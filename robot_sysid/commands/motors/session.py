@@ -76,13 +76,15 @@ def _report_stall(message: str, is_final: bool) -> None:
 
 
 class Session(MotorRun):
-    """One run of a motors command.
+    """One run of a motors command: a run on motors with a console.
 
     Args:
-        values: key to value of the options that were given.
+        values: value of each option that was given, by its key.
+        console: prints what happens.
 
     Attributes:
-        verdict: last lines of the output, set by the command.
+        console: as given.
+        verdict: last lines of the output, which the command sets.
     """
 
     def __init__(self, values: Mapping[str, Any], console: Console) -> None:
@@ -93,15 +95,22 @@ class Session(MotorRun):
     def conclude(
         self, verdict: str, next_command: Sequence[str], reason: str = ""
     ) -> None:
-        """Set the verdict, with the words of the next command and its reason."""
+        """Set the verdict: a line, and a line with the next command and the reason for it.
+
+        Args:
+            verdict: first line.
+            next_command: words of the command.
+            reason: text after the command, such as " (a recording at full speed)".
+        """
         self.verdict = two_lines(verdict, shlex.join(next_command) + reason)
 
     def command(self, name: str, *leave_out: str, **changes: Any) -> list[str]:
-        """Return the words of a motors command with the options of this one.
+        """Return the words of the motors command ``name`` with the options of this run.
 
         Args:
-            leave_out: keys of options that it does not get.
-            changes: key to value of options that it gets in addition or instead.
+            name: name of the command, such as "play".
+            leave_out: keys of options that are left out.
+            changes: values of options, by key, that are added or replaced.
         """
         values = {**self.values, **changes}
         for key in leave_out:
@@ -135,10 +144,11 @@ _MARKS = {"ok": "ok  ", "note": "note", "stop": "STOP"}
 def motor_table(
     inspection: Inspection, joints: Sequence[DamiaoJoint] = ()
 ) -> list[str]:
-    """Return the lines of a table of the inspected motors, a row per motor.
+    """Return the lines of a table of the inspected motors: headings, then one row per motor.
 
     Args:
-        joints: the joints that they should drive, whose motor types are compared.
+        inspection: answers of the motors.
+        joints: joints of the trajectory, with whose motor types the motors are compared.
     """
     joint_by_address = {joint.address: joint for joint in joints}
     rows: list[tuple[str, ...]] = [_HEADINGS]
@@ -148,19 +158,16 @@ def motor_table(
 
 
 def state_table(states: Iterable[tuple[InspectedMotor, Feedback | None]]) -> list[str]:
-    """Return the lines of a table of motors and their feedback, None where one does not answer."""
-    rows = [("motor", "position", "velocity", "torque", "degC", "state")]
+    """Return the lines of a table of motors and their states, which are None without an answer."""
+    rows: list[tuple[str, ...]] = [
+        ("motor", "position", "velocity", "torque", "degC", "state")
+    ]
     for motor, state in states:
-        if state is None:
-            rows.append((motor.name, "?", "?", "?", "?", "does not tell"))
-            continue
-        position, velocity, torque = (
-            f"{values[0]:8.3f}"
-            for values in (state.position, state.velocity, state.torque)
-        )
-        heat = f"{state.temperature_mos[0]}/{state.temperature_rotor[0]}"
-        status = protocol.status_text(int(state.status[0]))
-        rows.append((motor.name, position, velocity, torque, heat, status))
+        cells = ["?"] * 3
+        if state is not None:
+            measured = state.position, state.velocity, state.torque
+            cells = [f"{values[0]:8.3f}" for values in measured]
+        rows.append((motor.name, *cells, *_heat_and_status(state)))
     return aligned_lines(rows)
 
 
@@ -193,12 +200,6 @@ def _motor_row(motor: InspectedMotor, joint: DamiaoJoint | None) -> tuple[str, .
     if len(motor.reply_ids) != 1:
         replies += f" (x{len(motor.reply_ids)})"
     watchdog = registers.get(protocol.TIMEOUT, 0.0)
-    heat = "?"
-    state = "does not tell"
-    if motor.feedback:
-        feedback = motor.feedback
-        heat = f"{feedback.temperature_mos[0]}/{feedback.temperature_rotor[0]}"
-        state = protocol.status_text(int(feedback.status[0]))
     return (
         f"{motor.can_id} {motor.channel}".rstrip(),
         replies,
@@ -207,9 +208,19 @@ def _motor_row(motor: InspectedMotor, joint: DamiaoJoint | None) -> tuple[str, .
         _type_name(motor.limits, joint),
         f"{1e3 * watchdog * protocol.TIMEOUT_UNIT:g} ms",
         f"{registers.get(protocol.GR, np.nan):g}",
-        heat,
-        state,
+        *_heat_and_status(motor.feedback),
     )
+
+
+def _heat_and_status(feedback: Feedback | None) -> tuple[str, str]:
+    """Return the texts of a motor's two temperatures [deg C] and of its status.
+
+    Without any feedback they say that both are unknown.
+    """
+    if feedback is None:
+        return "?", "does not tell"
+    heat = f"{feedback.temperature_mos[0]}/{feedback.temperature_rotor[0]}"
+    return heat, protocol.status_text(int(feedback.status[0]))
 
 
 def _type_name(limits: tuple[float, float, float], joint: DamiaoJoint | None) -> str:

@@ -44,7 +44,10 @@ _STORE_TIME = 0.05
 
 
 def _range_check(low: float, high: float, text: str) -> Callable[[float], str | None]:
-    """Return a check that complains of values outside of a range, ``text`` in words."""
+    """Return a check of an option: None for a value from ``low`` to ``high``, else a complaint.
+
+    ``text`` is the range in words, such as "1 to 15".
+    """
     return lambda value: None if low <= value <= high else f"must be from {text}"
 
 
@@ -111,7 +114,11 @@ class MonitorOptions(LifetimeOptions):
 
 
 class MotorSetup:
-    """Changes one motor over a link that passes configuration frames.
+    """Changes registers, error and zero of one motor, which has to be disabled.
+
+    Args:
+        link: link of the motor's bus that lets configuration frames pass.
+        motor: the motor, as inspected.
 
     Raises:
         HardwareAbort: the motor is enabled, or does not report its state.
@@ -160,7 +167,10 @@ class MotorSetup:
             yield "not stored: open the bus at the new bit rate and give --store again"
 
     def _write_register(self, register: int, value: float, verify: bool = True) -> str:
-        """Write a register; return a line with its old and new value."""
+        """Write a register; return a line with its old and new value.
+
+        ``verify`` waits for the answer. HardwareAbort where the motor is enabled or refuses.
+        """
         self._require_disabled()
         old = self._client.read(self._address, register)
         self._client.write(self._address, register, value, verify)
@@ -171,20 +181,23 @@ class MotorSetup:
         return f"{self._name}: {old_text} is now {new_text}"
 
     def _clear_error(self) -> str:
-        """Clear the motor's error; return a line about it."""
-        status = self._feedback()[0] >> 4
+        """Clear the motor's error; return a line that names it. HardwareAbort where it stays."""
+        status = self._status()
         text = protocol.status_text(status)
         if not protocol.is_fault(status):
             return f"{self._name} has no error to clear ({text})"
         self._link.send(protocol.clear_error_frame(self._address))
-        new_status = self._feedback()[0] >> 4
+        new_status = self._status()
         if protocol.is_fault(new_status):
             new_text = protocol.status_text(new_status)
             raise HardwareAbort(f"{self._name} still reports {new_text}")
         return f"{self._name}: {text} is cleared"
 
     def _set_zero(self) -> str:
-        """Make the motor's position its zero, confirmed twice; return a line about it."""
+        """Make the motor's position its zero, and return a line with the old and new position.
+
+        A person has to confirm twice; InputError otherwise.
+        """
         old_position = self._position()
         for question in (
             f"{self._name} stands at {old_position:.4f} rad; make that its zero?",
@@ -206,7 +219,7 @@ class MotorSetup:
 
     def _require_disabled(self) -> None:
         """Raise HardwareAbort where the motor is enabled."""
-        if self._feedback()[0] >> 4 == protocol.ENABLED:
+        if self._status() == protocol.ENABLED:
             raise HardwareAbort(
                 f"{self._name} is enabled; end the program that uses it, nothing was changed"
             )
@@ -220,6 +233,10 @@ class MotorSetup:
                 "the zero is as it was"
             )
         return float(state.position[0])
+
+    def _status(self) -> int:
+        """Return the motor's present status code; HardwareAbort where no answer comes."""
+        return self._feedback()[0] >> 4
 
     def _feedback(self) -> bytes:
         """Return the data of a fresh feedback frame; HardwareAbort where none comes."""
@@ -252,7 +269,10 @@ def setup(session: Session) -> int:
 
 
 def _conclude_listing(session: Session, count: int, summary: str = "") -> int:
-    """Set the verdict for a bus with ``count`` motors; return the exit code, 1 for no motor."""
+    """Set the verdict of a command that found ``count`` motors; return its exit code.
+
+    The code is 1 where there is no motor, else 0. ``summary`` replaces the number of motors.
+    """
     if not count:
         session.verdict = (f"Not usable: {SILENT}",)
         return 1
