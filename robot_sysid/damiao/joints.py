@@ -153,7 +153,7 @@ def limits_agree(
     expected: tuple[float, float, float], actual: tuple[float, float, float]
 ) -> bool:
     """Tell whether two (PMAX, VMAX, TMAX) agree to a tenth of a percent of the expected ones."""
-    return all(abs(a - b) <= _AGREEMENT * abs(a) for a, b in zip(expected, actual))
+    return np.allclose(actual, expected, rtol=_AGREEMENT, atol=0.0)
 
 
 MASTER_ID_OFFSET = 0x10

@@ -480,8 +480,8 @@ def _answer_time_checks(
         yield Check(OK, f"{text}, in time for {settings.rate:g} Hz")
         return
     rates = protocol.HANDY_RATES
-    slow_enough = [rate for rate in rates if rate * round_trip <= _ANSWER_SHARE]
-    rate = (slow_enough or rates[-1:])[0]
+    slow_enough = (rate for rate in rates if rate * round_trip <= _ANSWER_SHARE)
+    rate = next(slow_enough, rates[-1])
     yield _stop(
         f"{text}, too late for {settings.rate:g} Hz: commands and samples would be mixed up; use "
         f"--rate {rate:g} or a faster adapter"

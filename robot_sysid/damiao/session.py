@@ -10,7 +10,7 @@ import numpy as np
 
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.joints import DamiaoJoint, JointSpace
+from robot_sysid.damiao.joints import DamiaoJoint, JointSpace, peak_torques
 from robot_sysid.damiao.protocol import ENABLED, Address, Frame
 from robot_sysid.damiao.safety.guards import (
     NO_STATUS,
@@ -132,8 +132,8 @@ class MotorSession:
         position_step, velocity_step, torque_step = scaling.steps
         self.steps = position_step, velocity_step, torque_step * self.space.ratio
         # A frame cannot command more than TMAX either.
-        peaks = np.minimum([j.spec.peak_torque for j in joints], scaling.limits[:, 2])
-        self.peak_torque: Array = peaks * self.space.ratio
+        sendable_torque = scaling.limits[:, 2] * self.space.ratio
+        self.peak_torque: Array = np.minimum(peak_torques(joints), sendable_torque)
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         self.last_replies: Replies | None = None
         self._command: protocol.MitCommand | None = None
@@ -150,10 +150,11 @@ class MotorSession:
         self._foreign = np.zeros(self.n_joints, int)
         # Whether answers count that belong to no command of this cycle.
         self._takes_any_answer = True
-        self._by_reply = {
-            (joint.bus, joint.master_id): j for j, joint in enumerate(joints)
-        }
-        self._by_command = {joint.address: j for j, joint in enumerate(joints)}
+        self._by_reply: dict[tuple[int, int], int] = {}
+        self._by_command: dict[Address, int] = {}
+        for j, joint in enumerate(joints):
+            self._by_reply[joint.bus, joint.master_id] = j
+            self._by_command[joint.address] = j
 
     def _scale(self) -> CommandRange:
         """Return the positions and speeds that frames can carry."""
@@ -181,7 +182,7 @@ class MotorSession:
 
     def is_off(self, motor: Address) -> bool:
         """Return whether a motor was never enabled or has confirmed that it is disabled."""
-        return motor not in [joint.address for joint in self.unconfirmed]
+        return all(joint.address != motor for joint in self.unconfirmed)
 
     def __enter__(self) -> MotorSession:
         return self
@@ -206,8 +207,9 @@ class MotorSession:
         position.
         """
         self.unconfirmed = self.joints
-        requests = [protocol.refresh_frame(joint.address) for joint in self.joints]
-        answers = [self._ask(j, request) for j, request in enumerate(requests)]
+        answers = []
+        for j, joint in enumerate(self.joints):
+            answers.append(self._ask(j, protocol.refresh_frame(joint.address)))
         position = np.empty(self.n_joints)
         for j, answer in enumerate(answers):
             position[j] = self._enable_one(j, *answer)

@@ -391,9 +391,10 @@ class Plan:
 
     def other_motors(self, inspection: Inspection) -> tuple[InspectedMotor, ...]:
         """Return the motors that answer but drive no joint of the trajectory, by address."""
-        addresses = [joint.address for joint in self.trajectory.joints]
-        motors = sorted(inspection.motors.items())
-        return tuple(motor for address, motor in motors if address not in addresses)
+        motors = dict(sorted(inspection.motors.items()))
+        for joint in self.trajectory.joints:
+            motors.pop(joint.address, None)
+        return tuple(motors.values())
 
 
 def recording_header(
