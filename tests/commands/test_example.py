@@ -5,6 +5,7 @@ from __future__ import annotations
 import fnmatch
 import re
 import shlex
+from pathlib import Path
 
 import pytest
 
@@ -34,7 +35,7 @@ def printed_commands(out: str) -> list[list[str]]:
 
 @pytest.mark.usefixtures("without_recording")
 def test_it_copies_the_example_and_names_files_that_are_there(command, tmp_path):
-    out = command.run("example", "kinova", "--output-dir", "a/b c").out
+    out = command.run("example kinova --output-dir", Path("a/b c")).out
     commands = printed_commands(out)
     assert commands[0] == ["robot-sysid", "a/b c/model/kinova_fullinertia_guess.xml"]
     assert [arguments[1] for arguments in commands[1:]] == ["identify", "payload"]
@@ -55,22 +56,18 @@ def test_a_copy_that_ends_early_leaves_nothing(command, tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(example, "_record_logs", fail)
-    assert "no unfinished file is left" in command.refused(
-        "example", "kinova", code=130
-    )
+    assert "no unfinished file is left" in command.refused("example kinova", code=130)
 
 
 def test_nothing_that_is_there_is_overwritten(command, tmp_path, monkeypatch):
     (tmp_path / "kinova").mkdir()
-    assert "kinova exists; choose another folder" in command.refused(
-        "example", "kinova"
-    )
-    assert "invalid choice: 'ur5'" in command.refused("example", "ur5")
+    assert "kinova exists; choose another folder" in command.refused("example kinova")
+    assert "invalid choice: 'ur5'" in command.refused("example ur5")
     (tmp_path / "kinova").rmdir()
     monkeypatch.setattr(
         "robot_sysid.__file__", str(tmp_path / "lib" / "robot_sysid" / "x.py")
     )
-    assert "is not in this installation" in command.refused("example", "kinova")
+    assert "is not in this installation" in command.refused("example kinova")
 
 
 def test_the_wheel_carries_every_file_of_the_model():
@@ -85,7 +82,7 @@ def test_the_wheel_carries_every_file_of_the_model():
 @pytest.mark.slow
 def test_the_printed_commands_work_when_pasted(command):
     outputs = []
-    for arguments in printed_commands(command.run("example", "kinova").out):
+    for arguments in printed_commands(command.run("example kinova").out):
         assert main(arguments[1:]) == 0
         outputs.append(command._capsys.readouterr().out)
     assert "Mass: 0.789 kg" in outputs[0]

@@ -16,6 +16,7 @@ from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.results.verification import compare
 from tests.support import arms, schemas, servo_logs
+from tests.support.command_line import words_of
 from tests.support.measured_logs import JOINT, log_of, plan_of, true_arm
 
 AXES = (arms.Z, arms.Y, arms.X)
@@ -25,7 +26,7 @@ HEAVY = arms.serial_arm(
     AXES, joint=JOINT, tip_inertial=arms.TIP.replace('mass=".8"', 'mass="1.6"')
 )
 TERMS = "coulomb-viscous-offset-armature"
-QUICK = ("--cutoff", "8", "--friction-model", TERMS)
+QUICK = ("--cutoff 8 --friction-model", TERMS)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +65,7 @@ def first(heavy, logs):
     folder = heavy.with_name("first")
     options = ("identify", heavy, logs[0], *QUICK, "--output-dir", folder, "--quiet")
     with one_thread():
-        assert main([str(word) for word in options]) == 0
+        assert main(words_of(options)) == 0
     return folder
 
 
@@ -73,7 +74,7 @@ def test_the_same_log_asked_in_every_way_gives_the_same_files(
 ):
     """To the last bit."""
     with one_thread():
-        command.run(heavy, "--measurements", logs[0], *QUICK, "--output-dir", "out")
+        command.run(heavy, "--measurements", logs[0], *QUICK, "--output-dir out")
     result = rs.identify(heavy, logs[0], cutoff=8.0, friction_model=TERMS)
     assert result.to_dict() == result_in(first)
     result.save("saved")
@@ -87,8 +88,7 @@ def test_every_link_is_written_and_printed(command, arm_file, logs, plant):
     options = (
         arm_file(HEAVY),
         first,
-        "--links",
-        "--validation-measurements",
+        "--links --validation-measurements",
         second,
         *QUICK,
     )
@@ -131,7 +131,7 @@ def test_torques_that_do_not_follow_from_the_motion_change_nothing(
     options = ("identify", arm_file(HEAVY), path, *QUICK)
     message = command.refused(*options, code=1)
     assert "% of the torque is explained by nothing" in message
-    accepted = command.run(*options, "--accept", "model", "--output-dir", "out", code=1)
+    accepted = command.run(*options, "--accept model --output-dir out", code=1)
     assert "no model was written" in accepted.err
     assert not Path("out", "updated_model.xml").exists()
 
@@ -161,7 +161,7 @@ def test_a_model_is_played_on_what_was_not_fitted_before_it_is_written(
     assert (folder / "params.json").exists() and not (
         folder / "updated_model.xml"
     ).exists()
-    command.run(*options, "--validation-measurements", logs[1], "--accept", "rollout")
+    command.run(*options, "--validation-measurements", logs[1], "--accept rollout")
     assert (folder / "updated_model.xml").exists()
 
 
@@ -170,7 +170,7 @@ def test_what_is_kept_stays_as_it_was(command, arm_file, logs):
         HEAVY.replace('armature=".05"', 'armature=".04" ').replace('".3"', '".2"')
     )
     keep = ("friction", "rotors", "links")
-    options = [word for text in keep for word in ("--keep", text)]
+    options = map("--keep {}".format, keep)
     command.run("identify", path, logs[0], *options, *QUICK)
     folder = path.parent / "sysid_output"
     assert result_in(folder)["file"]["kept"] == sorted(keep)
@@ -190,7 +190,7 @@ def test_what_is_kept_stays_as_it_was(command, arm_file, logs):
 
 # --- where no torque was measured ----------------------------------------------------------------
 
-SERVOS = ("--torque-from", "position-error")
+SERVOS = ("--torque-from position-error",)
 
 
 @pytest.fixture(scope="module")

@@ -51,7 +51,7 @@ def command(folder, monkeypatch, capsys):
 
 
 def test_without_a_model_it_lists_the_columns(command):
-    printed = command.run("log", "log.csv").out
+    printed = command.run("log log.csv").out
     assert "log layout: 13 columns separated by comma" in printed
     assert (
         "3000 lines" in printed and "joint1_torque" in printed and "(torque)" in printed
@@ -59,23 +59,23 @@ def test_without_a_model_it_lists_the_columns(command):
 
 
 def test_a_wrong_log_is_refused_and_right_with_the_scale_that_was_named(command):
-    message = command.refused("log", "wrong.csv", "arm.xml")
+    message = command.refused("log wrong.csv arm.xml")
     assert "as in mN·m" in message and "--torque-scale 1000" in message
-    scaled = command.run("log", "wrong.csv", "arm.xml", "--torque-scale", "1000")
+    scaled = command.run("log wrong.csv arm.xml --torque-scale 1000")
     assert "nothing that stops an identification was found" in scaled.out
 
 
 def test_a_warning_stops_unless_it_is_accepted(command):
-    printed = command.run("log", "late.csv", "arm.xml", "--json", code=1)
+    printed = command.run("log late.csv arm.xml --json", code=1)
     answer = json.loads(printed.out)
     assert {finding["level"] for finding in answer["findings"]} == {"warn"}
     assert answer["samples"] == 3000
     message = printed.err.splitlines()[-1]
     assert "stands still for 2 s" in message and "--accept held" in message
-    accepted = ("--accept", "held", "--accept", "unexplained")
-    printed = command.run("log", "late.csv", "arm.xml", *accepted)
+    accepted = ("--accept held --accept unexplained",)
+    printed = command.run("log late.csv arm.xml", *accepted)
     assert "warn: the torque of joint joint1 stands still" in printed.out
 
 
 def test_titles_cannot_steer_the_terminal(command):
-    assert "\x1b" not in command.run("log", "odd.csv").out
+    assert "\x1b" not in command.run("log odd.csv").out

@@ -52,7 +52,7 @@ def record_logs(models, swapped=False):
         paths.append(models[0].with_name(f"log{number}.csv"))
         write_measurement_csv(paths[-1], plant.joint_names, samples)
     logs = ("--empty", paths[0], paths[3], "--loaded", paths[1], paths[2])
-    return (models[0], *logs, "--order", "ABBA")
+    return (models[0], *logs, "--order ABBA")
 
 
 @pytest.mark.slow
@@ -81,7 +81,7 @@ def test_a_payload_is_found_and_written_into_the_model(command, models):
 
 @pytest.mark.slow
 def test_a_payload_can_be_a_body_of_its_own(command, models):
-    command.run("payload", *record_logs(models), "--as-body", "gripper")
+    command.run("payload", *record_logs(models), "--as-body gripper")
     folder = models[0].parent / "sysid_output"
     content = json.loads((folder / "params.json").read_text())
     body = compile_model(folder / "updated_model.xml").mj_model.body("gripper")
@@ -106,7 +106,7 @@ def test_swapped_recordings_are_refused_and_nothing_is_written_as_if_it_were_goo
 
 @pytest.mark.slow
 def test_a_known_mass_gives_a_file_of_torque_scales(command, models):
-    options = ("--known-mass", "1.2", "--save-torque-scale", "scale.json")
+    options = ("--known-mass 1.2 --save-torque-scale scale.json",)
     printed = command.run("payload", *record_logs(models), *options)
     scales = json.loads((models[0].parent / "scale.json").read_text())["torque_scale"]
     assert list(scales) == ["joint0", "joint1", "joint2", "joint3"]

@@ -17,17 +17,9 @@ from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms, witness
 from tests.support.command_line import files_in
 
-SINES = (
-    "--excitation",
-    "sines",
-    "--duration",
-    "3",
-    "--sample-rate",
-    "100",
-    "--seed",
-    "1",
-)
-MOTOR = ("--motor-type", "DM10010")
+SHORT = "--duration 3 --sample-rate 100 --seed 1"
+SINES = ("--excitation sines", SHORT)
+MOTOR = ("--motor-type DM10010",)
 
 
 def test_it_writes_the_trajectory_and_says_what_it_promises(
@@ -63,12 +55,10 @@ def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(
     command, arm_file
 ):
     path = arm_file(arms.THREE)
-    save = ("--save-trajectory", "plan.json", "--excitation-time-budget", "0.05")
-    printed = command.run("plan", path, *SINES[2:], *save)
+    save = ("--save-trajectory plan.json --excitation-time-budget 0.05",)
+    printed = command.run("plan", path, SHORT, *save)
     assert "Designing excitation trajectory (3.0s, 100 Hz)..." in printed.out
-    repeated = command.run(
-        "plan", path, "--trajectory", "plan.json", "--sample-rate", "100", "-v"
-    )
+    repeated = command.run("plan", path, "--trajectory plan.json --sample-rate 100 -v")
     # Only the limit on accelerations differs: a design has one of its own.
     promise = printed.out[
         printed.out.index("Keeps all") : printed.out.index("Stays loose")
@@ -77,7 +67,7 @@ def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(
         path for path in repeated.out.splitlines() if path in promise
     ]
     assert "Peaks (share of limit):" in repeated.out
-    command.run("plan", path, "--trajectory", "plan.json", "--speed", "0.5", *export(3))
+    command.run("plan", path, "--trajectory plan.json --speed 0.5", *export(3))
     rows = (
         (path.parent / "sysid_output" / "damiao_trajectory.csv")
         .read_text()
@@ -98,7 +88,7 @@ def test_ctrl_c_without_a_terminal_keeps_the_best_motion(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Console, "_print_progress", interrupt)
-    printed = command.run("plan", path, *SINES[2:])
+    printed = command.run("plan", path, SHORT)
     assert len(lines) == 1 and re.match(
         "Designing the trajectory: .* %, mass ± .* kg", lines[0]
     )
@@ -109,14 +99,14 @@ def test_ctrl_c_without_a_terminal_keeps_the_best_motion(
 @pytest.mark.slow
 def test_poses_can_be_planned_saved_and_checked_again(command, arm_file):
     path = arm_file(arms.THREE)
-    static = ("--for", "payload", "--static", "--sample-rate", "100")
-    printed = command.run("plan", path, *static, "--seed", "1")
+    static = ("--for payload --static --sample-rate 100",)
+    printed = command.run("plan", path, *static, "--seed 1")
     assert "12 poses, each approached from both sides" in printed.out
     assert "Keeps all limits for " in printed.out
     assert " --empty LOG --loaded LOG (without" in printed.out.splitlines()[-1]
     saved = path.parent / "sysid_output" / "trajectory.json"
     assert isinstance(load_trajectory(saved).plan, LineTrajectory)
-    folder = ("--output-dir", "again", "--sample-rate", "100")
+    folder = ("--output-dir again --sample-rate 100",)
     assert (
         "Trajectory saved"
         in command.run("plan", path, "--trajectory", saved, *folder).out
@@ -124,14 +114,14 @@ def test_poses_can_be_planned_saved_and_checked_again(command, arm_file):
 
 
 def export(joints):
-    return ("--export-damiao", *(MOTOR * joints), "--sample-rate", "100")
+    return ("--export-damiao", *(MOTOR * joints), "--sample-rate 100")
 
 
 @pytest.mark.usefixtures("without_prediction")
 def test_what_breaks_a_limit_is_explained_and_leaves_no_file(command, arm_file):
     path = arm_file(arms.THREE.replace("<option ", '<option gravity="9.81 0 0" '))
-    command.run("plan", path, *SINES, "--save-trajectory", "plan.json")
-    weak = ("--trajectory", "plan.json", "--max-torque", "0.5", *export(3))
+    command.run("plan", path, *SINES, "--save-trajectory plan.json")
+    weak = ("--trajectory plan.json --max-torque 0.5", *export(3))
     printed = command.run("plan", path, *weak, code=1)
     assert printed.err.endswith("; nothing was written\n")
     assert "NOT KEPT: torque limit of joint" in printed.out
@@ -147,7 +137,7 @@ def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(
     # One that can hang down, and one that cannot.
     path = arm_file(pulled)
     stiff = pulled.replace('"-2.5 2.5"', '"-.1 .1"')
-    too_weak = (*SINES, "--max-torque", "100,0.5,100")
+    too_weak = (*SINES, "--max-torque 100,0.5,100")
     message = command.refused("plan", arm_file(stiff, "stiff.xml"), *too_weak)
     takes = "holding still takes 4.37 N·m (0.76 of it for errors of the links, --link-uncertainty)"
     assert f"{takes} at joint joint1, more than 95 % of its torque" in message
@@ -155,7 +145,7 @@ def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(
         "raise the torque limit of joint1 in the model if the joint can carry it"
         in message
     )
-    printed = command.run("plan", path, *too_weak, "--save-trajectory", "plan.json")
+    printed = command.run("plan", path, *too_weak, "--save-trajectory plan.json")
     assert "the motion starts and ends at another pose" in printed.err
     assert "the straight way in joint space there from the model's pose" in printed.out
     torque = witness.peaks(
@@ -184,15 +174,13 @@ def test_motions_for_friction_and_for_an_arm_can_be_saved_exported_and_checked_a
     command, arm_file, purpose
 ):
     path = arm_file(arms.serial_arm((arms.Z, arms.Y)))
-    drawn = (
-        ("--excitation-time-budget", "0.05", "--seed", "1") if purpose == "arm" else ()
-    )
+    drawn = ("--excitation-time-budget 0.05 --seed 1",) if purpose == "arm" else ()
     printed = command.run("plan", path, "--for", purpose, *drawn, *export(2))
     assert "Keeps all limits for " in printed.out
     folder = path.parent / "sysid_output"
     assert (folder / "damiao_trajectory.csv").exists()
-    repeated = ("--trajectory", folder / "trajectory.json", "--output-dir", "again")
+    repeated = ("--trajectory", folder / "trajectory.json", "--output-dir again")
     assert (
         "Trajectory saved"
-        in command.run("plan", path, *repeated, "--sample-rate", "100").out
+        in command.run("plan", path, *repeated, "--sample-rate 100").out
     )

@@ -12,8 +12,8 @@ from robot_sysid.report import page
 from robot_sysid.report.runs import load_run
 from tests.support import arms
 
-RUN = ("--duration", "2", "--sample-rate", "100", "--seed", "1")
-MEASURED = (*RUN, "--friction-model", "coulomb-viscous", "--link-uncertainty", "0")
+RUN = ("--duration 2 --sample-rate 100 --seed 1",)
+MEASURED = (*RUN, "--friction-model coulomb-viscous --link-uncertainty 0")
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def test_without_the_option_nothing_is_drawn_and_nothing_for_it_loaded(command, 
 
 @pytest.mark.slow
 def test_a_page_its_figures_and_a_comparison(command, arm):
-    printed = command.run(arm, "--plant-model", arm, *RUN, "--report", "--plots")
+    printed = command.run(arm, "--plant-model", arm, *RUN, "--report --plots")
     folder = arm.parent / "sysid_output"
     assert "Report:" in printed.out and (folder / "report.html").is_file()
     plots = sorted((folder / "plots").iterdir())
@@ -103,10 +103,8 @@ def test_a_page_its_figures_and_a_comparison(command, arm):
     html = (folder / "report.html").read_bytes()
     assert "Written" in command.run("report", folder).out
     assert (folder / "report.html").read_bytes() == html
-    command.run(arm, *RUN, "--output-dir", "second")
-    printed = command.run(
-        "report", folder, arm.parent / "second", "--output-dir", "both"
-    )
+    command.run(arm, *RUN, "--output-dir second")
+    printed = command.run("report", folder, arm.parent / "second", "--output-dir both")
     assert "comparison.html" in printed.out
     text = (arm.parent / "both" / "comparison.html").read_text()
     assert "sysid_output" in text and "second" in text

@@ -12,35 +12,23 @@ from robot_sysid.cli import main
 from robot_sysid.motion.limit_check import LimitCheck
 from robot_sysid.motion.trajectories import load_trajectory
 from tests.support import arms, witness
+from tests.support.command_line import words_of
 from tests.support.excitation_arms import TUBES
 
-RATE = ("--sample-rate", "100")
-SHORT = ("--duration", "2", *RATE, "--seed", "1")
-EXPORT = ("--export-damiao", *(("--motor-type", "DM4340") * 4))
+RATE = ("--sample-rate 100",)
+SHORT = ("--duration 2", *RATE, "--seed 1")
+EXPORT = ("--export-damiao", *(("--motor-type DM4340",) * 4))
 
 
 @pytest.fixture(scope="module")
 def plan_text(tmp_path_factory):
     """A trajectory of that arm, within the limits it was made for."""
     path = tmp_path_factory.mktemp("plan_text") / "plan.json"
-    path.with_name("arm.xml").write_text(TUBES)
-    options = (
-        "--max-acceleration",
-        "30",
-        "--save-trajectory",
-        path,
-        "--output-dir",
-        path.parent,
-    )
-    assert (
-        main(
-            [
-                str(word)
-                for word in (path.with_name("arm.xml"), *SHORT, "--quiet", *options)
-            ]
-        )
-        == 0
-    )
+    arm = path.with_name("arm.xml")
+    arm.write_text(TUBES)
+    limits = ("--max-acceleration 30 --save-trajectory", path)
+    folder = ("--output-dir", path.parent)
+    assert main(words_of((arm, *SHORT, "--quiet", *limits, *folder))) == 0
     return path.read_text()
 
 
@@ -54,10 +42,10 @@ def arm(arm_file, plan_text):
 # A motion that is exported, kept or bound by a limit, in each way there is.
 CHECKED = {
     "exported": (*SHORT, *EXPORT),
-    "saved": (*SHORT, "--save-trajectory", "other.json"),
-    "file, exported": ("--trajectory", "plan.json", *RATE, *EXPORT),
-    "designed": (*SHORT, "--excitation", "optimal", "--excitation-time-budget", "0.01"),
-    "planned, exported": ("--trajectory", "plan.json", *RATE, *EXPORT),
+    "saved": (*SHORT, "--save-trajectory other.json"),
+    "file, exported": ("--trajectory plan.json", *RATE, *EXPORT),
+    "designed": (*SHORT, "--excitation optimal --excitation-time-budget 0.01"),
+    "planned, exported": ("--trajectory plan.json", *RATE, *EXPORT),
 }
 
 
@@ -74,30 +62,30 @@ def test_where_a_limit_is_broken_nothing_is_written_or_called_good(
 
 
 def test_a_trajectory_file_beyond_a_limit_is_refused(command, arm):
-    options = (arm, "--trajectory", "plan.json", *RATE)
-    message = command.refused(*options, "--max-velocity", "0.3")
+    options = (arm, "--trajectory plan.json", *RATE)
+    message = command.refused(*options, "--max-velocity 0.3")
     assert "must not be run: it breaks " in message
     assert "relax that limit, slow the motion down with --speed, or" in message
-    assert command.refused(*options, "--max-velocity", "0.3", *EXPORT) == message
+    assert command.refused(*options, "--max-velocity 0.3", *EXPORT) == message
     plan = arm.with_name("plan.json")
     content = json.loads(plan.read_text())
     content["amplitude"][-1] = [100.0 * value for value in content["amplitude"][-1]]
     plan.write_text(json.dumps(content))
-    message = command.refused(*options, "--max-velocity", "1000")
+    message = command.refused(*options, "--max-velocity 1000")
     assert "it breaks the position limit of joint joint3" in message
 
 
 def test_a_plan_is_used_by_arms_with_its_joints_alone(command, arm):
     other = arm.with_name("other.xml")
     other.write_text(TUBES.replace('name="joint3"', 'name="wrist"'))
-    message = command.refused(other, "--trajectory", "plan.json", *RATE)
+    message = command.refused(other, "--trajectory plan.json", *RATE)
     assert (
         "made for the 4 joints joint0, joint1, joint2, joint3, but this arm has the"
         in message
     )
     assert "joint0, joint1, joint2, wrist; design one for this arm" in message
     other.write_text(TUBES.replace("<mujoco>", '<mujoco model="other">'))
-    printed = command.run(other, "--trajectory", "plan.json", *RATE, *EXPORT)
+    printed = command.run(other, "--trajectory plan.json", *RATE, *EXPORT)
     assert (
         "plan.json was made for another model file; it is checked against"
         in printed.err
@@ -109,9 +97,9 @@ def test_an_exported_motion_obeys_what_was_asked_for(command, arm):
     """From the file that would be played, held against the numbers that were typed."""
     box = (-0.13, 0.13, -0.13, 0.13, 1.0, 2.0)
     plane = (1.0, 0.0, 0.0, -0.09)
-    limits = ("--max-velocity", "0.3", "--max-acceleration", "1", "--workspace", *box)
+    limits = ("--max-velocity 0.3 --max-acceleration 1 --workspace", *box)
     limits += ("--keep-out", *plane)
-    command.run(arm, *SHORT, *limits, *EXPORT, "--save-trajectory", "new.json")
+    command.run(arm, *SHORT, *limits, *EXPORT, "--save-trajectory new.json")
     robot = arms.robot_of(TUBES)
     saved = load_trajectory(arm.parent / "new.json").plan
     peaks = witness.peaks(robot, saved)
@@ -134,7 +122,7 @@ def test_more_samples_than_anybody_can_wait_for_are_refused_at_once(command, arm
     plan = arm.with_name("plan.json")
     started = time.monotonic()
     plan.write_text(json.dumps({**json.loads(plan.read_text()), "duration": 1e12}))
-    for options in (("--speed", "1e-12"), ("--trajectory", plan)):
+    for options in (("--speed 1e-12",), ("--trajectory", plan)):
         message = command.refused(arm, *options)
         assert "samples, more than the 1e+09 a run can take" in message
     assert time.monotonic() - started < 5.0

@@ -28,9 +28,9 @@ def words_after(text, mark):
 
 def play(command, folder, code=0):
     """Play a folder's trajectory on the true arm, simulated, and return what was printed."""
-    log = ("--play", "--record", folder / "log.csv")
+    log = ("--play --record", folder / "log.csv")
     file = folder / "damiao_trajectory.csv"
-    return command.run("motors", "simulate", file, "--model", TRUTH, *log, code=code)
+    return command.run("motors simulate", file, "--model", TRUTH, *log, code=code)
 
 
 @pytest.mark.slow
@@ -38,23 +38,14 @@ def play(command, folder, code=0):
 def test_the_way_from_a_refused_motion_to_one_that_is_played_is_printed_step_by_step(
     command, tmp_path
 ):
-    begin = (
-        "--export-damiao",
-        *MOTORS,
-        "--output-dir",
-        "first",
-        "--seed",
-        "1",
-        "--duration",
-        "8",
-    )
+    begin = ("--export-damiao", *MOTORS, "--output-dir first --seed 1 --duration 8")
     printed = command.run("plan", GUESS, *begin)
     assert "Usable: play it on the arm" in printed.out
     refused = play(command, Path("first"), code=3)
     assert "joint1): the motion needs " in refused.err
 
     weigh = words_after(refused.err, "with a smaller motion first: ")
-    printed = command.run(*weigh, "--seed", "1")
+    printed = command.run(*weigh, "--seed 1")
     assert words_after(printed.out, "Next: ")[:3] == [
         "motors",
         "check",
@@ -71,7 +62,7 @@ def test_the_way_from_a_refused_motion_to_one_that_is_played_is_printed_step_by_
 
     plan = words_after(printed.out, "Next: ")
     assert plan[:2] == ["plan", "first/weighing/updated_model.xml"]
-    printed = command.run(*plan, "--seed", "1")
+    printed = command.run(*plan, "--seed 1")
     assert "Usable: play it on the arm" in printed.out
     played = play(command, Path("first/weighing/planned"))
 

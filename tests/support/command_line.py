@@ -24,6 +24,14 @@ def run_motors(capsys, *arguments):
     return code, out, err
 
 
+def words_of(arguments) -> list[str]:
+    """The words of a command line: a text is split at blanks, anything else is one word."""
+    words = []
+    for argument in arguments:
+        words += argument.split(" ") if isinstance(argument, str) else [str(argument)]
+    return words
+
+
 class CommandLine:
     """The command in a folder.
 
@@ -37,9 +45,9 @@ class CommandLine:
         self._capsys = capsys
 
     def run(self, *arguments, code: int = 0):
-        """Run and return what was printed (out, err); the exit code has to be ``code``."""
+        """Run words, see ``words_of``; return what was printed (out, err) with that exit code."""
         self._capsys.readouterr()
-        exit_code = main([str(word) for word in arguments])
+        exit_code = main(words_of(arguments))
         printed = self._capsys.readouterr()
         assert exit_code == code, printed.err
         return printed
