@@ -145,7 +145,14 @@ class LimitOptions(OptionRecord):
 def _plane(
     values: Sequence[float], clearance: float, bodies: tuple[int, ...]
 ) -> HalfSpace:
-    """Return the allowed side of a keep-out plane; OFFSET is in multiples of its normal."""
+    """Return the allowed side of the plane of ``--keep-out NX NY NZ OFFSET``: points x with
+    N . x >= OFFSET.
+
+    Args:
+        values: the four numbers; the normal may have any length, OFFSET is in multiples of it.
+        clearance: distance that the bodies have to keep from the plane [m].
+        bodies: MuJoCo ids of the bodies that stay on this side.
+    """
     import numpy as np
 
     length = math.hypot(*values[:3]) if len(values) == 4 else 0.0

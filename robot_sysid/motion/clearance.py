@@ -192,7 +192,9 @@ class Clearance:
         return float(self._nearest(q[None], budget).slack[0]), budget
 
     def closest(self, q: Array) -> Closest:
-        """Return the tightest distance at one configuration q (n,)."""
+        """Return the pair of bodies, or body and half-space, with the least slack at one
+        configuration q (n,) [rad or m].
+        """
         nearest = self._nearest(q[None])
         label = ""
         first, second = nearest.bodies[0].tolist()

@@ -356,7 +356,7 @@ def _vjp(
     slack_gradient: Array,
     weight: Array,
 ) -> Gradient:
-    """Return the gradient (N, n) of sum(weight * g) by each of q, qd and qdd.
+    """Return the gradient (N, n) of sum(weight * g), g the constraints, by each of q, qd and qdd.
 
     Args:
         problem: the arm and its limits.

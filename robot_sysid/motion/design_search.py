@@ -20,7 +20,6 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing.process import BaseProcess
 from typing import Any, Callable
 
 import numpy as np
@@ -137,10 +136,8 @@ def design_excitation(
         interruption = error
     best = _best(candidates)
     if best is None:  # Nothing was improved in time.
-        for draw in _feasible_draws(draws):
-            best = _best([first_candidate(design, draw.x)])
-            if best is not None:
-                break
+        starts = (first_candidate(design, draw.x) for draw in _feasible_draws(draws))
+        best = next((start for start in starts if start.feasible_x is not None), None)
     if best is None or best.feasible_x is None:
         raise interruption or InputError(_infeasibility(draws, design))
     trajectory = design.trajectory(best.feasible_x)
@@ -264,8 +261,8 @@ def _improve_starts(
 
 def _best(candidates: Sequence[Candidate]) -> Candidate | None:
     """Return the best candidate that keeps all limits, of equally good ones the first; or None."""
-    feasible = [c for c in candidates if c.feasible_x is not None]
-    return min(feasible, key=lambda c: c.feasible_score, default=None)
+    best = min(candidates, key=lambda c: c.feasible_score, default=None)
+    return None if best is None or best.feasible_x is None else best
 
 
 def _feasible_draws(draws: Sequence[Draw]) -> list[Draw]:
@@ -419,14 +416,15 @@ def _worker_pool(
     """Provide a function that takes jobs and yields their results, in order, from worker processes.
 
     Workers are started afresh ("spawn"), so nothing depends on what this process has loaded; each
-    receives the shared object once and keeps it.
+    receives the shared object once and keeps it. At the end they are ended at once, in the middle
+    of a job too.
 
     Args:
         shared: the argument of every job; it is pickled once per worker.
         count: number of workers; with 1 the present process does the work.
     """
     pool = None
-    earlier_children = multiprocessing.active_children()
+    earlier_children = set(multiprocessing.active_children())
     # Without memory for another process, for its pipes or its semaphores there is no pool.
     with contextlib.suppress(OSError, RuntimeError, ImportError):
         if count > 1:
@@ -436,24 +434,11 @@ def _worker_pool(
         yield partial(_run_jobs, shared, pool)
     finally:
         if pool is not None:
-            _end_workers(pool, earlier_children)
-
-
-def _end_workers(
-    pool: ProcessPoolExecutor, earlier_children: Sequence[BaseProcess]
-) -> None:
-    """Shut a pool down and end its processes at once, in the middle of a job too.
-
-    Args:
-        pool: of workers.
-        earlier_children: child processes from before the pool was made, which are left alone.
-    """
-    children = multiprocessing.active_children()
-    pool.shutdown(wait=False, cancel_futures=True)
-    # A job that nobody waits for any more would keep this program from ending.
-    for process in children:
-        if process not in earlier_children:
-            process.terminate()
+            workers = set(multiprocessing.active_children()) - earlier_children
+            pool.shutdown(wait=False, cancel_futures=True)
+            # A job that nobody waits for any more would keep this program from ending.
+            for worker in workers:
+                worker.terminate()
 
 
 def _run_jobs(

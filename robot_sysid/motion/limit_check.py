@@ -271,7 +271,7 @@ def _motions(
 def _peaks(
     problem: ExcitationProblem, plan: MotionPlan, rate: float, tool: bool = False
 ) -> Peaks:
-    """Return the peaks of a motion that is sampled at a rate [Hz].
+    """Return the largest values of limited quantities along a motion sampled at a rate [Hz].
 
     The tool's speed is computed where it has a limit or ``tool`` is true; it is zero otherwise.
     """
@@ -291,7 +291,9 @@ def _peaks(
 
 
 def _excesses(problem: ExcitationProblem, peaks: Peaks) -> Iterator[Excess]:
-    """Yield the limits of positions, speeds, accelerations, torques and tool that peaks exceed."""
+    """Yield the limits of position, speed, acceleration, torque and tool speed that the peaks of a
+    motion exceed.
+    """
     share = peaks.largest / problem.limits.columns
     # Written with "not", so that NaN counts as an excess.
     for k in np.flatnonzero(~(share <= 1.0 + ROUNDING)):
@@ -465,7 +467,12 @@ def as_one(first: RobotModel, second: RobotModel) -> RobotModel:
 
 
 class BetweenArms:
-    """Distances between two arms of one model; the arguments are not changed."""
+    """Distances between two arms of one model, in which both are compiled.
+
+    Args:
+        first: one arm; its joints come first in positions of both.
+        second: the other arm.
+    """
 
     def __init__(self, first: RobotModel, second: RobotModel) -> None:
         self._model = model = copy.copy(first.mj_model)

@@ -299,7 +299,7 @@ def _joint_lines(problem: ExcitationProblem, check: LimitCheck) -> Iterator[str]
 
 
 def _share_text(peak: float, limit: float) -> str:
-    """Return a peak as share of its limit, in brackets."""
+    """Return the percentage of its limit that a peak reaches, in brackets, such as " ( 80 %)"."""
     return f" ({100.0 * peak / limit:3.0f} %)" if np.isfinite(limit) else " (no limit)"
 
 
@@ -374,7 +374,9 @@ def _at_least(distance: float, resolution: float = DISTANCE_RESOLUTION) -> str:
 
 
 def _load_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
-    """Yield which load the torque limits leave room for, and which errors of the links."""
+    """Yield lines on the torque that is reserved for errors of the links, and on the heaviest load
+    at the tool's tip that the torque limits allow; nothing where no torque is limited.
+    """
     if not np.any(np.isfinite(problem.limits.torque)):
         return
     motion = spread_motion(plan, _MOST_POSTURES)

@@ -88,7 +88,9 @@ class MotionLimits(JointLimits):
 
     @property
     def largest(self) -> Array:
-        """Largest distance from the center, speed, acceleration and torque (4, n)."""
+        """Largest allowed distance from ``center``, speed, acceleration and torque, one row each,
+        of each joint (4, n).
+        """
         span = 0.5 * (self.upper - self.lower)
         return np.stack((span, self.velocity, self.acceleration, self.torque))
 
@@ -367,7 +369,9 @@ def build_problem(
 
 
 def _position_limits(robot: RobotModel) -> tuple[Array, Array]:
-    """Return position limits with the margin taken off; an assumed range where there are none."""
+    """Return the lower and upper position limits (n,) of a motion [rad or m]: those of the model
+    less a margin, or an assumed range about the reference where the model has none.
+    """
     lower = robot.limits.lower
     upper = robot.limits.upper
     assumed = np.where(robot.is_slide, UNLIMITED_RANGE[True], UNLIMITED_RANGE[False])
@@ -423,7 +427,7 @@ def _limits(
 def _space_above_base(
     robot: RobotModel, options: LimitOptions, start_pose: Array
 ) -> tuple[HalfSpace, ...]:
-    """Return the half-space above the body that carries the arm.
+    """Return, in a tuple, the half-space above the body that carries the arm.
 
     () where an option allows to go below it, the model has a floor, or a keep-out plane is one.
     """

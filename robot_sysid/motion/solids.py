@@ -22,6 +22,7 @@ from robot_sysid.motion import HalfSpace
 from robot_sysid.records import Array, RobotModel
 
 _TYPES = mujoco.mjtGeom
+"""MuJoCo's types of geoms."""
 _CORNERS = 2.0 * np.indices((2, 2, 2)).reshape(3, 8).T - 1.0
 """Corners (8, 3) of a cube with half sides of one."""
 _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
@@ -96,7 +97,9 @@ def solids_of(mj_model: Any, bodies: Sequence[int]) -> list[Solid]:
 
 
 def _shape(mj_model: Any, geom: int) -> tuple[Array, Array]:
-    """Return corners (P, 3) of a geom, and half axes (3,) of what is round about each [m]."""
+    """Return corners (P, 3) of a geom in its own frame, and the half axes (3,) of the ellipsoid
+    about each corner [m]: zero for a box or a mesh. P is 0 for a plane.
+    """
     geom_type = int(mj_model.geom_type[geom])
     size = mj_model.geom_size[geom]
     axes = np.zeros(3)

@@ -21,12 +21,17 @@ from itertools import islice
 
 import numpy as np
 
-from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.errors import InputError
-from robot_sysid.motion import PoseOptions, trajectories
+from robot_sysid.motion import PoseOptions
 from robot_sysid.motion.limit_check import first_contact, keeps_limits
 from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.motion.trajectories import LineTrajectory, straight_way
+from robot_sysid.motion.trajectories import (
+    PEAK_ACCELERATION,
+    PEAK_OF_RAMP,
+    PEAK_SPEED,
+    LineTrajectory,
+    straight_way,
+)
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.trajectory import TORQUE_MARGIN
 
@@ -137,8 +142,13 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
 def _overload(
     problem: ExcitationProblem, joint: int, share: float, is_held: bool
 ) -> str:
-    """Return in words that a joint needs more than its torque limit at the start, by a share:
-    to hold still or, where it is held, to move off.
+    """Return a sentence that a joint needs more than its torque limit at the start.
+
+    Args:
+        problem: the arm and its limits.
+        joint: index of the joint.
+        share: the torque that is needed over the limit.
+        is_held: whether the limit suffices to hold still, and moving off needs more.
     """
     limit = problem.limits.torque[joint]
     task = "holding still"
@@ -184,8 +194,8 @@ def contact_on_the_way(problem: ExcitationProblem, start: Array) -> str | None:
 def _torque_share(
     problem: ExcitationProblem, poses: Array, creep: float = CREEP
 ) -> Array:
-    """Return the share (N, n) of the torque limits to hold poses (N, n), and to move off either way
-    at a speed ``creep``.
+    """Return the largest share (N, n) of each joint's torque limit that holding poses (N, n), or
+    moving through them either way at a speed ``creep`` [rad/s or m/s], takes.
     """
     speeds = {0.0, creep, -creep}
     torque = np.abs([problem.torque_at(poses, speed) for speed in speeds])
@@ -216,7 +226,9 @@ def _held_poses(problem: ExcitationProblem) -> Iterator[Array]:
 
 
 def _is_feasible(problem: ExcitationProblem, poses: Array) -> Array:
-    """Return of poses (N, n) whether an arm at rest there touches and overloads nothing (N,)."""
+    """Return for each of N poses (N, n) whether the arm, at rest in it, keeps all clearances and
+    torque limits (N,).
+    """
     is_held = np.all(np.abs(problem.torque_at(poses)) <= problem.limits.torque, axis=1)
     return is_held & (np.asarray(problem.obstacles.slack(poses).value) >= 0.0)
 
@@ -231,10 +243,8 @@ def design_poses(
     lower = np.minimum(lower, problem.rest)
     upper = np.maximum(upper, problem.rest)
     poses = lower + rng.uniform(size=(CANDIDATES, problem.n_joints)) * (upper - lower)
-    sides = (-APPROACH, 0.0, APPROACH)
-    poses = poses[
-        np.all([_is_feasible(problem, poses + side) for side in sides], axis=0)
-    ]
+    for side in (-APPROACH, 0.0, APPROACH):
+        poses = poses[_is_feasible(problem, poses + side)]
     rows = _gravity_rows(problem, poses)
     selected = _select_poses(problem, poses, rows, options.poses)
     if len(selected) < FEWEST_POSES:
@@ -254,7 +264,7 @@ def _gravity_rows(problem: ExcitationProblem, poses: Array) -> Array:
     zero for joints whose torque is not used.
     """
     zeros = np.zeros_like(poses)
-    motion = LinkDynamics(problem.robot).motion(poses, zeros, zeros)
+    motion = problem.dynamics.motion(poses, zeros, zeros)
     columns = motion.columns((problem.n_joints - 1,))
     length = problem.scale[1] / problem.scale[0]
     sigma = np.full(problem.n_joints, np.inf)
@@ -314,13 +324,10 @@ def _motion_through(
     dwells.append(0.0)
     steps = np.abs(np.diff(points, axis=0))
     limits = problem.limits
-    by_speed = trajectories.PEAK_SPEED * steps / np.minimum(limits.velocity, GENTLE)
-    by_acceleration = np.sqrt(
-        trajectories.PEAK_ACCELERATION * steps / limits.acceleration
-    )
-    times = np.maximum(
-        np.max(np.maximum(by_speed, by_acceleration), axis=1), SHORTEST_MOVE
-    )
+    by_speed = PEAK_SPEED * steps / np.minimum(limits.velocity, GENTLE)
+    by_acceleration = np.sqrt(PEAK_ACCELERATION * steps / limits.acceleration)
+    times = np.max(np.maximum(by_speed, by_acceleration), axis=1)
+    times = np.maximum(times, SHORTEST_MOVE)
     return LineTrajectory(np.array(points), slower * RESERVE * times, np.array(dwells))
 
 
@@ -435,8 +442,7 @@ def _time_lines(
     joint = np.argmax(np.abs(lines), axis=1)
     length = np.max(np.abs(lines), axis=1)
     acceleration = SHARE * share * problem.limits.acceleration[joint]
-    ramps = trajectories.PEAK_OF_RAMP * speeds / acceleration
-    ramps = np.maximum(ramps, SHORTEST_RAMP)
+    ramps = np.maximum(PEAK_OF_RAMP * speeds / acceleration, SHORTEST_RAMP)
     # Speed v over a length s takes s / v + ramp; where ramps do not fit, the line is ramps alone.
     moves = np.maximum(length / speeds + ramps, 2.0 * ramps)
     return LineTrajectory(points, moves, np.zeros(len(points)), ramps)

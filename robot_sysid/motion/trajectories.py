@@ -43,7 +43,9 @@ PEAK_OF_RAMP = 1.875
 REST_TOLERANCE = 1e-6
 """Speed and acceleration of an end at rest [rad/s, rad/s^2]: rounding leaves a thousandth of it."""
 FORMAT = "robot-sysid trajectory"
+"""Name of the file format of trajectories, in each file."""
 VERSION = 1
+"""Version of that format."""
 
 
 @dataclass(frozen=True)
@@ -84,17 +86,20 @@ class FourierBasis:
         return self.harmonics * self.base_frequency_hz
 
     def evaluate(self, time: Array) -> Series:
-        """Return the functions and their first and second derivatives (N, 2 K + 1)."""
+        """Return the values of the functions at times (N,) [s] and their first and second
+        derivatives with respect to time, (N, 2 K + 1) each.
+        """
         time = np.asarray(time, dtype=float)
         base = 2j * np.pi * self.base_frequency_hz
         # exp(i k W t) by products, which are far cheaper than sines.
         waves = np.vander(np.exp(base * time), self.harmonics + 1, increasing=True)
-        turned = (
-            waves * (base * np.arange(self.harmonics + 1.0)) ** k for k in range(3)
-        )
-        s, ds, dds = (
-            np.hstack((w.real[:, :1], w.imag[:, 1:], w.real[:, 1:])) for w in turned
-        )
+        rates = base * np.arange(self.harmonics + 1.0)
+        functions = []
+        for order in range(3):
+            wave = waves * rates**order
+            columns = (wave.real[:, :1], wave.imag[:, 1:], wave.real[:, 1:])
+            functions.append(np.hstack(columns))
+        s, ds, dds = functions
         if self.fade == 0.0:
             return s, ds, dds
         return apply_window(window(time, self.duration, self.fade), (s, ds, dds))
@@ -174,20 +179,21 @@ class LineTrajectory:
 
     @property
     def speeds(self) -> Array:
-        """Constant part of each line's velocity (P - 1, n), where there are ramps [rad/s]."""
+        """Velocity of each joint (P - 1, n) between the ramps of each line [rad/s]; only for a
+        trajectory with ramps.
+        """
         assert self.ramps is not None
         return np.asarray(
             np.diff(self.points, axis=0) / (self.moves - self.ramps)[:, None]
         )
 
     def evaluate(self, time: Array) -> Motion:
-        """Return the motion at times (N,) [s]; exact derivatives."""
+        """Return position, velocity and acceleration of all joints at times (N,) [s]; velocities
+        and accelerations are exact derivatives.
+        """
         time = np.asarray(time, dtype=float)
-        line = np.clip(
-            np.searchsorted(self.arrivals, time, side="right") - 1,
-            0,
-            len(self.moves) - 1,
-        )
+        arrived = np.searchsorted(self.arrivals, time, side="right")
+        line = np.clip(arrived - 1, 0, len(self.moves) - 1)
         length = self.moves[line]
         elapsed = np.clip(time - self.arrivals[line] - self.dwells[line], 0.0, length)
         if self.ramps is None:
@@ -198,10 +204,8 @@ class LineTrajectory:
         else:
             step = self.speeds[line]
             w, dw, ddw = _cruise(elapsed, length, self.ramps[line])
-        w = w[:, None]
-        dw = dw[:, None]
-        ddw = ddw[:, None]
-        return Motion(time, self.points[line] + w * step, dw * step, ddw * step)
+        q, qd, qdd = (share[:, None] * step for share in (w, dw, ddw))
+        return Motion(time, self.points[line] + q, qd, qdd)
 
 
 def straight_way(begin: Array, end: Array) -> LineTrajectory:
@@ -245,6 +249,7 @@ _KINDS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
 """Type of a trajectory in files to its class and the names of the numbers that define it; a Fourier
 series is defined by its basis too."""
 _BASIS = ("duration", "base_frequency_hz", "harmonics", "fade")
+"""Names of the numbers that define a ``FourierBasis``, in the order of its attributes."""
 _TIMES = ("duration", "fade", "moves", "dwells", "ramps")
 """Numbers that grow where a trajectory is slowed down; frequencies fall."""
 _Plan = TypeVar("_Plan", bound=MotionPlan)
@@ -403,9 +408,9 @@ def save_samples(
 
     The file appears whole or not at all; it has ``sample_rate`` rows per second.
     """
-    titles = [
-        f"{quantity}_{name}" for quantity in ("q", "qd", "qdd") for name in joint_names
-    ]
+    titles = []
+    for quantity in ("q", "qd", "qdd"):
+        titles += [f"{quantity}_{name}" for name in joint_names]
     with atomic_file(path) as file:
         file.write(",".join(["time", *titles]) + "\n")
         for motion in motion_chunks(plan, sample_rate):

@@ -52,6 +52,7 @@ from robot_sysid.simulation.playback import (
 )
 
 SERVO_SCHEMA = "robot-sysid servo 1"
+"""Name and version of the format of servo.json."""
 WITHOUT_TORQUE = (
     "No torque was measured: all of this follows from commanded and measured positions, and from "
     "the masses of the model, which fix its scale"
@@ -69,6 +70,7 @@ UNITS = {
 }
 """The identified numbers of a joint, in the order of ``ServoParameters``, and their units."""
 _KEYS = ("before", "value", "standard_error", "source")
+"""Keys of an identified number in servo.json, without its unit."""
 OFTEN_LIMITED = 0.2
 """Share of time at its limit from which on a servo is mentioned; chosen, nothing else depends on
 it."""
@@ -92,23 +94,24 @@ _LARGEST_OFFSET = 0.3
 def commanded_pieces(
     logs: Sequence[MeasurementLog], joint_names: Sequence[str]
 ) -> list[Measurement]:
-    """Return all pieces of logs that were read for their commands.
+    """Return the pieces of all logs, after a check that their commands are plausible.
 
     Raises:
         InputError: the commands of a moving joint are implausible; says which joint's and why.
     """
+    pieces = list[Measurement]()
     for log in logs:
+        pieces += log.pieces
         for joint in np.flatnonzero(is_moving(log.pieces)).tolist():
-            pairs = [
-                (piece.q[:, joint], piece.command[:, joint])
-                for piece in log.pieces
-                if piece.command is not None
-            ]
+            pairs = []
+            for piece in log.pieces:
+                if piece.command is not None:
+                    pairs.append((piece.q[:, joint], piece.command[:, joint]))
             for fault in _command_faults(pairs):
                 raise InputError(
                     f"{log.path}: the commands of joint {joint_names[joint]} {fault}"
                 )
-    return [piece for log in logs for piece in log.pieces]
+    return pieces
 
 
 def is_moving(pieces: Sequence[Measurement]) -> NDArray[np.bool_]:
@@ -238,7 +241,12 @@ class ServoIdentification:
         error = self.fit.errors.vector()
         is_identified = self.fit.is_identified | (value != model_value)
         source = np.where(is_identified, "identified", "from_model")
-        columns = [column.tolist() for column in (model_value, value, error, source)]
+        columns = (
+            model_value.tolist(),
+            value.tolist(),
+            error.tolist(),
+            source.tolist(),
+        )
         numbers = [dict(zip(_KEYS, row)) for row in zip(*columns)]
         names = self.robot.joint_names
         by_joint = {}
@@ -270,7 +278,9 @@ class ServoIdentification:
         return joint_changes, actuator_changes
 
     def json_content(self) -> dict[str, Any]:
-        """Return the content of servo.json."""
+        """Return the content of servo.json: each joint's numbers with units, the delay, the
+        comparison of the models before and after, and where all of it comes from.
+        """
         joints = {}
         for k, (joint, numbers) in enumerate(self.joint_numbers.items()):
             entry: dict[str, Any] = {}
@@ -361,7 +371,10 @@ def _joint_notes(result: ServoIdentification, k: int) -> Iterator[str]:
     joint = result.robot.joint_names[k]
     numbers = result.joint_numbers[joint]
     gain = numbers["gain"]
-    unseen = [name for name in numbers if numbers[name]["source"] == "from_model"]
+    unseen = []
+    for name, number in numbers.items():
+        if number["source"] == "from_model":
+            unseen.append(name)
     if unseen:
         yield (
             f"the servo of {joint} hides its {', '.join(unseen)}: what the model has stays, and "

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -171,9 +172,8 @@ def make_problem(
 
 
 def smooth_states(piece: Measurement) -> tuple[Array, Array]:
-    """Return positions and velocities (N, n) from parabolas through the measured positions.
-
-    Savitzky-Golay filters over ``SMOOTHING_TIME`` [rad or m, rad/s or m/s].
+    """Return smoothed positions (N, n) [rad or m] and their derivatives (N, n) [rad/s or m/s], by
+    parabolas through the measured positions (Savitzky-Golay filters over ``SMOOTHING_TIME``).
     """
     from scipy.signal import savgol_filter
 
@@ -211,7 +211,9 @@ class Parametrisation:
     free: NDArray[np.bool_]
 
     def unknowns(self, servos: ServoParameters) -> Array:
-        """Return the vector of unknowns (p,) that stands for parameters."""
+        """Return the vector of unknowns (p,) that stands for parameters: softened logarithms of the
+        free numbers over their typical sizes, the delay without logarithm.
+        """
         values = servos.vector() / self.typical.vector()
         values[:-1] = np.log(values[:-1] + LOG_OFFSET)
         return values[self.free]
@@ -237,14 +239,16 @@ class Parametrisation:
         return np.maximum(self.derivative(servos), self.typical.vector())
 
     def bounds(self) -> tuple[Array, Array]:
-        """Return the lower and the upper bound of the unknowns (p,)."""
+        """Return the lower and the upper bound of the unknowns (p,).
+
+        They stand for numbers of zero, and for ``MAX_RATIO`` times the typical sizes with a delay
+        of ``MAX_DELAY_PERIODS`` typical ones.
+        """
         size = self.typical.vector()
-        largest = replace(
-            ServoParameters.from_vector(MAX_RATIO * size),
-            delay=MAX_DELAY_PERIODS * self.typical.delay,
-        )
         zero = ServoParameters.from_vector(0.0 * size)
-        return self.unknowns(zero), self.unknowns(largest)
+        largest = MAX_RATIO * size
+        largest[-1] = MAX_DELAY_PERIODS * size[-1]
+        return self.unknowns(zero), self.unknowns(ServoParameters.from_vector(largest))
 
 
 def initial_parametrisation(
@@ -286,9 +290,8 @@ def initial_parametrisation(
 
 
 def _gravity_and_inertia(robot: RobotModel, q: Array) -> tuple[Array, Array]:
-    """Return each joint's largest gravity torque (n,) [N m] and mean inertia (n,) [kg m^2].
-
-    Over positions q (m, n).
+    """Return each joint's largest gravity torque (n,) [N m] and mean inertia (n,) [kg m^2] over
+    positions q (m, n) [rad or m].
     """
     thetas = robot.thetas
     dynamics = LinkDynamics(robot)
@@ -312,10 +315,9 @@ def improve_start(problem: ServoProblem, initial: Parametrisation) -> Parametris
     start = initial.start
     delays = initial.typical.delay * np.arange(0.0, MAX_DELAY_PERIODS + 1.0)
     candidates = []
-    for factor in GAIN_FACTORS:
+    for factor, delay in product(GAIN_FACTORS, delays.tolist()):
         stiffness = factor * start.stiffness
-        for delay in delays.tolist():
-            candidates.append(replace(start, stiffness=stiffness, delay=delay))
+        candidates.append(replace(start, stiffness=stiffness, delay=delay))
     # Absolute errors: where a stiff servo comes off its limit, single windows run off and would
     # dominate the squares.
     errors = problem.subset(_GRID_WINDOWS).errors(candidates)
@@ -404,9 +406,15 @@ def search_servos(
 def keep_model_values(
     robot: RobotModel, servos: ServoParameters, keep: Any = True
 ) -> ServoParameters:
-    """Return the parameters with the model's numbers where ``keep`` (4 n + 1,), or all, is true.
+    """Return fitted parameters in which chosen numbers are replaced by those of the model file.
 
     The delay stays as fitted, and so do gain and damping of a joint without servo in the model.
+
+    Args:
+        robot: the arm as in the model file.
+        servos: the fitted parameters.
+        keep: (4 n + 1,) whether the model's number is taken, in the order of
+            ``ServoParameters.vector``; True for all.
     """
     in_model = servos_in_model(robot)
     # NaN where the model has no servo.
@@ -451,9 +459,9 @@ class ErrorDerivatives:
             change = step * np.eye(len(x))[k]
             low = np.maximum(x - change, 0.0)
             high = x + change
-            ends = [ServoParameters.from_vector(end) for end in (low, high)]
-            errors = self.problem.errors(ends)
-            self._cache[k] = (errors[1] - errors[0]) / (high - low)[k]
+            ends = map(ServoParameters.from_vector, (low, high))
+            low_errors, high_errors = self.problem.errors(list(ends))
+            self._cache[k] = (high_errors - low_errors) / (high - low)[k]
         return np.stack([self._cache[k] for k in free], axis=-1)
 
 
@@ -536,11 +544,8 @@ def link_torque_share(
     for piece in pieces:
         q, qd = smooth_states(piece)
         qdd = np.gradient(qd, piece.time, axis=0)
-        joint_torques.append(
-            servos.armature * qdd
-            + servos.damping * qd
-            + servos.frictionloss * np.sign(qd)
-        )
+        viscous = servos.armature * qdd + servos.damping * qd
+        joint_torques.append(viscous + servos.frictionloss * np.sign(qd))
         link_torques.append(LinkDynamics(robot).motion(q, qd, qdd).torque(thetas))
     links = np.sqrt(np.mean(np.concatenate(link_torques) ** 2, axis=0))
     joints = np.sqrt(np.mean(np.concatenate(joint_torques) ** 2, axis=0))

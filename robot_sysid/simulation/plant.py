@@ -112,7 +112,9 @@ class PlantSimulation:
             yield measured
 
     def _delayed_motions(self) -> Iterator[Motion]:
-        """Yield the motion one torque delay before each sample, at the start the first state."""
+        """Yield, chunk by chunk, the motion one torque delay before each sample; before that time
+        has passed, the state at the start.
+        """
         for time in sample_times(self._plan.duration, self._sample_rate):
             delayed_time = time - self._options.torque_delay
             yield self._plan.evaluate(np.maximum(delayed_time, 0.0))

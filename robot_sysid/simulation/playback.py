@@ -57,7 +57,9 @@ slides (key True) [m]."""
 NO_ACTUATOR = -1
 """Value in place of a MuJoCo actuator id for a joint without an actuator that a rollout can use."""
 _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
+"""MuJoCo's bits for the state from which a rollout starts."""
 _INPUTS = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+"""MuJoCo's bits for the inputs of each step: those of actuators, then forces on the joints."""
 
 
 @dataclass(frozen=True)
