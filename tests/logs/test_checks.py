@@ -22,19 +22,16 @@ from tests.support.log_files import (
 RUBBISH = (9, 20, 31, 42, 53)
 
 
-def text_cells(rows):
-    return [
-        [*r[:2], "oops", *r[3:]] if k in RUBBISH else r
-        for k, r in enumerate(rows.tolist())
-    ]
+def spoiled(spoil):
+    """A fault that makes some rows no rows of numbers."""
 
+    def fault(rows):
+        rows = rows.tolist()
+        for row in RUBBISH:
+            rows[row] = spoil(rows[row])
+        return rows
 
-def short_rows(rows):
-    return [r[:5] if k in RUBBISH else r for k, r in enumerate(rows.tolist())]
-
-
-def long_rows(rows):
-    return [[*r, 0.0] if k in RUBBISH else r for k, r in enumerate(rows.tolist())]
+    return fault
 
 
 def changing(index, change):
@@ -67,11 +64,17 @@ Q = np.s_[:, 1:4]
 # Each fault changes the table and is an error that says the fragments.
 ERRORS: dict[str, tuple[Callable, list[str]]] = {
     "text cells": (
-        text_cells,
+        spoiled(lambda row: [*row[:2], "oops", *row[3:]]),
         ["5 of 400 rows", "line 11, column 'q2': 'oops' is not a number", "1 %"],
     ),
-    "short rows": (short_rows, ["5 of 400 rows", "line 11: 5 cells instead of 7"]),
-    "long rows": (long_rows, ["5 of 400 rows", "line 11: 8 cells instead of 7"]),
+    "short rows": (
+        spoiled(lambda row: row[:5]),
+        ["5 of 400 rows", "line 11: 5 cells instead of 7"],
+    ),
+    "long rows": (
+        spoiled(lambda row: [*row, 0.0]),
+        ["5 of 400 rows", "line 11: 8 cells instead of 7"],
+    ),
     "absurd cells": (
         changing((list(RUBBISH), 4), lambda tau: np.full(len(tau), 1e30)),
         ["5 of 400 rows", "first: line 11)"],

@@ -186,11 +186,8 @@ def test_several_topics_need_a_choice_but_not_one_without_the_arm_or_effort(tmp_
     pairs = zip(DATA.time, DATA.q)
     desired = [state(types, t, JOINTS, q, None, None) for t, q in pairs]
     measured = list(recorded.shuffled_states(types, DATA))
-    topics = [
-        ("/gripper", recorded.STATE, gripper),
-        ("/desired", recorded.STATE, desired),
-        ("/joint_states", recorded.STATE, measured),
-    ]
+    messages = {"/gripper": gripper, "/desired": desired, "/joint_states": measured}
+    topics = [(name, recorded.STATE, messages[name]) for name in messages]
     path = recorded.write_bag2(tmp_path / "bag", topics, store)
     assert "topic /joint_states" in read_measurements(path, JOINTS).notes[0]
     assert_refused("topic /desired has no effort", path, topic="/desired")
