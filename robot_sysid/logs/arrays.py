@@ -105,7 +105,7 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
         if len(rows) == n_rows:
             samples[name] = rows.reshape(n_rows, -1)
     refuse_many_arrays(path, sum(rows.shape[1] for rows in samples.values()))
-    titles: list[str] = []
+    titles = []
     for name, rows in samples.items():
         width = rows.shape[1]
         titles += [f"{name}[{k}]" for k in range(width)] if width > 1 else [name]

@@ -112,7 +112,7 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
             text = stream.read(_LONGEST)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read the columns file {path}: {error}") from error
-    values: dict[str, str] = {}
+    values = {}
     columns: dict[str, dict[str, str]] = {}
     # Not splitlines: titles may hold other line ends.
     for number, line in enumerate(text.split("\n"), start=1):

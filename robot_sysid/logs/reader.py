@@ -13,7 +13,7 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -178,7 +178,7 @@ def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
 
 
 TableReader = Callable[[LogSource], LogTable]
-_READERS: Mapping[bytes, TableReader] = {
+_READERS = {
     b"\x89MCAP0": bag_table,
     b"#ROSBAG V": bag_table,
     b"SQLite format 3": bag_table,
@@ -191,12 +191,9 @@ _READERS: Mapping[bytes, TableReader] = {
     b"ARROW1": arrays.feather_table,
 }
 """First bytes of a file to the reader of its form; any other file is a text table."""
-_FOLDER_READERS: Mapping[str, TableReader] = {
-    "metadata.yaml": bag_table,
-    "meta/info.json": arrays.lerobot_table,
-}
+_FOLDER_READERS = {"metadata.yaml": bag_table, "meta/info.json": arrays.lerobot_table}
 """A file in a folder to the reader of the folder's form."""
-_FORM_OPTIONS: Mapping[str, tuple[str, TableReader]] = {
+_FORM_OPTIONS = {
     "topic": ("a ROS bag", bag_table),
     "episode": ("a LeRobot data set", arrays.lerobot_table),
 }

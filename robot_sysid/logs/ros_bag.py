@@ -406,7 +406,7 @@ class MessagePattern:
 
         Each joint's time stamp from the start [s] is added as its quantity "time".
         """
-        newest: dict[frozenset[str], StampedSample] = {}
+        newest = {}
         for stamp, sample in samples:
             sent = {joint for joint, quantity in sample if quantity == "position"}
             group = next((group for group in self.groups if group <= sent), None)

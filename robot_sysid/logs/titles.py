@@ -35,7 +35,7 @@ def _token_set(text: str) -> frozenset[str]:
 
 def _by_token(vocabulary: Mapping[T, str]) -> dict[str, T]:
     """Return token to meaning, from a table of meaning to tokens that are separated by blanks."""
-    meanings: dict[str, T] = {}
+    meanings = {}
     for meaning, tokens in vocabulary.items():
         meanings.update(dict.fromkeys(tokens.split(), meaning))
     return meanings

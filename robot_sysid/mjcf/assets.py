@@ -369,7 +369,7 @@ def refuse_hazards(
     memory_of_models = {} if memory_of_models is None else memory_of_models
     main = document.path.resolve()
     n_attached = Counter[str]()
-    needs: list[tuple[float, str]] = []
+    needs = []
     for node, copies in _walk_with_copies(document, document.root, 1.0):
         needs.append((_memory_of_node(node), f"<{node.tag}> in line {node.line}"))
         if node.tag == "attach":

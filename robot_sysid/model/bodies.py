@@ -261,7 +261,7 @@ def _parse_flange(robot: RobotModel, text: str) -> Flange:
     """Return the frame of "x,y,z" or "x,y,z,roll,pitch,yaw", or raise ModelError."""
     from scipy.spatial.transform import Rotation
 
-    numbers: list[float] = []
+    numbers = []
     with contextlib.suppress(ValueError):
         numbers = list(map(float, text.split(",")))
     if len(numbers) not in (3, 6) or not np.all(np.isfinite(numbers)):

@@ -80,7 +80,7 @@ class CompiledModel:
 @contextmanager
 def captured_warnings() -> Iterator[list[str]]:
     """Collect MuJoCo's warnings in the list yielded, instead of on stderr and in a log file."""
-    messages: list[str] = []
+    messages = []
     previous = mujoco.get_mju_user_warning()
 
     def collect(message: object) -> None:
@@ -120,7 +120,7 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
         )
     refuse_hazards(document, mesh_dir)
     notes: tuple[str, ...] = ()
-    speeds: Mapping[str, float] = {}
+    speeds = {}
     with captured_warnings() as warnings:
         if document.is_urdf:
             mj_model, notes = _compile_urdf(document, mesh_dir)
