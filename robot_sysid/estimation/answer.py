@@ -7,7 +7,6 @@ estimated (``Unknowns.estimated``, ascending). A body has ten inertial parameter
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -436,13 +435,12 @@ def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
     at = np.searchsorted(unknowns.estimated, order[inside])
     spread = change @ errors.total.covariance[np.ix_(at, at)] @ change.T
     # Priors of sensors are needed: free torque scales would explain all torques by themselves.
-    priors = [
-        g.prior_rows(fit.columns.names) for g in unknowns.groups if g.cause != LINKS
-    ]
+    blocks = list(data(fit.weights))
+    for group in unknowns.groups:
+        if group.cause != LINKS:
+            blocks.append(group.prior_rows(fit.columns.names))
     selected = np.concatenate((others, [-1], order[combinations.leading]))
-    rows = triangle_of(
-        block[:, selected] for block in itertools.chain(data(fit.weights), priors)
-    )
+    rows = triangle_of(block[:, selected] for block in blocks)
     nuisance_columns, right_side, base_columns = np.split(
         rows, (len(others), len(others) + 1), axis=1
     )

@@ -133,6 +133,7 @@ class Columns:
         model_values: (p,) the model's values, zero for nuisances.
         joints: names of the joints that have equations, base to terminal.
         joint_indices: indices of these joints among the joints of the chain.
+        tilts: names of the two angles of gravity's direction; () without gravity.
     """
 
     def __init__(
@@ -159,11 +160,11 @@ class Columns:
         self._scales = names_of("scale", self.joints)
         self._drifts = names_of("drift", self.joints)
         self._zeros = names_of("zero", robot.joint_names)
-        self._tilts = TILT_NAMES if np.any(gravity_vector(robot)) else ()
+        self.tilts = TILT_NAMES if np.any(gravity_vector(robot)) else ()
         point_names = list[str]()
         for joint in self.joints:
             point_names += [f"{term}[{joint}]" for term in point_terms]
-        point_names += (*self._scales, *self._drifts, *self._zeros, *self._tilts)
+        point_names += (*self._scales, *self._drifts, *self._zeros, *self.tilts)
         point_names += (DELAY_NAME, *PAYLOAD_NAMES)
         self.names = (*arm.names, *point_names)
         self.model_values = np.append(arm.prior, np.zeros(len(point_names)))
@@ -419,7 +420,7 @@ class Columns:
                 tuple(joint_friction): (nonlinear, drifted),
                 (self._scales[row],): (gear[:, None], 1.0),
                 (self._drifts[row],): (friction[:, None], dataset.order),
-                (*self._zeros, *self._tilts): (common[:, joint], 1.0 + exact),
+                (*self._zeros, *self.tilts): (common[:, joint], 1.0 + exact),
                 (DELAY_NAME,): (late[:, None], 1.0),
                 PAYLOAD_NAMES: (slice(N_INERTIAL), (1.0 + exact) * dataset.is_loaded),
             }
@@ -447,7 +448,7 @@ class Columns:
         A block is (columns, or a slice of the base columns; their factor); tilt: (K, n, 2).
         """
         loaded = PAYLOAD_NAMES if PAYLOAD_NAMES[0] not in self._nowhere else ()
-        indices = self.indices((*self._tilts, *loaded))
+        indices = self.indices((*self.tilts, *loaded))
         payload = slice(len(loaded))
         blocks = []
         columns = []
@@ -465,7 +466,7 @@ class Columns:
 
     def _tilt(self, arm: RobotModel, thetas: Array, motion: Motion) -> Array:
         """Return the columns of gravity's direction (K, n, 2); none (K, n, 0) without gravity."""
-        if not self._tilts:
+        if not self.tilts:
             return np.zeros((*motion.q.shape, 0))
         return tilt_columns(arm, thetas, motion.q, gravity_vector(self.robot))
 
@@ -513,6 +514,7 @@ class Columns:
             # These columns are smooth and small and need no low-pass: the motion at the instant
             # of a row is accurate enough.
             def common(theta: Array, motion: Motion) -> Array:
+                """Return columns (K, n, n + 2) of zeros and tilt for links (n, 10)."""
                 zeros = zero_columns(arm, theta, motion)
                 return np.concatenate((zeros, self._tilt(arm, theta, motion)), axis=-1)
 
@@ -523,6 +525,7 @@ class Columns:
             rows = list(self.joint_indices)
 
             def load(theta: Array, motion: Motion) -> Array:
+                """Return columns (K, joints) of load for links (n, 10)."""
                 torque = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(theta)
                 return (np.sign(motion.qd) * np.abs(torque))[:, rows]
 
@@ -548,6 +551,7 @@ class Columns:
         sloped = [term for term, size in sizes.items() if np.any(size)]
 
         def make(motion: Motion) -> Array:
+            """Return all terms' columns (K, joints, terms), then those by their speeds."""
             columns = []
             for term, nonlinear in NONLINEAR_TERMS.items():
                 columns.append(nonlinear.column(motion.qd, speed[term])[:, rows])

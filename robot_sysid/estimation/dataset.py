@@ -421,8 +421,14 @@ def mean_torque(datasets: Sequence[Dataset]) -> Array:
     Raises:
         InputError: the recordings have no sample.
     """
-    squares = sum(np.sum(dataset.torque**2, axis=0) for dataset in datasets)
-    count = sum(len(dataset.torque) for dataset in datasets)
+    squares, count = squared_torque(datasets)
     if not count:
         raise InputError("there is no sample to identify from")
     return np.asarray(np.sqrt(squares / count))
+
+
+def squared_torque(datasets: Sequence[Dataset]) -> tuple[Array, int]:
+    """Return (sums of squares (n,) of the measured torque [N^2 m^2], number of its samples)."""
+    squares = [np.sum(dataset.torque**2, axis=0) for dataset in datasets]
+    count = sum(len(dataset.torque) for dataset in datasets)
+    return np.sum(squares, axis=0), count

@@ -13,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 
-from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import NONLINEAR_TERMS, speed_name
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.errors import SysidError
@@ -91,7 +90,11 @@ class Evidence:
     def unknowns(
         self, columns: Columns, question: Question, choice: Choice
     ) -> Unknowns:
-        """Return the unknowns of a question and a choice for the torques and data of this."""
+        """Return which parameters a question and a choice leave unknown, with priors and bounds.
+
+        Friction's priors follow from the measured torque. A friction term whose column is zero in
+        these rows is held.
+        """
         return build_unknowns(columns, question, choice, self.torque, self.nonzero)
 
     def of(self, unknowns: Unknowns) -> SquareRootInformation:
@@ -585,8 +588,7 @@ def make_consistent(
         weights: (joints,) of each joint's equations [1/(N m)].
         free: (p,) the unconstrained estimate, which is returned where its bodies are consistent.
     """
-    bodies = [free[indices] for indices, _ in unknowns.bodies.values()]
-    if all(map(spatial.is_consistent, bodies)):
+    if unknowns.has_consistent_bodies(free):
         return free
     rows = with_prior(data.of(unknowns), unknowns.groups).equations(weights)
     return unknowns.full(ConsistentLinks(*rows, links_problem(unknowns)).best())

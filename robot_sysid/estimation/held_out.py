@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.consistent_bodies import ConsistentLinks
 from robot_sysid.estimation.algebra.least_squares import (
@@ -176,8 +175,7 @@ class HeldOut:
         prior_rows = _prior_rows(unknowns)
         path_end = None
         for index, estimate in enumerate(values):
-            bodies = [estimate[indices] for indices, _ in unknowns.bodies.values()]
-            if not all(map(spatial.is_consistent, bodies)):
+            if not unknowns.has_consistent_bodies(estimate):
                 rows = np.vstack((self._other_triangles(unknowns)[index], prior_rows))
                 path_end = self._path_ends.get(index, path_end)
                 solver = ConsistentLinks(rows[:, :-1], rows[:, -1], problem, path_end)
@@ -365,7 +363,7 @@ def validate_rows(
     if not np.any(counts):
         raise InputError(f"no usable torque samples to validate on in {source}")
     residual = data.total.squared_residuals(fit.values)
-    joints = [joint.joint for joint in data.total.joints]
+    joints = fit.columns.joints
     validation = validation_of(joints, residual, squares, counts, source)
     noise = counts[None] * fit.noise**2
     is_informative = is_informative_test(

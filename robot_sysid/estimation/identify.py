@@ -203,6 +203,7 @@ def answer_payload(
     progress.stage(Detail("Finding out how far off it may be..."))
 
     def answer_of(fit: Fit) -> Answer:
+        """Return a fit with its errors and its held-out error."""
         return Answer(fit, fit_errors(fit), held_out_validation(fit), candidates)
 
     weighed = answer_of(free)

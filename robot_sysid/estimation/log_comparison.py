@@ -165,9 +165,10 @@ class FrictionOfLogs:
         if not self.differences:
             return ()
         worst = list(self.differences.items())
-        listed = ", ".join(
+        phrases = [
             f"{joint} by {percent(share)}" for joint, share in worst[:MOST_NAMED]
-        )
+        ]
+        listed = ", ".join(phrases)
         more = f" and {len(worst) - MOST_NAMED} more" if len(worst) > MOST_NAMED else ""
         return (
             f"friction differs between the logs by more than its errors: {listed}{more}; "
@@ -199,9 +200,10 @@ def compare_recordings(
     chance = cache(partial(judge.expected_squared_errors, fit))
 
     def is_test(k: int) -> bool:
+        """Tell whether the error of log k, predicted from the others, tests the fit."""
         return is_informative_test(errors[[k]], noise[[k]], lambda: chance()[[k]])
 
-    joints = [joint.joint for joint in fit.evidence.total.joints]
+    joints = fit.columns.joints
     tests = []
     for k, name in enumerate(logs):
         if is_test(k):

@@ -31,7 +31,7 @@ from robot_sysid.estimation.choices import (
     select_couplings,
 )
 from robot_sysid.estimation.columns import Point
-from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
+from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, squared_torque
 from robot_sysid.estimation.errors import (
     filtering_bias,
     fit_errors,
@@ -285,8 +285,7 @@ def log_information(
         log_sums = [residuals_to_add(first, log_samples) for log_samples in samples]
         residuals = tuple(reduce(add, joint_sums) for joint_sums in zip(*log_sums))
     pairs = list(zip(datasets, samples))
-    torque = np.sum([np.sum(dataset.torque**2, axis=0) for dataset in datasets], axis=0)
-    count = sum(len(dataset.torque) for dataset in datasets)
+    torque, count = squared_torque(datasets)
     return LogInformation(
         settled=settled,
         evidence=evidence(samples, np.sqrt(torque / count)),

@@ -191,8 +191,7 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judgemen
     if not body.mass > 0.0:
         return
     reach = link_reach(robot.mj_model, robot.reference_qpos, robot.body_id)
-    lengths = [float(np.linalg.norm(other.translation)) for other in robot.links[1:]]
-    arm = reach + sum(lengths)
+    arm = reach + _distance_of_ends(robot)
     off = _SURE * float(np.linalg.norm(errors[1:4])) / body.mass
     distance = float(np.linalg.norm(body.com))
     where = f"on a link that reaches {reach:.2g} m"
@@ -213,6 +212,11 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judgemen
             f"these torques do not show the mass, yet the rest is only possible with "
             f"{body.mass:.3g} kg where the model has {robot.prior.mass:.3g} kg",
         )
+
+
+def _distance_of_ends(robot: RobotModel) -> float:
+    """Return the distances from each joint to the next, added up from the first one on [m]."""
+    return sum(float(np.linalg.norm(link.translation)) for link in robot.links[1:])
 
 
 def implausible_joints(
@@ -377,8 +381,7 @@ def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Jud
 
     Sizes are the distance of the centre of mass from the flange, and the radius of gyration.
     """
-    lengths = [float(np.linalg.norm(link.translation)) for link in robot.links[1:]]
-    farthest = FARTHEST_PAYLOAD * max(sum(lengths), LEAST_REACH)
+    farthest = FARTHEST_PAYLOAD * max(_distance_of_ends(robot), LEAST_REACH)
     distance = float(np.linalg.norm(payload.com))
     trace = max(np.trace(payload.inertia_com), 0.0)
     gyration = float(np.sqrt(trace / (2.0 * payload.mass)))

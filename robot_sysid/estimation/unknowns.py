@@ -18,6 +18,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.friction import FADING_SPEEDS, speed_name
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
@@ -129,6 +130,11 @@ class Unknowns:
     def nuisance_friction(self) -> set[str]:
         """Names of the friction terms that only a prior allows for (cause ``FRICTION``)."""
         return _names_by_cause(self.groups, FRICTION)
+
+    def has_consistent_bodies(self, values: Array) -> bool:
+        """Tell whether all unknown bodies are physically consistent at parameters (p,)."""
+        bodies = [values[indices] for indices, _ in self.bodies.values()]
+        return all(map(spatial.is_consistent, bodies))
 
     def groups_of(self, cause: str) -> list[NuisanceGroup]:
         """Return the priors with a cause of error: one, or none."""
@@ -274,9 +280,9 @@ def _increment_names(
     columns: Columns, question: Question, choice: Choice
 ) -> Iterator[str]:
     """Yield the names of parameters that are increments of the linearisation point."""
-    tilts = [name for name in TILT_NAMES if name in columns.index]
     if question.in_file:
-        yield from tilts if FILE_GRAVITY not in question.unchanged_parts else ()
+        if FILE_GRAVITY not in question.unchanged_parts:
+            yield from columns.tilts
         return
     if question.options.delay == "auto":
         yield DELAY_NAME
@@ -376,7 +382,7 @@ def _prior_groups(
         names = names_of("offset", choice.offsets)
         deviations = np.maximum([*choice.offsets.values()], _EXACT)
         yield independent_prior(OFFSETS, names, tuple(choice.offsets), deviations)
-    tilts = tuple(name for name in TILT_NAMES if name in columns.index)
+    tilts = columns.tilts
     if question.in_file:
         if tilts and FILE_GRAVITY not in question.unchanged_parts:
             yield independent_prior(TILT, tilts, ("the base",) * 2, FILE_TILT)
