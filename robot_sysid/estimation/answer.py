@@ -263,8 +263,10 @@ class Answer:
         return names
 
     def sensors(self) -> dict[str, Quantity]:
-        """Return name to estimate of every parameter that is neither of a body nor of the friction
-        model: torque scales, encoder zeros, drift, tilt, delay, and nuisances of friction.
+        """Return name to estimate of all parameters that are neither of bodies nor of friction.
+
+        These are torque scales, encoder zeros, drift, tilt and delay. Friction terms that only a
+        prior allows for, which are not in the friction model, are among them, too.
         """
         excluded = self.body_names().union(self._friction_names)
         names = self.fit.unknowns.estimated_names

@@ -27,7 +27,7 @@ from robot_sysid.estimation.answer import (
     written_payload,
 )
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, split_name
-from robot_sysid.estimation.dataset import DecimatedSamples
+from robot_sysid.estimation.dataset import DecimatedSamples, motion_signals
 from robot_sysid.estimation.identify import contradiction, payloads_by_recording
 from robot_sysid.estimation.trust import (
     UNEXPLAINED,
@@ -167,7 +167,7 @@ def _common(answer: Answer, data: DataOrigin) -> Result:
     scales = fit.choice.link_scales
     joints = dict(answer.joints())
     chain_joints = {name: joints.pop(name) for name in robot.joint_names}
-    signals = [log.signals for log in fit.columns.datasets if log.signals is not None]
+    signals = motion_signals(fit.columns.datasets)
     models = {model.name for model in fit.choice.friction}
     return Result(
         robot=robot,

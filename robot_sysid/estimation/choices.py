@@ -260,7 +260,7 @@ def clearly_best(scores: Mapping[str, Array]) -> str:
 
 
 def is_scaled(fit: Fit, question: Question, choice: Choice) -> bool:
-    """Tell whether all torque scales share one significant error.
+    """Tell whether recordings show a significant error that the torque scales of all joints share.
 
     Torques that read too large and model links that are too heavy by one factor give the same
     rows, so that the error may as well be that of all links. Always false where an option states

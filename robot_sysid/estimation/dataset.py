@@ -427,6 +427,11 @@ def mean_torque(datasets: Sequence[Dataset]) -> Array:
     return np.asarray(np.sqrt(squares / count))
 
 
+def motion_signals(datasets: Iterable[Dataset]) -> list[ProcessedSignals]:
+    """Return the filtered signals of the recordings that are motions, not poses at rest."""
+    return [dataset.signals for dataset in datasets if dataset.signals is not None]
+
+
 def squared_torque(datasets: Sequence[Dataset]) -> tuple[Array, int]:
     """Return (sums of squares (n,) of the measured torque [N^2 m^2], number of its samples)."""
     squares = [np.sum(dataset.torque**2, axis=0) for dataset in datasets]

@@ -44,7 +44,7 @@ from robot_sysid.estimation.algebra.uncertainty import (
     uncertainty,
 )
 from robot_sysid.estimation.columns import Columns, Point, split_name
-from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, release_memory
+from robot_sysid.estimation.dataset import DecimatedSamples, release_memory
 from robot_sysid.estimation.fit import EstimatedRows, Fit, squared_effect
 from robot_sysid.estimation.unknowns import (
     COMMON,
@@ -155,14 +155,11 @@ def fit_errors(
     Args:
         residuals: sums over lags of each joint's residuals, from which the autocorrelation of noise
             follows; if empty, they are computed from the fit's rows. Without rows, noise is white.
-        pull: (joints, p) sum of ``filtering_bias`` over all recordings; None computes it from the
-            fit's rows.
+        pull: (joints, p) of ``filtering_bias``; None computes it from the fit's rows.
     """
     if pull is None:
         point = replace(fit.point, values=fit.values)
-        pairs = zip(fit.columns.datasets, fit.samples)
-        biases = [filtering_bias(fit.columns, point, *pair) for pair in pairs]
-        pull = np.sum(biases, axis=0)
+        pull = filtering_bias(fit.columns, point, fit.samples)
     total = _noise_errors(fit, residuals)
     names = fit.unknowns.estimated_names
     causes = {}
@@ -380,7 +377,7 @@ def residuals_within(
 
 
 def _common_scale_error(fit: Fit) -> float:
-    """Return the standard deviation of a torque scale error that all joints share, a share.
+    """Return the standard deviation of a relative error that all torque scales share.
 
     It is zero unless the fit holds the mean of all scales (cause ``COMMON``), which data does not
     determine.
@@ -392,34 +389,36 @@ def _common_scale_error(fit: Fit) -> float:
 
 
 def filtering_bias(
-    columns: Columns, point: Point, dataset: Dataset, samples: DecimatedSamples
+    columns: Columns, point: Point, samples: Sequence[DecimatedSamples]
 ) -> Array:
-    """Return Y_j^T d_j (joints, p) of a recording: the effect of its low-pass on normal equations.
+    """Return the sum of Y_j^T d_j (joints, p) over recordings: the bias of normal equations.
 
     d_j (K,) is the change in joint j's torque by a second low-pass of the positions [N m]. It is
     zero for a recording of poses at rest.
 
     Args:
-        point: linearisation point, with the estimate as its values.
-        dataset: the recording; the delay of the point is removed here.
-        samples: its rows around the point.
+        columns: gives the recordings and the arm.
+        point: linearisation point, with the estimate as its values; its delay is removed here.
+        samples: rows of each recording around the point.
     """
-    pull = np.zeros((len(samples.joints), len(samples.names)))
-    signals = dataset.remove_delay(point.delay).signals
-    if signals is None:
-        return pull
-    rows, second = signals.refiltered_motion
-    motion = signals.decimated_motion()
-    first = Motion(motion.time[rows], motion.q[rows], motion.qd[rows], motion.qdd[rows])
-    same_direction = np.sign(first.qd) == np.sign(second.qd)
-    equations, values = columns.arm_torque(point, dataset.is_loaded)
-    torques = _torques(equations, first, values)
-    refiltered = _torques(equations, second, values)
-    for (index, block, tau), joint in zip(samples, equations.joint_indices):
-        # Where the second low-pass reverses a velocity, the difference is the sign of friction.
-        is_used = np.isfinite(tau[rows]) & same_direction[:, joint]
-        difference = (torques[index] - refiltered[index])[is_used]
-        pull[index, samples.columns[index]] = block[rows][is_used].T @ difference
+    pull = np.zeros((len(columns.joints), len(columns.names)))
+    for dataset, recording in zip(columns.datasets, samples):
+        signals = dataset.remove_delay(point.delay).signals
+        if signals is None:
+            continue
+        rows, second = signals.refiltered_motion
+        once = vars(signals.decimated_motion()).values()
+        first = Motion(*(series[rows] for series in once))
+        same_direction = np.sign(first.qd) == np.sign(second.qd)
+        equations, values = columns.arm_torque(point, dataset.is_loaded)
+        torques = _torques(equations, first, values)
+        refiltered = _torques(equations, second, values)
+        for (index, block, tau), joint in zip(recording, equations.joint_indices):
+            # Where the second low-pass reverses a velocity, the difference is the sign of friction.
+            is_used = np.isfinite(tau[rows]) & same_direction[:, joint]
+            difference = (torques[index] - refiltered[index])[is_used]
+            bias = block[rows][is_used].T @ difference
+            pull[index, recording.columns[index]] += bias
     return pull
 
 

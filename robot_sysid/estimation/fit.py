@@ -477,7 +477,10 @@ def squared_effect(fit: Fit, change: Array) -> float:
 
 
 def _has_converged(fit: Fit, next_point: Point) -> bool:
-    """Tell whether a fit's point and the next one differ less than the limits above."""
+    """Tell whether the step from a fit's point to the next one is below every ``_SETTLED`` limit.
+
+    The limits are on predicted torques and unknowns together, delay, gravity and friction's speeds.
+    """
     point = fit.point
     change = np.zeros(len(fit.values))
     indices = np.setdiff1d(
@@ -499,7 +502,10 @@ def _has_converged(fit: Fit, next_point: Point) -> bool:
 
 
 def correlation_factors_of(choice: Choice, n_joints: int) -> Array:
-    """Return how many rows (joints,) count as one independent row by a choice; one as default."""
+    """Return how many rows of each joint (joints,) count as one independent row in a choice.
+
+    It is one for every joint where the choice does not say.
+    """
     factors = choice.correlation_factors
     return np.ones(n_joints) if factors is None else np.array(factors)
 

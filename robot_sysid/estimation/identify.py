@@ -27,7 +27,13 @@ from robot_sysid.estimation.choices import (
     select_couplings,
 )
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
-from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, Mask, mean_torque
+from robot_sysid.estimation.dataset import (
+    Dataset,
+    DecimatedSamples,
+    Mask,
+    mean_torque,
+    motion_signals,
+)
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Fit, Fitter, restrict_samples
@@ -153,7 +159,7 @@ def answer_link(
         # The file's rows, which the report draws, take as much memory.
         fit = replace(fit, samples=(), evidence=fit.evidence.merge_blocks())
         file = fit_file(fitter, options, unchanged_parts, fit)
-    signals = [dataset.signals for dataset in datasets if dataset.signals is not None]
+    signals = motion_signals(datasets)
     notes: list[str] = []
     if any({"coulomb", "offset"} <= set(model.terms) for model in choice.friction):
         for log_signals in signals:

@@ -280,8 +280,9 @@ def friction_of_logs(
 
 
 def _friction_names(unknowns: Unknowns) -> list[str]:
-    """Return the estimated friction terms, without rotor inertia, which does not change between
-    logs, and without the terms that are nuisances.
+    """Return the names of the estimated friction terms that may differ between logs.
+
+    Rotor inertia, and friction terms that only a prior allows for, are not among them.
     """
     terms = TERMS.keys() - {"armature"}
     names = []
@@ -294,8 +295,15 @@ def _friction_names(unknowns: Unknowns) -> list[str]:
 def _weights_beside_friction(
     fit: Fit, log: Sequence[DecimatedSamples], indices: NDArray[np.int64]
 ) -> Array:
-    """Return the weights (joints,) of a log [1/(N m)]: one over the noise of its residuals after
-    friction was fitted to it alone, enlarged for the autocorrelation of that noise.
+    """Return the weights (joints,) of the equations of one log, 1 / noise [1/(N m)].
+
+    The noise is that of the log's residuals after friction was fitted to this log alone. It is
+    enlarged for its autocorrelation. A joint without used rows has the weight 0.
+
+    Args:
+        fit: all logs together, which gives the other parameters.
+        log: rows of the log's recordings in the k estimated parameters.
+        indices: (f,) of the friction terms among the k estimated parameters.
     """
     values = fit.values[fit.unknowns.estimated]
     weights = np.zeros(len(log[0].columns))
@@ -314,12 +322,13 @@ def _weights_beside_friction(
 
 
 def _largest_difference(values: Array, squares: Array) -> float:
-    """Return the largest difference of a joint's friction torque between two logs (rms),
-    as a share of its mean friction torque.
+    """Return the largest difference of a joint's friction torque between any two of L logs.
+
+    It is the root mean square over the rows, as a share of the torque of the mean friction.
 
     Args:
         values: (L, m) friction coefficients by log.
-        squares: (m, m) Y^T Y of their columns.
+        squares: (m, m) Y^T Y of the columns Y of these coefficients.
     """
     mean = np.mean(values, axis=0)
     pairs = itertools.combinations(values, 2)
@@ -331,7 +340,12 @@ def _largest_difference(values: Array, squares: Array) -> float:
 def _agreement(
     masses: Mapping[str, tuple[float, float]], has_same_friction: bool
 ) -> Iterator[str]:
-    """Yield sentences on how far the masses of the logs agree, (mass, standard error) each [kg]."""
+    """Yield sentences on how far the masses of the terminal link by log agree.
+
+    Args:
+        masses: name of a log to (mass, standard error) from that log alone [kg].
+        has_same_friction: whether no difference in friction between the logs is reported.
+    """
     identified = {name: pair for name, pair in masses.items() if 0.0 < pair[1] < np.inf}
     phrases = []
     for name, (mass, error) in masses.items():

@@ -31,7 +31,12 @@ from robot_sysid.estimation.choices import (
     select_couplings,
 )
 from robot_sysid.estimation.columns import Point
-from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, squared_torque
+from robot_sysid.estimation.dataset import (
+    Dataset,
+    DecimatedSamples,
+    motion_signals,
+    squared_torque,
+)
 from robot_sysid.estimation.errors import (
     filtering_bias,
     fit_errors,
@@ -159,7 +164,7 @@ class LogInformation:
         )
 
     def __radd__(self, other: object) -> LogInformation:
-        """Return this: ``sum`` starts with 0."""
+        """Return this record for 0 + record, with which ``sum`` starts."""
         return self if other == 0 else NotImplemented
 
     @property
@@ -228,11 +233,14 @@ class _Fixed(Fitter):
             self.residual_correlation = np.array(times)
 
     def around(self, point: Point) -> tuple[Evidence, tuple[DecimatedSamples, ...]]:
-        """Return the evidence of the logs, and no rows."""
+        """Return (evidence of all logs around the fitter's own point, no rows)."""
         return self._information.evidence, ()
 
     def correlation_factors(self, fit: Fit) -> Array:
-        """Return how many rows (joints,) of each joint count as one, by the first round."""
+        """Return how many rows of each joint (joints,) count as one independent row.
+
+        It follows from the residuals of the first round; in that round it is one.
+        """
         return fit.residual_correlation
 
     def fit(
@@ -284,23 +292,22 @@ def log_information(
     if around is not None:
         log_sums = [residuals_to_add(first, log_samples) for log_samples in samples]
         residuals = tuple(reduce(add, joint_sums) for joint_sums in zip(*log_sums))
-    pairs = list(zip(datasets, samples))
+    row_samples = []
+    for pair in zip(datasets, samples):
+        row_samples.append(_sample_rows(*pair, point.values))
+    signals = motion_signals(datasets)
     torque, count = squared_torque(datasets)
     return LogInformation(
         settled=settled,
         evidence=evidence(samples, np.sqrt(torque / count)),
         residuals=residuals,
-        pull=np.sum([filtering_bias(columns, point, *pair) for pair in pairs], axis=0),
-        rows=reduce(add, [_sample_rows(*pair, point.values) for pair in pairs]),
+        pull=filtering_bias(columns, point, samples),
+        rows=reduce(add, row_samples),
         torque=torque,
         samples=count,
         duration=sum(float(log.time[-1] - log.time[0]) for log in logs),
         logs=1,
-        acceleration_error=max(
-            dataset.signals.acceleration_error
-            for dataset in datasets
-            if dataset.signals
-        ),
+        acceleration_error=max(log.acceleration_error for log in signals),
         notes=tuple(dict.fromkeys((*notes, *messages)))[:MOST_NOTES],
     )
 

@@ -127,7 +127,7 @@ def test_friction_says_nothing_where_the_second_low_pass_reverses_the_motion(
         ProcessedSignals, "refiltered_motion", property(reversed_motion)
     )
     point = replace(fit.point, values=fit.values)
-    assert not np.any(filtering_bias(fit.columns, point, recording, fit.samples[0]))
+    assert not np.any(filtering_bias(fit.columns, point, fit.samples))
 
 
 @pytest.mark.parametrize(("seed", "seconds"), [(2, 0.1), (0, 0.3)])
