@@ -235,7 +235,14 @@ def _help_text(option: options.Option, default: Any) -> str:
 def _add_option(
     group: Any, option: options.Option, default: Any, is_hidden: bool
 ) -> None:
-    """Add an option to a group of a parser; a hidden one has no help."""
+    """Add an option to a group of a parser.
+
+    Args:
+        group: group of an argparse parser, which is changed.
+        option: name, help, unit, choices and parser of the option's text.
+        default: shown in the help; a truth value makes the option a switch without a value.
+        is_hidden: whether the help leaves the option out.
+    """
     flags = [option.short, option.flag] if option.short else [option.flag]
     settings: dict[str, Any] = {
         "help": argparse.SUPPRESS if is_hidden else _help_text(option, default),

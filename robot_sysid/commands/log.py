@@ -15,6 +15,7 @@ from robot_sysid.preview import PreviewOptions, require_preview, show_preview
 from robot_sysid.records.option_fields import given_options, record_from
 
 INTERRUPTED = "interrupted; nothing was written"
+"""What is said where the user interrupts the command."""
 LEFT_OUT = ("measurements", "validation_measurements", "verify_rollout")
 """Keys of a log's options that only identifications have."""
 WITHOUT_MODEL = ("topic", "episode")
@@ -76,7 +77,19 @@ def _check_log(
     preview_options: PreviewOptions,
     console: Console,
 ) -> None:
-    """Print a log's findings against a model; SysidError where one is not accepted."""
+    """Print a log's findings against a model, and a film or the viewer where one is asked for.
+
+    Args:
+        path: of the log.
+        model_path: of the model.
+        log_options: how the log is read, and which findings are accepted.
+        model_options: the arm in the model.
+        preview_options: how the recorded motion is shown.
+        console: prints the findings, and their JSON.
+
+    Raises:
+        SysidError: a finding is not accepted; raised when all is printed.
+    """
     from robot_sysid.diagnosis.log_checks import check_against_model, require_acceptable
     from robot_sysid.logs.reader import open_log
     from robot_sysid.parser import load_robot_model

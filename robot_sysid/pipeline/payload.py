@@ -53,7 +53,16 @@ class RawRecording(Piece):
 def identify_payload(
     config: PayloadConfig, robot: RobotModel, progress: Progress
 ) -> Identification:
-    """Identify a payload; no file is written."""
+    """Identify a payload from the logs that a configuration names; no file is written.
+
+    Args:
+        config: names the empty and the loaded logs, and how they are read and fitted.
+        robot: the arm that carries the payload.
+        progress: receives stages and notes.
+
+    Raises:
+        InputError: a log cannot be used, or is refused by the checks.
+    """
     options = config.payload
     flange = find_flange(robot, options.flange)
     if flange.note:
@@ -156,7 +165,16 @@ def _moving_datasets(
 def _resting_datasets(
     robot: RobotModel, recordings: Sequence[RawRecording], positions: Array
 ) -> tuple[list[Dataset], tuple[str, ...]]:
-    """Return recordings as poses at rest, at ``positions`` (k,) in the order, and notes on them."""
+    """Return recordings as poses at rest, and notes on them, one sentence each.
+
+    Args:
+        robot: the arm.
+        recordings: k logs of slow motions that rest at poses, each approached from both sides.
+        positions: (k,) of ``order_positions``; all zero where the order is not known.
+
+    Raises:
+        InputError: a recording holds no such poses; its message begins with the recording's name.
+    """
     datasets = []
     notes = {}
     for recording, position in zip(recordings, positions.tolist()):
@@ -173,6 +191,7 @@ def _resting_datasets(
 
 
 def _no_drift_note(recordings: Sequence[RawRecording], is_order_known: bool) -> str:
+    """Return the sentence that says why no drift of friction is estimated, and what to do."""
     reason = "their order does not tell it from the payload"
     if not is_order_known and len(recordings) != 2:
         reason = "the order in which they were recorded is not known (--order tells it)"
@@ -188,7 +207,17 @@ def _read_recordings(
     robot: RobotModel,
     progress: Progress,
 ) -> list[RawRecording]:
-    """Return all recordings, empty ones first."""
+    """Return all recordings, empty ones first; each is read, and diagnosed unless it rests.
+
+    Args:
+        options: name the logs without and with the payload.
+        log_options: how a log is read, and which of its faults are accepted.
+        robot: the arm.
+        progress: receives a stage per log, and the findings.
+
+    Raises:
+        InputError: a log cannot be read or is refused.
+    """
     kinds = [(path, False) for path in options.empty]
     kinds += [(path, True) for path in options.loaded]
     recordings = []
@@ -238,6 +267,7 @@ def is_drift_identifiable(recordings: Sequence[RawRecording], positions: Array) 
 
 
 def _scaled_to_unit(positions: Array) -> Array:
+    """Return numbers (k,) scaled to the range from -1 to 1; zeros where all are equal."""
     low = float(np.min(positions))
     high = float(np.max(positions))
     if high <= low:

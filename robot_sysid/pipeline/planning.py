@@ -37,7 +37,14 @@ gentler, but an arm that sticks longer at its reversals shows less: 0.03 costs a
 def design_motion(
     config: SysidConfig, robot: RobotModel, progress: Progress
 ) -> tuple[CheckedPlan, int]:
-    """Return the motion of a run with its limit check, and the seed it was drawn with."""
+    """Return the motion of a run with its limit check, and the seed it was drawn with.
+
+    Args:
+        config: settings of motion, design, limits, motors and estimate; without a seed, one is
+            drawn.
+        robot: the arm.
+        progress: receives stages, and the progress of a search.
+    """
     seed = config.with_seed().trajectory.seed or 0
     limits = config.limits
     motors = config.motors
@@ -113,7 +120,13 @@ def predict_plan(
 
 
 def write_plan(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Outcome:
-    """Write a planned motion, unless it breaks a limit, and return the outcome of the command."""
+    """Write a planned motion, unless it breaks a limit, and return the outcome of the command.
+
+    Args:
+        config: names the files, and says what the motion is for.
+        robot: the arm.
+        checked: the motion with its limit check.
+    """
     prediction, lines = predict_plan(config, checked)
     failure = checked.failure
     paths: tuple[Path, ...] = ()
@@ -155,7 +168,17 @@ def _write_motion(
 def _shortfalls(
     config: SysidConfig, checked: CheckedPlan, prediction: Prediction | None
 ) -> tuple[list[str], str]:
-    """Return what keeps a motion from its purpose, and the command that plans a better one."""
+    """Return what keeps a motion from its purpose, and the command that plans a better one.
+
+    Args:
+        config: the settings with which the motion was planned.
+        checked: the motion with its limit check.
+        prediction: errors to expect of an identification from it; None where it serves another
+            purpose.
+
+    Returns:
+        One sentence per shortfall; the command, "" where there is no better motion to plan.
+    """
     from robot_sysid.motion.prediction import contact_before
 
     if checked.problem is None or checked.failure:
@@ -190,10 +213,17 @@ def draft_plan(
     plan: MotionPlan,
     rate: float,
 ) -> tuple[Path, ...]:
-    """Draft a trajectory, and beside it its samples at a rate [Hz], among ``files``.
+    """Draft a trajectory, and beside it a table of its samples, among files that appear together.
+
+    Args:
+        files: which receive both drafts.
+        path: of the trajectory (.json); the samples get the ending .csv. None writes nothing.
+        robot: the arm that the motion was planned for.
+        plan: the motion.
+        rate: of the samples [Hz].
 
     Returns:
-        the paths that both will have; empty where ``path`` is None.
+        The paths that both will have; empty where ``path`` is None.
     """
     if path is None:
         return ()
@@ -241,7 +271,10 @@ def motor_writer(
 def motor_commands(
     robot: RobotModel, plan: MotionPlan, rate: float
 ) -> Iterator[MotionChunk]:
-    """Yield time, positions, speeds and feed-forward torques of a motion, sampled at a rate [Hz].
+    """Yield stretches of a motion, sampled at a rate [Hz], as motors are commanded.
+
+    Each is (time (N,) [s], positions (N, n) [rad or m], speeds (N, n), feed-forward torques (N, n)
+    [N m or N]).
 
     The step of dry friction at a reversal would be a blow to the arm, so it is made smooth:
     coulomb tanh(qd / 0.01 rad/s) in place of coulomb sign(qd).

@@ -56,7 +56,16 @@ _NOISE_STREAM = 1
 def identify_logs(
     config: SysidConfig, robot: RobotModel, progress: Progress
 ) -> Identification:
-    """Read the logs, diagnose each of them, and identify the arm from all."""
+    """Read the logs, diagnose each of them, and identify the arm from all.
+
+    Args:
+        config: names the logs, and says how they are read and fitted.
+        robot: the arm as in the model.
+        progress: receives stages and notes.
+
+    Raises:
+        InputError: a log cannot be read or is refused.
+    """
     options = config.log
     logs = []
     for path in options.measurements:
@@ -89,7 +98,15 @@ def identify_plant(
     seed: int,
     progress: Progress,
 ) -> Identification:
-    """Let another model play the real arm along a motion, and identify from its sensors."""
+    """Let another model play the real arm along a motion, and identify from its sensors.
+
+    Args:
+        config: names the other model, its sensors' noise, and how the samples are fitted.
+        robot: the arm as in the model that is to be corrected.
+        plan: the motion.
+        seed: of the simulated noise, and of the motion, for the record.
+        progress: receives stages and notes.
+    """
     arm = config.arm
     rate = config.trajectory.sample_rate
     assert arm.plant_model is not None
@@ -192,7 +209,14 @@ def _identify_pieces(
 def _with_file_tests(
     result: Result, tests: Sequence[Dataset], checkpoints: Motion, mesh_dir: Path | None
 ) -> Result:
-    """Return the result with the written file's own error on other logs, by inverse dynamics."""
+    """Return the result with the written file's own error on other logs, by inverse dynamics.
+
+    Args:
+        result: the identification; returned as it is where it is written to no file.
+        tests: the other logs, low-passed.
+        checkpoints: motion on which the written model must reproduce the predicted torque.
+        mesh_dir: the user's mesh folder, if any.
+    """
     if result.file is None or not tests or not result.verdict.writes_model:
         return result
     robot = result.robot

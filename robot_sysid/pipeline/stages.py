@@ -109,7 +109,18 @@ def load_arm(
 
 
 def identify(config: Config, robot: RobotModel, progress: Progress) -> Identification:
-    """Identify an arm or a payload from logs or a simulation; no result file is written."""
+    """Identify an arm or a payload from logs or a simulation; no result file is written.
+
+    A simulated motion is saved where the configuration names a file for it.
+
+    Args:
+        config: says what is identified from which data, and how.
+        robot: the arm as in the model.
+        progress: receives stages and notes.
+
+    Raises:
+        InputError: a log cannot be used, or the motion breaks a limit.
+    """
     config = config.with_scale_uncertainty(robot.joint_names)
     if isinstance(config, PayloadConfig):
         from robot_sysid.pipeline.payload import identify_payload
@@ -151,7 +162,13 @@ def identify(config: Config, robot: RobotModel, progress: Progress) -> Identific
 def write_results(
     config: Config, identification: Identification, progress: Progress
 ) -> Outcome:
-    """Write all files of an identification and return the outcome of the command."""
+    """Write all files of an identification and return the outcome of the command.
+
+    Args:
+        config: the options of the run, with the folder to write to.
+        identification: what is written; ``--verify-rollout`` adds a simulation of both models.
+        progress: receives stages, and notes on what was written.
+    """
     result = identification.result
     robot = result.robot
     mesh_dir = config.model.mesh_dir
@@ -254,9 +271,16 @@ def _traces(
     model: FrictionModel,
     estimate: Estimate,
 ) -> Traces:
-    """Return measured and predicted torques for a report.
+    """Return simulated and predicted torques of a self-test for a report.
 
-    It simulates anew from records: MuJoCo's own data cannot be kept safely until then.
+    The model is simulated anew: MuJoCo's own data cannot be kept safely until then.
+
+    Args:
+        robot: the arm.
+        plan: the motion of the self-test.
+        torques: "chain" or "terminal", the joints whose torques were fitted.
+        model: friction of the terminal joint.
+        estimate: the identified parameters, by whose values the torque is predicted.
     """
     from robot_sysid.estimation.build_result import make_traces
     from robot_sysid.estimation.dataset import equations_at

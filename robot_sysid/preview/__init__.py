@@ -61,7 +61,14 @@ def require_preview(options: PreviewOptions) -> None:
 def show_preview(
     robot: RobotModel, preview: Preview, options: PreviewOptions, progress: Progress
 ) -> None:
-    """Render a motion as a film and play it in the viewer, whichever the options want."""
+    """Render a motion as a film and play it in the viewer, whichever the options want.
+
+    Args:
+        robot: the arm that moves.
+        preview: its positions and the quantities drawn beside it.
+        options: name the film's file, and say whether the viewer is opened.
+        progress: receives a stage before and after the film is rendered.
+    """
     from robot_sysid.preview.film import play_in_viewer, write_film
 
     if options.video:

@@ -39,8 +39,11 @@ NO_RENDERER = (
     "libegl1 libosmesa6); MUJOCO_GL chooses one"
 )
 NO_DISPLAY = "--view needs a display and there is none here; --video FILE.mp4 renders without one"
+"""What is said where no window can be opened."""
 _WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
+"""Colour of the background."""
 _BONE: Colour = (0.55, 0.58, 0.62, 1.0)
+"""Colour of the lines between joints of an arm without shapes."""
 _PROBE = (
     "import importlib, sys; "
     "c = importlib.import_module('mujoco.' + sys.argv[1]).GLContext(64, 64); "
@@ -61,9 +64,13 @@ _GIF_STEP = 2
 _PAUSE = 1.0
 """Rest before the viewer plays the motion again [s]."""
 _INK = "#1b1f24"
+"""Colour of text in the panel of plots (RGB, hexadecimal)."""
 _LINE = "#0b62a8"
+"""Colour of a curve."""
 _LIMIT = "#b02a1c"
+"""Colour of the dashed line of a limit."""
 _CURSOR = (176, 42, 28)
+"""Red, green and blue (0 to 255) of the column of pixels at the present instant."""
 
 
 @lru_cache(maxsize=1)
@@ -90,6 +97,7 @@ class Studio:
     """One arm in front of a plain background; a context manager.
 
     Args:
+        robot: the arm; its compiled model is copied and stays as it is.
         width: of the pictures [pixels].
         height: of the pictures [pixels].
 
@@ -215,7 +223,15 @@ class Studio:
     def _add_geom(
         self, shape: Any, size: Array, centre: Array, rotation: Array, colour: Colour
     ) -> None:
-        """Add a geom with a size (3,), centre (3,) and rotation (3, 3), if the scene has room."""
+        """Add a geom to the picture, if the scene has room.
+
+        Args:
+            shape: MuJoCo's ``mjtGeom``.
+            size: (3,) half axes or half lengths [m], as MuJoCo takes them of this shape.
+            centre: (3,) in the world frame [m].
+            rotation: (3, 3) from the geom's axes to those of the world.
+            colour: red, green, blue and opacity, 0 to 1.
+        """
         if self.scene.ngeom >= self.scene.maxgeom:
             return
         geom = self.scene.geoms[self.scene.ngeom]
@@ -227,7 +243,15 @@ class Studio:
     def _connect(
         self, shape: Any, width: float, colour: Colour, start: Array, end: Array
     ) -> None:
-        """Add a shape that reaches from one point (3,) to another one, if they differ."""
+        """Add a shape that reaches from one point to another one, if they differ and there is room.
+
+        Args:
+            shape: MuJoCo's ``mjtGeom``, a cylinder or a capsule.
+            width: its radius [m].
+            colour: red, green, blue and opacity, 0 to 1.
+            start: (3,) in the world frame [m].
+            end: (3,) in the world frame [m].
+        """
         if np.any(start != end) and self.scene.ngeom < self.scene.maxgeom:
             self._add_geom(shape, np.ones(3), start, np.eye(3), colour)
             geom = self.scene.geoms[self.scene.ngeom - 1]
@@ -342,7 +366,14 @@ def require_film(path: Path) -> None:
 def write_film(
     robot: RobotModel, preview: Preview, path: Path, progress: Progress
 ) -> None:
-    """Write a motion as .mp4 or .gif; the file appears complete or not at all."""
+    """Write a motion as .mp4 or .gif; the file appears complete or not at all.
+
+    Args:
+        robot: the arm that moves.
+        preview: its positions, and the quantities plotted beside the picture of the arm.
+        path: of the film; its ending chooses the format.
+        progress: is advanced with each picture.
+    """
     import imageio.v2 as imageio
 
     is_gif = path.suffix.lower() == ".gif"

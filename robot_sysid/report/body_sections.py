@@ -254,7 +254,13 @@ def visibility(run: Run) -> Section:
 
 
 def _source(body: Body, k: int, is_payload: bool) -> str:
-    """Return where the value of parameter k (0 to 9) of a body comes from, as text of a cell."""
+    """Return where the value of a parameter comes from, the data or the model, as text of a cell.
+
+    Args:
+        body: the body.
+        k: index of the parameter, 0 to 9.
+        is_payload: whether the body is a payload, of which no model exists.
+    """
     if body.is_from_model[k]:
         return "not known" if is_payload else "the model (not visible)"
     if np.isfinite(body.share[k]) and body.share[k] < PRIOR_SHARE:

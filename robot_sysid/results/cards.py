@@ -337,7 +337,13 @@ def is_inertia_known(body: BodyEstimate) -> bool:
 
 
 def card_text(cards: Sequence[Card], payload: Payload, model_name: str) -> str:
-    """Return the text of payload_card.txt: a heading, then each card with its explanation."""
+    """Return the text of payload_card.txt: a heading, then each card with its explanation.
+
+    Args:
+        cards: of ``payload_cards``.
+        payload: the payload that they state.
+        model_name: file name of the arm's model, for the heading.
+    """
     mass_error = float(payload.body.errors[0])
     mass = with_error(payload.body.inertial.mass, mass_error, "kg")
     recordings = payload.recordings

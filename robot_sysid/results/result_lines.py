@@ -214,7 +214,13 @@ def _joint_lines(result: Result) -> Iterator[str]:
 
 
 def _term_text(term: str, joint: JointEstimate, is_slide: bool) -> str:
-    """Return a friction term of a joint, such as "coulomb 0.4 -> 0.133 ± 0.004 N·m"."""
+    """Return a friction term of a joint, such as "coulomb 0.4 -> 0.133 ± 0.004 N·m".
+
+    Args:
+        term: name of the term, such as "coulomb".
+        joint: the estimate of the joint that has it.
+        is_slide: whether the joint is a slide, which determines the unit.
+    """
     value, error = joint.terms[term]
     prior = joint.model_terms.get(term)
     start = term if prior is None else f"{term} {number_text(prior)} ->"

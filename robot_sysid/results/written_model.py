@@ -141,7 +141,17 @@ def write_joints(
     actuators: Sequence[ActuatorChange],
     target: ModelTarget,
 ) -> tuple[str, ...]:
-    """Write a model with new numbers for its joints and servos; notes as in ``write_model``."""
+    """Write a model with new numbers for its joints and servos, and return notes for the user.
+
+    Args:
+        robot: the arm as in the original model, whose links stay as they are.
+        joints: new rotor inertia and friction of joints.
+        actuators: new gains of position actuators.
+        target: where to write.
+
+    Raises:
+        ExportError: the model cannot hold the numbers; the draft is withdrawn.
+    """
     joint_changes, notes = _changes_of_kind(robot, joints)
     change = ModelChange((), target.rmse, joint_changes, None, tuple(actuators))
     return notes + _write(robot, change, target, robot.thetas)
@@ -287,9 +297,15 @@ def _body_changes(
 def _link_comments(
     robot: RobotModel, written_links: Sequence[int], joints: Sequence[JointChange]
 ) -> list[list[str]]:
-    """Return for each link the comments on changed joints that move it.
+    """Return for each of the arm's links, base to terminal, the comments on changed joints.
 
-    The comment on a joint whose link is not written stands with the terminal link.
+    A comment stands with the link that the joint moves, or, where that link is not written, with
+    the terminal link.
+
+    Args:
+        robot: the arm.
+        written_links: indices of the links that are written.
+        joints: the changed joints.
     """
     link_by_body = {robot.links[k].body_id: k for k in written_links}
     comments: list[list[str]] = [[] for _ in robot.links]
@@ -307,7 +323,11 @@ def _payload_body(
 ) -> WeldedBody:
     """Return a new body for a payload, fixed to the body that carries the flange.
 
-    The text describes the payload for the comment.
+    Args:
+        robot: the arm.
+        payload: its parameters are in the flange frame, which becomes the frame of the body.
+        name: of the new body.
+        text: describes the payload in a comment of the file.
     """
     flange = payload.flange
     rotation, translation = place_in_carrier(robot, flange)
@@ -323,8 +343,15 @@ def _write(
 ) -> tuple[str, ...]:
     """Write the draft of a changed model, verify it, and return notes on its bodies.
 
-    The compiled draft must predict the torques of links with parameters thetas (n, 10). Where it
-    does not, ExportError is raised and the draft is withdrawn.
+    Args:
+        robot: the arm with the original model.
+        change: the difference that is written.
+        target: where to write.
+        thetas: (n, 10) parameters of the links whose torques the compiled draft must predict.
+
+    Raises:
+        ExportError: the draft does not load, differs in anything else, or takes other torques; it
+            is withdrawn.
     """
     written = [body.plan.theta for body in change.bodies]
     if change.welded is not None:
