@@ -103,15 +103,22 @@ def commanded_pieces(
     for log in logs:
         pieces += log.pieces
         for joint in np.flatnonzero(is_moving(log.pieces)).tolist():
-            pairs = []
-            for piece in log.pieces:
-                if piece.command is not None:
-                    pairs.append((piece.q[:, joint], piece.command[:, joint]))
-            for fault in _command_faults(pairs):
+            for fault in _command_faults(_positions_and_commands(log, joint)):
                 raise InputError(
                     f"{log.path}: the commands of joint {joint_names[joint]} {fault}"
                 )
     return pieces
+
+
+def _positions_and_commands(
+    log: MeasurementLog, joint: int
+) -> list[tuple[Array, Array]]:
+    """Return positions (N,) and commands (N,) of a joint in each piece of a log with commands."""
+    pairs = []
+    for piece in log.pieces:
+        if piece.command is not None:
+            pairs.append((piece.q[:, joint], piece.command[:, joint]))
+    return pairs
 
 
 def is_moving(pieces: Sequence[Measurement]) -> NDArray[np.bool_]:
