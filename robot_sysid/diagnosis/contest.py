@@ -16,13 +16,7 @@ import numpy as np
 
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.explanations import BaseFit, Explanation, explanations
-from robot_sysid.diagnosis.log_model import (
-    LogModel,
-    Posterior,
-    base_prior,
-    log_rows,
-    rms,
-)
+from robot_sysid.diagnosis.log_model import LogModel, Posterior, log_rows, rms
 from robot_sysid.diagnosis.relabelling import (
     Correction,
     find_wrong_columns,
@@ -236,8 +230,7 @@ class Contest:
     ) -> None:
         self.signals = signals
         self.options = options
-        log = log_rows(robot, signals)
-        self.posterior = LogModel(log, base_prior(log, options)).posterior()
+        self.posterior = LogModel(log_rows(robot, signals), options).posterior()
 
     def corrections(self, divided: Array, winner: Score | None) -> list[Correction]:
         """Return plausible corrections of mistaken columns, the largest gain first.

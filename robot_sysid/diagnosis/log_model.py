@@ -118,7 +118,6 @@ class LogRows:
         used: (K, n) bool, whether a row counts: the joint moves fast enough for its friction to
             have a direction, and all numbers are finite.
         windows: slices of instants without gaps, which are transformed together.
-        point_values: (p,) parameters around which the rows are linearised.
     """
 
     columns: Columns
@@ -129,7 +128,6 @@ class LogRows:
     right_sides: Array
     used: NDArray[np.bool_]
     windows: tuple[slice, ...]
-    point_values: Array
 
     @property
     def robot(self) -> RobotModel:
@@ -184,21 +182,17 @@ def log_rows(
     robot: RobotModel,
     signals: Sequence[ProcessedSignals],
     used: NDArray[np.bool_] | None = None,
-    values: Array | None = None,
 ) -> LogRows:
-    """Return the equations of a log.
+    """Return the equations of a log, linearised around the model.
 
     Args:
         robot: the arm with its model.
         signals: low-passed signals, one per piece of the log.
         used: (K, n) bool, the rows that count; None for those in which the joint moves.
-        values: (p,) parameters around which the rows are linearised; None for the model's.
     """
     datasets = [Dataset("log", piece) for piece in signals]
     columns = Columns(robot, datasets, couplings=tuple(neighbours(robot)))
-    start = columns.start()
-    point = start if values is None else replace(start, values=values)
-    samples = columns.samples(point)
+    samples = columns.samples(columns.start())
     motions = [dataset.motion for dataset in datasets]
     motion = Motion(*map(np.concatenate, zip(*(vars(m).values() for m in motions))))
     speed = np.abs(motion.qd)
@@ -228,7 +222,6 @@ def log_rows(
         np.nan_to_num(right_sides),
         used,
         tuple(_windows([len(piece) for piece in samples], signals[0])),
-        point.values,
     )
 
 
@@ -394,9 +387,13 @@ class LogModel:
     ``log.used`` excludes are set to zero. Coefficients are deviations from the prior's means in
     units of its standard deviations. Copies share arrays: do not change them.
 
+    Args:
+        log: equations of the log.
+        options: prior uncertainties of the estimate.
+
     Attributes:
         log: equations of the log.
-        prior: prior of the log's parameters.
+        prior: ``base_prior`` of the log.
         count: (n,) number of rows of each joint that are used, at least one.
         rows: per joint (K, m) transformed columns, in units of the prior's standard deviations.
         indices: per joint (m,) indices of its columns among the prior's estimated parameters.
@@ -404,7 +401,8 @@ class LogModel:
         explained: per joint (K, e) transformed columns of the explanations that were added.
     """
 
-    def __init__(self, log: LogRows, prior: Prior) -> None:
+    def __init__(self, log: LogRows, options: EstimationOptions) -> None:
+        prior = base_prior(log, options)
         self.log = log
         self.prior = prior
         self.count = np.maximum(np.sum(log.used, axis=0), 1)
@@ -483,15 +481,13 @@ class LogModel:
             spectra += [1.0 - share + share * slow for share in SHARES]
         return np.array(spectra)
 
-    def posterior(
-        self, noise: Array | None = None, rounds: int = _MORE_ROUNDS
-    ) -> Posterior:
+    def posterior(self, noise: Array | None = None) -> Posterior:
         """Return the posterior under the most likely noise.
 
-        Args:
-            noise: (K, n) variances at which the search begins [N^2 m^2]; None for white noise.
-            rounds: rounds of expectation maximisation; ``_ROUNDS`` where ``noise`` is None.
+        ``noise`` (K, n) are the variances at which the search begins [N^2 m^2]; None for white
+        noise.
         """
+        rounds = _MORE_ROUNDS
         if noise is None:
             variance = (_FIRST_NOISE * self._typical_torque) ** 2
             noise = np.tile(variance, (len(self.right_sides), 1))

@@ -27,7 +27,6 @@ from robot_sysid.diagnosis.log_model import (
     LogModel,
     LogRows,
     Posterior,
-    base_prior,
     log_rows,
     rms,
 )
@@ -278,7 +277,7 @@ def find_wrong_columns(
     ) -> Posterior:
         """Return the posterior of pieces after a mistake's correction, with ``used`` (K, n)."""
         rows = log_rows(robot, mistake.correct(pieces), used)
-        return LogModel(rows, base_prior(rows, options)).posterior()
+        return LogModel(rows, options).posterior()
 
     stretch = [_busiest(signals)]
     used = log_rows(robot, stretch).used
@@ -376,7 +375,7 @@ def find_wrong_scales(
     if scales.spread < _SAME:
         scale = np.full(len(scale), _unit_near(typical, common_error) or typical)
     undone = log.with_torque(log.torque / scale)
-    posterior = LogModel(undone, base_prior(undone, options)).posterior()
+    posterior = LogModel(undone, options).posterior()
     density = float(np.sum(base.model.count * np.log(scale)))
     gain = posterior.log_evidence - density - base.log_evidence - scales.penalty
     names = log.robot.joint_names
@@ -440,15 +439,14 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
     values: Array | None = None
     for _ in range(_ROUNDS):
         undone = log.with_torque(log.torque / scale)
-        prior = base_prior(undone, options)
-        base = LogModel(undone, prior)
-        rigid = undone.links_torque(prior.mean if values is None else values)
+        base = LogModel(undone, options)
+        rigid = undone.links_torque(base.prior.mean if values is None else values)
         columns = []
         for joint, own_column in enumerate(np.eye(len(scale))):
             of_joint = _FAR * rigid[:, joint, None] * own_column
             columns.append(base.transform(joint, of_joint))
         posterior = base.with_columns(columns).posterior()
-        first = len(prior.estimated)
+        first = len(base.prior.estimated)
         change = np.clip(1.0 + _FAR * posterior.coefficients[first:], 0.2, 5.0)
         covariance = _FAR**2 * posterior.covariance[first:, first:]
         covariance = covariance / np.outer(change, change)

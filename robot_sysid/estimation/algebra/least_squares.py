@@ -340,10 +340,11 @@ class InformationAccumulator:
         columns: Sequence[NDArray[np.int64]],
     ) -> None:
         self._names = tuple(names)
-        self._joints = tuple(joints)
-        self._columns = [np.asarray(c, dtype=np.int64) for c in columns]
-        self._triangles = [np.zeros((0, len(c) + 1)) for c in self._columns]
-        self._counts = [0] * len(self._joints)
+        self._joints = []
+        for joint, indices in zip(joints, columns):
+            indices = np.asarray(indices, dtype=np.int64)
+            triangle = np.zeros((0, len(indices) + 1))
+            self._joints.append(JointInformation(joint, indices, triangle, 0))
 
     def add(self, index: int, rows: Array, tau: Array) -> None:
         """Add equations rows x = tau of one joint.
@@ -353,16 +354,14 @@ class InformationAccumulator:
             rows: (N, k) one column per index in the joint's ``columns``.
             tau: (N,) torque [N m].
         """
-        self._triangles[index] = update_triangle(
-            self._triangles[index], np.column_stack((rows, tau))
-        )
-        self._counts[index] += len(tau)
+        joint = self._joints[index]
+        triangle = update_triangle(joint.triangle, np.column_stack((rows, tau)))
+        count = joint.n_samples + len(tau)
+        self._joints[index] = replace(joint, triangle=triangle, n_samples=count)
 
     def result(self) -> SquareRootInformation:
         """Return the information of all rows added so far."""
-        fields = (self._joints, self._columns, self._triangles, self._counts)
-        joints = tuple(map(JointInformation, *fields))
-        return SquareRootInformation(self._names, joints)
+        return SquareRootInformation(self._names, tuple(self._joints))
 
 
 def update_triangle(triangle: Array, rows: Array) -> Array:
@@ -471,11 +470,11 @@ def combine(blocks: Sequence[SquareRootInformation]) -> SquareRootInformation:
     if len(blocks) == 1:
         return blocks[0]
     joints = []
-    for first, *others in zip(*(block.joints for block in blocks)):
-        rows = np.vstack([first.triangle, *(joint.triangle for joint in others)])
-        triangle = update_triangle(first.triangle[:0], rows)
-        count = first.n_samples + sum(joint.n_samples for joint in others)
-        joints.append(replace(first, triangle=triangle, n_samples=count))
+    for of_blocks in zip(*[block.joints for block in blocks]):
+        rows = np.vstack([joint.triangle for joint in of_blocks])
+        triangle = update_triangle(rows[:0], rows)
+        count = sum(joint.n_samples for joint in of_blocks)
+        joints.append(replace(of_blocks[0], triangle=triangle, n_samples=count))
     return SquareRootInformation(blocks[0].names, tuple(joints), blocks[0].prior)
 
 

@@ -144,11 +144,6 @@ class NuisanceGroup:
         rows = inverse[self.indices(names)]
         return np.asarray(np.linalg.solve(self.widened * self.factor, rows))
 
-    def deviations(self, names: Sequence[str], values: Array) -> Array:
-        """Return F^-1 (d - d0) (k,), from parameters ``values`` (p,) in the order of ``names``."""
-        off = values[self.indices(names)] - self.mean
-        return np.asarray(np.linalg.solve(self.factor, off))
-
 
 def with_prior(
     information: SquareRootInformation, groups: Sequence[NuisanceGroup]
@@ -408,7 +403,7 @@ def misfits(
             if not wide_groups:
                 wide_groups = widened_groups(information, noise, groups, _NARROWEST)
                 wide_solution = problem.solve(wide_groups)[:2]
-            worst = _worst_members(group, group.deviations(problem.names, values))
+            worst = _worst_members(group, problem.names, values)
             wide = wide_groups[index]
             factor = _contradicted_factor(wide, problem.names, *wide_solution)
             conflicts.append(PriorConflict(group.cause, worst, factor, group.widened))
@@ -445,8 +440,14 @@ def largest_by_chance(freedom: float, chance: float) -> float:
     return float(chdtri(freedom, chance))
 
 
-def _worst_members(group: NuisanceGroup, off: Array) -> tuple[str, ...]:
-    """Return the links or joints with the largest deviations, from ``group.deviations`` (k,)."""
+def _worst_members(
+    group: NuisanceGroup, names: Sequence[str], values: Array
+) -> tuple[str, ...]:
+    """Return the links or joints of a group that deviate most from its prior, the worst one first.
+
+    ``values`` (p,) are the estimate of the parameters ``names`` (p,).
+    """
+    off = np.linalg.solve(group.factor, values[group.indices(names)] - group.mean)
     members = np.array(group.members)
     squares = {name: float(np.sum(off[members == name] ** 2)) for name in group.members}
     least = _SHARE_OF_WORST * max(squares.values())
