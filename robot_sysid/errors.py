@@ -170,10 +170,8 @@ def delay_signals(signals: tuple[signal.Signals, ...] = STOP_SIGNALS) -> Iterato
             cleanup.callback(signal.pthread_sigmask, signal.SIG_SETMASK, mask)
         if _in_main_thread():
             # A signal that another thread receives has its Python handler called in this one.
-            handlers = {}
-            for number in signals:
-                if signal.getsignal(number) is not None:
-                    handlers[number] = signal.signal(number, arrived.setdefault)
+            handled = [n for n in signals if signal.getsignal(n) is not None]
+            handlers = {n: signal.signal(n, arrived.setdefault) for n in handled}
             cleanup.callback(_deliver, arrived, handlers)
         yield
 

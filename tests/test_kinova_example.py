@@ -71,16 +71,12 @@ def test_joints_stand_at_the_published_heights_and_turn_in_the_published_sense(f
 
 def written_theta(file: str, body: str) -> np.ndarray:
     """Return theta (10,) from the numbers in the file, before MuJoCo's compiler sees them."""
-    inertial = ElementTree.parse(EXAMPLE / "model" / file).find(
-        f".//body[@name='{body}']/inertial"
-    )
-    mass, com, full = (
-        np.array(inertial.get(key).split(), dtype=float)
-        for key in ("mass", "pos", "fullinertia")
-    )
-    return spatial.theta_from_com(
-        mass[0], com, spatial.symmetric_from_six(full[[0, 3, 4, 1, 5, 2]])
-    )
+    model = ElementTree.parse(EXAMPLE / "model" / file)
+    inertial = model.find(f".//body[@name='{body}']/inertial")
+    com = np.array(inertial.get("pos").split(), dtype=float)
+    full = np.array(inertial.get("fullinertia").split(), dtype=float)
+    inertia = spatial.symmetric_from_six(full[[0, 3, 4, 1, 5, 2]])
+    return spatial.theta_from_com(float(inertial.get("mass")), com, inertia)
 
 
 def test_the_guess_has_the_terminal_link_of_the_readme():
@@ -134,10 +130,9 @@ def test_committed_models_are_what_the_script_writes(variant):
     committed = (EXAMPLE / "model" / variant.file).read_text(encoding="utf-8")
     written = make_model.model_xml(variant)
     assert NUMBER.sub("#", committed) == NUMBER.sub("#", written)
-    numbers = [
-        [float(n) for n in NUMBER.findall(text)] for text in (committed, written)
-    ]
-    assert_allclose(*numbers, rtol=1e-9, atol=1e-15)
+    old_numbers = np.array(NUMBER.findall(committed), dtype=float)
+    new_numbers = np.array(NUMBER.findall(written), dtype=float)
+    assert_allclose(old_numbers, new_numbers, rtol=1e-9, atol=1e-15)
 
 
 @pytest.mark.parametrize("name", sorted(links.link_meshes()))

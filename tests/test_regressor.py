@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_less
 from robot_sysid.dynamics import spatial
 from robot_sysid.model.bodies import body_theta
 from robot_sysid.regressor import derive_regressor, wrench_regressor
-from tests.support.arms import SEEDS, random_rotation
+from tests.support.arms import SEEDS, random_rotation, vector_text
 
 
 def wrench_scale(theta, omega, alpha, acceleration):
@@ -19,10 +19,8 @@ def wrench_scale(theta, omega, alpha, acceleration):
     rates = np.linalg.norm(alpha) + omega @ omega
     linear = np.linalg.norm(acceleration)
     length = spatial.characteristic_length(theta)
-    return (
-        theta[0] * (linear + rates * length) * np.array([length] * 3 + [1.0] * 3)
-        + 1e-30
-    )
+    force = theta[0] * (linear + rates * length)
+    return force * np.array([length] * 3 + [1.0] * 3) + 1e-30
 
 
 def regressor_of(omega, alpha, v, acceleration):
@@ -43,10 +41,8 @@ def test_numeric_regressor_is_the_symbolic_one():
 def free_body(theta):
     """Return the MuJoCo model of one free body with parameters theta (10,)."""
     mass, com, inertia = spatial.com_from_theta(theta)
-    full = " ".join(
-        f"{value:.17g}" for value in spatial.fullinertia_from_symmetric(inertia)
-    )
-    at = " ".join(f"{value:.17g}" for value in com)
+    full = vector_text(spatial.fullinertia_from_symmetric(inertia))
+    at = vector_text(com)
     return mujoco.MjModel.from_xml_string(
         f'<mujoco><option gravity="1 2 -9"/><worldbody><body><freejoint/><inertial pos="{at}" '
         f'mass="{mass:.17g}" fullinertia="{full}"/></body></worldbody></mujoco>'

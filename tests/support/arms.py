@@ -280,7 +280,8 @@ def rigid_bodies(draw):
     return spatial.theta_from_com(mass, distance * rng.normal(size=3), inertia)
 
 
-def _vector(values):
+def vector_text(values):
+    """Return numbers as the text of an attribute, with all digits."""
     return " ".join(f"{value:.17g}" for value in values)
 
 
@@ -293,8 +294,8 @@ def _random_axis(rng, axis_law):
 
 
 def _random_joint(rng, axis_law, slide):
-    axis = _vector(_random_axis(rng, axis_law))
-    origin = _vector(0.2 * rng.normal(size=3) * rng.integers(0, 2))
+    axis = vector_text(_random_axis(rng, axis_law))
+    origin = vector_text(0.2 * rng.normal(size=3) * rng.integers(0, 2))
     return (
         f'<joint type="{"slide" if slide else "hinge"}" axis="{axis}" pos="{origin}"/>'
     )
@@ -304,11 +305,11 @@ def _random_inertial(rng):
     # I = tr(S) 1 - S of a positive definite S is the inertia of a body that can exist.
     factor = 0.1 * rng.normal(size=(3, 3))
     second = factor @ factor.T + 1e-4 * np.eye(3)
-    full = spatial.fullinertia_from_symmetric(np.trace(second) * np.eye(3) - second)
-    return (
-        f'<inertial pos="{_vector(0.1 * rng.normal(size=3))}" mass="{rng.uniform(0.1, 5.0):.17g}" '
-        f'fullinertia="{_vector(full)}"/>'
-    )
+    inertia = np.trace(second) * np.eye(3) - second
+    full = vector_text(spatial.fullinertia_from_symmetric(inertia))
+    pos = vector_text(0.1 * rng.normal(size=3))
+    mass = rng.uniform(0.1, 5.0)
+    return f'<inertial pos="{pos}" mass="{mass:.17g}" fullinertia="{full}"/>'
 
 
 @st.composite
@@ -324,11 +325,11 @@ def random_chain(draw, axes=("any", "any", "parallel", "nearly parallel")):
     tips = ["", fingers(), f"<body>{_random_inertial(rng)}</body>"]
     content = draw(st.sampled_from(tips))
     for slides in reversed(bodies):
-        pos = _vector(0.3 * rng.normal(size=3))
-        quat = _vector(rng.normal(size=4))
+        pos = vector_text(0.3 * rng.normal(size=3))
+        quat = vector_text(rng.normal(size=4))
         joints = [_random_joint(rng, axis_law, slide) for slide in slides]
         inertial = _random_inertial(rng)
         content = link("".join(joints), content, "", pos, quat, inertial)
     gravities = [np.zeros(3), np.array([0, 0, -9.81]), 9.81 * rng.normal(size=3)]
     gravity = draw(st.sampled_from(gravities))
-    return world(content, f'gravity="{_vector(gravity)}"')
+    return world(content, f'gravity="{vector_text(gravity)}"')
