@@ -276,6 +276,7 @@ def time_base(fit: BaseFit) -> Iterator[Explanation]:
     advice = "record the controller's own time stamps"
 
     def describe_scale(v: Array, e: Array) -> str:
+        """Return the text for coefficients v (e,) with standard errors e (e,)."""
         return (
             f"by inertia beside gravity, time in the log is {_too_long(v[0])} "
             f"(\u00b1 {percent(float(e[0]))}); {advice}, or scale them with --columns FILE: "
@@ -283,6 +284,7 @@ def time_base(fit: BaseFit) -> Iterator[Explanation]:
         )
 
     def describe_drift(v: Array, e: Array) -> str:
+        """Return the text for coefficients v (e,) with standard errors e (e,)."""
         return (
             f"by inertia beside gravity, the clock drifts: time is {_too_long(v[0] - v[1])} at "
             f"first, {_too_long(v[0] + v[1])} at the end; {advice}"
@@ -361,6 +363,7 @@ def _payload_step(fit: BaseFit, row: int, spacing: int, choices: int) -> Explana
         return [_payload_step(fit, k, step, choices) for k in inside]
 
     def describe(v: Array, e: Array) -> str:
+        """Return the text for coefficients v (e,) with standard errors e (e,)."""
         return (
             f"from about {at:.3g} s on the last link carries {_more(v[0], e[0])}: was something "
             "picked up, dropped or moved? record each state in a log of its own"
@@ -392,9 +395,11 @@ def forces(fit: BaseFit) -> Iterator[Explanation]:
     force = slice(None, None, 4)
 
     def describe(v: Array, e: Array) -> str:
+        """Return the text for coefficients v (e,) with standard errors e (e,)."""
         return describe_force(v[force], e[force])
 
     def is_sure(v: Array, e: Array) -> bool:
+        """Return whether the force differs from zero by three standard errors e (e,) of v (e,)."""
         return bool(np.linalg.norm(v[force]) > 3.0 * np.max(e[force]))
 
     columns = fit.tip_force
@@ -456,6 +461,7 @@ def _push(fit: BaseFit, start: int, width: int, choices: int) -> Explanation:
         return contacts
 
     def describe(v: Array, e: Array) -> str:
+        """Return the text for coefficients v (e,) with standard errors e (e,)."""
         joint = int(np.argmax(np.abs(v)))
         return (
             f"from {first:.2f} s to {last:.2f} s something else acts on the arm: "
