@@ -56,7 +56,8 @@ def test_limit_options_tighten_those_of_the_model():
 )
 def test_a_joint_without_a_limit_gets_an_assumed_range(changes):
     problem = build(limited_arm(**changes))
-    lower, upper = problem.limits.lower, problem.limits.upper
+    lower = problem.limits.lower
+    upper = problem.limits.upper
     assert np.all((-np.inf < lower) & (lower < problem.rest))
     assert np.all((problem.rest < upper) & (upper < np.inf))
 
