@@ -59,7 +59,8 @@ def trajectory(robot, rng, wide):
 def turn_body(theta, angle):
     """Return a body (10,) turned about the z axis by an angle [rad]."""
     mass, com, inertia = spatial.com_from_theta(theta)
-    cosine, sine = np.cos(angle), np.sin(angle)
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
     turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     return spatial.theta_from_com(mass, turn @ com, turn @ inertia @ turn.T)
 
