@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from robot_sysid.diagnosis import log_checks
 from robot_sysid.logs.text import write_measurement_csv
 from tests.support import arms
 from tests.support.command_line import CommandLine
@@ -65,7 +66,15 @@ def test_a_wrong_log_is_refused_and_right_with_the_scale_that_was_named(command)
     assert "nothing that stops an identification was found" in scaled.out
 
 
-def test_a_warning_stops_unless_it_is_accepted(command):
+def test_a_warning_stops_unless_it_is_accepted(command, monkeypatch):
+    check = log_checks.check_against_model
+    findings = []
+
+    def check_once(*arguments, **options):
+        findings[:] = findings or check(*arguments, **options)
+        return findings
+
+    monkeypatch.setattr(log_checks, "check_against_model", check_once)
     printed = command.run("log late.csv arm.xml --json", code=1)
     answer = json.loads(printed.out)
     assert {finding["level"] for finding in answer["findings"]} == {"warn"}
