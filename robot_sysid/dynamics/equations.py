@@ -49,6 +49,20 @@ def friction_per_joint(
     return (*[others] * (robot.n_joints - 1), model)
 
 
+def split_name(name: str) -> tuple[str, str]:
+    """Return (term, joint or motor) of a parameter's name such as "coulomb[joint6]".
+
+    The second one is "" for a parameter without brackets, such as one of a body.
+    """
+    term, _, owner = name.partition("[")
+    return term, owner[:-1]
+
+
+def names_of(term: str, joints: Iterable[str]) -> tuple[str, ...]:
+    """Return the name of a term's parameter in each joint, such as "scale[joint6]"."""
+    return tuple(f"{term}[{joint}]" for joint in joints)
+
+
 def link_names(robot: RobotModel, link: int) -> tuple[str, ...]:
     """Return the ten parameter names of a link other than the terminal one, such as ``m(forearm)``.
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.equations import split_name
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     LinkDynamics,
@@ -34,7 +35,7 @@ from robot_sysid.estimation.algebra.least_squares import (
 )
 from robot_sysid.estimation.algebra.uncertainty import triangle_of
 from robot_sysid.estimation.choices import Errors
-from robot_sysid.estimation.columns import PAYLOAD_NAMES, split_name
+from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.errors import FitErrors
 from robot_sysid.estimation.fit import Fit
 from robot_sysid.estimation.log_comparison import FrictionOfLogs

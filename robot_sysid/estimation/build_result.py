@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from robot_sysid.dynamics.equations import split_name
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     gravity_vector,
@@ -26,7 +27,7 @@ from robot_sysid.estimation.answer import (
     model_file,
     written_payload,
 )
-from robot_sysid.estimation.columns import PAYLOAD_NAMES, split_name
+from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.dataset import DecimatedSamples, motion_signals
 from robot_sysid.estimation.identify import contradiction, payloads_by_recording
 from robot_sysid.estimation.trust import (

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from robot_sysid.dynamics.equations import names_of, split_name
 from robot_sysid.dynamics.friction import (
     DEFAULT_MEASURED,
     NONLINEAR_TERMS,
@@ -41,7 +42,7 @@ from robot_sysid.estimation.algebra.priors import (
     link_evidence,
     link_lengths,
 )
-from robot_sysid.estimation.columns import Columns, Point, names_of, split_name
+from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.estimation.fit import Fit, Fitter
 from robot_sysid.estimation.held_out import HeldOut, is_clearly_lower

@@ -18,7 +18,7 @@ off: by 5 % for an iiwa whose links are 5 % off.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -26,12 +26,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import (
     Equations,
     friction_per_joint,
     link_names,
+    names_of,
     other_links,
+    split_name,
 )
 from robot_sysid.dynamics.friction import (
     FADING_SPEEDS,
@@ -58,14 +59,13 @@ from robot_sysid.estimation.dataset import (
     DecimatedSamples,
     store_rows,
 )
+from robot_sysid.model.bodies import usual_bodies
 from robot_sysid.records import DELAY_NAME, Array, Motion, RobotModel
 
 PAYLOAD_NAMES = tuple(f"{name}(payload)" for name in PARAMETER_NAMES)
 """Names of the ten inertial parameters of the payload."""
 LINEAR = tuple(term for term in TERMS if term not in ("load", *NONLINEAR_TERMS))
 """Friction terms whose columns depend on the motion only, not on the estimate."""
-PLACEHOLDER = 1e-3
-"""Share of the other links' median mass below which a body's inertia counts as a placeholder."""
 # Friction terms that drift from the first recording to the last, F_j phi above.
 _BY_SPEED = ("coulomb", "viscous", "sqrt", "load", "quadratic", "cubic")
 _DRIFTING = (*_BY_SPEED, *NONLINEAR_TERMS, *FADING_SPEEDS)
@@ -100,20 +100,6 @@ class Point:
     speed: Mapping[str, Array] | None = None
     exact_load: bool = False
     in_file: bool = False
-
-
-def split_name(name: str) -> tuple[str, str]:
-    """Return (term, joint or motor) of a parameter's name such as "coulomb[joint6]".
-
-    The second one is "" for a parameter without brackets, such as one of a body.
-    """
-    term, _, owner = name.partition("[")
-    return term, owner[:-1]
-
-
-def names_of(term: str, joints: Iterable[str]) -> tuple[str, ...]:
-    """Return the name of a term's parameter in each joint, such as "scale[joint6]"."""
-    return tuple(f"{term}[{joint}]" for joint in joints)
 
 
 class Columns:
@@ -395,10 +381,7 @@ class Columns:
             drifting = self._drifting[indices]
             smooth = self._smooth[indices]
 
-            # The torque of the links that a torque scale multiplies.
-            stated = self._is_stated[indices]
-            scaled = np.where(stated, self.model_values[indices], coefficients)
-            linear = block[:, bodies] @ scaled[bodies]
+            linear = self._scaled_torque(block, indices, coefficients)
             scale_drift = self.indices((self._scales[row], self._drifts[row]))
             scale, drift = point.values[scale_drift]
             exact = self._loaded * scale
@@ -416,7 +399,7 @@ class Columns:
             smooth_torque = block[:, smooth] @ coefficients[smooth]
             late = _delay_column(dataset, base.time, smooth_torque)
             nonlinear = np.stack([*joint_friction.values()], axis=1)
-            point_columns = {
+            point_columns: dict[tuple[str, ...], tuple[Array | slice, Any]] = {
                 tuple(joint_friction): (nonlinear, drifted),
                 (self._scales[row],): (gear[:, None], 1.0),
                 (self._drifts[row],): (friction[:, None], dataset.order),
@@ -439,6 +422,24 @@ class Columns:
             tau=tuple(right_sides),
             rows=AssembledRows(base.rows, blocks),
         )
+
+    def _scaled_torque(
+        self, block: Array, indices: NDArray[np.int64], coefficients: Array
+    ) -> Array:
+        """Return the torque (K,) of the links that a torque scale multiplies.
+
+        A link that the model states counts with the model's values, in which the scale is
+        linearised.
+
+        Args:
+            block: (K, m) rows of a joint.
+            indices: (m,) of the columns of ``block`` among all p parameters.
+            coefficients: (m,) value of each column's parameter.
+        """
+        bodies = self._of_bodies[indices]
+        is_stated = self._is_stated[indices]
+        values = np.where(is_stated, self.model_values[indices], coefficients)
+        return block[:, bodies] @ values[bodies]
 
     def _rows_for_file(
         self, dataset: Dataset, base: DecimatedSamples, tilt: Array
@@ -585,32 +586,3 @@ def _low_pass(dataset: Dataset, point: Point, make: Callable[[Motion], Array]) -
     if signals is None or not point.exact_load:
         return make(dataset.motion)
     return signals.filter_columns(lambda motion: (make(motion),))[0]
-
-
-def usual_bodies(robot: RobotModel) -> dict[str, Array]:
-    """Return body name to plausible inertial parameters (10,) of each link with mass.
-
-    These are the model's own (the identical array). Where the model has only a placeholder, much
-    lighter than the other links or no possible rigid body, they are those of a ball at the
-    placeholder's centre of mass, with the median mass and radius of gyration of the other links.
-    """
-    bodies = {link.body_name: link.theta for link in robot.links if link.has_mass}
-    all_bodies = list(bodies.values())
-    least_mass = PLACEHOLDER * max(theta[0] for theta in all_bodies)
-    masses = []
-    gyrations = []
-    possible = [theta for theta in all_bodies if spatial.is_consistent(theta)]
-    stated = [theta for theta in possible if theta[0] >= least_mass]
-    for theta in stated or all_bodies:
-        mass, _, inertia = spatial.com_from_theta(theta)
-        masses.append(theta[0])
-        gyrations.append(np.trace(inertia) / (3.0 * mass))
-    median_mass = float(np.median(masses))
-    gyration = float(np.median(gyrations))
-    for name, theta in bodies.items():
-        if theta[0] < PLACEHOLDER * median_mass or not spatial.is_consistent(theta):
-            mass = max(median_mass, float(theta[0]))
-            com = theta[1:4] / theta[0] if theta[0] > 0.0 else np.zeros(3)
-            inertia = mass * gyration * np.eye(3)
-            bodies[name] = spatial.theta_from_com(mass, com, inertia)
-    return bodies

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import Equations
+from robot_sysid.dynamics.equations import Equations, split_name
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.inverse_dynamics import split_motion
 from robot_sysid.dynamics.spatial import N_INERTIAL
@@ -43,13 +43,14 @@ from robot_sysid.estimation.algebra.uncertainty import (
     joint_space,
     uncertainty,
 )
-from robot_sysid.estimation.columns import Columns, Point, split_name
+from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import DecimatedSamples, release_memory
-from robot_sysid.estimation.fit import EstimatedRows, Fit, squared_effect
+from robot_sysid.estimation.fit import Fit, squared_effect
 from robot_sysid.estimation.unknowns import (
     COMMON,
     LINKS,
     SCALES,
+    EstimatedRows,
     common_error,
     scale_spread,
 )

@@ -14,11 +14,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from robot_sysid.dynamics.equations import names_of, split_name
 from robot_sysid.dynamics.friction import Coupling, FrictionModel, friction_model
 from robot_sysid.estimation.algebra.priors import LinkScales
 from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.choices import IN_FILE, WITH_POLYNOMIAL, posterior_of
-from robot_sysid.estimation.columns import PAYLOAD_NAMES, Point, names_of, split_name
+from robot_sysid.estimation.columns import PAYLOAD_NAMES, Point
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.fit import Fit, Fitter
 from robot_sysid.estimation.held_out import HeldOut, held_out, is_clearly_lower

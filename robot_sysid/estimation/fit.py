@@ -41,7 +41,7 @@ from robot_sysid.estimation.dataset import (
     release_memory,
 )
 from robot_sysid.estimation.question import Choice, Question
-from robot_sysid.estimation.unknowns import Unknowns, build_unknowns
+from robot_sysid.estimation.unknowns import EstimatedRows, Unknowns, build_unknowns
 from robot_sysid.records import DELAY_NAME, Array, SquareRootInformation
 from robot_sysid.signals.repetition import Visits
 
@@ -143,54 +143,6 @@ def evidence_of(
         squares = [recording.squared_torque() for recording in block]
         squared_torque.append(np.sum(squares, axis=0))
     return Evidence(information_of(blocks), np.array(squared_torque), torque)
-
-
-@dataclass(frozen=True)
-class EstimatedRows:
-    """Rows of recordings in the estimated parameters, the torque of held ones subtracted.
-
-    Iterating makes the rows of one joint at a time: those of all joints take much memory.
-    """
-
-    samples: tuple[DecimatedSamples, ...]
-    unknowns: Unknowns
-
-    def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
-        """Yield (joint number, rows, right-hand sides) of each joint, all recordings together."""
-        for joint in range(len(self.samples[0].columns)):
-            # No variable here keeps rows in memory while the next ones are made.
-            yield (joint, *self._joint_rows(joint))
-
-    def _joint_rows(self, joint: int) -> tuple[Array, Array]:
-        """Return a joint's (rows, right-hand sides (rows,)) of all recordings, in new arrays."""
-        columns = self.samples[0].columns[joint]
-        is_estimated = np.isin(columns, self.unknowns.estimated)
-        held = self.unknowns.held[columns[~is_estimated]]
-        ends = np.cumsum([len(recording) for recording in self.samples])
-        all_rows = np.empty((ends[-1], np.count_nonzero(is_estimated)))
-        right_sides = []
-        pairs = zip(self.samples, np.split(all_rows, ends[:-1]))
-        for recording, recording_rows in pairs:
-            rows = recording.rows[joint]
-            recording_rows[:] = rows[:, is_estimated]
-            right_sides.append(recording.tau[joint] - rows[:, ~is_estimated] @ held)
-        return all_rows, np.concatenate(right_sides)
-
-
-def restrict_samples(samples: DecimatedSamples, unknowns: Unknowns) -> DecimatedSamples:
-    """Return a recording's rows in the estimated parameters, the torque of held ones subtracted."""
-    columns = []
-    for indices in samples.columns:
-        estimated = indices[np.isin(indices, unknowns.estimated)]
-        columns.append(np.searchsorted(unknowns.estimated, estimated))
-    _, rows, right_sides = zip(*EstimatedRows((samples,), unknowns))
-    return replace(
-        samples,
-        names=unknowns.estimated_names,
-        columns=tuple(columns),
-        rows=rows,
-        tau=right_sides,
-    )
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from functools import cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.dynamics.equations import split_name
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.estimation.algebra.identifiability import visible_space
 from robot_sysid.estimation.algebra.least_squares import (
@@ -42,11 +43,10 @@ from robot_sysid.estimation.algebra.priors import (
     with_prior,
 )
 from robot_sysid.estimation.algebra.uncertainty import residual_correlation_time
-from robot_sysid.estimation.columns import split_name
 from robot_sysid.estimation.dataset import DecimatedSamples
-from robot_sysid.estimation.fit import Fit, evidence_of, residuals_of, restrict_samples
+from robot_sysid.estimation.fit import Fit, evidence_of, residuals_of
 from robot_sysid.estimation.held_out import HeldOut, is_informative_test
-from robot_sysid.estimation.unknowns import Unknowns
+from robot_sysid.estimation.unknowns import Unknowns, restrict_samples
 from robot_sysid.records import Array, SquareRootInformation, Validation
 from robot_sysid.records.data import validation_of
 from robot_sysid.records.messages import percent
@@ -213,13 +213,13 @@ def compare_recordings(
                 validation_of(joints, errors[k], squares, judge.counts[k], source)
             )
     unknowns = fit.unknowns
-    own_rows = {}
+    log_rows = {}
     for name, log in logs.items():
-        own_rows[name] = [restrict_samples(samples, unknowns) for samples in log]
-    friction = friction_of_logs(fit, own_rows, data.blocks)
+        log_rows[name] = [restrict_samples(samples, unknowns) for samples in log]
+    friction = friction_of_logs(fit, log_rows, data.blocks)
     masses = {}
     model_values = fit.columns.model_values[unknowns.estimated]
-    for name, log in own_rows.items():
+    for name, log in log_rows.items():
         values, _, covariance = estimate_alone(
             log, unknowns.groups, model_values, fit.noise
         )

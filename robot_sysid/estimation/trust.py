@@ -15,11 +15,10 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.least_squares import sample_counts
-from robot_sysid.estimation.columns import PLACEHOLDER, usual_bodies
 from robot_sysid.estimation.errors import BODIES
 from robot_sysid.estimation.fit import Fit
 from robot_sysid.estimation.held_out import NOISE_EXPLAINS
-from robot_sysid.model.bodies import link_reach
+from robot_sysid.model.bodies import PLACEHOLDER, link_reach, usual_bodies
 from robot_sysid.records import (
     Array,
     InertialParameters,

@@ -28,6 +28,9 @@ from robot_sysid.mjcf.inertial import sum_theta
 from robot_sysid.model.chain import body_label
 from robot_sysid.records import ArmLink, Array, Flange, Motion, RobotModel, SubtreeBody
 
+PLACEHOLDER = 1e-3
+"""Share of the other links' median mass below which a body's inertia counts as a placeholder."""
+
 
 def body_theta(mj_model: Any, body_id: int) -> Array:
     """Return theta (10,) of one compiled body in its own frame, inertia about its origin."""
@@ -42,6 +45,35 @@ def inertia_about_com(mj_model: Any, body_id: int) -> Array:
     mujoco.mju_quat2Mat(flat, mj_model.body_iquat[body_id])
     axes = flat.reshape(3, 3)
     return axes @ np.diag(mj_model.body_inertia[body_id]) @ axes.T
+
+
+def usual_bodies(robot: RobotModel) -> dict[str, Array]:
+    """Return body name to plausible inertial parameters (10,) of each link with mass.
+
+    These are the model's own (the identical array). Where the model has only a placeholder, much
+    lighter than the other links or no possible rigid body, they are those of a ball at the
+    placeholder's centre of mass, with the median mass and radius of gyration of the other links.
+    """
+    bodies = {link.body_name: link.theta for link in robot.links if link.has_mass}
+    all_bodies = list(bodies.values())
+    least_mass = PLACEHOLDER * max(theta[0] for theta in all_bodies)
+    masses = []
+    gyrations = []
+    possible = [theta for theta in all_bodies if spatial.is_consistent(theta)]
+    stated = [theta for theta in possible if theta[0] >= least_mass]
+    for theta in stated or all_bodies:
+        mass, _, inertia = spatial.com_from_theta(theta)
+        masses.append(theta[0])
+        gyrations.append(np.trace(inertia) / (3.0 * mass))
+    median_mass = float(np.median(masses))
+    gyration = float(np.median(gyrations))
+    for name, theta in bodies.items():
+        if theta[0] < PLACEHOLDER * median_mass or not spatial.is_consistent(theta):
+            mass = max(median_mass, float(theta[0]))
+            com = theta[1:4] / theta[0] if theta[0] > 0.0 else np.zeros(3)
+            inertia = mass * gyration * np.eye(3)
+            bodies[name] = spatial.theta_from_com(mass, com, inertia)
+    return bodies
 
 
 def subtree_bodies(
