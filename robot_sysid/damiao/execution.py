@@ -167,7 +167,11 @@ class MotorRun:
         return self._plan_of(at_rest)
 
     def _plan_of(self, trajectory: DamiaoTrajectory) -> Plan:
-        """Return the plan of a trajectory with the options' settings, and the model if given."""
+        """Return the plan of a trajectory with the options' settings.
+
+        With a model it also has the inertia (n,) that each joint moves [kg m^2], the range (n,) of
+        each joint, and the ripple that torque steps of the motors add to the sampled motion.
+        """
         inertia = None
         ripple = None
         model_range = None

@@ -213,7 +213,8 @@ def _frame_limit_checks(
 ) -> list[Check]:
     """Return where a trajectory, or its parking pose, exceeds what its motors' frames can carry.
 
-    ``limits`` are (PMAX, VMAX, TMAX) per joint; messages call them ``owner`` limits.
+    ``limits`` are (PMAX, VMAX, TMAX) per joint, of the motor; messages call them ``owner`` limits.
+    A motor turns as fast as its joint, so that slopes of joint positions are compared directly.
     """
     trajectory = plan.trajectory
     speed = plan.settings.speed

@@ -261,10 +261,14 @@ def _without_links(
 def find_wrong_columns(
     base: Posterior, signals: Sequence[ProcessedSignals], options: EstimationOptions
 ) -> list[Correction]:
-    """Return the corrections of motions, with or without torques, that are best on a short stretch.
+    """Return the corrections of columns that explain the log best, with the gain of each.
+
+    All relabellings of positions, torques or both are tried on a short stretch; those with the
+    largest evidence are then compared on the whole log. Samples are used where the uncorrected log
+    uses them, so that all corrections are judged on the same rows.
 
     Args:
-        base: posterior of the base model of the log.
+        base: posterior of the base model of the log, which has no correction.
         signals: low-passed signals of the log's pieces.
         options: prior uncertainties of the estimate.
     """

@@ -102,7 +102,7 @@ class Answer:
 
     @property
     def robot(self) -> RobotModel:
-        """The model of the arm that was identified."""
+        """The arm as its model states it, before the identification."""
         return self.fit.columns.robot
 
     @cached_property

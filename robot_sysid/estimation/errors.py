@@ -359,13 +359,16 @@ def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals
 def residuals_within(
     fit: Fit, residuals: Sequence[JointResiduals]
 ) -> list[JointResiduals]:
-    """Return sums over lags, restricted to the parameters that a fit estimates.
+    """Return residual sums of each joint, restricted to the parameters that a fit estimates.
+
+    Only the matrices ``sums`` (1 + m, c, c), one for each kernel, have axes of parameters; the
+    other fields stay as they are.
 
     Args:
-        residuals: per joint, with ``columns`` among all p parameters (``residuals_to_add``).
+        residuals: per joint, with ``columns`` (c,) among all p parameters (``residuals_to_add``).
 
     Returns:
-        The sums per joint, with ``columns`` among the k estimated parameters.
+        New records per joint, with ``columns`` among the k estimated parameters.
     """
     indices = fit.unknowns.estimated
     restricted_sums = []

@@ -311,6 +311,8 @@ def read_rows(
 ) -> LogRows:
     """Return the usable rows of a log, cleaned and thinned.
 
+    A cleaned row holds the line, the time and the columns of ``columns.groups()``, in this order.
+
     Args:
         table: the log.
         columns: the column of each quantity.
@@ -324,7 +326,7 @@ def read_rows(
     count = 0
 
     def keep(rows: Array, expected: float) -> None:
-        """Append rows (R, 2 + C) of a log that will have about ``expected`` rows."""
+        """Append rows (R, sum of widths) of a log that will have about ``expected`` rows."""
         nonlocal count
         end = count + len(rows)
         for buffer, group in zip(buffers, np.split(rows, np.cumsum(widths), axis=1)):
@@ -351,6 +353,7 @@ def read_rows(
     lines, time, q, tau, qd, stamps = (buffer[:count] for buffer in buffers)
     command = None
     if columns.commanded:
+        # A servo's torque follows its position error, the measure of torque here [rad].
         command = tau
         tau = command - q
     titles = [column.title for column in columns.columns()]
@@ -422,7 +425,7 @@ class _RowCleaner:
         self.anomalies = dict.fromkeys(anomalies, Anomaly())
 
     def clean(self, block: Block) -> Array:
-        """Return the usable rows (R, 2 + C) of a block: line, time, then the other columns."""
+        """Return the usable rows of a block: line, time, then the columns besides the time."""
         lines = block.lines
         cells = block.cells.copy()
         np.multiply(cells, self._factors, out=cells, where=np.isfinite(cells))
@@ -477,7 +480,15 @@ class _RowCleaner:
         return np.asarray(finite & ~impossible)
 
     def _find_later(self, lines: Lines, time: Array) -> Mask:
-        """Return (R,) whether each row is later than all rows so far; count the others."""
+        """Return (R,) whether each row is later than all rows so far.
+
+        A row before its predecessor counts as BACKWARDS, one at the same time as REPEATED. Rows
+        after a step backwards that are not yet later than all are left out and not counted.
+
+        Args:
+            lines: (R,) numbers of the rows in the file.
+            time: (R,) of the rows [s].
+        """
         previous = time[0] - 1.0 if self._last_row is None else self._last_row[0]
         step = np.diff(time, prepend=previous)
         latest = np.maximum.accumulate(np.concatenate(([previous], time)))[:-1]

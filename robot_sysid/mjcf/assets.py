@@ -252,7 +252,9 @@ def _needs_folder(file: SourceFile) -> bool:
 def bundled_text(document: ModelDocument, names: Mapping[Path, str]) -> bytes:
     """Return the UTF-8 text of a document, all includes inlined, beside copies of its assets.
 
-    ``names`` has the path of each asset's copy, relative to the text.
+    ``names`` has the path of each asset's copy, relative to the text. An MJCF's folder settings are
+    taken out here, as MuJoCo would put them before these paths; those of a URDF are taken out with
+    its other compiler settings (``Edits.set_compiler``).
     """
     edits = Edits(document)
     edits.inlined = set(document.files)

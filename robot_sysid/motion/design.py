@@ -280,7 +280,11 @@ class Design:
         return self.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
 
     def information_of(self, motion: Series) -> Information:
-        """Return the information of a motion (q, qd, qdd) on the grid, (N, n) each."""
+        """Return a motion's information about the parameters of all links, priors not included.
+
+        ``motion`` has q, qd and qdd, (N, n) each, at the design's grid of instants; every third one
+        is evaluated (``INFORMATION_POINTS``).
+        """
         return self.information.evaluate(
             *(signal[INFORMATION_POINTS] for signal in motion)
         )

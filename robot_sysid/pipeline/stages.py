@@ -53,6 +53,10 @@ from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count, spread_mo
 def run(config: Config, progress: Progress | None = None) -> Outcome:
     """Run a command on one arm and write its files.
 
+    Where the torque follows from a servo's position error (``torque_from``), the servo is
+    identified by ``servo.run_servo``, which locks the folder of results itself and plays no motion,
+    so that it needs no limits and no motors. Otherwise a motion is designed, or an arm identified.
+
     Args:
         config: the options of the command.
         progress: receives stages and notes while the run goes on; None keeps it silent.

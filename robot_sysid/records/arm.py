@@ -321,7 +321,7 @@ class RobotModel:
 
     @property
     def thetas(self) -> Array:
-        """Inertial parameters (n, 10) of its links, each in its own frame."""
+        """Inertial parameters (n, 10) of its links, each in its own frame; a new array."""
         return np.array([link.theta for link in self.links])
 
     @property

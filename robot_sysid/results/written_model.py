@@ -63,13 +63,14 @@ _GRAVITY_NOTE = Detail(
 def write_model(
     result: Result, target: ModelTarget, as_body: str | None = None
 ) -> tuple[str, ...]:
-    """Write a model with the identified numbers, those of ``result.file`` with the payload on top.
+    """Write a model with the identified numbers, and with the payload if there is one.
 
-    Links that are the model's own to the last digit stay as they are. Without ``result.file``, a
+    Links that are the model's own to the last digit stay as they are. Where all links were fitted
+    for a file (``result.file``, the fit with a file's parameters), they are written. Otherwise a
     payload is written onto the model's own links, or else the terminal link alone is written.
 
     Args:
-        result: of the identification.
+        result: of the identification; it stays unchanged.
         target: where to write; ``target.path`` is the path of the file.
         as_body: name of a new body for the payload; None merges it into the terminal link.
 
@@ -168,7 +169,11 @@ def max_inflation(errors: Array) -> float:
 
 
 def _links_without_payload(result: Result) -> tuple[Array, Array]:
-    """Return the links' parameters to write, without a payload, and their errors; both (n, 10)."""
+    """Return the links' parameters to write, without a payload, and their errors; both (n, 10).
+
+    Both are new arrays, which the caller may change. The fit of a model file (``result.file``)
+    comes before the estimate of the terminal link.
+    """
     if result.file is not None:
         return result.file.thetas.copy(), result.file.errors.copy()
     thetas = result.robot.thetas

@@ -60,7 +60,8 @@ _BLACKMAN_HARRIS = (0.35875, -0.48829, 0.14128, -0.01168)
 # Largest share of the log that is lost at its ends, in the low-pass of positions and in the
 # low-pass of regressor columns together (chosen).
 _TRIMMED_SHARE = 0.2
-# Fewest samples of a segment, and fewest readings, that a spectrum is made from (chosen).
+# Fewest readings of a log that a spectrum is made from, and least bound on the length of its
+# segments, of which there are at least four (chosen).
 _SHORTEST_SEGMENT = 64
 
 

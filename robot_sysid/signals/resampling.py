@@ -339,8 +339,9 @@ class Thinning:
 
     @classmethod
     def of(cls, time: Array, expected: float) -> Thinning:
-        """Return the thinning that leaves about ``MOST_ROWS_KEPT`` rows of a log, or
-        ``LEAST_RATE``.
+        """Return the thinning that leaves about ``MOST_ROWS_KEPT`` rows of a log.
+
+        It leaves more rows where there would be fewer than ``LEAST_RATE`` per second.
 
         Args:
             time: (N,) first time stamps of the log [s].
