@@ -138,7 +138,8 @@ def _link_evidence(fit: Fit) -> LinkEvidence | None:
     stated = []
     bodies = []
     for index, link in enumerate(columns.robot.links):
-        if link.body_name in group.members:
+        # Of several joints that move one body, all but the last have a link without mass.
+        if link.has_mass and link.body_name in group.members:
             is_stated.append(columns.usual_bodies[link.body_name] is link.theta)
             if is_stated[-1]:
                 stated.append(index)
@@ -435,7 +436,7 @@ def select_couplings(
             wider_choice = replace(fit.choice, couplings=motors)
             wider = fitter.solve_around(fit.point, question, wider_choice)
             gain = _evidence_gain(fit, wider)
-            if gain >= best_gain:
+            if gain > best_gain:
                 best_gain = gain
                 best = wider
         if best is fit:

@@ -434,6 +434,6 @@ def motion_signals(datasets: Iterable[Dataset]) -> list[ProcessedSignals]:
 
 def squared_torque(datasets: Sequence[Dataset]) -> tuple[Array, int]:
     """Return (sums of squares (n,) of the measured torque [N^2 m^2], number of its samples)."""
-    squares = [np.sum(dataset.torque**2, axis=0) for dataset in datasets]
+    squares = sum(np.sum(dataset.torque**2, axis=0) for dataset in datasets)
     count = sum(len(dataset.torque) for dataset in datasets)
-    return np.sum(squares, axis=0), count
+    return np.asarray(squares), count

@@ -206,9 +206,9 @@ def _unlikely_move(fit: Fit) -> Array:
         impossible += not spatial.is_consistent(fit.free[indices])
     freedom = float(N_INERTIAL * max(impossible, 1))
     cost_by_chance = largest_by_chance(freedom, 1.0 - SURE)
-    if cost <= cost_by_chance:
-        return move[:0]
-    return np.sqrt(1.0 - cost_by_chance / cost) * move
+    if cost > cost_by_chance:
+        return np.sqrt(1.0 - cost_by_chance / cost) * move
+    return move[:0]
 
 
 def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:

@@ -367,7 +367,7 @@ def compare_friction(runs: Sequence[Run]) -> Section:
     for column, run in enumerate(names.values(), start=2):
         for owner, terms in run.friction().items():
             for term, quantity in terms.items():
-                row = rows.setdefault((owner, term), [owner, term, *"–" * len(runs)])
+                row = rows.setdefault((owner, term), [owner, term, *"–" * len(names)])
                 row[column] = with_error(*quantity)
     comparison = table(("joint", "term", *names), list(rows.values()))
     return Section("friction", "Friction", tables=(comparison,))

@@ -32,7 +32,7 @@ from robot_sysid.records import Measurement, Motion
 from robot_sysid.simulator import simulate_inverse
 from tests.support import arms
 from tests.support.core_fits import BASIC, filter_logs, fitter_of
-from tests.support.measured_logs import RATE, XML, log_of, plan_of
+from tests.support.measured_logs import JOINT, RATE, XML, log_of, plan_of
 from tests.support.payload_logs import perturb_body
 from tests.support.releases import since
 from tests.support.synthetic_data import autocorrelated
@@ -195,6 +195,18 @@ def test_the_prior_of_links_widens_where_all_links_are_wrong(plant):
     assert wide.mass > narrow.mass
     assert wide.centre_of_mass > narrow.centre_of_mass
     assert not choices[0].common_scale
+
+
+def test_a_body_that_two_joints_move_is_one_link_of_the_prior():
+    """The first of its joints has a link without mass, which the model cannot state wrong."""
+    turn = f'<joint name="turn" {JOINT} axis="{arms.Z}"/>'
+    xml = arms.serial_arm((arms.Y, arms.X), joint=JOINT)
+    xml = xml.replace('<joint name="joint0"', f'{turn}<joint name="joint0"', 1)
+    plant = arms.robot_of(xml)
+    assert [link.has_mass for link in plant.links] == [False, True, True]
+    fit, _ = choose_and_fit(plant, plant, friction=BASIC)
+    stated = fit_errors(fit).total.standard_errors[0]
+    assert abs(fit.values[0] - plant.prior.mass) < 2.0 * stated
 
 
 LONG = {"friction": BASIC, "seed": 3, "duration": 30.0}
