@@ -93,7 +93,7 @@ def write_outcome_report(
     The results are in their files already, and stay there whatever fails here.
 
     Args:
-        outcome: a ``export.Outcome``; those of a plan and of servos that were found
+        outcome: an ``export.Outcome``; those of a plan and of servos that were found
             without torques have no report.
 
     Returns:

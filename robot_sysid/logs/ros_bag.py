@@ -228,9 +228,9 @@ def _open_bag(path: Path) -> Iterator[Any]:
     is_part = path.suffix in (".db3", ".mcap")
     has_metadata = (path.parent / "metadata.yaml").is_file()
     folder = path.parent if is_part and has_metadata else path
-    for file in folder.iterdir() if folder.is_dir() else ():
-        refuse_special_file(file, "give a bag whose parts are files")
     with as_input_errors(path, FORM):
+        for file in folder.iterdir() if folder.is_dir() else ():
+            refuse_special_file(file, "give a bag whose parts are files")
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
         for name, text in _DEFINITIONS.items():
             store.register(typesys.get_types_from_msg(text, name))

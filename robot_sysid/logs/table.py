@@ -350,7 +350,9 @@ def read_rows(
             keep(thinning.push(pending), expected / thinning.every)
             pending = pending[:0]
     keep(pending, 0.0)
-    lines, time, q, tau, qd, stamps = (buffer[:count] for buffer in buffers)
+    for buffer in buffers:
+        buffer.resize((count, buffer.shape[1]), refcheck=False)
+    lines, time, q, tau, qd, stamps = buffers
     command = None
     if columns.commanded:
         # A servo's torque follows its position error, the measure of torque here [rad].

@@ -245,8 +245,10 @@ def design_poses(
     poses = lower + rng.uniform(size=(CANDIDATES, problem.n_joints)) * (upper - lower)
     for side in (-APPROACH, 0.0, APPROACH):
         poses = poses[_is_feasible(problem, poses + side)]
-    rows = _gravity_rows(problem, poses)
-    selected = _select_poses(problem, poses, rows, options.poses)
+    selected = []
+    if len(poses):
+        rows = _gravity_rows(problem, poses)
+        selected = _select_poses(problem, poses, rows, options.poses)
     if len(selected) < FEWEST_POSES:
         raise InputError(
             f"only {len(selected)} of {len(poses)} poses within the limits can be reached in "

@@ -112,6 +112,13 @@ def test_where_no_pose_can_be_held_the_joint_is_named():
         static.startable(build(robot_of(flat), max_torque=0.5))
 
 
+def test_where_no_pose_can_be_held_no_poses_are_designed():
+    problem = build(robot_of(TUBES), max_torque=1e-3)
+    rng = np.random.default_rng(0)
+    with pytest.raises(InputError, match="only 0 of 0 poses within the limits"):
+        static.design_poses(problem, PoseOptions(), rng)
+
+
 def test_the_path_to_another_start_is_checked():
     """A wall stands between an arm that leans left and the pose where it leans right."""
     problem = build(arm(tube_arm((Z, Y, X, Y), WALL), (0.0, -0.9, 0.0, 0.0)))

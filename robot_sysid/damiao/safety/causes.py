@@ -60,7 +60,7 @@ def explain_change(
     fed: Array,
     joints: Sequence[DamiaoJoint],
 ) -> str:
-    """Return a sentence with the cause of the change that stopped an arm.
+    """Return a sentence with the cause of the change that stopped an arm; "" without all answers.
 
     Each possible cause makes torques of a certain shape over the joints, times an unknown factor.
     The cause whose fitted torques leave the least sum of squares unexplained is named. A weak motor

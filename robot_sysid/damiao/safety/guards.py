@@ -82,9 +82,10 @@ class Replies:
     foreign: Counts = field(default_factory=_no_joints)
 
     def __post_init__(self) -> None:
-        for name in ("doubted", "jump", "surplus", "foreign"):
+        types = {"doubted": bool, "jump": float, "surplus": int, "foreign": int}
+        for name, dtype in types.items():
             if not len(getattr(self, name)):
-                object.__setattr__(self, name, np.zeros(len(self.answered), int))
+                object.__setattr__(self, name, np.zeros(len(self.answered), dtype))
 
 
 class _Samples(NamedTuple):

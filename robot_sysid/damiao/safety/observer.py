@@ -558,7 +558,7 @@ class Observer:
         cause = explain_change(
             self._change, self._holding, q, commanded, self.fed_torque, self._joints
         )
-        return HardwareAbort(f"{fault}: {cause}")
+        return HardwareAbort(f"{fault}: {cause}") if cause else fault
 
     def _raise_first(self, mask: Mask, describe: Callable[[int], str]) -> None:
         """Raise a Fault of the first joint in a mask (n,); ``describe`` gets the joint's index."""
