@@ -197,8 +197,10 @@ def lines(path, runs, exact):
     errors = posterior.errors
     covariance = (errors.noise if exact else errors.covariance)[terminal]
     suspected = posterior.suspected_errors.covariance[terminal]
-    then = projected_covariance(robot.prior.theta, suspected)
-    both = (1.0 - posterior.suspicion) * covariance + posterior.suspicion * then
+    suspected_covariance = projected_covariance(robot.prior.theta, suspected)
+    both = (
+        1.0 - posterior.suspicion
+    ) * covariance + posterior.suspicion * suspected_covariance
     moves = plan.evaluate(np.arange(sample_count(plan.duration, RATE)) / RATE)
     began = time.process_time()
     errors = []

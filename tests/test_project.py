@@ -71,6 +71,7 @@ def test_the_site_has_every_page():
 def test_home_shows_before_it_tells():
     """A picture, what to type and what it prints, before the first sentence."""
     blocks = read("docs/index.md").split("\n\n")[1:4]
+    assert len(blocks) == 3
     for block, beginning in zip(blocks, ("![Torque", "```bash", "<!-- printed")):
         assert block.startswith(beginning)
 

@@ -25,8 +25,8 @@ holds_motors = pytest.mark.skipif(not CAN_HOLD_ROTORS, reason="MuJoCo before 3.2
 
 def identified(folder, model, log, *options):
     """(exit code, params.json) of one run."""
-    words = (model, "--measurements", log, "--output-dir", folder, *options)
-    code = main(list(map(str, words)))
+    arguments = (model, "--measurements", log, "--output-dir", folder, *options)
+    code = main(list(map(str, arguments)))
     return code, json.loads((folder / "params.json").read_text())
 
 

@@ -18,6 +18,7 @@ from robot_sysid.commands import COMMANDS as NAMES
 from robot_sysid.commands import example, identify, log, motors, report
 from robot_sysid.config import Config
 from robot_sysid.records.option_fields import OptionRecord
+from tests.support import pages
 from tests.test_architecture import FUNCTIONS, nodes_of, package_sources
 
 Symbol = tuple[str, str]
@@ -148,6 +149,20 @@ def options_of(command: str) -> frozenset[str]:
     return frozenset(
         o for action in parser_of(command)._actions for o in action.option_strings
     )
+
+
+@pytest.mark.parametrize("page", pages.PAGES, ids=lambda page: page.name)
+def test_options_that_a_page_types_exist(page):
+    """A command that is not one of the names is that of a model file, a self-test."""
+    for language, block in pages.blocks(page):
+        for line in pages.command_lines(block) if language == "bash" else ():
+            if line[0] != "robot-sysid" or "[options]" in line:
+                continue
+            command = "run"
+            if line[1] in (*NAMES, "motors"):
+                command = " ".join(line[1 : 3 if line[1] == "motors" else 2])
+            typed = {word.partition("=")[0] for word in line if word.startswith("--")}
+            assert typed <= options_of(command) | {"--help", "--version"}, line
 
 
 # ---- what a command reaches

@@ -73,13 +73,16 @@ CHOICES = [(model, None) for model, _, _ in WHOLE_ARMS] + [
 
 QUICK = ("kuka_iiwa_14/iiwa14.xml", "franka_fr3/FrankaFR3_7DoF.urdf")
 """Models of the fast run: an MJCF and a URDF that compile in a moment."""
+JAW = ("so101/so101_new_calib.urdf", "gripper")
+"""The choice of the fast run whose last link is a jaw."""
 
 
 def slow_unless_quick(choices):
-    """Return the choices as parameters of a test, all but those of ``QUICK`` marked slow."""
+    """Return the choices as parameters of a test, all but ``QUICK`` and ``JAW`` marked slow."""
     parameters = []
     for choice in choices:
-        marks = () if choice[0] in QUICK else pytest.mark.slow
+        is_quick = choice[0] in QUICK or choice == JAW
+        marks = () if is_quick else pytest.mark.slow
         parameters.append(pytest.param(*choice, marks=marks))
     return parameters
 

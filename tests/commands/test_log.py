@@ -64,6 +64,8 @@ def test_a_wrong_log_is_refused_and_right_with_the_scale_that_was_named(command)
     assert "as in mN·m" in message and "--torque-scale 1000" in message
     scaled = command.run("log wrong.csv arm.xml --torque-scale 1000")
     assert "nothing that stops an identification was found" in scaled.out
+    right = command.run("log log.csv arm.xml")
+    assert "nothing that stops an identification was found" in right.out
 
 
 def test_a_warning_stops_unless_it_is_accepted(command, monkeypatch):
@@ -71,6 +73,7 @@ def test_a_warning_stops_unless_it_is_accepted(command, monkeypatch):
     findings = []
 
     def check_once(*arguments, **options):
+        """Return the findings of the first run: all runs here are on the same log."""
         findings[:] = findings or check(*arguments, **options)
         return findings
 
@@ -79,7 +82,7 @@ def test_a_warning_stops_unless_it_is_accepted(command, monkeypatch):
     answer = json.loads(printed.out)
     assert {finding["level"] for finding in answer["findings"]} == {"warn"}
     assert answer["samples"] == 3000
-    message = printed.err.splitlines()[-1]
+    message = command.refused("log late.csv arm.xml", code=1)
     assert "stands still for 2 s" in message and "--accept held" in message
     accepted = ("--accept held --accept unexplained",)
     printed = command.run("log late.csv arm.xml", *accepted)

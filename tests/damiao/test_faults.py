@@ -58,7 +58,8 @@ def test_the_page_says_how_far_joints_get_and_what_is_said(outcomes):
 def test_exchanged_cables_of_two_arms_are_named_soon_after_they_leave_a_symmetric_pose(
     tmp_path, are_exchanged
 ):
-    record = play_openarms(tmp_path, are_exchanged, duration=2.5)
+    duration = 2.5 if are_exchanged else 5.0
+    record = play_openarms(tmp_path, are_exchanged, duration=duration)
     times = {phase.split(" (")[0]: begin for begin, phase in record.phases}
     assert ("cables of two arms exchanged" in record.words) == are_exchanged
     assert bool(record.words) == are_exchanged

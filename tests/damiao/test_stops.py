@@ -17,16 +17,29 @@ KINDS = sum(map(len, DAMAGES.values()))
 IN_DEPTH = "in_depth"
 LOWERED = SetUp(park="rest")
 """An arm that goes through all phases, lowering included."""
-STIFFNESS = pytest.mark.parametrize("kp", [60.0, pytest.param(180.0, id=IN_DEPTH)])
+
+
+def soft_and_stiff(first_pose, second_pose):
+    """Parametrise a test by stiffness and poses: a soft and a stiff arm, or both in both poses."""
+    both = (first_pose, second_pose)
+    cases = [
+        (60.0, (first_pose,)),
+        (180.0, (second_pose,)),
+        pytest.param(60.0, both, id=f"{IN_DEPTH}_60"),
+        pytest.param(180.0, both, id=f"{IN_DEPTH}_180"),
+    ]
+    return pytest.mark.parametrize(("kp", "poses"), cases)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("setup", [LOWERED, pytest.param(None, id=IN_DEPTH)])
 def test_one_damaged_frame_moves_no_joint_far_from_its_path(setup):
-    """Each kind of damage once on one arm, or 40 of them with and without a model and a park."""
+    """Each kind of damage once, every other one without a model, or 40 of them with any set-up."""
     cases = damage_cases("kinova", KINDS if setup else 40, seed=1)
     if setup:
-        cases = [replace(case, setup=setup) for case in cases]
+        for number, case in enumerate(cases):
+            half = replace(setup, model_is_given=number % 2 == 0)
+            cases[number] = replace(case, setup=half)
     damaged_runs = list(outcomes_of(cases))
     assert len(damaged_runs) == len(cases)
     worst = max(damaged_runs, key=lambda outcome: outcome.departure)
@@ -46,11 +59,11 @@ def stopped_while_holding(fault, kp, poses):
 
 
 @pytest.mark.slow
-@STIFFNESS
-def test_a_weak_motors_joint_is_carried_and_no_energy_goes_into_the_arm(kp):
+@soft_and_stiff(0, 2)
+def test_a_weak_motors_joint_is_carried_and_no_energy_goes_into_the_arm(kp, poses):
     """A stop that moved the reference to the joint let it fall by 0.8 rad at kp 60."""
-    falls = stopped_while_holding("weak", kp, poses=(0, 2))
-    assert len(falls) == 4
+    falls = stopped_while_holding("weak", kp, poses)
+    assert len(falls) == 2 * len(poses)
     for outcome in falls:
         assert outcome.fall < 0.1, outcome.line()
         assert outcome.energy_gain < 0.05, outcome.line()
@@ -58,11 +71,11 @@ def test_a_weak_motors_joint_is_carried_and_no_energy_goes_into_the_arm(kp):
 
 
 @pytest.mark.slow
-@STIFFNESS
-def test_beside_a_lost_motor_the_other_joints_are_held(kp):
+@soft_and_stiff(1, 3)
+def test_beside_a_lost_motor_the_other_joints_are_held(kp, poses):
     """Its own joint swings at 6 rad/s and throws the others: to 0.9 rad/s before it is noticed."""
-    falls = stopped_while_holding("lost", kp, poses=(1, 3))
-    assert len(falls) == 2
+    falls = stopped_while_holding("lost", kp, poses)
+    assert len(falls) == len(poses)
     for outcome in falls:
         assert outcome.others_fall < 0.06, outcome.line()
         assert outcome.others_speed < 1.0, outcome.line()

@@ -25,6 +25,15 @@ def test_a_correct_log_fits_shows_the_link_and_has_no_explanation(truth, contest
     assert findings(contest, np.ones(5)) == []
 
 
+def test_torque_that_nothing_explains_is_said(truth):
+    noise = 5.0 * np.random.default_rng(0).normal(size=truth.log.tau.shape)
+    signals = low_pass([replace(truth.log, tau=noise)], None)
+    contest = Contest(truth.robot, signals, EstimationOptions())
+    (finding,) = findings(contest, np.ones(5))
+    assert finding.name == "model"
+    assert "% of the torque is explained by nothing" in finding.text
+
+
 def test_deviations_that_the_prior_allows_are_not_named(truth):
     """Torque scales that the user declares uncertain are unknowns of the base model."""
     log = replace(truth.log, tau=truth.log.tau * [1.0, 1.3, 0.8, 1.2, 1.0])

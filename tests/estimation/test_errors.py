@@ -282,7 +282,7 @@ def repetitions(arm_name, seed):
 
 
 CASES = [
-    pytest.param(pieces_of_a_real_log, (2,), id="run 2"),
+    pytest.param(pieces_of_a_real_log, (2,), id="run_2"),
     pytest.param(pieces_of_a_real_log, (3,), id="run 3"),
     pytest.param(pieces_of_a_wrong_model, ("ur5e", 2), id="ur5e 2"),
     pytest.param(pieces_of_a_wrong_model, ("ur5e", 3), id="ur5e 3"),

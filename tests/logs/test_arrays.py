@@ -81,7 +81,7 @@ def feather(path, **arrays):
 
 @pytest.mark.parametrize("write", [parquet, feather])
 def test_lists_of_unequal_length_are_refused_and_missing_ones_are_missing(
-    h5py, tmp_path, write
+    tmp_path, write
 ):
     """Their numbers are as many as those of equal lists, and would stand in wrong rows."""
     pa = pytest.importorskip("pyarrow")

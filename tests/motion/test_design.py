@@ -84,7 +84,7 @@ def test_the_grid_is_fine_enough_for_the_band(xml):
     design = make_design(xml, duration=15.0)
     points_per_cycle = GRID_PER_CYCLE / INFORMATION_POINTS.step
     rate = points_per_cycle * design.basis.top_frequency_hz
-    for draw in draw_trajectories(design, 2, range(2)):
+    for draw in draw_trajectories(design, 2, range(4)):
         plan = design.trajectory(draw.x)
         fine = deviations(design, plan, 500.0, smooth=False)
         coarse = deviations(design, plan, rate, smooth=True)

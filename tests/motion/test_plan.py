@@ -80,6 +80,10 @@ def test_motions_that_are_played_saved_or_limited_are_checked():
         ("sines", "weight", 0.5),
         ("optimal", "link", 0.5),
         ("optimal", "weight", 0.0),
+        pytest.param("sines", "link", 0.5, marks=pytest.mark.slow),
+        pytest.param("sines", "weight", 0.0, marks=pytest.mark.slow),
+        pytest.param("optimal", "link", 0.0, marks=pytest.mark.slow),
+        pytest.param("optimal", "weight", 0.5, marks=pytest.mark.slow),
     ],
 )
 def test_a_planned_motion_reserves_torque_for_errors_of_the_links(
@@ -201,11 +205,11 @@ def test_a_trajectory_from_a_file_is_checked_for_collisions(path):
 
 def test_other_joint_names_are_refused_another_model_of_the_same_joints_is_noted(path):
     arm = robot(TUBES)
-    slight = unlimited_plan().scale_amplitudes(0.1)
+    small_motion = unlimited_plan().scale_amplitudes(0.1)
     notes = []
     for sha256 in (arm.sha256, "0" * 64):
         listener = Listener()
-        save_trajectory(path, slight, arm.joint_names, sha256)
+        save_trajectory(path, small_motion, arm.joint_names, sha256)
         plan_motion(TUBES, listener=listener, trajectory={"file": path})
         notes.append(" ".join(listener.notes))
     assert ["was made for another model file" in text for text in notes] == [0, 1]

@@ -166,15 +166,15 @@ EARLIER = {
 def saved_text(**changes):
     """Return the JSON text of a saved trajectory with changed entries; None removes one."""
     content = {**EARLIER, **changes}
-    kept = {key: value for key, value in content.items() if value is not None}
-    return json.dumps(kept)
+    entries = {key: value for key, value in content.items() if value is not None}
+    return json.dumps(entries)
 
 
 def test_files_of_earlier_versions_are_read(tmp_path):
     """With a speed and a byte-order mark; and a series without fade that ends at rest."""
     path = tmp_path / "plan.json"
     text = saved_text(speed=0.5).replace(", ", ",\r\n")
-    path.write_text(text, encoding="utf-8-sig", newline="")
+    path.write_bytes(text.encode("utf-8-sig"))
     plan = load_trajectory(path).plan
     assert plan.duration == 10.0
     rising = 0.1 * np.sin(2.0 * np.pi * 0.05 * 4.0)

@@ -47,10 +47,11 @@ class Sample:
         flag = self.option.flag
         if self.value is True:
             return [flag]
-        words = []
+        arguments = []
         for value in self.value if self.option.repeats else (self.value,):
-            words += [flag, *map(str, value if isinstance(value, tuple) else (value,))]
-        return words
+            values = value if isinstance(value, tuple) else (value,)
+            arguments += [flag, *map(str, values)]
+        return arguments
 
 
 def samples(config_type: type = SysidConfig) -> Iterator[Sample]:

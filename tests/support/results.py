@@ -74,7 +74,7 @@ def estimate(**changes) -> Estimate:
     size = len(NAMES)
     identifiability_record = Identifiability(12, 12, 50.0, 5.0, (True,) * size, ())
     errors = 1e-3 * np.maximum(np.abs(VALUES), 1e-2)
-    made = Estimate(
+    estimate = Estimate(
         names=NAMES,
         values=VALUES,
         identifiability=identifiability_record,
@@ -87,13 +87,13 @@ def estimate(**changes) -> Estimate:
         samples={"j5": 200, "j6": 200},
         effective_samples={"j5": 190.0, "j6": 180.0},
     )
-    return replace(made, **changes)
+    return replace(estimate, **changes)
 
 
 def found(result: Estimate | None = None, **changes) -> Result:
     """Everything around it, of measured data: the terminal link and the joints as in it."""
     result = result or estimate()
-    made = Result(
+    result = Result(
         question=LINK,
         robot=ARM,
         estimate=result,
@@ -104,7 +104,7 @@ def found(result: Estimate | None = None, **changes) -> Result:
         joints={joint: joint_of(result, joint) for joint in JOINTS},
         friction_model="coulomb-viscous",
     )
-    return replace(made, **changes)
+    return replace(result, **changes)
 
 
 def terminal(result: Estimate) -> BodyEstimate:
@@ -140,7 +140,7 @@ def itself(result: Estimate | None = None, **changes) -> Result:
     """The model's own simulation, of which most is not asked."""
     full = result or estimate()
     fit = full.names, full.values, full.identifiability, full.rmse, full.rmse_per_joint
-    made = found(
+    result = found(
         Estimate(*fit),
         data=DataOrigin(Source.ITSELF, "", 15.0, 1000.0, 1),
         verdict=Verdict.OK,
@@ -148,7 +148,7 @@ def itself(result: Estimate | None = None, **changes) -> Result:
         joints={},
         friction_model=None,
     )
-    return replace(made, **changes)
+    return replace(result, **changes)
 
 
 def with_value(name: str, value: float, error: float) -> Estimate:
@@ -197,7 +197,7 @@ def payload(
     own: BodyEstimate | None = None, result: Estimate | None = None, **changes
 ) -> Result:
     """A payload of 1.2 kg; what is no field of the result is one of ``Payload``."""
-    made = Payload(
+    payload = Payload(
         flange=Flange("site 'flange'", np.eye(3), np.zeros(3), "link6"),
         body=own or body(),
         link=body(0.8, name="link6"),
@@ -205,15 +205,15 @@ def payload(
         recordings={"empty": ("a.csv",), "loaded": ("b.csv", "c.csv")},
         scatter=(RecordingPayload("b.csv", True, 1.19, np.zeros(3), 0.01, 0.02),),
     )
-    for name in vars(made).keys() & changes.keys():
-        made = replace(made, **{name: changes.pop(name)})
-    result = found(result, question=PAYLOAD, verdict=Verdict.OK, payload=made)
+    for name in vars(payload).keys() & changes.keys():
+        payload = replace(payload, **{name: changes.pop(name)})
+    result = found(result, question=PAYLOAD, verdict=Verdict.OK, payload=payload)
     return replace(result, **changes)
 
 
 def model_file(**changes) -> ModelFile:
     """A written model that predicts torques to 0.25 % instead of 27 %."""
-    made = ModelFile(
+    file = ModelFile(
         thetas=np.array([1.5 * THETA, 0.9 * THETA]),
         errors=np.full((2, 10), 1e-3),
         joints={
@@ -227,7 +227,7 @@ def model_file(**changes) -> ModelFile:
         ),
         unchanged=("rotor inertia",),
     )
-    return replace(made, **changes)
+    return replace(file, **changes)
 
 
 def whole(**changes) -> Result:
@@ -247,7 +247,7 @@ def whole(**changes) -> Result:
     errors = RolloutError(
         OPEN, 0.2, 5, np.array([0.2, 0.1]), np.array([0.02, 0.11]), (1, 0)
     )
-    made = found(
+    result = found(
         robot=replace(ARM, is_slide=np.array([True, False]), bodies=bodies),
         links=(first, terminal(estimate())),
         joints={"j5": elbow, "j6": joint_of(estimate(), "j6")},
@@ -290,7 +290,7 @@ def whole(**changes) -> Result:
             ("one piece",),
         ),
     )
-    return replace(made, **changes)
+    return replace(result, **changes)
 
 
 def theta_in(path: Path) -> np.ndarray:
