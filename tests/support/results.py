@@ -74,7 +74,7 @@ def estimate(**changes) -> Estimate:
     size = len(NAMES)
     identifiability_record = Identifiability(12, 12, 50.0, 5.0, (True,) * size, ())
     errors = 1e-3 * np.maximum(np.abs(VALUES), 1e-2)
-    estimate = Estimate(
+    defaults = Estimate(
         names=NAMES,
         values=VALUES,
         identifiability=identifiability_record,
@@ -87,13 +87,13 @@ def estimate(**changes) -> Estimate:
         samples={"j5": 200, "j6": 200},
         effective_samples={"j5": 190.0, "j6": 180.0},
     )
-    return replace(estimate, **changes)
+    return replace(defaults, **changes)
 
 
 def found(result: Estimate | None = None, **changes) -> Result:
     """Everything around it, of measured data: the terminal link and the joints as in it."""
     result = result or estimate()
-    result = Result(
+    defaults = Result(
         question=LINK,
         robot=ARM,
         estimate=result,
@@ -104,7 +104,7 @@ def found(result: Estimate | None = None, **changes) -> Result:
         joints={joint: joint_of(result, joint) for joint in JOINTS},
         friction_model="coulomb-viscous",
     )
-    return replace(result, **changes)
+    return replace(defaults, **changes)
 
 
 def terminal(result: Estimate) -> BodyEstimate:
@@ -140,7 +140,7 @@ def itself(result: Estimate | None = None, **changes) -> Result:
     """The model's own simulation, of which most is not asked."""
     full = result or estimate()
     fit = full.names, full.values, full.identifiability, full.rmse, full.rmse_per_joint
-    result = found(
+    defaults = found(
         Estimate(*fit),
         data=DataOrigin(Source.ITSELF, "", 15.0, 1000.0, 1),
         verdict=Verdict.OK,
@@ -148,7 +148,7 @@ def itself(result: Estimate | None = None, **changes) -> Result:
         joints={},
         friction_model=None,
     )
-    return replace(result, **changes)
+    return replace(defaults, **changes)
 
 
 def with_value(name: str, value: float, error: float) -> Estimate:
@@ -197,7 +197,7 @@ def payload(
     own: BodyEstimate | None = None, result: Estimate | None = None, **changes
 ) -> Result:
     """A payload of 1.2 kg; what is no field of the result is one of ``Payload``."""
-    payload = Payload(
+    payload_record = Payload(
         flange=Flange("site 'flange'", np.eye(3), np.zeros(3), "link6"),
         body=own or body(),
         link=body(0.8, name="link6"),
@@ -205,9 +205,9 @@ def payload(
         recordings={"empty": ("a.csv",), "loaded": ("b.csv", "c.csv")},
         scatter=(RecordingPayload("b.csv", True, 1.19, np.zeros(3), 0.01, 0.02),),
     )
-    for name in vars(payload).keys() & changes.keys():
-        payload = replace(payload, **{name: changes.pop(name)})
-    result = found(result, question=PAYLOAD, verdict=Verdict.OK, payload=payload)
+    for name in vars(payload_record).keys() & changes.keys():
+        payload_record = replace(payload_record, **{name: changes.pop(name)})
+    result = found(result, question=PAYLOAD, verdict=Verdict.OK, payload=payload_record)
     return replace(result, **changes)
 
 
