@@ -129,7 +129,7 @@ def read_log(
     Args:
         log: see ``api.calls.Log``.
         model: the arm, whose joints' names and limits the log is checked against.
-        options: what ``LogOptions`` takes, such as ``columns`` or ``units="deg,Nm"``.
+        options: what ``LogOptions`` takes, such as ``columns`` or ``units="deg,ms"``.
 
     Returns:
         The log: ``samples`` with time (N,) [s], q, tau (N, n) [rad, N m], ``columns`` and

@@ -169,8 +169,9 @@ class MotorRun:
     def _plan_of(self, trajectory: DamiaoTrajectory) -> Plan:
         """Return the plan of a trajectory with the options' settings.
 
-        With a model it also has the inertia (n,) that each joint moves [kg m^2], the range (n,) of
-        each joint, and the ripple that torque steps of the motors add to the sampled motion.
+        With a model it also has the inertia (n,) that each joint moves [kg m^2], the lower and the
+        upper limits (n,) of the joints [rad], and what computes the ripple of velocities that the
+        steps in which motors read a torque add to the recorded motion.
         """
         inertia = None
         ripple = None

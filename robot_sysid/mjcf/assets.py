@@ -242,7 +242,11 @@ def relocated_text(
 
 
 def _needs_folder(file: SourceFile) -> bool:
-    """Return whether a file's includes, asset folders or encoding bind it to its folder."""
+    """Return whether a file can only be read from where it lies, so that it has to be inlined.
+
+    It names other files relative to its folder, or its encoding is not UTF-8, which an inlined copy
+    gets.
+    """
     if not file.is_utf8 or file.includes:
         return True
     compilers = [node for node in file.elements if node.tag == "compiler"]

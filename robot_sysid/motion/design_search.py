@@ -272,7 +272,11 @@ def _feasible_draws(draws: Sequence[Draw]) -> list[Draw]:
 
 
 def _infeasibility(draws: Sequence[Draw], design: Design) -> str:
-    """Return an error message that names the limit that stops most of the drawn trajectories."""
+    """Return an error message on drawn trajectories of which none can be used.
+
+    It names the limit that stops most of them. Where all keep their limits, none determines every
+    direction of the link's parameters that the joints can show (``visible`` (10, r)).
+    """
     reasons = [draw.obstacle for draw in draws if draw.obstacle]
     if not reasons:
         n_invisible = 10 - design.criterion.visible.shape[1]
@@ -294,7 +298,8 @@ class Draw:
     """One random trajectory.
 
     Attributes:
-        score: the criterion; infinite where no factor makes the trajectory feasible.
+        score: the criterion; infinite where no factor makes the trajectory feasible, or where the
+            trajectory does not determine all visible parameters.
         x: (n, M) free coefficients.
         obstacle: the limit that even its smallest multiple exceeds; "" where one is feasible.
     """

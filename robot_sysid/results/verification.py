@@ -564,12 +564,12 @@ def torque_error(
 ) -> Validation:
     """Return the torque error of a model file on a log, up to one sensor offset per joint.
 
-    The model's inverse dynamics holds its links, gravity, rotor inertia, springs and all damping;
-    its dry friction is Coulomb's. The prediction passes the same low-pass as the measured torque,
-    and the mean residual of each joint is subtracted.
+    ``ArmDynamics`` has no linear damping of joints; it is added as viscous friction. Dry friction
+    is Coulomb's. The prediction passes the same low-pass as the measured torque, and the mean
+    residual of each joint is subtracted.
 
     Args:
-        model: its file, or a compiled model whose chain joints have the robot's addresses.
+        model: path, or a compiled model whose chain joints have the robot's addresses.
         robot: the arm.
         signals: the processed log.
         source: description of the log.
