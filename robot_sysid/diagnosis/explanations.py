@@ -180,7 +180,7 @@ def _first_coefficient(
     return describe
 
 
-def _norm(text: str, factor: float = 1.0, unit: str = "") -> Description:
+def _norm(text: str, factor: float, unit: str) -> Description:
     """Return a description: ``text`` with the coefficients' Euclidean norm in place of {}.
 
     ``factor`` converts from the coefficients' unit to ``unit``.

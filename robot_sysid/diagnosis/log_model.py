@@ -33,6 +33,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, LinkDynamics
 from robot_sysid.dynamics.spatial import (
@@ -166,7 +167,7 @@ class LogRows:
 
     def friction_indices(self, term: str) -> NDArray[np.int64]:
         """Return the indices (n,) of one friction term of all joints, such as "coulomb"."""
-        return self.columns.indices([f"{term}[{j}]" for j in self.robot.joint_names])
+        return self.columns.indices(names_of(term, self.robot.joint_names))
 
     def columns_of(self, names: Sequence[str]) -> Array:
         """Return the columns (K, n, e) of parameters ``names`` (e,); zero at joints without one."""

@@ -388,7 +388,7 @@ class LinkDynamics:
             self._steps.append(np.stack(factors, axis=-1))
         options = robot.mj_model.opt
         is_weightless = options.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-        vector = np.array(options.gravity) if gravity is None else gravity
+        vector = gravity_vector(robot) if gravity is None else gravity
         self._gravity = np.reshape((not is_weightless) * vector, (3, -1))
 
     def motion(self, q: Array, qd: Array, qdd: Array) -> LinksMotion:
@@ -521,20 +521,17 @@ def tilt_angles(level: Array, gravity: Array) -> Array:
     return np.asarray(angle / sine * (tilt_axes(level) @ turn))
 
 
-def tilt_columns(
-    robot: RobotModel, thetas: Array, q: Array, level: Array | None = None
-) -> Array:
+def tilt_columns(robot: RobotModel, thetas: Array, q: Array, level: Array) -> Array:
     """Return the torque (N, n, 2) per radian of tilt of the base about each of two axes [N m/rad].
 
     Args:
         robot: the arm, under the gravity around which it is tilted.
         thetas: (n, 10) of its links.
         q: (N, n) positions.
-        level: (3,) gravity of the level base, which defines the axes (``tilt_axes``); None for the
-            arm's own.
+        level: (3,) gravity of the level base, which defines the axes (``tilt_axes``).
     """
     gravity = gravity_vector(robot)
-    axes = tilt_axes(gravity if level is None else level, gravity)
+    axes = tilt_axes(level, gravity)
     changes = np.cross(axes, gravity).T
     columns = []
     for chunk in np.array_split(q, len(q) // _TILT_CHUNK + 1):

@@ -466,16 +466,13 @@ def parameter_scale(links: int) -> Array:
     return np.tile(spatial.parameter_scale(1.0, _UNIT_LENGTH), links)
 
 
-def structural_base(robot: RobotModel, seed: int = 0) -> BaseCombinations:
+def structural_base(robot: RobotModel) -> BaseCombinations:
     """Return the base parameters that torques of all joints can identify with the best motion.
 
     They are computed from the regressor of random poses, speeds and accelerations. The parameters
     are the ten of each link with mass, base to terminal.
-
-    Args:
-        seed: of the random motion.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     shape = (_RANDOM_POSES, robot.n_joints)
     q = robot.reference + rng.uniform(-np.pi, np.pi, shape)
     moves = LinkDynamics(robot).motion(

@@ -411,8 +411,7 @@ def filtering_bias(
         if signals is None:
             continue
         rows, second = signals.refiltered_motion
-        once = vars(signals.decimated_motion()).values()
-        first = Motion(*(series[rows] for series in once))
+        first = signals.motion(signals.low_pass.centres(len(signals))[rows])
         same_direction = np.sign(first.qd) == np.sign(second.qd)
         equations, values = columns.arm_torque(point, dataset.is_loaded)
         torques = _torques(equations, first, values)
