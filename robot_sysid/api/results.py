@@ -26,7 +26,7 @@ from robot_sysid.pipeline import Identification
 from robot_sysid.pipeline.planning import draft_plan
 from robot_sysid.pipeline.stages import write_results
 from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
-from robot_sysid.records.file_access import MODEL_NAMES, atomic_files, temporary_folder
+from robot_sysid.records.file_access import atomic_files, models_in, temporary_folder
 from robot_sysid.records.messages import Progress, with_error
 from robot_sysid.results.record import Result
 from robot_sysid.results.result_lines import (
@@ -167,7 +167,7 @@ class Identified:
         with in_python(), one_thread():
             with locked_folder(Path(folder), Progress()):
                 files = self._write(Path(folder)).files
-            models = _models_in(files)[:1] if bundle else []
+            models = models_in(files)[:1] if bundle else []
             return (*files, *(write_bundle(model, Path(folder)) for model in models))
 
     def _write(self, folder: Path) -> Outcome:
@@ -184,7 +184,7 @@ class Identified:
         """
         with in_python(), one_thread(), temporary_folder() as folder:
             outcome = self._write(folder)
-            models = _models_in(outcome.files)
+            models = models_in(outcome.files)
             if not models:
                 failure = outcome.failure or "this result is written into no model"
                 raise SysidError(failure)
@@ -234,11 +234,6 @@ def _html_row(tag: str, cells: Sequence[str]) -> str:
     """Return a row of an HTML table, its escaped cells in elements "th" or "td"."""
     columns = [f"<{tag}>{escape(cell)}</{tag}>" for cell in cells]
     return f"<tr>{''.join(columns)}</tr>"
-
-
-def _models_in(files: Sequence[Path]) -> list[Path]:
-    """Return the updated model, MJCF or URDF, among written files; empty if there is none."""
-    return [path for path in files if path.name in MODEL_NAMES.values()]
 
 
 _DRAWN_RATE = 100.0

@@ -285,10 +285,9 @@ def run_command(config: Config, console: Console, preview: PreviewOptions) -> No
     if output.bundle:
         from robot_sysid.results.written_model import write_bundle
 
-        for path in outcome.files:
-            if path.name in file_access.MODEL_NAMES.values():
-                bundle = write_bundle(path, output.output_dir)
-                console.stage(f"Bundle saved to {bundle}")
+        for path in file_access.models_in(outcome.files):
+            bundle = write_bundle(path, output.output_dir)
+            console.stage(f"Bundle saved to {bundle}")
     console.stage(*outcome.verdict)
     if failure:
         raise SysidError(failure)

@@ -103,8 +103,7 @@ def subtree_bodies(
 
 def composite_theta(mj_model: Any, qpos: Array, body_id: int) -> Array:
     """Return theta (10,), in its own frame, of a body with everything below it, at ``qpos``."""
-    bodies = subtree_bodies(mj_model, qpos, body_id)
-    return np.sum([body.theta for body in bodies], axis=0)
+    return sum_theta(subtree_bodies(mj_model, qpos, body_id))
 
 
 def link_reach(mj_model: Any, qpos: Array, body_id: int) -> float:

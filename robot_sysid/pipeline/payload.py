@@ -76,7 +76,7 @@ def identify_payload(
     )
     order = np.zeros(len(recordings)) if positions is None else positions
     if options.static:
-        datasets, notes = _resting_datasets(robot, recordings, order)
+        datasets, notes = _resting_datasets(recordings, order)
     else:
         datasets, notes = _moving_datasets(robot, recordings, order, config.estimation)
     if not drifts and not options.static:
@@ -163,12 +163,11 @@ def _moving_datasets(
 
 
 def _resting_datasets(
-    robot: RobotModel, recordings: Sequence[RawRecording], positions: Array
+    recordings: Sequence[RawRecording], positions: Array
 ) -> tuple[list[Dataset], tuple[str, ...]]:
     """Return recordings as poses at rest, and notes on them, one sentence each.
 
     Args:
-        robot: the arm.
         recordings: k logs of slow motions that rest at poses, each approached from both sides.
         positions: (k,) of ``order_positions``; all zero where the order is not known.
 

@@ -29,6 +29,7 @@ from robot_sysid.estimation.question import (
 )
 from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
 from robot_sysid.logs.text import write_measurement_csv
+from robot_sysid.model.compilation import compile_model
 from robot_sysid.pipeline import Identification
 from robot_sysid.records import DataOrigin, Motion, MotionPlan, RobotModel, Source
 from robot_sysid.records.arm import InertialParameters
@@ -226,12 +227,13 @@ def _with_file_tests(
         with atomic_files() as files:
             rmse = result.estimate.rmse
             write_model(result, ModelTarget(files, path, checkpoints, rmse, mesh_dir))
+        written = compile_model(path).mj_model
         for dataset in tests:
             assert dataset.signals is not None
             error_before = torque_error(
-                robot.path, robot, dataset.signals, dataset.name
+                robot.mj_model, robot, dataset.signals, dataset.name
             )
-            error_after = torque_error(path, robot, dataset.signals, dataset.name)
+            error_after = torque_error(written, robot, dataset.signals, dataset.name)
             error_pairs.append((error_before, error_after))
     return replace(
         result, file=replace(result.file, other_validations=tuple(error_pairs))

@@ -39,7 +39,7 @@ from robot_sysid.pipeline.planning import (
 )
 from robot_sysid.records import DataOrigin, Estimate, MotionPlan, RobotModel, Source
 from robot_sysid.records.data import Traces
-from robot_sysid.records.file_access import MODEL_NAMES, atomic_files
+from robot_sysid.records.file_access import atomic_files, models_in
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import PerJoint, write_torque_scale
 from robot_sysid.results.record import LINK, JointEstimate, Result, Verdict
@@ -209,7 +209,7 @@ def write_results(
     if scale_path is not None and outcome.failure is None and result.payload:
         write_torque_scale(scale_path, result.payload.torque_scale)
     progress.note(*outcome.notes)
-    models = [path for path in outcome.files if path.name in MODEL_NAMES.values()]
+    models = models_in(outcome.files)
     if models and config.log.measurements:
         command = command_after_weighing(folder, config.model.path, models[0])
         verdict = verdict_lines(result, outcome.failure, command)

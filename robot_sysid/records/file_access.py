@@ -45,6 +45,11 @@ _MAX_JSON_BYTES = 30_000_000
 """Largest JSON file that is read: one of nothing but empty lists takes 0.7 GB of memory."""
 
 
+def models_in(files: Iterable[Path]) -> list[Path]:
+    """Return the updated models, MJCF or URDF, among written files; empty if there is none."""
+    return [path for path in files if path.name in MODEL_NAMES.values()]
+
+
 def refuse_special_file(
     path: str | os.PathLike[str], remedy: str = "give a file"
 ) -> None:

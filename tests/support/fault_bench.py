@@ -479,12 +479,6 @@ def outcomes_of(cases, jobs=2):
                 )
 
 
-@cache
-def clean_record(setup):
-    """Return the record of a set-up's undisturbed run."""
-    return BenchRun(setup).play()[0]
-
-
 def _path_hull(clean, begin, end):
     """Return the least and the greatest position (n,) of a clean run between two moments [s].
 
