@@ -163,7 +163,7 @@ def column(case: Case, folder: Path) -> dict[str, str]:
     mjcf.write_text(as_mjcf(case.model))
     for file_format, model in (("urdf", DATA / case.model), ("mjcf", mjcf)):
         outcome = identify_case(case, model)
-        fit = outcome.identification.answer.fit
+        fit = outcome.answer.fit
         fit_signals = fit.columns.datasets[0].signals
         # Rows over turns at which a joint stands count in no judge of robot-sysid's own.
         judged = Dataset(

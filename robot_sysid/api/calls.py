@@ -33,7 +33,7 @@ from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.logs.table import LogTable
 from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import warnings_as_notes
-from robot_sysid.pipeline import Identification, stages
+from robot_sysid.pipeline import stages
 from robot_sysid.pipeline.planning import design_motion, predict_plan, require_motors
 from robot_sysid.pipeline.recordings import diagnose_logs
 from robot_sysid.pipeline.stages import load_arm
@@ -117,7 +117,7 @@ def _run_quietly(config: Config) -> Identified:
     with _quietly() as notes:
         robot = load_arm(config.model, notes)
         identification = stages.identify(config, robot, notes)
-    return Identified(identification, config, tuple(notes.notes))
+    return Identified(**vars(identification), notes=tuple(notes.notes))
 
 
 @with_keywords()
@@ -299,13 +299,13 @@ def identify_from(
         log=LogOptions(measurements=(_ADDED,)),
         estimation=information.settled.estimation,
     )
-    with _quietly() as notes:
+    with _quietly() as messages:
         answer = log_sums.answer_from(robot, information, validation)
         result = result_of(answer, information.origin)
-        identification = Identification(
-            result, information.checkpoints, _no_traces, answer
-        )
-    return Identified(identification, config, (*information.notes, *notes.notes))
+    notes = (*information.notes, *messages.notes)
+    return Identified(
+        config, result, information.checkpoints, _no_traces, answer, notes=notes
+    )
 
 
 def _no_traces() -> Traces:

@@ -17,7 +17,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from robot_sysid.api.keywords import in_python, python_words
-from robot_sysid.config import Config, SysidConfig
+from robot_sysid.config import SysidConfig
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.export import Outcome, locked_folder, params_json_text
@@ -28,7 +28,6 @@ from robot_sysid.pipeline.stages import write_results
 from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
 from robot_sysid.records.file_access import atomic_files, models_in, temporary_folder
 from robot_sysid.records.messages import Progress, with_error
-from robot_sysid.results.record import Result
 from robot_sysid.results.result_lines import (
     HEADINGS,
     BeforeAfter,
@@ -48,23 +47,14 @@ def one_thread() -> AbstractContextManager[Any]:
 
 
 @dataclass(frozen=True, repr=False)
-class Identified:
+class Identified(Identification):
     """An identified arm or payload, from ``identify``, ``identify_from`` or ``payload``.
 
     Attributes:
-        identification: the result with the data that drawing and writing need.
-        config: the options of the run.
         notes: the notes that the command would have printed, one sentence each.
     """
 
-    identification: Identification
-    config: Config
     notes: tuple[str, ...] = ()
-
-    @property
-    def result(self) -> Result:
-        """All identified numbers, with errors and verdict."""
-        return self.identification.result
 
     @property
     def robot(self) -> RobotModel:
@@ -174,7 +164,7 @@ class Identified:
         """Write params.json and, where the result may be used, the updated model to a folder."""
         output = replace(self.config.output, output_dir=folder)
         config = replace(self.config, output=output)
-        return write_results(config, self.identification, Progress())
+        return write_results(replace(self, config=config), Progress())
 
     def spec(self) -> Any:
         """Return a ``mujoco.MjSpec`` with the result applied; meshes and textures are in memory.
@@ -196,7 +186,7 @@ class Identified:
         Raises:
             InputError: matplotlib is not installed.
         """
-        traces = self.identification.traces()
+        traces = self.traces()
         figure, grid = _axes(len(traces.joints))
         axes = grid[:, 0]
         # Blue and orange of Okabe and Ito, safe for colour-blind readers.

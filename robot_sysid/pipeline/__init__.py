@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from robot_sysid.config import Config
 from robot_sysid.records import Motion, MotionPlan, Traces
 from robot_sysid.results.record import Result
 
@@ -22,6 +23,7 @@ class Identification:
     """A result with all that is needed to write it, draw it and test it.
 
     Attributes:
+        config: the options of the run.
         result: all identified numbers, with errors and verdict.
         checkpoints: motion on which a written model has to reproduce the predicted torque.
         traces: computes the measured and predicted torques that a report draws.
@@ -30,6 +32,7 @@ class Identification:
         plan: the motion that a simulation followed; None of logs.
     """
 
+    config: Config
     result: Result
     checkpoints: Motion
     traces: Callable[[], Traces]

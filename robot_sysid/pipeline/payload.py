@@ -102,7 +102,8 @@ def identify_payload(
         result = replace(result, payload=payload)
     progress.note(*result.notes[len(robot.notes) :])
     checkpoints = answer.fit.columns.datasets[-1].motion
-    return Identification(result, checkpoints, partial(traces_of, answer), answer)
+    traces = partial(traces_of, answer)
+    return Identification(config, result, checkpoints, traces, answer)
 
 
 def _origin(recordings: Sequence[RawRecording]) -> DataOrigin:

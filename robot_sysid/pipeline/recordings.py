@@ -204,7 +204,7 @@ def _identify_pieces(
     all_tests = tuple(itertools.chain.from_iterable(test_datasets.values()))
     result = _with_file_tests(result, all_tests, checkpoints, config.model.mesh_dir)
     traces = partial(traces_of, answer)
-    return Identification(result, checkpoints, traces, answer, all_tests)
+    return Identification(config, result, checkpoints, traces, answer, all_tests)
 
 
 def _with_file_tests(
@@ -240,18 +240,14 @@ def _with_file_tests(
     )
 
 
-def play_models(
-    identification: Identification, model_parts: tuple[str, ...], mesh_dir: Path | None
-) -> RolloutTest:
+def play_models(identification: Identification) -> RolloutTest:
     """Simulate the model before and the one to be written beside the recorded motion.
 
     Where logs were given that only test the result, those are played; else the last fifth of every
     log, with a model identified from the first four fifths.
-
-    Args:
-        model_parts: parts of the model that its file keeps, from ``--keep``.
-        mesh_dir: the user's mesh folder, if any.
     """
+    config = identification.config
+    mesh_dir = config.model.mesh_dir
     answer = identification.answer
     result = identification.result
     assert answer is not None
@@ -263,7 +259,7 @@ def play_models(
     def write_from_beginnings(target: ModelTarget) -> None:
         """Make every choice and the estimate from the beginnings of the logs; write that model."""
         rows = [fitted_rows(log_signals) for log_signals in signals]
-        early = refit(answer, rows, model_parts)
+        early = refit(answer, rows, config.output.keep)
         write_model(result_of(early, result.data), target)
 
     return play(

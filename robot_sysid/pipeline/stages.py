@@ -23,7 +23,6 @@ from robot_sysid.dynamics.equations import (
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
-from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.export import Outcome, locked_folder, save
 from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import meshes_not_kept
@@ -89,7 +88,7 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
                 checked, _ = design_motion(arm_config, robot, progress)
                 return write_plan(arm_config, robot, checked)
         identification = identify(config, robot, progress)
-        return write_results(config, identification, progress)
+        return write_results(identification, progress)
 
 
 def load_arm(
@@ -147,9 +146,7 @@ def identify(config: Config, robot: RobotModel, progress: Progress) -> Identific
             draft_plan(files, config.plan_file, robot, checked.plan, rate)
     plan = checked.plan
     if config.arm.plant_model is None:
-        identification = run_self_test(
-            robot, plan, rate, seed, config.estimation, progress
-        )
+        identification = run_self_test(config, robot, plan, seed, progress)
         log_path = config.arm.save_measurements
         if log_path is not None:
             from robot_sysid.logs.text import write_measurement_csv
@@ -163,16 +160,15 @@ def identify(config: Config, robot: RobotModel, progress: Progress) -> Identific
     return replace(identification, plan=plan)
 
 
-def write_results(
-    config: Config, identification: Identification, progress: Progress
-) -> Outcome:
+def write_results(identification: Identification, progress: Progress) -> Outcome:
     """Write all files of an identification and return the outcome of the command.
 
     Args:
-        config: the options of the run, with the folder to write to.
-        identification: what is written; ``--verify-rollout`` adds a simulation of both models.
-        progress: receives stages, and notes on what was written.
+        identification: the result, and the options that name the output folder;
+            ``--verify-rollout`` among them adds a simulation of both models to the result.
+        progress: receives stages, and notes on the written files.
     """
+    config = identification.config
     result = identification.result
     robot = result.robot
     mesh_dir = config.model.mesh_dir
@@ -192,7 +188,7 @@ def write_results(
         from robot_sysid.pipeline.recordings import play_models
 
         progress.stage("Playing the model on held-out pieces...")
-        played = play_models(identification, config.output.keep, mesh_dir)
+        played = play_models(identification)
         result = replace(result, rollout=played)
         refused = rollout_refusal(played, config.log.accept)
     outcome = save(
@@ -224,19 +220,23 @@ _NEGLIGIBLE_MASS_ERROR = 1e-6
 
 
 def run_self_test(
+    config: SysidConfig,
     robot: RobotModel,
     plan: MotionPlan,
-    rate: float,
     seed: int,
-    options: EstimationOptions,
     progress: Progress,
 ) -> Identification:
     """Simulate the model along a trajectory and identify its terminal link, in constant memory.
 
     Args:
-        rate: of the simulated samples [Hz].
+        config: holds the rate of the simulated samples, and which torques and friction are fitted.
+        robot: the arm that is simulated and identified.
+        plan: the motion.
         seed: that the trajectory was drawn with, for the record.
+        progress: receives stages.
     """
+    options = config.estimation
+    rate = config.trajectory.sample_rate
     progress.stage("Running MuJoCo simulation...")
     model = NO_FRICTION if options.no_friction else TERMINAL_FRICTION
     equations = Equations(
@@ -265,7 +265,7 @@ def run_self_test(
 
     checkpoints = plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS))
     traces = partial(_traces, robot, plan, options.torques, model, estimate)
-    return Identification(result, checkpoints, traces)
+    return Identification(config, result, checkpoints, traces)
 
 
 def _traces(

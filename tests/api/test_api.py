@@ -110,9 +110,7 @@ def test_named_values_fit_together(result):
 def test_a_result_is_the_same_after_pickling(result, tmp_path):
     unpickled = pickle.loads(pickle.dumps(result))
     assert unpickled.to_dict() == result.to_dict() and str(unpickled) == str(result)
-    np.testing.assert_array_equal(
-        unpickled.identification.traces().q, result.identification.traces().q
-    )
+    np.testing.assert_array_equal(unpickled.traces().q, result.traces().q)
     assert (tmp_path / "out" / "updated_model.xml") in unpickled.save(tmp_path / "out")
     itself = rs.identify(result.robot.path, seed=1, duration=2.0)
     assert pickle.loads(pickle.dumps(itself)).mass == itself.mass
@@ -122,7 +120,7 @@ def test_a_result_is_the_same_after_pickling(result, tmp_path):
     )
     unpickled = pickle.loads(pickle.dumps(simulated))
     np.testing.assert_array_equal(
-        unpickled.identification.traces().truth.theta, itself.robot.prior.theta
+        unpickled.traces().truth.theta, itself.robot.prior.theta
     )
 
 
@@ -165,9 +163,7 @@ def test_a_spec_has_the_result_in_it(result):
 
 def test_a_result_that_must_not_be_used_says_so_and_makes_no_model(result, tmp_path):
     doubtful = replace(result.result, verdict=Verdict.TOO_WEAK, reasons=("so light",))
-    doubtful_result = replace(
-        result, identification=replace(result.identification, result=doubtful)
-    )
+    doubtful_result = replace(result, result=doubtful)
     assert (
         doubtful_result.failure.startswith("so light")
         and "Not to be used" in doubtful_result._repr_html_()

@@ -43,8 +43,13 @@ def test_there_is_one_inside_and_afterwards_what_was_there():
 
 def test_a_function_works_in_one(monkeypatch, arm_file):
     thread_counts = []
-    monkeypatch.setattr(
-        calls.stages, "identify", lambda *_: thread_counts.append(counts())
-    )
-    rs.identify(arm_file(arms.THREE))
+    identify = calls.stages.identify
+
+    def identify_and_count(*arguments):
+        """Identify, and keep the threads that this had."""
+        thread_counts.append(counts())
+        return identify(*arguments)
+
+    monkeypatch.setattr(calls.stages, "identify", identify_and_count)
+    rs.identify(arm_file(arms.THREE), duration=1.0, seed=1)
     assert thread_counts == [{1}] and counts() == {2}

@@ -12,7 +12,6 @@ import pytest
 from robot_sysid.config import SysidConfig
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.stages import run, run_self_test, self_test_verdict
@@ -140,10 +139,11 @@ def test_a_motion_keeps_the_peak_torque_of_the_motors_it_is_exported_for(arm):
 )
 def test_the_models_own_values_come_back_with_where_they_are_from(torques, friction):
     plant = true_arm()
-    options = EstimationOptions(torques=torques, no_friction=not friction)
-    progress = Listener()
+    options = {"torques": torques, "no_friction": not friction, "sample_rate": 500.0}
+    config = SysidConfig.of(plant.path, **options)
     plan = plan_of(plant, 1, 4.0)
-    identification = run_self_test(plant, plan, 500.0, 7, options, progress)
+    progress = Listener()
+    identification = run_self_test(config, plant, plan, 7, progress)
     result = identification.result
     estimate = result.estimate
     np.testing.assert_allclose(
