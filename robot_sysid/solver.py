@@ -12,7 +12,7 @@ from robot_sysid.estimation.algebra.consistent_bodies import (
 )
 from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
 from robot_sysid.estimation.algebra.least_squares import (
-    ordinary,
+    ordinary_noise,
     residual_errors,
     solver,
 )
@@ -31,7 +31,7 @@ def identify_parameters(
         possible: where the estimated link is no possible rigid body, constrain it to be one.
     """
     solved = solver(information, prior)
-    noise = ordinary(information, solved)
+    noise = ordinary_noise(information, solved)
     free = solved(1.0 / noise)[0]
     values = free
     if possible and not spatial.is_consistent(free[:N_INERTIAL]):

@@ -22,7 +22,7 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.identifiability import visible_space
 from robot_sysid.estimation.answer import Answer, estimate_of
 from robot_sysid.estimation.columns import Columns
-from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, mean_torque
+from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, rms_torque
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.fit import Fitter, evidence
 from robot_sysid.estimation.question import Choice, EstimationOptions, Question
@@ -177,7 +177,7 @@ class NoiseStudy:
         question = Question(EstimationOptions(**KNOWN))
         choice = Choice(self.friction)
         start = self.columns.start()
-        torque = mean_torque(self.columns.datasets)
+        torque = rms_torque(self.columns.datasets)
         linearised = start, evidence((samples,), torque), (samples,)
         fitter = Fitter(self.columns, torque, linearised=linearised)
         fit = fitter.solve_around(start, question, choice)

@@ -37,7 +37,7 @@ from robot_sysid.estimation.algebra.priors import (
     NuisanceGroup,
     WithPriors,
     average_scales,
-    is_worth_a_word,
+    is_notable_scale,
     link_directions,
     link_evidence,
     link_lengths,
@@ -273,7 +273,7 @@ def is_scaled(fit: Fit, question: Question, choice: Choice) -> bool:
     if not unknowns.may_be_scaled(question):
         return False
     names = names_of("scale", fit.columns.joints)
-    return is_worth_a_word(*posterior_of(fit, unknowns, names))
+    return is_notable_scale(*posterior_of(fit, unknowns, names))
 
 
 def posterior_of(

@@ -415,7 +415,7 @@ def block_masks(log: DecimatedSamples) -> Iterator[Mask]:
         yield mask
 
 
-def mean_torque(datasets: Sequence[Dataset]) -> Array:
+def rms_torque(datasets: Sequence[Dataset]) -> Array:
     """Return the root mean square (n,) of each joint's measured torque in all recordings [N m].
 
     Raises:

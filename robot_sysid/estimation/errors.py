@@ -33,7 +33,7 @@ from robot_sysid.estimation.algebra.least_squares import (
 from robot_sysid.estimation.algebra.priors import (
     SURE,
     WithPriors,
-    largest_by_chance,
+    chi_square_limit,
     misfits,
 )
 from robot_sysid.estimation.algebra.uncertainty import (
@@ -205,7 +205,7 @@ def _unlikely_move(fit: Fit) -> Array:
     for indices, _ in fit.unknowns.bodies.values():
         impossible += not spatial.is_consistent(fit.free[indices])
     freedom = float(N_INERTIAL * max(impossible, 1))
-    cost_by_chance = largest_by_chance(freedom, 1.0 - SURE)
+    cost_by_chance = chi_square_limit(freedom, 1.0 - SURE)
     if cost > cost_by_chance:
         return np.sqrt(1.0 - cost_by_chance / cost) * move
     return move[:0]

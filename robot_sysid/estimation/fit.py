@@ -21,10 +21,10 @@ from robot_sysid.estimation.algebra.consistent_bodies import (
     LinksProblem,
 )
 from robot_sysid.estimation.algebra.least_squares import (
+    block_views,
     combine,
     estimate_noise,
     lower_floor,
-    parts_of,
     restrict,
     solver,
 )
@@ -80,7 +80,7 @@ class Evidence:
     def __post_init__(self) -> None:
         total = combine(self.blocks)
         object.__setattr__(self, "total", total)
-        object.__setattr__(self, "blocks", tuple(parts_of(total, self.blocks)))
+        object.__setattr__(self, "blocks", tuple(block_views(total, self.blocks)))
 
     def merge_blocks(self) -> Evidence:
         """Return the evidence of all blocks as one block."""

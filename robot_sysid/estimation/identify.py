@@ -17,7 +17,7 @@ from robot_sysid.dynamics.friction import FrictionModel, friction_model
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector, tilt_axes
 from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.errors import prefix_input_errors
-from robot_sysid.estimation.algebra.priors import SURE, is_no_chance
+from robot_sysid.estimation.algebra.priors import SURE, is_significant
 from robot_sysid.estimation.answer import Answer, written_payload
 from robot_sysid.estimation.choices import (
     WITH_ALL,
@@ -31,8 +31,8 @@ from robot_sysid.estimation.dataset import (
     Dataset,
     DecimatedSamples,
     Mask,
-    mean_torque,
     motion_signals,
+    rms_torque,
 )
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.file_fit import fit_file
@@ -273,7 +273,7 @@ def _fitter(
         repetitions = find_visits([dataset.motion for dataset in datasets])
     motors, offered = couplings_of(robot, options)
     columns = Columns(robot, datasets, options.torques, motors)
-    fitter = Fitter(columns, mean_torque(datasets), repetitions, _passes(progress))
+    fitter = Fitter(columns, rms_torque(datasets), repetitions, _passes(progress))
     if not offered:
         return fitter
     # Columns of rejected couplings would cost every later pass time and memory.
@@ -315,7 +315,7 @@ def without_standing(
     question = Question(
         replace(options, delay="off", tilt="off"), loaded=dataset.is_loaded
     )
-    fit = Fitter(columns, mean_torque([dataset])).fit(question, choice, rounds=1)
+    fit = Fitter(columns, rms_torque([dataset])).fit(question, choice, rounds=1)
 
     (samples,) = fit.samples
     turns_left_out = replace(signals, standing=tuple(range(robot.n_joints))).usable()
@@ -341,7 +341,7 @@ def _are_worse(residual: Array, doubtful: NDArray[np.bool_]) -> bool:
         return False
     mean_square = float(np.mean(other_residual**2))
     squared = float(np.sum(doubted**2)) / mean_square if mean_square > 0.0 else 0.0
-    return squared > WORSE * len(doubted) and is_no_chance(
+    return squared > WORSE * len(doubted) and is_significant(
         squared, len(doubted), 1.0 - SURE
     )
 

@@ -39,7 +39,7 @@ from robot_sysid.estimation.algebra.least_squares import (
 )
 from robot_sysid.estimation.algebra.priors import (
     NuisanceGroup,
-    is_no_chance,
+    is_significant,
     with_prior,
 )
 from robot_sysid.estimation.algebra.uncertainty import residual_correlation_time
@@ -417,7 +417,7 @@ class BetweenLogs:
         noise = self.noise[:, numbers][:, :, :, numbers].reshape(len(off), len(off))
         squared = float(off @ np.linalg.solve(noise, off))
         chance = 1.0 - SURE_DIFFERENCE ** (1.0 / tests)
-        return is_no_chance(squared, float(len(off)), chance)
+        return is_significant(squared, float(len(off)), chance)
 
 
 def compare_logs(

@@ -35,7 +35,7 @@ from robot_sysid.estimation.algebra.uncertainty import (
 )
 from robot_sysid.estimation.choices import CANDIDATES, couplings_of
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
-from robot_sysid.estimation.dataset import Dataset, mean_torque
+from robot_sysid.estimation.dataset import Dataset, rms_torque
 from robot_sysid.estimation.fit import evidence_of
 from robot_sysid.estimation.identify import Piece, low_pass_recordings
 from robot_sysid.estimation.question import Choice, EstimationOptions, Question
@@ -350,7 +350,7 @@ def predict_posterior(
         empty = replace(dataset, order=-1.0)
         datasets = (empty, replace(dataset, is_loaded=True, order=1.0))
     columns = Columns(robot, datasets, options.torques, choice.couplings)
-    torque = mean_torque(datasets)
+    torque = rms_torque(datasets)
     data = evidence_of([columns.samples(columns.start())], torque)
     choice = replace(choice, dry_friction=expected_dry_friction(columns, torque))
     question = Question(options, loaded=is_loaded, drifts=is_loaded)

@@ -9,7 +9,7 @@ from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.estimation.build_result import result_of
 from robot_sysid.estimation.choices import CANDIDATES
 from robot_sysid.estimation.columns import Columns
-from robot_sysid.estimation.dataset import mean_torque
+from robot_sysid.estimation.dataset import rms_torque
 from robot_sysid.estimation.fit import Fitter
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.estimation.question import Choice, EstimationOptions, Question
@@ -35,7 +35,7 @@ def fitter_of(robot, recordings, torques="chain", couplings=()):
     """Return a fitter of recordings, which counts repeated motion."""
     columns = Columns(robot, recordings, torques, couplings)
     repetitions = find_visits([recording.motion for recording in recordings])
-    return Fitter(columns, mean_torque(recordings), repetitions)
+    return Fitter(columns, rms_torque(recordings), repetitions)
 
 
 def choice_of(robot, friction=BASIC, couplings=()):

@@ -8,7 +8,7 @@ import numpy as np
 
 from robot_sysid.estimation.algebra.least_squares import (
     estimate_noise,
-    ordinary,
+    ordinary_noise,
     solver,
 )
 from robot_sysid.estimation.algebra.priors import with_prior
@@ -19,7 +19,7 @@ from robot_sysid.estimation.algebra.uncertainty import (
 )
 from robot_sysid.solver import identify_parameters
 
-METHODS = {"ols": ordinary, "wls": estimate_noise}
+METHODS = {"ols": ordinary_noise, "wls": estimate_noise}
 
 
 def prior_errors(errors, group, names):

@@ -51,7 +51,7 @@ Block = tuple[NDArray[np.int64], Array]
 of the columns among all p + 1, the last one is p for the right-hand side."""
 
 
-def ordinary(information: SquareRootInformation, solve: Solve) -> Array:
+def ordinary_noise(information: SquareRootInformation, solve: Solve) -> Array:
     """Return the noise (joints,) [N m], equal for all joints: that of ordinary least squares.
 
     Args:
@@ -88,7 +88,7 @@ def estimate_noise(
             (joints,)); made by ``solver``.
         start: (joints,) first noise [N m]; None for that of the unweighted estimate.
     """
-    noise = ordinary(information, solve) if start is None else start
+    noise = ordinary_noise(information, solve) if start is None else start
     floor = noise_floor(information)
     for _ in range(_MOST_ROUNDS):
         previous = noise
@@ -478,7 +478,7 @@ def combine(blocks: Sequence[SquareRootInformation]) -> SquareRootInformation:
     return SquareRootInformation(blocks[0].names, tuple(joints), blocks[0].prior)
 
 
-def parts_of(
+def block_views(
     total: SquareRootInformation, blocks: Sequence[SquareRootInformation]
 ) -> Iterator[SquareRootInformation]:
     """Yield each block again, its rows as views of the total where the total contains them as such.

@@ -399,7 +399,7 @@ def misfits(
         freedom = _determined(
             group, np.eye(len(group.names)), problem.names, covariance
         )
-        if is_no_chance(gained, freedom, 1.0 - SURE ** (1.0 / len(groups))):
+        if is_significant(gained, freedom, 1.0 - SURE ** (1.0 / len(groups))):
             if not wide_groups:
                 wide_groups = widened_groups(information, noise, groups, _NARROWEST)
                 wide_solution = problem.solve(wide_groups)[:2]
@@ -423,18 +423,27 @@ def _contradicted_factor(
     for aspect in (*group.aspects(), identity):
         alpha, free = _widening(group, aspect, names, values, covariance)
         # Significant if the prior were right.
-        if is_no_chance(alpha**2 * free, free, 1.0 - SURE):
+        if is_significant(alpha**2 * free, free, 1.0 - SURE):
             factors.append(alpha)
     return max(factors, default=min(alpha, 1.0))
 
 
-def is_no_chance(squared: float, freedom: float, chance: float) -> bool:
-    """Return whether chi-square exceeds ``squared`` with a probability below ``chance``."""
-    return squared > largest_by_chance(freedom, chance)
+def is_significant(squared: float, freedom: float, chance: float) -> bool:
+    """Return whether a sum of squares is larger than chance explains.
+
+    Args:
+        squared: sum of squared deviations, each in standard deviations.
+        freedom: degrees of freedom of chi-square, the number of independent deviations.
+        chance: probability of a false alarm, such as 0.01.
+    """
+    return squared > chi_square_limit(freedom, chance)
 
 
-def largest_by_chance(freedom: float, chance: float) -> float:
-    """Return the value that chi-square of some freedom exceeds with probability ``chance``."""
+def chi_square_limit(freedom: float, chance: float) -> float:
+    """Return the value that chi-square exceeds with probability ``chance``, such as 0.01.
+
+    ``freedom`` is its number of degrees of freedom.
+    """
     from scipy.special import chdtri
 
     return float(chdtri(freedom, chance))
@@ -549,17 +558,17 @@ SIGNIFICANT = 1.0
 high or too low reach 1.15 and more, links that are 2 % off at most 0.4 (benchmarks/confusion)."""
 
 
-def is_worth_a_word(scales: Array, spread: Array) -> bool:
+def is_notable_scale(scales: Array, spread: Array) -> bool:
     """Return whether the mean torque scale is significant and large enough for a note.
 
     Args:
         scales: (joints,) relative errors of the torque scales, 0.1 for 10 %.
         spread: (joints, joints) covariance of the scales.
     """
-    return bool(abs(np.mean(scales)) > _least(spread))
+    return bool(abs(np.mean(scales)) > _least_notable_scale(spread))
 
 
-def _least(spread: Array) -> float:
+def _least_notable_scale(spread: Array) -> float:
     """Return the smallest mean scale worth a note, for scales of covariance (joints, joints)."""
     return max(SIGNIFICANT * sqrt(np.mean(spread)), LEAST_SCALE)
 
@@ -588,7 +597,7 @@ def false_alarms(
     # Without information on scales, rounding remains.
     if variance <= 0.0:
         return 0.0, 0.0 * products
-    far = _least(common_posterior) / sqrt(variance)
+    far = _least_notable_scale(common_posterior) / sqrt(variance)
     along = products @ weights
     share = erfc(far / sqrt(2.0))
     # The mean square of a unit Gaussian beyond L is 1 + L phi(L) / (1 - Phi(L)) (Johnson, Kotz,
