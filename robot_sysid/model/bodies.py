@@ -55,23 +55,25 @@ def usual_bodies(robot: RobotModel) -> dict[str, Array]:
     placeholder's centre of mass, with the median mass and radius of gyration of the other links.
     """
     bodies = {link.body_name: link.theta for link in robot.links if link.has_mass}
-    all_bodies = list(bodies.values())
-    least_mass = PLACEHOLDER * max(theta[0] for theta in all_bodies)
+    thetas = list(bodies.values())
+    least_mass = PLACEHOLDER * np.max(np.array(thetas)[:, 0])
+    stated = []
+    for theta in thetas:
+        if theta[0] >= least_mass and spatial.is_consistent(theta):
+            stated.append(theta)
     masses = []
-    gyrations = []
-    possible = [theta for theta in all_bodies if spatial.is_consistent(theta)]
-    stated = [theta for theta in possible if theta[0] >= least_mass]
-    for theta in stated or all_bodies:
+    squared_radii = []  # of gyration [m^2]
+    for theta in stated or thetas:
         mass, _, inertia = spatial.com_from_theta(theta)
         masses.append(theta[0])
-        gyrations.append(np.trace(inertia) / (3.0 * mass))
+        squared_radii.append(np.trace(inertia) / (3.0 * mass))
     median_mass = float(np.median(masses))
-    gyration = float(np.median(gyrations))
+    squared_radius = float(np.median(squared_radii))
     for name, theta in bodies.items():
         if theta[0] < PLACEHOLDER * median_mass or not spatial.is_consistent(theta):
             mass = max(median_mass, float(theta[0]))
             com = theta[1:4] / theta[0] if theta[0] > 0.0 else np.zeros(3)
-            inertia = mass * gyration * np.eye(3)
+            inertia = mass * squared_radius * np.eye(3)
             bodies[name] = spatial.theta_from_com(mass, com, inertia)
     return bodies
 
@@ -79,9 +81,10 @@ def usual_bodies(robot: RobotModel) -> dict[str, Array]:
 def subtree_bodies(
     mj_model: Any, qpos: Array, body_id: int, excluded: Collection[int] = ()
 ) -> tuple[SubtreeBody, ...]:
-    """Return a body and all below it but the excluded ones, held at ``qpos`` (nq,).
+    """Return a body and all below it but the excluded ones (ids), held at ``qpos`` (nq,).
 
-    Their theta are in the frame of the first body, which ``body_id`` names.
+    Their theta are in the frame of the first body, which has the id ``body_id``. ``welded`` are
+    that body and all without a joint between it and them.
     """
     data = data_at_pose(mj_model, qpos)
     axes = data.xmat[body_id].reshape(3, 3)
@@ -130,19 +133,21 @@ def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink
     """
     data = data_at_pose(mj_model, qpos)
     mujoco.mj_comPos(mj_model, data)
-    body_ids = [int(mj_model.jnt_bodyid[joint]) for joint in chain]
+    body_ids = mj_model.jnt_bodyid[list(chain)].tolist()
+    dofs = mj_model.jnt_dofadr[list(chain)].tolist()
     links = []
     # Pose of the previous link.
     axes = np.eye(3)
     origin = np.zeros(3)
-    jacobian = np.zeros((2, 3, mj_model.nv))
+    jac_linear = np.zeros((3, mj_model.nv))
+    jac_angular = np.zeros((3, mj_model.nv))
     for index, body_id in enumerate(body_ids):
         new_axes = data.xmat[body_id].reshape(3, 3)
         new_origin = data.xpos[body_id]
-        mujoco.mj_jacBody(mj_model, data, jacobian[1], jacobian[0], body_id)
-        dof = int(mj_model.jnt_dofadr[chain[index]])
-        # Rotation of the joint's axis, then translation, in world axes.
-        turn, slide = jacobian[..., dof]
+        mujoco.mj_jacBody(mj_model, data, jac_linear, jac_angular, body_id)
+        # Angular and linear velocity of the body per unit of the joint's, in world axes.
+        turn = jac_angular[:, dofs[index]]
+        slide = jac_linear[:, dofs[index]]
         bodies = link_bodies(mj_model, qpos, body_id, body_ids[index + 1 :])
         links.append(
             ArmLink(
@@ -164,8 +169,8 @@ def link_bodies(
 ) -> tuple[SubtreeBody, ...]:
     """Return the bodies of the link of a joint's body, that one first, at ``qpos`` (nq,).
 
-    ``later_bodies``: ids of the bodies that later chain joints move; no bodies are returned where
-    ``body_id`` is one of them.
+    ``later_bodies``: ids of the bodies that later chain joints move, from the base on; no bodies
+    are returned where ``body_id`` is one of them.
     """
     if body_id in later_bodies:
         return ()
@@ -221,8 +226,9 @@ def _list_names(flanges: Sequence[Flange]) -> str:
 
 def place_in_carrier(robot: RobotModel, flange: Flange) -> tuple[Array, Array]:
     """Return (rotation (3, 3), translation (3,)) of a flange in the frame of its carrier [m]."""
-    bodies = _fixed_frames(robot)[1].values()
-    carrier = next(body for body in bodies if body.carrier == flange.carrier)
+    _, bodies = _fixed_frames(robot)
+    fixed = bodies.values()
+    carrier = next(frame for frame in fixed if frame.carrier == flange.carrier)
     rotation = carrier.rotation.T @ flange.rotation
     translation = carrier.rotation.T @ (flange.translation - carrier.translation)
     # A distance that is left after adding and subtracting it is no distance.
@@ -235,7 +241,11 @@ _Frames = Mapping[str, Flange]
 
 
 def _fixed_frames(robot: RobotModel) -> tuple[_Frames, _Frames]:
-    """Return the frames of all sites, and of all bodies, that are fixed to the terminal body."""
+    """Return the frames of all sites, and of all bodies, that are fixed to the terminal body.
+
+    The terminal body is one of the bodies. A frame's carrier is the id of its site's body, or of
+    itself.
+    """
     mj_model = robot.mj_model
     terminal = robot.body_id
     data = data_at_pose(mj_model, robot.reference_qpos)
@@ -244,7 +254,10 @@ def _fixed_frames(robot: RobotModel) -> tuple[_Frames, _Frames]:
     fixed = {body.body_id: body.name for body in robot.bodies if body.welded}
 
     def frame(label: str, carrier: int, pose: Any) -> Flange:
-        """Return the frame of a site or body, whose ``pose`` is in world axes."""
+        """Return the frame of a site or body; MuJoCo's ``pose`` has its xpos and xmat in the world.
+
+        ``carrier``: id of the site's body, or of the body itself.
+        """
         rotation = axes.T @ pose.xmat.reshape(3, 3)
         translation = axes.T @ (pose.xpos - origin)
         return Flange(label, rotation, translation, robot.body_name, carrier)
@@ -266,11 +279,11 @@ def _guess_flange(robot: RobotModel, sites: _Frames, bodies: _Frames) -> Flange:
     terminal = others.pop(robot.body_name)
     for pattern in _PATTERNS:
         # A site counts more than a body.
-        site_names = list(filter(pattern.fullmatch, sites))
-        body_names = list(filter(pattern.fullmatch, others))
-        matches = [sites[n] for n in site_names] or [others[n] for n in body_names]
+        frames = sites if any(map(pattern.fullmatch, sites)) else others
+        matches = list(map(frames.__getitem__, filter(pattern.fullmatch, frames)))
         if not matches:
             continue
+        # Several names of one and the same frame are no ambiguity.
         poses = [np.column_stack((f.rotation, f.translation)) for f in matches]
         if not np.allclose(poses, poses[0], rtol=0.0, atol=1e-9):
             listed = _list_names(matches)
@@ -320,7 +333,10 @@ _MAX_JOINTS_BETWEEN = 3
 
 
 def joint_ranges(robot: RobotModel) -> tuple[Array, Array]:
-    """Return the positions (n,), (n,) between which each joint can be; a turn where unlimited."""
+    """Return the lowest and the highest positions (n,), (n,) of the chain joints [rad or m].
+
+    Where a joint has no limit, it is half a turn (pi) away from the reference configuration.
+    """
     lower = robot.limits.lower
     upper = robot.limits.upper
     lowest = np.where(np.isfinite(lower), lower, robot.reference - np.pi)
@@ -328,7 +344,7 @@ def joint_ranges(robot: RobotModel) -> tuple[Array, Array]:
 
 
 def count_moving_joints(robot: RobotModel) -> NDArray[np.int64]:
-    """Return how many chain joints move each body (nbody,): the first so many of the chain.
+    """Return how many chain joints move each body (nbody,); k of them are the first k of the chain.
 
     Bodies with equal counts keep their distances. InputError for joints of two arms, which do not
     move the bodies one after the other.
@@ -337,6 +353,7 @@ def count_moving_joints(robot: RobotModel) -> NDArray[np.int64]:
     counts = np.zeros(model.nbody, dtype=np.int64)
     for index, body in enumerate(model.dof_bodyid[robot.dof_index].tolist()):
         moved = subtree(model, body)
+        # All that a joint of a serial chain moves is moved by the joints before it.
         if np.any(counts[moved] != index):
             names = ", ".join(robot.joint_names)
             raise InputError(f"{names} are no serial chain: take one arm")
@@ -345,28 +362,35 @@ def count_moving_joints(robot: RobotModel) -> NDArray[np.int64]:
 
 
 def adjacent_bodies(mj_model: Any) -> NDArray[np.bool_]:
-    """Return whether two bodies are next to each other in the tree, (nbody, nbody).
+    """Return whether two bodies (ids) are next to each other in the tree, (nbody, nbody).
 
     Bodies welded together count as one. A body that stands still is next to a link only if it
     carries it or is fixed to the body that does: the arm's base and its housing are, a table in the
     same world is not.
     """
+    n_bodies = mj_model.nbody
+    # The topmost body that each is welded to, and the body that this one hangs on, (nbody,).
     weld = mj_model.body_weldid
-    bodies = np.arange(mj_model.nbody)
     parent = mj_model.body_parentid[weld]
+    # Element [a, b] of the arrays (nbody, nbody): whether a carries b, b is a or below a, ...
     carries = (weld[:, None] == weld[parent]) & (weld[:, None] != weld)
-    below = np.array([np.isin(bodies, subtree(mj_model, int(body))) for body in bodies])
-    stands_still = (weld == 0)[:, None]
-    is_fixed = below | below[parent].T & (parent != 0)
-    carries &= ~stands_still | (is_fixed & (bodies != 0)[:, None])
+    is_above = np.zeros((n_bodies, n_bodies), dtype=bool)
+    for body in range(n_bodies):
+        is_above[body, subtree(mj_model, body)] = True
+    # ... and whether a hangs on the same body as b, which is not the world.
+    is_beside = is_above[parent].T & (parent != 0)
+    stands_still = weld == 0
+    is_world = np.arange(n_bodies) == 0
+    is_fixed = (is_above | is_beside) & ~is_world[:, None]
+    carries &= ~stands_still[:, None] | is_fixed
     return np.asarray(carries | carries.T)
 
 
 class ContactFinder:
-    """Finds which bodies touch in a configuration.
+    """Finds which bodies touch in a configuration; pairs are of body ids, the lower one first.
 
     Attributes:
-        resting_pairs: pairs of body ids that touch in the robot's reference configuration.
+        resting_pairs: pairs that touch in the robot's reference configuration.
     """
 
     def __init__(self, robot: RobotModel) -> None:
@@ -387,14 +411,19 @@ class ContactFinder:
         return {pair for pair in pairs if is_adjacent[pair] or self._never_part(pair)}
 
     def _never_part(self, pair: tuple[int, int]) -> bool:
-        """Return whether two bodies touch at all tried positions of the joints between them."""
+        """Return whether two bodies touch at all tried positions of the joints between them.
+
+        Changes the current configuration.
+        """
+        # The chain joints first, ..., last - 1 are between the two bodies.
         first, last = sorted(self._joint_counts[list(pair)].tolist())
         first_root, second_root = self._model.body_rootid[list(pair)]
         if last - first > _MAX_JOINTS_BETWEEN or first_root != second_root:
             return False
-        low, high = (ends[first:last] for ends in joint_ranges(self._robot))
+        lowest, highest = joint_ranges(self._robot)
+        tried = np.linspace(lowest[first:last], highest[first:last], _POSITIONS)
         q = self._robot.reference.copy()
-        for positions in product(*np.linspace(low, high, _POSITIONS).T):
+        for positions in product(*tried.T):
             q[first:last] = positions
             self._data.qpos[self._robot.qpos_index] = q
             if pair not in self._touching():
@@ -402,12 +431,14 @@ class ContactFinder:
         return True
 
     def new_pairs(self, q: Array) -> set[tuple[int, int]]:
-        """Return pairs of body ids that touch at chain positions q (n,) but not at rest."""
+        """Return the pairs that touch at chain positions q (n,) but not at rest."""
         self._data.qpos[self._robot.qpos_index] = q
         return self._touching() - self.resting_pairs
 
     def _touching(self) -> set[tuple[int, int]]:
-        """Return pairs of body ids, the lower first, that touch in the current configuration."""
+        """Return the pairs that touch in the current configuration, but for those that keep their
+        distance.
+        """
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         try:
@@ -420,16 +451,19 @@ class ContactFinder:
         if not self._data.ncon:
             return set()
         geoms = self._data.contact.geom[self._data.contact.dist <= 0.0]
+        # A flexible body's contact has the geom -1.
         geoms = geoms[np.all(geoms >= 0, axis=1)]
         bodies = np.sort(self._model.geom_bodyid[geoms], axis=1)
         counts = self._joint_counts[bodies]
-        return set(map(tuple, bodies[counts[:, 0] != counts[:, 1]].tolist()))
+        moving = bodies[counts[:, 0] != counts[:, 1]]
+        return set(map(tuple, moving.tolist()))
 
 
 def find_new_contacts(robot: RobotModel, motions: Iterable[Motion]) -> tuple[str, ...]:
-    """Return in words which bodies collide at rest, and when others first do along a motion.
+    """Return a sentence for each two bodies that collide at rest, or else along a motion.
 
-    ``motions`` are the pieces of that motion in the order of time.
+    ``motions`` are the pieces of that motion in the order of time; only the first contact of two
+    bodies is stated.
     """
     finder = ContactFinder(robot)
     first_time: dict[tuple[int, int], float] = {}
@@ -438,12 +472,14 @@ def find_new_contacts(robot: RobotModel, motions: Iterable[Motion]) -> tuple[str
             for pair in finder.new_pairs(q):
                 first_time.setdefault(pair, float(time))
 
-    def contact(pair: tuple[int, int]) -> str:
-        """Return a sentence on two bodies (ids), without the time."""
-        first, second = (body_label(robot.mj_model, body) for body in pair)
-        return f"{first} and {second} touch"
+    def contact(pair: tuple[int, int], occasion: str) -> str:
+        """Return the sentence on a pair of bodies (ids)."""
+        first = body_label(robot.mj_model, pair[0])
+        second = body_label(robot.mj_model, pair[1])
+        return f"{first} and {second} touch at {occasion}"
 
     resting = finder.resting_pairs - finder.by_design(finder.resting_pairs)
-    at_rest = sorted(f"{contact(pair)} at rest" for pair in resting)
-    later = [f"{contact(pair)} at {t:.2f} s" for pair, t in first_time.items()]
-    return (*at_rest, *later)
+    sentences = sorted(contact(pair, "rest") for pair in resting)
+    for pair, time in first_time.items():
+        sentences.append(contact(pair, f"{time:.2f} s"))
+    return tuple(sentences)

@@ -42,6 +42,8 @@ _FIXED_GAIN = int(mujoco.mjtGain.mjGAIN_FIXED)
 """MuJoCo's type of gain of a plain motor."""
 _NO_BIAS = int(mujoco.mjtBias.mjBIAS_NONE)
 """MuJoCo's type of bias of a plain motor."""
+_WRAPS_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
+"""MuJoCo's type of a joint that a tendon runs over."""
 _ONLY_THESE = "only hinge and slide joints can be identified"
 """Part of the errors on joints of other types."""
 RIVAL_SHARE = 0.6
@@ -81,17 +83,18 @@ def chain_to(mj_model: Any, joint: int) -> tuple[int, ...]:
     return chain
 
 
-def _parent(mj_model: Any, joint: int) -> int | None:
-    """Return the next joint towards the world, or None."""
-    dof = int(mj_model.dof_parentid[mj_model.jnt_dofadr[joint]])
-    return None if dof < 0 else int(mj_model.dof_jntid[dof])
+def _parent_joints(mj_model: Any) -> list[int]:
+    """Return the id of the next joint towards the world of each joint (njnt,); -1 for none."""
+    dofs = mj_model.dof_parentid[mj_model.jnt_dofadr]
+    return np.where(dofs < 0, -1, mj_model.dof_jntid[dofs]).tolist()
 
 
-def _towards_world(mj_model: Any, joint: int | None) -> Iterator[int]:
-    """Yield a joint and all between it and the world."""
-    while joint is not None:
+def _towards_world(mj_model: Any, joint: int) -> Iterator[int]:
+    """Yield the id of a joint, then those of all joints between it and the world."""
+    parents = _parent_joints(mj_model)
+    while joint >= 0:
         yield joint
-        joint = _parent(mj_model, joint)
+        joint = parents[joint]
 
 
 Run = tuple[int, ...]
@@ -99,11 +102,14 @@ Run = tuple[int, ...]
 
 
 def serial_runs(mj_model: Any) -> list[Run]:
-    """Return all maximal serial runs of hinge and slide joints."""
-    parents = [_parent(mj_model, joint) for joint in range(mj_model.njnt)]
-    # By their last joints. A joint comes after those that carry it; a run goes on where it is the
-    # only one behind the last.
-    runs: dict[int | None, Run] = {}
+    """Return all maximal serial runs of hinge and slide joints, by the ids of their joints.
+
+    A joint continues the run of its parent, the next joint towards the world, where it is the only
+    joint with this parent; otherwise it begins a run.
+    """
+    parents = _parent_joints(mj_model)
+    # Last joint of a run to the run. A joint's id is higher than its parent's.
+    runs: dict[int, Run] = {}
     for joint, parent in enumerate(parents):
         if is_hinge_or_slide(mj_model, joint):
             is_only_child = parents.count(parent) == 1
@@ -113,18 +119,25 @@ def serial_runs(mj_model: Any) -> list[Run]:
 
 
 def find_terminal_joint(mj_model: Any) -> int:
-    """Return the id of the arm's last joint; AmbiguousJointError where several could be meant."""
+    """Return the id of the last joint of the longest serial run, the arm.
+
+    AmbiguousJointError where the user has to decide: a run beside the arm (not behind it, nor
+    between it and the world) has at least RIVAL_SHARE of its joints, or its last joint may be none
+    of the arm's. ModelError where the model has no hinge or slide joints.
+    """
     runs = serial_runs(mj_model)
     if not runs:
         raise ModelError(
             "the model has no hinge or slide joints, so there is no arm to identify"
         )
-    # The joints between each run and the world.
-    carriers = {run: {*_towards_world(mj_model, run[0])} - {run[0]} for run in runs}
+    # Run to the joints between it and the world.
+    carriers = {}
+    for run in runs:
+        carriers[run] = {*_towards_world(mj_model, run[0])} - {run[0]}
     longest = max(map(len, runs))
     longest_runs = [run for run in runs if len(run) == longest]
     ends = {run[-1] for run in longest_runs}
-    # The longest run that stands on no other of its length.
+    # Of two longest runs one behind the other, the arm is the one nearer to the world.
     arm = next(run for run in longest_runs if ends.isdisjoint(carriers[run]))
     rivals = [arm]
     for run in runs:
@@ -132,6 +145,7 @@ def find_terminal_joint(mj_model: Any) -> int:
         if run != arm and not is_in_line and len(run) >= RIVAL_SHARE * longest:
             rivals.append(run)
     if len(rivals) > 1:
+        # What carries all rivals, such as a torso, may be the arm too.
         common = set.intersection(*map(carriers.__getitem__, rivals))
         trunks = [run for run in runs if run[-1] in common]
         last_joints = [run[-1] for run in [*trunks, *rivals]]
@@ -142,14 +156,15 @@ def find_terminal_joint(mj_model: Any) -> int:
 
 
 def _require_end(mj_model: Any, arm: Run) -> None:
-    """Raise AmbiguousJointError where the last joint of a run may not be the arm's last one.
+    """Raise AmbiguousJointError where the last joint of a run (joint ids) may not be the arm's.
 
     It may be the jaw of a gripper, or a joint without a motor. ModelError where a ball joint is
     behind it.
     """
     last = arm[-1]
     joint = joint_label(mj_model, last)
-    children = [j for j in range(mj_model.njnt) if _parent(mj_model, j) == last]
+    is_child = np.array(_parent_joints(mj_model)) == last
+    children = np.flatnonzero(is_child).tolist()
     if len(children) == 1 and not is_hinge_or_slide(mj_model, children[0]):
         raise ModelError(
             f"ball joint {joint_label(mj_model, children[0])} is part of the chain; {_ONLY_THESE}, "
@@ -170,32 +185,42 @@ def _ambiguity(
     mj_model: Any, reason: str, joints: Sequence[int]
 ) -> AmbiguousJointError:
     """Return the error that lists the joints (ids) which could be the terminal one."""
-    bodies = (body_label(mj_model, int(mj_model.jnt_bodyid[joint])) for joint in joints)
-    names = (joint_label(mj_model, joint) for joint in joints)
-    return AmbiguousJointError(reason, list(zip(names, bodies)))
+    candidates = []
+    for joint in joints:
+        body = int(mj_model.jnt_bodyid[joint])
+        names = joint_label(mj_model, joint), body_label(mj_model, body)
+        candidates.append(names)
+    return AmbiguousJointError(reason, candidates)
 
 
 def driven_joints(mj_model: Any) -> set[int]:
-    """Return the ids of joints that an actuator moves, directly, by a tendon or by a coupling."""
+    """Return the ids of joints that an actuator moves: directly, by a tendon, or by an equality
+    constraint with a joint that is moved so.
+    """
     joints = set[int]()
+    transmissions = mj_model.actuator_trntype.tolist()
+    # Ids of joints or tendons, as the type of transmission says.
     targets = mj_model.actuator_trnid[:, 0].tolist()
-    for transmission, target in zip(mj_model.actuator_trntype.tolist(), targets):
+    for transmission, target in zip(transmissions, targets):
         if transmission in _AT_JOINT:
             joints.add(target)
         elif transmission == int(mujoco.mjtTrn.mjTRN_TENDON):
             wraps = _wraps(mj_model, target)
-            of_joints = mj_model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)
-            joints.update(mj_model.wrap_objid[wraps][of_joints].tolist())
-    coupled = mj_model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
-    pairs = np.column_stack((mj_model.eq_obj1id, mj_model.eq_obj2id))[coupled]
-    for pair in pairs.tolist():
+            is_joint = mj_model.wrap_type[wraps] == _WRAPS_JOINT
+            joints.update(mj_model.wrap_objid[wraps][is_joint].tolist())
+    is_coupling = mj_model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    pairs = np.column_stack((mj_model.eq_obj1id, mj_model.eq_obj2id))
+    for pair in pairs[is_coupling].tolist():
         if joints.intersection(pair):
             joints.update(pair)
     return joints
 
 
 def _wraps(mj_model: Any, tendon: int) -> slice:
-    """Return the range of a tendon's entries in the model's ``wrap_`` arrays."""
+    """Return the range of a tendon's (id) entries in the model's ``wrap_`` arrays.
+
+    An entry is a joint, site or geom that the tendon runs over; a fixed tendon has joints alone.
+    """
     first = int(mj_model.tendon_adr[tendon])
     return slice(first, first + int(mj_model.tendon_num[tendon]))
 
@@ -203,20 +228,28 @@ def _wraps(mj_model: Any, tendon: int) -> slice:
 def resolve_joint(mj_model: Any, name: str) -> int:
     """Return the id of the joint called ``name`` ("#3" for a nameless one).
 
-    ModelError where there is none (lists those there are) or it cannot be terminal.
+    ModelError where there is none, which lists the hinges and slides there are, or where a later
+    joint moves the same body.
     """
-    joints = range(mj_model.njnt)
-    labels = [joint_label(mj_model, joint) for joint in joints]
-    if name not in labels:
-        usable = [labels[j] for j in joints if is_hinge_or_slide(mj_model, j)]
+    matches = []
+    usable = []
+    for joint in range(mj_model.njnt):
+        label = joint_label(mj_model, joint)
+        if label == name:
+            matches.append(joint)
+        if is_hinge_or_slide(mj_model, joint):
+            usable.append(label)
+    if not matches:
         listed = ", ".join(usable) or "none"
         raise ModelError(f"--joint {name}: no such joint; the model has: {listed}")
-    joint = len(labels) - 1 - labels[::-1].index(name)
+    # A model may call a joint "#3" though the nameless joint 3 is before it.
+    joint = matches[-1]
     body = mj_model.jnt_bodyid[joint]
     last = int(mj_model.body_jntadr[body] + mj_model.body_jntnum[body]) - 1
     if last != joint:
-        fault = f"joint {labels[last]} moves the same body after it"
-        raise ModelError(f"--joint {name}: {fault}; choose {labels[last]}")
+        label = joint_label(mj_model, last)
+        fault = f"joint {label} moves the same body after it"
+        raise ModelError(f"--joint {name}: {fault}; choose {label}")
     return joint
 
 
@@ -238,6 +271,7 @@ def arm_without_base(mj_model: Any, chain: tuple[int, ...]) -> tuple[int, ...]:
     is_long = len(chain) >= _BASE_JOINTS + _LEAST_ARM_JOINTS
     if not is_long or not is_planar or np.any(mj_model.jnt_limited[base]):
         return chain
+    # Unit vectors (3, 3) of the joints' axes, one per row.
     axes = data_at_pose(mj_model, mj_model.qpos0).xaxis[base]
     cosines = np.abs(axes @ axes.T - np.eye(_BASE_JOINTS))
     return chain[_BASE_JOINTS:] if np.max(cosines) <= _PERPENDICULAR else chain
@@ -256,7 +290,8 @@ def joint_limits(
     """Return the limits of joints (n ids).
 
     Args:
-        max_velocity: limit of hinges, one number or one per joint [rad/s].
+        max_velocity: speed limit of hinges, one number or one per joint [rad/s]; slides have at
+            most DEFAULT_SLIDE_VELOCITY [m/s].
         model_velocities: (n,) speed limits that the model file states [rad/s or m/s], None for
             none; the lower of both counts.
     """
@@ -275,9 +310,9 @@ def joint_limits(
 
 
 def _torque_limit(mj_model: Any, joint: int) -> float:
-    """Return the symmetric torque limit of a joint [N m or N]; infinite where there is none.
+    """Return the torque that a joint (id) can make either way [N m or N]; infinite without limit.
 
-    The joint's own, or the sum of all actuators on it.
+    It is the lower one of the joint's own limit and the sum of the limits of all actuators on it.
     """
     limit = np.inf
     if mj_model.jnt_actfrclimited[joint]:
@@ -297,7 +332,10 @@ def actuators_on(mj_model: Any, joint: int) -> list[int]:
 
 
 def _force_limit(mj_model: Any, actuator: int) -> float:
-    """Return the largest force of one actuator: its forcerange, or a motor's gain x ctrlrange."""
+    """Return the largest force of an actuator (id), before its gear [N m or N].
+
+    It is that of its forcerange, or a motor's gain times its ctrlrange; infinite without either.
+    """
     if mj_model.actuator_forcelimited[actuator]:
         return _symmetric_bound(mj_model.actuator_forcerange[actuator])
     gain_type = mj_model.actuator_gaintype[actuator]
@@ -310,7 +348,10 @@ def _force_limit(mj_model: Any, actuator: int) -> float:
 
 
 def _symmetric_bound(bounds: Array) -> float:
-    """Return the largest magnitude allowed in both directions; a 0 bound means no limit."""
+    """Return the largest magnitude that ``bounds`` (smallest, largest) allow in both directions.
+
+    A bound of 0 counts as no limit at all, so that the magnitude is infinite.
+    """
     magnitude = float(min(-bounds[0], bounds[1]))
     return magnitude if magnitude > 0.0 else np.inf
 
@@ -326,17 +367,20 @@ def shared_motors(mj_model: Any, dofs: NDArray[np.int64]) -> dict[int, Array]:
         dofs: (n,) addresses of the chain's joints in qvel.
 
     Returns:
-        Tendon id to its speed per joint speed (n,).
+        Tendon id to the tendon's speed per speed of each joint (n,).
     """
     motors = {}
     for tendon in range(mj_model.ntendon):
         wraps = _wraps(mj_model, tendon)
+        if not np.all(mj_model.wrap_type[wraps] == _WRAPS_JOINT):
+            continue
+        # Speed of the tendon per speed of every joint in the model (nv,).
         coefficients = np.zeros(mj_model.nv)
-        if np.all(mj_model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)):
-            addresses = mj_model.jnt_dofadr[mj_model.wrap_objid[wraps]]
-            np.add.at(coefficients, addresses, mj_model.wrap_prm[wraps])
+        addresses = mj_model.jnt_dofadr[mj_model.wrap_objid[wraps]]
+        np.add.at(coefficients, addresses, mj_model.wrap_prm[wraps])
         ratios = coefficients[dofs]
-        if np.count_nonzero(ratios) == np.count_nonzero(coefficients) > 1:
+        n_joints = np.count_nonzero(coefficients)
+        if n_joints > 1 and np.count_nonzero(ratios) == n_joints:
             motors[tendon] = ratios
     return motors
 
@@ -344,6 +388,7 @@ def shared_motors(mj_model: Any, dofs: NDArray[np.int64]) -> dict[int, Array]:
 def joint_friction(mj_model: Any, dofs: NDArray[np.int64]) -> JointFriction:
     """Return the friction of a chain whose joints have these addresses (n,) in qvel."""
     motors = shared_motors(mj_model, dofs)
+    # (m, n) for m shared motors, of which there may be none.
     ratios = np.array(list(motors.values())).reshape(-1, len(dofs))
     torques = mj_model.tendon_frictionloss[list(motors)][:, None] * ratios
     return JointFriction(
