@@ -63,23 +63,28 @@ class BusAddress(OptionRecord):
 
     @property
     def buses(self) -> Mapping[str, str]:
-        """Channel of each bus by the bus's name in joint maps, which by default is the channel.
+        """Channel of each bus, by the bus's name in joint maps (files of the motor of each joint).
 
-        InputError where a name or a channel is given twice.
+        A bus without a name is called as its channel. InputError where a name or a channel is given
+        twice: a bus that got lost would leave its arm to the trajectory of the other one.
         """
-        matches = [_NAMED_CHANNEL.fullmatch(channel) for channel in self.channel]
-        pairs = [(match[1] or match[2], match[2]) for match in matches if match]
-        # A bus that got lost would leave its arm to the trajectory of the other one.
-        for names in zip(*pairs):
-            for name in names:
-                if names.count(name) > 1:
+        names = []
+        channels = []
+        for text in self.channel:
+            match = _NAMED_CHANNEL.fullmatch(text)
+            if match:
+                names.append(match["name"] or match["channel"])
+                channels.append(match["channel"])
+        for labels in (names, channels):
+            for label in labels:
+                if labels.count(label) > 1:
                     raise InputError(
-                        f"--channel names {name} twice; give each bus once"
+                        f"--channel names {label} twice; give each bus once"
                     )
-        return dict(pairs)
+        return dict(zip(names, channels))
 
 
-_NAMED_CHANNEL = re.compile(r"(?:([\w.-]+)=)?(.*)")
+_NAMED_CHANNEL = re.compile(r"(?:(?P<name>[\w.-]+)=)?(?P<channel>.*)")
 """A channel with or without a name before it.
 
 An address such as spy://COM3?file=log has no name, although it contains an equals sign.
@@ -139,12 +144,15 @@ def import_slcan() -> Any:
 
 
 def _driver_text(error: BaseException) -> str:
-    """Return the message of an exception that a driver raised, SystemExit included."""
+    """Return the message of a driver's exception; some drivers raise SystemExit, as programs do."""
     return repr(error) if isinstance(error, SystemExit) else error_text(error)
 
 
 def can_message(can: Any, frame: Frame, **stamp: Any) -> Any:
-    """Return a frame as python-can's Message, whose further fields are given by keyword."""
+    """Return a frame as a Message of the python-can module ``can``.
+
+    ``stamp`` are further fields of the Message: timestamp [s], is_rx and channel.
+    """
     fd = {"is_fd": frame.fd, "bitrate_switch": frame.fd}
     flags = {"is_extended_id": False, "is_error_frame": frame.error, **fd}
     return can.Message(arbitration_id=frame.id, data=frame.data, **flags, **stamp)
@@ -187,7 +195,7 @@ class DriverWatch:
 
     @contextlib.contextmanager
     def during(self, more_looks: int = 0) -> Iterator[None]:
-        """Watch the driver's call in a block, which may take ``more_looks`` above the limits."""
+        """Watch the call in a ``with`` block (not nested), reported ``more_looks`` looks later."""
         self._call = object()
         self._looks = -more_looks
         try:
@@ -200,11 +208,12 @@ class DriverWatch:
         self._closed.set()
 
     def _look(self) -> None:
-        """Look at the present call at intervals, and report one that does not return."""
+        """Look at the present call every 0.1 s, and report one that does not return."""
         assert self._tell is not None
         last_call = None
         while self._looks < _LOOKS_TO_END and not self._closed.wait(_LOOK):
-            self._looks += self._call is last_call is not None
+            if last_call is not None and self._call is last_call:
+                self._looks += 1
             last_call = self._call
             if last_call is not None and self._looks in (_LOOKS_TO_SAY, _LOOKS_TO_END):
                 self._tell(
@@ -238,7 +247,7 @@ class BusLink:
         self._garbled_at: deque[float] = deque(maxlen=_MOST_GARBLED)
 
     def send(self, frame: Frame) -> None:
-        """Send a frame on its bus; LinkError where the bus does not take it."""
+        """Send a frame on its bus, again for 1.5 ms if its queue is full; else LinkError."""
         message = can_message(self._can, frame)
         patience = self._clock.now() + _FULL_PATIENCE
         while True:
@@ -247,6 +256,7 @@ class BusLink:
                     return self._buses[frame.bus].send(message, timeout=_SEND_TIMEOUT)
             except (Exception, SystemExit) as error:
                 # Whatever a driver raises: the caller has to go on with the other motors.
+                # ENOBUFS: the queue is full.
                 names = "error_code", "errno"
                 codes = [getattr(error, name, None) for name in names]
                 if errno.ENOBUFS not in codes:
@@ -273,7 +283,7 @@ class BusLink:
             self._clock.sleep_until(min(self._clock.now() + _PAUSE, until))
 
     def _next(self, bus: Any, until: float) -> Any:
-        """Return the next python-can message with a standard id, or None at ``until`` [s]."""
+        """Return a bus's next python-can message with a standard id; None at ``until`` [s]."""
         while True:
             try:
                 with self._watch.during():
@@ -291,7 +301,7 @@ class BusLink:
                 return message
 
     def _note_garbled(self, error: Exception) -> None:
-        """Count a line that ``error`` calls damaged; LinkError at the third within a second."""
+        """Count a line whose parsing raised ``error``; LinkError at the third within a second."""
         now = self._clock.now()
         self._garbled_at.append(now)
         if (
@@ -301,10 +311,7 @@ class BusLink:
             raise LinkError(f"{_GARBLED} ({error_text(error)})") from error
 
     def close(self) -> None:
-        """Close all buses, for instance of an adapter that has been unplugged.
-
-        Exceptions of the drivers are dropped, so that they do not hide an error about the motors.
-        """
+        """Close all buses; drivers' exceptions are dropped: they would hide errors about motors."""
         for bus in self._buses:
             with contextlib.suppress(BaseException), self._watch.during():
                 bus.shutdown()
@@ -313,19 +320,20 @@ class BusLink:
     def _frame(self, message: Any, bus: int) -> Frame:
         """Return python-can's message as a frame of the bus with index ``bus``.
 
-        Its time is that of this link's clock; now, where the adapter stamps by another clock.
+        The message's time stamp, in seconds since 1970, is converted to the clock of this link. A
+        message that the adapter has stamped by another clock counts as just come.
         """
         age = time.time() - message.timestamp
-        # Where the adapter has another clock, a frame counts as just come.
-        sent_at = self._clock.now() - (age if 0.0 <= age < _PLAUSIBLE_AGE else 0.0)
+        if not 0.0 <= age < _PLAUSIBLE_AGE:
+            age = 0.0
         return Frame(
-            message.arbitration_id,
-            bytes(message.data),
-            sent_at,
-            message.is_fd,
-            message.is_error_frame,
-            not message.is_rx,
-            bus,
+            id=message.arbitration_id,
+            data=bytes(message.data),
+            time=self._clock.now() - age,
+            fd=message.is_fd,
+            error=message.is_error_frame,
+            echo=not message.is_rx,
+            bus=bus,
         )
 
 
@@ -350,12 +358,13 @@ def open_bus(
     buses: list[Any] = []
     watch = DriverWatch(tell)
     link = BusLink(buses, clock, watch)
-    with contextlib.ExitStack() as opened:
-        opened.callback(link.close)
+    try:
         for channel in address.buses.values():
             with watch.during(_OPENING):
                 buses.append(_open_one(address, channel, timing))
-        opened.pop_all()
+    except BaseException:
+        link.close()
+        raise
     return link
 
 
@@ -395,7 +404,7 @@ def _parse_value(text: str) -> Any:
 
 
 def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
-    """Return python-can's keywords for the bit rates and the echoes of a kind of adapter."""
+    """Return python-can's keywords for bit rates, and reports of sent frames, of an adapter."""
     if interface == SERIAL_ADAPTER:
         return {}
     if interface == "socketcan":
@@ -449,14 +458,16 @@ class PacketReader:
         self._incomplete = b""
 
     def take(self, piece: bytes) -> list[Frame]:
-        """Return the frames that end in ``piece``, the next bytes of the stream."""
+        """Return the frames (id, data) that end in ``piece``, the next bytes; store the others."""
         line = self._incomplete + piece
         frames = []
-        end = max(len(line) - _RECEIVED + 1, 0)
+        # A packet may be incomplete if it begins in the last 15 bytes.
+        end = max(len(line) - (_RECEIVED - 1), 0)
         for match in _PACKET.finditer(line):
+            packet_type, can_id, data = match.groups()
             end = max(end, match.end())
-            if match[1] == _A_FRAME:
-                frames.append(Frame(int.from_bytes(match[2], "little"), match[3]))
+            if packet_type == _A_FRAME:
+                frames.append(Frame(int.from_bytes(can_id, "little"), data))
         self._incomplete = line[end:]
         return frames
 
@@ -470,6 +481,7 @@ _PATIENCE = 1e-3
 
 
 def __getattr__(name: str) -> Any:
+    """Return the class DamiaoSerialBus, which python-can asks this module for by name."""
     if name == "DamiaoSerialBus":
         return _bus_class()
     raise AttributeError(name)
@@ -504,6 +516,10 @@ def _bus_class() -> Any:
             self._port.write(packet(msg.arbitration_id, bytes(msg.data)))
 
         def _recv_internal(self, timeout: float | None) -> tuple[Any, bool]:
+            """Return the next message, or None after ``timeout`` [s], and False: not filtered.
+
+            None as timeout waits without end.
+            """
             until = None if timeout is None else time.monotonic() + timeout
             while not self._waiting:
                 self._port.timeout = until and max(until - time.monotonic(), 0.0)
@@ -549,7 +565,7 @@ class LineReader:
         self._received = b""
 
     def __call__(self, timeout: float | None) -> str | None:
-        """Return the next line with its end, or None after ``timeout`` [s]."""
+        """Return the next line with its end, or None after ``timeout`` [s]; None never gives up."""
         until = math.inf if timeout is None else time.monotonic() + timeout
         while (end := _LINE_END.search(self._received)) is None:
             patience = min(max(until - time.monotonic(), 0.0), _LONGEST_LOOK)
@@ -573,7 +589,7 @@ def read_in_pieces(bus: Any, alone: bool, write_timeout: float) -> None:
     """Make python-can's slcan bus read all bytes at once that have come.
 
     Args:
-        bus: open slcan bus, which is changed.
+        bus: open slcan bus; its port's time-outs and its method of reading lines are replaced.
         alone: whether it is the only bus; only then its bytes are waited for, because waiting for
             a silent bus would keep the others waiting.
         write_timeout: longest time to write a line [s].
