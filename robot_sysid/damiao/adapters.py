@@ -78,9 +78,8 @@ class BusAddress(OptionRecord):
         for labels in (names, channels):
             for label in labels:
                 if labels.count(label) > 1:
-                    raise InputError(
-                        f"--channel names {label} twice; give each bus once"
-                    )
+                    problem = f"--channel names {label} twice"
+                    raise InputError(f"{problem}; give each bus once")
         return dict(zip(names, channels))
 
 
@@ -516,10 +515,7 @@ def _bus_class() -> Any:
             self._port.write(packet(msg.arbitration_id, bytes(msg.data)))
 
         def _recv_internal(self, timeout: float | None) -> tuple[Any, bool]:
-            """Return the next message, or None after ``timeout`` [s], and False: not filtered.
-
-            None as timeout waits without end.
-            """
+            """Return the next message, or None after ``timeout`` [s], and False (not filtered)."""
             until = None if timeout is None else time.monotonic() + timeout
             while not self._waiting:
                 self._port.timeout = until and max(until - time.monotonic(), 0.0)

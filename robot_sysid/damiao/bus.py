@@ -13,7 +13,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import NamedTuple, Protocol
@@ -162,12 +162,9 @@ def undisturbed_processor(live: bool = True) -> Iterator[bool]:
     gc.collect()
     gc.disable()
     sys.setswitchinterval(_SWITCH_INTERVAL)
+    priority = _real_time_priority() if live else contextlib.nullcontext(False)
     try:
-        with (
-            _real_time_priority()
-            if live
-            else contextlib.nullcontext(False) as is_granted
-        ):
+        with priority as is_granted:
             yield is_granted
     finally:
         sys.setswitchinterval(switch_interval)
@@ -181,14 +178,18 @@ def _real_time_priority() -> Iterator[bool]:
 
     A scheduling policy that the user has chosen already (by chrt) is not changed.
     """
-    policy = os.sched_getscheduler(0) if sys.platform == "linux" else None
-    if policy is None or policy != os.SCHED_OTHER:
-        yield policy is not None and policy in (os.SCHED_FIFO, os.SCHED_RR)
+    if sys.platform != "linux":
+        yield False
+        return
+    policy = os.sched_getscheduler(0)
+    if policy != os.SCHED_OTHER:
+        yield policy in (os.SCHED_FIFO, os.SCHED_RR)
         return
     try:
         is_granted = _schedule(0, os.SCHED_FIFO, PRIORITY)
-        for thread_id in _other_threads() if is_granted else ():
-            _schedule(thread_id, os.SCHED_FIFO, _PRIORITY_ASIDE)
+        if is_granted:
+            for thread_id in _other_threads():
+                _schedule(thread_id, os.SCHED_FIFO, _PRIORITY_ASIDE)
         yield is_granted
     finally:
         # Threads that were started in the block have inherited the priority.
@@ -251,7 +252,7 @@ class RegisterClient:
         self.error_frames = 0
 
     def read(self, motor: protocol.Address, register: int) -> RegisterReply | None:
-        """Return a motor's reply with a register's value, or None if it does not answer."""
+        """Return a motor's reply with a register's value; None if three requests get no answer."""
         replies = self.answers(protocol.read_frame(motor, register), 1)
         return replies[0] if replies else None
 
@@ -287,17 +288,23 @@ class RegisterClient:
             )
 
     def refresh(self, motor: protocol.Address, master_id: int) -> protocol.Frame | None:
-        """Request and return a motor's feedback frame, or None; this has no other effect."""
+        """Request a motor's feedback frame, up to three times, and return it; None without answer.
+
+        ``master_id`` is the arbitration id of the motor's replies. The request has no other effect.
+        """
+        # Feedback has the low four bits of the motor's CAN id in its first byte.
+        id_bits = motor.can_id & 0xF
         for _ in range(_TRIES):
             for frame in self._frames_after(protocol.refresh_frame(motor)):
-                if frame.id == master_id and frame.data[0] & 0xF == motor.can_id & 0xF:
+                if frame.id == master_id and frame.data[0] & 0xF == id_bits:
                     return frame
         return None
 
     def state_of(self, motor: InspectedMotor) -> Feedback | None:
-        """Request a motor's state and return it; None if there is no answer or no scaling.
+        """Request a motor's state, fields (1,), and return it; None without answer.
 
-        The request has no other effect on the motor.
+        It is also None where the motor's scaling limits are unknown. The request has no other
+        effect on the motor.
         """
         frame = self.refresh(motor.address, motor.reply_ids[0])
         return None if frame is None else motor.decode_feedback(frame.data)
@@ -308,19 +315,20 @@ class RegisterClient:
         """Return the time until all motors, requested at once, have answered [s].
 
         ``motors`` are pairs of address and reply id. None if one does not answer within 0.1 s.
+        Frames that have come earlier are discarded.
         """
         self._link.drain()
         start = self._clock.now()
         for motor, _ in motors:
             self._send(protocol.refresh_frame(motor))
         missing = {(motor.bus, reply_id) for motor, reply_id in motors}
-        while (
-            missing
-            and (frame := self._link.receive(start + _LONGEST_CYCLE)) is not None
-        ):
+        while missing:
+            frame = self._link.receive(start + _LONGEST_CYCLE)
+            if frame is None:
+                return None
             if not frame.echo and not frame.error:
                 missing.discard((frame.bus, frame.id))
-        return None if missing else self._clock.now() - start
+        return self._clock.now() - start
 
     def answers(
         self, request: protocol.Frame, limit: int | None = None
@@ -337,21 +345,27 @@ class RegisterClient:
         return []
 
     def _replies(self, request: protocol.Frame) -> Iterator[RegisterReply]:
-        """Send a request about a register and yield its replies until the timeout."""
-        # Most firmware answers a write with 0x55, some with 0x33.
-        codes = (
-            (protocol.READ, protocol.WRITE)
-            if request.data[2] == protocol.WRITE
-            else (protocol.READ,)
-        )
-        heads = [request.data[:2] + bytes([code, request.data[3]]) for code in codes]
+        """Send a request about a register and yield its replies until the timeout.
+
+        Requests and replies have the CAN id (two bytes), operation, register and value (four).
+        """
+        can_id = request.data[:2]
+        operation = request.data[2]
+        register = request.data[3]
+        heads = [can_id + bytes([protocol.READ, register])]
+        if operation == protocol.WRITE:
+            # Most firmware answers a write with 0x55 (WRITE), some with 0x33 (READ).
+            heads.append(can_id + bytes([protocol.WRITE, register]))
         for frame in self._frames_after(request):
             if frame.data[:4] in heads:
-                value = protocol.value_from_bytes(request.data[3], frame.data[4:8])
+                value = protocol.value_from_bytes(register, frame.data[4:8])
                 yield RegisterReply(value, frame.id)
 
     def _frames_after(self, request: protocol.Frame) -> Iterator[protocol.Frame]:
-        """Send a request and yield the 8-byte frames that others send on its bus until timeout."""
+        """Send a request and yield the 8-byte frames that others send on its bus until the timeout.
+
+        Frames that have come earlier are discarded; error frames are counted.
+        """
         self._link.drain()
         self._send(request)
         until = self._clock.now() + self._timeout
@@ -386,13 +400,15 @@ def watchdogs_set_to(
         motors: motors with the values of their registers.
         seconds: new watchdog time [s].
         is_off: returns, when the block has ended, whether the motor is known to be disabled.
+
+    Raises:
+        HardwareAbort: before the block, if a motor does not answer or refuses the value.
     """
     old_values = {motor.address: motor.registers[protocol.TIMEOUT] for motor in motors}
+    timeout = float(round(seconds / protocol.TIMEOUT_UNIT))
     try:
         for address in old_values:
-            client.write(
-                address, protocol.TIMEOUT, float(round(seconds / protocol.TIMEOUT_UNIT))
-            )
+            client.write(address, protocol.TIMEOUT, timeout)
         yield
     finally:
         for address in filter(is_off, old_values):
@@ -447,17 +463,19 @@ class InspectedMotor:
     @property
     def limits(self) -> tuple[float, float, float]:
         """PMAX, VMAX and TMAX in the motor's registers [rad, rad/s, N m]; 0 where unknown."""
-        position, velocity, torque = (
-            self.registers.get(number, 0.0) for number in protocol.SCALING
+        values = self.registers
+        return (
+            values.get(protocol.PMAX, 0.0),
+            values.get(protocol.VMAX, 0.0),
+            values.get(protocol.TMAX, 0.0),
         )
-        return position, velocity, torque
 
-    def decode_feedback(self, feedback: bytes) -> Feedback | None:
-        """Return the state, fields (1,), in a feedback frame's data; None without limits."""
+    def decode_feedback(self, data: bytes) -> Feedback | None:
+        """Return the state, fields (1,), in a feedback frame's 8 bytes; None without limits."""
         if min(self.limits) <= 0.0:
             return None
-        raw = np.frombuffer(feedback, dtype=np.uint8)[None]
-        return decode_feedback(raw, Scaling([self.limits]))
+        frames = np.frombuffer(data, dtype=np.uint8).reshape(1, 8)
+        return decode_feedback(frames, Scaling([self.limits]))
 
     @property
     def position(self) -> float:
@@ -474,7 +492,8 @@ class Inspection:
         unsolicited: number of frames that came before anything was requested.
         error_frames: number of error frames.
         round_trip: 90th percentile of the time in which all motors, requested at once, answer [s];
-            None if some did not.
+            None where half of the attempts, or more, ended without some motor's answer, or a
+            motor's state is unknown.
     """
 
     motors: Mapping[protocol.Address, InspectedMotor]
@@ -484,7 +503,7 @@ class Inspection:
 
 
 def inspect_bus(link: GuardedLink) -> Inspection:
-    """Request registers and state of every CAN id on every bus; return the answers.
+    """Request registers and state of every CAN id (1 to 15) on every bus; return the answers.
 
     No motor is enabled or changed.
     """
@@ -502,14 +521,26 @@ def inspect_bus(link: GuardedLink) -> Inspection:
                 motors[motor.address] = motor
     round_trip = None
     if all(motor.feedback for motor in motors.values()):
-        addresses = [(motor.address, motor.reply_ids[0]) for motor in motors.values()]
         # Measured under the conditions of a run, for which the time matters.
         with undisturbed_processor(link.clock.live):
-            times = [client.seconds_to_refresh(addresses) for _ in range(_ROUNDS)]
-        complete = [seconds for seconds in times if seconds is not None]
-        if len(complete) > _ROUNDS // 2:
-            round_trip = float(np.percentile(complete, 90.0))
+            round_trip = _round_trip(client, motors.values())
     return Inspection(motors, unsolicited, client.error_frames, round_trip)
+
+
+def _round_trip(
+    client: RegisterClient, motors: Iterable[InspectedMotor]
+) -> float | None:
+    """Return the 90th percentile of the time in which motors, requested at once, answer [s].
+
+    None unless all motors have answered in more than half of 20 rounds.
+    """
+    addresses = [(motor.address, motor.reply_ids[0]) for motor in motors]
+    times = []
+    for _ in range(_ROUNDS):
+        seconds = client.seconds_to_refresh(addresses)
+        if seconds is not None:
+            times.append(seconds)
+    return float(np.percentile(times, 90.0)) if len(times) > _ROUNDS // 2 else None
 
 
 def _inspect_motor(
