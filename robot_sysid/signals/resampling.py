@@ -363,9 +363,11 @@ class Thinning:
         step = np.diff(rows[:, 1], prepend=self._last_time)
         self._last_time = rows[-1, 1]
         decimated = []
-        for block in np.split(rows, np.flatnonzero(step > self._longest_step)):
-            decimated.append(self._decimator.push(block))
-            if block is not rows and block[-1:, 1] != self._last_time:
+        # The first block is empty where a gap lies just before these rows.
+        blocks = np.split(rows, np.flatnonzero(step > self._longest_step))
+        for number, block in enumerate(blocks):
+            if number > 0:
                 # The filter does not reach over a gap.
                 self._decimator = Decimator(self._low_pass)
+            decimated.append(self._decimator.push(block))
         return np.concatenate(decimated)

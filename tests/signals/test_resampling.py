@@ -209,10 +209,13 @@ def test_thinning_does_not_depend_on_the_blocks(cuts):
     assert np.allclose(np.diff(at_once[:, 1]), 8e-3)
 
 
-def test_thinning_does_not_reach_over_a_gap():
+@pytest.mark.parametrize("block_size", [4000, 2000, 1999])
+def test_thinning_does_not_reach_over_a_gap(block_size):
     time = np.concatenate((np.arange(2000), 5000 + np.arange(2000))) / 1000.0
     rows = np.column_stack((np.arange(4000), time, np.where(time < 3.0, 1.0, -1.0)))
-    thinned = Thinning(8, 1e-3).push(rows)
+    thinning = Thinning(8, 1e-3)
+    blocks = np.split(rows, range(block_size, 4000, block_size))
+    thinned = np.concatenate([thinning.push(block) for block in blocks])
     assert_allclose(np.abs(thinned[:, 2]), 1.0, atol=1e-12)
     assert not np.any((thinned[:, 1] > 2.0) & (thinned[:, 1] < 5.0))
 
