@@ -37,7 +37,7 @@ NO_FRICTION = FrictionModel(())
 def friction_per_joint(
     robot: RobotModel, torques: str, model: FrictionModel
 ) -> tuple[FrictionModel, ...]:
-    """Return the friction terms that are estimated of each chain joint (n models).
+    """Return the friction terms that are estimated of each chain joint: n models, base to terminal.
 
     Args:
         robot: the arm.
@@ -46,7 +46,7 @@ def friction_per_joint(
         model: friction terms of each joint whose torque is used.
     """
     others = model if torques == "chain" else NO_FRICTION
-    return (*[others] * (robot.n_joints - 1), model)
+    return (others,) * (robot.n_joints - 1) + (model,)
 
 
 def split_name(name: str) -> tuple[str, str]:
@@ -119,6 +119,7 @@ class Equations:
         self._dynamics = LinkDynamics(robot)
         self._beyond = BeyondRigidBodies(robot)
         # (n, 10) parameters of the links that are not estimated; zero for the estimated ones.
+        # ``robot.thetas`` is a new array in every call, so the model stays as it is.
         self._known_thetas = robot.thetas
         self._known_thetas[[*self._links, -1]] = 0.0
         n = robot.n_joints
@@ -126,6 +127,7 @@ class Equations:
         self.joints = tuple(robot.joint_names[j] for j in self.joint_indices)
         self._motors = tuple(motors)
         self.names, self.columns = self._parameters()
+        # The model's parameters of the other estimated links, ten after ten, in their order.
         self._link_thetas = robot.thetas[list(self._links)].ravel()
 
     def _parameters(self) -> tuple[tuple[str, ...], tuple[NDArray[np.int64], ...]]:
@@ -133,9 +135,10 @@ class Equations:
         parameters in its equation: other links are in it where the joint carries them.
         """
         every_joint = np.arange(self._robot.n_joints)
-        # Names of parameters, and whether they are in the equation of each joint (n,).
+        # Names of parameters, and whether they are in the equation of each joint (n,): those of the
+        # terminal link are in all equations.
         blocks: list[tuple[tuple[str, ...], NDArray[np.bool_]]]
-        blocks = [(PARAMETER_NAMES, every_joint >= 0)]
+        blocks = [(PARAMETER_NAMES, np.ones(len(every_joint), dtype=bool))]
         for joint, name in zip(self.joint_indices, self.joints):
             friction_names = self._friction[joint].parameter_names(name)
             blocks.append((friction_names, every_joint == joint))
@@ -188,7 +191,8 @@ class Equations:
                 "a log without velocities or accelerations; differentiate it first"
             )
         motion = Motion(measurement.time, measurement.q, qd, qdd)
-        # Joint by joint: the rows of a long arm take far more memory than those of one joint.
+        # Joint by joint, by iterators that are read in step: the rows of a long arm take far more
+        # memory than those of one joint. ``tee`` gives the arrays of each joint to both readers.
         bodies, same_bodies = itertools.tee(self.bodies(motion))
         # The gear's load is computed from the model: the measured torque includes friction.
         loads = map(self._model_torque, same_bodies)
@@ -196,12 +200,16 @@ class Equations:
         yield from map(assemble_rows, bodies, self.friction(motion, loads), tau)
 
     def _model_torque(self, bodies: Array) -> Array:
-        """Return the torque (N,) that the model's links make at one joint [N m]; ``bodies``
-        (N, k + 1) as ``self.bodies`` yields them.
+        """Return the torque (N,) that the model's links make at one joint [N m].
+
+        Args:
+            bodies: (N, k + 1) as ``self.bodies`` yields it for the joint.
         """
         columns = bodies[:, :-1]
         n_carried = columns.shape[1] - N_INERTIAL
-        carried = self._link_thetas[len(self._link_thetas) - n_carried :]
+        # Links ascend, and a joint carries those from its own to the last.
+        first_carried = len(self._link_thetas) - n_carried
+        carried = self._link_thetas[first_carried:]
         values = np.concatenate((self._robot.prior.theta, carried))
         return np.asarray(columns @ values + bodies[:, -1])
 
@@ -219,12 +227,13 @@ class Equations:
         if np.any(self._known_thetas):
             torque = torque + links.torque(self._known_thetas)
         for j, (terminal, carried) in zip(self.joint_indices, self._columns(links)):
+            # Transposed, so that the N samples of each column lie side by side in memory.
             rows = (terminal.T, carried.T, torque[None, :, j])
             yield np.concatenate(rows).T
 
     def friction(self, motion: Motion, loads: Iterable[Array]) -> Iterator[Array]:
-        """Yield (N, k + 1) per joint of ``joints``: columns of its friction, columns of motors that
-        turn with several joints, and the known torque of friction [N m].
+        """Yield (N, k + 1) per joint of ``joints``: columns of its friction terms, columns of the
+        motors that turn with this joint and others, and the known torque of friction [N m].
 
         The known torque is the model's friction of joints whose friction is not estimated, minus
         the model's torque of those rotors and shared motors that are estimated: the torque that
@@ -249,8 +258,8 @@ class Equations:
             yield np.concatenate((*blocks, known_torque[None, :, j])).T
 
     def rows_of_gravity(self, q: Array, gravity: Array) -> Iterator[Array]:
-        """Yield per joint of ``joints`` the rows (N, k) of the arm at rest under a gravity; they
-        are linear in gravity.
+        """Yield per joint of ``joints`` the rows (N, k) of the arm at rest under a gravity, with
+        the columns of ``columns``, those of friction zero; the rows are linear in gravity.
 
         Args:
             q: (N, n) joint positions [rad or m].
@@ -271,8 +280,10 @@ class Equations:
         """
         columns = motion.columns((*self._links, len(motion.screws) - 1))
         for j in self.joint_indices:
-            first = N_INERTIAL * sum(link < j for link in self._links)
-            yield columns[:, j, -N_INERTIAL:], columns[:, j, first:-N_INERTIAL]
+            # A joint carries no link before its own.
+            first_carried = N_INERTIAL * np.searchsorted(self._links, j)
+            carried = columns[:, j, first_carried:-N_INERTIAL]
+            yield columns[:, j, -N_INERTIAL:], carried
 
 
 def assemble_rows(bodies: Array, friction: Array, tau: Array) -> tuple[Array, Array]:

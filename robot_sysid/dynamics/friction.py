@@ -166,8 +166,9 @@ class FrictionModel:
     def non_negative(self) -> tuple[bool, ...]:
         """Per term, whether a physical joint has a coefficient >= 0.
 
-        An offset has no sign. The square-root term bends the curve either way and, where it is
-        present, only the sum with the viscous term is bound to brake, so neither has one.
+        An offset may have either sign. The square-root term bends the curve of friction upwards or
+        downwards; beside it, the viscous coefficient may be negative too, as only the sum of both
+        terms has to oppose the motion.
         """
         free = ["offset", "sqrt"]
         if "sqrt" in self.terms:
@@ -230,7 +231,7 @@ class Coupling:
     Attributes:
         ratios: (n,) motor speed per joint speed, zero for joints it does not turn with.
         name: such as ``joint_5+joint_6``.
-        model: (terms,) the model's own value of each of the motor's parameters.
+        model: (terms,) the model's own value of each parameter, in the order of ``terms``.
         tendon: MuJoCo id of the fixed tendon that is this motor; None where the model has none.
     """
 

@@ -189,6 +189,8 @@ class BeyondRigidBodies:
         torque = np.empty_like(q)
         for k in range(len(q)):
             sample = slice(k, k + 1)
+            # Leaves the sample's motion in ``data``, of which MuJoCo's Newton-Euler recursion (1:
+            # with accelerations) then computes the torque of the rigid bodies alone.
             total = self._arm.torque(q[sample], qd[sample], qdd[sample])
             mujoco.mj_rne(model, self._arm.data, 1, rigid)
             torque[k] = total[0] - rigid[self._arm.chain[1]]
@@ -238,7 +240,7 @@ class LinksMotion:
         """Return twists (6, n, N) of the links' frames in the base's frame."""
         shape = self.to_links.shape
         blocks = self.to_links.reshape(*shape[:2], 2, 3, 2, 3)
-        # Ad(T) has the blocks of Ad(T^-1) transposed.
+        # Ad(T) is Ad(T^-1) with each of its four (3, 3) blocks transposed in place.
         to_base = blocks.swapaxes(-1, -3).reshape(shape)
         return np.einsum("inab,bin->ain", to_base, twists)
 
@@ -250,6 +252,9 @@ class LinksMotion:
         by_turns: Array,
     ) -> tuple[Array, Array, Array]:
         """Return a scalar's gradient with respect to q, qd and qdd, (N, n) each, in reverse mode.
+
+        The steps are the transposes of the module's equations in the base's frame, last one first;
+        by_x stands for the gradient with respect to x.
 
         Args:
             rates: the joints' qd and qdd (N, n) of this motion.
@@ -265,13 +270,16 @@ class LinksMotion:
         acceleration = self._to_base(np.stack(self.acceleration, axis=1))
         by_velocity = np.einsum("inba,bin->ain", self.to_links, by_motion[0])
         by_acceleration = np.einsum("inba,bin->ain", self.to_links, by_motion[1])
+        # A turn of a link turns its velocity and acceleration in the base's frame.
         by_turns = by_turns + bracket_transposed(velocity, by_velocity)
         by_turns += bracket_transposed(acceleration, by_acceleration)
+        # The accelerations of a link are sums over the joints before it, and so are velocities.
         by_acceleration = _sum_outwards(by_acceleration)
         coriolis = bracket_transposed(screws, by_acceleration) * qd
         by_velocity = _sum_outwards(by_velocity - coriolis)
         by_screws = by_screws + by_acceleration * qdd + by_velocity * qd
         by_screws += bracket_transposed(velocity, by_acceleration) * qd
+        # dS_i = ad(X_i) S_i.
         by_turns -= bracket_transposed(screws, by_screws)
         moved = bracket(velocity, screws) * by_acceleration
         by_q = np.sum(screws * _sum_outwards(by_turns), axis=0)
@@ -288,6 +296,7 @@ class LinksMotion:
         joints = len(self.velocity)
         samples = self.velocity[0].shape[1]
         columns = np.zeros((joints, len(links), N_INERTIAL, samples))
+        # Row j is the twist J_ij of joint j in the frame of the present link i; changed in place.
         jacobian = np.empty((joints, 6, samples))
         for link in range(max(links, default=-1) + 1):
             for twist in jacobian[:link]:
@@ -328,6 +337,7 @@ class LinksMotion:
         twists = np.zeros((2, 6, 0, samples))
         slopes = np.zeros((samples, count, count))
         wrench_slopes = []
+        # Outwards: the derivative (6, j, N) of each link's own wrench by q_j, j up to the link.
         for link, theta in enumerate(thetas):
             screw = self.screws[link][:, None]
             velocity = self.velocity[link]
@@ -345,6 +355,7 @@ class LinksMotion:
             slope -= bracket_transposed(twists[0], momentum)
             slope -= bracket_transposed(velocity, momentum_slope)
             wrench_slopes.append(slope)
+        # Inwards: the wrench of a link and all beyond it, and the derivative of that sum.
         wrench = np.zeros((6, samples))
         total = np.zeros((6, count, samples))
         for link in reversed(range(count)):
@@ -494,6 +505,7 @@ def tilt_axes(level: Array, gravity: Array | None = None) -> Array:
     axes = np.array([first, np.cross(down, first)])
     if gravity is None:
         return axes
+    # Rodrigues' formula for the shortest turn between two unit vectors, whose sine is |turn|.
     tilted_down = gravity / np.linalg.norm(gravity)
     turn = np.cross(down, tilted_down)
     change = np.cross(turn, axes)
@@ -516,7 +528,9 @@ def tilt_angles(level: Array, gravity: Array) -> Array:
     turn = np.cross(level, gravity)
     sine = float(np.linalg.norm(turn))
     if sine == 0.0:
-        return np.array([np.pi * (level @ gravity < 0.0), 0.0])
+        # No turn, or half a turn about the first axis.
+        is_opposite = level @ gravity < 0.0
+        return np.array([np.pi * is_opposite, 0.0])
     angle = np.arctan2(sine, level @ gravity)
     return np.asarray(angle / sine * (tilt_axes(level) @ turn))
 
@@ -546,9 +560,10 @@ def tilt_columns(robot: RobotModel, thetas: Array, q: Array, level: Array) -> Ar
 
 
 def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
-    """Return the torque (N, n, n) per radian by which positions are read too large [N m/rad].
+    """Return the torque (N, n, n) per radian of encoder error [N m/rad].
 
-    Entry [:, i, j] is the torque of joint i per radian of error of joint j's position reading.
+    Entry [:, i, j] is the torque of joint i per radian by which joint j's position is read too
+    large.
 
     Args:
         robot: the arm.

@@ -91,12 +91,14 @@ def aluminium_ball(mass: float, com: Array) -> Array:
 def principal_axes(inertia: Array) -> tuple[Array, Array]:
     """Return (principal moments (3,), their axes (3, 3) as columns, right-handed).
 
-    Of all orders and signs of the axes, those that turn the frame's own axes least.
+    Of all orders and signs of the axes, those that turn the frame's own axes least: of the products
+    with ``_TURNS`` (48, 3, 3), the one with the largest trace.
     """
     moments, axes = np.linalg.eigh(inertia)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     candidates = axes @ _TURNS
     best = int(np.argmax(np.trace(candidates, axis1=1, axis2=2)))
+    # Without its signs, the turn is the permutation of the axes.
     return np.abs(_TURNS[best]).T @ moments, candidates[best]
 
 
@@ -183,6 +185,7 @@ def nearest_consistent_body(theta: Array, reference: Array, floor: float) -> Arr
     """
     mass = float(reference[0]) if reference[0] > 0.0 else 1.0
     length = characteristic_length(reference)
+    # Entry (i, j) of a pseudo-inertia has the unit units[i] units[j].
     units = np.sqrt(mass) * np.array([length, length, length, 1.0])
     values, vectors = np.linalg.eigh(pseudo_inertia(theta) / np.outer(units, units))
     lifted = np.maximum(values, floor * max(float(np.max(np.abs(values))), 1.0))
@@ -205,7 +208,9 @@ def _build_pseudo_basis() -> Array:
 
 
 def _build_axis_turns() -> Array:
-    """Return the turns and mirrors (48, 3, 3) that put coordinate axes on coordinate axes."""
+    """Return the signed permutation matrices (48, 3, 3): turns and mirrors that put coordinate axes
+    on coordinate axes.
+    """
     turns = []
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         turns.append(np.eye(3)[:, order] * signs)

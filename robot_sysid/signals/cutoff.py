@@ -111,6 +111,8 @@ def choose_cutoff(spectra: Spectra) -> CutoffChoice:
     """Return the highest cut-off whose expected error of the acceleration is small."""
     rate = spectra.rate
     highest = 0.2 * rate
+    # The half width [s] is inversely proportional to the cut-off; the low-pass of positions and
+    # that of regressor columns lose one half width each at both ends.
     half_width_times_cutoff = design_low_pass(highest, rate).half_width * highest / rate
     lowest = 4.0 * half_width_times_cutoff / (_TRIMMED_SHARE * spectra.count / rate)
     candidates = np.geomspace(min(lowest, highest), highest, 40)
@@ -158,6 +160,7 @@ def acceleration_spectra(q: Array, rate: float, steps: Array) -> Spectra | None:
     length = min((len(q) - 2) // 4, longest)
     frequency, power, shape = _second_difference_spectrum(q, rate, length)
     shape = shape[:, None]
+    # Frequencies that count as noise alone: from half of the Nyquist frequency to just below it.
     high = (frequency > 0.25 * rate) & (frequency < 0.475 * rate)
     # The median of a chi-square lies a little below its mean; with this many segments by 5 %.
     level = 1.05 * np.median(power[high] / shape[high], axis=0)
@@ -169,8 +172,15 @@ def acceleration_spectra(q: Array, rate: float, steps: Array) -> Spectra | None:
         staircase[:, stepped] = _second_difference_spectrum(steps, rate, length)[1]
     motion = _motion_power(frequency, power, np.maximum(white_noise, staircase))
     noise = np.maximum(white_noise, np.where(motion > 0.0, 0.0, power))
-    sums = np.sum(motion, axis=1), np.sum(noise, axis=1)
-    return Spectra(rate, len(q), length, frequency, *sums, level)
+    return Spectra(
+        rate=rate,
+        count=len(q),
+        length=length,
+        frequency=frequency,
+        motion=np.sum(motion, axis=1),
+        noise=np.sum(noise, axis=1),
+        level=level,
+    )
 
 
 def _drop_repeated_readings(
@@ -287,6 +297,7 @@ def _motion_power(frequency: Array, power: Array, noise: Array) -> Array:
     moved = np.sum(motion, axis=1)
     slow = _speed_index(frequency, moved)
     smooth = _smooth(np.sum(power, axis=1))
+    # The lowest power above most of the motion; the last tenth of the spectrum is not searched.
     end = max(slow + 1, int(0.9 * len(power)))
     lowest = slow + int(np.argmin(smooth[slow:end]))
     gap = frequency[_gap_index(frequency, moved)]
@@ -333,8 +344,10 @@ def _gap_index(frequency: Array, motion: Array) -> int:
     """
     speed = _cumulative_squared_speed(frequency, motion)
     last = len(frequency) - 1
+    # Index of the frequency one octave above each frequency.
     octave = np.minimum(np.searchsorted(frequency, 2.0 * frequency), last)
     is_empty = speed[octave] - speed < _GAP_SHARE * speed
+    # On a logarithmic scale of evenly spaced frequencies the square root is half way.
     lower_half = speed[int(np.sqrt(len(speed)))]
     start = int(np.searchsorted(speed, 0.5 * lower_half))
     is_empty[:start] = False
@@ -343,7 +356,9 @@ def _gap_index(frequency: Array, motion: Array) -> int:
 
 
 def _smooth(power: Array) -> Array:
-    """Return a spectrum (F,) averaged over about a quarter of an octave around each frequency."""
+    """Return a spectrum (F,) averaged over a band around each of its evenly spaced frequencies, as
+    wide as a quarter of the frequency.
+    """
     index = np.arange(len(power))
     width = np.maximum(1, index // 4)
     total = np.concatenate(([0.0], np.cumsum(power)))

@@ -169,6 +169,8 @@ def design_low_pass(
         fault = f"cut-off {cutoff:g} Hz would average over {duration:.3g} s"
         raise InputError(f"{fault}, longer than any log; choose a higher --cutoff")
     step = max(1, int(rate / (2.0 * cutoff)))
+    # ``LowPass.stride`` has to divide the step and the half width: of the strides that suffice, the
+    # one that shortens the step least, of equal ones the largest.
     fewest = max(2, step // _COARSEST_STRIDE)
     strides = range(fewest, step // _FINEST_STRIDE + 1) or (1,)
     stride = min(strides, key=lambda width: (step % width, -width))
@@ -193,7 +195,9 @@ class Decimator:
     def __init__(self, low_pass: LowPass) -> None:
         self._kernel = low_pass.kernel
         self._step = low_pass.step
+        # (..., m) samples that later decimated samples need, the latest last; None at first.
         self._waiting: Array | None = None
+        # Number of coming samples that no decimated sample needs: for steps longer than the kernel.
         self._skip = 0
 
     def push(self, values: Array) -> Array:
@@ -210,6 +214,7 @@ class Decimator:
         skipped = min(self._skip, waiting.shape[-1])
         self._skip -= skipped
         waiting = waiting[..., skipped:]
+        # Decimated samples that are complete, and the samples from the first window to the next.
         count = max(0, (waiting.shape[-1] - len(self._kernel)) // self._step + 1)
         span = count * self._step
         decimated = np.empty((0, *waiting.shape[:-1]))

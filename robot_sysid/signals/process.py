@@ -155,7 +155,8 @@ class ProcessedSignals:
         """Return arrays (K, ...) that are computed from the motion, low-passed and decimated.
 
         Args:
-            make_columns: takes a motion of m samples and yields arrays (m, ...), always as many.
+            make_columns: takes a motion of m samples and yields arrays (m, ...), the same number
+                of arrays in every call; called once per chunk, in the order of time.
             smooth: whether the arrays are smooth functions of the motion (no sign of a speed), so
                 that they need fewer samples (``LowPass.at_lower_rate``).
             chunk: largest number m of samples at a time; never more than ``CHUNK``.
@@ -188,10 +189,12 @@ class ProcessedSignals:
         motion in these rows.
 
         Motion that passed a low-pass passes it a second time; motion without noise is
-        differentiated by the next lower order. The difference from ``decimated_motion`` is an
-        estimate of the error that the first pass makes.
+        differentiated by the next lower order, and the change is low-passed. The difference from
+        ``decimated_motion`` is an estimate of the error that the first pass makes. Computed once
+        and cached: do not change the arrays.
         """
         noiseless = self.is_noiseless
+        # Samples that a derivative of the next lower order, fourteen, loses at each end.
         inset = FINE_REACH - 1 if noiseless else 0
         low_pass = self.low_pass if noiseless else self.position_filter
         low_pass = replace(low_pass, step=self.low_pass.step)
@@ -199,6 +202,7 @@ class ProcessedSignals:
         centres = self.low_pass.centres(len(self))
         rows = np.flatnonzero((centres >= reach) & (centres < len(self) - reach))
         samples = centres[rows]
+        # The samples under the windows of all these rows.
         span = slice(0)
         if len(rows):
             span = slice(samples[0] - reach, samples[-1] + reach + 1)
@@ -226,12 +230,12 @@ class ProcessedSignals:
         """Return (K, n) the share of each decimated row's weight that lies on samples inside the
         deadband, or on samples at which a joint stands as it turns round.
         """
-        size = np.abs(self.low_pass.kernel)
-        weights = replace(self.low_pass, kernel=size / size.sum())
-        slow = np.less(np.abs(self.qd), self.deadband)
+        weight = np.abs(self.low_pass.kernel)
+        weight_filter = replace(self.low_pass, kernel=weight / weight.sum())
+        is_slow = np.less(np.abs(self.qd), self.deadband)
         for joint in self.standing:
-            slow[:, joint] |= self.turning[:, joint]
-        return weights.decimate(slow)
+            is_slow[:, joint] |= self.turning[:, joint]
+        return weight_filter.decimate(is_slow)
 
     def one_way_joints(self, joint_names: Sequence[str]) -> Iterator[str]:
         """Yield a sentence per joint that hardly moves in one of its two directions."""
@@ -251,6 +255,7 @@ class ProcessedSignals:
         holds no bridged sample and little weight of slow or standing samples.
         """
         moving = self.slow_share() <= LARGEST_SLOW_SHARE
+        # Number of bridged samples before each sample: equal at both ends of a window without any.
         holes = np.concatenate(([0], np.cumsum(self.bridged)))
         half = self.low_pass.half_width
         first = self.low_pass.centres(len(self)) - half
@@ -271,6 +276,7 @@ class LogPiece(Measurement):
 
     def without_velocities(self) -> LogPiece:
         """Return the piece, its cached spectra included, without the measured velocities."""
+        # A copy has the cached values too, which depend on no velocity; a new record would not.
         piece = copy(self)
         object.__setattr__(piece, "qd", None)
         return piece
@@ -340,7 +346,7 @@ def process(
     bridged = holes[width:] > holes[:-width]
     qd = first_derivative(q, uniform.rate, reach)
     qdd = second_derivative(q, uniform.rate, reach)
-    slow = np.maximum(DEADBAND_SHARE * np.max(np.abs(qd), axis=0), _LEAST_DEADBAND)
+    peak_speed = np.max(np.abs(qd), axis=0)
     turning = np.zeros(qd.shape, dtype=bool)
     if corners is None and piece.spectra is not None:
         # Of positions without noise any speed has a sign.
@@ -355,7 +361,7 @@ def process(
         # A view would keep the torque of the whole log.
         tau=uniform.tau[lost:-lost].copy(),
         bridged=bridged if corners is None else bridged | corners,
-        deadband=slow,
+        deadband=np.maximum(DEADBAND_SHARE * peak_speed, _LEAST_DEADBAND),
         turning=turning,
         low_pass=low_pass,
         position_filter=position_filter,
@@ -400,9 +406,11 @@ def turning_samples(readings: Array, qd: Array, noise: Array) -> NDArray[np.bool
     is_turning = np.zeros(qd.shape, dtype=bool)
     for joint, (reading, speed) in enumerate(zip(readings.T, qd.T)):
         distance = SEPARATION * noise[joint]
+        # Around each turn, the samples from the turn before it to the turn after it.
         turns = np.flatnonzero(np.diff(np.sign(speed))) + 1
         edges = [0, *turns.tolist(), len(speed)]
         for start, turn, stop in zip(edges, edges[1:], edges[2:]):
+            # 1 where the joint turns at its highest position, -1 at its lowest.
             outward = np.sign(speed[turn - 1] - speed[turn])
             height = outward * reading[start:stop]
             away = start + np.flatnonzero(np.max(height) - height > distance)
@@ -457,13 +465,16 @@ def _position_filter(
     if attenuation <= ATTENUATION:
         return low_pass, REACH
     flat = design_low_pass(low_pass.cutoff, low_pass.rate, attenuation)
-    more = 2 * (flat.half_width - low_pass.half_width + FINE_REACH - REACH)
-    fits = more <= len(uniform.q) - _fewest_samples(low_pass)
+    # Samples that the flat filter and its derivatives lose at both ends beyond the usual ones.
+    extra_loss = 2 * (flat.half_width - low_pass.half_width + FINE_REACH - REACH)
+    fits = extra_loss <= len(uniform.q) - _fewest_samples(low_pass)
     return (flat, FINE_REACH) if fits else (low_pass, REACH)
 
 
 def _fewest_samples(low_pass: LowPass) -> int:
-    """Return the number of samples below which a log is too short for a low-pass."""
+    """Return the number of samples below which a log is too short for a low-pass: those that
+    positions, their derivatives and regressor columns lose at both ends, and ten decimated rows.
+    """
     return 4 * low_pass.half_width + 2 * REACH + 10 * low_pass.step
 
 

@@ -23,6 +23,7 @@ as large both ways), so that gravity alone remains.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -98,6 +99,7 @@ def find_visits(motions: Sequence[Motion]) -> Visits:
     """
     q = np.concatenate([motion.q for motion in motions])
     qd = np.concatenate([motion.qd for motion in motions])
+    # (K, 2 n) positions and speeds of all rows, each over its spread.
     offset = q - np.mean(q, axis=0)
     state = np.hstack([offset / _spread(offset), qd / _spread(qd)])
     ends = np.cumsum([len(motion.time) for motion in motions])
@@ -106,7 +108,7 @@ def find_visits(motions: Sequence[Motion]) -> Visits:
     rows = np.unique(np.linspace(0, len(state) - 1, PROBES).astype(np.int64))
     probes = []
     others = []
-    for chunk in np.array_split(rows, -(-len(rows) // _CHUNK)):
+    for chunk in np.array_split(rows, math.ceil(len(rows) / _CHUNK)):
         is_visit = _is_near(state[chunk], radius[chunk], state)
         is_visit &= np.abs(chunk[:, None] - np.arange(len(state))) > PASSAGE_ROWS
         probe, other = np.nonzero(is_visit)
@@ -179,6 +181,7 @@ class RowSample:
             if name != "total":
                 both = np.concatenate((values, getattr(other, name)))
                 columns[name] = both[order]
+        # The same row of the same log drew the same number, so its copies are neighbours.
         is_same = np.diff(columns["log"]) == 0
         is_same &= np.diff(columns["place"]) == 0
         if np.any(is_same):
@@ -207,6 +210,7 @@ class RowSample:
         same_log = self.log[:, None] == self.log
         row_distance = np.abs(self.place[:, None] - self.place)
         is_visit &= ~(same_log & (row_distance <= PASSAGE_ROWS))
+        # Each sampled row stands for so many rows, and so does each row that passes its state.
         share = self.total / size
         if share * np.count_nonzero(is_visit) < size:
             return inflation
@@ -274,6 +278,7 @@ def resting_poses(samples: Measurement) -> tuple[Measurement, NDArray[np.bool_]]
         InputError: there are too few poses that were approached from both sides.
     """
     n_joints = samples.q.shape[1]
+    # The shape is given for a log without rests.
     rests = np.array(list(_rests(samples))).reshape(-1, 1 + 3 * n_joints)
     time, q, tau, direction = np.split(rests, 1 + n_joints * np.arange(3), axis=1)
     is_same_pose = np.max(np.abs(np.diff(q, axis=0)), axis=1) < SAME_POSE
@@ -286,6 +291,7 @@ def resting_poses(samples: Measurement) -> tuple[Measurement, NDArray[np.bool_]]
         )
     q = 0.5 * (q[:-1] + q[1:])[is_same_pose]
     tau = 0.5 * (tau[:-1] + tau[1:])[is_same_pose]
+    # The joint came from opposite sides.
     is_balanced = (direction[:-1] * direction[1:])[is_same_pose] < 0.0
     is_balanced &= np.isfinite(tau)
     if not np.any(is_balanced):

@@ -88,7 +88,8 @@ def count_lost_rows(measurement: Measurement) -> NDArray[np.int64]:
     """Return (N - 1,) how many rows are missing after each row but the last of a log.
 
     A step of time that is twice as long is a lost row or, with coarse time stamps, a rounded stamp.
-    Positions decide: over a lost row they move twice as far as over the steps around it.
+    Positions decide: over a lost row they move twice as far as over the steps around it. Rows count
+    as lost where positions move farther than half way between one usual step and as many as needed.
     """
     step = np.diff(measurement.time)
     lost = np.zeros(len(step), dtype=np.int64)
@@ -100,6 +101,7 @@ def count_lost_rows(measurement: Measurement) -> NDArray[np.int64]:
         missing = round(float(step[row]) / median) - 1
         previous, moved, following = np.diff(measurement.q[row - 1 : row + 3], axis=0)
         around = 0.5 * (previous + following)
+        # ``moved`` along the direction of the usual motion, over all joints.
         expected = (1.0 + 0.5 * missing) * np.sum(around**2)
         if np.sum(moved * around) - expected > 0.0:
             lost[row] = missing
@@ -153,14 +155,20 @@ def _interpolate(measurement: Measurement, rate: float, reason: str) -> UniformS
         spline = CubicSpline(stamps[is_new], columns[is_new])
         q[:, joint], tau[:, joint] = spline(grid).T
     note = f"resampled to a uniform {rate:.6g} Hz ({reason})"
+    return UniformSignals(start, rate, q, tau, _bridged_gap(time, grid, rate), (note,))
+
+
+def _bridged_gap(time: Array, grid: Array, rate: float) -> Array:
+    """Return (K,) the length of the hole between the time stamps (N,) of a log that each instant of
+    a grid (K,) at a rate [Hz] lies in [s]; zero outside holes and next to a time stamp.
+    """
     index = np.clip(np.searchsorted(time, grid) - 1, 0, len(time) - 2)
     earlier = time[index]
     later = time[index + 1]
     step = later - earlier
     nearest = np.minimum(np.abs(grid - earlier), np.abs(grid - later))
     is_bridged = (step > GAP_STEPS / rate) & (nearest >= 1e-3 / rate)
-    gap = np.where(is_bridged, step, 0.0)
-    return UniformSignals(start, rate, q, tau, gap, (note,))
+    return np.where(is_bridged, step, 0.0)
 
 
 def is_new_sample(stamps: Array) -> NDArray[np.bool_]:
@@ -209,7 +217,7 @@ def split_at_gaps(samples: Measurement) -> tuple[Measurement, ...]:
     for first, last in zip(edges, edges[1:]):
         if last - first > 1:
             # Pieces of equal length.
-            count = -(-(last - first) // most_rows)
+            count = math.ceil((last - first) / most_rows)
             ends = np.linspace(first, last, count + 1).astype(int).tolist()
             pieces += map(partial(slice_samples, samples), ends, ends[1:])
     if len(pieces) == 1:
@@ -290,7 +298,7 @@ def condense_run(
     no estimate takes from a recording.
 
     Args:
-        chunks: consecutive chunks of the run.
+        chunks: consecutive chunks of the run; each is read once, and none is kept.
         count: number of its samples.
     """
     if count <= MOST_ROWS_KEPT:
@@ -298,11 +306,14 @@ def condense_run(
     thinning = None
     blocks = []
     for chunk in chunks:
+        # The first chunk determines the sampling period.
         thinning = thinning or Thinning.of(chunk.time, count)
+        # The time takes the column of line numbers, which a run does not have.
         rows = np.column_stack((chunk.time, chunk.time, chunk.q, chunk.tau))
         blocks.append(thinning.push(rows)[:, 1:])
     table = np.concatenate(blocks)
-    time, q, tau = np.split(table, (1, 1 + chunk.q.shape[1]), axis=1)
+    n_joints = (table.shape[1] - 1) // 2
+    time, q, tau = np.split(table, (1, 1 + n_joints), axis=1)
     samples = Measurement(time[:, 0].copy(), q.copy(), None, tau.copy())
     pieces = split_at_gaps(samples)
     return pieces, piece_notes(samples, pieces)
@@ -311,6 +322,7 @@ def condense_run(
 def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
     """Return consecutive chunks of a log, whose optional columns are alike, as one measurement."""
     measurements = list(chunks)
+    # ``qd`` has no default: it is None unless the chunks have velocities.
     columns: dict[str, Any] = {"qd": None}
     for field in fields(Measurement):
         if getattr(measurements[0], field.name) is not None:
