@@ -35,7 +35,7 @@ LAYERS = (
     ("damiao.player", "damiao.preflight", "damiao.simulated"),
     ("damiao.session",),
     ("damiao.safety",),
-    ("damiao.settings", "damiao.references"),
+    ("damiao.settings", "damiao.references", "damiao.velocity_check"),
     ("damiao.recorder",),
     ("damiao.safety.guards",),
     ("damiao.adapters",),

@@ -32,6 +32,7 @@ from robot_sysid.damiao.settings import (
     Plan,
     PlaySettings,
 )
+from robot_sysid.damiao.velocity_check import velocity_mismatch
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
@@ -151,7 +152,7 @@ def _motion_checks(plan: Plan) -> Iterator[Check]:
         )
     else:
         yield Check(OK, f"starts and ends at rest, {plan.duration:.1f} s")
-    mismatch = motion.velocity_mismatch(trajectory.time, trajectory.q, trajectory.qd)
+    mismatch = velocity_mismatch(trajectory.time, trajectory.q, trajectory.qd)
     if mismatch is None:
         yield Check(OK, "velocities and positions agree")
         return

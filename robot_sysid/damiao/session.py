@@ -1,4 +1,10 @@
-"""Commanding motors: enable, one exchange per cycle, and disable on every way out."""
+"""Commanding motors: enable, one exchange per cycle, and disable on every way out.
+
+Arrays have one entry for each of the n joints, base to terminal; j is the index of a joint. Joint
+space means positions, velocities and torques of the joints, as a model of the arm has them; motor
+space means those that the frames carry. ``JointSpace`` converts one into the other: by sign, zero
+and torque ratio of each motor's mounting.
+"""
 
 from __future__ import annotations
 
@@ -63,13 +69,20 @@ class Outstanding:
     """
 
     def __init__(self, n: int) -> None:
+        # Number of commands whose answers have not come.
         self._owed = np.zeros(n, int)
+        # Number of cycles in a row without a command and without an answer.
         self._silent = np.zeros(n, int)
+        # Whether the motor got a command in the present cycle.
         self._commanded = np.zeros(n, bool)
         self.surplus = np.zeros(n, int)
 
     def may_be_commanded(self, motors: Mask) -> Mask:
-        """Begin a cycle; return which of the motors (n,) may get a command in this cycle."""
+        """Begin a cycle; count and return the motors (n,) that may get a command in it.
+
+        ``motors`` (n,) says which motors are to get a command. The result is a subset of these: the
+        motors that owe no answer, or have owed one for ``PAUSE`` cycles. It must not be changed.
+        """
         self._silent = np.where(self._commanded, 0, self._silent + 1)
         self._owed[self._silent >= PAUSE] = 0
         self._commanded = np.asarray(motors & (self._owed == 0))
@@ -79,8 +92,10 @@ class Outstanding:
     def take_answer(self, j: int) -> bool:
         """Count an answer of motor j; return whether it answers the command of this cycle."""
         is_timely = bool(self._commanded[j] and self._owed[j] == 1)
-        self.surplus[j] += self._owed[j] == 0
-        self._owed[j] = max(self._owed[j] - 1, 0)
+        if self._owed[j] == 0:
+            self.surplus[j] += 1
+        else:
+            self._owed[j] -= 1
         self._silent[j] = 0
         return is_timely
 
@@ -98,8 +113,9 @@ class MotorSession:
     Args:
         link: link of the motors' buses.
         joints: joints with their motors, n in all.
-        scaling: ranges of the frames, from the motors' registers.
-        command_range: range of commands; None for the range that frames can carry.
+        scaling: range of position, velocity and torque in each motor's frames, from its registers
+            PMAX, VMAX and TMAX.
+        command_range: positions and speeds that commands may have; None for all that frames carry.
 
     Attributes:
         clock: clock of the link.
@@ -136,20 +152,25 @@ class MotorSession:
         self.peak_torque: Array = np.minimum(peak_torques(joints), sendable_torque)
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         self.last_replies: Replies | None = None
+        # Command in force as the motors read it, in joint space; None before the first.
         self._command: protocol.MitCommand | None = None
         scale = self._scale()
         # In a stop commands are limited to the range, which must not exceed what frames can carry.
         sendable = scale if command_range is None else command_range.within(scale)
         self._bounds = CommandBounds(sendable, self.peak_torque, *self.steps)
         self.sent_position = np.full(self.n_joints, np.nan)
+        # Time of each joint's last command, and time that its last motion left unused [s].
         self._sent_at = np.full(self.n_joints, -np.inf)
         self._credit = np.zeros(self.n_joints)
+        # Data of each motor's last command, by joint.
         self._sent_data: dict[int, bytes] = {}
         self._filter = SampleFilter(self.peak_torque, velocity_step)
         self._outstanding = Outstanding(self.n_joints)
+        # Number of commands in this cycle that another program sent to each motor.
         self._foreign = np.zeros(self.n_joints, int)
         # Whether answers count that belong to no command of this cycle.
         self._takes_any_answer = True
+        # Joints by the bus and arbitration id of their motor's replies, and of their commands.
         self._by_reply: dict[tuple[int, int], int] = {}
         self._by_command: dict[Address, int] = {}
         for j, joint in enumerate(joints):
@@ -157,19 +178,26 @@ class MotorSession:
             self._by_command[joint.address] = j
 
     def _scale(self) -> CommandRange:
-        """Return the positions and speeds that frames can carry."""
-        limit = self.scaling.limits.T
-        ends = [self.space.joint_position(sign * limit[0]) for sign in (-1.0, 1.0)]
-        return CommandRange(np.minimum(*ends), np.maximum(*ends), limit[1])
+        """Return the positions and speeds in joint space that frames can carry."""
+        position_limit, velocity_limit, _ = self.scaling.limits.T
+        at_lowest_code = self.space.joint_position(-position_limit)
+        at_highest_code = self.space.joint_position(position_limit)
+        # A motor that turns opposite to its joint has its lowest code at the joint's upper end.
+        lower = np.minimum(at_lowest_code, at_highest_code)
+        upper = np.maximum(at_lowest_code, at_highest_code)
+        return CommandRange(lower, upper, velocity_limit)
 
     @property
     def believed_motion(self) -> tuple[Array, Array]:
-        """Last believed positions and velocities (n,) [rad, rad/s]; NaN before the first answer."""
+        """Positions and velocities (n,) [rad, rad/s] of the last answers that the filter believed.
+
+        They are NaN before the first answer, and must not be changed.
+        """
         return self._filter.q, self._filter.qd
 
     @property
     def command_range(self) -> CommandRange:
-        """Positions and speeds within which commands stay."""
+        """Positions and speeds of each joint within which commands stay."""
         return self._bounds.command_range
 
     def open_range(self) -> None:
@@ -178,18 +206,24 @@ class MotorSession:
         This is for lowering an arm without a model, whose end position is unknown.
         """
         scale = self._scale()
-        self._bounds = self._bounds.including(scale.lower).including(scale.upper)
+        lowered = self._bounds.including(scale.lower)
+        self._bounds = lowered.including(scale.upper)
 
     def is_off(self, motor: Address) -> bool:
-        """Return whether a motor was never enabled or has confirmed that it is disabled."""
+        """Return whether the motor at an address was never enabled or confirmed to be disabled."""
         return all(joint.address != motor for joint in self.unconfirmed)
 
     def __enter__(self) -> MotorSession:
+        """Return the session; no motor is enabled by this."""
         return self
 
     def __exit__(
         self, error_type: object, error: BaseException | None, trace: object
     ) -> None:
+        """Disable all motors if one may be enabled; HardwareAbort names those that do not confirm.
+
+        The ``error`` that ended the block, if any, is the cause of that HardwareAbort.
+        """
         if not self.unconfirmed:
             return
         self.disable()
@@ -279,47 +313,67 @@ class MotorSession:
         self._outstanding.surplus[:] = 0
         self._foreign[:] = 0
         motors = np.ones(self.n_joints, bool) if joints is None else joints
-        # Frames since the last exchange are late answers, which are only counted.
-        while (frame := self._link.receive(self.clock.now())) is not None:
-            self._note_foreign(frame)
-            if (sender := self._sender(frame)) is not None:
-                self._outstanding.take_answer(sender)
+        self._count_late_answers()
         now = self.clock.now()
         command = self._bound(command, now, braking)
         packed = protocol.encode_mit(
             self.space.command_to_motors(command), self.scaling
         )
         commanded = motors if braking else self._outstanding.may_be_commanded(motors)
-        # The command as the motors read it; a motor that gets none keeps its old command.
-        new = self.space.command_to_joints(protocol.decode_mit(packed, self.scaling))
+        # Replies are sampled before this command acts, while the last one is in force.
         acted = self._command
-        old = acted or new
-        in_force = (np.where(commanded, *pair) for pair in zip(new, old))
-        self._command = protocol.MitCommand(*in_force)
-        moved = np.abs(new.position - self.sent_position)
-        used = np.nan_to_num(moved / self._bounds.command_range.speed)
-        unused = np.clip(self._time_to_move(now) - used, 0.0, _MOST_CREDIT)
-        self._credit = np.where(commanded, unused, self._credit)
-        self.sent_position = np.where(commanded, new.position, self.sent_position)
-        self._sent_at = np.where(commanded, now, self._sent_at)
+        self._put_in_force(packed, commanded, now)
         for j in np.flatnonzero(commanded).tolist():
             bus, can_id = self.joints[j].address
             self._sent_data[j] = packed[j].tobytes()
             self._link.send(Frame(can_id, self._sent_data[j], bus=bus))
         return self._collect(commanded, until, self._command, acted, believe=True)
 
-    def _time_to_move(self, now: float) -> Array:
-        """Return the time (n,) in which each commanded position may move from its last one [s].
+    def _count_late_answers(self) -> None:
+        """Count the frames that have come since the last exchange; their content is not used."""
+        while (frame := self._link.receive(self.clock.now())) is not None:
+            self._note_foreign(frame)
+            if (sender := self._sender(frame)) is not None:
+                self._outstanding.take_answer(sender)
 
-        After a cycle that began late, the next one follows in less time than there is between
-        their references; the time that the late command did not use is added, up to a limit.
+    def _put_in_force(
+        self, packed: protocol.Bytes, commanded: Mask, now: float
+    ) -> None:
+        """Store a new command, its position and its time; it is sent after this.
+
+        Args:
+            packed: data (n, 8) of the command's frames, from which motors read rounded values.
+            commanded: whether each motor (n,) gets its frame; the others keep their old command.
+            now: time of the command [s].
+        """
+        new = self.space.command_to_joints(protocol.decode_mit(packed, self.scaling))
+        old = self._command or new
+        fields = [np.where(commanded, *pair) for pair in zip(new, old)]
+        self._command = protocol.MitCommand(*fields)
+        moved = np.abs(new.position - self.sent_position)
+        used = np.nan_to_num(moved / self._bounds.command_range.speed)
+        unused = np.clip(self._time_to_move(now) - used, 0.0, _MOST_CREDIT)
+        self._credit = np.where(commanded, unused, self._credit)
+        self.sent_position = np.where(commanded, new.position, self.sent_position)
+        self._sent_at = np.where(commanded, now, self._sent_at)
+
+    def _time_to_move(self, now: float) -> Array:
+        """Return the time (n,) for which each commanded position may move on from its last one [s].
+
+        It is the time from the last command to ``now`` [s], up to ``_LONGEST_PAUSE``, plus the time
+        that the last command did not use: after a cycle that began late, the next one follows in
+        less time than there is between the two positions of the trajectory.
         """
         return np.minimum(now - self._sent_at, _LONGEST_PAUSE) + self._credit
 
     def _bound(
         self, command: protocol.MitCommand, now: float, braking: bool
     ) -> protocol.MitCommand:
-        """Return a command within the bounds, or raise BeyondBounds unless ``braking``."""
+        """Return the command, fields (n,) in joint space, if it is within the bounds.
+
+        A command beyond the bounds raises BeyondBounds, or is limited to them if ``braking``.
+        ``now`` is the time [s]. A joint without a last command may be sent anywhere in its range.
+        """
         is_new = np.isnan(self.sent_position)
         last = np.where(is_new, command.position, self.sent_position)
         elapsed = self._time_to_move(now)
@@ -379,12 +433,15 @@ class MotorSession:
     ) -> Replies:
         """Wait for the replies of motors, return them and store them as ``last_replies``.
 
+        They are stored even if the link raises an error meanwhile.
+
         Args:
             motors: whether an answer of each motor (n,) is waited for.
             until: time in the clock at which the waiting ends [s].
-            command: command that the replies answer, in joint space.
-            acted: command in force when the samples were taken.
-            believe: whether the sample filter judges the replies.
+            command: command that the replies answer, in joint space; None for other requests.
+            acted: command in force when the samples were taken, in joint space; None if unknown.
+            believe: whether ``SampleFilter`` judges the replies, and surplus answers and foreign
+                commands are reported with them.
         """
         raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
         received = np.full(self.n_joints, np.nan)
@@ -403,8 +460,10 @@ class MotorSession:
             stamps = np.where(answered & np.isfinite(sent), sent, received)
             replies = Replies(answered, stamps, feedback, motors, command)
             if believe:
-                counts = self._outstanding.surplus.copy(), self._foreign.copy()
-                counted = replace(replies, surplus=counts[0], foreign=counts[1])
+                surplus = self._outstanding.surplus.copy()
+                counted = replace(
+                    replies, surplus=surplus, foreign=self._foreign.copy()
+                )
                 replies = self._filter.believe(counted, acted)
             self.last_replies = replies
         return replies
@@ -420,7 +479,7 @@ class MotorSession:
         """Store a frame in the arrays; return whether it is an answer that was waited for.
 
         Args:
-            frame: received frame.
+            frame: received frame: an answer, an echo of a command, or a frame of another program.
             motors: whether an answer of each motor (n,) is waited for.
             raw: gets an answer's data (n, 8).
             received: gets the time (n,) at which an answer came [s]; NaN before.
@@ -448,7 +507,10 @@ class MotorSession:
             self._foreign[j] += 1
 
     def _sender(self, frame: Frame) -> int | None:
-        """Return the index of the joint whose motor sent a feedback frame, or None."""
+        """Return the index of the joint whose motor sent a feedback frame; None for other frames.
+
+        The motor's arbitration id, and the lowest four bits of its CAN id in the data, must match.
+        """
         if frame.error or frame.echo or len(frame.data) != 8:
             return None
         j = self._by_reply.get((frame.bus, frame.id))

@@ -178,12 +178,10 @@ class PlaySettings(OptionRecord):
         damping = np.minimum(_DAMPING * stiffness, most_damping)
         damping = np.clip(damping, least_damping, KD_MAX)
         torque_error = _TORQUE_ERROR * np.array([spec.peak_torque for spec in specs])
+        defaults = {"kp": stiffness, "kd": damping, "max_torque_error": torque_error}
         values: dict[str, Any] = {}
-        for name, default in (
-            ("kp", stiffness),
-            ("kd", damping),
-            ("max_torque_error", torque_error),
-        ):
+        for name, default in defaults.items():
+            # An empty setting stands for the default.
             setting = getattr(self, name)
             flag = "--" + name.replace("_", "-")
             values[name] = tuple(joint_values(setting, n, flag) if setting else default)
@@ -254,7 +252,8 @@ class RecordingOptions(OptionRecord):
     def require_free(self, *inputs: Path) -> None:
         """Raise InputError where a recording would replace a file that must not be replaced.
 
-        These are the run's ``inputs`` and, without --overwrite, all files.
+        A recording never replaces one of the run's ``inputs`` or the other recording; without
+        --overwrite it replaces no file at all.
         """
         used = {os.path.realpath(path) for path in inputs}
         for path in filter(None, (self.record, self.frames)):
@@ -297,6 +296,8 @@ class Plan:
         model_range: least and greatest joint positions (n,) of the model [rad]; None without one.
         ripple: computes the effect of torque steps on sampled positions and velocities; None
             without a model.
+
+    The settings become complete when the plan is made: ``PlaySettings.for_motors`` fills them in.
     """
 
     trajectory: DamiaoTrajectory
@@ -320,7 +321,7 @@ class Plan:
 
     @property
     def duration(self) -> float:
-        """Time that the trajectory takes at the speed of the settings [s]."""
+        """Time that the trajectory takes at the factor of its speed in the settings [s]."""
         return float(np.ptp(self.trajectory.time)) / self.settings.speed
 
     @property
@@ -348,7 +349,9 @@ class Plan:
         """Return the range of commands for the n joints and m further motors that are only held.
 
         Joints keep to the model's range, or else to that of the trajectory and the parking pose;
-        the m held motors keep to their ``held_positions`` (m,) [rad].
+        the m held motors keep to their ``held_positions`` (m,) [rad]. Speeds are a tenth above the
+        trajectory's largest one, by its velocities and by the slopes of its positions, at the
+        factor of its speed in the settings.
         """
         q = self.trajectory.q
         if self.model_range is not None:
@@ -381,7 +384,10 @@ class Plan:
             yield "on the way to where it is parked", self.trajectory.q[-1], pose
 
     def joint_positions(self, inspection: Inspection) -> Array:
-        """Return the joint positions (n,) [rad] at an inspection, NaN where unknown."""
+        """Return the positions (n,) [rad] of the trajectory's joints when the bus was inspected.
+
+        ``inspection`` has each motor's answer by its address; a joint without one has NaN.
+        """
         joints = self.trajectory.joints
         positions = np.full(len(joints), np.nan)
         for j, joint in enumerate(joints):
@@ -390,7 +396,7 @@ class Plan:
         return JointSpace.of(joints).joint_position(positions)
 
     def other_motors(self, inspection: Inspection) -> tuple[InspectedMotor, ...]:
-        """Return the motors that answer but drive no joint of the trajectory, by address."""
+        """Return the inspected motors that drive no joint of the trajectory, sorted by address."""
         motors = dict(sorted(inspection.motors.items()))
         for joint in self.trajectory.joints:
             motors.pop(joint.address, None)

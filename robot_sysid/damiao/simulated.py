@@ -100,7 +100,7 @@ class SimulatedMotor:
         return self.status == protocol.ENABLED
 
     def tick(self, time: float) -> bool:
-        """Check the watchdog at ``time`` [s]; return whether it has stopped the motor just now."""
+        """Stop the motor if its watchdog has expired at ``time`` [s]; return whether it did now."""
         timeout = self.registers[protocol.TIMEOUT] * protocol.TIMEOUT_UNIT
         if self.driving and 0.0 < timeout < time - self.fed_at:
             self.fail(protocol.LOST_COMMUNICATION)
@@ -141,7 +141,10 @@ class SimulatedMotor:
         return answer
 
     def _special(self, code: int) -> None:
-        """Obey a special command; a motor with a fault only obeys CLEAR_ERROR."""
+        """Obey the special command with a code: enable, disable, set the zero, or clear an error.
+
+        A motor with a fault only obeys CLEAR_ERROR, an enabled one does not obey SET_ZERO.
+        """
         if protocol.is_fault(self.status) and code != protocol.CLEAR_ERROR:
             return
         if code == protocol.ENABLE:
@@ -153,7 +156,11 @@ class SimulatedMotor:
             self.command = _NOTHING
 
     def _register_answer(self, data: bytes) -> bytes | None:
-        """Obey the data of a register frame; return the answer's data, or None without answer."""
+        """Obey the data of a register frame; return the answer's data, or None without answer.
+
+        Bytes 0 and 1 hold the CAN id, byte 2 the operation, byte 3 the register's number, and bytes
+        4 to 7 its value.
+        """
         if data[0] | data[1] << 8 != self.can_id:
             return None
         operation = data[2]
@@ -179,6 +186,9 @@ class SimulatedMotor:
     def _pack(self, *measured: float) -> bytes:
         """Return the data of a feedback frame with position [rad], velocity [rad/s], torque [N m].
 
+        Its 64 bits are, the highest first: status 4, CAN id 4, position 16, velocity 12, torque 12,
+        and two temperatures of 8 bits each. Quantities are rounded down and limited to their range.
+
         The result equals that of ``protocol.encode_feedback``, but is computed forty times as fast
         for one motor: an arm in real time has tenths of a millisecond for an answer.
         """
@@ -195,7 +205,11 @@ class SimulatedMotor:
         )
 
     def _unpack(self, data: bytes) -> list[float]:
-        """Return position, velocity, kp, kd, torque in a command's data, as ``decode_mit`` does."""
+        """Return position, velocity, kp, kd and torque in the 8-byte data of a command.
+
+        They have the units of ``MitCommand``: rad, rad/s, N m/rad, N m s/rad, N m. The result
+        equals that of ``protocol.decode_mit``.
+        """
         pmax, vmax, tmax = (self.registers[number] for number in protocol.SCALING)
         highest = pmax, vmax, protocol.KP_MAX, protocol.KD_MAX, tmax
         word = int.from_bytes(data, "big")
@@ -217,6 +231,7 @@ def simulated_motor(
 
     ``watchdog`` is the time without a command after which the motor stops [s].
     """
+    # Registers without a name here are only read, by inspections: they have a new motor's values.
     peak = joint.spec.peak_torque
     gear = joint.spec.gear_ratio
     registers: dict[int, float] = {
@@ -257,13 +272,19 @@ class SimulatedArm:
             [m.joint for m in self.motors[: mechanism.n_joints]]
         )
         self.time = 0.0
+        # Whether a motor was ever enabled: until then the arm is supported.
         self._was_enabled = False
+        # Whether commands or states have changed since ``_gather`` stored them.
         self._changed = True
+        # Time at which the motors' measured values were set, and whether the arm moved since.
         self._read_at = -math.inf
         self._has_moved = True
 
     def advance(self, until: float) -> None:
-        """Simulate up to the time ``until`` [s]; the last step ends there."""
+        """Simulate up to the time ``until`` [s]; the last step ends there.
+
+        An arm of which no motor was ever enabled stands still meanwhile.
+        """
         self._has_moved |= until > self.time
         if not self._was_enabled:
             self.leave_out(max(self.time, until))
@@ -274,7 +295,8 @@ class SimulatedArm:
                 self._changed |= motor.tick(self.time)
             # The position half a step ahead stands for the whole step to second order.
             ahead = self.mechanism.q + 0.5 * duration * self.mechanism.qd
-            self.mechanism.step(*self._law(ahead), duration)
+            torque, damping = self._motor_torques(ahead)
+            self.mechanism.step(torque, damping, duration)
 
     def leave_out(self, until: float) -> None:
         """Set the time to ``until`` [s] without moving the arm."""
@@ -289,7 +311,8 @@ class SimulatedArm:
     def answers(self, frame: protocol.Frame, time: float) -> list[protocol.Frame]:
         """Send a frame to all motors at ``time`` [s] and return their answers, without simulating.
 
-        Measured positions are extrapolated with the velocities since the last simulated step.
+        Measured positions are extrapolated with the velocities since the last simulated step. Every
+        answer is on the bus too: another motor that takes it for a command answers it in turn.
         """
         if self._has_moved:
             self._read_sensors()
@@ -304,13 +327,17 @@ class SimulatedArm:
             if answer is not None:
                 # A motor whose CAN id equals the low bits of an answer's id obeys the answer.
                 others = [other for other in self.motors if other is not motor]
-                echoes = [other.handle(answer, time) for other in others]
-                answers += [answer, *filter(None, echoes)]
+                further_answers = [other.handle(answer, time) for other in others]
+                answers += [answer, *filter(None, further_answers)]
         self._was_enabled |= any(motor.driving for motor in self.motors)
         return answers
 
     def _gather(self) -> None:
-        """Store all motors' commands, gains and peak torques as arrays (n,) in joint space."""
+        """Store all motors' commands, gains and peak torques as arrays (n,) in joint space.
+
+        A driving motor makes kp (p - q) - kd qd + offset with offset = kd v + t; for the others kp
+        and offset are zero, and kd is the damping of their shorted windings.
+        """
         motors = self.motors[: self.mechanism.n_joints]
         table = np.array([(*m.command, m.brake, m.peak_torque) for m in motors])
         driving = np.array([m.driving for m in motors])
@@ -325,7 +352,7 @@ class SimulatedArm:
         self._limited = driving
         self._changed = False
 
-    def _law(self, q: Array) -> tuple[Array, Array]:
+    def _motor_torques(self, q: Array) -> tuple[Array, Array]:
         """Return the motors' torque (n,) [N m] and damping (n,) [N m s/rad] in joint space.
 
         The motors make torque - damping qd at positions q (n,) [rad] and the present velocities qd;
@@ -345,10 +372,10 @@ class SimulatedArm:
         self._has_moved = False
         q = self.mechanism.q
         qd = self.mechanism.qd
-        torque, damping = self._law(q)
-        readings = np.transpose(
-            self._space.to_motors(q, qd, torque - damping * qd)
-        ).tolist()
+        torque, damping = self._motor_torques(q)
+        signals = self._space.to_motors(q, qd, torque - damping * qd)
+        # One row of position, velocity and torque per motor.
+        readings = np.transpose(signals).tolist()
         for motor, (position, velocity, motor_torque) in zip(self.motors, readings):
             motor.position = position
             motor.velocity = velocity
@@ -387,7 +414,8 @@ class SimulatedLink:
         self._echo = echo
         self._free_at: defaultdict[int, float] = defaultdict(float)
         self._order = itertools.count()
-        # Heap of transmitted frames by time, and heap of replies that wait for a free bus.
+        # Heap of transmitted frames (time, order, frame), and heap of replies that wait for a free
+        # bus (time from which they may be sent, id, order, reply): of two, the lower id goes first.
         self._through: list[tuple[float, int, Frame]] = []
         self._replies: list[tuple[float, int, int, Frame]] = []
 
@@ -422,7 +450,7 @@ class SimulatedLink:
         return frame
 
     def _deliver(self, frame: Frame) -> None:
-        """Add a frame to those that ``receive`` returns at the frame's time."""
+        """Store a transmitted frame, which ``receive`` returns at the frame's time."""
         heapq.heappush(self._through, (frame.time, next(self._order), frame))
 
     def close(self) -> None:
@@ -485,6 +513,7 @@ def slcan_terminal() -> tuple[Any, str]:
                 return super()._recv_internal(timeout)
             return None, False
 
+    # python-can opens a serial port that leads nowhere, which the pseudo-terminal then replaces.
     bus: Any = Terminal("loop://", sleep_after_open=0)
     line = _NearEnd()
     bus.serialPortOrig = line
@@ -541,9 +570,13 @@ def _serve(
     running: Callable[[], bool],
     report: ServiceReport,
 ) -> None:
-    """Run the loop of ``serve``, for its arguments, and update ``report`` in each cycle."""
+    """Simulate an arm and answer frames until ``running`` returns False; update ``report``.
+
+    ``arm``, ``link``, ``clock`` and ``running`` are as for ``serve``.
+    """
     step = arm.mechanism.timestep
     looked_at = clock.now()
+    # Clock time at the arm's time zero; ``now`` is the clock time in the arm's time.
     start = looked_at - arm.time
     patience = _TICK
     while running():

@@ -9,15 +9,6 @@
 A joint whose replies do not come on CAN id + 0x10 has ``,master_id=...`` appended to its line.
 
 The export clamps values to the motors' limits and reports the share of samples that it clamped.
-
-A motor is commanded both positions and velocities; where they disagree it follows neither. Two
-comparisons find that, because rounded positions hide much from row to row and next to nothing over
-a longer time:
-
-row      each velocity lies among the slopes of the positions around it
-window   over a tenth of a second, the integral of the velocities is the change of the positions
-
-A difference quotient instead of the derivative (half a row early or late) passes both.
 """
 
 from __future__ import annotations
@@ -28,12 +19,11 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, takewhile
 from pathlib import Path
-from typing import NamedTuple, TextIO
+from typing import TextIO
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from robot_sysid.damiao.joints import (
@@ -57,6 +47,9 @@ from robot_sysid.records.option_fields import joint_values
 
 _PAIR = re.compile(r"\s*([a-z_]+)\s*=\s*([^,\s]+)\s*")
 """A name and a value in a comment line of a file."""
+
+ROUNDING = 0.5e-4
+"""Largest rounding error of a number with four decimals, as the export writes it."""
 
 MotionChunk = tuple[Array, Array, Array, Array]
 """Time (N,), position, velocity, feed-forward torque (N, n) [s, rad, rad/s, N m]."""
@@ -146,9 +139,10 @@ def export_damiao_trajectory(
     joints = damiao_joints(
         motor_types, np.shape(first[1])[1], can_ids, master_ids, joint_names
     )
+    # Greatest position, velocity and torque (3, 1, n) that frames can carry.
     limits = np.array([joint.spec.limits for joint in joints]).T[:, None]
     n_rows = 0
-    (n_clamped, peak_velocity, peak_torque) = np.zeros((3, len(joints)))
+    n_clamped, peak_velocity, peak_torque = np.zeros((3, len(joints)))
     # Milliseconds where all moments are on their grid.
     decimals = 3 if np.all(np.abs(first[0] - np.round(first[0], 3)) < 1e-9) else 6
     with atomic_file(path_or_file) as file:
@@ -197,7 +191,10 @@ def trajectory_columns(n_joints: int) -> list[str]:
 
 
 def _require_chunk(chunk: MotionChunk, n: int) -> Array:
-    """Return position, velocity and torque (3, N, n) of a chunk, or raise InputError."""
+    """Return position, velocity and torque (3, N, n) of a chunk of n joints.
+
+    InputError where shapes do not fit together or a value is not finite.
+    """
     time, *signals = (np.asarray(x, dtype=float) for x in chunk)
     if time.ndim != 1 or any(x.shape != (len(time), n) for x in signals):
         raise InputError(
@@ -209,7 +206,10 @@ def _require_chunk(chunk: MotionChunk, n: int) -> Array:
 
 
 def _rows(time: Array, values: Array, decimals: int) -> str:
-    """Return the file's lines of values (3, N, n) at times (N,) with so many decimals [s]."""
+    """Return the file's lines of positions, velocities and torques (3, N, n) at times (N,) [s].
+
+    Times have ``decimals`` decimals, the others four.
+    """
     # Adding zero turns the -0.0 that rounding leaves into 0.0.
     cells = np.round(values.transpose(1, 2, 0).reshape(len(time), -1), 4) + 0.0
     row = ",".join([f"%.{decimals}f"] + ["%.4f"] * cells.shape[1]) + "\n"
@@ -223,7 +223,11 @@ CANNOT_FOLLOW = "it cannot follow"
 def rating_warnings(
     joint: DamiaoJoint, velocity: float, torque: float
 ) -> Iterator[str]:
-    """Yield a sentence for each rating of a motor that a peak velocity or torque exceeds."""
+    """Yield a sentence for each rating of a motor that a motion exceeds.
+
+    ``velocity`` and ``torque`` are the largest magnitudes of the motion [rad/s, N m]. Of the peak
+    and the rated torque only the higher one that is exceeded is named.
+    """
     spec = joint.spec
     for limit, name, remedy in (
         (spec.peak_torque, "peak", CANNOT_FOLLOW),
@@ -267,8 +271,8 @@ def rotor_problems(
     for j, (joint, acceleration, tau) in enumerate(signals):
         peak = int(np.argmax(np.abs(acceleration)))
         sign = np.sign(acceleration[peak])
-        is_far = np.abs(time - time[peak]) > _MOMENT
-        opposite = int(np.argmin(np.where(is_far, np.inf, sign * acceleration)))
+        is_outside = np.abs(time - time[peak]) > _MOMENT
+        opposite = int(np.argmin(np.where(is_outside, np.inf, sign * acceleration)))
         change = abs(acceleration[peak] - acceleration[opposite])
         rotor_torque = speed**2 * joint.spec.rotor * change
         fed_torque = sign * (tau[peak] - tau[opposite])
@@ -285,7 +289,6 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     """Return the trajectory in a file; InputError names the line that is wrong."""
     path = Path(path)
     refuse_special_file(path, "give a trajectory file")
-    joints: list[DamiaoJoint] = []
     try:
         with open(path, encoding="utf-8-sig") as file:
             lines = file.readlines()
@@ -293,25 +296,28 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise InputError(f"{path} is not a text file") from None
-    for number, line in enumerate(lines, start=1):
-        if not line.startswith("#"):
-            break
+    # Comment lines, one line of column titles, then one line of numbers per row.
+    comments = list(takewhile(lambda line: line.startswith("#"), lines))
+    joints = []
+    for line_number, line in enumerate(comments, start=1):
         if "motor_type" in line:
-            joints.append(_parse_joint(line, path, number))
-    else:
+            joints.append(_parse_joint(line, path, line_number))
+    if len(comments) == len(lines):
         raise InputError(f"{path} has no column line; it is not a Damiao trajectory")
+    title_number = len(comments) + 1
+    titles = [title.strip() for title in lines[len(comments)].split(",")]
     n = len(joints)
     if n == 0:
         raise InputError(
             f"{path} has no '# motor_type=...' lines; it is not a Damiao trajectory"
         )
-    if [name.strip() for name in line.split(",")] != ["time", *trajectory_columns(n)]:
+    if titles != ["time", *trajectory_columns(n)]:
         expected = f"expected the columns time,j0_pos,j0_vel,j0_tau,... for {n} joints"
-        raise InputError(f"{path}, line {number}: {expected}")
+        raise InputError(f"{path}, line {title_number}: {expected}")
     width = 1 + 3 * n
     rows = []
     line_numbers = []
-    for line_number, line in enumerate(lines[number:], number + 1):
+    for line_number, line in enumerate(lines[title_number:], start=title_number + 1):
         if line.strip():
             rows.append(_numbers(line, width, path, line_number))
             line_numbers.append(line_number)
@@ -321,7 +327,9 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
         raise InputError(
             f"{path}, near line {line_numbers[row + 1]}: time does not increase"
         )
-    q, qd, tau = (table[:, k::3] for k in (1, 2, 3))
+    q = table[:, 1::3]
+    qd = table[:, 2::3]
+    tau = table[:, 3::3]
     line_array = np.array(line_numbers, int)
     return DamiaoTrajectory(path, tuple(joints), line_array, time, q, qd, tau)
 
@@ -329,18 +337,22 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
 def join_arms(first: DamiaoTrajectory, second: DamiaoTrajectory) -> DamiaoTrajectory:
     """Return the trajectories of two arms as one that has the joints of both.
 
-    Both begin at time 0; the shorter one holds its end.
+    Both begin at time 0; the shorter one holds its end. Paths and the lines of rows, for messages,
+    are those of the first file and of the longer one.
     """
-    files = first, second
-    times = [file.time - file.time[0] for file in files]
-    time = _merge_times(*times)
+    first_time = first.time - first.time[0]
+    second_time = second.time - second.time[0]
+    time = _merge_times(first_time, second_time)
     pairs = zip(_resample(first, time), _resample(second, time))
-    q, qd, tau = (np.hstack(pair) for pair in pairs)
-    longer = int(times[1][-1] > times[0][-1])
+    q, qd, tau = map(np.hstack, pairs)
+    if second_time[-1] > first_time[-1]:
+        line = np.interp(time, second_time, second.line)
+    else:
+        line = np.interp(time, first_time, first.line)
     return DamiaoTrajectory(
         first.path,
         first.joints + second.joints,
-        np.interp(time, times[longer], files[longer].line).astype(int),
+        line.astype(int),
         time,
         q,
         qd,
@@ -350,7 +362,10 @@ def join_arms(first: DamiaoTrajectory, second: DamiaoTrajectory) -> DamiaoTrajec
 
 
 def _resample(trajectory: DamiaoTrajectory, time: Array) -> list[Array]:
-    """Return q, qd and tau (N, n) of a trajectory at times (N,) after its beginning [s]."""
+    """Return q, qd and tau (N, n) of a trajectory at times (N,) after its beginning [s].
+
+    They are interpolated linearly, and after the end they keep their last values.
+    """
     signals = np.hstack([trajectory.q, trajectory.qd, trajectory.tau])
     elapsed = trajectory.time - trajectory.time[0]
     columns = [np.interp(time, elapsed, signal) for signal in signals.T]
@@ -358,7 +373,7 @@ def _resample(trajectory: DamiaoTrajectory, time: Array) -> list[Array]:
 
 
 def _merge_times(first: Array, second: Array) -> Array:
-    """Return the union of two time grids [s] without times that differ by rounding only.
+    """Return the union (M,) of two time grids [s] without times that differ by rounding only.
 
     Times closer than half of the shortest step count as one: a slope between two of them would be
     rounding error over rounding error.
@@ -366,9 +381,8 @@ def _merge_times(first: Array, second: Array) -> Array:
     Args:
         first, second: (N,) increasing times that begin at 0 [s].
     """
-    shortest = 0.5 * min(
-        np.diff(times).min(initial=np.inf) for times in (first, second)
-    )
+    steps = np.append(np.diff(first), np.diff(second))
+    shortest = 0.5 * np.min(steps, initial=np.inf)
     merged = [0.0]
     for moment in np.union1d(first, second):
         if moment - merged[-1] >= shortest:
@@ -379,7 +393,10 @@ def _merge_times(first: Array, second: Array) -> Array:
 
 
 def _numbers(line: str, width: int, path: Path, number: int) -> list[float]:
-    """Return the ``width`` numbers in a line of a file, or raise InputError with its number."""
+    """Return the ``width`` numbers in a line of a file; text after a # is left out.
+
+    InputError names the file's ``path`` and the ``number`` of the line.
+    """
     with contextlib.suppress(ValueError):
         row = [float(cell) for cell in line.partition("#")[0].split(",")]
         # Python takes 1_0 for 10.
@@ -418,7 +435,7 @@ LIMITS = ("max_velocity", "max_acceleration", "max_torque", *MODEL_LIMITS)
 
 
 def peaks_beyond(values: Array, limits: Array) -> list[tuple[int, float]]:
-    """Return number and largest magnitude of each joint that exceeds its limit.
+    """Return index and largest magnitude of each joint that exceeds its limit.
 
     Args:
         values: a quantity of n joints at N moments (N, n).
@@ -436,14 +453,14 @@ def limit_excesses(
     ``speed`` is the factor of the file's speed at which it is played.
     """
     # The fourth decimal of two velocities makes this much acceleration.
-    slack = 2.0 * _ROUNDING / np.diff(trajectory.time).min()
+    slack = 2.0 * ROUNDING / np.diff(trajectory.time).min()
     velocity = speed * trajectory.qd
     acceleration = speed**2 * trajectory.qdd
     torque = trajectory.tau
     for values, limit, unit, flag, rounding in (
-        (velocity, limits.max_velocity, "rad/s", "--max-velocity", _ROUNDING),
+        (velocity, limits.max_velocity, "rad/s", "--max-velocity", ROUNDING),
         (acceleration, limits.max_acceleration, "rad/s^2", "--max-acceleration", slack),
-        (torque, limits.max_torque, "N m", "--max-torque", _ROUNDING),
+        (torque, limits.max_torque, "N m", "--max-torque", ROUNDING),
     ):
         joint_limits = joint_values(
             np.inf if limit is None else limit, trajectory.n_joints, flag
@@ -451,123 +468,6 @@ def limit_excesses(
         for j, peak in peaks_beyond(values, joint_limits + rounding):
             name = trajectory.joints[j].label
             yield f"{name}: {peak:.4g} {unit} is beyond {flag} {joint_limits[j]:g}"
-
-
-_ROUNDING = 0.5e-4
-"""Largest rounding error of a number with four decimals, as the export writes it."""
-_WINDOW = 0.1
-"""Length of a window in which velocities are compared with positions [s].
-
-Over this time 1e-4 rad of rounding are 1e-3 rad/s, and a swing takes longer.
-"""
-_LEAST_ROWS = 4
-"""Least number of rows in a window."""
-_AROUND = 2
-"""Number of rows on either side of a row with whose slopes its velocity is compared.
-
-A difference quotient is half a row early or late, and the motion may bend in one more row.
-"""
-
-
-class Mismatch(NamedTuple):
-    """A row and joint at which velocities and positions of a trajectory disagree.
-
-    ``stated`` is the velocity in the velocity column, ``slope`` that of the positions [rad/s].
-    """
-
-    row: int
-    joint: int
-    stated: float
-    slope: float
-
-
-def velocity_mismatch(time: Array, q: Array, qd: Array) -> Mismatch | None:
-    """Return the first row where velocities disagree with the slopes of positions, or None.
-
-    Single rows are compared first, then windows of a tenth of a second.
-
-    Args:
-        time: times (N,) of the rows [s].
-        q: positions (N, n) [rad].
-        qd: velocities (N, n) [rad/s].
-    """
-    slope = np.diff(q, axis=0) / np.diff(time)[:, None]
-    mismatch = _row_mismatch(time, slope, qd)
-    return mismatch or _window_mismatch(time, q, qd, slope)
-
-
-def _row_mismatch(time: Array, slope: Array, qd: Array) -> Mismatch | None:
-    """Return the first velocity (N, n) beyond the slopes (N - 1, n) of the rows around it."""
-    step = np.diff(time)[:, None]
-    slopes = _surrounding_rows(slope)
-    low = slopes.min(axis=-1)
-    high = slopes.max(axis=-1)
-    shortest_step = _surrounding_rows(step).min(axis=-1)
-    # Two rounded positions, of the slope and of what it is compared with, over the shortest step.
-    slack = 4.0 * _ROUNDING / shortest_step + _ROUNDING + (high - low)
-    excess = np.maximum(low - slack - qd, qd - high - slack)
-    # The last rows have no slopes behind them.
-    excess[len(excess) - _AROUND :] = 0.0
-    for row, joint in np.argwhere(excess > 0.0)[:1].tolist():
-        return Mismatch(row, joint, float(qd[row, joint]), float(slope[row, joint]))
-    return None
-
-
-def _surrounding_rows(steps: Array) -> Array:
-    """Return, for each of N rows, the steps (N, n, 2 _AROUND) between rows around it."""
-    padded = np.pad(steps, ((_AROUND, _AROUND), (0, 0)), mode="edge")
-    return sliding_window_view(padded, 2 * _AROUND, axis=0)
-
-
-def _window_mismatch(time: Array, q: Array, qd: Array, slope: Array) -> Mismatch | None:
-    """Return the first window over which velocities do not add up to the change of position.
-
-    Positions may be half a row early or late, the trapezoid rule misses at most a sixth of a step
-    times the variation of the velocity, and each printed number is rounded by ``_ROUNDING``.
-
-    Args:
-        time: (N,) of the rows [s].
-        q, qd: (N, n) positions and velocities [rad, rad/s].
-        slope: (N - 1, n) change of position per time between rows [rad/s].
-    """
-    step = np.diff(time)[:, None]
-    rows = np.arange(len(time))
-    ends = np.maximum(np.searchsorted(time, time + _WINDOW), rows + _LEAST_ROWS)
-    starts = np.flatnonzero(ends < len(slope))
-    if not len(starts):
-        return None
-    ends = ends[starts]
-    # The longest step of each window and of one row on either side.
-    padded_step = np.pad(step[:, 0], 1, mode="edge")
-    windows = np.column_stack([starts, ends + 2]).ravel()
-    longest_step = np.maximum.reduceat(padded_step, windows)[::2, None]
-    integral = _cumulative_sum(0.5 * (qd[1:] + qd[:-1]) * step)
-    variation = _cumulative_sum(np.abs(np.diff(qd, axis=0)))
-    position_change = q[ends] - q[starts]
-    velocity_integral = integral[ends] - integral[starts]
-    # Half a row early or late, and a fifth more; then what trapezoids leave out where it bends.
-    slope_before = np.vstack([slope[:1], slope])
-    slope_change = np.maximum(
-        np.abs(slope[ends] - slope[starts]),
-        np.abs(slope_before[ends] - slope_before[starts]),
-    )
-    shift = 0.6 * longest_step * slope_change + 2.0 * _ROUNDING
-    curvature = longest_step / 6.0 * (variation[ends] - variation[starts])
-    duration = (time[ends] - time[starts])[:, None]
-    tolerance = shift + curvature + 2.0 * _ROUNDING + _ROUNDING * duration
-    difference = np.abs(position_change - velocity_integral)
-    for k, j in np.argwhere(difference > tolerance * (1.0 + 1e-9))[:1].tolist():
-        seconds = float(duration[k, 0])
-        stated = float(velocity_integral[k, j]) / seconds
-        return Mismatch(
-            int(starts[k]), j, stated, float(position_change[k, j]) / seconds
-        )
-    return None
-
-
-def _cumulative_sum(steps: Array) -> Array:
-    """Return the sums (N, n) of steps (N - 1, n) up to each row, beginning with zero."""
-    return np.cumsum(np.insert(steps, 0, 0.0, axis=0), axis=0)
 
 
 def _rate_warnings(time: Array, n_joints: int) -> Iterator[str]:

@@ -20,8 +20,8 @@ from robot_sysid.damiao.trajectory import (
     limit_excesses,
     read_damiao_trajectory,
     rotor_problems,
-    velocity_mismatch,
 )
+from robot_sysid.damiao.velocity_check import velocity_mismatch
 from robot_sysid.errors import InputError
 from robot_sysid.motion import LimitOptions
 from tests.support.damiao_rig import swing, trajectory_file

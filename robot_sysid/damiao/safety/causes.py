@@ -1,4 +1,9 @@
-"""Finding the one cause that best explains a sudden change of an arm's holding torques."""
+"""Finding the one cause that best explains a sudden change of an arm's holding torques.
+
+The unit "doubts" is the torque of each joint that friction alone may explain,
+``HoldingCheck.doubt``: torques are divided by it before they are compared. The n joints of the arm
+may be followed by m further motors, which are only held; they are left out here.
+"""
 
 from __future__ import annotations
 
@@ -36,8 +41,8 @@ class EffortChange:
 
     Attributes:
         joint: index of the joint in which the change was noticed.
-        baseline: torque (n,) that the control of all joints added before the change [N m].
-        at_once: torque (n,) that it added when the change was noticed [N m].
+        baseline: torque (n + m,) that the control of all joints added before the change [N m].
+        at_once: torque (n + m,) that it added when the change was noticed [N m].
     """
 
     joint: int
@@ -69,10 +74,10 @@ def explain_change(
     Args:
         change: change that stopped the run.
         holding: computes the torque that carries the arm, from a model or the trajectory file.
-        q: positions (n,) of the stopped arm [rad].
-        commanded: commanded torque (n,) that holds the arm there [N m].
-        fed: feed-forward torque (n,) that should hold the arm where there is no model [N m].
-        joints: joints of the arm, base to terminal.
+        q: positions (n + m,) of the stopped arm [rad].
+        commanded: commanded torque (n + m,) that holds the arm there [N m].
+        fed: feed-forward torque (n + m,) that should hold the arm where there is no model [N m].
+        joints: joints of the arm, base to terminal, then the further motors.
     """
     n_joints = holding.n_joints
     needed = (holding.torque(q) if holding.is_model else fed)[:n_joints]
@@ -99,13 +104,15 @@ def _explain_passing_change(
 ) -> str:
     """Return a sentence with the cause of a change that has vanished since the arm stopped.
 
-    ``needed`` is the torque (n,) that carries the arm [N m].
+    One joint alone was held back, or is weak, if no other one changed much and the control pushed
+    it in the direction of ``needed`` (n,), the torque that carries the arm [N m].
     """
     sudden = (change.at_once - change.baseline)[: holding.n_joints]
     weighted = np.abs(sudden / holding.doubt)
-    is_alone = change.joint == int(np.argmax(weighted)) and (
-        np.sort(weighted)[-2:].min() < _ALONE * weighted[change.joint]
-    )
+    # The second largest change; of a single joint its own.
+    runner_up = np.sort(weighted)[-2:].min()
+    is_largest = change.joint == int(np.argmax(weighted))
+    is_alone = is_largest and runner_up < _ALONE * weighted[change.joint]
     if is_alone and sudden[change.joint] * needed[change.joint] > 0.0:
         return f"{joints[change.joint].label} was held back for a moment, or its motor is weak"
     return "something pushed it for a moment"
@@ -114,7 +121,8 @@ def _explain_passing_change(
 def _best_cause(causes: Iterator[_Cause], weighted: Array) -> tuple[float, str]:
     """Return the least sum of squares that one of ``causes`` leaves unexplained, and its text.
 
-    The sum is infinite without any cause. ``weighted`` (n,) is the torque to be explained [doubts].
+    Each cause is fitted alone, with a factor of its own. The sum is infinite without any cause.
+    ``weighted`` (n,) is the torque to be explained [doubts].
     """
     best = np.inf, ""
     for text, shape in causes:
@@ -132,11 +140,11 @@ def _weak_motor_causes(
     ``doubt`` (n,) the torque that friction alone may explain [N m].
     """
     commanded = needed + residual
-    for j, shape in enumerate(np.eye(len(residual))):
+    for j, unit_torque in enumerate(np.eye(len(residual))):
         share = needed[j] / commanded[j] if commanded[j] else 1.0
         if 0.0 < share < 1.0:
             statement = f"{joints[j].label} makes {share:.2f} times the torque that it is commanded"
-            yield _Cause(f"{statement}: its motor is weak", shape / doubt)
+            yield _Cause(f"{statement}: its motor is weak", unit_torque / doubt)
 
 
 def _load_and_zero_causes(

@@ -30,7 +30,9 @@ from robot_sysid.records import Array
 NO_STATUS = -1
 """Status of a joint that sent no believed answer in a cycle."""
 Mask = NDArray[np.bool_]
+"""One truth value for each of n joints."""
 Counts = NDArray[np.int64]
+"""One number for each of n joints."""
 
 # Judgements: a slip of 0.15 rad has to be noticed.
 _LEAST_JUMP = 0.05
@@ -48,7 +50,7 @@ _HEAT_CHANGE = 5.0
 
 
 def _no_joints() -> Any:
-    """Return an empty array, in place of which ``Replies`` has a zero for each joint."""
+    """Return an empty array (0,), which ``Replies`` replaces by zeros (n,) when it is made."""
     return np.zeros(0, int)
 
 
@@ -82,6 +84,7 @@ class Replies:
     foreign: Counts = field(default_factory=_no_joints)
 
     def __post_init__(self) -> None:
+        """Set the fields that were left out to zeros (n,): nothing doubted, no jump, no counts."""
         types = {"doubted": bool, "jump": float, "surplus": int, "foreign": int}
         for name, dtype in types.items():
             if not len(getattr(self, name)):
@@ -128,6 +131,8 @@ class _Change(NamedTuple):
 
 class SampleFilter:
     """Decides which answers of n joints are believed; holds the last believed samples.
+
+    A joint's last answer that was not believed is suspect: the next one may confirm it.
 
     Args:
         peak_torque: (n,) peak torque of each joint [N m].
@@ -176,11 +181,12 @@ class SampleFilter:
         tau = feedback.torque
         expected = tau if acted is None else acted.motor_torque(q, qd)
         error = tau - np.clip(expected, -self._peak, self._peak)
-        heat = np.maximum(feedback.temperature_mos, feedback.temperature_rotor).astype(
-            float
-        )
+        hotter = np.maximum(feedback.temperature_mos, feedback.temperature_rotor)
+        heat = hotter.astype(float)
         now = _Samples(replies.time, q, qd, error, feedback.status == ENABLED, heat)
         came = replies.answered
+        # An answer is believed if it follows the last believed one, or repeats the suspect one. A
+        # motor that was enabled and reports that it is not has to say so twice.
         change = self._compare(self._last, now)
         follows = change.is_plausible & (now.enabled | ~self._last.enabled)
         repeated = self._compare(self._suspect, now).is_plausible & self._is_suspected
@@ -205,24 +211,20 @@ class SampleFilter:
     def _compare(self, previous: _Samples, now: _Samples) -> _Change:
         """Return how plausible the samples ``now`` are after ``previous`` ones.
 
-        A quantity that the previous sample lacks (NaN) is not compared.
+        A quantity that is NaN in either of them is not compared, and counts as plausible.
         """
         passed = np.maximum(np.nan_to_num(now.time - previous.time), 0.0)
         expected_change = 0.5 * (now.qd + previous.qd) * passed
         distance = np.abs(now.q - previous.q - expected_change)
         accelerated = _TOP_ACCELERATION * passed
-        tolerance = (
-            _LEAST_JUMP
-            + _SPEED_DOUBT * np.abs(expected_change)
-            + 0.5 * accelerated * passed
-        )
+        tolerance = _LEAST_JUMP + _SPEED_DOUBT * np.abs(expected_change)
+        tolerance += 0.5 * accelerated * passed
         jumps = distance > tolerance
-        change = np.abs(now.qd - previous.qd)
-        throws = change > _LEAST_SPEED_CHANGE + 4.0 * self._velocity_step + accelerated
-        bends = (
-            np.abs(now.torque_error - previous.torque_error)
-            > _TORQUE_DOUBT * self._peak
-        )
+        speed_change = np.abs(now.qd - previous.qd)
+        most_change = _LEAST_SPEED_CHANGE + 4.0 * self._velocity_step + accelerated
+        throws = speed_change > most_change
+        torque_change = np.abs(now.torque_error - previous.torque_error)
+        bends = torque_change > _TORQUE_DOUBT * self._peak
         heats = np.abs(now.heat - previous.heat) > _HEAT_CHANGE
         return _Change(jumps, bends, ~(jumps | throws | bends | heats))
 
@@ -311,11 +313,12 @@ class VelocityScalingCheck:
         self._begin = np.zeros((2, n_joints))
         # Integrals (2, n) of velocity and of its absolute value since then [rad].
         self._integrals = np.zeros((2, n_joints))
-        # Per joint: count and sums of x, y, xx, xy, yy.
+        # Of each joint's windows: count and sums of x, y, xx, xy, yy, with x the integrated
+        # velocity and y the change of position [rad].
         self._sums = np.zeros((6, n_joints))
 
     def add(self, time: Array, q: Array, qd: Array) -> Slip | None:
-        """Add one sample per joint; return a joint that slipped in a completed window, or None.
+        """Add one sample per joint; return a joint that slipped in a window that ends now, or None.
 
         ``time``, ``q`` and ``qd`` are (n,) [s, rad, rad/s], NaN where a joint did not answer.
         """
@@ -350,6 +353,7 @@ class VelocityScalingCheck:
             change: (n,) change of position [rad].
             path: (n,) integrated absolute velocity [rad].
         """
+        # Sampling late in each cycle explains any change from the integral to ``fastest``.
         fastest = integral * self.explained
         lower = np.minimum(integral, fastest)
         upper = np.maximum(integral, fastest)
@@ -361,9 +365,8 @@ class VelocityScalingCheck:
         j = int(np.argmax(np.abs(mismatch) - tolerance))
         if abs(mismatch[j]) <= tolerance[j]:
             return None
-        return Slip(
-            j, float(integral[j]), float(change[j]), float(mismatch[j] / _WINDOW)
-        )
+        speed = float(mismatch[j] / _WINDOW)
+        return Slip(j, float(integral[j]), float(change[j]), speed)
 
     def worst(self) -> tuple[int, float] | None:
         """Return index and slope of the joint whose slope is significantly off 1, or None.
@@ -371,6 +374,7 @@ class VelocityScalingCheck:
         A slope's uncertainty is three standard errors plus the largest effect of rounding.
         """
         count, x, y, xx, xy, yy = self._sums
+        # Sums of squares and products about the means give a straight line by least squares.
         n = np.maximum(count, 1.0)
         cxx = xx - x * x / n
         cxy = xy - x * y / n
@@ -382,10 +386,10 @@ class VelocityScalingCheck:
         residual = np.maximum(cyy - slope * cxy, 0.0) / np.maximum(count - 2.0, 1.0)
         error = 3.0 * np.sqrt(residual / variation)
         doubt = error + self._rounding / np.where(moved, spread, 1.0)
+        # A slope from 1 to ``explained`` is due to sampling late in each cycle.
         unexplained = slope / np.clip(slope, 1.0, self.explained)
-        worst = _farthest_from_one(
-            unexplained, np.where(moved, doubt, np.inf), _SLOPE_TOLERANCE
-        )
+        doubt = np.where(moved, doubt, np.inf)
+        worst = _farthest_from_one(unexplained, doubt, _SLOPE_TOLERANCE)
         return None if worst is None else (worst[0], float(slope[worst[0]]))
 
 
@@ -424,7 +428,7 @@ class TorqueScalingCheck:
     def __init__(self, torque_step: Array, peak: Array) -> None:
         self._peak = 0.9 * peak
         self._doubt = np.maximum(4.0 * torque_step, 0.005 * peak)
-        # Per joint: count and sums of xx, xy.
+        # Per joint: count and sums of xx, xy, with x the commanded torque and y the reported one.
         self._sums = np.zeros((3, len(peak)))
 
     def add(self, commanded: Array, measured: Array, qd: Array) -> None:
@@ -433,11 +437,8 @@ class TorqueScalingCheck:
         Samples of a joint that moves fast are left out, because a velocity that is wrong or late
         would make ``commanded`` wrong.
         """
-        usable = (
-            np.isfinite(measured)
-            & (np.abs(commanded) < self._peak)
-            & (np.abs(qd) < _SLOW)
-        )
+        is_weak = np.abs(commanded) < self._peak
+        usable = np.isfinite(measured) & is_weak & (np.abs(qd) < _SLOW)
         x = np.where(usable, commanded, 0.0)
         y = np.where(usable, measured, 0.0)
         self._sums += np.stack([usable, x * x, x * y])
@@ -521,9 +522,8 @@ class CommandBounds:
         current = self.command_range
         reach = current.speed * elapsed
         last = np.clip(last, current.lower, current.upper)
-        return np.maximum(current.lower, last - reach), np.minimum(
-            current.upper, last + reach
-        )
+        lowest = np.maximum(current.lower, last - reach)
+        return lowest, np.minimum(current.upper, last + reach)
 
     def require(
         self,
@@ -555,9 +555,8 @@ class CommandBounds:
                 f"{labels[j]} would be sent to {command.position[j]:.3f} rad; from the last "
                 f"command it may go from {lowest[j]:.3f} to {highest[j]:.3f}"
             )
-        too_fast = ~(
-            np.abs(command.velocity) <= self.command_range.speed + self.velocity_step
-        )
+        top_speed = self.command_range.speed + self.velocity_step
+        too_fast = ~(np.abs(command.velocity) <= top_speed)
         for j in np.flatnonzero(too_fast).tolist():
             limit = self.command_range.speed[j]
             raise BeyondBounds(
@@ -577,16 +576,19 @@ class CommandBounds:
     def confine(
         self, command: MitCommand, last: Array, elapsed: Array, q: Array
     ) -> MitCommand:
-        """Return the command limited to the bounds, except damping; arguments: ``require``."""
+        """Return the command limited to the bounds; arguments as for ``require``.
+
+        Stiffness is reduced where it alone would exceed the torque bound, the feed-forward torque
+        where the sum would. Damping stays. Values that are not finite are replaced.
+        """
         lowest, highest = self._reach(last, elapsed)
         position = np.where(np.isfinite(command.position), command.position, last)
         position = np.clip(position, lowest, highest)
         top_speed = self.command_range.speed
         velocity = np.clip(np.nan_to_num(command.velocity), -top_speed, top_speed)
         error = np.nan_to_num(position - q)
-        stiffness = np.minimum(
-            command.kp, self.torque / np.maximum(np.abs(error), 1e-9)
-        )
+        most_stiffness = self.torque / np.maximum(np.abs(error), 1e-9)
+        stiffness = np.minimum(command.kp, most_stiffness)
         pull = stiffness * error
         fed = np.clip(np.nan_to_num(command.torque), -self.torque, self.torque)
         fed = np.clip(fed, -self.torque - pull, self.torque - pull)

@@ -21,7 +21,11 @@ Changes are moved zeros, a load that is picked up, a force at the end, motors th
 of their torque, and torques in single joints, such as friction. A moved zero is reported where its
 ratio is large, and clearly larger than that of any other change.
 
-The doubt of a joint is the torque that friction alone may explain; torques are divided by it.
+The doubt of a joint is the torque that friction alone may explain; torques are divided by it: they
+are in doubts. An onset is a window in which a change may have begun. Arrays over changes have the
+order: n moved zeros, n weak motors, the load's mass and first moment (4), the force at the end (3),
+n torques in single joints. Arrays over the model's errors x have the order: links, load, dry
+friction (n), viscous friction (n).
 """
 
 from __future__ import annotations
@@ -134,26 +138,35 @@ class MovedZeroCheck:
         load[-10:-6] = _LOAD * np.diag([1.0, _LEVER, _LEVER, _LEVER])
         self._factor = np.column_stack([factor, load])
         self._doubt = torque_doubt(joints) + robot.friction.largest_dry
+        # Time [s] and q, qd, tau (3, n) of the cycles of the present window.
         self._samples: list[tuple[float, Array]] = []
+        # Remaining steps of the last window's evaluation, and how many are done per cycle.
         self._work: Iterator[None] = iter(())
         self._parts_per_cycle = 1
         self._finding: tuple[int, str] | None = None
+        # Whether a change that began during the run was certain.
         self._has_changed = False
+        # Number of windows that were evaluated.
         self._windows = 0
         n_errors = self._factor.shape[1] + 2 * n
+        # Mean and covariance of the model's errors x.
         self._mean = np.zeros(n_errors)
         self._covariance = np.eye(n_errors)
+        # Weighted sum of squared noise (n,) [doubts^2] and of its weights.
         self._squares = np.full(n, _NOISE_WINDOWS * _NOISE**2)
         self._weight = _NOISE_WINDOWS
-        # Changes are ordered: n zeros, n motors, load and force at the end, n torques of joints.
+        # The load and the force at the end among the changes.
         self._end = slice(2 * n, 2 * n + _END_PARAMETERS)
         # Arrays by onset: index 0 is a change before the run, the others are a ring buffer of the
         # last windows.
         n_onsets = 1 + _ONSETS
         n_changes = 3 * n + _END_PARAMETERS
+        # Time of the begin [s] and number of windows since.
         self._begin = np.zeros(n_onsets)
         self._age = np.zeros(n_onsets, int)
+        # How much each change, at its prior standard deviation, has shifted the mean of x.
         self._state_shift = np.zeros((n_onsets, n_errors, n_changes))
+        # a and b of the module's text for each change; b as a matrix for load and force together.
         self._score = np.zeros((n_onsets, n_changes))
         self._information = np.zeros((n_onsets, n_changes))
         self._end_information = np.zeros((n_onsets, _END_PARAMETERS, _END_PARAMETERS))
@@ -188,13 +201,16 @@ class MovedZeroCheck:
             if np.max(np.abs(average.qd)) > _MOVING:
                 # Where cycles were skipped, unfinished steps of the last window are lost.
                 self._work = self._take_in(average)
-                self._parts_per_cycle = 1 + (
-                    self._robot.n_joints + _OTHER_PARTS
-                ) // len(window)
+                parts = self._robot.n_joints + _OTHER_PARTS
+                self._parts_per_cycle = 1 + parts // len(window)
         return self._finding
 
     def _take_in(self, window: _Window) -> Iterator[None]:
-        """Update all estimates with one window; each ``yield`` ends one step of the computation."""
+        """Update all estimates with one window; each ``yield`` ends one step of the computation.
+
+        ``_finding`` is set at the last step. Torques are computed at 2 n + 1 poses: the mean
+        positions, then with each joint shifted by plus, then by minus ``_DIFFERENCE``.
+        """
         robot = self._robot
         time, q, qd, qdd, tau, scatter = window
         n = robot.n_joints
@@ -220,13 +236,17 @@ class MovedZeroCheck:
         beyond_links = self._beyond.torque(q[None], qd[None], qdd[None])[0]
         needed = torques[0] + beyond_links + robot.friction.torque(qd[None])[0]
         yield
+        # Torque (n, n, 10) of each joint per inertial parameter of each link; a joint carries its
+        # own link and those after it.
         columns = np.einsum("aj,lak->jlk", twists[:, :, 0], wrenches[:, 0])
         columns *= np.triu(np.ones((n, n)))[:, :, None]
         link_errors = columns[:, self._links].reshape(n, -1) @ self._factor
+        # Dry friction, rounded off below 0.02 rad/s.
         dry = np.diag(np.tanh(qd / 0.02))
         viscous = np.diag(qd)
         errors = np.hstack([link_errors / self._doubt[:, None], dry, viscous])
         load = link_errors[:, -_LOAD_PARAMETERS:]
+        # A force at the end does work with the linear velocity (rows 3 to 5) of the last link.
         force = (to_links[-1, 0] @ twists[:, :, 0])[3:].T
         at_end = np.hstack([_NEW_LOAD * load, _FORCE * force])
         alone = _TORQUE * np.diag(self._doubt)
@@ -238,14 +258,13 @@ class MovedZeroCheck:
         yield
         self._update_changes(time, changes, errors, innovation, covariance, gain)
         yield
-        self._finding = self._finding or self._judge(
-            time, slopes / self._doubt[:, None]
-        )
+        weighted_slopes = slopes / self._doubt[:, None]
+        self._finding = self._finding or self._judge(time, weighted_slopes)
 
     def _update(
         self, errors: Array, residual: Array, scatter: Array
     ) -> tuple[Array, Array, Array]:
-        """Update the mean and covariance of the model's errors x by the Kalman filter.
+        """Update the mean and covariance of the model's errors x, and the noise, with one window.
 
         Args:
             errors: torque (n, k) per standard deviation of each of k errors [doubts].
@@ -284,24 +303,26 @@ class MovedZeroCheck:
     ) -> None:
         """Update score a and information b of each change, for each possible onset.
 
+        The oldest onset makes room for this window.
+
         Args:
             time: mean time of the window [s].
             changes: torque (n, changes) per prior standard deviation of each change [doubts].
-            errors: as for ``_update``.
-            innovation: as returned by ``_update``, like ``covariance`` and ``gain``.
+            errors: torque (n, k) per standard deviation of each of k errors x [doubts].
+            innovation: (n,) [doubts], from ``_update`` like the next two.
+            covariance: (n, n) of the innovation.
+            gain: (k, n) of the filter.
         """
         newest = 1 + self._windows % _ONSETS
         self._windows += 1
         self._begin[newest] = time - 0.5 * _WINDOW
         self._age += 1
-        for state in (
-            self._age,
-            self._state_shift,
-            self._score,
-            self._information,
-            self._end_information,
-        ):
-            state[newest] = 0
+        self._age[newest] = 0
+        self._state_shift[newest] = 0.0
+        self._score[newest] = 0.0
+        self._information[newest] = 0.0
+        self._end_information[newest] = 0.0
+        # Torque (onsets, n, changes), then what the filter lets pass of it into the innovation.
         grown = self._growth(time)[:, None, None] * changes
         passed = grown - errors @ self._state_shift
         weighted = np.linalg.inv(covariance) @ passed
@@ -314,7 +335,10 @@ class MovedZeroCheck:
         self._state_shift += gain @ passed
 
     def _growth(self, time: float) -> Array:
-        """Return the share (onsets,) of its full size that a change has at ``time`` [s]."""
+        """Return the share (onsets,) of its full size that a change has at ``time`` [s].
+
+        A change before the run (index 0) has its full size.
+        """
         grown = np.minimum((time - self._begin) / _GROWTH, 1.0)
         grown[0] = 1.0
         return grown
@@ -329,14 +353,15 @@ class MovedZeroCheck:
         if self._windows < _LEAST_WINDOWS:
             return None
         n = self._robot.n_joints
+        # Log likelihood ratio (onsets, changes) of each change against no change.
         gains = 0.5 * self._score**2 / (1.0 + self._information)
         gains -= 0.5 * np.log1p(self._information)
-        ends = gains[:, self._end]
-        for group in (
-            slice(0, _LOAD_PARAMETERS),
-            slice(_LOAD_PARAMETERS, _END_PARAMETERS),
-        ):
-            ends[:, group] = self._end_gains(group)[:, None]
+        # All parameters of the load, or of the force, change together and share one ratio.
+        load = slice(0, _LOAD_PARAMETERS)
+        force = slice(_LOAD_PARAMETERS, _END_PARAMETERS)
+        end_gains = gains[:, self._end]
+        end_gains[:, load] = self._end_gains(load)[:, None]
+        end_gains[:, force] = self._end_gains(force)[:, None]
         gains[1:][self._age[1:] < _LEAST_AGE, :n] = 0.0
         if self._has_changed:
             # A change has been found during the run, so none is attributed to the time before it.
@@ -344,6 +369,7 @@ class MovedZeroCheck:
         best = np.max(gains, axis=0)
         joint = int(np.argmax(best[:n]))
         onset = int(np.argmax(gains[:, joint]))
+        # The shift's mean and standard error follow from a, b and the prior N(0, unit^2).
         variance = 1.0 / (1.0 + self._information[onset, joint])
         unit = _SHIFT * self._growth(time)[onset]
         shift = unit * abs(self._score[onset, joint]) * variance
@@ -367,10 +393,8 @@ class MovedZeroCheck:
         information = self._end_information[:, group, group]
         information = information + np.eye(information.shape[1])
         explained = np.linalg.solve(information, score[:, :, None])[:, :, 0]
-        return (
-            0.5 * np.sum(score * explained, axis=1)
-            - 0.5 * np.linalg.slogdet(information)[1]
-        )
+        log_determinant = np.linalg.slogdet(information)[1]
+        return 0.5 * np.sum(score * explained, axis=1) - 0.5 * log_determinant
 
 
 _SLIPS = (
@@ -414,7 +438,8 @@ def _average(samples: Sequence[tuple[float, Array]]) -> _Window:
     slope = np.tensordot(since, signals, 1) / (since @ since)
     q, qd, tau = mean
     bend = signals[:, 2] - tau - np.outer(since, slope[2])
-    return _Window(time, q, qd, slope[1], tau, np.sqrt(np.mean(bend**2, axis=0)))
+    scatter = np.sqrt(np.mean(bend**2, axis=0))
+    return _Window(time, q, qd, slope[1], tau, scatter)
 
 
 def _base_wrenches(motion: LinksMotion, to_links: Array) -> Array:
@@ -424,13 +449,11 @@ def _base_wrenches(motion: LinksMotion, to_links: Array) -> Array:
         motion: velocities and accelerations of the links at N samples.
         to_links: matrices (n, N, 6, 6) from the base's frame to the links' frames.
     """
-    moves = (
-        np.moveaxis(np.array(move), 1, -1)
-        for move in (motion.velocity, motion.acceleration)
-    )
-    velocity, acceleration = moves
+    velocity = np.moveaxis(np.array(motion.velocity), 1, -1)
+    acceleration = np.moveaxis(np.array(motion.acceleration), 1, -1)
     regressor = wrench_regressor(velocity.reshape(-1, 6), acceleration.reshape(-1, 6))
     wrenches = np.moveaxis(regressor, -1, 0).reshape(*velocity.shape, -1)
+    # The transpose of a matrix that takes twists to a link takes the link's wrenches back.
     return np.swapaxes(to_links, -1, -2) @ wrenches
 
 
