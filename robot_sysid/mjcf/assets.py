@@ -92,7 +92,10 @@ class Asset:
 def asset_folders(
     document: ModelDocument, mesh_dir: Path | None = None
 ) -> AssetFolders:
-    """Return where the assets of an MJCF document are; ``mesh_dir`` replaces its meshdir."""
+    """Return where the assets of an MJCF document are; ``mesh_dir`` replaces its meshdir.
+
+    Of several settings the last one in the document counts.
+    """
     mesh = "."
     texture = "."
     strip = "false"
@@ -170,7 +173,13 @@ def check_assets(document: ModelDocument, mesh_dir: Path | None = None) -> None:
 def _mjcf_candidates(
     document: ModelDocument, folders: AssetFolders, node: Node, name: str
 ) -> Iterator[Path]:
-    """Yield where a file of an MJCF document may be, the first choice first."""
+    """Yield where a file of an MJCF document may be, the first choice first.
+
+    Args:
+        folders: of the document's assets.
+        node: the element that refers to the file.
+        name: the reference, with / between folders.
+    """
     if node.tag == "model":
         yield _join(document.path.parent, name)
     else:
@@ -193,11 +202,15 @@ def _join(folder: Path, name: str) -> Path:
 def _urdf_candidates(
     document: ModelDocument, mesh_dir: Path | None, name: str
 ) -> Iterator[Path]:
-    """Yield where a mesh of a URDF may be, the first choice first."""
+    """Yield where a mesh of a URDF may be, the first choice first.
+
+    ``name``: the reference, with / between folders, such as "package://arm/meshes/link1.stl".
+    """
     scheme = _SCHEME.match(name)
     path = Path(name[scheme.end() :] if scheme else name)
     if scheme and scheme.group(1) == "file":
         path = Path("/") / path
+    # Behind a scheme, the first folder is the name of a package.
     in_package = Path(*path.parts[1:])
     if mesh_dir is not None:
         folder = Path(mesh_dir).absolute()
@@ -229,16 +242,19 @@ def relocated_text(
     edits.folder = folder
     assets = find_assets(document, mesh_dir)
     if document.is_urdf:
-        paths = [reference(a.path, folder) if a.path else None for a in assets]
-        return _rename_files(edits, assets, paths)
+        names = [reference(a.path, folder) if a.path else None for a in assets]
+        return _rename_files(edits, assets, names)
+    tags = set()
+    for asset in assets:
+        tags.add(asset.node.tag)
+        edits.inlined.add(asset.node.file)
     for file in document.files:
-        has_assets = any(asset.node.file is file for asset in assets)
-        if folder is None or has_assets or _needs_folder(file):
+        if folder is None or _needs_folder(file):
             edits.inlined.add(file)
     folders = asset_folders(document, mesh_dir)
-    _move_folders(edits, folders, {asset.node.tag for asset in assets})
-    paths = [_relocated_name(asset, folders, folder) for asset in assets]
-    return _rename_files(edits, assets, paths)
+    _move_folders(edits, folders, tags)
+    names = [_relocated_name(asset, folders, folder) for asset in assets]
+    return _rename_files(edits, assets, names)
 
 
 def _needs_folder(file: SourceFile) -> bool:
@@ -249,8 +265,10 @@ def _needs_folder(file: SourceFile) -> bool:
     """
     if not file.is_utf8 or file.includes:
         return True
-    compilers = [node for node in file.elements if node.tag == "compiler"]
-    return any(any(map(node.get, _FOLDER_SETTINGS)) for node in compilers)
+    for node in file.elements:
+        if node.tag == "compiler" and any(map(node.get, _FOLDER_SETTINGS)):
+            return True
+    return False
 
 
 def bundled_text(document: ModelDocument, names: Mapping[Path, str]) -> bytes:
@@ -274,7 +292,10 @@ def bundled_text(document: ModelDocument, names: Mapping[Path, str]) -> bytes:
 def _rename_files(
     edits: Edits, assets: Collection[Asset], names: Collection[str | None]
 ) -> bytes:
-    """Return the text with a new name for the file of each asset; None keeps the old one."""
+    """Return the text of the edited document with new references to files.
+
+    ``names`` has the new reference of each of the assets; None keeps the old one.
+    """
     has_folder = False
     for asset, name in zip(assets, names):
         has_folder |= "/" in (name or asset.name)
@@ -289,21 +310,34 @@ def _rename_files(
 def _relocated_name(
     asset: Asset, folders: AssetFolders, folder: Path | None
 ) -> str | None:
-    """Return an asset's name relative to its asset folder; a name that is right there stays."""
-    asset_folder = folders.texture if asset.node.tag == "texture" else folders.mesh
+    """Return how a document that is moved refers to an asset; None for one that was not found.
+
+    The reference is relative to the asset folder, that of a model to the document's new folder; one
+    that is right already stays.
+
+    Args:
+        folders: of the document's assets.
+        folder: the document's new folder; None makes the reference absolute.
+    """
     if asset.path is None:
         return None
     if asset.node.tag == "model":
         return reference(asset.path, folder)
+    asset_folder = folders.texture if asset.node.tag == "texture" else folders.mesh
     if asset.path == _join(asset_folder, asset.name):
         return asset.name
     return reference(asset.path, asset_folder if folder is not None else None)
 
 
 def _move_folders(edits: Edits, folders: AssetFolders, tags: set[str]) -> None:
-    """Make one compiler element name the asset folders as seen from the new place.
+    """Make one compiler element name the asset folders as seen from the document's new folder.
 
-    ``tags``: of the elements that refer to files.
+    An MJCF's paths of assets stay relative to these folders.
+
+    Args:
+        edits: of the document; ``edits.folder`` is its new folder.
+        folders: the asset folders.
+        tags: of the elements that refer to files.
     """
     compilers = edits.document.settings("compiler")
     uses_meshes = bool(tags - {"texture", "model"})
@@ -366,15 +400,19 @@ def refuse_hazards(
 ) -> float:
     """Return the memory that MuJoCo takes for a model [bytes], or raise ModelError for a hazard.
 
-    Attached models are counted. The last two arguments are for them:
+    Attached models are counted, by calls of this function with the last two arguments.
 
     Args:
+        document: the model file.
+        mesh_dir: folder of the meshes; default as the file says.
         attaching: the models that attach this one, which it may not attach itself.
-        memory_of_models: attached model to its memory [bytes]; filled on the way.
+        memory_of_models: attached model to its memory [bytes]; this function adds to it.
     """
     memory_of_models = {} if memory_of_models is None else memory_of_models
     main = document.path.resolve()
+    # Name of an attached model to the number of its copies.
     n_attached = Counter[str]()
+    # (memory [bytes], what takes it, in words).
     needs = []
     for node, copies in _walk_with_copies(document, document.root, 1.0):
         needs.append((_memory_of_node(node), f"<{node.tag}> in line {node.line}"))
@@ -396,6 +434,7 @@ def refuse_hazards(
                 memory_of_models[path] = refuse_hazards(
                     read_document(path), None, (*attaching, main), memory_of_models
                 )
+            # MuJoCo holds the model itself beside its copies.
             count = 1 + n_attached[asset.node.get("name") or ""]
             memory = memory_of_models[path] * count
         needs.append((memory, asset.name))
@@ -446,8 +485,9 @@ def _memory_of_node(node: Node) -> float:
         is_flat = node.get("type") == "2d"
         height = _product(node.get("height")) if is_flat else 6.0 * width
         return _TEXEL_BYTES * width * height
+    # An element of any other tag has no attribute "", and a product of 0.
     names = _SIZE_ATTRIBUTES.get(node.tag, ("",))
-    return _NUMBER_BYTES * math.prod(_product(node.get(name)) for name in names)
+    return _NUMBER_BYTES * math.prod(map(_product, map(node.get, names)))
 
 
 def _reserved_bytes(node: Node) -> float:
@@ -466,11 +506,13 @@ def _product(text: str | None) -> float:
 
 
 def _refuse_pipes(document: ModelDocument, asset: Asset) -> None:
-    """Raise ModelError where an asset is there, but not as a file."""
-    # What was not found is no file, but may be there; too long a name is an error to Path.
+    """Raise ModelError where an asset that was found as no file is a pipe or a device."""
+    if asset.path is not None:
+        return
     name = Path(asset.name.replace("\\", "/")).name
-    for folder in asset.searched if asset.path is None else ():
+    for folder in asset.searched:
         path = folder / name
+        # Path.exists raises where a name is too long.
         if os.path.exists(path) and not os.path.isdir(path):
             raise ModelError(
                 f"{document.path}: {path} is not a file but a pipe or a device"
@@ -489,11 +531,14 @@ def _memory_of_file(path: Path, tag: str, form: str) -> float:
         triangles = _count_triangles(path, form)
         return max(_MEMORY_RATIO * size, _TRIANGLE_BYTES * triangles)
     with path.open("rb") as stream:
+        # The signature, then a chunk with the size of the image.
         head = stream.read(26)
         is_png = head.startswith(_PNG) and len(head) == 26
         if not is_png or tag not in ("texture", "hfield") or size > MAX_MEMORY:
+            # A file of heights holds each as a float of four bytes.
             return size * (_HEIGHT_BYTES / 4.0 if tag == "hfield" else _MEMORY_RATIO)
         width, height, depth, colour_type = struct.unpack(">IIBB", head[16:])
+        # Bytes of a row: one that says how it is filtered, then pixels of ``depth`` bits a number.
         row = 1.0 + width * _CHANNELS.get(colour_type, 4) * depth / 8.0
         raw = height * row
         pixel_bytes = _TEXEL_BYTES if tag == "texture" else _HEIGHT_BYTES
@@ -506,11 +551,15 @@ def _memory_of_file(path: Path, tag: str, form: str) -> float:
 
 
 def _count_triangles(path: Path, form: str) -> float:
-    """Return how many triangles a mesh has; where they are few, a number that may be too large."""
+    """Return how many triangles a mesh has; where they are few, a number that may be too large.
+
+    ``form``: content type of the file, or the end of its name, in lower case: STL, MSH or else OBJ.
+    """
     if form.endswith("stl"):
         return path.stat().st_size / _STL_BYTES
     content = path.read_bytes()
     if form.endswith("msh"):
+        # The head are four integers, the last one the number of triangles.
         is_complete = len(content) >= 16
         return float(struct.unpack_from("<i", content, 12)[0]) if is_complete else 0.0
     # Faces begin with f; a face of k corners, each after a blank, is k - 2 triangles.
@@ -530,10 +579,14 @@ def _count_triangles(path: Path, form: str) -> float:
 
 
 def _unpacks_beyond(png: BinaryIO, limit: float) -> bool:
-    """Return whether the data of a PNG file unpack to more than a limit [bytes]."""
+    """Return whether the data of a PNG file unpack to more than a limit [bytes].
+
+    At most a megabyte more is unpacked; the position in the file changes.
+    """
     unpacker = zlib.decompressobj()
     unpacked = 0
     png.seek(len(_PNG))
+    # A chunk is its length, its type, its data and their checksum.
     while unpacked <= limit and len(head := png.read(8)) == 8:
         length, chunk_type = struct.unpack(">I4s", head)
         packed = png.read(length) if chunk_type == b"IDAT" else b""

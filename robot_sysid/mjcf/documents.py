@@ -71,7 +71,9 @@ class Node:
     """An element of the expanded model.
 
     Attributes:
+        file: the file that it is written in.
         tag: its name without namespace.
+        attributes: name to value, as the file has them.
         line: number of the line it begins in, from 1.
         start, end: where it begins and ends in the text of its file [bytes].
         inner_start, inner_end: range between its tags [bytes]; for ``<a/>`` both are ``end``.
@@ -204,7 +206,7 @@ def _read(path: Path, files: dict[Path, SourceFile], depth: int = 0) -> SourceFi
     ``depth``: number of includes that the file stands in. ModelError where one cannot be read.
     """
     raw = _read_bytes(path)
-    n_elements = sum(len(file.elements) for file in files.values())
+    n_elements = sum(len(earlier.elements) for earlier in files.values())
     file = SourceFile(path, raw, _as_utf8(raw, path))
     files[path.resolve()] = file
     _parse(file, MAX_ELEMENTS - n_elements)
@@ -229,8 +231,8 @@ def _read_include(node: Node, files: dict[Path, SourceFile], depth: int) -> Sour
     if not name:
         raise ModelError(f"{location}: <include> without a file attribute")
     main = next(iter(files.values())).path
-    folders = (main.parent, including.parent)
-    candidates = [folder / name.replace("\\", "/") for folder in folders]
+    plain_name = name.replace("\\", "/")
+    candidates = (main.parent / plain_name, including.parent / plain_name)
     path = next(filter(os.path.isfile, candidates), None)
     if path is None:
         raise ModelError(
@@ -275,11 +277,15 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def _as_utf8(raw: bytes, path: Path) -> bytes:
-    """Return a file's bytes as UTF-8, or raise ModelError where they are not text."""
+    """Return a file's bytes as UTF-8, or raise ModelError where they are not text.
+
+    They are read as UTF-8, else in the declared encoding, else, with none declared, as UTF-16.
+    """
     if not raw.strip():
         raise ModelError(f"Expected an XML model file, but {path} is empty")
     declared = _ENCODING.match(raw)
-    for encoding in ("utf-8-sig", declared.group(1).decode() if declared else "utf-16"):
+    other_encoding = declared.group(1).decode() if declared else "utf-16"
+    for encoding in ("utf-8-sig", other_encoding):
         try:
             # MuJoCo tolerates white space before the declaration, strict parsers do not.
             return raw.decode(encoding).lstrip().encode("utf-8")
@@ -349,12 +355,13 @@ def mask_comments(text: bytes) -> bytes:
     pieces = []
     position = 0
     while (start := text.find(b"<!--", position)) >= 0:
-        end = text.find(b"-->", start + 4)
-        # A search for each further comment would take the square of the length.
+        content_start = start + len(b"<!--")
+        end = text.find(b"-->", content_start)
+        # Without an end, the search for that of each further comment would read all the text again.
         if end < 0:
             break
-        comment = text[start + 4 : end].replace(b"-", b"~")
-        pieces += [text[position : start + 4], comment]
+        comment = text[content_start:end].replace(b"-", b"~")
+        pieces += [text[position:content_start], comment]
         position = end
     return b"".join([*pieces, text[position:]])
 
@@ -368,7 +375,7 @@ _ESCAPE_TABLE = str.maketrans(_ESCAPES)
 
 
 class Edit(NamedTuple):
-    """Replacement of text[start:end] by ``new``."""
+    """Replacement of text[start:end] of one file by ``new``; offsets are in its unedited text."""
 
     start: int
     end: int
@@ -438,14 +445,19 @@ class Edits:
 
     def append(self, node: Node, *lines: str) -> None:
         """Put lines of text last into an element, indented one step deeper."""
-        text = node.file.text
+        # It begins with a line break.
         indentation = _indentation(node)
-        added = b"".join(indentation + b"  " + line.encode() for line in lines)
-        content = text[node.inner_start : node.inner_end].rstrip()
+        deeper = indentation.decode() + "  "
+        added = (deeper + deeper.join(lines)).encode()
+        content = node.file.text[node.inner_start : node.inner_end].rstrip()
         end = node.inner_start + len(content)
-        edit = Edit(end, end, added + (indentation if end == node.inner_end else b""))
         if node.is_self_closing:
             edit = _insert_first(node, added + indentation)
+        elif end == node.inner_end:
+            edit = Edit(end, end, added + indentation)
+        else:
+            # The white space behind the content puts the end tag on a line of its own.
+            edit = Edit(end, end, added)
         self._edits[node.file].append(edit)
 
     def replace(self, node: Node, new: str, keep_lines: bool = False) -> None:
@@ -475,14 +487,15 @@ class Edits:
         if not self.settings:
             return []
         lead = self.settings_lead
+        if not self.document.is_urdf:
+            text = lead + lead.join(self.settings)
+            return [_insert_first(root, text.encode())]
+        settings = "".join(self.settings)
         # MuJoCo reads one <mujoco> of a URDF only.
-        extension = root.child("mujoco") if self.document.is_urdf else None
+        extension = root.child("mujoco")
         if extension is not None:
-            return [_insert_first(extension, "".join(self.settings).encode())]
-        if self.document.is_urdf:
-            text = f"{lead}<mujoco>{''.join(self.settings)}</mujoco>"
-        else:
-            text = "".join(lead + setting for setting in self.settings)
+            return [_insert_first(extension, settings.encode())]
+        text = f"{lead}<mujoco>{settings}</mujoco>"
         return [_insert_first(root, text.encode())]
 
     def _file_edits(self, file: SourceFile) -> list[Edit]:
@@ -532,33 +545,38 @@ def attribute_text(values: Mapping[str, str]) -> str:
 
 
 def _attribute_edits(node: Node, name: str, value: str | None) -> list[Edit]:
-    """Return the edit that gives an element an attribute, or removes it for None; [] for none."""
+    """Return the edit that gives an element an attribute, or removes it where the value is None.
+
+    The list is empty where there is nothing to remove.
+    """
     text = node.file.text
     new = b"" if value is None else attribute_text({name: value}).encode()
     for match in _ATTRIBUTE.finditer(text, node.start, node.inner_start):
         if match.group(1) != name.encode():
             continue
         if value is None:
-            return [Edit(len(text[: match.start()].rstrip()), match.end(), new)]
-        return [Edit(*match.span(3), new[len(name) + 2 :])]
+            start = len(text[: match.start()].rstrip())
+            return [Edit(start, match.end(), b"")]
+        _, _, quoted_value = new.partition(b"=")
+        return [Edit(*match.span(3), quoted_value)]
     if value is None:
         return []
-    content_end = node.inner_start - (2 if node.is_self_closing else 1)
-    end = len(text[:content_end].rstrip())
+    closing = b"/>" if node.is_self_closing else b">"
+    end = len(text[: node.inner_start - len(closing)].rstrip())
     return [Edit(end, end, new)]
 
 
 def _insert_first(node: Node, content: bytes) -> Edit:
-    """Return the edit that puts text first into an element."""
+    """Return the edit that puts text first into an element; ``<a/>`` becomes ``<a>...</a>``."""
     if not node.is_self_closing:
         return Edit(node.inner_start, node.inner_start, content)
-    start_tag = node.file.text[node.start : node.end - 2].rstrip()
+    start_tag = node.file.text[node.start : node.end - len(b"/>")].rstrip()
     end_tag = start_tag.split()[0].replace(b"<", b"</")
     return Edit(node.start, node.end, start_tag + b">" + content + end_tag + b">")
 
 
 def _apply(edits: Iterable[Edit], text: bytes, start: int, end: int) -> bytes:
-    """Return text[start:end] with edits made; ValueError where two of them overlap."""
+    """Return text[start:end] with its edits, in any order, made; ValueError where two overlap."""
     pieces = []
     for edit in sorted(edits, key=lambda edit: edit[:2]):
         if edit.start < start:

@@ -29,7 +29,10 @@ MARGIN = 1e-11
 MuJoCo refuses what these put outside."""
 _UNIT_SPHERE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
 """theta of equal moments of inertia without mass."""
+URDF_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+"""Attributes of a URDF's <inertia> [kg m^2], in the order of ``spatial.six_from_symmetric``."""
 _SMALLEST_NORMAL = float(np.finfo(float).tiny)
+"""Smallest positive float that is not denormal."""
 _ROUNDING = 1e-9
 """Relative difference that the check of the written model lets pass (``results.verification``)."""
 
@@ -65,7 +68,10 @@ def plan_write_back(
     least_moment: float = 0.0,
     max_inflation: float = 0.0,
 ) -> WriteBack:
-    """Share an identified composite among the bodies of the terminal link.
+    """Return how an identified composite is shared among the bodies of the terminal link.
+
+    The terminal body gets the difference to the other bodies; where that is no possible body, first
+    those welded to it are emptied, then those on joints of their own are made lighter.
 
     Args:
         composite: (10,) of the terminal body and all below it, in the terminal body's frame.
@@ -80,7 +86,7 @@ def plan_write_back(
     """
     mass = float(composite[0])
 
-    def admissible(theta: Array) -> Array | None:
+    def possible(theta: Array) -> Array | None:
         """Return theta (10,) as it can be written, or None where it is no possible body."""
         return possible_body(theta, mass, least_moment, max_inflation)
 
@@ -88,37 +94,45 @@ def plan_write_back(
     lightened: tuple[SubtreeBody, ...] = ()
     scale = 1.0
     described = sum_theta(bodies[1:])
-    if admissible(composite - described) is None:
-        below = [body for body in bodies[1:] if np.any(body.theta)]
-        emptied = tuple(body for body in below if body.welded)
-        hanging = tuple(body for body in below if not body.welded)
+    if possible(composite - described) is None:
+        welded = []
+        hanging = []
+        for body in bodies[1:]:
+            if np.any(body.theta):
+                group = welded if body.welded else hanging
+                group.append(body)
+        emptied = tuple(welded)
         described = sum_theta(hanging)
-        if admissible(composite - described) is None:
+        if possible(composite - described) is None:
             scale = _largest_scale(composite, described)
-            lightened = hanging
+            lightened = tuple(hanging)
     remainder = composite - scale * described
-    theta = admissible(remainder)
+    theta = possible(remainder)
     if theta is None or scale < NEGLIGIBLE:
         raise ExportError(
             f"the identified parameters of body '{bodies[0].name}' are not a possible rigid body, "
             "so no model was written; use a longer motion"
         )
+    # What was added to each moment of inertia; element 4 is Ixx.
     inflation = float(theta[4] - remainder[4])
     plan = WriteBack(theta, emptied, None, inflation, lightened, scale)
     return replace(plan, note="; ".join(_notes(bodies[0], plan)) or None)
 
 
 def sum_theta(bodies: Sequence[SubtreeBody]) -> Array:
-    """Return the sum of the bodies' theta (10,); zeros for no bodies."""
+    """Return the sum of the bodies' theta (10,), all in one frame; zeros for no bodies."""
     return np.sum([np.zeros(10), *(body.theta for body in bodies)], axis=0)
 
 
 def _largest_scale(composite: Array, hanging: Array) -> float:
-    """Return the largest share, below 1, of bodies that leaves a possible body; 0 for none.
+    """Return the largest share s, below 1, with a possible body composite - s hanging; 0 for none.
 
-    ``composite`` (10,) and ``hanging`` (10,), the sum of these bodies, are in one frame.
+    Args:
+        composite: theta (10,) of all bodies together.
+        hanging: theta (10,) of those on joints of their own, in the same frame.
     """
-    # Possible bodies are a convex set: the shares that leave one are an interval from zero.
+    # Possible bodies are a convex set: the shares that leave one are an interval from zero, whose
+    # end is found by bisection.
     low = 0.0
     high = 1.0
     for _ in range(60):  # down to the last digit
@@ -169,30 +183,34 @@ def possible_body(
     Mass and centre of mass stay, unlike where eigenvalues of the pseudo-inertia are raised.
 
     Args:
-        scale: mass of the larger of the two bodies [kg], beside which a tiny mass is nothing.
-        least_moment: smallest principal moment of inertia that the body must have [kg m^2].
+        scale: mass of the larger of the two bodies [kg]; a mass below NEGLIGIBLE times it is none.
+        least_moment: smallest principal moment of inertia that the body must have [kg m^2]; where
+            max_inflation does not suffice for it, it is left aside.
         max_inflation: by how much all three moments may be inflated, because they are not known any
             better [kg m^2].
     """
     mass, com, inertia = spatial.com_from_theta(theta)
+    # The sum of the three second moments.
     size = float(np.trace(inertia)) / 2.0
     if not np.all(np.isfinite(theta)) or mass <= NEGLIGIBLE * scale or size <= 0.0:
         return None
     moments = np.linalg.eigvalsh(inertia)
-    smallest = 1.0 - float(moments[-1]) / size
+    smallest_share = 1.0 - float(moments[-1]) / size
     # Adding s to each second moment adds 2 s to each moment of inertia.
-    inflation = 2.0 * max(0.0, MARGIN - smallest) * size
-    if max_inflation >= least_moment - float(moments[0]):
-        inflation = max(inflation, least_moment - float(moments[0]))
+    inflation = 2.0 * max(0.0, MARGIN - smallest_share) * size
+    shortfall = least_moment - float(moments[0])
+    if shortfall <= max_inflation:
+        inflation = max(inflation, shortfall)
     if inflation > max(2.0 * (SLACK + MARGIN) * size, max_inflation):
         return None
     return spatial.theta_from_com(mass, com, inertia + inflation * np.eye(3))
 
 
 def mjcf_inertial(theta: Array, principal: bool = False) -> str:
-    """Return MJCF for theta (10,), in the body frame about its origin, exact to the last digit.
+    """Return the MJCF ``<inertial>`` of theta (10,), exact to the last digit; all zero for zeros.
 
     Args:
+        theta: in the body frame, with the inertia about the frame's origin.
         principal: whether to write principal moments and axes instead of the full matrix, whose
             axes MuJoCo before 3.14 finds to six digits only.
     """
@@ -204,23 +222,30 @@ def mjcf_inertial(theta: Array, principal: bool = False) -> str:
         six = spatial.fullinertia_from_symmetric(inertia)
         return f'{head} fullinertia="{format_numbers(six)}"/>'
     moments, axes = np.linalg.eigh(inertia)
+    # The columns of axes are the principal axes; MuJoCo takes the first two, one after the other.
     first_two = format_numbers(axes[:, :2].T.ravel())
     return f'{head} xyaxes="{first_two}" diaginertia="{format_numbers(moments)}"/>'
 
 
 def urdf_inertial_about_com(mass: float, com: Array, inertia: Array) -> str:
-    """Return URDF for a mass, centre of mass (3,) and inertia about it (3, 3) in link axes."""
-    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    moments = map(format_number, spatial.six_from_symmetric(inertia))
+    """Return the ``<inertial>`` of a URDF's link, with all digits.
+
+    Args:
+        mass: [kg].
+        com: (3,) centre of mass in the link's frame [m].
+        inertia: (3, 3) about the centre of mass, in the link's axes [kg m^2].
+    """
+    six = map(format_number, spatial.six_from_symmetric(inertia))
+    moments = attribute_text(dict(zip(URDF_MOMENTS, six)))
     return (
         f'<inertial><origin xyz="{format_numbers(com)}" rpy="0 0 0"/>'
         f'<mass value="{float(mass)!r}"/>'
-        f"<inertia{attribute_text(dict(zip(names, moments)))}/></inertial>"
+        f"<inertia{moments}/></inertial>"
     )
 
 
 def format_numbers(values: Array) -> str:
-    """Return numbers with all their digits, separated by spaces."""
+    """Return numbers (k,) with all their digits, separated by spaces."""
     return " ".join(map(format_number, values))
 
 
@@ -237,7 +262,7 @@ def format_rmse(rmse: float) -> str:
 
 
 def setting(document: ModelDocument, name: str) -> str | None:
-    """Return a compiler attribute, the last one in the file; None where there is none."""
+    """Return an attribute of MuJoCo's <compiler>, the last one in the file; None for none."""
     value = None
     for node in document.settings("compiler"):
         value = node.get(name) or value
@@ -245,7 +270,10 @@ def setting(document: ModelDocument, name: str) -> str | None:
 
 
 def setting_number(document: ModelDocument, name: str) -> float:
-    """Return a compiler attribute that is a number, 0 where there is none."""
+    """Return a compiler attribute that is a number, 0 where there is none.
+
+    ExportError where it is no number.
+    """
     text = setting(document, name) or "0"
     try:
         return float(text)
@@ -259,12 +287,15 @@ def check_settings(
     """Raise ExportError where the compiler would change theta (10,) as it is written.
 
     Args:
-        body: the element that gets theta, or a child with theta where ``gets_child``.
+        document: the model file, whose compiler settings are checked.
+        body: the element that gets theta.
+        gets_child: whether body gets a new child with theta instead, fixed to it.
     """
     if setting_number(document, "settotalmass") > 0.0:
         _refuse(document, "settotalmass", "rescales the mass of every body; remove it")
     is_fused = setting(document, "fusestatic") == "true" and not document.is_urdf
-    if is_fused and (gets_child or any(map(_is_welded, list(body.walk())[1:]))):
+    _, *elements_below = body.walk()
+    if is_fused and (gets_child or any(map(_is_welded, elements_below))):
         reason = "merges bodies with the identified one; set it to false"
         _refuse(document, "fusestatic", reason)
     mass, _, inertia = spatial.com_from_theta(theta)
@@ -310,7 +341,10 @@ def _is_geom(node: Node) -> bool:
 
 
 def _refuse(document: ModelDocument, name: str, reason: str) -> NoReturn:
-    """Raise ExportError for a compiler setting."""
+    """Raise ExportError for the compiler setting of a name.
+
+    ``reason``: what the setting does, and what to do about it, in the middle of the sentence.
+    """
     raise ExportError(
         f"{document.path}: the compiler setting {name} {reason} to write the model"
     )

@@ -18,13 +18,11 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import Asset, find_assets, urdf_shapes
 from robot_sysid.mjcf.documents import Edits, ModelDocument, Node
-from robot_sysid.mjcf.inertial import urdf_inertial_about_com
+from robot_sysid.mjcf.inertial import URDF_MOMENTS, urdf_inertial_about_com
 from robot_sysid.records import Array
 
 _READABLE_MESHES = (".stl", ".obj", ".msh")
 """Suffixes of the mesh files that MuJoCo reads."""
-_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-"""Attributes of a URDF's <inertia> [kg m^2]."""
 _MINIMUM_MASS = 1e-6
 """Mass that a moving link without mass gets [kg]: MuJoCo refuses less than 1e-15."""
 _MINIMUM_INERTIA = 1e-9
@@ -61,16 +59,20 @@ def compilable_urdf(
             edits.replace(inertial, text, keep_lines=True)
     names = give_minimum(edits) if with_minimum else []
     if names:
-        listed = ", ".join(f"'{name}'" for name in names)
+        listed = "', '".join(names)
         notes.append(
-            f"moving link {listed} has no mass, or no inertia, which MuJoCo refuses; where it has "
+            f"moving link '{listed}' has no mass, or no inertia, which MuJoCo refuses; where it has "
             f"none it was given {_MINIMUM_MASS:g} kg and {_MINIMUM_INERTIA:g} kg m^2"
         )
     return edits.text(), tuple(notes)
 
 
 def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
-    """Write the absolute path of every mesh, remove shapes with an unusable one; yield notes."""
+    """Write the absolute path of every mesh, remove shapes with an unusable one; yield notes.
+
+    A shape is a link's <visual> or <collision>. ModelError where a link's inertia would be computed
+    from the removed one: the link has no <inertial>, or ``inertiafromgeom`` overrules it.
+    """
     document = edits.document
     settings = document.settings("compiler")
     from_geometry = any(node.get("inertiafromgeom") == "true" for node in settings)
@@ -118,20 +120,23 @@ def give_minimum(edits: Edits, excluded: Collection[Node] = ()) -> list[str]:
 
     Returns the names of the links that got one.
     """
-    massless = _massless_moving_links(edits.document)
-    links = [link for link in massless if link not in excluded]
-    for link in links:
+    names = []
+    for link in _massless_moving_links(edits.document):
+        if link in excluded:
+            continue
         com = _floats(link.child_attribute("inertial", "origin", "xyz"))
         inertia = _MINIMUM_INERTIA * np.eye(3)
         minimum = urdf_inertial_about_com(max(_mass(link), _MINIMUM_MASS), com, inertia)
         edits.put_inertial(link, minimum, own_line=False)
-    return [str(link.get("name")) for link in links]
+        names.append(str(link.get("name")))
+    return names
 
 
 def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Array]]:
     """Return link name to (mass, centre of mass (3,), inertia about it (3, 3) in link axes).
 
-    ValueError where a number cannot be read or is none that an arm has.
+    Units are kg, m and kg m^2; links without an <inertia> are left out. ValueError where a number
+    cannot be read or is larger than ``LARGEST``.
     """
     from scipy.spatial.transform import Rotation
 
@@ -144,13 +149,14 @@ def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Arra
         angles = _floats(link.child_attribute("inertial", "origin", "rpy"))
         # Rz(yaw) Ry(pitch) Rx(roll): about the fixed axes, x first.
         rotation = Rotation.from_euler("xyz", angles).as_matrix()
-        moments = [float(node.get(name) or 0.0) for name in _MOMENTS]
-        matrix = rotation @ spatial.symmetric_from_six(np.array(moments)) @ rotation.T
-        if not np.all(np.abs([*matrix.ravel(), *com]) <= LARGEST):
+        moments = [float(node.get(name) or 0.0) for name in URDF_MOMENTS]
+        inertia = spatial.symmetric_from_six(np.array(moments))
+        inertia = rotation @ inertia @ rotation.T
+        if not np.all(np.abs([*inertia.ravel(), *com]) <= LARGEST):
             raise ValueError(
                 f"the inertial of link {link.get('name')} is none that an arm has"
             )
-        inertias[str(link.get("name"))] = (_mass(link), com, matrix)
+        inertias[str(link.get("name"))] = (_mass(link), com, inertia)
     return inertias
 
 
@@ -166,24 +172,25 @@ def velocity_limits(document: ModelDocument) -> dict[str, float]:
 
 
 def _floats(text: str | None) -> Array:
-    """Return the three numbers of an attribute, zeros where there is none."""
+    """Return the numbers of an attribute, three in a valid file; zeros (3,) where there is none."""
     return np.array(list(map(float, text.split()))) if text else np.zeros(3)
 
 
 def _massless_moving_links(document: ModelDocument) -> Iterator[Node]:
     """Yield links on joints of their own that weigh nothing, nor do the links welded to them."""
     links = {link.get("name"): link for link in document.root_children("link")}
-    joints = document.root_children("joint")
-    with_mass = set()
-    for joint in joints:
-        child = links.get(joint.child_attribute("child", "link"))
-        if joint.get("type") == "fixed" and child is not None and _mass(child) > 0.0:
-            with_mass.add(joint.child_attribute("parent", "link"))
-    for joint in joints:
+    carrying_mass = set()
+    moving_links = []
+    for joint in document.root_children("joint"):
         link = links.get(joint.child_attribute("child", "link"))
-        if joint.get("type") == "fixed" or link is None or not _lacks_inertia(link):
+        if link is None:
             continue
-        if link.get("name") not in with_mass:
+        if joint.get("type") != "fixed":
+            moving_links.append(link)
+        elif _mass(link) > 0.0:
+            carrying_mass.add(joint.child_attribute("parent", "link"))
+    for link in moving_links:
+        if _lacks_inertia(link) and link.get("name") not in carrying_mass:
             yield link
 
 
