@@ -95,8 +95,8 @@ def plan_write_back(
     scale = 1.0
     described = sum_theta(bodies[1:])
     if possible(composite - described) is None:
-        welded = []
-        hanging = []
+        welded = list[SubtreeBody]()
+        hanging = list[SubtreeBody]()
         for body in bodies[1:]:
             if np.any(body.theta):
                 group = welded if body.welded else hanging

@@ -117,6 +117,7 @@ class WeldedBody:
     """A new body, fixed to a body of the file, its carrier.
 
     Attributes:
+        name, carrier: names of the new body and of its carrier.
         rotation, translation: pose of its frame in the carrier's, (3, 3) and (3,) [m].
         theta: (10,) in its own frame.
         comment: text for its comment.
@@ -182,7 +183,10 @@ def changed_model_text(
 
 
 def _write_bodies(edits: Edits, change: ModelChange) -> list[Node]:
-    """Write the new inertias of bodies; return the elements that got one."""
+    """Write the inertias of ``change.bodies``, with comments; return the elements that got one.
+
+    ExportError where an element is not written out, or a compiler setting would change its inertia.
+    """
     document = edits.document
     nothing = _inertial(document, np.zeros(10), change.principal)
     written = list[Node]()
@@ -213,7 +217,12 @@ def _inertial(document: ModelDocument, theta: Array, principal: bool) -> str:
 
 
 def _comment(subject: str, rmse: float, addition: str) -> str:
-    """Return the comment that a subject, such as "body 'hand'", was identified."""
+    """Return the XML comment that a subject, such as "body 'hand'", was identified.
+
+    Args:
+        rmse: residual of the identification [N m].
+        addition: further text; "" for none.
+    """
     text = f"System ID: {subject} identified with {format_rmse(rmse)}"
     text += f"; {addition}" if addition else ""
     # A name may hold ends of lines, and dashes that would end the comment.
@@ -263,7 +272,15 @@ _DEFAULT_GRAVITY = "0 0 -9.81"
 def _write_gravity(
     edits: Edits, gravity: tuple[float, float, float], rmse: float
 ) -> None:
-    """Give a model another gravity; MuJoCo reads the ``<option>`` in a URDF's ``<mujoco>``."""
+    """Give a model another gravity; MuJoCo reads the ``<option>`` in a URDF's ``<mujoco>``.
+
+    ExportError where the file switches gravity off, or the numbers are not finite.
+
+    Args:
+        edits: of the model file.
+        gravity: in the world frame [m/s^2].
+        rmse: residual of the identification, for the comment [N m].
+    """
     options = edits.document.settings("option")
     for node in chain(*map(Node.children, options)):
         if node.tag == "flag" and node.get("gravity") == "disable":
@@ -271,22 +288,30 @@ def _write_gravity(
             raise ExportError(f"{edits.document.path}: {fault}")
     if not np.all(np.isfinite(gravity)):
         raise ExportError(f"gravity cannot be written as {gravity}: it is no vector")
-    stating = [option for option in options if option.get("gravity")]
-    old = (stating[-1].get("gravity") if stating else None) or _DEFAULT_GRAVITY
+    # The last option that states it counts, in whichever file it stands.
+    old = _DEFAULT_GRAVITY
+    changed = options[-1] if options else None
+    for option in options:
+        if option.get("gravity"):
+            old = option.attributes["gravity"]
+            changed = option
     addition = f"in place of {old}, because the arm does not stand as the file said"
     comment = _comment("gravity", rmse, addition)
     text = format_numbers(np.asarray(gravity))
-    if not options:
+    if changed is None:
         edits.settings += [comment, f'<option gravity="{text}"/>']
-        return
-    # The last one that states it counts, in whichever file it stands.
-    node = (stating or options)[-1]
-    edits.comment(node, comment)
-    edits.set(node, "gravity", text)
+    else:
+        edits.comment(changed, comment)
+        edits.set(changed, "gravity", text)
 
 
 def _require_resistance(owner: str, numbers: Mapping[str, float]) -> None:
-    """Raise ExportError unless friction and rotor inertia are finite and not negative."""
+    """Raise ExportError unless friction and rotor inertia are finite and not negative.
+
+    Args:
+        owner: of the numbers, such as "joint 'elbow'", for the message.
+        numbers: name of a number, for the message, to its value.
+    """
     for name, value in numbers.items():
         if not 0.0 <= value < math.inf:
             fault = (
@@ -300,11 +325,11 @@ def write_joint(edits: Edits, change: JointChange) -> None:
     document = edits.document
     numbers = change.numbers
     nonlinear = change.polynomial
+    texts = {name: format_number(value) for name, value in numbers.items()}
     if nonlinear:
         numbers["nonlinear damping"] = min(nonlinear)
     _require_resistance(f"joint '{change.label}'", numbers)
     node = find_element(document, "joint", change.label)
-    texts = {name: format_number(value) for name, value in change.numbers.items()}
     if document.is_urdf:
         if "frictionloss" in texts:
             texts["friction"] = texts.pop("frictionloss")
@@ -359,9 +384,13 @@ def _write_tendon(edits: Edits, change: TendonChange, rmse: float) -> None:
 
 
 def _section_child(document: ModelDocument, section: str, index: int) -> Node | None:
-    """Return the child of this index in all sections of a name, such as "tendon", together."""
+    """Return the child of an index in all sections of a name, such as "tendon", taken together.
+
+    MuJoCo numbers tendons and actuators so. None where there are no more than ``index`` children.
+    """
     sections = document.root_children(section)
-    return next(islice(chain(*map(Node.children, sections)), index, None), None)
+    children = chain.from_iterable(map(Node.children, sections))
+    return next(islice(children, index, None), None)
 
 
 def write_actuator(edits: Edits, change: ActuatorChange) -> None:
@@ -395,19 +424,23 @@ def find_element(document: ModelDocument, element: str, label: str) -> Node:
         label: its name, or "#7" for the nameless one with MuJoCo id 7.
     """
     nodes = list(_compiled_order(document, element))
-    written = [node for node in nodes if node.tag not in _MULTIPLIERS]
-    matches = [node for node in written if node.get("name") == label]
+    matches = []
+    for node in nodes:
+        if node.tag not in _MULTIPLIERS and node.get("name") == label:
+            matches.append(node)
     if len(matches) > 1:
         fault = f"{element} '{label}' stands in the file {len(matches)} times"
         raise ExportError(f"{document.path}: {fault}")
     number = re.fullmatch(r"#(\d+)", label)
     if number and not matches and not document.is_urdf:
         # The world is body 0; behind a multiplier nobody knows the number.
-        index = int(number[1]) - (element == "body")
-        is_countable = nodes[: index + 1] == written[: index + 1]
-        matches = written[index : index + 1] if is_countable and index >= 0 else []
+        count = int(number[1]) + (0 if element == "body" else 1)
+        first = nodes[:count]
+        tags = {node.tag for node in first}
+        if len(first) == count > 0 and tags.isdisjoint(_MULTIPLIERS):
+            matches = first[-1:]
     multipliers = document.walk(*_MULTIPLIERS)
-    repeated = chain.from_iterable(top.walk() for top in multipliers)
+    repeated = chain.from_iterable(map(Node.walk, multipliers))
     if not matches or matches[0] in repeated:
         raise ExportError(
             f"{document.path}: {element} '{label}' is not written out in the file (it comes from "
@@ -417,14 +450,20 @@ def find_element(document: ModelDocument, element: str, label: str) -> Node:
 
 
 def _compiled_order(document: ModelDocument, element: str) -> Iterator[Node]:
-    """Yield bodies or joints as MuJoCo numbers them, and the elements that multiply bodies."""
-    # Depth first, the joints of a body before those of the bodies in it; <frame> adds none.
+    """Yield bodies or joints as MuJoCo numbers them, and the elements that multiply bodies.
+
+    That is depth first, the joints of a body before those of the bodies in it. The world is left
+    out; of a URDF, links or joints come in the order of the file.
+
+    ``element``: "body" or "joint".
+    """
     if document.is_urdf:
         yield from document.root_children("link" if element == "body" else "joint")
+        return
     for world in document.root_children("worldbody"):
         for node in world.walk():
             is_multiplier = node.tag in _MULTIPLIERS
-            if is_multiplier or node.tag == element == "body":
+            if is_multiplier or (element == "body" and node.tag == "body"):
                 yield node
             if element == "joint" and (is_multiplier or node.tag in _WITH_JOINTS):
                 yield from _joints_of(node)

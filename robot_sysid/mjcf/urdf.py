@@ -61,8 +61,8 @@ def compilable_urdf(
     if names:
         listed = "', '".join(names)
         notes.append(
-            f"moving link '{listed}' has no mass, or no inertia, which MuJoCo refuses; where it has "
-            f"none it was given {_MINIMUM_MASS:g} kg and {_MINIMUM_INERTIA:g} kg m^2"
+            f"moving link '{listed}' has no mass, or no inertia, which MuJoCo refuses; where it "
+            f"has none it was given {_MINIMUM_MASS:g} kg and {_MINIMUM_INERTIA:g} kg m^2"
         )
     return edits.text(), tuple(notes)
 
