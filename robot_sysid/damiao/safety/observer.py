@@ -64,29 +64,23 @@ _ENOUGH = 3
 _MEMORY = 0.9  # Factor per cycle by which counts of surplus answers and foreign commands decay.
 _FEW = 2.5  # Decayed count above which the run stops: a single wrong one is a damaged frame.
 _OTHER_TORQUE = 0.15  # Accepted error of a reported torque [share of the peak torque].
-# Reported / commanded torque below which a wrong TMAX cannot be the cause.
-_NO_SCALE = 0.4
-# Position error [rad] that makes the limit of a sudden change of effort.
-_EFFORT_WAY = 0.05
+_NO_SCALE = 0.4  # Reported / commanded torque below which TMAX is not the cause.
+_EFFORT_WAY = 0.05  # Position error that makes the limit of a sudden effort [rad].
 _LEAST_EFFORT = 0.1  # Least such limit [share of the peak torque].
 _MOST_EFFORT = 0.25  # Largest such limit [share of the peak torque].
 _STILL_EFFORT = 0.03  # Least such limit of a standing joint [share of the peak torque].
 _MOMENT = 0.25  # Time over which the effort before a sudden change is averaged [s].
 _LONG = 1.5  # Time over which the usual effort is averaged, by which a change is explained [s].
-# Feed-forward torque above which opposite loads are judged [doubts].
-_LOADED_DOUBTS = 2.0
-# Load opposite to the feed-forward torque that stops the run [doubts].
-_OPPOSITE_DOUBTS = 0.5
+_LOADED_DOUBTS = 2.0  # Feed-forward torque from which loads are judged [doubts].
+_OPPOSITE_DOUBTS = 0.5  # Opposite load that stops the run [doubts].
 _MODEL_SHARE = 0.5  # Relative error of a model's change of feed-forward torque.
 _FED_TIME = 0.3  # Time over which the feed-forward torque is averaged [s].
-# Change of command at which an unchanged position is frozen [steps].
-_STILL_STEPS = 20.0
+_STILL_STEPS = 20.0  # Change of command at which a position is frozen [steps].
 _STILL_CYCLES = 3  # Number of cycles in which a frozen position does not change.
 _FROZEN_DOUBTS = 2.0  # Change of torque that overcomes dry friction [doubts].
 _MOMENTS = 25  # Number of last cycles in which a blocked joint is looked for.
 _LED_BY = 0.015  # Least change of command by which a joint is judged as blocked [rad].
-# A blocked joint moves by less than this share of its command's change.
-_CAME_SHARE = 0.3
+_CAME_SHARE = 0.3  # Share of its command that a blocked joint moves at most.
 
 
 class Fault(HardwareAbort):
@@ -141,10 +135,9 @@ class Observer:
         rated = np.array([j.spec.rated_torque * j.torque_ratio for j in joints])
         kp = np.maximum(settings.kp, 1e-9)
         self._sag = np.minimum(_SAG * rated / kp, settings.max_tracking_error)
-        effort = np.clip(
+        self._effort_limit = np.clip(
             _EFFORT_WAY * kp, _LEAST_EFFORT * peak_torque, _MOST_EFFORT * peak_torque
         )
-        self._effort_limit = effort
         self._still_limit = np.maximum(_EFFORT_WAY * kp, _STILL_EFFORT * peak_torque)
         self._other_torque = _OTHER_TORQUE * peak_torque + 4.0 * torque_step
         # kp is above 0 here, because ``VelocityScalingCheck`` divides by these values.
@@ -158,7 +151,9 @@ class Observer:
         self._fed = _RunningMean(n_joints, settings.period / _FED_TIME)
         self._cycles = 0
         self.missed, self.silent, self.total_missed = np.zeros((3, n_joints), int)
+        # Cycles in a row: with doubted answers only, with a sudden effort.
         self._damaged, self._sudden = np.zeros((2, n_joints), int)
+        # Answers in a row with the same position and velocity, and with the same torque too.
         self._still, self._repeated = np.zeros((2, n_joints), int)
         self._surplus, self._foreign = np.zeros((2, n_joints))
         self.worst_tracking = np.zeros(n_joints)
@@ -190,7 +185,7 @@ class Observer:
         self._foreign = _MEMORY * self._foreign + replies.foreign
         feedback = replies.feedback
         is_faulty = (feedback.status != ENABLED) & (feedback.status != NO_STATUS)
-        # Where two motors answer on one id, the status may be the other motor's.
+        # Where two motors answer on one id, the status may be the other motor's: see _check_bus.
         is_double = is_faulty & (self._surplus > 1.0)
         self._surplus = np.where(is_double, np.inf, self._surplus)
         self.failed |= is_faulty & ~is_double
@@ -319,23 +314,22 @@ class Observer:
         self._raise_first(often, lambda j: self._torque_finding(j, differs))
 
     def _torque_finding(self, joint: int, differs: Mask) -> str:
-        """Return what a joint does whose reported torque is not the commanded one, as a sentence.
+        """Return what a joint does whose reported torque is not the commanded one.
 
-        ``differs`` (recent cycles, n): whether reported and commanded torque differed.
+        The result is a sentence without the joint's name. ``differs`` (_RECENT, n) says in which of
+        the last cycles, the newest first, each joint's reported and commanded torque differed.
         """
         agreed_before = bool(self._has_agreed[joint])
-        commanded_torque, reported = self._pairs[:, :, joint][:, differs[:, joint]]
-        shares = reported / np.where(
-            np.abs(commanded_torque) > 1e-9, commanded_torque, 1e-9
-        )
+        commanded_torque, reported = self._pairs[:, differs[:, joint], joint]
+        is_made = np.abs(commanded_torque) > 1e-9
+        shares = reported / np.where(is_made, commanded_torque, 1e-9)
         share = float(np.median(shares))
         is_steady = bool(np.all(np.abs(shares - share) < 0.2 * max(abs(share), 0.5)))
         weak = np.count_nonzero(differs, axis=0) >= _ENOUGH - 1
         if is_steady and abs(share + 1.0) < 0.2:
             return "reports -1 times the torque that it was commanded to make: its sign is reversed"
-        if is_steady and (
-            0.0 <= share < 1.0 and agreed_before or abs(share) < _NO_SCALE
-        ):
+        is_weaker = 0.0 <= share < 1.0 and agreed_before or abs(share) < _NO_SCALE
+        if is_steady and is_weaker:
             labels = [self._joints[j].label for j in np.flatnonzero(weak).tolist()]
             if len(labels) > 1:
                 return (
@@ -379,18 +373,17 @@ class Observer:
         now = np.stack([feedback.position, feedback.velocity, feedback.torque])
         same = replies.answered & (now[:2] == self._last[:2]).all(axis=0)
         begins = replies.answered & ~same
-        self._still_since = np.where(
-            begins, [acted.position, commanded], self._still_since
-        )
+        command = [acted.position, commanded]
+        self._still_since = np.where(begins, command, self._still_since)
         self._still = np.where(begins, 0, self._still + same)
         identical = same & (now[2] == self._last[2])
         self._repeated = np.where(begins, 0, self._repeated + identical)
         self._last = np.where(replies.answered, now, self._last)
+        # Change of commanded position and of commanded torque while the answers stayed the same.
         led_by = np.abs(acted.position - self._still_since[0])
         turned_by = np.abs(commanded - self._still_since[1])
-        is_led = (led_by > _STILL_STEPS * self._position_step) & (
-            self._still >= _STILL_CYCLES
-        )
+        is_led = led_by > _STILL_STEPS * self._position_step
+        is_led &= self._still >= _STILL_CYCLES
         does_not_follow = np.abs(commanded - feedback.torque) > 0.5 * self._other_torque
         repeats = is_led & (self._repeated == self._still) & does_not_follow
         self._stale |= repeats
@@ -414,20 +407,21 @@ class Observer:
         )
 
     def _check_sudden_effort(self, acted: MitCommand) -> None:
-        """Stop for a joint whose effort differs too much from its mean of the last moments."""
+        """Stop for a joint whose effort left its mean of the last moments, some cycles in a row.
+
+        The limit grows with a change of the feed-forward torque, which a wrong model gets wrong.
+        """
         change = np.abs(self._added_now - self._added.value)
         model_doubt = _MODEL_SHARE * np.abs(acted.torque - self._needed.value)
         effort_limit = self._effort_limit + model_doubt
         # A standing joint has no friction that reverses, so its limit is lower.
         stands = np.abs(acted.velocity) <= self._velocity_step
-        effort_limit = np.where(
-            stands, np.minimum(effort_limit, self._still_limit), effort_limit
-        )
+        still_limit = np.minimum(effort_limit, self._still_limit)
+        effort_limit = np.where(stands, still_limit, effort_limit)
         self._sudden = np.where(change > effort_limit, self._sudden + 1, 0)
         for j in np.flatnonzero(self._sudden >= _ENOUGH)[:1].tolist():
-            self._raise_effort(
-                j, f"suddenly needs {change[j]:.1f} N m beside what carried it"
-            )
+            text = f"suddenly needs {change[j]:.1f} N m beside what carried it"
+            self._raise_effort(j, text)
 
     def _check_opposite_load(self) -> None:
         """Stop for a joint whose load is opposite to its feed-forward torque."""
@@ -471,7 +465,7 @@ class Observer:
     def is_pushed(self, q: Array, reference_q: Array, fed: Array) -> Mask:
         """Return whether each joint (n,) has moved in the direction of its feed-forward torque.
 
-        For the arguments see ``has_left``.
+        The arguments are those of ``has_left``; a torque that friction may explain pushes nothing.
         """
         return np.asarray(((q - reference_q) * fed > 0.0) & (np.abs(fed) > self._doubt))
 
@@ -496,7 +490,10 @@ class Observer:
         )
 
     def _check_limits(self, replies: Replies, acted: MitCommand, rising: bool) -> None:
-        """Stop for a joint too far off its commanded position, velocity or torque."""
+        """Stop for a joint too far off its commanded position, velocity or torque.
+
+        Velocity and torque must be off in two cycles in a row; torque is not judged if ``rising``.
+        """
         feedback = replies.feedback
         path_limit = np.full(len(self._joints), self._settings.max_tracking_error)
         torque_limit = np.inf * self._torque_limit if rising else self._torque_limit
@@ -516,12 +513,15 @@ class Observer:
         counts[0] = is_beyond[0]
         self._was_beyond = is_beyond
         for k, j in np.argwhere(counts)[:1].tolist():
-            self._raise_effort(
-                j, f"is {errors[k, j]:.3f} {_OFF[k]}, limit {limits[k, j]:g}"
-            )
+            text = f"is {errors[k, j]:.3f} {_OFF[k]}, limit {limits[k, j]:g}"
+            self._raise_effort(j, text)
 
     def _raise_effort(self, joint: int, description: str) -> None:
-        """Raise a fault of a blocked joint if there is one, else of ``joint``, for ``explain``."""
+        """Raise a fault of a blocked joint if there is one, else of ``joint``.
+
+        ``description`` is a sentence about ``joint`` without its name. Where nothing is blocked,
+        the change of effort is stored, for which ``explain`` looks for a cause.
+        """
         blocked = self._blocked_joint()
         if blocked is not None:
             self.stuck[blocked] = True
@@ -534,10 +534,10 @@ class Observer:
 
     def _blocked_joint(self) -> int | None:
         """Return the joint that moved least relative to its command, if blocked; else None."""
+        # Changes (_MOMENTS, n) of command and of position from each of the last cycles until now.
         led_by, came_by = np.abs(self._moments[0] - self._moments).transpose(1, 0, 2)
-        share = np.where(
-            led_by > _LED_BY, came_by / np.maximum(led_by, _LED_BY), np.inf
-        )
+        moved_share = came_by / np.maximum(led_by, _LED_BY)
+        share = np.where(led_by > _LED_BY, moved_share, np.inf)
         joint = int(np.argmin(np.min(share, axis=0)))
         return joint if np.min(share[:, joint]) < _CAME_SHARE else None
 
@@ -566,6 +566,7 @@ class Observer:
             self._raise(j, describe(j))
 
     def _raise(self, joint: int, description: str) -> None:
+        """Raise a Fault of a joint; ``description`` is a sentence without the joint's name."""
         raise Fault(joint, self._joints[joint].label, description)
 
 
@@ -592,7 +593,7 @@ class _RunningMean:
         self._share = min(share, 1.0)
 
     def add(self, value: Array, restart: bool) -> None:
-        """Add a vector (n,), or restart the mean with it; NaN entries change nothing."""
+        """Add a vector (n,), or take it as the mean if ``restart``; NaN entries change nothing."""
         share = 1.0 if restart else self._share
         mean = np.where(np.isnan(self.value), value, self.value)
         self.value = np.where(np.isnan(value), mean, mean + share * (value - mean))
