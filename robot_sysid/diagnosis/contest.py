@@ -5,6 +5,11 @@ and is scored by the gain in log marginal likelihood, with noise estimated anew.
 named where it gains ``MARGIN`` nats; explanations within ``TIE`` nats of it are named together with
 it, because the log cannot distinguish them. Then the best one joins the base model, and the others
 are scored again.
+
+Throughout, K is the number of instants, n that of joints, k that of the base model's estimated
+parameters, e that of an explanation's coefficients. Coefficients of a ``Posterior`` are deviations
+from the prior's means in units of its standard deviations; the first ten are those of the last
+link's inertial parameters, beginning with its mass.
 """
 
 from __future__ import annotations
@@ -121,7 +126,8 @@ class Score:
     def is_reportable(self) -> bool:
         """Whether the explanation is significant and worth a finding.
 
-        It is, as a fault of the whole log, or if it explains ``LEAST_SHARE`` of the torque.
+        It is worth one if it is a fault of the whole log (of no single joint, and not a mere note)
+        or explains ``LEAST_SHARE`` of the torque.
         """
         explanation = self.explanation
         if self.sureness < SURE or not self.is_possible:
@@ -130,40 +136,53 @@ class Score:
         return is_of_log or self.torque_share > LEAST_SHARE
 
     def is_harmful(self, previous: Posterior) -> bool:
-        """Return whether a result without this explanation (``previous``) would be wrong."""
+        """Return whether a result without this explanation would be wrong.
+
+        ``previous`` is the posterior of the model to which the explanation was added.
+        """
         explanation = self.explanation
         is_large = bool(abs(self.values[0]) >= explanation.harmful_from)
         if is_large or explanation.level is Level.REFUSE:
             return True
-        moved = self.posterior.coefficients[:10] - previous.coefficients[:10]
+        # Of the last link's ten parameters, in units of their prior standard deviations.
+        change = self.posterior.coefficients[:10] - previous.coefficients[:10]
         errors = np.sqrt(np.diag(previous.covariance)[:10])
-        moves_last_link = bool(np.any(np.abs(moved) > MATTERS * errors))
+        moves_last_link = bool(np.any(np.abs(change) > MATTERS * errors))
         return moves_last_link or self.torque_share > HARMFUL_SHARE
 
 
 def last_mass(posterior: Posterior) -> tuple[float, float]:
-    """Return the last link's mass and its standard error [kg]."""
-    error = posterior.model.prior.spread[0] * np.sqrt(posterior.covariance[0, 0])
-    return float(posterior.values[0]), float(error)
+    """Return the last link's mass, the first of all parameters, and its standard error [kg]."""
+    return float(posterior.values[0]), float(posterior.standard_errors[0])
 
 
 def strain(posterior: Posterior) -> float:
-    """Return the other links' squared deviation from the model, in prior standard deviations.
+    """Return the squared deviation d' P^-1 d of all links but the last one from the model.
 
-    The prior with the smallest deviation, the widest one, counts.
+    d are the deviations of their parameters and P is the prior covariance of d. Of the priors of
+    different widths, the one with the smallest result counts.
     """
     log = posterior.model.log
     prior = posterior.model.prior
     names: list[str] = []
     for link in other_links(log.robot):
         names += link_names(log.robot, link)
-    at = np.searchsorted(prior.estimated, log.columns.indices(names))
-    off = posterior.coefficients[at]
-    return min(float(off @ p[np.ix_(at, at)] @ off) for p in prior.precisions)
+    at = prior.positions(log.columns.indices(names))
+    deviations = posterior.coefficients[at]
+    squares = []
+    for precision in prior.precisions:
+        links_precision = precision[np.ix_(at, at)]
+        squares.append(float(deviations @ links_precision @ deviations))
+    return min(squares)
 
 
 def is_plausible(posterior: Posterior) -> bool:
-    """Return whether the last link's mass and the strain of all links are plausible."""
+    """Return whether the last link's mass and the other links are plausible.
+
+    The mass has to agree within two standard errors with one above zero and below ``HEAVIEST`` of
+    the arm's mass, or the model's own plus 30 % of the arm's; the other links' ``strain`` has to be
+    below ``FAR``.
+    """
     robot = posterior.model.log.robot
     largest_mass = max(HEAVIEST * robot.mass, robot.prior.mass + 0.3 * robot.mass)
     mass, error = last_mass(posterior)
@@ -175,13 +194,16 @@ def dry_friction(posterior: Posterior) -> tuple[Array, Array]:
     """Return the Coulomb friction (n,) of each joint and its standard error (n,) [N m]."""
     prior = posterior.model.prior
     indices = posterior.model.log.friction_indices("coulomb")
-    at = np.searchsorted(prior.estimated, indices)
-    error = prior.spread[at] * np.sqrt(np.diag(posterior.covariance)[at])
-    return posterior.values[indices], error
+    return posterior.values[indices], posterior.standard_errors[
+        prior.positions(indices)
+    ]
 
 
 def least_friction_share(posterior: Posterior) -> Array:
-    """Return a lower bound (n,) of Coulomb friction, as a share of the typical torque."""
+    """Return a lower bound (n,) of Coulomb friction, as a share of each joint's typical torque.
+
+    The bound is ``SURE`` standard errors below the estimate; zero where that is negative.
+    """
     dry, error = dry_friction(posterior)
     least = np.maximum(np.abs(dry) - SURE * error, 0.0)
     return np.asarray(least / posterior.model.log.typical_torque)
@@ -193,11 +215,13 @@ def misfit_by_joint(posterior: Posterior) -> Array:
     That is the residual without white noise. White noise is the residual in the upper half of the
     frequencies, in which links make little torque.
     """
+    # (K, n): in each window of time, by ascending frequency of the cosine transform.
     squares = posterior.residual**2
     slow = np.zeros(squares.shape[1])
     for window in posterior.model.log.windows:
         spectrum = squares[window]
-        white = len(spectrum) * np.mean(spectrum[len(spectrum) // 2 :], axis=0)
+        upper_half = spectrum[len(spectrum) // 2 :]
+        white = len(spectrum) * np.mean(upper_half, axis=0)
         slow += np.maximum(np.sum(spectrum, axis=0) - white, 0.0)
     typical_torque = posterior.model.log.typical_torque
     return np.asarray(np.sqrt(slow / posterior.model.count) / typical_torque)
@@ -235,8 +259,9 @@ class Contest:
     def corrections(self, divided: Array, winner: Score | None) -> list[Correction]:
         """Return plausible corrections of mistaken columns, the largest gain first.
 
-        Corrections that need new rows are tried only where neither the base model nor the best
-        explanation fits with plausible links.
+        Corrections of motions need new rows and are tried only where the best explanation, or the
+        base model if there is none, leaves gross misfit or implausible links. A correction is
+        plausible if it fits no worse than the base model and keeps friction braking.
 
         Args:
             divided: (n,) torque scales by which the torques were divided already.
@@ -248,7 +273,8 @@ class Contest:
         largest_of_joint = float(np.max(misfit_by_joint(best)))
         is_gross = misfit(best) > GROSS or largest_of_joint > GROSS_JOINT
         is_far = is_gross or not is_plausible(best)
-        if is_far or abs(np.log(typical_scale(base.model.log))) > np.log(ODD_SCALE):
+        log_scale = abs(np.log(typical_scale(base.model.log)))
+        if is_far or log_scale > np.log(ODD_SCALE):
             corrections += find_wrong_scales(base, self.options, divided)
         if is_far:
             corrections += find_wrong_columns(base, self.signals, self.options)
@@ -256,12 +282,9 @@ class Contest:
         plausible = []
         for correction in corrections:
             corrected = correction.posterior
-            is_fitting = misfit(corrected) <= largest_misfit
-            if (
-                is_fitting
-                and is_plausible(corrected)
-                and not reverses_friction(base, corrected)
-            ):
+            if misfit(corrected) > largest_misfit or not is_plausible(corrected):
+                continue
+            if not reverses_friction(base, corrected):
                 plausible.append(correction)
         return sorted(plausible, key=lambda correction: -correction.gain)
 
@@ -271,7 +294,10 @@ class Contest:
         Each round starts from the model with the winners of the previous rounds.
         """
         fit = BaseFit(self.posterior, self.signals, is_plausible(self.posterior))
-        offered = [e for e in explanations(fit) if not self.is_estimated(e)]
+        offered = []
+        for explanation in explanations(fit):
+            if not self.is_estimated(explanation):
+                offered.append(explanation)
         columns = transform_columns(self.posterior.model, offered)
         winners: list[list[Score]] = []
         model = self.posterior
@@ -305,21 +331,31 @@ def reverses_friction(base: Posterior, corrected: Posterior) -> bool:
 
 
 Blocks = dict[int, Array]
-"""Transformed columns (K, e) of an explanation in prior units, by the index of each joint on which
-it acts."""
+"""Index of each joint on which an explanation acts, to its columns there: (K, e), transformed like
+the model's rows, in units of the coefficients' prior standard deviations."""
 
 
 def transform_columns(model: LogModel, offered: Sequence[Explanation]) -> list[Blocks]:
-    """Return the transformed columns of each explanation, of all explanations at once per joint."""
+    """Return the transformed columns of each of the offered explanations, in their order.
+
+    The columns of all explanations at one joint are transformed in one call.
+    """
     transformed: list[Blocks] = [{} for _ in offered]
     for joint in range(len(model.rows)):
-        acting = [k for k, e in enumerate(offered) if e.joint in (None, joint)]
-        if acting:
-            blocks = [offered[k].of_joint(joint) for k in acting]
-            ends = np.cumsum([block.shape[1] for block in blocks])[:-1]
-            stacked = model.transform(joint, np.hstack(blocks))
-            for k, block in zip(acting, np.split(stacked, ends, axis=1)):
-                transformed[k][joint] = block
+        acting = []
+        blocks = []
+        for explanation, joint_blocks in zip(offered, transformed):
+            if explanation.joint in (None, joint):
+                acting.append(joint_blocks)
+                blocks.append(explanation.of_joint(joint))
+        if not blocks:
+            continue
+        stacked = model.transform(joint, np.hstack(blocks))
+        start = 0
+        for joint_blocks, block in zip(acting, blocks):
+            end = start + block.shape[1]
+            joint_blocks[joint] = stacked[:, start:end]
+            start = end
     return transformed
 
 
@@ -327,34 +363,47 @@ def screen_gains(posterior: Posterior, columns: Sequence[Blocks]) -> Array:
     """Return the gain of each explanation in log marginal likelihood at fixed noise [nats].
 
     With E the columns of the explanation, A those of the model, r the residual and C the posterior
-    covariance, in units of noise and prior, the gain is 1/2 v' (1 + M)^-1 v - 1/2 log |1 + M|,
-    M = E'E - E'A C A'E and v = E'r. ``columns`` are those of ``transform_columns``.
+    covariance, in units of noise and prior, the gain is 1/2 v' P^-1 v - 1/2 log |P|, with v = E'r
+    and P = 1 + E'E - (A'E)' C (A'E), the posterior precision of the explanation's coefficients.
+
+    Args:
+        posterior: posterior of the model without the explanations.
+        columns: ``transform_columns`` of the explanations.
     """
-    widths = [next(iter(blocks.values())).shape[1] for blocks in columns]
-    ends = np.cumsum([0, *widths])
-    crossed = np.zeros((len(posterior.coefficients), ends[-1]))
-    pull = np.zeros(ends[-1])
-    squares = [np.eye(width) for width in widths]
+    # The columns E of all explanations stand side by side: the slice of each, and its 1 + E'E.
+    slices = []
+    squares = []
+    width = 0
+    for blocks in columns:
+        e = next(iter(blocks.values())).shape[1]
+        slices.append(slice(width, width + e))
+        squares.append(np.eye(e))
+        width += e
+    products = np.zeros((len(posterior.coefficients), width))  # A'E
+    projections = np.zeros(width)  # v = E'r
     for joint in range(len(posterior.model.rows)):
-        acting = [k for k, blocks in enumerate(columns) if joint in blocks]
+        weight = 1.0 / posterior.noise[:, joint, None]
+        acting = []
+        at: list[int] = []
+        for blocks, span, square in zip(columns, slices, squares):
+            if joint in blocks:
+                block = blocks[joint]
+                square += block.T @ (block * weight)
+                acting.append(block)
+                at += range(span.start, span.stop)
         if not acting:
             continue
+        stacked = np.hstack(acting)
         indices, rows = posterior.model.equations(joint)
-        at = np.concatenate([np.arange(ends[k], ends[k + 1]) for k in acting])
-        weight = 1.0 / posterior.noise[:, joint, None]
-        stacked = np.hstack([columns[k][joint] for k in acting])
-        crossed[np.ix_(indices, at)] += (rows * weight).T @ stacked
-        pull[at] += posterior.residual[:, joint] @ (stacked * weight)
-        for k in acting:
-            block = columns[k][joint]
-            squares[k] += block.T @ (block * weight)
-    solved = posterior.covariance @ crossed
+        products[np.ix_(indices, at)] += (rows * weight).T @ stacked
+        projections[at] += posterior.residual[:, joint] @ (stacked * weight)
+    solved = posterior.covariance @ products
     gains = np.empty(len(columns))
-    for k, square in enumerate(squares):
-        own = slice(ends[k], ends[k + 1])
-        inside = square - crossed[:, own].T @ solved[:, own]
-        explained = float(pull[own] @ np.linalg.solve(inside, pull[own]))
-        gains[k] = 0.5 * (explained - np.linalg.slogdet(inside)[1])
+    for k, (span, square) in enumerate(zip(slices, squares)):
+        precision = square - products[:, span].T @ solved[:, span]
+        v = projections[span]
+        explained = float(v @ np.linalg.solve(precision, v))
+        gains[k] = 0.5 * (explained - np.linalg.slogdet(precision)[1])
     return gains
 
 
@@ -366,11 +415,15 @@ def _rank(
 ) -> list[Score]:
     """Return the score of the best explanation of each family, the best families first.
 
+    A family are explanations of one check and joint that differ in a setting, such as the instant
+    of a payload's change. All are compared at the noise of the model; the best of the ``count``
+    best families are then scored with noise estimated anew, and refined.
+
     Args:
         model: posterior of the model that the explanations are added to.
         offered: explanations to score.
         columns: ``transform_columns`` of these explanations.
-        count: largest number of families, whose noise is estimated anew.
+        count: largest number of families to score.
     """
     penalties = np.log([explanation.choices for explanation in offered])
     gains = screen_gains(model, columns) - penalties
@@ -390,12 +443,15 @@ def _rank(
 def _score(previous: Posterior, explanation: Explanation, columns: Blocks) -> Score:
     """Return the score of an explanation added to a model, with noise estimated anew.
 
-    ``previous`` is the posterior of the model without the explanation.
+    ``previous`` is the posterior of the model without the explanation; ``columns`` are those of the
+    explanation, transformed.
     """
     model = previous.model
     width = len(explanation.spread)
     no_torque = np.zeros((len(model.right_sides), width))
-    added = [columns.get(joint, no_torque) for joint in range(len(model.rows))]
+    added = []
+    for joint in range(len(model.rows)):
+        added.append(columns.get(joint, no_torque))
     posterior = model.with_columns(added).posterior(previous.noise)
     penalty = float(np.log(explanation.choices))
     coefficients = posterior.coefficients[-width:]
@@ -412,9 +468,10 @@ def _score(previous: Posterior, explanation: Explanation, columns: Blocks) -> Sc
 
 
 def _refine(previous: Posterior, score: Score) -> Score:
-    """Return the best score of an explanation and of its ``nearby`` ones, searched uphill.
+    """Return the best score of an explanation and of similar ones, searched uphill.
 
-    ``previous`` is the posterior of the model without the explanation.
+    Each step goes to the best of the explanations that ``Explanation.nearby`` returns, as long as
+    the gain increases. ``previous`` is the posterior of the model without the explanation.
     """
     best = score
     model = previous.model
@@ -446,16 +503,12 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
     odd_unit = odd_unit_finding(contest.posterior.model.log)
     if odd_unit and not (correction and correction.finding.name == "order"):
         return [odd_unit]
-    if correction:
+    if correction and is_better(correction, winner):
         finding = correction.finding
-        # An explanation of the correction's check is one aspect of that fault and does not compete.
-        is_other = winner is not None and winner.explanation.name != finding.name
-        best_gain = winner.gain if winner is not None and is_other else 0.0
-        if correction.gain > max(RELABELLED_MARGIN, best_gain - TIE):
-            if misfit(correction.posterior) > UNEXPLAINED:
-                text = "this looks like the model of another arm; if it is not, "
-                finding = replace(finding, text=f"{text}{finding.text}")
-            return [finding]
+        if misfit(correction.posterior) > UNEXPLAINED:
+            text = "this looks like the model of another arm; if it is not, "
+            finding = replace(finding, text=f"{text}{finding.text}")
+        return [finding]
     named = name_causes(contest.posterior, rounds)
     last = rounds[-1][0].posterior if rounds else contest.posterior
     if misfit(last) > UNEXPLAINED:
@@ -468,48 +521,75 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
     return name_causes(contest.posterior, rounds[:MOST_NAMES])
 
 
-def name_causes(base: Posterior, rounds: Sequence[Sequence[Score]]) -> list[Finding]:
-    """Return a finding per round of ``Contest.rounds`` whose winner is reportable and new.
+def is_better(correction: Correction, winner: Score | None) -> bool:
+    """Return whether a correction gains enough by itself and beside the best explanation.
 
-    ``base`` is the posterior of the base model.
+    ``winner`` is that explanation, None where there is none. One of the correction's own check is
+    one aspect of that fault and does not compete.
+    """
+    least = RELABELLED_MARGIN
+    if winner is not None and winner.explanation.name != correction.finding.name:
+        least = max(least, winner.gain - TIE)
+    return correction.gain > least
+
+
+def name_causes(base: Posterior, rounds: Sequence[Sequence[Score]]) -> list[Finding]:
+    """Return a finding per round whose winner is reportable and has a new subject.
+
+    A subject is a check with a joint. Explanations that tie with the winner are named in the same
+    finding, the best one of each check.
+
+    Args:
+        base: posterior of the base model.
+        rounds: scores of each round, the winner first (``Contest.rounds``).
     """
     named: list[Finding] = []
     previous = base
-    already: set[tuple[str, int | None]] = set()
+    named_subjects: set[tuple[str, int | None]] = set()
     for ranked in rounds:
-        best: dict[str, Score] = {}
+        winner = ranked[0]
+        best_of_check: dict[str, Score] = {}
         subjects = set()
         for score in ranked:
-            if score.is_reportable and score.explanation.subject not in already:
-                subjects.add(score.explanation.subject)
-                best.setdefault(score.explanation.name, score)
-        if best.get(ranked[0].explanation.name) is ranked[0]:
-            already |= subjects
-            named.append(_finding([*best.values()], previous))
-        previous = ranked[0].posterior
+            explanation = score.explanation
+            if score.is_reportable and explanation.subject not in named_subjects:
+                subjects.add(explanation.subject)
+                best_of_check.setdefault(explanation.name, score)
+        if best_of_check.get(winner.explanation.name) is winner:
+            named_subjects |= subjects
+            named.append(_finding([*best_of_check.values()], previous))
+        previous = winner.posterior
     return named
 
 
 def _finding(scores: Sequence[Score], previous: Posterior) -> Finding:
     """Return one finding for explanations that tie, the winner first.
 
-    Its level is the most severe one of those without which a result (``previous``) would be wrong.
+    Its level is the most severe one of the harmful explanations; a note where none is harmful.
+    ``previous`` is the posterior of the model without these explanations.
     """
-    texts = dict.fromkeys(score.text for score in scores)
-    levels = {s.explanation.level for s in scores if s.is_harmful(previous)}
-    order = (Level.REFUSE, Level.WARN, Level.NOTE)
-    level = next((level for level in order if level in levels), Level.NOTE)
-    return Finding(scores[0].explanation.name, level, "; or ".join(texts))
+    ascending = (Level.NOTE, Level.WARN, Level.REFUSE)
+    severity = 0
+    texts = []
+    for score in scores:
+        if score.text not in texts:
+            texts.append(score.text)
+        if score.is_harmful(previous):
+            severity = max(severity, ascending.index(score.explanation.level))
+    name = scores[0].explanation.name
+    return Finding(name, ascending[severity], "; or ".join(texts))
 
 
 def unexplained_torque(posterior: Posterior) -> Finding:
-    """Return the finding that torque is unexplained: its share, its worst joints and its time."""
+    """Return the finding that torque is unexplained: its share, three worst joints and its time."""
     log = posterior.model.log
     by_joint = misfit_by_joint(posterior)
     share = misfit(posterior)
-    worst = np.argsort(-by_joint * log.typical_torque)[:3]
-    names = log.robot.joint_names
-    listed = ", ".join(f"{names[j]} {percent(float(by_joint[j]))}" for j in worst)
+    worst_joints = []
+    for joint in np.argsort(-by_joint * log.typical_torque)[:3]:
+        joint_share = percent(float(by_joint[joint]))
+        worst_joints.append(f"{log.robot.joint_names[joint]} {joint_share}")
+    listed = ", ".join(worst_joints)
     text = (
         f"{percent(share)} of the torque is explained by nothing that is looked for ({listed} of "
         f"its own{stretch_of_misfit(posterior)}): is the model of this arm, with what is "
@@ -519,16 +599,18 @@ def unexplained_torque(posterior: Posterior) -> Finding:
 
 
 def stretch_of_misfit(posterior: Posterior) -> str:
-    """Return a phrase on the stretch of time with ``CONCENTRATED`` of the residual; else ""."""
+    """Return a phrase on the stretch of time with ``CONCENTRATED`` of the residual; else "".
+
+    The log is cut into ``STRETCHES`` of equally many rows.
+    """
     model = posterior.model
     residual = model.inverse_transform(posterior.residual) / model.log.typical_torque
     squares = np.sum(residual**2, axis=1)
-    stretches = np.array_split(np.arange(len(squares)), STRETCHES)
-    sums = [float(np.sum(squares[rows])) for rows in stretches]
+    sums = [float(np.sum(rows)) for rows in np.array_split(squares, STRETCHES)]
     worst = int(np.argmax(sums))
     if sums[worst] < CONCENTRATED * sum(sums):
         return ""
-    time = model.log.motion.time[stretches[worst]]
+    time = np.array_split(model.log.motion.time, STRETCHES)[worst]
     return f", most of it from {time[0]:.3g} s to {time[-1]:.3g} s"
 
 

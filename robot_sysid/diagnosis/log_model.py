@@ -278,6 +278,10 @@ class Prior:
     spread: Array
     precisions: tuple[Array, ...]
 
+    def positions(self, indices: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the positions (m,) in ``estimated`` of parameters with given indices (m,)."""
+        return np.searchsorted(self.estimated, indices)
+
 
 def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
     """Return the prior of a log without faults: that of the estimate, with wider friction.
@@ -380,6 +384,12 @@ class Posterior:
         values[prior.estimated] += prior.spread * own_coefficients
         return values
 
+    @cached_property
+    def standard_errors(self) -> Array:
+        """Standard errors (k,) of the estimated parameters."""
+        spread = self.model.prior.spread
+        return spread * np.sqrt(np.diag(self.covariance)[: len(spread)])
+
 
 class LogModel:
     """The transformed equations of a log: of its parameters and of explanations added to them.
@@ -412,7 +422,7 @@ class LogModel:
         self.rows: list[Array] = []
         for joint, (indices, rows) in enumerate(zip(log.indices, log.rows)):
             is_estimated = np.isin(indices, prior.estimated)
-            positions = np.searchsorted(prior.estimated, indices[is_estimated])
+            positions = prior.positions(indices[is_estimated])
             scaled = rows[:, is_estimated] * prior.spread[positions]
             self.indices.append(positions)
             self.rows.append(self.transform(joint, scaled))
