@@ -22,6 +22,15 @@ import numpy as np
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.explanations import BaseFit, Explanation, explanations
 from robot_sysid.diagnosis.log_model import LogModel, Posterior, log_rows, rms
+from robot_sysid.diagnosis.plausibility import (
+    SURE,
+    is_plausible,
+    last_mass,
+    misfit,
+    misfit_by_joint,
+    reverses_friction,
+    strain,
+)
 from robot_sysid.diagnosis.relabelling import (
     Correction,
     find_wrong_columns,
@@ -30,7 +39,6 @@ from robot_sysid.diagnosis.relabelling import (
     odd_unit_finding,
     typical_scale,
 )
-from robot_sysid.dynamics.equations import link_names, other_links
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import percent, with_error
@@ -44,8 +52,6 @@ TIE = 6.0
 """Difference in gain within which two explanations count as equally likely [nats]."""
 LEAST_SHARE = 0.015
 """Least share of the torque that an explanation of one joint has to explain to be reported."""
-SURE = 3.0
-"""Standard errors by which the coefficients of an explanation have to differ from zero."""
 MATTERS = 1.0
 """Change of a parameter of the last link, in standard errors, that makes an explanation harmful."""
 HARMFUL_SHARE = 0.05
@@ -64,16 +70,12 @@ SMALL = 0.02
 """Share of unexplained torque that a relabelling may always leave, even if the log has less."""
 TYPICAL_STRAIN = 7.0
 """``strain`` of typical arms: squared deviation of their links from the model."""
-FAR = 40.0
-"""``strain`` that no arm reaches with its own model."""
 ODD_SCALE = 1.3
 """Ratio of measured torque to the model's above which torque scales are tried."""
 STRETCHES = 8
 """Number of stretches of a log whose unexplained torque is compared."""
 CONCENTRATED = 0.4
 """Share of all unexplained torque in one stretch above which the stretch is named."""
-HEAVIEST = 0.6
-"""Largest mass of a plausible last link, as a share of the arm's mass."""
 # Number of explanations whose noise is estimated anew in the first round.
 _REFITTED = 8
 # Number of explanations whose noise is estimated anew in each later round.
@@ -149,89 +151,6 @@ class Score:
         errors = np.sqrt(np.diag(previous.covariance)[:10])
         moves_last_link = bool(np.any(np.abs(change) > MATTERS * errors))
         return moves_last_link or self.torque_share > HARMFUL_SHARE
-
-
-def last_mass(posterior: Posterior) -> tuple[float, float]:
-    """Return the last link's mass, the first of all parameters, and its standard error [kg]."""
-    return float(posterior.values[0]), float(posterior.standard_errors[0])
-
-
-def strain(posterior: Posterior) -> float:
-    """Return the squared deviation d' P^-1 d of all links but the last one from the model.
-
-    d are the deviations of their parameters and P is the prior covariance of d. Of the priors of
-    different widths, the one with the smallest result counts.
-    """
-    log = posterior.model.log
-    prior = posterior.model.prior
-    names: list[str] = []
-    for link in other_links(log.robot):
-        names += link_names(log.robot, link)
-    at = prior.positions(log.columns.indices(names))
-    deviations = posterior.coefficients[at]
-    squares = []
-    for precision in prior.precisions:
-        links_precision = precision[np.ix_(at, at)]
-        squares.append(float(deviations @ links_precision @ deviations))
-    return min(squares)
-
-
-def is_plausible(posterior: Posterior) -> bool:
-    """Return whether the last link's mass and the other links are plausible.
-
-    The mass has to agree within two standard errors with one above zero and below ``HEAVIEST`` of
-    the arm's mass, or the model's own plus 30 % of the arm's; the other links' ``strain`` has to be
-    below ``FAR``.
-    """
-    robot = posterior.model.log.robot
-    largest_mass = max(HEAVIEST * robot.mass, robot.prior.mass + 0.3 * robot.mass)
-    mass, error = last_mass(posterior)
-    is_possible = mass + 2.0 * error > 0.0 and mass - 2.0 * error < largest_mass
-    return is_possible and strain(posterior) < FAR
-
-
-def dry_friction(posterior: Posterior) -> tuple[Array, Array]:
-    """Return the Coulomb friction (n,) of each joint and its standard error (n,) [N m]."""
-    prior = posterior.model.prior
-    indices = posterior.model.log.friction_indices("coulomb")
-    return posterior.values[indices], posterior.standard_errors[
-        prior.positions(indices)
-    ]
-
-
-def least_friction_share(posterior: Posterior) -> Array:
-    """Return a lower bound (n,) of Coulomb friction, as a share of each joint's typical torque.
-
-    The bound is ``SURE`` standard errors below the estimate; zero where that is negative.
-    """
-    dry, error = dry_friction(posterior)
-    least = np.maximum(np.abs(dry) - SURE * error, 0.0)
-    return np.asarray(least / posterior.model.log.typical_torque)
-
-
-def misfit_by_joint(posterior: Posterior) -> Array:
-    """Return the unexplained torque (n,) of each joint, as a share of its typical torque.
-
-    That is the residual without white noise. White noise is the residual in the upper half of the
-    frequencies, in which links make little torque.
-    """
-    # (K, n): in each window of time, by ascending frequency of the cosine transform.
-    squares = posterior.residual**2
-    slow = np.zeros(squares.shape[1])
-    for window in posterior.model.log.windows:
-        spectrum = squares[window]
-        upper_half = spectrum[len(spectrum) // 2 :]
-        white = len(spectrum) * np.mean(upper_half, axis=0)
-        slow += np.maximum(np.sum(spectrum, axis=0) - white, 0.0)
-    typical_torque = posterior.model.log.typical_torque
-    return np.asarray(np.sqrt(slow / posterior.model.count) / typical_torque)
-
-
-def misfit(posterior: Posterior) -> float:
-    """Return the unexplained torque of all joints together, as a share of all torque."""
-    log = posterior.model.log
-    slow = misfit_by_joint(posterior) * log.typical_torque
-    return float(np.linalg.norm(slow) / np.linalg.norm(rms(log.torque)))
 
 
 class Contest:
@@ -317,17 +236,6 @@ class Contest:
         """Return whether the estimate has a free parameter for the cause of an explanation."""
         settings = {"delay": self.options.delay, "tilt": self.options.tilt}
         return explanation.joint is None and settings.get(explanation.name) == "auto"
-
-
-def reverses_friction(base: Posterior, corrected: Posterior) -> bool:
-    """Return whether a correction turns a joint's friction from braking into driving.
-
-    Where links hardly load a joint, everything but its friction fits with either sign.
-    """
-    dry, error = dry_friction(base)
-    corrected_dry, corrected_error = dry_friction(corrected)
-    is_driving = corrected_dry < -SURE * corrected_error
-    return bool(np.any((dry > SURE * error) & is_driving))
 
 
 Blocks = dict[int, Array]

@@ -15,8 +15,9 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.diagnosis import Finding, Level
-from robot_sysid.diagnosis.contest import Contest, findings, least_friction_share
+from robot_sysid.diagnosis.contest import Contest, findings
 from robot_sysid.diagnosis.log_model import WINDOW, rms
+from robot_sysid.diagnosis.plausibility import least_friction_share
 from robot_sysid.errors import InputError, SysidError, prefix_input_errors
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs.reader import MeasurementLog

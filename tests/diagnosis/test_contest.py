@@ -6,14 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.diagnosis.contest import (
-    Contest,
-    findings,
-    is_plausible,
-    last_mass,
-    misfit,
-)
+from robot_sysid.diagnosis.contest import Contest, findings
 from robot_sysid.diagnosis.log_checks import low_pass
+from robot_sysid.diagnosis.plausibility import is_plausible, last_mass, misfit
 from robot_sysid.estimation.question import EstimationOptions
 
 

@@ -1,0 +1,114 @@
+"""What a fitted log says of its model: torque that is unexplained, and links that are implausible.
+
+All functions take the ``Posterior`` of a log's model, with n joints and K rows per joint. Its
+coefficients are deviations of the parameters from the prior's means, in units of the prior's
+standard deviations.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robot_sysid.diagnosis.log_model import Posterior, rms
+from robot_sysid.dynamics.equations import link_names, other_links
+from robot_sysid.records import Array
+
+SURE = 3.0
+"""Standard errors by which friction, or an explanation's coefficients, have to differ from zero."""
+HEAVIEST = 0.6
+"""Largest mass of a plausible last link, as a share of the arm's mass."""
+FAR = 40.0
+"""``strain`` that no arm reaches with its own model."""
+
+
+def last_mass(posterior: Posterior) -> tuple[float, float]:
+    """Return the last link's mass, the first of all parameters, and its standard error [kg]."""
+    return float(posterior.values[0]), float(posterior.standard_errors[0])
+
+
+def strain(posterior: Posterior) -> float:
+    """Return the squared deviation d' P^-1 d of all links but the last one from the model.
+
+    d are the deviations of their parameters and P is the prior covariance of d. Of the priors of
+    different widths, the one with the smallest result counts.
+    """
+    log = posterior.model.log
+    prior = posterior.model.prior
+    names: list[str] = []
+    for link in other_links(log.robot):
+        names += link_names(log.robot, link)
+    at = prior.positions(log.columns.indices(names))
+    deviations = posterior.coefficients[at]
+    squares = []
+    for precision in prior.precisions:
+        links_precision = precision[np.ix_(at, at)]
+        squares.append(float(deviations @ links_precision @ deviations))
+    return min(squares)
+
+
+def is_plausible(posterior: Posterior) -> bool:
+    """Return whether the last link's mass and the other links are plausible.
+
+    The mass has to agree within two standard errors with one above zero and below ``HEAVIEST`` of
+    the arm's mass, or the model's own plus 30 % of the arm's; the other links' ``strain`` has to be
+    below ``FAR``.
+    """
+    robot = posterior.model.log.robot
+    largest_mass = max(HEAVIEST * robot.mass, robot.prior.mass + 0.3 * robot.mass)
+    mass, error = last_mass(posterior)
+    is_possible = mass + 2.0 * error > 0.0 and mass - 2.0 * error < largest_mass
+    return is_possible and strain(posterior) < FAR
+
+
+def dry_friction(posterior: Posterior) -> tuple[Array, Array]:
+    """Return the Coulomb friction (n,) of each joint and its standard error (n,) [N m]."""
+    model = posterior.model
+    indices = model.log.friction_indices("coulomb")
+    errors = posterior.standard_errors[model.prior.positions(indices)]
+    return posterior.values[indices], errors
+
+
+def least_friction_share(posterior: Posterior) -> Array:
+    """Return a lower bound (n,) of Coulomb friction, as a share of each joint's typical torque.
+
+    The bound is ``SURE`` standard errors below the estimate; zero where that is negative.
+    """
+    dry, error = dry_friction(posterior)
+    least = np.maximum(np.abs(dry) - SURE * error, 0.0)
+    return np.asarray(least / posterior.model.log.typical_torque)
+
+
+def misfit_by_joint(posterior: Posterior) -> Array:
+    """Return the unexplained torque (n,) of each joint, as a share of its typical torque.
+
+    That is the residual without white noise. White noise is the residual in the upper half of the
+    frequencies, in which links make little torque.
+    """
+    # (K, n): in each window of time, by ascending frequency of the cosine transform.
+    squares = posterior.residual**2
+    slow = np.zeros(squares.shape[1])
+    for window in posterior.model.log.windows:
+        spectrum = squares[window]
+        upper_half = spectrum[len(spectrum) // 2 :]
+        white = len(spectrum) * np.mean(upper_half, axis=0)
+        slow += np.maximum(np.sum(spectrum, axis=0) - white, 0.0)
+    typical_torque = posterior.model.log.typical_torque
+    return np.asarray(np.sqrt(slow / posterior.model.count) / typical_torque)
+
+
+def misfit(posterior: Posterior) -> float:
+    """Return the unexplained torque of all joints together, as a share of all torque."""
+    log = posterior.model.log
+    slow = misfit_by_joint(posterior) * log.typical_torque
+    return float(np.linalg.norm(slow) / np.linalg.norm(rms(log.torque)))
+
+
+def reverses_friction(base: Posterior, corrected: Posterior) -> bool:
+    """Return whether a correction turns a joint's friction from braking into driving.
+
+    Where links hardly load a joint, everything but its friction fits with either sign.
+    """
+    dry, error = dry_friction(base)
+    corrected_dry, corrected_error = dry_friction(corrected)
+    is_driving = corrected_dry < -SURE * corrected_error
+    return bool(np.any((dry > SURE * error) & is_driving))
