@@ -20,7 +20,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robot_sysid.diagnosis import Finding, Level
-from robot_sysid.diagnosis.explanations import BaseFit, Explanation, explanations
+from robot_sysid.diagnosis.base_fit import BaseFit
+from robot_sysid.diagnosis.explanations import Explanation, explanations
 from robot_sysid.diagnosis.log_model import LogModel, Posterior, log_rows, rms
 from robot_sysid.diagnosis.plausibility import (
     SURE,
@@ -292,15 +293,16 @@ def screen_gains(posterior: Posterior, columns: Sequence[Blocks]) -> Array:
     for joint in range(len(posterior.model.rows)):
         weight = 1.0 / posterior.noise[:, joint, None]
         acting = []
-        at: list[int] = []
+        spans = []
         for blocks, span, square in zip(columns, slices, squares):
             if joint in blocks:
                 block = blocks[joint]
                 square += block.T @ (block * weight)
                 acting.append(block)
-                at += range(span.start, span.stop)
+                spans.append(np.arange(span.start, span.stop))
         if not acting:
             continue
+        at = np.concatenate(spans)
         stacked = np.hstack(acting)
         indices, rows = posterior.model.equations(joint)
         products[np.ix_(indices, at)] += (rows * weight).T @ stacked

@@ -4,29 +4,28 @@ An explanation adds torque that is linear in its coefficients to the base model,
 the base model's estimate. To add one, add a function to ``LINEAR`` that takes the base model's fit
 and yields explanations.
 
-Throughout, K is the number of instants, n that of joints, e that of coefficients.
+Throughout, K is the number of instants, n that of joints, e that of coefficients; [:, :, None]
+makes the torque (K, n) of one coefficient an array of columns (K, n, 1). In texts {value} stands
+for the number with its error, {joint} for the joint's name.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from robot_sysid.diagnosis import Level
-from robot_sysid.diagnosis.log_model import PAYLOAD, REACH, Posterior, rms
-from robot_sysid.dynamics.inverse_dynamics import (
-    TILT_NAMES,
-    LinkDynamics,
-    gravity_vector,
-)
+from robot_sysid.diagnosis.base_fit import BaseFit
+from robot_sysid.diagnosis.log_model import PAYLOAD, REACH, rms
+from robot_sysid.dynamics.equations import names_of
+from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, gravity_vector
 from robot_sysid.dynamics.spatial import parameter_scale
-from robot_sysid.records import Array, Motion
+from robot_sysid.records import Array
 from robot_sysid.records.messages import percent, with_error
-from robot_sysid.signals.process import ProcessedSignals
 
 STEPS = 17
 """Number of evenly spaced instants at which a change of payload is tried."""
@@ -79,118 +78,50 @@ class Explanation:
 
     @property
     def family(self) -> tuple[object, ...]:
-        """Key of similar explanations, of which only the best is scored with its own noise."""
+        """Key of similar explanations, which differ in a setting such as the instant of a change.
+
+        Only the best of them is scored with its own noise.
+        """
         return *self.subject, len(self.spread), self.choices
 
     def of_joint(self, joint: int) -> Array:
-        """Return the columns (K, e) of a joint on which it acts, in prior units."""
+        """Return the columns (K, e) at a joint on which it acts, per prior standard deviation."""
         columns = self.columns[:, joint] if self.joint is None else self.columns
         return columns * self.spread
 
 
-class BaseFit:
-    """Torques of the fitted base model along a log, from which explanations make their columns.
-
-    All torques are low-passed like the rows: an unfiltered one would explain the filter's effect.
-
-    Args:
-        posterior: posterior of the base model.
-        signals: low-passed signals of the log's pieces.
-        trusted: whether the estimated last link is plausible; if not, its prior's mean is used.
-
-    Attributes:
-        log: equations of the log.
-        values: (p,) parameters of the fitted base model.
-        time: (K,) from -1 at the first row to 1 at the last.
-        rigid: (K, n) inverse-dynamics torque of the links [N m], the last one as fitted, all others
-            as in the model.
-        weight: (K, n) the torque of gravity in ``rigid`` [N m].
-        tip_force: (K, n, 12) for each world axis, joint torque per unit of force on the last link:
-            at its origin [N m per N], then offset along the link's x, y, z [N m per N m].
-        last_weight: (K, n, 4) torque of gravity on the last link, per unit of its mass and of each
-            first moment.
-        residual: (K, n) residual torque of the base model, zero in unused rows [N m].
-    """
-
-    def __init__(
-        self, posterior: Posterior, signals: Sequence[ProcessedSignals], trusted: bool
-    ) -> None:
-        log = posterior.model.log
-        self.log = log
-        self.robot = log.robot
-        ends = log.motion.time[[0, -1]]
-        self.time = (2.0 * log.motion.time - ends.sum()) / np.ptp(ends)
-        self.values = posterior.values
-        self.residual = (log.right_sides - log.torque_of(self.values)) * log.used
-        bodies = posterior.model.prior.mean.copy()
-        if trusted:
-            bodies[:10] = self.values[:10]
-        self.rigid = log.links_torque(bodies)
-        self._thetas = log.columns.thetas(bodies[: len(log.columns.names)])
-        filtered = [s.filter_columns(self._of_positions, smooth=True) for s in signals]
-        self.weight, self.tip_force, self.last_weight = map(
-            np.concatenate, zip(*filtered)
-        )
-
-    def _of_positions(self, motion: Motion) -> tuple[Array, Array, Array]:
-        """Return (weight, tip_force, last_weight) of the class, unfiltered, along a motion."""
-        zero = np.zeros_like(motion.q)
-        last = [self.robot.n_joints - 1]
-        forces = []
-        # The weight of one kilogram under a gravity of one along an axis stands for a unit force.
-        for axis in np.eye(3):
-            pulled = LinkDynamics(self.robot, axis).motion(motion.q, zero, zero)
-            forces.append(-pulled.columns(last)[:, :, :4])
-        resting = LinkDynamics(self.robot).motion(motion.q, zero, zero)
-        weight = resting.torque(self._thetas)
-        return weight, np.concatenate(forces, axis=-1), resting.columns(last)[:, :, :4]
-
-    @cached_property
-    def inertial(self) -> Array:
-        """The torque (K, n) of the links' inertia, without gravity [N m]."""
-        return self.rigid - self.weight
-
-    def derivative(self, torque: Array) -> Array:
-        """Return the time derivative (K, n) [N m/s] of a torque (K, n) [N m], window by window."""
-        derivative = np.empty_like(torque)
-        for window in self.log.windows:
-            derivative[window] = np.gradient(
-                torque[window], self.log.motion.time[window], axis=0
-            )
-        return derivative
-
-
 def _first_coefficient(
-    text: str, factor: float = 1.0, unit: str = "", shift: float = 0.0
+    text: str, factor: float = 1.0, unit: str = "", shift: float = 0.0, **fields: Any
 ) -> Description:
-    """Return a description: ``text`` with the first coefficient and its error in place of {}.
+    """Return a description: ``text`` with the first coefficient and its error at {value}.
 
     Args:
-        text: with {} where the number goes, if it is shown.
+        text: with {value} where the number goes, if it is shown.
         factor: from the coefficient's unit to ``unit``.
         unit: of the number in the text.
         shift: added to the coefficient before it is multiplied by the factor.
+        fields: further fields of the text and what stands there, such as the joint's name.
     """
 
     def describe(v: Array, e: Array) -> str:
         """Return the text for coefficients v (e,) with standard errors e (e,)."""
         value = factor * (float(v[0]) + shift)
-        return text.format(with_error(value, abs(factor) * e[0], unit))
+        return text.format(value=with_error(value, abs(factor) * e[0], unit), **fields)
 
     return describe
 
 
-def _norm(text: str, factor: float, unit: str) -> Description:
-    """Return a description: ``text`` with the coefficients' Euclidean norm in place of {}.
+def _norm(text: str, factor: float, unit: str, **fields: Any) -> Description:
+    """Return a description: ``text`` with the coefficients' Euclidean norm at {value}.
 
-    ``factor`` converts from the coefficients' unit to ``unit``.
+    The largest standard error stands for that of the norm. Other arguments are those of
+    ``_first_coefficient``.
     """
+    describe_number = _first_coefficient(text, factor, unit, **fields)
 
     def describe(v: Array, e: Array) -> str:
         """Return the text for coefficients v (e,) with standard errors e (e,)."""
-        return _first_coefficient(text, factor, unit)(
-            np.array([np.linalg.norm(v)]), np.array([np.max(e)])
-        )
+        return describe_number(np.array([np.linalg.norm(v)]), np.array([np.max(e)]))
 
     return describe
 
@@ -200,63 +131,61 @@ def _of_each_joint(
     name: str,
     torque: Array,
     spread: float,
-    describe: Callable[[str], Description],
+    text: str,
+    factor: float,
+    unit: str,
+    shift: float = 0.0,
 ) -> Iterator[Explanation]:
-    """Yield one explanation per joint, whose column is the joint's column of a torque (K, n).
+    """Yield one explanation per joint, whose column is the joint's column of a torque.
 
     Args:
+        fit: the fitted base model.
         name: of the check.
+        torque: (K, n) torque at each joint per unit of its coefficient [N m].
         spread: prior standard deviation of the coefficient.
-        describe: returns the description for a joint name.
+        text: with {joint} and {value}; that and further arguments as in ``_first_coefficient``.
     """
     spreads = np.array([spread])
     for joint, joint_name in enumerate(fit.robot.joint_names):
         column = torque[:, [joint]]
-        text = describe(joint_name)
-        yield Explanation(name, Level.WARN, column, spreads, text, joint)
+        describe = _first_coefficient(text, factor, unit, shift, joint=joint_name)
+        yield Explanation(name, Level.WARN, column, spreads, describe, joint)
 
 
 def torque_scales(fit: BaseFit) -> Iterator[Explanation]:
     """Yield an error of one joint's torque scale; it scales the torque of the links alone, not that
     of friction and rotors.
     """
-    text = "torque of joint {0} reads {{}} what links and the other joints say; weigh a known mass "
-    text += "(payload --known-mass) and pass the file that it writes as --torque-scale"
+    text = "torque of joint {joint} reads {value} what links and the other joints say; weigh a "
+    text += "known mass (payload --known-mass) and pass the file that it writes as --torque-scale"
     yield from _of_each_joint(
-        fit,
-        "torque-scale",
-        fit.rigid,
-        0.3,
-        lambda j: _first_coefficient(text.format(j), 1.0, "times", 1.0),
+        fit, "torque-scale", fit.rigid, 0.3, text, 1.0, "times", shift=1.0
     )
 
 
 def drifting_scales(fit: BaseFit) -> Iterator[Explanation]:
     """Yield torque scales that drift over the log, of all joints and of each one."""
-    text = "the torque of {0} changes its scale by {{}} over the log; let motors and sensors warm "
-    text += "up, and record again"
+    text = "changes its scale by {value} over the log; let motors and sensors warm up, and record "
+    text += "again"
     drifting = fit.rigid * fit.time[:, None]
-
-    def describe(joint: str) -> Description:
-        """Return the description for a joint, or all, by name."""
-        return _first_coefficient(text.format(joint), 200.0, "%")
-
-    spread = np.array([0.1])
-    yield Explanation(
-        "torque-scale", Level.WARN, drifting[:, :, None], spread, describe("all joints")
-    )
+    # The time runs from -1 to 1, so that a scale changes by twice its coefficient.
+    to_percent = 200.0
+    describe = _first_coefficient(f"the torque of all joints {text}", to_percent, "%")
+    columns = drifting[:, :, None]
+    yield Explanation("torque-scale", Level.WARN, columns, np.array([0.1]), describe)
+    joint_text = f"the torque of joint {{joint}} {text}"
     yield from _of_each_joint(
-        fit, "torque-scale", drifting, 0.15, lambda joint: describe(f"joint {joint}")
+        fit, "torque-scale", drifting, 0.15, joint_text, to_percent, "%"
     )
 
 
 def zeros(fit: BaseFit) -> Iterator[Explanation]:
     """Yield a constant error of each joint's position."""
-    text = "the position of joint {} reads {{}} too much; correct its zero"
+    text = "the position of joint {joint} reads {value} too much; correct its zero"
     spread = np.array([0.1])
     for name in fit.robot.joint_names:
         columns = fit.log.columns_of([f"zero[{name}]"])
-        describe = _first_coefficient(text.format(name), 1.0, "rad")
+        describe = _first_coefficient(text, 1.0, "rad", joint=name)
         zero = Explanation("zero", Level.WARN, columns, spread, describe)
         yield replace(zero, harmful_from=GROSS_ZERO)
 
@@ -264,14 +193,18 @@ def zeros(fit: BaseFit) -> Iterator[Explanation]:
 def tilt(fit: BaseFit) -> Iterator[Explanation]:
     """Yield a tilt of the base against the model's; none without gravity."""
     if np.any(gravity_vector(fit.robot)):
-        text = "the base is tilted by {} against the model's; have it found (identify --tilt auto)"
-        describe = _norm(text, float(np.degrees(1.0)), "degrees")
+        text = "the base is tilted by {value} against the model's; have it found (identify --tilt "
+        describe = _norm(f"{text}auto)", float(np.degrees(1.0)), "degrees")
         columns = fit.log.columns_of(TILT_NAMES)
         yield Explanation("tilt", Level.WARN, columns, np.full(2, 0.15), describe)
 
 
 def time_base(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield an error and a drift of the time stamps' scale, which change inertial torque alone."""
+    """Yield an error and a drift of the time stamps' scale, which change inertial torque alone.
+
+    Accelerations and squared speeds from time stamps that are too long by a small share s are too
+    small by 2 s.
+    """
     slope = 2.0 * fit.inertial[:, :, None]
     advice = "record the controller's own time stamps"
 
@@ -303,41 +236,44 @@ def _too_long(share: float) -> str:
 
 
 def delays(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield a lag of the torque behind the position, of all joints and of each one."""
+    """Yield a lag of the torque behind the position, of all joints and of each one.
+
+    A torque that lags by a short time d is tau(t - d), nearly tau(t) - d tau'(t).
+    """
     late = -fit.derivative(fit.rigid)
-    text = (
-        "torque lags position by {}; record both at the same instant, or have it found "
-    )
+    text = "torque lags position by {value}; record both at the same instant, or have it found "
     text += "(identify --delay auto; payload does so by itself)"
     describe = _first_coefficient(text, 1e3, "ms")
     yield Explanation("delay", Level.WARN, late[:, :, None], np.array([0.04]), describe)
-    text = "torque of joint {0} alone lags position by {{}}; record all joints at once"
-    yield from _of_each_joint(
-        fit,
-        "delay",
-        late,
-        0.04,
-        lambda j: _first_coefficient(text.format(j), 1e3, "ms"),
-    )
+    text = "torque of joint {joint} alone lags position by {value}; record all joints at once"
+    yield from _of_each_joint(fit, "delay", late, 0.04, text, 1e3, "ms")
 
 
 def weight_share(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield the fault that a share of the weight of links and load is missing from the torque."""
-    total = fit.robot.mass
-    text = "{} of the links' weight is missing from the torque: is there a spring balancer that "
-    text += "the model lacks, or is gravity compensated in part? record the measured joint torque, "
+    """Yield the fault that a share of the weight of links and load is missing from the torque.
+
+    The coefficients are the change of the links' weight, as a share that is negative where weight
+    is missing, and the mass and first moments by which the last link's weight differs.
+    """
+    text = "{value} of the links' weight is missing from the torque: is there a spring balancer "
+    text += "that the model lacks, or is gravity compensated in part? record the measured joint "
+
+    def is_missing(v: Array, e: Array) -> bool:
+        """Return whether the share v[0] ± e[0] lacks between 5 % and all of the weight."""
+        return bool(-1.0 - 3.0 * e[0] < v[0] < -0.05)
+
     yield Explanation(
         "gravity",
         Level.REFUSE,
         np.concatenate((fit.weight[:, :, None], fit.last_weight), axis=-1),
-        np.append(0.5, parameter_scale(0.1 * total, 0.1)[:4]),
-        _first_coefficient(f"{text}not the command", -100.0, "%"),
-        is_possible=lambda v, e: bool(-1.0 - 3.0 * e[0] < v[0] < -0.05),
+        np.append(0.5, parameter_scale(0.1 * fit.robot.mass, 0.1)[:4]),
+        _first_coefficient(f"{text}torque, not the command", -100.0, "%"),
+        is_possible=is_missing,
     )
 
 
 def payload_steps(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield a change of the last link's load at each of ``STEPS`` instants."""
+    """Yield a change of the last link's load at each of ``STEPS`` evenly spaced instants."""
     spacing = len(fit.time) // (STEPS + 1)
     for row in spacing * np.arange(1, STEPS + 1):
         yield _payload_step(fit, int(row), spacing, STEPS)
@@ -346,21 +282,28 @@ def payload_steps(fit: BaseFit) -> Iterator[Explanation]:
 def _payload_step(fit: BaseFit, row: int, spacing: int, choices: int) -> Explanation:
     """Return the explanation that the last link's load changes at the instant with index ``row``.
 
+    Its coefficients are the changes of the last link's ten inertial parameters.
+
     Args:
+        fit: the fitted base model.
+        row: index of the first instant with the changed load.
         spacing: number of rows between the instants that are tried.
         choices: number of instants that are tried.
     """
-    total = fit.robot.mass
-    reach = fit.robot.length
-    bodies = np.stack([rows[:, :10] for rows in fit.log.rows], axis=1)
     at = float(fit.log.motion.time[row])
+    is_later = np.arange(len(fit.time)) >= row
+    mass = 0.3 * PAYLOAD * fit.robot.mass
+    size = 0.5 * REACH * fit.robot.length
 
     def nearby() -> list[Explanation]:
         """Return steps at up to eleven instants around this one, at a sixth of the spacing."""
-        step = -(-spacing // 6)
-        rows = range(row - step * ((spacing - 1) // step), row + spacing, step)
-        inside = [k for k in rows if 0 < k < len(bodies)]
-        return [_payload_step(fit, k, step, choices) for k in inside]
+        step = math.ceil(spacing / 6)
+        count = (spacing - 1) // step
+        steps = []
+        for first_row in range(row - count * step, row + spacing, step):
+            if 0 < first_row < len(fit.time):
+                steps.append(_payload_step(fit, first_row, step, choices))
+        return steps
 
     def describe(v: Array, e: Array) -> str:
         """Return the text for coefficients v (e,) with standard errors e (e,)."""
@@ -372,8 +315,8 @@ def _payload_step(fit: BaseFit, row: int, spacing: int, choices: int) -> Explana
     return Explanation(
         "payload-step",
         Level.REFUSE,
-        bodies * (np.arange(len(bodies)) >= row)[:, None, None],
-        parameter_scale(0.3 * PAYLOAD * total, 0.5 * REACH * reach),
+        fit.last_link * is_later[:, None, None],
+        parameter_scale(mass, size),
         describe,
         choices=choices,
         nearby=nearby if spacing > 1 else list,
@@ -389,9 +332,10 @@ def forces(fit: BaseFit) -> Iterator[Explanation]:
     """Yield a constant force on the last link, and a weight that contradicts its inertia."""
     total = fit.robot.mass
     down = float(np.linalg.norm(gravity_vector(fit.robot))) or 9.81
-    text = "a constant force of {} acts on the last link, as of a hand, a cable or a spring; take "
-    describe_force = _norm(f"{text}it away, and record again", 1.0, "N")
-    spread = np.outer(np.full(3, 0.1 * total * down), (1.0, 0.1, 0.1, 0.1)).ravel()
+    text = "a constant force of {value} acts on the last link, as of a hand, a cable or a spring; "
+    describe_force = _norm(f"{text}take it away, and record again", 1.0, "N")
+    # Per axis the force, then the force times its offset along x, y and z of the link.
+    spread = 0.1 * total * down * np.tile((1.0, 0.1, 0.1, 0.1), 3)
     force = slice(None, None, 4)
 
     def describe(v: Array, e: Array) -> str:
@@ -403,44 +347,51 @@ def forces(fit: BaseFit) -> Iterator[Explanation]:
         return bool(np.linalg.norm(v[force]) > 3.0 * np.max(e[force]))
 
     columns = fit.tip_force
-    yield Explanation(
-        "force", Level.REFUSE, columns, spread, describe, is_possible=is_sure
-    )
-    text = "the last link weighs {} more than its inertia says: something holds a part of it, or "
-    carried = _first_coefficient(
-        f"{text}pulls, as a hand or a hose does; take it away, record again", 1.0, "kg"
-    )
+    pull = Explanation("force", Level.REFUSE, columns, spread, describe)
+    yield replace(pull, is_possible=is_sure)
+    text = "the last link weighs {value} more than its inertia says: something holds a part of it, "
+    text += "or pulls, as a hand or a hose does; take it away, record again"
+    carried = _first_coefficient(text, 1.0, "kg")
     spread = parameter_scale(0.1 * total, 0.1)[:4]
     yield Explanation("force", Level.REFUSE, fit.last_weight, spread, carried)
 
 
 def springs(fit: BaseFit) -> Iterator[Explanation]:
     """Yield a torque that depends on the position of one joint, as of a spring or a hose."""
-    text = "at joint {} a torque follows the position, as of a spring, a balancer or a hose; the "
-    text += "model has to have it, or take it away"
+    text = "at joint {joint} a torque follows the position, as of a spring, a balancer or a hose; "
+    text += "the model has to have it, or take it away"
     for joint, name in enumerate(fit.robot.joint_names):
         q = fit.log.motion.q[:, joint]
         shapes = np.stack((q, np.sin(q), np.cos(q)), axis=1)
         spread = np.full(3, 0.5 * fit.log.typical_torque[joint])
-        describe = _first_coefficient(text.format(name))
+        describe = _first_coefficient(text, joint=name)
         yield Explanation("force", Level.REFUSE, shapes, spread, describe, joint)
 
 
 def pushes(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield a contact for each duration of ``PUSHES``, when the residual torque is largest."""
+    """Yield a contact for each duration of ``PUSHES``, when the residual torque is largest.
+
+    Durations of more than a third of the log are left out.
+    """
     step = float(np.median(np.diff(fit.log.motion.time)))
-    power = np.sum((fit.residual / np.maximum(rms(fit.residual), 1e-12)) ** 2, axis=1)
+    relative = fit.residual / np.maximum(rms(fit.residual), 1e-12)
+    power = np.sum(relative**2, axis=1)
     for length in PUSHES:
         width = max(3, round(length / step))
         if 3 * width < len(power):
-            start = int(np.argmax(np.convolve(power, np.ones(width), mode="valid")))
+            sums = np.convolve(power, np.ones(width), mode="valid")
+            start = int(np.argmax(sums))
+            # Contacts that overlap by half count as different choices.
             yield _push(fit, start, width, 2 * len(power) // width)
 
 
 def _push(fit: BaseFit, start: int, width: int, choices: int) -> Explanation:
     """Return the explanation of a contact, half a sine wave of torque at all joints.
 
+    Its coefficients (n,) are the peaks of the torque at each joint [N m].
+
     Args:
+        fit: the fitted base model.
         start: index of its first row; may be outside the log.
         width: number of rows.
         choices: number of contacts that are tried.
@@ -452,9 +403,13 @@ def _push(fit: BaseFit, start: int, width: int, choices: int) -> Explanation:
     first, last = time[rows[[0, -1]]]
 
     def nearby() -> list[Explanation]:
-        """Return contacts that begin up to half a width earlier or later, of three widths."""
+        """Return contacts that begin up to half a width earlier or later, of three widths.
+
+        They have no nearby ones themselves.
+        """
         contacts = []
-        for first_row in range(start - width // 2, start + width // 2, -(-width // 6)):
+        step = math.ceil(width / 6)
+        for first_row in range(start - width // 2, start + width // 2, step):
             for size in (round(0.7 * width), width, round(1.4 * width)):
                 contact = _push(fit, first_row, size, choices)
                 contacts.append(replace(contact, nearby=list))
@@ -477,20 +432,23 @@ def _push(fit: BaseFit, start: int, width: int, choices: int) -> Explanation:
 
 
 def hums(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield the strongest sine over time in each joint's residual torque."""
+    """Yield the strongest sine over time in each joint's residual torque.
+
+    Frequencies from two periods per log to 0.4 per row are tried, at a quarter of a period per log.
+    """
     time = fit.log.motion.time - fit.log.motion.time[0]
     span = float(time[-1])
     step = float(np.median(np.diff(time)))
     rates = np.arange(2.0 / span, 0.4 / step, 0.25 / span)
     waves = np.exp(2j * np.pi * np.outer(rates, time))
     power = np.abs(waves @ fit.residual) ** 2
+    text = "torque of joint {joint} hums: a sine of {rate:.2g} Hz and {value} that neither motion "
+    text += "nor friction makes; find its source"
     for joint, name in enumerate(fit.robot.joint_names):
         best = int(np.argmax(power[:, joint]))
+        # Sine and cosine of the frequency, whose sum has any phase.
         columns = np.stack((waves[best].real, waves[best].imag), axis=1)
-        text = f"torque of joint {name} hums: a sine of {rates[best]:.2g} Hz and {{}} that neither "
-        describe = _norm(
-            f"{text}motion nor friction makes; find its source", 1.0, "N m"
-        )
+        describe = _norm(text, 1.0, "N m", joint=name, rate=rates[best])
         spread = np.full(2, 0.1 * fit.log.typical_torque[joint])
         yield Explanation(
             "contact", Level.WARN, columns, spread, describe, joint, len(rates)
@@ -498,13 +456,17 @@ def hums(fit: BaseFit) -> Iterator[Explanation]:
 
 
 def ripples(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield a torque that is periodic in the position, as of cogging or a gear's teeth."""
+    """Yield the strongest torque of each joint that is periodic in its position, as of cogging or a
+    gear's teeth.
+    """
+    text = "torque of joint {joint} ripples about {count} times per turn by {value}, as of "
+    text += "cogging; errors count it as noise"
     for joint, name in enumerate(fit.robot.joint_names):
         waves = np.exp(1j * np.outer(fit.log.motion.q[:, joint], RIPPLES))
         best = int(np.argmax(np.abs(fit.residual[:, joint] @ waves)))
+        # Sine and cosine of the position, whose sum has any phase.
         columns = np.stack((waves[:, best].real, waves[:, best].imag), axis=1)
-        text = f"torque of joint {name} ripples about {RIPPLES[best]} times per turn by {{}}, "
-        describe = _norm(f"{text}as of cogging; errors count it as noise", 1.0, "N m")
+        describe = _norm(text, 1.0, "N m", joint=name, count=RIPPLES[best])
         spread = np.full(2, 0.1 * fit.log.typical_torque[joint])
         yield Explanation(
             "ripple", Level.NOTE, columns, spread, describe, joint, len(RIPPLES)
@@ -512,37 +474,52 @@ def ripples(fit: BaseFit) -> Iterator[Explanation]:
 
 
 def couplings(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield motors that turn two joints, and sensors that read a share of a neighbour's torque."""
-    terms = ("coulomb", "viscous", "armature")
-    units = np.array(
-        [1.0, np.max(rms(fit.log.motion.qd)), np.max(rms(fit.log.motion.qdd))]
-    )
-    names = fit.robot.joint_names
-    typical_torque = fit.log.typical_torque
+    """Yield the friction and rotor inertia of a motor that turns two joints.
+
+    These explanations compete but are never reported: the estimate reports couplings, and uses them
+    only with clear evidence.
+    """
+    speed = np.max(rms(fit.log.motion.qd))
+    acceleration = np.max(rms(fit.log.motion.qdd))
+    # Typical motion that coulomb, viscous and armature are multiplied by.
+    units = np.array([1.0, speed, acceleration])
     for motor in fit.log.columns.couplings:
-        columns = fit.log.columns_of([f"{term}[{motor.name}]" for term in terms])
-        size = 0.3 * float(np.min(typical_torque[motor.ratios != 0.0]))
-        describe = _first_coefficient(f"one motor turns with joints {motor.name}")
-        # Couplings are reported by the estimate, which uses them only with clear evidence.
+        name = motor.name
+        terms = (f"coulomb[{name}]", f"viscous[{name}]", f"armature[{name}]")
+        columns = fit.log.columns_of(terms)
+        size = 0.3 * float(np.min(fit.log.typical_torque[motor.ratios != 0.0]))
+        describe = _first_coefficient("one motor turns with joints {joint}", joint=name)
         coupling = Explanation("coupling", Level.NOTE, columns, size / units, describe)
         yield replace(coupling, is_possible=lambda v, e: False)
-    text = "the torque of joint {} holds {{}} of that of joint {}; calibrate its sensor"
-    for one, other in itertools.permutations(range(len(names)), 2):
-        if abs(one - other) == 1:
-            ratio = typical_torque[one] / typical_torque[other]
+
+
+def crosstalk(fit: BaseFit) -> Iterator[Explanation]:
+    """Yield sensors that read a share of the torque of the joint before or after theirs."""
+    text = "the torque of joint {joint} holds {value} of that of joint {other}; calibrate its "
+    text += "sensor"
+    names = fit.robot.joint_names
+    typical_torque = fit.log.typical_torque
+    for joint, name in enumerate(names):
+        for neighbour in (joint - 1, joint + 1):
+            if not 0 <= neighbour < len(names):
+                continue
+            ratio = typical_torque[joint] / typical_torque[neighbour]
             spread = np.array([0.1 * min(1.0, ratio)])
-            column = fit.rigid[:, [other]]
-            message = text.format(names[one], names[other])
-            describe = _first_coefficient(message, 100.0, "%")
-            yield Explanation("crosstalk", Level.WARN, column, spread, describe, one)
+            column = fit.rigid[:, [neighbour]]
+            other = names[neighbour]
+            describe = _first_coefficient(text, 100.0, "%", joint=name, other=other)
+            yield Explanation("crosstalk", Level.WARN, column, spread, describe, joint)
 
 
 def warming(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield friction that falls as gears warm up."""
+    """Yield friction that falls as gears warm up; none for a log shorter than ``WARM_UP``'s first.
+
+    The coefficients (n,) are the Coulomb friction by which each joint exceeds its last value [N m].
+    """
     time = fit.log.motion.time - fit.log.motion.time[0]
     if time[-1] <= WARM_UP[0]:
         return
-    coulomb = fit.log.columns_of([f"coulomb[{name}]" for name in fit.robot.joint_names])
+    coulomb = fit.log.columns_of(names_of("coulomb", fit.robot.joint_names))
     sizes = np.abs(fit.values[fit.log.friction_indices("coulomb")])
     spread = 0.5 * np.maximum(sizes, 0.01 * fit.log.typical_torque)
     text = "friction falls over the log; let the arm warm up before it is recorded"
@@ -554,12 +531,29 @@ def warming(fit: BaseFit) -> Iterator[Explanation]:
 
 
 LINEAR: tuple[Callable[[BaseFit], Iterator[Explanation]], ...] = (
-    *(torque_scales, drifting_scales, zeros, tilt, time_base, delays, weight_share),
-    *(payload_steps, forces, springs, pushes, hums, ripples, couplings, warming),
+    torque_scales,
+    drifting_scales,
+    zeros,
+    tilt,
+    time_base,
+    delays,
+    weight_share,
+    payload_steps,
+    forces,
+    springs,
+    pushes,
+    hums,
+    ripples,
+    couplings,
+    crosstalk,
+    warming,
 )
 """Functions that together yield all explanations; they are linear in their coefficients."""
 
 
 def explanations(fit: BaseFit) -> list[Explanation]:
     """Return all explanations of the base model's residual torque."""
-    return list(itertools.chain.from_iterable(family(fit) for family in LINEAR))
+    offered: list[Explanation] = []
+    for yield_explanations in LINEAR:
+        offered += yield_explanations(fit)
+    return offered
