@@ -124,7 +124,8 @@ class LimitOptions(OptionRecord):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.half_spaces()  # Refused here, before any work, where the numbers make none.
+        # Raises InputError for a plane or a box that is no half-space, before any work is done.
+        self.half_spaces()
 
     def half_spaces(
         self, moving: Sequence[int] = (), link: Sequence[int] = ()
@@ -167,7 +168,12 @@ def _plane(
 
 
 def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> tuple[HalfSpace, ...]:
-    """Return the finite sides of a workspace [m] in the world; its walls may be touched."""
+    """Return the finite sides of the box of ``--workspace`` in the world; walls may be touched.
+
+    Args:
+        sides: XMIN, XMAX, YMIN, YMAX, ZMIN, ZMAX [m]; infinite for a side that is open.
+        bodies: MuJoCo ids of the bodies that stay in the box.
+    """
     import numpy as np
 
     if len(sides) != 6:
@@ -227,15 +233,19 @@ class ExcitationOptions(OptionRecord):
         """Return the Fourier basis of a designed trajectory of this duration [s]."""
         from robot_sysid.motion.trajectories import FourierBasis
 
-        base = max(1, math.ceil(duration / LONGEST_PERIOD)) / duration
+        n_periods = max(1, math.ceil(duration / LONGEST_PERIOD))
+        base = n_periods / duration
+        # A quotient that rounding puts just below a whole number counts as that number.
         harmonics = max(FEWEST_HARMONICS, math.floor(TOP_FREQUENCY_HZ / base + 1e-9))
-        return FourierBasis(
-            duration, base, harmonics, min(LONGEST_FADE, 0.25 * duration)
-        )
+        fade = min(LONGEST_FADE, 0.25 * duration)
+        return FourierBasis(duration, base, harmonics, fade)
 
     def for_joints(self, count: int) -> ExcitationOptions:
-        """Return the search that takes about as long as that of a usual arm, whatever the number of
-        joints: a step takes the square of it. A time budget says itself how long.
+        """Return the options with fewer draws, starts, rounds and evaluations for an arm of more
+        than ``USUAL_JOINTS`` joints, so that a search takes about as long as for that number.
+
+        The time of an evaluation grows with the square of ``count``, the number of joints. Options
+        with a time budget are returned as they are, because the budget bounds the time.
         """
         share = min(1.0, (USUAL_JOINTS / count) ** 2)
         if share == 1.0 or self.time_budget is not None:
@@ -250,9 +260,11 @@ class ExcitationOptions(OptionRecord):
 
     @property
     def n_workers(self) -> int:
-        """Number of processes; more than there are starts would idle after the draws.
+        """Number of processes: ``workers``, or one per processor, but no more than starts (at least
+        two), as the others would idle after the draws.
 
-        A short search takes one: starting others would take longer than they help.
+        A search with a short time budget or none takes one process unless ``workers`` is given:
+        starting others would take longer than they help.
         """
         if self.workers is None and (self.time_budget or 0.0) < WORTH_WORKERS:
             return 1
@@ -293,5 +305,5 @@ class PoseOptions(OptionRecord):
 
     @property
     def sets_its_time(self) -> bool:
-        """Whether the motion is as long as it takes: resting poses, or sweeps."""
+        """Whether poses or sweeps, and not ``--duration``, determine how long the motion is."""
         return self.static or self.purpose == "friction"

@@ -116,7 +116,8 @@ class Clearance:
 
     Attributes:
         is_solid: whether the model has collision geometry.
-        rates: approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most.
+        rates: approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most;
+            one row per pair of links, and a last row for every pair (``approach_rates``).
         at_rest: descriptions of pairs of bodies by their state in the starting configuration:
             "ignored" are neighbours inside each other, which are not tested; "deep" others inside
             each other, collisions; "touching" others that touch and never get deeper; "near" those
@@ -146,12 +147,12 @@ class Clearance:
             np.any(model.geom_contype | model.geom_conaffinity) or model.npair
         )
         # With nothing to touch, bodies need not be treated as approaching at all.
-        self.rates = approach_rates(robot, self._data, link_of_body) * (
-            self.is_solid or bool(half_spaces)
-        )
+        has_obstacles = self.is_solid or bool(half_spaces)
+        self.rates = approach_rates(robot, self._data, link_of_body) * has_obstacles
         # (nbody, nbody) the row of ``rates`` of each pair of bodies.
         self._rows = link_of_body[:, None] * (robot.n_joints + 1) + link_of_body
-        # (P,) slack of each row of ``rates`` where no pair is within the horizon.
+        # (P,) slack of each row of ``rates`` where no pair is within the horizon; the last row,
+        # which stands for every pair, has no more slack than the horizon then.
         self._free = np.append(np.full(len(self.rates) - 1, np.inf), HORIZON)
         self.at_rest = self._set_required_distances(clearance)
         self.neighbours = self._ignore_harmless_neighbours(start)
@@ -186,7 +187,8 @@ class Clearance:
 
     def slack_at(self, q: Array) -> tuple[float, Array]:
         """Return the slack at one configuration q (n,) [m], and the slack (P,) of each row of
-        ``rates``: the smallest among its pairs, infinite where none is within the horizon.
+        ``rates``: the smallest among its pairs, infinite where none is within the horizon;
+        ``HORIZON`` in the last row, which bounds all other pairs.
         """
         budget = self._free.copy()
         return float(self._nearest(q[None], budget).slack[0]), budget
@@ -266,10 +268,14 @@ class Clearance:
     def _set_required_heights(
         self, spaces: HalfSpaces
     ) -> list[tuple[HalfSpace, str, float]]:
-        """Let bodies near a boundary at rest keep half of it; return ``outside_at_rest``."""
+        """Let bodies near a boundary in the configuration that ``self._data`` has keep half of
+        their height above it, in place in ``spaces.required``; return ``outside_at_rest``.
+        """
         outside = []
+        # One posture: (1, nbody, 3) and (1, nbody, 9).
         frames = self._data.xpos[None], self._data.xmat[None]
         for number, _, (height,), _ in spaces.heights(*frames):
+            # (K,) heights above all half-spaces, and the heights that this body has to keep.
             required = spaces.required[number]
             name = body_label(self._model, spaces.solids[number].body)
             is_outside = (height <= 0.0) & np.isfinite(required)
@@ -283,6 +289,7 @@ class Clearance:
         between them; return the nearest of these pairs.
         """
         # Links next to each other are always near; to know that this is harmless saves most tests.
+        # Least distance of two bodies, the one with the smaller id in the row.
         least = np.full_like(self._required, np.inf)
         for joint, (low, high) in enumerate(zip(*joint_ranges(self._robot))):
             positions = np.linspace(low, high, _NEIGHBOUR_POSTURES)
@@ -292,12 +299,13 @@ class Clearance:
             self._sweep(start, joint, np.clip(around, low, high), least)
         is_harmless = np.isfinite(least) & np.isfinite(self._required)
         is_harmless &= least >= self._required
-        closest = int(np.argmin(np.where(is_harmless, least, np.inf)))
-        distance = float(np.min(least[is_harmless], initial=np.inf))
+        distances = np.where(is_harmless, least, np.inf)
+        distance = float(np.min(distances))
         self._required[is_harmless | is_harmless.T] = -np.inf
         label = ""
         if np.any(is_harmless):
-            label = self._label(*divmod(closest, len(least)))
+            first, second = np.unravel_index(np.argmin(distances), distances.shape)
+            label = self._label(int(first), int(second))
         return Closest(min(distance, HORIZON), distance, label)
 
     def _sweep(self, start: Array, joint: int, positions: Array, least: Array) -> float:
@@ -396,6 +404,7 @@ class Clearance:
             tightest = np.argmin(slack, axis=1)
             least = slack[np.arange(len(postures)), tightest]
             if budget is not None:
+                # Half-spaces rest, as the world does, which is body 0.
                 row = self._rows[0, body]
                 budget[row] = min(budget[row], np.min(least))
             nearer = np.flatnonzero(least < nearest.slack[postures])
@@ -465,17 +474,23 @@ def drop_pairs(mj_model: Any, link_of_body: Any, ignored: Any) -> None:
         (link_of_body[body], mj_model.geom_contype, mj_model.geom_conaffinity), axis=1
     )
     groups, member = np.unique(keys, axis=0, return_inverse=True)
+    member = np.ravel(member)
     if len(groups) > MOST_GROUPS:
         return
-    is_tested = (groups[:, 1:2] & groups[:, 2]) != 0
-    is_member = (np.arange(len(groups))[:, None] == np.ravel(member)).astype(float)
+    link, contype, conaffinity = groups.T
+    # (groups, groups) whether MuJoCo tests them at present, in either order.
+    is_tested = (contype[:, None] & conaffinity) != 0
+    is_tested = is_tested | is_tested.T
+    # (groups, geoms) membership, and (geoms, geoms) pairs whose distance matters: two groups are
+    # relevant where the number of such pairs between their members is not zero.
+    is_member = (np.arange(len(groups))[:, None] == member).astype(float)
     matters = ~ignored[np.ix_(body, body)]
     is_relevant = is_member @ matters.astype(float) @ is_member.T > 0.0
-    is_tested = (is_tested | is_tested.T) & (groups[:, :1] != groups[:, 0])
-    is_tested &= is_relevant
+    is_tested &= (link[:, None] != link) & is_relevant
     bit = 1 << np.arange(len(groups))
+    # A group's affinity is the sum of the bits of all groups that it is tested against.
     for name, value in (("contype", bit), ("conaffinity", is_tested @ bit)):
-        bits = value[np.ravel(member)]
+        bits = value[member]
         getattr(mj_model, f"geom_{name}")[:] = bits
         # Bodies have all bits of their geoms, in releases that test them first.
         of_bodies = getattr(mj_model, f"body_{name}", None)
@@ -502,7 +517,9 @@ def approach_rates(robot: RobotModel, data: Any, link_of_body: Any) -> Array:
     joint = np.arange(n)
     pairs = []
     for low, high in map(sorted, np.ndindex(n + 1, n + 1)):
-        pairs.append(np.where((low <= joint) & (joint < high), reach[:, high], 0.0))
+        # The joints between two links move the outer one, of the higher number, about their axes.
+        is_between = (low <= joint) & (joint < high)
+        pairs.append(np.where(is_between, reach[:, high], 0.0))
     return np.vstack((pairs, np.max(pairs, axis=0)))
 
 

@@ -146,18 +146,21 @@ def improve(
     """
     from scipy.optimize import minimize
 
+    # The optimiser works on the flat array of x / unit.
     unit = design.unit
     shape = candidate.x.shape
     objective = partial(penalised_objective, design, candidate)
     iterates = [candidate.x]
 
     def function(flat: Array) -> tuple[float, Array]:
+        """Return the penalised objective and its gradient; TimeoutError after the deadline."""
         if is_over(deadline):
             raise TimeoutError
         value, gradient, _ = objective(unit * flat.reshape(shape))
         return value, (unit * gradient).ravel()
 
     def keep(flat: Array) -> None:
+        """Remember an iterate, which an interrupted minimisation would not return."""
         iterates.append(unit * flat.reshape(shape))
 
     options = {
@@ -243,7 +246,7 @@ class Design:
             )
         points = int(np.ceil(GRID_PER_CYCLE * top * self.basis.duration))
         points = max(FEWEST_GRID_POINTS, points)
-        # The basis functions, and two derivatives.
+        # The basis functions, and two derivatives, of 8 bytes per number.
         memory = options.n_workers * COPIES * 3.0 * 8.0 * points * self.basis.size
         if memory > MOST_MEMORY:
             raise InputError(
@@ -256,6 +259,8 @@ class Design:
         self.unit = np.concatenate(([1.0], 1.0 / self.harmonic))
         self.grid = (np.arange(points) + 0.5) * self.basis.duration / points
         knowledge = knowledge or known_arm(problem)
+        # Each point of the coarse grid stands for several samples of the recording: it has as much
+        # information as all of them.
         n_samples = motion.duration * motion.sample_rate
         n_points = len(self.grid[INFORMATION_POINTS])
         sigma = problem.sigma / np.sqrt(n_samples / n_points)
@@ -370,8 +375,10 @@ def _vjp(
         slack_gradient: (N, n) of the slack by q.
         weight: (N, 4 n + 2) of the constraints.
     """
+    # Ends of the columns of positions, velocities, accelerations and torques, n each.
     ends = np.arange(1, 5) * problem.n_joints
     adjoint = weight[:, :-1] * np.sign(signals) / limits
+    # Gradients by the signals; those by q, qd and qdd are views to which the others are added.
     q, qd, qdd, by_torque, by_speed = np.split(adjoint, ends, axis=1)
     q -= weight[:, -1:] * slack_gradient / OBSTACLE_LENGTH
     torque = np.split(signals, ends, axis=1)[3]
@@ -414,9 +421,10 @@ def _add_torque_gradient(
     for number, signal in enumerate(signals):
         # The friction torque jumps where a joint reverses; a step across the jump would be noise.
         step = np.where(signal < 0.0, -_TORQUE_STEP, _TORQUE_STEP).T
-        # All joints' steps at a time: (joint that is moved, sample, joint).
+        # All joints' steps (n, count) at a time: (joint that is moved, sample, joint).
         moved = [np.repeat(values[None], n, axis=0) for values in signals]
-        moved[number][range(n), :, range(n)] += step
+        for joint in range(n):
+            moved[number][joint, :, joint] += step[joint]
         stepped = problem.torque_at(*(values.reshape(-1, n) for values in moved))
         change = (stepped.reshape(n, count, n) - torque[active]) / step[:, :, None]
         totals[number][active] += np.sum(change * adjoint[active], axis=2).T
@@ -439,8 +447,10 @@ def penalised_objective(
     constraints = constraints_of(design.problem, motion, LIMIT_SHARE, EXTRA_SLACK)
     active = np.maximum(0.0, multipliers + weight * constraints.value)
     penalty = float(np.sum(active**2 - multipliers**2)) / (2.0 * weight)
+    # Gradients (N, n) by q, qd and qdd on the grid: of the penalty, then of the criterion too.
     adjoints = constraints.vjp(active)
     for adjoint, gradient in zip(adjoints, information.vjp(factor)):
         adjoint[INFORMATION_POINTS] += gradient
+    # q, qd and qdd are linear in x, by the basis functions and their derivatives.
     gradient = sum(a.T @ f for a, f in zip(adjoints, design.on_grid))
     return min(value, _WORST) + penalty, np.asarray(gradient), active

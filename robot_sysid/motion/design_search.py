@@ -340,9 +340,11 @@ def _draw_within_motion_limits(design: Design, rng: np.random.Generator) -> Arra
     limits = design.problem.limits
     start_pose = design.problem.rest
     size = (len(start_pose), design.basis.size)
+    # Column 0 is the offset, the others are the harmonics.
     offset = np.zeros(size)
     middle = rng.uniform(0.2, 0.8, size=len(start_pose))
     offset[:, 0] = limits.lower + middle * (limits.upper - limits.lower) - start_pose
+    # The way to the offset and back takes at most 70 % of any limit.
     factor = _largest_factor(design, np.zeros_like(offset), offset)
     offset *= np.minimum(1.0, 0.7 * factor)[:, None]
     decay = (1.0 / design.harmonic) ** rng.uniform(0.0, 1.0)
@@ -393,7 +395,7 @@ def _shrink_to_limits(design: Design, full: Array) -> Draw:
             value = constraints_of(design.problem, (q, qd, qdd)).value
             if np.max(value) > ROUNDING:
                 break
-        else:
+        else:  # No limit is broken at either step.
             return Draw(design.criterion_of(x), x, "")
     # The constraint that the smallest multiple exceeds most.
     sample, column = np.unravel_index(int(np.argmax(value)), value.shape)
