@@ -153,6 +153,7 @@ def prior_knowledge(
         return PriorKnowledge(np.zeros((0, 0)), deviations, target)
     choice = _initial_choice(problem, options)
     columns = Columns(robot, (), options.torques, choice.couplings)
+    # Dry friction is guessed from the mean torque (n,) of each joint at rest in random poses.
     rng = np.random.default_rng(0)
     limits = problem.limits
     poses = rng.uniform(limits.lower, limits.upper, (100, robot.n_joints))
@@ -166,8 +167,10 @@ def prior_knowledge(
         errors = np.sqrt(np.sum(group.factor**2, axis=1)).tolist()
         prior_deviations.update(zip(group.names, errors))
         if group.cause == LINKS:
+            # Ten rows per link: from the order base to tool to the order tool to base.
             n = len(group.mean)
-            link_factor = group.factor.reshape(-1, 10, n)[::-1].reshape(-1, n)
+            factor_by_link = group.factor.reshape(-1, 10, n)
+            link_factor = factor_by_link[::-1].reshape(-1, n)
     for row, joint in enumerate(columns.joints):
         friction = choice.friction[columns.joint_indices[row]]
         for index, term in enumerate(JOINT_TERMS):
@@ -347,10 +350,12 @@ def predict_posterior(
     datasets: Sequence[Dataset] = (dataset,)
     assert dataset.signals is not None
     if is_loaded:
+        # The same motion without the payload, recorded before, and with it, recorded after.
         empty = replace(dataset, order=-1.0)
         datasets = (empty, replace(dataset, is_loaded=True, order=1.0))
     columns = Columns(robot, datasets, options.torques, choice.couplings)
     torque = rms_torque(datasets)
+    # The filtered equations in all parameters; ``data.of`` selects the columns of the unknowns.
     data = evidence_of([columns.samples(columns.start())], torque)
     choice = replace(choice, dry_friction=expected_dry_friction(columns, torque))
     question = Question(options, loaded=is_loaded, drifts=is_loaded)
@@ -395,14 +400,17 @@ def _errors_with_priors(
 
     Args:
         information: of the data.
-        noise: (joints,) weights of the rows, and (joints,) density of their noise [N m].
-        triangle: of the information with these weights.
+        noise: (joints,) weights of the rows [1/(N m)], and (joints,) density of their noise [N m].
+        triangle: (p + 1, p + 1) QR triangle of the weighted equations [A b] of the data, p
+            parameters.
         groups: the priors.
     """
     with_priors = with_prior(information, groups)
     if with_priors.prior is not None:
         triangle = triangle_of((triangle, with_priors.prior))
-    return uncertainty(with_priors, *noise, space=triangle_space(triangle[:, :-1]))
+    # The right-hand side b has no part in the errors.
+    space = triangle_space(triangle[:, :-1])
+    return uncertainty(with_priors, *noise, space=space)
 
 
 def _suspected_scale(
@@ -422,6 +430,8 @@ def _suspected_scale(
         prior = scales.factor @ scales.factor.T
         covariances.append((prior, errors.inverse[np.ix_(indices, indices)]))
     share, products = false_alarms(*covariances)
+    # The mean square change of the estimate by the common scale, times the probability that there
+    # is none: one half. The ``indices`` are those of the scales in ``common``, the last pair.
     common_errors = common[1]
     gain = common_errors.inverse[:, indices]
     return share, common_errors.with_cause(0.5 * gain @ products @ gain.T)
@@ -473,6 +483,7 @@ def _link_mass_errors(
     mass_errors = {}
     for name, (indices, _) in unknowns.bodies.items():
         if name != problem.robot.body_name:
+            # The mass is the first of a body's ten parameters.
             index = int(np.searchsorted(unknowns.estimated, indices[0]))
             error = float(posterior.errors.standard_errors[index])
             mass_errors[name] = error / masses[name]
@@ -543,6 +554,7 @@ def _changes(
         percentage = f"{BETTER_LINKS * recording.options.link_uncertainty:g}"
         description = f"other links known to {percentage} % (--link-uncertainty)"
         yield description, better.covariance(information), False, ()
+    # The covariance of a Gaussian, given one of its variables.
     covariance = criterion.covariance(information)
     mass_column = covariance[0]
     mass_share = _WEIGHED_SHARE * np.outer(mass_column, mass_column)

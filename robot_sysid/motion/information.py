@@ -132,7 +132,10 @@ class InformationModel:
         self._n_carried = (10 * n_moved).tolist()
 
     def evaluate(self, q: Array, qd: Array, qdd: Array) -> Information:
-        """Return the information of a motion with one sample per row of q, qd, qdd (N, n)."""
+        """Return the information of a motion with one sample per row of q, qd, qdd (N, n).
+
+        ``Information.vjp`` keeps the arrays of this motion in memory.
+        """
         motion = self._dynamics.motion(q, qd, qdd)
         joints = self._joints
         links = self._links
@@ -143,6 +146,7 @@ class InformationModel:
         to_base = motion.to_links[links].swapaxes(-1, -2)
         wrench = to_base @ in_link_frame
         wrench = wrench.transpose(1, 2, 0, 3).reshape(len(q), 6, -1)
+        # Y (rows, N, 10 L): the power of each wrench along the twist of each used joint.
         joint_twists = motion.joint_twists[:, joints]
         rows = np.empty((len(joints), len(q), len(self._theta)))
         np.matmul(joint_twists.transpose(2, 1, 0), wrench, out=rows.swapaxes(0, 1))
@@ -152,7 +156,7 @@ class InformationModel:
         weight = 1.0 / self._sigma[:, None, None]
         rows *= weight
         terms *= weight
-        # The regression of each joint's rows on the terms that only this joint has.
+        # C (rows, 7, 10 L): the regression of each joint's rows on the terms of this joint alone.
         transposed = terms.transpose(0, 2, 1)
         normal = transposed @ terms
         ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None]
@@ -161,6 +165,7 @@ class InformationModel:
         precision = normal + ridge[:, None] * np.eye(_N_TERMS)
         gain = np.linalg.solve(precision, transposed @ rows)
         residual = rows - terms @ gain
+        # Y^T E / sigma^2 equals the two terms of L, as E is the residual of a regression.
         information = np.zeros((len(self._theta), len(self._theta)))
         for row, joint_residual, count in zip(rows, residual, self._n_carried):
             block = row[:, :count].T @ joint_residual[:, :count]
@@ -200,6 +205,8 @@ class InformationModel:
         is_prior = np.isfinite(self._joint_deviations)
         unit = np.where(is_prior, self._joint_deviations, 1.0).T[:, None]
         load = np.abs(torque)
+        # In the order of ``JOINT_TERMS``: the terms, their derivatives by speed, by acceleration
+        # and by torque.
         tables = (
             (sign, qd, one, qdd, torque, sign * load, sign * root),
             (slope, one, zero, zero, zero, slope * load, slope * root + root_slope),
@@ -235,12 +242,14 @@ class InformationModel:
             residual: (rows, N, 10 L) E_j over the variance of the torque noise.
             factor: (10 L, r) G.
         """
+        # An x_adjoint is the scalar's gradient with respect to x: of the rows Y and the terms Z.
         rows_adjoint = (-2.0 * residual @ factor) @ factor.T
         terms_adjoint = -rows_adjoint @ gain.transpose(0, 2, 1)
         adjoints = [np.sum(terms_adjoint * slope, axis=2) for slope in slopes]
         by_qd, by_qdd, by_torque = adjoints
         rows_adjoint += by_torque[:, :, None] * self._theta
         self._clear_uncarried(rows_adjoint)
+        # Each row is a product of a joint's twist and a link's wrench, both in the base's frame.
         joints = self._joints
         links = self._links
         sample_adjoint = rows_adjoint.swapaxes(0, 1)
@@ -251,12 +260,14 @@ class InformationModel:
         shape = (len(wrench), 6, len(links), 10)
         by_wrench = (twists @ sample_adjoint).reshape(shape).transpose(1, 2, 3, 0)
         wrench = wrench.reshape(shape).transpose(1, 2, 3, 0)
+        # A turn of a link turns its wrenches.
         by_turns[:, links] = np.sum(bracket_transposed(by_wrench, wrench), axis=2)
         in_link_frame = motion.to_links[links] @ by_wrench.transpose(1, 3, 0, 2)
         gradients = _wrench_vjp(velocity, in_link_frame.transpose(2, 3, 0, 1))
         for by_twist, gradient in zip(by_motion, gradients):
             by_twist[:, links] = gradient
         total = motion.gradient(rates, by_screws, by_motion, by_turns)
+        # The joint terms depend on qd and qdd directly too.
         total[1][:, joints] += by_qd.T
         total[2][:, joints] += by_qdd.T
         return total
@@ -334,6 +345,7 @@ class Criterion:
         """
         n_visible = self.visible.shape[1]
         n_others = len(self.link_factor)
+        # theta = change @ unknowns; the unknowns of the other links have unit prior covariance.
         change = np.zeros((len(information), n_visible + n_others))
         change[:10, :n_visible] = self.visible
         change[10 : 10 + n_others, n_visible:] = self.link_factor
@@ -413,6 +425,7 @@ def design_criterion(
     """
     scale = np.diag(problem.scale)
     information = random_information(problem, knowledge)
+    # All ten directions at first, in units of the typical sizes of the parameters.
     criterion = Criterion(scale, knowledge.link_factor, knowledge.target)
     _, precision = criterion.eliminate(information, 10)
     values, vectors = np.linalg.eigh(precision)
@@ -423,8 +436,8 @@ def design_criterion(
 def random_information(
     problem: ExcitationProblem, knowledge: PriorKnowledge, noise: float = 1.0
 ) -> Array:
-    """Return the information (10 L, 10 L) of unrelated random positions, velocities and
-    accelerations, which are the same in every call.
+    """Return the information (10 L, 10 L) about all L links with mass, the terminal one first, of
+    unrelated random positions, velocities and accelerations, which are the same in every call.
 
     Args:
         problem: the arm; its position limits bound the positions.

@@ -421,7 +421,9 @@ class _Approach:
         return first
 
     def remaining(self, limits: Mapping[int, float]) -> dict[int, float]:
-        """Return the limits for the samples that follow: less the path along all N samples [m]."""
+        """Return the limits [m] for an ``_Approach`` of the samples that follow, whose paths begin
+        at zero: the limit of each row less its path along all N samples.
+        """
         remaining = {}
         for row, limit in limits.items():
             remaining[row] = limit - float(self._path(row)[-1])
@@ -500,8 +502,9 @@ class BetweenArms:
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_collision(self._model, self._data)
         contact = self._data.contact
+        # Per contact the arms (C, 2) of its bodies, 1 or 2, and 0 for bodies of none of them.
         arms = self._arm[self._model.geom_bodyid[contact.geom.reshape(-1, 2)]]
-        between = np.prod(arms, axis=1) == 2
+        between = np.all(np.sort(arms, axis=1) == (1, 2), axis=1)
         return float(np.min(contact.dist[between], initial=_FAR))
 
     def touch_at(self, motion: MotionPlan) -> float | None:
@@ -512,6 +515,7 @@ class BetweenArms:
         """
         if self._least <= 0.0:
             return None
+        # How far the arms may still approach each other before their distance is needed [m].
         slack = 0.0
         for chunk in motion_chunks(motion, LEAST_RATE_HZ):
             approaches = np.abs(chunk.qd) @ self._rates / LEAST_RATE_HZ

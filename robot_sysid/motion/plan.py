@@ -106,6 +106,12 @@ def make_plan(
 ) -> CheckedPlan:
     """Return the trajectory of a run, checked where anything depends on its limits.
 
+    Args:
+        request: options and purpose of the motion.
+        robot: the arm.
+        seed: of random and designed motions.
+        progress: receives the stages, their progress and notes for the user.
+
     Raises:
         InputError: no motion keeps the limits, or it is too long to be checked or sampled.
     """
@@ -200,6 +206,8 @@ def _random_plan(
     # Ends on a sample, so that the last one is at rest.
     duration = (trajectory.sample_count(request.trajectory.duration, rate) - 1) / rate
     problem = _problem(request, robot) if request.is_checked else None
+    # The arm with the problem's torque limits (without the margin that the generator takes) and its
+    # start as the pose at rest.
     arm = robot
     if problem is not None:
         torque = problem.limits.torque / trajectory.TORQUE_MARGIN

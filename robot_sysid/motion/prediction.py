@@ -143,7 +143,9 @@ class Prediction:
 
 
 def parameter_sizes(problem: ExcitationProblem) -> Array:
-    """Return the magnitudes (10,) that errors of the terminal link are compared with."""
+    """Return the magnitudes (10,) that errors of the terminal link are compared with, as described
+    for ``Prediction.size``.
+    """
     theta = problem.robot.prior.theta
     is_own = (theta > 0.0) & np.isin(np.arange(10), _DIAGONAL)
     size = np.where(is_own, theta, problem.scale)
@@ -163,6 +165,7 @@ def invisible_combinations(
     """
     visible = criterion.visible / problem.scale[:, None]
     left, singular, _ = np.linalg.svd(visible, full_matrices=True)
+    # The columns beyond the singular values are orthogonal to all visible directions.
     space = left[:, len(singular) :]
     if not space.shape[1]:
         return ()
@@ -369,8 +372,11 @@ def _space_lines(
 
 
 def _at_least(distance: float, resolution: float = DISTANCE_RESOLUTION) -> str:
-    """Return a distance [m] in mm, rounded down so far that nothing comes nearer."""
-    return f"{np.floor(1e4 * (distance - resolution) + 1e-6) / 10.0:.1f}"
+    """Return a distance [m] less its largest error, ``resolution`` [m], in mm, rounded down to
+    tenths.
+    """
+    tenths = np.floor(1e4 * (distance - resolution) + 1e-6)
+    return f"{tenths / 10.0:.1f}"
 
 
 def _load_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:

@@ -135,13 +135,16 @@ class Tool:
         speeds, velocity = self._speeds(twist)
         fastest = np.argmax(speeds, axis=0)
         samples = np.arange(twist.shape[1])
+        # The speed |v + w x p| + radius |w| of the fastest point, by w and by v.
         direction = _unit(velocity[:, fastest, samples])
         spin = _unit(twist[:3]) * self.radius[fastest]
         by_omega = spatial.cross(self.points[fastest].T, direction) + spin
         return weight * np.concatenate((by_omega, direction))
 
     def _speeds(self, twist: Array) -> tuple[Array, Array]:
-        """Return the largest speed about each corner (P, N), and its own velocity (3, P, N)."""
+        """Return the largest speed (P, N) in the ball about each corner, and the velocity (3, P, N)
+        of the corner itself [m/s], at twists (6, N) of the body.
+        """
         turned = spatial.cross(twist[:3, None, :], self.points.T[:, :, None])
         velocity = twist[3:, None, :] + turned
         spin = np.linalg.norm(twist[:3], axis=0)
@@ -252,6 +255,7 @@ class ExcitationProblem:
         torque = self.arm_torque(motion)
         per_kilogram = self.torque_per_kilogram(motion)
         limit = self.limits.torque - self.torque_reserve(motion)
+        # Torque that is left in the direction in which the load pulls; negative beyond the limit.
         margin = np.where(per_kilogram >= 0.0, limit - torque, limit + torque)
         margin = np.where(np.abs(torque) > limit, limit - np.abs(torque), margin)
         # More than rounding leaves where a joint does not carry the load.
@@ -405,6 +409,8 @@ def _limits(
         torque=TORQUE_MARGIN * np.minimum(model_limits.torque, torque),
         tool_speed=options.max_tool_speed or np.inf,
     )
+    # The robot's velocity limits are those of ``--max-velocity`` (for slides, at most the default)
+    # unless the model states lower ones.
     speed = joint_values(options.max_velocity, robot.n_joints, "--max-velocity")
     default_speed = np.where(is_slide, np.minimum(DEFAULT_SLIDE_VELOCITY, speed), speed)
     is_default = is_slide | (speed == DEFAULT_MAX_VELOCITY)

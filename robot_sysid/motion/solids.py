@@ -44,6 +44,11 @@ class Solid:
         radius: (P,) largest half axis of this ellipsoid [m].
         center: (3,) centre of a ball that contains the body, in the body's frame [m].
         bound: radius of that ball [m].
+        body: MuJoCo id of the body.
+
+    Args:
+        mj_model: compiled MuJoCo model.
+        body: MuJoCo id of the body.
     """
 
     def __init__(self, mj_model: Any, body: int) -> None:
@@ -51,9 +56,10 @@ class Solid:
         geoms = np.flatnonzero(mj_model.geom_bodyid == body)
         solid = mj_model.geom_contype[geoms] | mj_model.geom_conaffinity[geoms]
         shape_geoms = geoms[solid != 0] if np.any(solid) else geoms
-        origins = np.zeros((int(len(shape_geoms) == 0), 3))
-        points = [origins]
-        spreads = [origins[:, :, None] * np.zeros(3)]
+        # The origin stands for a body without geoms.
+        n_origins = int(len(shape_geoms) == 0)
+        points = [np.zeros((n_origins, 3))]
+        spreads = [np.zeros((n_origins, 3, 3))]
         for geom in shape_geoms.tolist():
             corners, axes = _shape(mj_model, geom)
             matrix = np.zeros(9)
@@ -78,6 +84,9 @@ class Solid:
         """Return the points (K, 3) [m] farthest along unit directions (K, 3), both in the body's
         frame.
         """
+        # (K, P) heights of corners along the directions, plus those of the ellipsoids about them:
+        # an ellipsoid that is the image A b of the unit ball reaches |A^T d| along d, at
+        # b = A^T d / |A^T d|.
         heights = directions @ self.points.T
         if np.any(self.radius):
             turned = (directions @ self._spreads).reshape(len(directions), -1, 3)
@@ -130,8 +139,18 @@ def _hull_vertices(mj_model: Any, mesh: int) -> Array:
 
 
 class HalfSpaces:
-    """How far B bodies are from K boundaries with normals (K, 3), and which distance each has to
-    keep (B, K) [m], minus infinite where a half-space does not bind it.
+    """Heights of bodies above the boundaries of half-spaces.
+
+    Args:
+        mj_model: compiled MuJoCo model.
+        spaces: the K half-spaces, with the bodies that have to stay in each.
+
+    Attributes:
+        spaces: the half-spaces.
+        solids: shapes of the B bodies that some half-space binds.
+        normals: (K, 3) unit vectors in the world that point into the half-spaces.
+        required: (B, K) height that each body has to keep [m]; minus infinity where a half-space
+            does not bind the body. ``Clearance`` lowers it for bodies near a boundary at rest.
     """
 
     def __init__(self, mj_model: Any, spaces: Sequence[HalfSpace]) -> None:
@@ -153,13 +172,15 @@ class HalfSpaces:
     def heights(
         self, positions: Array, rotations: Array, margin: float = np.inf
     ) -> Iterator[tuple[int, NDArray[np.intp], Array, Array]]:
-        """Yield per body its index, the indices (M,) of postures, and its heights (M, K) above
-        the boundaries there and its lowest points (M, K, 3) [m].
+        """Yield per body its index in ``solids``, the indices (M,) of the postures in which it is
+        near a boundary, its heights (M, K) [m] above all boundaries in these postures, and its
+        points (M, K, 3) in the world [m] that are nearest to the boundaries.
 
         Args:
             positions: (N, nbody, 3) of the bodies in N postures, MuJoCo's xpos [m].
             rotations: (N, nbody, 9) of the bodies, MuJoCo's xmat.
-            margin: postures are left out that surely have more height than required by this [m].
+            margin: a posture is left out where the ball around the body is higher than required
+                above every boundary by more than this [m].
         """
         positions = positions[:, self._bodies]
         rotations = rotations[:, self._bodies].reshape(*positions.shape, 3)
@@ -199,6 +220,7 @@ def swept_space(robot: RobotModel, q: Array) -> tuple[Array, Array, str]:
             extent = np.sum(solid.farthest(directions) * directions, axis=1)
             heights = extent.reshape(-1, 6) + positions[:, solid.body] @ _AXES.T
             row[:] = np.maximum(row, np.max(heights, axis=0, initial=-np.inf))
+    # Columns are reaches along x, y, z, -x, -y, -z.
     lowest = int(np.argmax(reach[:, 5]))
     upper, minus_lower = np.split(np.max(reach, axis=0), 2)
     return -minus_lower, upper, body_label(model, solids[lowest].body)
@@ -291,7 +313,9 @@ def outermost_points(robot: RobotModel) -> tuple[Array, Array]:
 
 
 def _on_the_hull(points: Array, radius: Array) -> Any:
-    """Return which points have a radius, or are no points inside the convex hull of the others."""
+    """Return the indices, ascending, of points (P, 3) that have a radius (P,) above zero or are
+    corners of the convex hull of the others; all indices where there are few points.
+    """
     sharp = np.flatnonzero(radius == 0.0)
     if len(sharp) <= _HULL_POINTS:
         return np.arange(len(points))

@@ -262,8 +262,10 @@ def design_poses(
 
 
 def _gravity_rows(problem: ExcitationProblem, poses: Array) -> Array:
-    """Return (K, n, 4) torques per [m, hx, hy, hz] of a payload in poses (K, n), over the noise;
-    zero for joints whose torque is not used.
+    """Return the torques (K, n, 4) per unit of [m, hx, hy, hz] of a payload in poses (K, n), over
+    the standard deviation of their noise; zero for joints whose torque is not used.
+
+    The unit of the mass is 1 kg, that of a first moment 1 kg times a length of the last link.
     """
     zeros = np.zeros_like(poses)
     motion = problem.dynamics.motion(poses, zeros, zeros)
@@ -336,6 +338,7 @@ def _motion_through(
 def pose_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
     """Return in lines the standard error of a payload's mass from these poses, by noise alone."""
     assert isinstance(plan, LineTrajectory)
+    # The arm rests in each pose twice, one rest after the other.
     rests = plan.points[plan.dwells > 0.0][::2]
     rows = _gravity_rows(problem, rests).reshape(-1, 4)
     # The payload is a difference of two recordings, each the mean of two rests.
@@ -393,7 +396,9 @@ def _free_range(problem: ExcitationProblem, joint: int) -> Array:
         steps = np.arange(0.0, max(farthest, _STEP), _STEP)
         poses = np.tile(problem.rest, (len(steps), 1))
         poses[:, joint] += sign * steps
-        n_free = int(np.argmin(np.append(_is_feasible(problem, poses), False)))
+        # Number of feasible poses up to the first one that is not.
+        is_feasible = _is_feasible(problem, poses)
+        n_free = int(np.sum(np.logical_and.accumulate(is_feasible)))
         free_range[side] = sign * max(n_free - 1, 0) * _STEP
     return free_range
 
@@ -413,6 +418,7 @@ def _sweep_joints(
         fastest = SHARE * share * min(problem.limits.velocity[joint], FASTEST / SHARE)
         rising = np.geomspace(min(SLOWEST, 0.5 * fastest), fastest, SPEEDS)
         for speed in (*rising, *rising[::-1]):
+            # Around the start where the range allows it.
             half = 0.5 * min(speed * CRUISE, up - down)
             middle = np.clip(0.0, down + half, up - half)
             ends = (middle - half, middle + half, middle - half)

@@ -146,8 +146,9 @@ class LineTrajectory:
         points: (P, n) [rad].
         moves: (P - 1,) how long the way from each point to the next takes [s].
         dwells: (P,) how long the arm stays in each point [s].
-        ramps: (P - 1,) [s] in which the speed rises smoothly to what it stays at, and falls again,
-            at most half the way each; None where each way is one smooth step.
+        ramps: (P - 1,) time in which the speed on each way rises smoothly to a constant speed, and
+            again in which it falls to zero, at most half of the way's time [s]; None where each way
+            is one smooth step.
     """
 
     points: Array
@@ -257,6 +258,7 @@ _Plan = TypeVar("_Plan", bound=MotionPlan)
 
 def _coefficients(plan: MotionPlan) -> tuple[str, dict[str, Any]]:
     """Return a trajectory's type, a key of ``_KINDS``, and the numbers that define it by name."""
+    # Backwards, because poses and sweeps have one class: only sweeps have ramps.
     for plan_type, (trajectory_class, names) in reversed(list(_KINDS.items())):
         if isinstance(plan, trajectory_class) and getattr(plan, names[-1]) is not None:
             basis = vars(plan.basis) if isinstance(plan, FourierTrajectory) else {}
@@ -348,8 +350,14 @@ def save_trajectory(
 ) -> None:
     """Write a trajectory's coefficients as JSON; the file appears whole or not at all.
 
-    A sum of sinusoids, a Fourier series, poses, or sweeps, else InputError; ``sha256`` is that of
-    the model file it was made for.
+    Args:
+        path: of the file, or an open text file.
+        plan: a sum of sinusoids, a Fourier series, poses or sweeps.
+        joint_names: names of its joints, in the order of its columns.
+        sha256: checksum of the model file that it was made for; "" is not written.
+
+    Raises:
+        InputError: it is a trajectory of another class.
     """
     content: dict[str, Any] = {
         "format": FORMAT,
