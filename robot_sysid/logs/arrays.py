@@ -1,5 +1,5 @@
-"""Logs in the form of named arrays: NumPy's .npz, MATLAB's .mat, HDF5 (also as ALOHA writes it),
-Parquet, Feather, and LeRobot data sets, which are folders with meta/info.json and Parquet files.
+"""Logs in the form of named arrays: NumPy's .npz, MATLAB's .mat, Parquet, Feather, and LeRobot data
+sets, which are folders with meta/info.json and Parquet files; ``hdf5`` reads HDF5 files.
 
 The reader of each form refuses files that unpack to more than ``table.unpacked_limit``, by the size
 that the file states; a process with a memory limit would work on Linux alone and report no size.
@@ -18,16 +18,14 @@ import tempfile
 import zipfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
-from itertools import chain, product
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.table import (
     BLOCK,
     Block,
@@ -64,7 +62,10 @@ def recordings_table(
 def _blocks(
     recordings: Sequence[Sequence[Array]], columns: Sequence[int]
 ) -> Iterator[Block]:
-    """Yield the rows of ``recordings_table`` in blocks, with the columns of these indices."""
+    """Yield the rows of recordings in blocks, with the columns of these indices.
+
+    A recording is its arrays, (N,) or (N, k), whose columns stand side by side.
+    """
     total = max(1, sum(len(arrays[0]) for arrays in recordings))
     end = 0
     for number, arrays in enumerate(recordings):
@@ -92,11 +93,17 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
         if can_be_column(values):
             short_name = name.rpartition("/")[2]
             columns[short_name if uses[short_name] == 1 else name] = values
-    # The number of samples is that of the times, else the most frequent length of arrays.
-    times = [n for n in columns if read_title(n).measured_quantity == "time"]
-    lengths = [max(columns[name].shape) for name in times or columns]
+    # The longer side of an array are the samples. Their number is that of the times, else the most
+    # frequent one.
+    lengths = []
+    time_lengths = []
+    for name, values in columns.items():
+        lengths.append(max(values.shape))
+        if read_title(name).measured_quantity == "time":
+            time_lengths.append(max(values.shape))
+    lengths = time_lengths or lengths
     if not lengths:
-        listed = _list_shapes(arrays) or "nothing"
+        listed = list_shapes(arrays) or "nothing"
         raise InputError(f"{path} holds no arrays with a row per sample: {listed}")
     n_rows = max(set(lengths), key=Counter(lengths).__getitem__)
     samples = {}
@@ -112,13 +119,14 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
     return recordings_table(path, layout, titles, [list(samples.values())])
 
 
-def _list_shapes(arrays: Mapping[str, Any]) -> str:
+def list_shapes(arrays: Mapping[str, Any]) -> str:
     """Return the name and shape of each array, separated by commas."""
     return ", ".join(f"{name} {np.shape(array)}" for name, array in arrays.items())
 
 
 def can_be_column(array: Any) -> bool:
     """Return whether an array or data set may hold columns of a log; reads none of its elements."""
+    # Floats, integers with and without sign, and truth values.
     is_numbers = hasattr(array, "dtype") and array.dtype.kind in "fiub"
     return is_numbers and len(array.shape) in (1, 2) and array.size > 1
 
@@ -128,9 +136,9 @@ def _dates_as_seconds(array: Any) -> Any:
     if not isinstance(array, np.ndarray) or not array.size:
         return array
     first = array.flat[0]
-    if array.dtype.kind in "Mm":
+    if array.dtype.kind in "Mm":  # NumPy's dates and durations
         return (array - first) / np.timedelta64(1, "s")
-    if array.dtype.kind not in "OU" or array.ndim != 1:
+    if array.dtype.kind not in "OU" or array.ndim != 1:  # Python's objects, text
         return array
     with contextlib.suppress(ValueError, TypeError, AttributeError):
         if isinstance(first, str):
@@ -161,7 +169,8 @@ def npz_arrays(path: Path) -> dict[str, Any]:
                 raise InputError(
                     f"{path} is no recording but an archive of {listed}; {remedy}"
                 )
-            refuse_bomb(path, sum(_array_bytes(archive, name) for name in names), size)
+            sizes = map(partial(_array_bytes, archive), names)
+            refuse_bomb(path, sum(sizes), size)
         stream.seek(0)
         arrays = np.load(stream, allow_pickle=False)
         return dict(arrays)
@@ -174,11 +183,10 @@ def _array_bytes(archive: zipfile.ZipFile, name: str) -> int:
     """
     with archive.open(name) as member:
         try:
-            is_old = np.lib.format.read_magic(member) == (1, 0)
-            read_header = np.lib.format.read_array_header_2_0
-            if is_old:
-                read_header = np.lib.format.read_array_header_1_0
-            shape, _, dtype = read_header(member)
+            if np.lib.format.read_magic(member) == (1, 0):
+                shape, _, dtype = np.lib.format.read_array_header_1_0(member)
+            else:
+                shape, _, dtype = np.lib.format.read_array_header_2_0(member)
         except ValueError:
             return 0
     return math.prod(shape) * dtype.itemsize
@@ -252,156 +260,9 @@ def matlab_table(source: LogSource) -> LogTable:
             damaged = "it takes longer than a recording does, or is damaged"
             raise ValueError((process.stderr.splitlines() or [damaged])[-1])
         arrays = npz_arrays(unpacked)
+    # The names are an array of their own, in the order of the others.
     names = map(str, arrays.pop("names"))
     return arrays_table(path, "MATLAB .mat", dict(zip(names, arrays.values())))
-
-
-_MAX_LINKS = 3
-"""Largest number of links to other files that a message names."""
-_COPY = "copy what is in it into this one (h5copy -f ext, or h5repack)"
-
-
-def hdf5_table(source: LogSource) -> LogTable:
-    """Return the joint states in an HDF5 file, and ALOHA's actions where commands are read.
-
-    Only numbers in the file itself are read: no link to another file is followed.
-    """
-    path = source.path
-    form = "an HDF5 file"
-    h5py = import_optional("h5py", "hdf5", form)
-    with as_input_errors(path, form), h5py.File(path, "r") as file:
-        links: list[str] = []
-        is_aloha = _find_member(h5py, file, "observations/qpos") is not None
-        if is_aloha:
-            datasets = _find_aloha_arrays(h5py, file, source.options.commanded)
-        else:
-            datasets, links = _list_datasets(h5py, path, file)
-        arrays = _read_datasets(path, datasets)
-        if is_aloha and "qpos" in arrays:
-            return _aloha_table(path, arrays)
-        external_links = f"{'; '.join(links)}; {_COPY}" if links else ""
-        if links and not arrays:
-            raise InputError(f"{path}: {external_links}")
-        layout = "; ".join(("HDF5", *links))
-        table = arrays_table(path, layout, {**datasets, **arrays})
-        return replace(table, external_links=external_links)
-
-
-def _list_datasets(
-    h5py: Any, path: Path, file: Any
-) -> tuple[dict[str, Any], list[str]]:
-    """Return name to data set of an HDF5 file, and descriptions of its first external links."""
-    members = [("", file)]
-
-    def visit(name: str, member: Any) -> None:
-        """Add a data set or group to ``members``, unless these are too many for a log."""
-        refuse_many_arrays(path, len(members))
-        members.append((name, member))
-
-    file.visititems(visit)
-    datasets = {}
-    links: list[str] = []
-    for name, member in members:
-        # The group #refs# holds the cell arrays of a MATLAB file.
-        if isinstance(member, h5py.Dataset) and not name.startswith("#"):
-            datasets[name] = member
-        for key in member if isinstance(member, h5py.Group) else ():
-            link = member.get(key, getlink=True)
-            if isinstance(link, h5py.ExternalLink) and len(links) < _MAX_LINKS:
-                links.append(_link_text(f"{name}/{key}".lstrip("/"), link))
-    return datasets, links
-
-
-def _read_datasets(path: Path, datasets: Mapping[str, Any]) -> dict[str, Array]:
-    """Return the numbers of the data sets that can be columns of a log, by name.
-
-    InputError where they take too much memory, or where the numbers of one are in another file.
-    """
-    columns = {name: data for name, data in datasets.items() if can_be_column(data)}
-    unpacked = 0.0
-    for name, data in columns.items():
-        files = [str(segment[0]) for segment in data.external or ()]
-        if data.is_virtual:
-            files += [source.file_name for source in data.virtual_sources()]
-        for file in files:
-            if file != ".":
-                fault = f"{name} has its numbers in another file, {file}"
-                raise InputError(f"{path}: {fault}; {_COPY}")
-        # A chunk is unpacked completely, however little of it belongs to the array.
-        chunk = math.prod(data.chunks or ()) * data.dtype.itemsize
-        unpacked += max(data.nbytes, chunk)
-    refuse_bomb(path, unpacked, path.stat().st_size)
-    with memory_limit(unpacked):
-        return {name: data[()] for name, data in columns.items()}
-
-
-def _find_member(h5py: Any, file: Any, member_path: str) -> Any:
-    """Return the group or data set at a path of an HDF5 file, or None.
-
-    Links within the file are followed, at most 50; InputError for a link to another file.
-    """
-    group = file
-    names = member_path.split("/")
-    links = 0
-    while names and isinstance(group, h5py.Group):
-        name = names.pop(0)
-        link = group.get(name, getlink=True) if name else None
-        if isinstance(link, h5py.ExternalLink):
-            raise InputError(f"{file.filename}: {_link_text(name, link)}; {_COPY}")
-        if isinstance(link, h5py.SoftLink) and links < 50:
-            links += 1
-            group = file if link.path.startswith("/") else group
-            names = [*link.path.split("/"), *names]
-        elif name:
-            group = group[name] if isinstance(link, h5py.HardLink) else None
-    return None if names else group
-
-
-def _link_text(name: str, link: Any) -> str:
-    """Return a description of an HDF5 link of this name to another file."""
-    return f"{name} is a link to another file, {link.filename}"
-
-
-ALOHA_RATE = 50.0
-"""Rows per second of ALOHA's recorder [Hz]; its files hold no time."""
-_ALOHA_JOINTS = (
-    *("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate"),
-    "gripper",
-)
-"""Names of the joints of one of ALOHA's arms."""
-
-
-def _find_aloha_arrays(h5py: Any, file: Any, commanded: bool) -> dict[str, Any]:
-    """Return those of ALOHA's data sets that a file has, and its actions as "command" if wanted."""
-    datasets = {}
-    for name in ("qpos", "qvel", "effort"):
-        datasets[name] = _find_member(h5py, file, f"observations/{name}")
-    if commanded:
-        datasets["command"] = _find_member(h5py, file, "action")
-    return {name: data for name, data in datasets.items() if data is not None}
-
-
-def _aloha_table(path: Path, arrays: Mapping[str, Any]) -> LogTable:
-    """Return ALOHA's arrays (N, joints) as a table, joints by name for one arm or two."""
-    if "effort" not in arrays and "command" not in arrays:
-        raise InputError(
-            f"{path} has no /observations/effort, no measured torque; record effort"
-        )
-    shapes = {values.shape for values in arrays.values()}
-    if len(shapes) > 1 or arrays["qpos"].ndim != 2:
-        raise InputError(
-            f"{path} does not hold the same joints in {_list_shapes(arrays)}; record them together"
-        )
-    width = arrays["qpos"].shape[1]
-    joints = [f"joint{k}" for k in range(width)]
-    if width == len(_ALOHA_JOINTS):
-        joints = list(_ALOHA_JOINTS)
-    elif width == 2 * len(_ALOHA_JOINTS):
-        joints = list(map("/".join, product(("left", "right"), _ALOHA_JOINTS)))
-    titles = [f"{joint} {quantity}" for quantity, joint in product(arrays, joints)]
-    layout = f"ALOHA HDF5, without time stamps: rows taken to be {ALOHA_RATE:g} Hz"
-    table = recordings_table(path, layout, titles, [list(arrays.values())])
-    return replace(table, choices=ColumnChoices(rate=ALOHA_RATE))
 
 
 _NUMERIC_TYPE = re.compile(
@@ -451,11 +312,15 @@ def _arrow_table(path: Path, layout: str, columns: Any) -> LogTable:
 
 
 def _arrow_array(name: str, column: Any) -> Array:
-    """Return an Arrow column as (N,), or (N, k) for lists of k numbers; NaN for a missing list."""
+    """Return an Arrow column as (N,), or (N, k) for lists of k numbers; NaN for a missing list.
+
+    ValueError where the lists are not of one length.
+    """
     combined = column.combine_chunks()
     if "list" not in str(combined.type):
         return _arrow_numbers(combined)
     present = combined.drop_null()
+    # Lists of one fixed length have no offsets.
     is_fixed = not hasattr(present, "offsets")
     sizes = [present.type.list_size] if is_fixed else np.diff(present.offsets)
     widths = np.unique(sizes).tolist()
@@ -477,10 +342,11 @@ def _arrow_numbers(column: Any) -> Array:
 
 def _unpacked_bytes(metadata: Any, columns: Sequence[str]) -> float:
     """Return the memory that reading columns of a Parquet file takes at most [bytes]."""
-    # Pages state too little where numbers are equal, and may hold more than their numbers.
+    # The size that a column states is too small where numbers are equal, and its pages may hold
+    # more than their numbers: the larger of two generous figures counts.
     size = 0.0
     # A column of lists is called by its name and a suffix such as ".list.element".
-    prefixes = tuple(f"{name}." for name in columns)
+    prefixes = tuple(map("{}.".format, columns))
     for group in map(metadata.row_group, range(metadata.num_row_groups)):
         for chunk in map(group.column, range(group.num_columns)):
             if f"{chunk.path_in_schema}.".startswith(prefixes):
@@ -495,7 +361,7 @@ STATE = "observation.state"
 """Feature (array of a frame) that holds what was measured."""
 ACTION = "action"
 """Feature that holds what was commanded."""
-# Last word of a name in a feature to the title's quantity and unit.
+# Last word of a name in a feature, such as "pos" in "elbow.pos", to the title's quantity and unit.
 _SUFFIXES = {
     "pos": "position [deg]",
     "vel": "velocity [deg/s]",
@@ -532,10 +398,10 @@ def lerobot_table(source: LogSource) -> LogTable:
     episodes = source.options.episode or available
     if not available:
         raise InputError(f"{path} holds no frames; {_DOWNLOAD}")
-    for episode in sorted(set(episodes) - set(available)):
-        raise InputError(
-            f"{path} has no episode {episode}; it has {available[0]} to {available[-1]}"
-        )
+    missing = sorted(set(episodes) - set(available))
+    if missing:
+        extent = f"it has {available[0]} to {available[-1]}"
+        raise InputError(f"{path} has no episode {missing[0]}; {extent}")
     recordings = []
     for episode in episodes:
         mask = episode_index == episode
@@ -544,6 +410,7 @@ def lerobot_table(source: LogSource) -> LogTable:
     fps = info.get("fps", "unknown")
     layout = f"LeRobot data set {version} at {fps} Hz, {len(recordings)} episodes"
     columns = ["timestamp [s]", *chain.from_iterable(titles.values())]
+    # The numbers of a frame, its time included.
     width = sum(values[0].size for values in frames.values())
     if width != len(columns):
         fault = f"names {len(columns) - 1} numbers of a frame in meta/info.json, not {width - 1}"
@@ -564,20 +431,19 @@ def _lerobot_titles(names: Any, feature: str, joint_names: Sequence[str]) -> lis
             makes no titles.
         feature: STATE, ACTION or a key of _FEATURES.
     """
-    if isinstance(names, dict):
-        names = [
-            *chain(*(group for group in names.values() if isinstance(group, list)))
-        ]
-    columns = []
-    for name in names if isinstance(names, list) else ():
-        stem, _, suffix = str(name).rpartition(".")
-        joint = stem if suffix in _SUFFIXES else str(name)
-        quantity = _SUFFIXES.get(suffix, _FEATURES.get(feature, "position"))
-        if feature == ACTION:
-            quantity = quantity.replace("position", "command")
-        columns.append((joint, quantity))
-    spelling = model_spelling([joint for joint, _ in columns], joint_names)
-    return [f"{spelling[joint]} {quantity}" for joint, quantity in columns]
+    groups = names.values() if isinstance(names, dict) else [names]
+    joints = []
+    quantities = []
+    for group in groups:
+        for name in group if isinstance(group, list) else ():
+            stem, _, suffix = str(name).rpartition(".")
+            joints.append(stem if suffix in _SUFFIXES else str(name))
+            quantity = _SUFFIXES.get(suffix, _FEATURES.get(feature, "position"))
+            if feature == ACTION:
+                quantity = quantity.replace("position", "command")
+            quantities.append(quantity)
+    spelling = model_spelling(joints, joint_names)
+    return [f"{spelling[joint]} {name}" for joint, name in zip(joints, quantities)]
 
 
 def _read_frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:
@@ -591,10 +457,11 @@ def _read_frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:
         with as_input_errors(file, LEROBOT):
             unpacked += _unpacked_bytes(parquet.read_metadata(file), columns)
     refuse_bomb(path, unpacked, sum(file.stat().st_size for file in files))
-    arrays = []
+    arrays: dict[str, list[Array]] = {name: [] for name in columns}
     for file in files:
         with as_input_errors(file, LEROBOT):
             frames = parquet.read_table(file, columns=list(columns))
-            arrays.append([_arrow_array(name, frames.column(name)) for name in columns])
+            for name in columns:
+                arrays[name].append(_arrow_array(name, frames.column(name)))
     with as_input_errors(path, LEROBOT):
-        return dict(zip(columns, map(np.concatenate, zip(*arrays))))
+        return {name: np.concatenate(arrays[name]) for name in columns}

@@ -31,6 +31,7 @@ from robot_sysid.logs.column_map import (
     read_columns_file,
     recognise_columns,
 )
+from robot_sysid.logs.hdf5 import hdf5_table
 from robot_sysid.logs.ros_bag import bag_table
 from robot_sysid.logs.table import LogSource, LogTable, read_blocks, read_rows
 from robot_sysid.logs.text import is_number, text_table
@@ -184,8 +185,8 @@ _READERS = {
     b"SQLite format 3": bag_table,
     b"MATLAB 5.0": arrays.matlab_table,
     # .mat files are HDF5 since version 7.3.
-    b"MATLAB 7.3": arrays.hdf5_table,
-    b"\x89HDF\r\n\x1a\n": arrays.hdf5_table,
+    b"MATLAB 7.3": hdf5_table,
+    b"\x89HDF\r\n\x1a\n": hdf5_table,
     b"PK\x03\x04": arrays.npz_table,
     b"PAR1": arrays.parquet_table,
     b"ARROW1": arrays.feather_table,
