@@ -1,6 +1,7 @@
 """An arm without torque sensors: servos, friction and rotor inertia from commands and positions.
 
-From the log files to the written files, and the sentences that are printed about them.
+From the log files to the written files, and the sentences that are printed about them. An arm has
+n joints; a piece is a part of a log without gaps, with N samples.
 """
 
 from __future__ import annotations
@@ -41,7 +42,13 @@ from robot_sysid.results.verdict import two_lines
 from robot_sysid.results.verification import HORIZONS, LAST_FIFTH, rollout_refusal
 from robot_sysid.results.written_model import versions, write_joints
 from robot_sysid.servo import fit as servo_fit
-from robot_sysid.servo.fit import MAX_DELAY_PERIODS, ErrorDerivatives, ServoFit
+from robot_sysid.servo.fit import ErrorDerivatives, ServoFit
+from robot_sysid.servo.windows import (
+    MAX_DELAY_PERIODS,
+    limit_share,
+    make_problem,
+    split_pieces,
+)
 from robot_sysid.signals.resampling import sampling_period
 from robot_sysid.simulation.playback import (
     MAX_WINDOWS,
@@ -122,7 +129,7 @@ def _positions_and_commands(
 
 
 def is_moving(pieces: Sequence[Measurement]) -> NDArray[np.bool_]:
-    """Return (n,) which joints move in pieces of logs."""
+    """Return whether each joint (n,) moves in pieces of logs: by ``MOVING_RANGE`` at least."""
     q = np.concatenate([piece.q for piece in pieces])
     return np.asarray(np.ptp(q, axis=0) >= MOVING_RANGE)
 
@@ -135,11 +142,7 @@ def _command_faults(pairs: Sequence[tuple[Array, Array]]) -> Iterator[str]:
     """
     correlation, lag, slope = _best_lag(pairs)
     offset = float(np.median(np.concatenate([c - q for q, c in pairs])))
-    copied_shares = []
-    for samples in range(4):
-        matches = [np.abs(c[: len(c) - samples] - q[samples:]) < 1e-9 for q, c in pairs]
-        copied_shares.append(float(np.mean(np.concatenate(matches))))
-    if max(copied_shares) > _COPIED_SHARE:
+    if _copied_share(pairs) > _COPIED_SHARE:
         yield (
             "repeat the measured positions: the log holds no real commands; record what was sent "
             "to the servos"
@@ -175,6 +178,18 @@ def _command_faults(pairs: Sequence[tuple[Array, Array]]) -> Iterator[str]:
         )
 
 
+def _copied_share(pairs: Sequence[tuple[Array, Array]]) -> float:
+    """Return the largest share of commands that equal the position 0 to 3 samples later.
+
+    ``pairs`` are positions (N,) and commands (N,) of a joint in each piece of a log.
+    """
+    shares = []
+    for lag in range(4):
+        matches = [np.abs(c[: len(c) - lag] - q[lag:]) < 1e-9 for q, c in pairs]
+        shares.append(float(np.mean(np.concatenate(matches))))
+    return max(shares)
+
+
 def _best_lag(pairs: Sequence[tuple[Array, Array]]) -> tuple[float, int, float]:
     """Return the lag of a joint's positions behind its commands at the largest correlation.
 
@@ -182,11 +197,13 @@ def _best_lag(pairs: Sequence[tuple[Array, Array]]) -> tuple[float, int, float]:
         pairs: positions (N,) and commands (N,) of the joint in each piece of a log.
 
     Returns:
-        The absolute correlation, the lag in samples, and the slope of commands over positions.
+        The absolute correlation, the lag in samples (negative where commands come after the
+        positions), and the slope of commands over positions.
     """
     reach = min(3 * MAX_DELAY_PERIODS, min(len(q) for q, _ in pairs) // 4)
     fits = []
     for lag in range(-reach, reach + 1):
+        # Position k + lag is compared with command k, wherever both exist.
         start = max(0, lag)
         end = min(0, lag)
         positions = []
@@ -248,21 +265,25 @@ class ServoIdentification:
         error = self.fit.errors.vector()
         is_identified = self.fit.is_identified | (value != model_value)
         source = np.where(is_identified, "identified", "from_model")
-        columns = (
-            model_value.tolist(),
-            value.tolist(),
-            error.tolist(),
-            source.tolist(),
-        )
-        numbers = [dict(zip(_KEYS, row)) for row in zip(*columns)]
-        names = self.robot.joint_names
-        by_joint = {}
-        for k, joint in enumerate(names):
-            by_joint[joint] = dict(zip(UNITS, numbers[k : -1 : len(names)]))
-        return by_joint
+        # The vectors hold n gains, n dampings, n frictions, n rotor inertias and the delay.
+        columns = model_value.tolist(), value.tolist(), error.tolist(), source.tolist()
+        rows = list(zip(*columns))
+        n_joints = len(self.robot.joint_names)
+        numbers_of_joint = {}
+        for k, joint in enumerate(self.robot.joint_names):
+            numbers = {}
+            for i, name in enumerate(UNITS):
+                numbers[name] = dict(zip(_KEYS, rows[i * n_joints + k]))
+            numbers_of_joint[joint] = numbers
+        return numbers_of_joint
 
     def changes(self) -> tuple[list[JointChange], list[ActuatorChange]]:
-        """Return the changes of the model file's joints and position actuators."""
+        """Return the changes of the model file's joints and position actuators.
+
+        Of the damping of joint and servo together, the servo gets its share in the model as its kv,
+        the joint the remainder. An actuator's numbers are those at the motor: a gear g makes them
+        g^2 times as large at the joint.
+        """
         actuators = chain_actuators(self.robot)
         servos = self.fit.servos
         joint_changes = []
@@ -337,8 +358,11 @@ def servo_lines(result: ServoIdentification) -> list[str]:
 
 
 def _number_text(name: str, number: dict[str, Any]) -> str:
-    """Return one identified number of a joint with its unit, as printed."""
-    model_value, value, error, source = number.values()
+    """Return one identified number of a joint with its unit, as printed.
+
+    ``number`` is a dict as in ``ServoIdentification.joint_numbers``, ``name`` a key of ``UNITS``.
+    """
+    model_value, value, error, source = (number[key] for key in _KEYS)
     in_model = source == "from_model"
     old = "" if np.isnan(model_value) or in_model else f"{model_value:.3g} -> "
     doubt = " (not seen: as in the model)" if in_model else ""
@@ -349,6 +373,7 @@ def servo_notes(result: ServoIdentification, period: float) -> Iterator[str]:
     """Yield sentences on the assumptions behind a result and on its weak points.
 
     Args:
+        result: the result, for all joints.
         period: sampling period of the logs [s].
     """
     other_joints = result.robot.mj_model.nv - result.robot.n_joints
@@ -417,7 +442,12 @@ def run_servo(
 ) -> Outcome:
     """Identify servos, friction and rotor inertia of an arm whose links are trusted; write results.
 
+    The folder is locked meanwhile. A model is written only if it plays the held-out data better, or
+    the log options accept it anyway.
+
     Args:
+        robot: the arm as in the model file.
+        logs: names the logs to fit, and the validation log.
         folder: for the results; those of an earlier run in it are removed.
         mesh_dir: folder of the model's meshes; None where the file says.
         input_files: files that the run reads, which are never removed.
@@ -442,6 +472,7 @@ def identify_servos(
 ) -> tuple[ServoIdentification, Motion]:
     """Identify from logs; return the result and some of the logs' positions as poses at rest.
 
+    The poses are a motion (``_POSITIONS``, n) without velocity; the written model is checked there.
     The beginnings of the logs are fitted and their ends, or the validation log, are held out to
     compare the models. Numbers that the data does not show go back to the model's. At last the
     remaining numbers are fitted to the whole logs.
@@ -456,7 +487,7 @@ def identify_servos(
     pieces = commanded_pieces(measurement_logs, names)
     validation_path = logs.validation_measurements
     if validation_path is None:
-        fitted, held_out = servo_fit.split_pieces(pieces)
+        fitted, held_out = split_pieces(pieces)
         held_out_text = LAST_FIFTH
     else:
         fitted = pieces
@@ -469,7 +500,7 @@ def identify_servos(
     every_number = servo_fit.initial_parametrisation(robot, q, period, moves)
     progress.stage("Searching for servos, friction and rotor inertia...")
     rollouts = ServoRollouts(robot)
-    derivatives = ErrorDerivatives(servo_fit.make_problem(rollouts, fitted))
+    derivatives = ErrorDerivatives(make_problem(rollouts, fitted))
     start = servo_fit.improve_start(derivatives.problem, every_number)
     servos = servo_fit.search_servos(derivatives, start, progress)
     first_fit = servo_fit.estimate_errors(derivatives, every_number, servos)
@@ -483,14 +514,14 @@ def identify_servos(
     rollout = play_servos(rollouts, held_out, (old_servos, servos), held_out_text)
     if validation_path is None:
         # The held-out ends have done their work; the numbers come from the whole logs.
-        derivatives = ErrorDerivatives(servo_fit.make_problem(rollouts, pieces))
+        derivatives = ErrorDerivatives(make_problem(rollouts, pieces))
         shown_numbers = replace(shown_numbers, start=servos)
         servos = servo_fit.search_servos(derivatives, shown_numbers, progress)
     fit = servo_fit.estimate_errors(derivatives, every_number, servos)
     fit = replace(fit, is_identified=is_identified)
     link_share = servo_fit.link_torque_share(robot, pieces, fit.servos)
     fit = servo_fit.add_link_errors(fit, link_share)
-    limited = servo_fit.limit_share(derivatives.problem, fit.servos)
+    limited = limit_share(derivatives.problem, fit.servos)
     origin = origin_of(measurement_logs)
     result = ServoIdentification(robot, fit, moves, limited, origin, rollout)
     notes = [note for log in measurement_logs for note in log.notes]
@@ -505,24 +536,26 @@ def play_servos(
     pair: Sequence[ServoParameters],
     held_out: str,
 ) -> RolloutTest:
-    """Play held-out pieces with two sets of parameters, over every horizon that fits into them.
+    """Return the errors of two sets of parameters that play pieces of logs, for each horizon.
+
+    A horizon is the length of the windows into which the pieces are cut; one that is longer than
+    every piece is left out, with a note.
 
     Args:
-        pair: the parameters before and after identification.
-        rollouts: of the arm.
+        rollouts: of the arm; they get the parameters in turn.
         pieces: of the logs that were not fitted.
+        pair: the parameters before and after identification.
         held_out: name of these pieces in printed lines.
     """
     errors = []
     notes = ["open loop was not played: no torque was measured"]
     for horizon in HORIZONS:
         try:
-            problem = servo_fit.make_problem(
-                rollouts, pieces, MAX_WINDOWS, horizon, 0.0
-            )
+            problem = make_problem(rollouts, pieces, MAX_WINDOWS, horizon, 0.0)
         except InputError:
             notes.append(f"no held-out piece is as long as {horizon:g} s")
             continue
+        # Root mean square error (n,) of each joint [rad].
         old, new = np.sqrt(np.mean(problem.errors(pair) ** 2, axis=1))
         errors.append(RolloutError(CLOSED, horizon, len(problem.windows), old, new))
     names = rollouts.robot.joint_names
@@ -532,9 +565,10 @@ def play_servos(
 def _write_results(
     result: ServoIdentification, target: ModelTarget, failure: str | None
 ) -> Outcome:
-    """Write servo.json and the new model; return what was written and its lines.
+    """Write servo.json and the new model; return what was written, with the lines to print.
 
     Args:
+        result: the identification to write.
         target: the model file to write; servo.json goes beside it.
         failure: why no model may be written, or None.
     """

@@ -6,12 +6,14 @@ damping, friction and rotor inertia of a joint that grow together by one factor 
 little where links and gravity are small beside them, and in logarithms that direction is a straight
 line.
 
-Arrays of all numbers of an arm have the order of ``ServoParameters.vector()``, (4 n + 1,).
+Arrays of all numbers of an arm of n joints have the order of ``ServoParameters.vector()``,
+(4 n + 1,): stiffness, damping, dry friction and rotor inertia of all joints, then the delay. M is
+the number of samples in all windows, p that of unknowns. ``ServoProblem`` plays the windows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -27,27 +29,14 @@ from robot_sysid.estimation.algebra.uncertainty import (
 )
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.messages import Progress
-from robot_sysid.results.verification import split_time
-from robot_sysid.signals.resampling import sampling_period, slice_samples
+from robot_sysid.servo.windows import MAX_DELAY_PERIODS, ServoProblem, smooth_states
 from robot_sysid.simulation.playback import (
     STEP,
     ServoParameters,
-    ServoRollouts,
-    ServoWindow,
     chain_actuators,
     servos_in_model,
 )
 
-WINDOW_LENGTH = 3.0
-"""Length of a fitted window [s]."""
-SETTLING_TIME = 0.6
-"""Beginning of a fitted window in which errors do not count: the start state is uncertain [s]."""
-SMOOTHING_TIME = 0.12
-"""Length of the parabolas that give the start state from encoder steps [s]."""
-FITTED_WINDOWS = 24
-"""Largest number of windows that are fitted."""
-MAX_DELAY_PERIODS = 10
-"""Largest delay of the commands that is searched for, in sampling periods."""
 GAIN_FACTORS = (0.03, 0.1, 0.3, 1.0, 3.0)
 """Factors on the start's gains on the grid before the search. With a larger one a servo is at its
 limit all the time, and chance decides which fits best."""
@@ -85,120 +74,11 @@ LEAST_LINK_SHARE = 0.1
 
 
 @dataclass(frozen=True)
-class ServoProblem:
-    """Windows of logs and the errors of rollouts in them.
-
-    Attributes:
-        rollouts: of the arm.
-        windows: for each window its start and commands, the times after its start that count (m,)
-            [s] and the positions measured then (m, n). M is the sum of all m.
-        edges: (S + 1,) ends of the rollout steps of each window, from its start [s].
-    """
-
-    rollouts: ServoRollouts
-    windows: tuple[tuple[ServoWindow, Array, Array], ...]
-    edges: Array
-
-    def subset(self, max_count: int) -> ServoProblem:
-        """Return the problem with at most ``max_count`` of its windows, spread evenly."""
-        count = min(len(self.windows), max_count)
-        indices = np.linspace(0, len(self.windows) - 1, count).round().astype(int)
-        return replace(self, windows=tuple(self.windows[k] for k in indices))
-
-    def is_moving(self) -> NDArray[np.bool_]:
-        """Return (M, n) whether each joint moves: faster than a tenth of its root mean square."""
-        speeds = [np.gradient(q, time, axis=0) for _, time, q in self.windows]
-        speed = np.concatenate(speeds)
-        return np.asarray(np.abs(speed) > 0.1 * np.sqrt(np.mean(speed**2, axis=0)))
-
-    def positions(self, candidates: Sequence[ServoParameters]) -> Iterator[Array]:
-        """Yield positions (W, S + 1, n) of each candidate in every window."""
-        starts = [window for window, _, _ in self.windows]
-        return self.rollouts.positions(candidates, starts, self.edges)
-
-    def errors(self, candidates: Sequence[ServoParameters]) -> Array:
-        """Return position errors (C, M, n) of all windows [rad]; pi where a rollout diverges."""
-        _, times, measured = zip(*self.windows)
-        window = np.repeat(np.arange(len(times)), [len(time) for time in times])
-        # The rollout is interpolated linearly between its steps.
-        step_count = np.concatenate(times) / (self.edges[1] - self.edges[0])
-        step = np.minimum(step_count.astype(int), len(self.edges) - 2)
-        fraction = (step_count - step)[:, None]
-        target = np.concatenate(measured)
-        errors = []
-        for q in self.positions(candidates):
-            played = (1.0 - fraction) * q[window, step] + fraction * q[window, step + 1]
-            errors.append(np.nan_to_num(played - target, nan=np.pi))
-        return np.stack(errors)
-
-
-def make_problem(
-    rollouts: ServoRollouts,
-    pieces: Sequence[Measurement],
-    max_windows: int = FITTED_WINDOWS,
-    length: float = WINDOW_LENGTH,
-    settling_time: float = SETTLING_TIME,
-) -> ServoProblem:
-    """Cut pieces of logs with commands into consecutive windows.
-
-    Args:
-        max_windows: of more windows, so many are taken, spread evenly.
-        length: of a window [s].
-        settling_time: beginning of a window that does not count [s].
-
-    Raises:
-        InputError: no piece is long enough.
-    """
-    windows = []
-    for piece in pieces:
-        # Commands before the window act in it, and parabolas need samples before its start.
-        lead = max(MAX_DELAY_PERIODS * sampling_period(piece.time), SMOOTHING_TIME)
-        starts = np.arange(piece.time[0] + lead, piece.time[-1] - length, length)
-        if not len(starts) or piece.command is None:
-            continue
-        q, qd = smooth_states(piece)
-        for k in np.searchsorted(piece.time, starts).tolist():
-            start = float(piece.time[k])
-            is_late = piece.time > start + settling_time
-            counts = is_late & (piece.time <= start + length)
-            window = ServoWindow(start, q[k], qd[k], piece.time, piece.command)
-            windows.append((window, piece.time[counts] - start, piece.q[counts]))
-    if not windows:
-        raise InputError(
-            f"no piece of the log is as long as {length:g} s; record longer"
-        )
-    edges = np.linspace(0.0, length, max(1, round(length / STEP)) + 1)
-    return ServoProblem(rollouts, tuple(windows), edges).subset(max_windows)
-
-
-def smooth_states(piece: Measurement) -> tuple[Array, Array]:
-    """Return smoothed positions (N, n) [rad or m] and their derivatives (N, n) [rad/s or m/s], by
-    parabolas through the measured positions (Savitzky-Golay filters over ``SMOOTHING_TIME``).
-    """
-    from scipy.signal import savgol_filter
-
-    period = sampling_period(piece.time)
-    length = max(5, 2 * round(0.5 * SMOOTHING_TIME / period) + 1)
-    qd = savgol_filter(piece.q, length, 2, deriv=1, delta=period, axis=0)
-    return savgol_filter(piece.q, length, 2, axis=0), qd
-
-
-def split_pieces(
-    pieces: Sequence[Measurement],
-) -> tuple[list[Measurement], list[Measurement]]:
-    """Split every piece in two: return the beginnings, to be fitted, and the last fifths."""
-    fitted = []
-    held_out = []
-    for piece in pieces:
-        index = int(np.searchsorted(piece.time, split_time(piece), "right"))
-        fitted.append(slice_samples(piece, 0, index))
-        held_out.append(slice_samples(piece, index, len(piece)))
-    return fitted, held_out
-
-
-@dataclass(frozen=True)
 class Parametrisation:
     """How a vector of p unknowns (p,) stands for servo parameters.
+
+    The unknown of a free number x with typical size s is log(x / s + ``LOG_OFFSET``), of the delay
+    x / s.
 
     Attributes:
         start: parameters where the search starts; fixed numbers keep these.
@@ -211,15 +91,16 @@ class Parametrisation:
     free: NDArray[np.bool_]
 
     def unknowns(self, servos: ServoParameters) -> Array:
-        """Return the vector of unknowns (p,) that stands for parameters: softened logarithms of the
-        free numbers over their typical sizes, the delay without logarithm.
-        """
+        """Return the vector of unknowns (p,) that stands for parameters."""
         values = servos.vector() / self.typical.vector()
         values[:-1] = np.log(values[:-1] + LOG_OFFSET)
         return values[self.free]
 
     def servos(self, unknowns: Array) -> ServoParameters:
-        """Return the parameters that a vector of unknowns (p,) stands for."""
+        """Return the parameters that a vector of unknowns (p,) stands for, none below zero.
+
+        Fixed numbers are those of ``start``.
+        """
         values = np.zeros(len(self.free))
         values[self.free] = unknowns
         values[:-1] = np.maximum(np.exp(values[:-1]) - LOG_OFFSET, 0.0)
@@ -229,13 +110,20 @@ class Parametrisation:
         )
 
     def derivative(self, servos: ServoParameters) -> Array:
-        """Return the derivative (4 n + 1,) of each number by its own unknown."""
+        """Return the derivative (4 n + 1,) of each number by its own unknown, in its own unit.
+
+        It is x + ``LOG_OFFSET`` s for a number x with typical size s, and s for the delay.
+        """
         size = self.typical.vector()
         size[:-1] = servos.vector()[:-1] + LOG_OFFSET * size[:-1]
         return size
 
     def unit(self, servos: ServoParameters) -> Array:
-        """Return the scale (4 n + 1,) of each number: its derivative, at least its typical size."""
+        """Return the scale (4 n + 1,) of each number, in its own unit.
+
+        It is the derivative by the unknown, at least the typical size: the change of a number that
+        counts as large as one unit of the search.
+        """
         return np.maximum(self.derivative(servos), self.typical.vector())
 
     def bounds(self) -> tuple[Array, Array]:
@@ -260,6 +148,7 @@ def initial_parametrisation(
     free number starts at 0.1 of its typical size at least.
 
     Args:
+        robot: the arm as in the model file.
         q: (m, n) positions that stand for the whole log [rad or m].
         period: sampling period of the log [s].
         moves: (n,) which joints move; the numbers of the others are fixed.
@@ -297,10 +186,11 @@ def _gravity_and_inertia(robot: RobotModel, q: Array) -> tuple[Array, Array]:
     dynamics = LinkDynamics(robot)
     gravity = dynamics.motion(q, 0.0 * q, 0.0 * q).torque(thetas)
     inertia = []
-    for joint_axis in np.eye(q.shape[1]):
-        acceleration = np.tile(joint_axis, (len(q), 1))
+    # A joint's inertia is the torque that it needs, beside gravity, for 1 rad/s^2 alone.
+    for unit_vector in np.eye(q.shape[1]):
+        acceleration = np.tile(unit_vector, (len(q), 1))
         torque = dynamics.motion(q, 0.0 * q, acceleration).torque(thetas)
-        inertia.append(np.mean((torque - gravity) @ joint_axis))
+        inertia.append(np.mean((torque - gravity) @ unit_vector))
     return np.max(np.abs(gravity), axis=0), np.maximum(inertia, 1e-6)
 
 
@@ -326,6 +216,7 @@ def improve_start(problem: ServoProblem, initial: Parametrisation) -> Parametris
         raise InputError(
             "the model cannot be played with these commands; check their units"
         )
+    # Mean errors (factors, delays, n): the sum over joints of the best factors chooses the delay.
     error_grid = error.reshape(len(GAIN_FACTORS), len(delays), -1)
     best_delay = int(np.argmin(np.sum(np.min(error_grid, axis=0), axis=1)))
     factors = np.array(GAIN_FACTORS)[np.argmin(error_grid[:, best_delay], axis=0)]
@@ -341,7 +232,7 @@ class ServoFit:
     Attributes:
         servos: the numbers.
         errors: their standard errors, zero for fixed numbers.
-        is_identified: (4 n + 1,) which numbers the data shows; the others are the model's own.
+        is_identified: (4 n + 1,) whether the data shows a number; the others are the model's own.
         position_error: (n,) root mean square error of the rollouts [rad].
     """
 
@@ -354,10 +245,15 @@ class ServoFit:
 def search_servos(
     derivatives: ErrorDerivatives, parametrisation: Parametrisation, progress: Progress
 ) -> ServoParameters:
-    """Search for the parameters whose rollouts come nearest to the measured positions.
+    """Return the parameters whose rollouts come nearest to the measured positions.
 
     Two bounded least-squares searches; each divides a joint's errors by their root mean square at
     its start.
+
+    Args:
+        derivatives: of the errors in the fitted windows.
+        parametrisation: its start is that of the search and the centre of a weak prior.
+        progress: is advanced with each evaluation.
     """
     from scipy.optimize import least_squares
 
@@ -367,6 +263,8 @@ def search_servos(
     x = origin
     evaluations = 0.0
 
+    # scipy calls both with the unknowns (p,) and with ``args``: each joint's scale (n,) [rad] and
+    # the name of the stage. Rows are the M n errors over their scale, then the p of the prior.
     def residuals(unknowns: Array, scale: Array, _: str) -> Array:
         error = problem.errors([parametrisation.servos(unknowns)])[0] / scale
         prior = (unknowns - origin) / PRIOR_DEVIATION
@@ -377,6 +275,7 @@ def search_servos(
         evaluations = min(evaluations + 1.0, MAX_EVALUATIONS - 0.5)
         progress.advance(stage, evaluations, MAX_EVALUATIONS, "")
         servos = parametrisation.servos(unknowns)
+        # From the derivative by each number to that by its unknown.
         chain_rule = parametrisation.derivative(servos)[parametrisation.free]
         slopes = derivatives.at(parametrisation, servos) * chain_rule
         slopes /= scale[:, None]
@@ -430,7 +329,11 @@ def _rms_error(errors: Array) -> Array:
 
 
 class ErrorDerivatives:
-    """Derivatives of a problem's errors; those at the last parameters are cached."""
+    """Derivatives of a problem's errors; those at the last parameters are cached.
+
+    Attributes:
+        problem: as given.
+    """
 
     def __init__(self, problem: ServoProblem) -> None:
         self.problem = problem
@@ -450,7 +353,8 @@ class ErrorDerivatives:
         if self._cached_at != x.tobytes():
             self._cached_at = x.tobytes()
             self._cache = {}
-        is_friction = np.arange(len(x)) // len(servos.stiffness) == _FRICTION
+        n_joints = len(servos.stiffness)
+        is_friction = np.arange(len(x)) // n_joints == _FRICTION
         step = np.where(is_friction, 1.0, _DIFFERENCE_STEP)
         step *= parametrisation.unit(servos)
         for k in free:
@@ -475,25 +379,31 @@ def estimate_errors(
     The errors are those of weighted least squares with residuals that are correlated in time (a
     sandwich estimate), plus the bias from the rollouts' step length, which is twice the change that
     half a step makes. A number that the data does not show gets its prior's standard error.
+
+    Args:
+        derivatives: of the errors in the fitted windows.
+        parametrisation: says which numbers are free, and the unit of each in the search.
+        servos: the fitted parameters.
     """
     problem = derivatives.problem
     free = np.flatnonzero(parametrisation.free)
-    joints = len(servos.stiffness)
+    n_joints = len(servos.stiffness)
     unit = parametrisation.unit(servos)[free]
     residuals = problem.errors([servos])[0]
     half_steps = np.linspace(0.0, problem.edges[-1], 2 * len(problem.edges) - 1)
     finer_residuals = replace(problem, edges=half_steps).errors([servos])[0]
     step_error = 2.0 * (residuals - finer_residuals)
     scale = _rms_error(residuals)
+    # Normal matrix, covariance of the score and bias, all in units of the search.
     normal = np.eye(len(free)) / PRIOR_DEVIATION**2
     score = normal.copy()
     bias = np.zeros(len(free))
     slopes = derivatives.at(parametrisation, servos) * unit
     is_moving = problem.is_moving()
-    for joint in range(joints):
+    for joint in range(n_joints):
         rows = slopes[:, joint] / scale[joint]
-        of_joint = (free % joints == joint) & (free < 4 * joints)
-        weight = row_weights(rows[:, of_joint], is_moving[:, joint])
+        is_of_joint = (free % n_joints == joint) & (free < 4 * n_joints)
+        weight = row_weights(rows[:, is_of_joint], is_moving[:, joint])
         rows *= weight[:, None]
         normal += rows.T @ rows
         weighted = weight * residuals[:, joint]
@@ -521,6 +431,7 @@ def row_weights(rows: Array, is_moving: NDArray[np.bool_]) -> Array:
     deviation.)
 
     Args:
+        rows: (M, k) slopes of one joint's errors by its own k free numbers.
         is_moving: (M,) whether the joint moves; all weights are one where it never does.
     """
     if not np.any(is_moving):
@@ -562,7 +473,10 @@ def add_link_errors(fit: ServoFit, link_share: Array) -> ServoFit:
     integrator adds an apparent rotor inertia of h times the damping and leaves half a step open in
     the delay.
 
+    Fixed numbers keep an error of zero.
+
     Args:
+        fit: the fit without these errors.
         link_share: (n,) from ``link_torque_share``.
     """
     bounded_share = np.maximum(link_share, LEAST_LINK_SHARE)
@@ -571,17 +485,7 @@ def add_link_errors(fit: ServoFit, link_share: Array) -> ServoFit:
     errors = fit.errors.vector()
     numbers = fit.servos.vector()[:-1]
     added = np.append(np.tile(scale_error, 4) * numbers, 0.5 * STEP)
-    added[3 * len(link_share) : -1] += STEP * fit.servos.damping
+    rotor_inertias = slice(3 * len(link_share), -1)
+    added[rotor_inertias] += STEP * fit.servos.damping
     errors = np.where(errors > 0.0, np.hypot(errors, added), 0.0)
     return replace(fit, errors=ServoParameters.from_vector(errors))
-
-
-def limit_share(problem: ServoProblem, servos: ServoParameters) -> Array:
-    """Return the share of time (n,) in which each servo would need more than its torque limit."""
-    beyond = []
-    limit = chain_actuators(problem.rollouts.robot).limit
-    (positions,) = problem.positions([servos])
-    for (window, _, _), q in zip(problem.windows, positions):
-        distance = window.controls(servos.delay, problem.edges) - q[:-1]
-        beyond.append(np.abs(servos.stiffness * distance) > limit)
-    return np.mean(np.concatenate(beyond), axis=0)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.records import Measurement
 from robot_sysid.servo import fit as servo_fit
+from robot_sysid.servo.windows import make_problem, split_pieces
 from robot_sysid.simulation.playback import (
     STEP,
     ServoParameters,
@@ -74,7 +75,7 @@ def test_held_out_samples_are_not_fitted():
     time = np.arange(500) / 50.0
     q = np.outer(np.sin(time), [1.0, 2.0])
     log = Measurement(time, q, None, 0.0 * q, command=q)
-    (fitted,), (held_out,) = servo_fit.split_pieces([log])
+    (fitted,), (held_out,) = split_pieces([log])
     np.testing.assert_array_equal(np.concatenate((fitted.time, held_out.time)), time)
     assert len(held_out) == 100 and fitted.time[-1] < held_out.time[0]
 
@@ -107,7 +108,7 @@ def fit_small_arm(kp, true_friction, friction):
     log = Measurement(time, q, None, command - q, command=command)
     moves = np.array([True, True])
     scale = servo_fit.initial_parametrisation(robot, q[::10], 0.02, moves)
-    problem = servo_fit.make_problem(ServoRollouts(robot), [log])
+    problem = make_problem(ServoRollouts(robot), [log])
     return servo_fit.estimate_errors(
         servo_fit.ErrorDerivatives(problem),
         scale,

@@ -17,7 +17,8 @@ from robot_sysid.records import Measurement, Motion
 from robot_sysid.records.data import DataOrigin, Source
 from robot_sysid.records.messages import Progress
 from robot_sysid.results.record import RolloutError, RolloutTest
-from robot_sysid.servo.fit import ServoFit, smooth_states
+from robot_sysid.servo.fit import ServoFit
+from robot_sysid.servo.windows import smooth_states
 from robot_sysid.simulation.playback import ServoParameters, servos_in_model
 from tests.support import schemas, urdf
 from tests.support.model_files import write_files

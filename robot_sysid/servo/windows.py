@@ -1,0 +1,172 @@
+"""Windows of an arm's logs, played with candidate servos: the errors that are to be small.
+
+n is the number of joints, M the number of samples in all windows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array, Measurement
+from robot_sysid.results.verification import split_time
+from robot_sysid.signals.resampling import sampling_period, slice_samples
+from robot_sysid.simulation.playback import (
+    STEP,
+    ServoParameters,
+    ServoRollouts,
+    ServoWindow,
+    chain_actuators,
+)
+
+WINDOW_LENGTH = 3.0
+"""Length of a fitted window [s]."""
+SETTLING_TIME = 0.6
+"""Beginning of a fitted window in which errors do not count: the start state is uncertain [s]."""
+SMOOTHING_TIME = 0.12
+"""Length of the parabolas that give the start state from encoder steps [s]."""
+FITTED_WINDOWS = 24
+"""Largest number of windows that are fitted."""
+MAX_DELAY_PERIODS = 10
+"""Largest delay of the commands that is searched for, in sampling periods."""
+
+
+@dataclass(frozen=True)
+class ServoProblem:
+    """Windows of logs and the errors of rollouts in them.
+
+    Attributes:
+        rollouts: of the arm.
+        windows: for each window its start and commands, the times after its start that count (m,)
+            [s] and the positions measured then (m, n). M is the sum of all m.
+        edges: (S + 1,) ends of the rollout steps of each window, from its start [s].
+    """
+
+    rollouts: ServoRollouts
+    windows: tuple[tuple[ServoWindow, Array, Array], ...]
+    edges: Array
+
+    def subset(self, max_count: int) -> ServoProblem:
+        """Return the problem with at most ``max_count`` of its windows, spread evenly."""
+        count = min(len(self.windows), max_count)
+        indices = np.linspace(0, len(self.windows) - 1, count).round().astype(int)
+        return replace(self, windows=tuple(self.windows[k] for k in indices))
+
+    def is_moving(self) -> NDArray[np.bool_]:
+        """Return whether each joint moves at each sample (M, n).
+
+        It does where it is faster than a tenth of its root mean square speed.
+        """
+        speeds = [np.gradient(q, time, axis=0) for _, time, q in self.windows]
+        speed = np.concatenate(speeds)
+        return np.asarray(np.abs(speed) > 0.1 * np.sqrt(np.mean(speed**2, axis=0)))
+
+    def positions(self, candidates: Sequence[ServoParameters]) -> Iterator[Array]:
+        """Yield the positions (W, S + 1, n) of each candidate in W windows of S steps."""
+        starts = [window for window, _, _ in self.windows]
+        return self.rollouts.positions(candidates, starts, self.edges)
+
+    def errors(self, candidates: Sequence[ServoParameters]) -> Array:
+        """Return played minus measured positions (C, M, n) of C candidates [rad].
+
+        Where a rollout has diverged the error is pi.
+        """
+        _, times, measured = zip(*self.windows)
+        # Index of each sample's window, and of the step before it.
+        window = np.repeat(np.arange(len(times)), list(map(len, times)))
+        # The rollout is interpolated linearly between its steps.
+        step_count = np.concatenate(times) / (self.edges[1] - self.edges[0])
+        step = np.minimum(step_count.astype(int), len(self.edges) - 2)
+        fraction = (step_count - step)[:, None]
+        target = np.concatenate(measured)
+        errors = []
+        for q in self.positions(candidates):
+            played = (1.0 - fraction) * q[window, step] + fraction * q[window, step + 1]
+            errors.append(np.nan_to_num(played - target, nan=np.pi))
+        return np.stack(errors)
+
+
+def make_problem(
+    rollouts: ServoRollouts,
+    pieces: Sequence[Measurement],
+    max_windows: int = FITTED_WINDOWS,
+    length: float = WINDOW_LENGTH,
+    settling_time: float = SETTLING_TIME,
+) -> ServoProblem:
+    """Return a problem with the consecutive windows into which pieces of logs are cut.
+
+    Pieces without commands are left out.
+
+    Args:
+        rollouts: play the windows.
+        pieces: of the logs.
+        max_windows: of more windows, so many are taken, spread evenly.
+        length: of a window [s].
+        settling_time: beginning of a window that does not count [s].
+
+    Raises:
+        InputError: no piece is long enough.
+    """
+    windows = []
+    for piece in pieces:
+        # Commands before the window act in it, and parabolas need samples before its start.
+        lead = max(MAX_DELAY_PERIODS * sampling_period(piece.time), SMOOTHING_TIME)
+        starts = np.arange(piece.time[0] + lead, piece.time[-1] - length, length)
+        if not len(starts) or piece.command is None:
+            continue
+        q, qd = smooth_states(piece)
+        for k in np.searchsorted(piece.time, starts).tolist():
+            start = float(piece.time[k])
+            is_late = piece.time > start + settling_time
+            counts = is_late & (piece.time <= start + length)
+            window = ServoWindow(start, q[k], qd[k], piece.time, piece.command)
+            windows.append((window, piece.time[counts] - start, piece.q[counts]))
+    if not windows:
+        raise InputError(
+            f"no piece of the log is as long as {length:g} s; record longer"
+        )
+    edges = np.linspace(0.0, length, max(1, round(length / STEP)) + 1)
+    return ServoProblem(rollouts, tuple(windows), edges).subset(max_windows)
+
+
+def smooth_states(piece: Measurement) -> tuple[Array, Array]:
+    """Return smoothed positions (N, n) [rad or m] and their derivatives (N, n) [rad/s or m/s], by
+    parabolas through the measured positions (Savitzky-Golay filters over ``SMOOTHING_TIME``).
+    """
+    from scipy.signal import savgol_filter
+
+    period = sampling_period(piece.time)
+    length = max(5, 2 * round(0.5 * SMOOTHING_TIME / period) + 1)
+    qd = savgol_filter(piece.q, length, 2, deriv=1, delta=period, axis=0)
+    return savgol_filter(piece.q, length, 2, axis=0), qd
+
+
+def split_pieces(
+    pieces: Sequence[Measurement],
+) -> tuple[list[Measurement], list[Measurement]]:
+    """Return the beginnings of all pieces, to be fitted, and their last fifths, to be held out."""
+    fitted = []
+    held_out = []
+    for piece in pieces:
+        index = int(np.searchsorted(piece.time, split_time(piece), "right"))
+        fitted.append(slice_samples(piece, 0, index))
+        held_out.append(slice_samples(piece, index, len(piece)))
+    return fitted, held_out
+
+
+def limit_share(problem: ServoProblem, servos: ServoParameters) -> Array:
+    """Return the share of time (n,) in which each servo would need more than its torque limit.
+
+    A servo needs its stiffness times the distance from its position to the command.
+    """
+    beyond = []
+    limit = chain_actuators(problem.rollouts.robot).limit
+    (positions,) = problem.positions([servos])
+    for (window, _, _), q in zip(problem.windows, positions):
+        distance = window.controls(servos.delay, problem.edges) - q[:-1]
+        beyond.append(np.abs(servos.stiffness * distance) > limit)
+    return np.mean(np.concatenate(beyond), axis=0)
