@@ -3,6 +3,7 @@
 Shapes: N samples of a recording; K rows (instants of equations), fewer than N because low-passed
 signals are decimated; n joints of the chain; "joints" those with equations; p parameters, k of
 which have columns in a joint's equations. An equation reads row (k,) x = right-hand side [N m].
+Square-root information is one triangle R (k + 1, k + 1) per joint, R^T R = [rows rhs]^T [rows rhs].
 
 Rows of equations take most of the memory. Long recordings keep theirs in a temporary file
 (``store_rows``), columns that depend on the linearisation point are put beside them on access
@@ -74,8 +75,10 @@ class DecimatedSamples:
 
     def torque(self, values: Array) -> list[Array]:
         """Return each joint's torque (K,) that parameters (p,) make in its rows [N m]."""
-        pairs = zip(self.rows, self.columns)
-        return [rows @ values[columns] for rows, columns in pairs]
+        torques = []
+        for rows, columns in zip(self.rows, self.columns):
+            torques.append(rows @ values[columns])
+        return torques
 
     def in_use(self, joint: int) -> tuple[Array, Array]:
         """Return the used rows (m, k) of a joint number and their right-hand sides (m,)."""
@@ -86,8 +89,9 @@ class DecimatedSamples:
         return self.rows[joint][is_used], right_side
 
     def information(self) -> SquareRootInformation:
-        """Return the square-root information of the used rows."""
-        return information_of([[self]])[0]
+        """Return the square-root information of the used rows of this recording."""
+        (information,) = information_of([[self]])
+        return information
 
     def where(self, used: Mask) -> DecimatedSamples:
         """Return the equations with fewer rows in use: those where ``used`` is True.
@@ -95,6 +99,7 @@ class DecimatedSamples:
         Args:
             used: (K,) for all joints, or (K, joints).
         """
+        # (joints, K): the transpose of a mask (K,) is the mask itself, repeated for each joint.
         masks = np.broadcast_to(used.T, (len(self.tau), len(self)))
         tau = np.where(masks, self.tau, np.nan)
         return replace(self, tau=tuple(tau))
@@ -104,14 +109,16 @@ class DecimatedSamples:
 
         Columns of all other parameters are dropped, not subtracted from the right-hand sides.
         """
-        order = {name: index for index, name in enumerate(names)}
+        order = dict(zip(names, range(len(names))))
+        # (p,) index of each parameter among ``names``, -1 for one that is dropped.
         new_indices = np.array([order.get(name, -1) for name in self.names])
         columns = []
         rows = []
         for joint_rows, joint_columns in zip(self.rows, self.columns):
             indices = new_indices[joint_columns]
-            columns.append(indices[indices >= 0])
-            rows.append(joint_rows[:, indices >= 0])
+            is_kept = indices >= 0
+            columns.append(indices[is_kept])
+            rows.append(joint_rows[:, is_kept])
         return replace(self, names=names, columns=tuple(columns), rows=tuple(rows))
 
     def squared_torque(self) -> Array:
@@ -154,6 +161,7 @@ class _StoredRows(Sequence[Array]):
 
     def __init__(self, rows: Sequence[Array], row_file: _RowFile) -> None:
         self._row_file = row_file
+        # Per joint (offset in the file [bytes], shape (K, k)).
         self._blocks = list[tuple[int, Any]]()
         for block in rows:
             start = row_file.file.seek(0, 2)
@@ -165,6 +173,7 @@ class _StoredRows(Sequence[Array]):
         return len(self._blocks)
 
     def __getitem__(self, joint: Any) -> Any:
+        """Return the rows (K, k) of a joint number, read-only."""
         # Mapped, not read: threads share the file and its read position.
         start, shape = self._blocks[joint]
         return np.asarray(np.memmap(self._row_file.file, np.float64, "r", start, shape))
@@ -197,6 +206,7 @@ class AssembledRows(Sequence[Array]):
         return len(self._blocks)
 
     def __getitem__(self, joint: Any) -> Any:
+        """Return the rows (K, k) of a joint number, in a new array."""
         return self.select(joint, slice(None))
 
     def select(self, joint: int, used: Mask | slice) -> Array:
@@ -228,7 +238,7 @@ def store_rows(
     recordings = []
     row_file = None
     for recording in samples:
-        if sum(rows.size for rows in recording.rows) > limit:
+        if sum(map(np.size, recording.rows)) > limit:
             with contextlib.suppress(OSError):
                 row_file = row_file or _RowFile(tempfile.TemporaryFile())  # noqa: SIM115
                 stored = _StoredRows(recording.rows, row_file)
@@ -242,7 +252,9 @@ def information_of(
 ) -> tuple[SquareRootInformation, ...]:
     """Return the square-root information of the used rows of each group of recordings.
 
-    All recordings have to have the same names, joints and columns.
+    Args:
+        groups: one at least, each of one or several recordings; all recordings have to have the
+            same names, joints and columns.
     """
     first = next(iter(groups))[0]
     totals = []
@@ -252,9 +264,9 @@ def information_of(
     # Joint by joint: most rows are assembled on access.
     for joint in range(len(first.joints)):
         for total, group in zip(totals, groups):
-            pieces = zip(*[recording.in_use(joint) for recording in group])
-            total.add(joint, *map(np.concatenate, pieces))
-    return tuple(total.result() for total in totals)
+            rows, right_sides = zip(*[recording.in_use(joint) for recording in group])
+            total.add(joint, np.concatenate(rows), np.concatenate(right_sides))
+    return tuple(map(InformationAccumulator.result, totals))
 
 
 def decimated_equations(
@@ -266,13 +278,15 @@ def decimated_equations(
     speed, so that they are smooth and computed at fewer instants.
 
     Args:
-        equations: returns unfiltered rows of a motion.
-        signals: the recording, filtered.
+        equations: computes rows of a motion, which are not filtered. Its ``bodies`` and
+            ``friction`` yield one array (samples, columns + 1) per joint: the columns of
+            parameters, then the torque that depends on no parameter.
+        signals: the recording of all n joints, filtered.
 
     Raises:
         InputError: no joint ever moves fast enough for its equations to be used.
     """
-    width = sum(len(columns) for columns in equations.columns)
+    width = sum(map(len, equations.columns))
     bodies = signals.filter_columns(
         equations.bodies, smooth=True, chunk=max(1, _NUMBERS // width)
     )
@@ -280,13 +294,14 @@ def decimated_equations(
     friction = signals.filter_columns(
         lambda motion: equations.friction(motion, unknown_load)
     )
-    usable = signals.usable()[:, list(equations.joint_indices)]
+    joint_indices = list(equations.joint_indices)
+    usable = signals.usable()[:, joint_indices]
     if not np.any(usable):
         raise InputError(
             f"none of the joints {', '.join(equations.joints)} moves faster than its velocity "
             "deadband for long enough; move faster, and turn round less often"
         )
-    tau = signals.low_pass.decimate(signals.tau)[:, list(equations.joint_indices)].T
+    tau = signals.low_pass.decimate(signals.tau)[:, joint_indices].T
     pairs = map(assemble_rows, bodies, friction, tau)
     return _samples_of(equations, signals.decimated_time(), pairs, tau).where(usable)
 
@@ -367,9 +382,9 @@ class Dataset:
     @property
     def torque(self) -> Array:
         """The measured torque (N, n) [N m] at all samples, before decimation; (K, n) at rest."""
-        return (
-            self.source.poses if isinstance(self.source, RestingPoses) else self.source
-        ).tau
+        if isinstance(self.source, RestingPoses):
+            return self.source.poses.tau
+        return self.source.tau
 
     def remove_delay(self, delay: float) -> Dataset:
         """Return the recording with its torque shifted earlier by a delay [s]; poses stay."""
@@ -384,17 +399,18 @@ class Dataset:
             samples = samples.where(self.source.used[:, list(equations.joint_indices)])
         else:
             samples = decimated_equations(equations, self.source)
+        if self.used is None:
+            return samples
         # Removing a delay shortens a recording at its ends, so that the mask may be longer.
-        return (
-            samples if self.used is None else samples.where(self.used[: len(samples)])
-        )
+        return samples.where(self.used[: len(samples)])
 
 
 def block_masks(log: DecimatedSamples) -> Iterator[Mask]:
     """Yield the mask (K,) of the rows of each of the ``BLOCKS`` blocks of cross-validation.
 
-    The used rows of the recording are cut into consecutive stretches of equal size. Block b has the
-    stretches b, b + BLOCKS, b + 2 BLOCKS, ...
+    The rows that any joint uses are cut into consecutive stretches of equal size. Block b has the
+    stretches b, b + BLOCKS, b + 2 BLOCKS, ...: one in each round of ``BLOCKS`` stretches. There are
+    as many rounds as leave every stretch at half of ``LONGEST_STRETCH`` or more, and at least one.
 
     Raises:
         InputError: the recording has fewer rows in use than blocks.
@@ -407,11 +423,11 @@ def block_masks(log: DecimatedSamples) -> Iterator[Mask]:
     duration = log.time[-1] - log.time[0]
     rounds = int(max(duration // (BLOCKS * 0.5 * LONGEST_STRETCH), 1))
     count = BLOCKS * min(rounds, len(rows) // BLOCKS)
-    edges = [round(k * len(rows) / count) for k in range(count + 1)]
+    edges = np.rint(np.arange(count + 1) * len(rows) / count).astype(int)
+    stretches = np.split(rows, edges[1:-1])
     for block in range(BLOCKS):
         mask = np.zeros(len(log), dtype=bool)
-        for k in range(block, count, BLOCKS):
-            mask[rows[edges[k] : edges[k + 1]]] = True
+        mask[np.concatenate(stretches[block::BLOCKS])] = True
         yield mask
 
 
@@ -434,6 +450,9 @@ def motion_signals(datasets: Iterable[Dataset]) -> list[ProcessedSignals]:
 
 def squared_torque(datasets: Sequence[Dataset]) -> tuple[Array, int]:
     """Return (sums of squares (n,) of the measured torque [N^2 m^2], number of its samples)."""
-    squares = sum(np.sum(dataset.torque**2, axis=0) for dataset in datasets)
-    count = sum(len(dataset.torque) for dataset in datasets)
+    squares: Array | float = 0.0
+    count = 0
+    for dataset in datasets:
+        squares = squares + np.sum(dataset.torque**2, axis=0)
+        count += len(dataset.torque)
     return np.asarray(squares), count

@@ -43,6 +43,7 @@ def _uncertainty(default: float, help: str, unit: str = "%") -> Any:
         help: text for the user.
         unit: of the value, as it is printed.
     """
+    # The option is shown as P, and values below zero are refused.
     return option(default, help, "P >= 0", unit=unit)
 
 
@@ -125,6 +126,11 @@ class EstimationOptions(OptionRecord):
     )
 
     def __post_init__(self) -> None:
+        """Check each value, that the friction model exists, and that options do not conflict.
+
+        Raises:
+            InputError: a check failed.
+        """
         super().__post_init__()
         if self.no_friction and self.friction_model is not None:
             raise InputError("--friction-model and --no-friction exclude each other")
@@ -141,14 +147,16 @@ class EstimationOptions(OptionRecord):
 
     @property
     def friction(self) -> FrictionModel | None:
-        """Friction terms of every joint; None where they are selected from the data."""
+        """Friction terms of every joint, none without friction; None to select them from data."""
         from robot_sysid.dynamics.friction import FrictionModel, friction_model
 
         if self.no_friction:
             return FrictionModel(())
-        if self.friction_model in (None, CHOSEN):
-            return None if self.torques == "chain" else friction_model(DEFAULT_TERMINAL)
-        return friction_model(str(self.friction_model))
+        if self.friction_model not in (None, CHOSEN):
+            return friction_model(str(self.friction_model))
+        if self.torques == "terminal":
+            return friction_model(DEFAULT_TERMINAL)
+        return None
 
 
 # Names of the parts of a model file that may stay as they are (``Question.unchanged_parts``).
