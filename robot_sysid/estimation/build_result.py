@@ -19,7 +19,8 @@ from robot_sysid.dynamics.inverse_dynamics import (
     tilt_angles,
 )
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.algebra.priors import LEAST_SCALE, LINK_KINDS
+from robot_sysid.estimation.algebra.common_scale import LEAST_SCALE
+from robot_sysid.estimation.algebra.priors import LINK_KINDS
 from robot_sysid.estimation.answer import (
     Answer,
     base_parameters,

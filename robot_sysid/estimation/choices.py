@@ -31,13 +31,13 @@ from robot_sysid.dynamics.friction import (
     friction_model,
 )
 from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.common_scale import is_notable_scale
 from robot_sysid.estimation.algebra.least_squares import sample_counts
 from robot_sysid.estimation.algebra.priors import (
     LinkEvidence,
     NuisanceGroup,
     WithPriors,
     average_scales,
-    is_notable_scale,
     link_directions,
     link_evidence,
     link_lengths,

@@ -45,12 +45,12 @@ from robot_sysid.estimation.algebra.uncertainty import (
 )
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import DecimatedSamples, release_memory
+from robot_sysid.estimation.estimated_rows import EstimatedRows
 from robot_sysid.estimation.fit import Fit, squared_effect
 from robot_sysid.estimation.unknowns import (
     COMMON,
     LINKS,
     SCALES,
-    EstimatedRows,
     common_error,
     scale_spread,
 )

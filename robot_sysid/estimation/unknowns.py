@@ -2,7 +2,8 @@
 
 Nuisance parameters come in groups, each with one cause of error. A question selects which
 parameters are free, which have a prior and which are held; all later steps are common to the last
-link, all links and a payload.
+link, all links and a payload. A ``Question`` says which parameters are wanted, a ``Choice`` holds
+the settings that are selected from the recordings, such as each joint's friction terms.
 
 Shapes: n joints of the chain, "joints" those with equations; p parameters (``Columns.names``), k of
 them unknown. A body has ten inertial parameters in the order of ``PARAMETER_NAMES``.
@@ -10,19 +11,19 @@ them unknown. A body has ten inertial parameters in the order of ``PARAMETER_NAM
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import names_of, other_links
+from robot_sysid.dynamics.equations import link_names, names_of, other_links
 from robot_sysid.dynamics.friction import FADING_SPEEDS, speed_name
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimation.algebra.priors import (
     AS_STATED,
     NuisanceGroup,
@@ -31,7 +32,6 @@ from robot_sysid.estimation.algebra.priors import (
     link_lengths,
 )
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
-from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.question import (
     FILE_FRICTION,
     FILE_GRAVITY,
@@ -148,7 +148,11 @@ class Unknowns:
         return values
 
     def may_be_scaled(self, question: Question) -> bool:
-        """Tell whether to try a common torque scale: no option states it, and links identify it."""
+        """Tell whether to try an error that all torque scales share.
+
+        It is tried where no option states the scales and other links have a prior: only their
+        masses, as the model states them, show such an error.
+        """
         if question.loaded or question.options.scale_uncertainty is not None:
             return False
         return bool(self.groups_of(LINKS))
@@ -179,8 +183,11 @@ class Unknowns:
 
 def _names_by_cause(groups: Iterable[NuisanceGroup], cause: str) -> set[str]:
     """Return the names of all nuisances with a cause of error."""
-    names = [group.names for group in groups if group.cause == cause]
-    return set(itertools.chain(*names))
+    names = set[str]()
+    for group in groups:
+        if group.cause == cause:
+            names.update(group.names)
+    return names
 
 
 def _restrict_groups(
@@ -188,19 +195,20 @@ def _restrict_groups(
 ) -> Iterator[NuisanceGroup]:
     """Yield the priors restricted to named parameters; groups without any of them are left out.
 
-    Only groups with independent errors may be cut; their aspects are dropped.
+    Only groups with independent errors may be cut. ``NuisanceGroup.aspects`` of a group that is cut
+    returns no aspects.
     """
     for group in groups:
-        indices = [k for k, name in enumerate(group.names) if name in names]
-        if len(indices) == len(group.names):
+        is_kept = np.isin(group.names, [*names])
+        if np.all(is_kept):
             yield group
-        elif indices:
+        elif np.any(is_kept):
             yield replace(
                 group,
-                names=tuple(group.names[k] for k in indices),
-                mean=group.mean[indices],
-                factor=group.factor[np.ix_(indices, indices)],
-                members=tuple(group.members[k] for k in indices),
+                names=tuple(compress(group.names, is_kept)),
+                mean=group.mean[is_kept],
+                factor=group.factor[np.ix_(is_kept, is_kept)],
+                members=tuple(compress(group.members, is_kept)),
                 aspects=tuple,
             )
 
@@ -216,18 +224,21 @@ def build_unknowns(
 
     Args:
         columns: names of all parameters, the model's values, and the arm.
+        question: which parameters are wanted, and the prior uncertainties that the user states.
+        choice: friction terms of each joint, couplings, known rotors and sensor offsets.
         torque: (n,) root mean square of each joint's measured torque [N m].
         nonzero: (p,) which parameters have a column that is not zero.
     """
     groups = list(_prior_groups(columns, question, choice, torque))
     bodies = dict(_bodies(columns, question))
     increments = tuple(_increment_names(columns, question, choice))
-    names = set(increments)
     nuisance_friction = _names_by_cause(groups, FRICTION)
+    is_unknown = np.zeros(len(columns.names), dtype=bool)
+    is_unknown[columns.indices(increments)] = True
     for group in groups:
-        names.update(group.names)
+        is_unknown[columns.indices(group.names)] = True
     for indices, _ in bodies.values():
-        names.update(columns.names[index] for index in indices)
+        is_unknown[indices] = True
     lower = np.full(len(columns.names), -np.inf)
     upper = -lower
     for owner, terms in _terms(columns, choice):
@@ -235,26 +246,39 @@ def build_unknowns(
             name = f"{term}[{owner}]"
             index = columns.index[name]
             # A column of zeros identifies nothing: the value would be that of the first point.
-            if nonzero[index]:
-                names.add(name)
-            may_be_negative = term in _FREE_SIGN or term.endswith("_speed")
-            may_be_negative |= term == "viscous" and "sqrt" in terms
+            is_unknown[index] |= nonzero[index]
             # Friction terms that only a prior allows for may have either sign, too.
-            if not may_be_negative and name not in nuisance_friction:
+            if not _may_be_negative(term, terms) and name not in nuisance_friction:
                 lower[index] = 0.0
                 upper[index] = LARGEST_LOSS if term == "load" else np.inf
-    groups = list(_restrict_groups(groups, names))
-    held = _held_values(columns, question, choice)
-    estimated = np.sort(columns.indices([*names]))
     if question.known_mass is not None:
         error = _EXACT_MASS * question.known_mass
         payload = independent_prior(WEIGHT, PAYLOAD_NAMES[:1], ("payload",), error)
         groups.append(replace(payload, mean=np.array([question.known_mass])))
     elif question.loaded:
-        groups += [_no_common_scale(group) for group in groups if group.cause == SCALES]
+        for group in [*groups]:
+            if group.cause == SCALES:
+                groups.append(_no_common_scale(group))
     return Unknowns(
-        columns.names, estimated, held, tuple(groups), lower, upper, bodies, increments
+        columns.names,
+        np.flatnonzero(is_unknown),
+        _held_values(columns, question, choice),
+        tuple(groups),
+        lower,
+        upper,
+        bodies,
+        increments,
     )
+
+
+def _may_be_negative(term: str, terms: set[str]) -> bool:
+    """Tell whether the coefficient of a friction term may be negative, beside a joint's ``terms``.
+
+    Viscous friction may where "sqrt" bends the curve that both describe together.
+    """
+    if term == "viscous":
+        return "sqrt" in terms
+    return term in _FREE_SIGN or term.endswith("_speed")
 
 
 def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:
@@ -265,10 +289,12 @@ def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:
     """
     for row, joint in zip(columns.joint_indices, columns.joints):
         model = choice.friction[row]
-        speeds = [f"{term}_speed" for term in model.nonlinear_terms]
-        yield joint, {*model.terms, *speeds}
+        terms = set(model.terms)
+        for term in model.nonlinear_terms:
+            terms.add(f"{term}_speed")
+        yield joint, terms
     for motor in choice.couplings:
-        terms = set[str]()
+        terms = set()
         for index in np.flatnonzero(motor.ratios):
             terms.update(choice.friction[index].terms)
         terms &= {*motor.terms}
@@ -329,13 +355,15 @@ def _bodies(
 ) -> Iterator[tuple[str, tuple[NDArray[np.int64], Array]]]:
     """Yield each unknown body's name, indices of its parameters (10,) and a usual body (10,)."""
     last = columns.robot.body_name
-    is_kept = FILE_LINKS in question.unchanged_parts
-    others = question.options.link_uncertainty > 0.0 and not is_kept
+    are_kept = FILE_LINKS in question.unchanged_parts
+    others_are_unknown = question.options.link_uncertainty > 0.0 and not are_kept
     for name, indices in columns.bodies().items():
-        is_unknown = question.loaded if name == "payload" else name == last or others
-        if is_unknown:
-            model_name = last if name == "payload" else name
-            yield name, (indices, columns.usual_bodies[model_name])
+        if name == "payload":
+            # A payload is expected to be like the link that carries it.
+            if question.loaded:
+                yield name, (indices, columns.usual_bodies[last])
+        elif name == last or others_are_unknown:
+            yield name, (indices, columns.usual_bodies[name])
 
 
 def independent_prior(
@@ -363,6 +391,7 @@ def with_common(group: NuisanceGroup, common_deviation: float) -> NuisanceGroup:
     """Return the prior of nuisances that share an additional error of a standard deviation [SI]."""
     if not common_deviation:
         return group
+    # The common error has this variance in all elements; the factor is the symmetric root.
     covariance = group.factor @ group.factor.T + common_deviation**2
     values, vectors = np.linalg.eigh(covariance)
     return replace(group, factor=vectors @ (np.sqrt(values)[:, None] * vectors.T))
@@ -397,12 +426,14 @@ def _prior_groups(
         (DRIFT, "drift", joints, DRIFTS if question.drifts else 0.0),
     )
     for cause, prefix, members, deviation in joint_priors:
+        if not np.any(np.greater(deviation, 0.0)):
+            continue
         names = names_of(prefix, members)
-        if np.any(np.greater(deviation, 0.0)):
-            prior = independent_prior(
-                cause, names, members, np.maximum(deviation, _EXACT), may_widen
-            )
-            yield with_common(prior, choice.common_scale) if cause == SCALES else prior
+        deviations = np.maximum(deviation, _EXACT)
+        prior = independent_prior(cause, names, members, deviations, may_widen)
+        if cause == SCALES:
+            prior = with_common(prior, choice.common_scale)
+        yield prior
     delay_error = 0.0 if question.resting else MILLI * options.delay_uncertainty
     if options.delay == "off" and delay_error > 0.0:
         yield independent_prior(
@@ -440,6 +471,7 @@ def _friction_group(
         loss = np.clip(share_of_torque, share, LARGEST_USUAL_LOSS * share)
     if question.loaded:
         loss = np.full_like(dry, max(share, LOADED_LOSS))
+    # Term to standard deviation (joints,) of its coefficient.
     sizes = {"load": loss, "sqrt": CURVATURE * share * dry}
     if choice.dry_friction is not None:
         sizes |= dict.fromkeys(FADING_SPEEDS, FADING * share * dry)
@@ -481,36 +513,45 @@ def _link_group(
     with a standard deviation as large as that body.
     """
     robot = columns.robot
+    if columns.torques != "chain":
+        return None
     bodies = dict(_bodies(columns, question))
-    links = [k for k in other_links(robot) if robot.links[k].body_name in bodies]
-    if columns.torques != "chain" or not links:
+    links = list[int]()
+    names = list[str]()
+    members = list[str]()
+    # Numbers among ``links`` of those that the model states, and of its placeholders.
+    stated = list[int]()
+    placeholders = list[int]()
+    usual_bodies = []
+    for link in other_links(robot):
+        name = robot.links[link].body_name
+        if name in bodies:
+            _, usual_body = bodies[name]
+            is_stated = usual_body is robot.links[link].theta
+            (stated if is_stated else placeholders).append(len(links))
+            usual_bodies.append(usual_body)
+            links.append(link)
+            names += link_names(robot, link)
+            members += [name] * N_INERTIAL
+    if not links:
         return None
     share = PER_CENT * question.options.link_uncertainty
-    names = [robot.links[link].body_name for link in links]
-    usual_bodies = [bodies[name][1] for name in names]
-    lengths = link_lengths(robot, links)
-    factor = np.zeros((10 * len(links), 10 * len(links)))
-    stated = []
-    blocks = []
-    for k, link in enumerate(links):
-        if usual_bodies[k] is robot.links[link].theta:
-            stated.append(k)
-        else:
-            blocks.append(([k], 1.0, AS_STATED))
+    lengths = np.array(link_lengths(robot, links))
+    thetas = np.array(usual_bodies)
+    # Stated links share errors, placeholders do not: (numbers of links, share, factors).
+    blocks = [([number], 1.0, AS_STATED) for number in placeholders]
     if stated:
         blocks.append((stated, share, choice.link_scales))
+    factor = np.zeros((len(names), len(names)))
+    rows = np.arange(len(names)).reshape(thetas.shape)
     for numbers, deviation, scales in blocks:
-        indices = np.add.outer(10 * np.array(numbers), np.arange(10)).ravel()
-        thetas = [usual_bodies[k] for k in numbers]
-        sizes = [lengths[k] for k in numbers]
-        block = link_factor(thetas, deviation, sizes, scales)
-        factor[np.ix_(indices, indices)] = block
-    indices = np.concatenate([bodies[name][0] for name in names])
-    members = tuple(np.repeat(names, len(PARAMETER_NAMES)).tolist())
-    parameter_names = tuple(columns.names[k] for k in indices)
-    mean = np.concatenate(usual_bodies)
-    aspects = partial(link_aspects, usual_bodies, lengths)
-    return NuisanceGroup(LINKS, parameter_names, mean, factor, members, aspects=aspects)
+        block = link_factor(thetas[numbers], deviation, lengths[numbers], scales)
+        block_rows = rows[numbers].ravel()
+        factor[np.ix_(block_rows, block_rows)] = block
+    aspects = partial(link_aspects, thetas, lengths)
+    return NuisanceGroup(
+        LINKS, tuple(names), thetas.ravel(), factor, tuple(members), aspects=aspects
+    )
 
 
 def scale_spread(columns: Columns, options: EstimationOptions, loaded: bool) -> Array:
@@ -548,53 +589,6 @@ def _no_common_scale(scales: NuisanceGroup) -> NuisanceGroup:
     """
     weights = np.diag(scales.factor) ** -2
     mean = np.outer(weights, weights) / (weights @ weights)
+    # Standard deviation 1e3 * _EXACT along the mean, and 1e3, no constraint, across.
     factor = np.eye(len(weights)) - (1.0 - _EXACT) * mean
     return replace(scales, cause=COMMON, factor=1e3 * factor, may_widen=False)
-
-
-@dataclass(frozen=True)
-class EstimatedRows:
-    """Rows of recordings in the estimated parameters, the torque of held ones subtracted.
-
-    Iterating makes the rows of one joint at a time: those of all joints take much memory.
-    """
-
-    samples: tuple[DecimatedSamples, ...]
-    unknowns: Unknowns
-
-    def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
-        """Yield (joint number, rows, right-hand sides) of each joint, all recordings together."""
-        for joint in range(len(self.samples[0].columns)):
-            # No variable here keeps rows in memory while the next ones are made.
-            yield (joint, *self._joint_rows(joint))
-
-    def _joint_rows(self, joint: int) -> tuple[Array, Array]:
-        """Return a joint's (rows, right-hand sides (rows,)) of all recordings, in new arrays."""
-        columns = self.samples[0].columns[joint]
-        is_estimated = np.isin(columns, self.unknowns.estimated)
-        held = self.unknowns.held[columns[~is_estimated]]
-        ends = np.cumsum([len(recording) for recording in self.samples])
-        all_rows = np.empty((ends[-1], np.count_nonzero(is_estimated)))
-        right_sides = []
-        pairs = zip(self.samples, np.split(all_rows, ends[:-1]))
-        for recording, recording_rows in pairs:
-            rows = recording.rows[joint]
-            recording_rows[:] = rows[:, is_estimated]
-            right_sides.append(recording.tau[joint] - rows[:, ~is_estimated] @ held)
-        return all_rows, np.concatenate(right_sides)
-
-
-def restrict_samples(samples: DecimatedSamples, unknowns: Unknowns) -> DecimatedSamples:
-    """Return a recording's rows in the estimated parameters, the torque of held ones subtracted."""
-    columns = []
-    for indices in samples.columns:
-        estimated = indices[np.isin(indices, unknowns.estimated)]
-        columns.append(np.searchsorted(unknowns.estimated, estimated))
-    _, rows, right_sides = zip(*EstimatedRows((samples,), unknowns))
-    return replace(
-        samples,
-        names=unknowns.estimated_names,
-        columns=tuple(columns),
-        rows=rows,
-        tau=right_sides,
-    )

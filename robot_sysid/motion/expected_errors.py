@@ -16,17 +16,13 @@ import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.common_scale import false_alarms
 from robot_sysid.estimation.algebra.consistent_bodies import (
     project_errors,
     projected_covariance,
 )
 from robot_sysid.estimation.algebra.identifiability import triangle_space
-from robot_sysid.estimation.algebra.priors import (
-    EXPECTED,
-    NuisanceGroup,
-    false_alarms,
-    with_prior,
-)
+from robot_sysid.estimation.algebra.priors import EXPECTED, NuisanceGroup, with_prior
 from robot_sysid.estimation.algebra.uncertainty import (
     Uncertainty,
     triangle_of,

@@ -23,11 +23,6 @@ curvature L and the gradient b of data and all other priors, 1/2 delta' L delta 
 
 Masses, centres of mass and inertias have one scale each: a single scale for all would widen the
 prior of the centres of mass so far that they absorb errors in mass. Scales are grid averages.
-
-A common torque scale is a prior, too. Where the model's links are the only reference, torques that
-all read 10 % too high and links that are all 10 % lighter than modelled give the same equations. A
-common scale is estimated where a recording calls for it, so that arms whose links are all off by
-chance raise false alarms (``false_alarms``).
 """
 
 from __future__ import annotations
@@ -36,7 +31,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
-from math import erfc, exp, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,7 +104,7 @@ class NuisanceGroup:
         may_widen: whether the prior is widened where the data contradicts it.
         widened: factor alpha on all standard deviations.
         aspects: returns matrices (m, k), each the combinations of nuisances that may contradict
-            their prior while the others do not, such as all masses.
+            their prior while the others do not, such as all masses; none by default.
     """
 
     cause: str
@@ -151,14 +145,21 @@ def with_prior(
     """Return the information with its prior replaced by the groups'; as it is without groups."""
     if not groups:
         return information
-    rows = [group.prior_rows(information.names) for group in groups]
-    return replace(information, prior=np.vstack(rows))
+    return replace(information, prior=_prior_equations(groups, information.names))
+
+
+def _prior_equations(groups: Sequence[NuisanceGroup], names: Sequence[str]) -> Array:
+    """Return the equations [A b] (r, p + 1) of all priors, r nuisances and p named parameters."""
+    blocks = [np.zeros((0, len(names) + 1))]
+    for group in groups:
+        blocks.append(group.prior_rows(names))
+    return np.vstack(blocks)
 
 
 def link_factor(
-    thetas: Sequence[Array],
+    thetas: Sequence[Array] | Array,
     share: float,
-    lengths: Sequence[float],
+    lengths: Sequence[float] | Array,
     scales: LinkScales = AS_STATED,
 ) -> Array:
     """Return the Cholesky factor F (10 L, 10 L) of the prior covariance of L links.
@@ -182,9 +183,13 @@ def link_factor(
 
 
 def link_lengths(robot: RobotModel, links: Sequence[int]) -> list[float]:
-    """Return the distance from each link's joint to the next one [m]; 0 for the last link."""
+    """Return the distance from the joint of each of ``links`` to the next [m]; 0 at the last link.
+
+    ``links`` are indices in ``robot.links``, base to terminal.
+    """
     lengths = [float(np.linalg.norm(link.translation)) for link in robot.links[1:]]
-    return [[*lengths, 0.0][link] for link in links]
+    lengths.append(0.0)
+    return [lengths[link] for link in links]
 
 
 def model_link_factor(robot: RobotModel, links: Sequence[int], share: float) -> Array:
@@ -215,7 +220,7 @@ def link_directions(
 
 
 def link_aspects(
-    thetas: Sequence[Array], lengths: Sequence[float]
+    thetas: Sequence[Array] | Array, lengths: Sequence[float] | Array
 ) -> tuple[Array, ...]:
     """Return three matrices (L, 10 L), (3 L, 10 L), (6 L, 10 L) that turn deviations of the
     parameters of L links into those of masses, of centres of mass and of inertias.
@@ -224,13 +229,16 @@ def link_aspects(
     for index, (theta, length) in enumerate(zip(thetas, lengths)):
         block = slice(10 * index, 10 * (index + 1))
         selection[block, block] = np.linalg.inv(own_errors(theta, 1.0, length)[0])
-    kinds = np.tile(np.repeat((0, 1, 2), (1, 3, 6)), len(thetas))
-    return tuple(selection[kinds == label] for label in range(3))
+    # Of a link's ten rows the first is its mass, then three of its centre of mass, six of inertia.
+    rows = np.arange(len(selection)) % 10
+    return selection[rows < 1], selection[(rows >= 1) & (rows < 4)], selection[rows > 3]
 
 
 def own_errors(theta: Array, share: float, length: float) -> tuple[Array, Array]:
-    """Return the effects of a link's independent errors on its parameters: (10, 10) one column per
-    standard deviation of mass, centre of mass and inertia; (10, 3) those of the centre of mass.
+    """Return the effects of a link's independent errors on its parameters (10,).
+
+    Returns (10, 10), one column per standard deviation: mass (1), centre of mass along x, y, z (3),
+    inertia (6); and (10, 3), the columns of the centre of mass alone.
 
     Args:
         theta: (10,) the model's parameters of the link.
@@ -263,25 +271,24 @@ def widened_groups(
         groups: all priors; not changed.
         least: smallest alpha; below one, groups that may not widen get an alpha as well.
     """
-    widened = tuple(groups)
-    if least >= 1.0 and not any(group.may_widen for group in widened):
-        return widened
+    widened = list(groups)
+    may_change = [group.may_widen or least < 1.0 for group in groups]
+    if not any(may_change):
+        return tuple(groups)
     problem = WithPriors(information, noise)
-    for _ in range(_ROUNDS if widened else 0):
+    for _ in range(_ROUNDS):
         values, covariance, _ = problem.solve(widened)
-        previous = widened
-        next_groups = []
-        for group in previous:
-            if group.may_widen or least < 1.0:
-                aspect = np.eye(len(group.names))
-                alpha, _ = _widening(group, aspect, problem.names, values, covariance)
-                group = replace(group, widened=max(alpha, least))
-            next_groups.append(group)
-        widened = tuple(next_groups)
-        ratios = [new.widened / old.widened for new, old in zip(widened, previous)]
-        if max(abs(ratio - 1.0) for ratio in ratios) < _SETTLED:
+        largest_change = 0.0
+        for k in np.flatnonzero(may_change):
+            group = widened[k]
+            aspect = np.eye(len(group.names))
+            alpha, _ = _widening(group, aspect, problem.names, values, covariance)
+            alpha = max(alpha, least)
+            largest_change = max(largest_change, abs(alpha / group.widened - 1.0))
+            widened[k] = replace(group, widened=alpha)
+        if largest_change < _SETTLED:
             break
-    return widened
+    return tuple(widened)
 
 
 class WithPriors:
@@ -302,8 +309,7 @@ class WithPriors:
 
         The misfit is the sum of all squared residuals, of data and priors, in standard deviations.
         """
-        rows_of_groups = [group.prior_rows(self.names) for group in groups]
-        prior = np.vstack((self._gram[:0], *rows_of_groups))
+        prior = _prior_equations(groups, self.names)
         size = len(self.names)
         squares = np.append(self._weights, 1.0) ** 2
         blocks = []
@@ -327,8 +333,9 @@ class WithPriors:
         exp(-misfit / 2) |C|^1/2 / |F| (MacKay 1992, eq. 7 and 8).
         """
         values, covariance, misfit = self.solve(groups)
-        factors = [group.widened * group.factor for group in groups]
-        log_prior = sum(np.linalg.slogdet(factor)[1] for factor in factors)
+        log_prior = 0.0
+        for group in groups:
+            log_prior += np.linalg.slogdet(group.widened * group.factor)[1]
         log_covariance = np.linalg.slogdet(covariance)[1]
         return values, float(0.5 * (log_covariance - misfit) - log_prior)
 
@@ -353,11 +360,11 @@ def _widening(
     """
     root = np.linalg.cholesky(aspect @ group.factor @ group.factor.T @ aspect.T)
     off = np.linalg.solve(root, aspect @ (values[group.indices(names)] - group.mean))
-    determined = _determined(group, aspect, names, covariance)
+    determined = _count_determined(group, aspect, names, covariance)
     return float(min(np.sqrt(np.sum(off**2) / determined), WIDEST)), determined
 
 
-def _determined(
+def _count_determined(
     group: NuisanceGroup, aspect: Array, names: Sequence[str], covariance: Array
 ) -> float:
     """Return gamma, the number of combinations ``aspect`` (m, k) of a group that the data
@@ -396,11 +403,11 @@ def misfits(
     for index, group in enumerate(groups):
         fixed = [*groups[:index], replace(group, widened=_FIXED), *groups[index + 1 :]]
         gained = problem.solve(fixed)[2] - with_all
-        freedom = _determined(
+        freedom = _count_determined(
             group, np.eye(len(group.names)), problem.names, covariance
         )
         if is_significant(gained, freedom, 1.0 - SURE ** (1.0 / len(groups))):
-            if not wide_groups:
+            if not wide_groups:  # computed once, and only for a conflict
                 wide_groups = widened_groups(information, noise, groups, _NARROWEST)
                 wide_solution = problem.solve(wide_groups)[:2]
             worst = _worst_members(group, problem.names, values)
@@ -425,6 +432,7 @@ def _contradicted_factor(
         # Significant if the prior were right.
         if is_significant(alpha**2 * free, free, 1.0 - SURE):
             factors.append(alpha)
+    # The last alpha is that of all parameters.
     return max(factors, default=min(alpha, 1.0))
 
 
@@ -458,15 +466,16 @@ def _worst_members(
     """
     off = np.linalg.solve(group.factor, values[group.indices(names)] - group.mean)
     members = np.array(group.members)
-    squares = {name: float(np.sum(off[members == name] ** 2)) for name in group.members}
+    squares = {}
+    for name in group.members:
+        squares[name] = float(np.sum(off[members == name] ** 2))
     least = _SHARE_OF_WORST * max(squares.values())
     descending = sorted(squares, key=lambda name: -squares[name])
     return tuple(name for name in descending if squares[name] > least)
 
 
 MASS_SCALES = (2.0, 4.0, 8.0)
-"""Grid of ``LinkScales.mass``, equally likely: standard deviations of 10, 20, 40 % for 5 % stated.
-"""
+"""Grid of ``LinkScales.mass``, equally likely: 10, 20, 40 % for 5 % stated."""
 COM_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Grid of ``LinkScales.centre_of_mass``."""
 INERTIA_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
@@ -524,10 +533,12 @@ def link_evidence(
     """
     names = information.names
     stated = np.repeat(is_stated, 10)
-    prior_rows = [group.prior_rows(names) for group in others]
     normal = normal_matrix(information, weights)
-    for rows in (*prior_rows, links.prior_rows(names)[~stated]):
+    for group in others:
+        rows = group.prior_rows(names)
         normal += rows.T @ rows
+    rows = links.prior_rows(names)[~stated]
+    normal += rows.T @ rows
     curvature, pull = eliminate_others(normal, np.array(links.indices(names))[stated])
     pull = directions.T @ (pull - curvature @ links.mean[stated])
     count = int(np.count_nonzero(is_stated))
@@ -540,6 +551,7 @@ def average_scales(evidence: LinkEvidence) -> LinkScales:
     This, not the most likely scale: where the data hardly determines a scale, the prior has to
     allow for its large values, too.
     """
+    # (combinations, 3): factors of mass, centre of mass and inertia.
     grid = np.array(list(product(MASS_SCALES, COM_SCALES, INERTIA_SCALES)))
     medians = np.array([USUAL_COM_SCALE, USUAL_INERTIA_SCALE])
     log_posterior = -0.5 * np.sum(np.log2(grid[:, 1:] / medians) ** 2, axis=1)
@@ -549,59 +561,3 @@ def average_scales(evidence: LinkEvidence) -> LinkScales:
     probability = np.exp(log_posterior - np.max(log_posterior))
     probability /= np.sum(probability)
     return LinkScales(*np.sqrt(probability @ grid**2).tolist())
-
-
-LEAST_SCALE = 0.08
-"""Smallest common torque scale (relative) for a note: 1.5 times the default error of links."""
-SIGNIFICANT = 1.0
-"""Standard errors from zero above which the common scale is significant: torques that read 15 % too
-high or too low reach 1.15 and more, links that are 2 % off at most 0.4 (benchmarks/confusion)."""
-
-
-def is_notable_scale(scales: Array, spread: Array) -> bool:
-    """Return whether the mean torque scale is significant and large enough for a note.
-
-    Args:
-        scales: (joints,) relative errors of the torque scales, 0.1 for 10 %.
-        spread: (joints, joints) covariance of the scales.
-    """
-    return bool(abs(np.mean(scales)) > _least_notable_scale(spread))
-
-
-def _least_notable_scale(spread: Array) -> float:
-    """Return the smallest mean scale worth a note, for scales of covariance (joints, joints)."""
-    return max(SIGNIFICANT * sqrt(np.mean(spread)), LEAST_SCALE)
-
-
-def false_alarms(
-    separate: tuple[Array, Array], common: tuple[Array, Array]
-) -> tuple[float, Array]:
-    """Return the probability that a common torque scale is estimated although there is none, and
-    the mean products E[D x x^T D] (joints, joints) in that case.
-
-    The probability is over arms drawn from the prior. Estimates x of the scales with separate
-    priors become (1 + C_common D) x with a common scale, D = K_separate - K_common, K the prior
-    precision of the scales, C their posterior covariance. x is Gaussian; its covariance is the
-    prior covariance minus the posterior one.
-
-    Args:
-        separate: (prior, posterior) covariance of the scales, (joints, joints) each.
-        common: (prior, posterior) covariance with a common scale.
-    """
-    prior, posterior = separate
-    common_prior, common_posterior = common
-    freed = np.linalg.inv(prior) - np.linalg.inv(common_prior)
-    weights = np.mean(np.eye(len(prior)) + common_posterior @ freed, axis=0)
-    products = prior - posterior
-    variance = float(weights @ products @ weights)
-    # Without information on scales, rounding remains.
-    if variance <= 0.0:
-        return 0.0, 0.0 * products
-    far = _least_notable_scale(common_posterior) / sqrt(variance)
-    along = products @ weights
-    share = erfc(far / sqrt(2.0))
-    # The mean square of a unit Gaussian beyond L is 1 + L phi(L) / (1 - Phi(L)) (Johnson, Kotz,
-    # Balakrishnan, "Continuous Univariate Distributions", vol. 1, 1994, ch. 13).
-    more = far * exp(-0.5 * far**2) * sqrt(2.0 / pi) / share if share else 0.0
-    products = products + more / variance * np.outer(along, along)
-    return share, freed @ products @ freed

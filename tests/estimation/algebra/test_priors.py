@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.algebra import priors
+from robot_sysid.estimation.algebra import common_scale
+from robot_sysid.estimation.algebra.common_scale import false_alarms
 from robot_sysid.estimation.algebra.least_squares import InformationAccumulator, solver
 from robot_sysid.estimation.algebra.priors import (
     WIDEST,
@@ -22,7 +23,6 @@ from robot_sysid.estimation.algebra.priors import (
     NuisanceGroup,
     WithPriors,
     average_scales,
-    false_alarms,
     link_aspects,
     link_factor,
     misfits,
@@ -310,15 +310,15 @@ def test_the_rate_of_false_alarms_is_that_of_drawn_arms(seed, monkeypatch):
     posteriors = [
         np.linalg.inv(rows.T @ rows + np.linalg.inv(prior)) for prior in (narrow, wide)
     ]
-    monkeypatch.setattr(priors, "LEAST_SCALE", 0.05)
+    monkeypatch.setattr(common_scale, "LEAST_SCALE", 0.05)
     scale_priors = narrow[2:, 2:], wide[2:, 2:]
     pairs = zip(scale_priors, [posterior[2:, 2:] for posterior in posteriors])
     rate, products = false_alarms(*pairs)
     arms = rng.multivariate_normal(np.zeros(5), narrow, 20000)
     data = (arms @ rows.T + rng.normal(size=(20000, 3))) @ rows
-    common_scale = np.mean((data @ posteriors[1])[:, 2:], axis=1)
+    mean_scale = np.mean((data @ posteriors[1])[:, 2:], axis=1)
     threshold = max(0.05, np.sqrt(np.mean(posteriors[1][2:, 2:])))
-    is_alarm = np.abs(common_scale) > threshold
+    is_alarm = np.abs(mean_scale) > threshold
     assert 0.01 < rate < 0.5
     assert np.mean(is_alarm) == pytest.approx(rate, abs=0.01)
     plain = (data @ posteriors[0])[is_alarm, 2:]
