@@ -38,6 +38,7 @@ from robot_sysid.estimation.algebra.priors import (
     NuisanceGroup,
     WithPriors,
     average_scales,
+    independent_prior,
     link_directions,
     link_evidence,
     link_lengths,
@@ -53,7 +54,6 @@ from robot_sysid.estimation.unknowns import (
     LINKS,
     PER_CENT,
     Unknowns,
-    independent_prior,
 )
 from robot_sysid.model.chain import CAN_HOLD_ROTORS, shared_motors
 from robot_sysid.records import Array, RobotModel

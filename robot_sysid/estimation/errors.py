@@ -24,6 +24,7 @@ from robot_sysid.dynamics.equations import Equations, split_name
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.inverse_dynamics import split_motion
 from robot_sysid.dynamics.spatial import N_INERTIAL
+from robot_sysid.estimation.algebra.common_scale import common_error
 from robot_sysid.estimation.algebra.consistent_bodies import BODIES, project_errors
 from robot_sysid.estimation.algebra.least_squares import (
     normal_matrix,
@@ -45,13 +46,12 @@ from robot_sysid.estimation.algebra.uncertainty import (
 )
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import DecimatedSamples, release_memory
-from robot_sysid.estimation.estimated_rows import EstimatedRows
 from robot_sysid.estimation.fit import Fit, squared_effect
 from robot_sysid.estimation.unknowns import (
     COMMON,
     LINKS,
     SCALES,
-    common_error,
+    EstimatedRows,
     scale_spread,
 )
 from robot_sysid.records import Array, Measurement, Motion, PriorConflict

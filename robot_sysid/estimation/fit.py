@@ -40,9 +40,8 @@ from robot_sysid.estimation.dataset import (
     information_of,
     release_memory,
 )
-from robot_sysid.estimation.estimated_rows import EstimatedRows
 from robot_sysid.estimation.question import Choice, Question
-from robot_sysid.estimation.unknowns import Unknowns, build_unknowns
+from robot_sysid.estimation.unknowns import EstimatedRows, Unknowns, build_unknowns
 from robot_sysid.records import DELAY_NAME, Array, SquareRootInformation
 from robot_sysid.signals.repetition import Visits
 

@@ -17,7 +17,11 @@ from robot_sysid.dynamics.friction import FrictionModel, friction_model
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector, tilt_axes
 from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.errors import prefix_input_errors
-from robot_sysid.estimation.algebra.priors import SURE, is_significant
+from robot_sysid.estimation.algebra.priors import (
+    SURE,
+    independent_prior,
+    is_significant,
+)
 from robot_sysid.estimation.answer import Answer, written_payload
 from robot_sysid.estimation.choices import (
     WITH_ALL,
@@ -35,13 +39,12 @@ from robot_sysid.estimation.dataset import (
     rms_torque,
 )
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.estimated_rows import restrict_samples
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Fit, Fitter
 from robot_sysid.estimation.held_out import held_out_validation, validate_datasets
 from robot_sysid.estimation.log_comparison import compare_recordings, estimate_alone
 from robot_sysid.estimation.question import Choice, EstimationOptions, Question
-from robot_sysid.estimation.unknowns import WEIGHT, independent_prior
+from robot_sysid.estimation.unknowns import WEIGHT, restrict_samples
 from robot_sysid.records import Array, Flange, Measurement, RobotModel
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.results.record import RecordingPayload

@@ -44,10 +44,9 @@ from robot_sysid.estimation.algebra.priors import (
 )
 from robot_sysid.estimation.algebra.uncertainty import residual_correlation_time
 from robot_sysid.estimation.dataset import DecimatedSamples
-from robot_sysid.estimation.estimated_rows import restrict_samples
 from robot_sysid.estimation.fit import Fit, evidence_of, residuals_of
 from robot_sysid.estimation.held_out import HeldOut, is_informative_test
-from robot_sysid.estimation.unknowns import Unknowns
+from robot_sysid.estimation.unknowns import Unknowns, restrict_samples
 from robot_sysid.records import Array, SquareRootInformation, Validation
 from robot_sysid.records.data import validation_of
 from robot_sysid.records.messages import percent

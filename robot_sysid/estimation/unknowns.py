@@ -11,7 +11,7 @@ them unknown. A body has ten inertial parameters in the order of ``PARAMETER_NAM
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import compress
@@ -24,14 +24,17 @@ from robot_sysid.dynamics.equations import link_names, names_of, other_links
 from robot_sysid.dynamics.friction import FADING_SPEEDS, speed_name
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.dynamics.spatial import N_INERTIAL
+from robot_sysid.estimation.algebra.common_scale import hold_mean, with_common
 from robot_sysid.estimation.algebra.priors import (
     AS_STATED,
     NuisanceGroup,
+    independent_prior,
     link_aspects,
     link_factor,
     link_lengths,
 )
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
+from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.question import (
     FILE_FRICTION,
     FILE_GRAVITY,
@@ -258,7 +261,7 @@ def build_unknowns(
     elif question.loaded:
         for group in [*groups]:
             if group.cause == SCALES:
-                groups.append(_no_common_scale(group))
+                groups.append(hold_mean(group, COMMON))
     return Unknowns(
         columns.names,
         np.flatnonzero(is_unknown),
@@ -364,37 +367,6 @@ def _bodies(
                 yield name, (indices, columns.usual_bodies[last])
         elif name == last or others_are_unknown:
             yield name, (indices, columns.usual_bodies[name])
-
-
-def independent_prior(
-    cause: str,
-    names: Sequence[str],
-    members: Sequence[str],
-    standard_deviation: float | Array,
-    may_widen: bool = False,
-) -> NuisanceGroup:
-    """Return the prior of k nuisances with independent errors around zero.
-
-    Args:
-        cause: cause of the errors, as it is called in results.
-        names: (k,) names of the parameters.
-        members: (k,) name of each nuisance's link or joint, for messages.
-        standard_deviation: one for all, or (k,) [SI].
-        may_widen: whether the data may widen the prior.
-    """
-    mean = np.zeros(len(names))
-    factor = standard_deviation * np.eye(len(names))
-    return NuisanceGroup(cause, tuple(names), mean, factor, tuple(members), may_widen)
-
-
-def with_common(group: NuisanceGroup, common_deviation: float) -> NuisanceGroup:
-    """Return the prior of nuisances that share an additional error of a standard deviation [SI]."""
-    if not common_deviation:
-        return group
-    # The common error has this variance in all elements; the factor is the symmetric root.
-    covariance = group.factor @ group.factor.T + common_deviation**2
-    values, vectors = np.linalg.eigh(covariance)
-    return replace(group, factor=vectors @ (np.sqrt(values)[:, None] * vectors.T))
 
 
 def _prior_groups(
@@ -567,28 +539,59 @@ def scale_spread(columns: Columns, options: EstimationOptions, loaded: bool) -> 
     return PER_CENT * scale[list(columns.joint_indices)]
 
 
-def common_error(spread: Array) -> float:
-    """Return the standard deviation of the mean of torque scales, weighted by 1 / variance.
+@dataclass(frozen=True)
+class EstimatedRows:
+    """Rows of recordings in the estimated parameters, the torque of held ones subtracted.
 
-    It is zero where one scale is known exactly.
-
-    Args:
-        spread: (joints,) standard deviations of the scales.
+    Iterating makes the rows of one joint at a time: those of all joints take much memory. All
+    ``samples``, the recordings, have the same columns of all p parameters.
     """
-    return 1.0 / float(np.linalg.norm(1.0 / spread)) if np.all(spread > 0.0) else 0.0
+
+    samples: tuple[DecimatedSamples, ...]
+    unknowns: Unknowns
+
+    def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
+        """Yield (joint number, rows (M, k), right-hand sides (M,)) of each joint.
+
+        M counts the rows of all recordings, one recording below the other; k are the estimated
+        parameters in the joint's equations.
+        """
+        for joint in range(len(self.samples[0].columns)):
+            # No variable here keeps rows in memory while the next ones are made.
+            yield (joint, *self._joint_rows(joint))
+
+    def _joint_rows(self, joint: int) -> tuple[Array, Array]:
+        """Return a joint's (rows (M, k), right-hand sides (M,)), in new arrays."""
+        columns = self.samples[0].columns[joint]
+        is_estimated = np.isin(columns, self.unknowns.estimated)
+        held = self.unknowns.held[columns[~is_estimated]]
+        n_rows = sum(map(len, self.samples))
+        all_rows = np.empty((n_rows, np.count_nonzero(is_estimated)))
+        right_sides = []
+        start = 0
+        for recording in self.samples:
+            rows = recording.rows[joint]
+            all_rows[start : start + len(rows)] = rows[:, is_estimated]
+            start += len(rows)
+            right_sides.append(recording.tau[joint] - rows[:, ~is_estimated] @ held)
+        return all_rows, np.concatenate(right_sides)
 
 
-def _no_common_scale(scales: NuisanceGroup) -> NuisanceGroup:
-    """Return a prior that holds the mean error of all torque scales at zero, 1/variance weighted.
+def restrict_samples(samples: DecimatedSamples, unknowns: Unknowns) -> DecimatedSamples:
+    """Return a recording's rows in the estimated parameters, the torque of held ones subtracted.
 
-    It comes in addition to the prior of the scales, ``scales``.
-
-    A scale that all joints have in common scales every mass alike. Only the model's masses could
-    identify it, and they are not trusted here, so it goes into the errors instead. Of scales with
-    independent priors, this mean is independent of all their differences.
+    Its names are those of the estimated parameters, ``Unknowns.estimated_names``.
     """
-    weights = np.diag(scales.factor) ** -2
-    mean = np.outer(weights, weights) / (weights @ weights)
-    # Standard deviation 1e3 * _EXACT along the mean, and 1e3, no constraint, across.
-    factor = np.eye(len(weights)) - (1.0 - _EXACT) * mean
-    return replace(scales, cause=COMMON, factor=1e3 * factor, may_widen=False)
+    columns = []
+    for indices in samples.columns:
+        estimated = indices[np.isin(indices, unknowns.estimated)]
+        # Their positions among the estimated parameters, which ascend.
+        columns.append(np.searchsorted(unknowns.estimated, estimated))
+    _, rows, right_sides = zip(*EstimatedRows((samples,), unknowns))
+    return replace(
+        samples,
+        names=unknowns.estimated_names,
+        columns=tuple(columns),
+        rows=rows,
+        tau=right_sides,
+    )

@@ -16,7 +16,7 @@ import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.common_scale import false_alarms
+from robot_sysid.estimation.algebra.common_scale import common_error, false_alarms
 from robot_sysid.estimation.algebra.consistent_bodies import (
     project_errors,
     projected_covariance,
@@ -42,7 +42,6 @@ from robot_sysid.estimation.unknowns import (
     SCALES,
     Unknowns,
     build_unknowns,
-    common_error,
     expected_dry_friction,
     scale_spread,
 )

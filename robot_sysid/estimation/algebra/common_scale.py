@@ -7,12 +7,16 @@ a recording calls for it, so that arms whose links are all off by chance raise f
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import erfc, exp, pi, sqrt
 
 import numpy as np
 
+from robot_sysid.estimation.algebra.priors import NuisanceGroup
 from robot_sysid.records import Array
 
+# Standard deviation of a mean that is held, as a share of that of all other directions.
+_HELD = 1e-9
 LEAST_SCALE = 0.08
 """Smallest common torque scale (relative) for a note: 1.5 times the default error of links."""
 SIGNIFICANT = 1.0
@@ -71,3 +75,40 @@ def false_alarms(
     along = covariance @ weights
     products = covariance + excess / variance * np.outer(along, along)
     return probability, freed @ products @ freed
+
+
+def with_common(group: NuisanceGroup, common_deviation: float) -> NuisanceGroup:
+    """Return the prior of nuisances that share an additional error of a standard deviation [SI]."""
+    if not common_deviation:
+        return group
+    # The common error has this variance in all elements; the factor is the symmetric root.
+    covariance = group.factor @ group.factor.T + common_deviation**2
+    values, vectors = np.linalg.eigh(covariance)
+    return replace(group, factor=vectors @ (np.sqrt(values)[:, None] * vectors.T))
+
+
+def common_error(spread: Array) -> float:
+    """Return the standard deviation of the mean of torque scales, weighted by 1 / variance.
+
+    It is zero where one scale is known exactly.
+
+    Args:
+        spread: (joints,) standard deviations of the scales.
+    """
+    return 1.0 / float(np.linalg.norm(1.0 / spread)) if np.all(spread > 0.0) else 0.0
+
+
+def hold_mean(scales: NuisanceGroup, cause: str) -> NuisanceGroup:
+    """Return a prior that holds the mean error of torque scales at zero, weighted by 1 / variance.
+
+    It comes in addition to ``scales``, the prior of these scales; ``cause`` is its cause of error.
+
+    A scale that all joints have in common scales every mass alike. Only the model's masses could
+    identify it, and they are not trusted here, so it goes into the errors instead. Of scales with
+    independent priors, this mean is independent of all their differences.
+    """
+    weights = np.diag(scales.factor) ** -2
+    mean = np.outer(weights, weights) / (weights @ weights)
+    # Standard deviation 1e3 * _HELD along the mean, and 1e3, which is no constraint, across.
+    factor = np.eye(len(weights)) - (1.0 - _HELD) * mean
+    return replace(scales, cause=cause, factor=1e3 * factor, may_widen=False)

@@ -139,6 +139,27 @@ class NuisanceGroup:
         return np.asarray(np.linalg.solve(self.widened * self.factor, rows))
 
 
+def independent_prior(
+    cause: str,
+    names: Sequence[str],
+    members: Sequence[str],
+    standard_deviation: float | Array,
+    may_widen: bool = False,
+) -> NuisanceGroup:
+    """Return the prior of k nuisances with independent errors around zero.
+
+    Args:
+        cause: cause of the errors, as it is called in results.
+        names: (k,) names of the parameters.
+        members: (k,) name of each nuisance's link or joint, for messages.
+        standard_deviation: one for all, or (k,) [SI].
+        may_widen: whether the data may widen the prior.
+    """
+    mean = np.zeros(len(names))
+    factor = standard_deviation * np.eye(len(names))
+    return NuisanceGroup(cause, tuple(names), mean, factor, tuple(members), may_widen)
+
+
 def with_prior(
     information: SquareRootInformation, groups: Sequence[NuisanceGroup]
 ) -> SquareRootInformation:

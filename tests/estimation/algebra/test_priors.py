@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra import common_scale
-from robot_sysid.estimation.algebra.common_scale import false_alarms
+from robot_sysid.estimation.algebra.common_scale import false_alarms, with_common
 from robot_sysid.estimation.algebra.least_squares import InformationAccumulator, solver
 from robot_sysid.estimation.algebra.priors import (
     WIDEST,
@@ -23,6 +23,7 @@ from robot_sysid.estimation.algebra.priors import (
     NuisanceGroup,
     WithPriors,
     average_scales,
+    independent_prior,
     link_aspects,
     link_factor,
     misfits,
@@ -31,13 +32,7 @@ from robot_sysid.estimation.algebra.priors import (
 )
 from robot_sysid.estimation.algebra.uncertainty import uncertainty
 from robot_sysid.estimation.question import EstimationOptions, Question
-from robot_sysid.estimation.unknowns import (
-    LINKS,
-    SCALES,
-    Unknowns,
-    independent_prior,
-    with_common,
-)
+from robot_sysid.estimation.unknowns import LINKS, SCALES, Unknowns
 from tests.support.arms import SEEDS, rigid_bodies
 from tests.support.estimates import prior_errors
 from tests.support.model_files import random_theta
