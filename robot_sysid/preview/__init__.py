@@ -82,7 +82,13 @@ def show_preview(
 def show_plan(
     checked: CheckedPlan | None, options: PreviewOptions, progress: Progress
 ) -> None:
-    """Show the motion of a plan; do nothing where there is none, or no preview is wanted."""
+    """Show the motion of a plan; do nothing where there is none, or no preview is wanted.
+
+    Args:
+        checked: the plan with its problem (arm, limits, obstacles); None where nothing was planned.
+        options: whether the motion is shown in the viewer, as a film, or not at all.
+        progress: receives a stage before and after a film is rendered.
+    """
     if checked is None or checked.problem is None:
         return
     if options.view or options.video:

@@ -96,10 +96,18 @@ def renderer_library() -> str | None:
 class Studio:
     """One arm in front of a plain background; a context manager.
 
+    A picture is begun by ``pose``, may be added to, and is returned by ``render``.
+
     Args:
         robot: the arm; its compiled model is copied and stays as it is.
         width: of the pictures [pixels].
         height: of the pictures [pixels].
+
+    Attributes:
+        robot: as given.
+        data: MuJoCo's data of the arm in the pose of the picture.
+        scene: MuJoCo's scene: the geoms of the picture.
+        camera: MuJoCo's camera, used from the next pose on.
 
     Raises:
         InputError: there is neither EGL nor OSMesa.
@@ -168,7 +176,10 @@ class Studio:
         self.camera.distance = distance
 
     def look_at_arm(self, postures: Array) -> None:
-        """Point the camera so that the arm stays in the picture in all postures (N, n)."""
+        """Point the camera so that the arm stays in the picture in all postures (N, n).
+
+        Postures are chain positions [rad or m]; the arm is put into the first one.
+        """
         points = np.concatenate([self._corners(q) for q in postures])
         low = np.min(points, axis=0)
         high = np.max(points, axis=0)
@@ -177,17 +188,25 @@ class Studio:
         self.pose(postures[0])
 
     def _corners(self, q: Array) -> Array:
-        """Return points (m, 3) around the arm's geoms at positions q (n,) [m]."""
+        """Return points (m, 3) around the arm [m] at chain positions q (n,) [rad or m].
+
+        They are the links' origins, and two opposite corners of a cube around each geom of the
+        arm's tree of bodies. The arm is left at these positions.
+        """
         self._set_positions(q)
         ids = [link.body_id for link in self.robot.links]
         is_arm = np.isin(self._model.body_rootid, self._model.body_rootid[ids])
+        # A plane has no bounding sphere.
         geoms = is_arm[self._model.geom_bodyid] & (self._model.geom_rbound > 0.0)
         centres = self.data.geom_xpos[geoms]
         radii = self._model.geom_rbound[geoms][:, None]
         return np.concatenate((self.data.xpos[ids], centres - radii, centres + radii))
 
     def make_transparent(self, opacity: float) -> None:
-        """Multiply the opacity of all geoms in the picture so far, apart from floor and wall."""
+        """Multiply the opacity of all geoms in the picture so far by ``opacity``, from 0 to 1.
+
+        Planes (a floor) and the white wall, which emits light, stay as they are.
+        """
         for geom in self.scene.geoms[: self.scene.ngeom]:
             if geom.type != mujoco.mjtGeom.mjGEOM_PLANE and geom.emission < 1.0:
                 geom.rgba[3] *= opacity
@@ -200,7 +219,8 @@ class Studio:
 
         Args:
             body: MuJoCo body id.
-            theta: (10,) inertial parameters in the body's frame.
+            theta: (10,) mass, first moment and inertia about the body's origin, in its frame.
+            colour: of the ellipsoid; the dot has it too, without transparency.
 
         Returns:
             Whether there is such an ellipsoid: a theta of no possible body has none.
@@ -223,7 +243,7 @@ class Studio:
     def _add_geom(
         self, shape: Any, size: Array, centre: Array, rotation: Array, colour: Colour
     ) -> None:
-        """Add a geom to the picture, if the scene has room.
+        """Add a geom to the picture; do nothing if the scene has no room.
 
         Args:
             shape: MuJoCo's ``mjtGeom``.
@@ -293,25 +313,36 @@ class Preview:
 
 
 def plan_preview(problem: ExcitationProblem, plan: MotionPlan) -> Preview:
-    """Return the preview of a planned motion with its limits, clearance included."""
+    """Return the preview of a planned motion with its limits, clearance included.
+
+    The clearance is the least distance of two bodies of the arm, or of one and an obstacle, beyond
+    the distance that has to be kept.
+
+    Args:
+        problem: the arm, its limits and its obstacles.
+        plan: the motion.
+    """
     motion = plan.evaluate(_picture_times(plan.duration))
     limits = problem.limits
     torque = problem.torque(motion)
     distances = problem.obstacles.distances
-    clearance = np.array(
-        [min(distances.slack_at(q)[0], _MAX_CLEARANCE) for q in motion.q]
-    )
+    slacks = np.array([distances.slack_at(q)[0] for q in motion.q])
+    clearance = np.minimum(slacks, _MAX_CLEARANCE)
+    # Where there is nothing to collide with, the clearance is unknown.
     if not np.isfinite(distances.closest(motion.q[0]).distance):
         clearance *= np.nan
-    plots = _share_plots(
-        (motion.q - limits.center, motion.qd, torque), limits.largest[[0, 1, 3]]
-    )
+    half_range, speed, _, torque_limit = limits.largest
+    signals = motion.q - limits.center, motion.qd, torque
+    plots = _share_plots(signals, (half_range, speed, torque_limit))
     clearance_plot = Plot("clearance [mm]", 1000.0 * clearance, 0.0)
     return Preview(motion.time, motion.q, (*plots, clearance_plot))
 
 
 def log_preview(robot: RobotModel, log: Measurement) -> Preview:
-    """Return the preview of a recorded motion with position, speed and torque over the limits."""
+    """Return the preview of a recorded motion with position, speed and torque over the limits.
+
+    Speeds that the log does not have are differences of its positions.
+    """
     time = log.time - log.time[0]
     picture_times = _picture_times(float(time[-1]))
     q = interpolate(picture_times, time, log.q)
@@ -322,6 +353,7 @@ def log_preview(robot: RobotModel, log: Measurement) -> Preview:
         qd = interpolate(picture_times, time, log.qd)
     limits = robot.limits
     half_range = 0.5 * (limits.upper - limits.lower)
+    # A joint without limits has its centre at zero; no position is a share of its range.
     has_range = np.isfinite(half_range)
     upper = np.where(has_range, limits.upper, 0.0)
     center = upper - np.where(has_range, half_range, 0.0)
@@ -338,7 +370,11 @@ def _picture_times(duration: float) -> Array:
 def _share_plots(signals: Iterable[Array], limits: Iterable[Array]) -> Iterator[Plot]:
     """Yield plots of position, speed and torque (T, n) as shares of their limits (n,) [%].
 
-    Each is that of the joint with the largest share; NaN where no joint has a limit.
+    Each plot shows at every instant the largest share of any joint; NaN where no joint has a limit.
+
+    Args:
+        signals: position from the middle of its range, speed and torque, (T, n) each.
+        limits: half the range, and the largest speed and torque, (n,) each; infinite for none.
     """
     titles = ("position [% of range]", "speed [% of limit]", "torque [% of limit]")
     for title, values, limit in zip(titles, signals, limits):
@@ -396,7 +432,7 @@ def write_film(
 
 
 def _draw_panel(preview: Preview) -> tuple[Picture, NDArray[np.int64]]:
-    """Return the plots as a picture, and the column in it of each instant (T,)."""
+    """Return the plots as a picture, and the column of pixels (T,) of each instant in it."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -417,6 +453,7 @@ def _draw_panel(preview: Preview) -> tuple[Picture, NDArray[np.int64]]:
         ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
     axes[-1].set_xlabel("time [s]", fontsize=8, color=_INK)
     canvas.draw()
+    # Pixels from the left of the points (time, 0) of the lowest plot; all share its time axis.
     points = np.column_stack((preview.time, 0.0 * preview.time))
     pixels = axes[-1].transData.transform(points)[:, 0]
     columns = np.clip(np.round(pixels).astype(np.int64), 0, _PANEL - 1)
@@ -431,7 +468,10 @@ def require_display() -> None:
 
 
 def play_in_viewer(robot: RobotModel, preview: Preview) -> None:
-    """Play a motion until the window is closed; InputError where none can be opened."""
+    """Play a motion again and again until the window is closed; InputError where none opens.
+
+    The arm's compiled model is shown, not changed; joints outside the chain stay at the reference.
+    """
     import mujoco.viewer
 
     data = mujoco.MjData(robot.mj_model)

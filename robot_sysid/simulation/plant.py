@@ -6,6 +6,7 @@ record holds no velocities and accelerations: an arm with encoders alone would h
 from the rounded positions. Torque noise leaves the motion exact.
 
 Arms that move under torques are MuJoCo's forward dynamics of the chain, everything else held still.
+The chain is the n joints of the arm, base to terminal.
 What acts: rigid-body dynamics, armature, springs, damping and friction. What does not: contacts,
 joint stops and equalities (an excitation trajectory touches none of them), the model's actuators
 (the torque comes from outside), gravity compensation and drag.
@@ -98,6 +99,7 @@ class PlantSimulation:
     def __iter__(self) -> Iterator[Measurement]:
         """Yield the sensors' readings, chunk by chunk in constant memory."""
         options = self._options
+        # One for all joints, or one per joint.
         noise_levels = np.asarray(options.noise_torque)
         motions = motion_chunks(self._plan, self._sample_rate)
         delayed = simulate_inverse(self._plant, self._delayed_motions())
@@ -175,7 +177,10 @@ def _hinges_and_slides(mj_model: Any) -> list[str]:
 
 
 def joint_differences(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
-    """Return sentences on how the chain of a plant differs from the robot's; empty if equal."""
+    """Return phrases on how the joints of a plant's chain differ from the robot's; empty if equal.
+
+    Names, their order and the types hinge and slide are compared.
+    """
     if robot.joint_names != plant.joint_names:
         names = ", ".join(plant.joint_names)
         return (f"{names} instead of {', '.join(robot.joint_names)}",)
@@ -190,7 +195,10 @@ def joint_differences(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
 
 
 def _terminal_distance(robot: RobotModel, plant: RobotModel) -> float:
-    """Return the largest distance of the terminal bodies of robot and plant in two poses [m]."""
+    """Return the largest distance of the terminal bodies of robot and plant in two poses [m].
+
+    The poses are the robot's reference positions, and ``_PROBE_STEP`` more in every joint.
+    """
 
     def terminal_position(arm: RobotModel, q: Array) -> Array:
         qpos = arm.reference_qpos.copy()
@@ -247,12 +255,17 @@ def set_chain_state(
 class ArmStepper:
     """Steps the chain of an arm under joint torques, with Coulomb friction and motor damping.
 
+    Each direction of friction is one joint, or a motor that turns several joints at once.
+
     Args:
+        robot: the arm; its compiled model is copied and stays as it is.
         q: (n,) positions at the start [rad or m], where the arm is at rest; the reference
             configuration if not given.
         timestep: length of a step [s].
 
     Attributes:
+        n_joints: number n of joints.
+        timestep: as given.
         q: (n,) positions after the last step [rad or m].
         qd: (n,) velocities after the last step [rad/s or m/s].
     """
@@ -271,6 +284,7 @@ class ArmStepper:
         self._model.dof_damping[:] = 0.0
         self._data = data_at_pose(self._model, robot.reference_qpos)
         self._viscous = robot.friction.viscous
+        # Friction torque (motors, n) of motors that turn several joints; no rows where none does.
         shared = robot.friction.shared
         assert shared is not None
         levels = np.max(np.abs(shared), axis=1)
@@ -282,15 +296,19 @@ class ArmStepper:
         )
         self.q: Array = np.array(robot.reference if q is None else q, dtype=float)
         self.qd: Array = np.zeros(robot.n_joints)
+        # Change of velocity in the last step.
         self._last_change: Array = np.zeros(robot.n_joints)
-        self._units = np.zeros((robot.n_joints, self._model.nv))
-        self._units[np.arange(robot.n_joints), robot.dof_index] = 1.0
-        self._columns = np.empty_like(self._units)
+        # A unit torque on each joint (n, nv), and room for the accelerations that these make.
+        self._unit_torques = np.zeros((robot.n_joints, self._model.nv))
+        self._unit_torques[np.arange(robot.n_joints), robot.dof_index] = 1.0
+        self._accelerations = np.empty_like(self._unit_torques)
 
     def step(
         self, torque: Array, damping: Array, duration: float | None = None
     ) -> Array:
-        """Advance under the motor torque ``torque - damping qd``; return its mean (n,) [N m].
+        """Advance by one step under the motor torque ``torque - damping qd``.
+
+        ``q`` and ``qd`` are replaced. Returned is the mean motor torque (n,) in the step [N m].
 
         Args:
             torque: (n,) constant part of the motor torque [N m].
@@ -325,16 +343,18 @@ class ArmStepper:
         return np.asarray(torque - damping * mean_velocity)
 
     def tip(self) -> Array:
-        """Return the world position of the terminal link's centre of mass (3,) [m]."""
+        """Return the present world position of the terminal link's centre of mass (3,) [m]."""
         self._dynamics(self.q, self.qd)
         return np.array(self._data.xipos[self._robot.body_id])
 
     def axis(self, joint: int) -> Array:
-        """Return the direction (3,) of a chain joint's axis in the world, a unit vector."""
+        """Return the present direction (3,) of a joint's axis in the world, a unit vector.
+
+        ``joint`` is the index in the chain.
+        """
         self._dynamics(self.q, self.qd)
-        return np.array(
-            self._data.xaxis[self._model.dof_jntid[self._robot.dof_index[joint]]]
-        )
+        mujoco_joint = self._model.dof_jntid[self._robot.dof_index[joint]]
+        return np.array(self._data.xaxis[mujoco_joint])
 
     def moved_inertia(self) -> Array:
         """Return the inertia (n,) that each joint moves, all others being free [kg m^2]."""
@@ -346,15 +366,20 @@ class ArmStepper:
         return inverse_mass
 
     def _dynamics(self, q: Array, qd: Array) -> tuple[Array, Array]:
-        """Return the inverse mass matrix (n, n) and the bias torque (n,) of the chain."""
+        """Return the inverse mass matrix (n, n) and the bias torque (n,) of the chain.
+
+        The bias is gravity, Coriolis and centrifugal torque minus that of springs [N m]. MuJoCo's
+        data is left at positions q (n,) and velocities qd (n,).
+        """
         data = self._data
         dofs = self._robot.dof_index
         data.qpos[self._robot.qpos_index] = q
         data.qvel[dofs] = qd
         mujoco.mj_fwdPosition(self._model, data)
         mujoco.mj_fwdVelocity(self._model, data)
-        mujoco.mj_solveM(self._model, data, self._columns, self._units)
-        return self._columns[:, dofs], data.qfrc_bias[dofs] - data.qfrc_passive[dofs]
+        mujoco.mj_solveM(self._model, data, self._accelerations, self._unit_torques)
+        bias = data.qfrc_bias[dofs] - data.qfrc_passive[dofs]
+        return self._accelerations[:, dofs], bias
 
     def _resolve_dry_friction(
         self, free_velocity: Array, response: Array
@@ -375,9 +400,9 @@ class ArmStepper:
         joint_response = response @ axes.T
         axis_response = axes @ joint_response
         free_speed = axes @ free_velocity
-        direction = np.where(
-            axes @ self.qd != 0.0, np.sign(axes @ self.qd), np.sign(free_speed)
-        )
+        # Sign of the motion along each direction, in which friction takes energy.
+        present_speed = axes @ self.qd
+        direction = np.sign(np.where(present_speed != 0.0, present_speed, free_speed))
         sticks = np.zeros(len(coulomb), dtype=bool)
         for _ in range(2 * len(coulomb) + 1):
             friction = np.where(sticks, 0.0, coulomb * direction)
@@ -416,7 +441,7 @@ _STAGE = 1.0 - math.sqrt(0.5)
 def _velocity_responses(
     mobility: Array, resistance: Array, h: float
 ) -> tuple[Array, Array]:
-    """Return how a constant torque changes the velocities in a damped step of length ``h`` [s].
+    """Return how a constant torque changes velocities in a damped step of length ``h`` [s].
 
     Args:
         mobility: (n, n) inverse mass matrix [1 / (kg m^2)].

@@ -25,6 +25,8 @@ servo is at its limit, so kv/D stays the model's: with kv itself kept, an arm of
 have none left at the limit, and swing. A command holds until the next one comes. A joint whose
 actuator the model does not have, or that has dynamics of its own, is pulled by a spring, and has no
 limit.
+
+Shapes: n joints of the chain, base to terminal; B rollouts at a time; S steps in each.
 """
 
 from __future__ import annotations
@@ -99,6 +101,7 @@ class RolloutRunner:
     """Plays many rollouts of one model at a time, on all processors where MuJoCo can.
 
     Args:
+        robot: the arm; says which of the model's joints are the chain.
         model: from ``rollout_model``; its numbers may be changed between calls.
     """
 
@@ -124,7 +127,7 @@ class RolloutRunner:
         return q
 
     def _run_threads(self, inputs: RolloutInputs) -> Array:
-        """Return positions (B, S, n) by ``mujoco.rollout``."""
+        """Return positions (B, S, n) after each step by ``mujoco.rollout``, several at a time."""
         robot = self._robot
         model = self.model
         data = self._data[0]
@@ -132,6 +135,8 @@ class RolloutRunner:
         for state, q, qd in zip(states, inputs.q, inputs.qd):
             set_chain_state(robot, model, data, q, qd)
             mujoco.mj_getState(model, data, state, _STATE)
+        # An input is those of the nu actuators, then the forces on the nv degrees of freedom; a
+        # state is the time, then the positions, then more.
         input_size = mujoco.mj_stateSize(model, _INPUTS)
         controls = np.zeros((*inputs.torque.shape[:2], input_size))
         controls[:, :, model.nu + robot.dof_index] = inputs.torque
@@ -149,7 +154,10 @@ class RolloutRunner:
         return q
 
     def _run_stepwise(self, inputs: RolloutInputs) -> Array:
-        """Return positions (B, S, n) by single steps, for releases without ``mujoco.rollout``."""
+        """Return positions (B, S, n) after each step, one step of one rollout at a time.
+
+        This is for releases without ``mujoco.rollout``. Steps after a divergence are NaN.
+        """
         robot = self._robot
         model = self.model
         data = self._data[0]
@@ -192,10 +200,10 @@ class TrackingServo:
 def low_passed_pieces(
     signals: ProcessedSignals, first_time: float = -np.inf
 ) -> list[Measurement]:
-    """Return the pieces of a low-passed log from a time [s] on that can be played.
+    """Return the pieces of a low-passed log that can be played, from ``first_time`` [s] on.
 
     A log is cut where a long gap in its samples was bridged, and loses the ends that the low-pass
-    filter does not reach.
+    filter does not reach. Torques are low-passed here, positions and velocities are so already.
     """
     half = signals.low_pass.half_width
     inner = slice(half, len(signals) - half)
@@ -203,6 +211,7 @@ def low_passed_pieces(
     bridged = signals.bridged[inner]
     tau = signals.low_pass.filter(signals.tau)
     usable = np.flatnonzero((time >= first_time) & ~bridged)
+    # Runs of successive samples: cut wherever an index is left out.
     runs = np.split(usable, np.flatnonzero(np.diff(usable) > 1) + 1)
     q = signals.q[inner]
     qd = signals.qd[inner]
@@ -219,6 +228,7 @@ def tracking_servo(
     """Return one servo for several models of an arm, made for the largest inertia of any of them.
 
     A joint's inertia is its diagonal element of the mass matrix, at about ten positions per piece.
+    With it the servo is critically damped, at a bandwidth of ``TRACKING_RATE``.
     """
     q = np.concatenate([piece.q[:: max(1, len(piece.q) // 10)] for piece in pieces])
     inertia = np.zeros(q.shape[1])
@@ -239,9 +249,9 @@ def tracking_servo(
 def window_starts(
     pieces: Sequence[Measurement], horizon: float
 ) -> list[tuple[Measurement, float]]:
-    """Return up to ``MAX_WINDOWS`` windows of a length [s], as (piece, time at the start [s]).
+    """Return up to ``MAX_WINDOWS`` windows, each as (piece, time at the window's start [s]).
 
-    Windows follow each other without a gap within each piece.
+    Windows have the length ``horizon`` [s] and follow each other without a gap within each piece.
     """
     windows = []
     for piece in pieces:
@@ -255,7 +265,7 @@ def window_starts(
 def interpolate(
     at: Array | float, time: Array, values: Array, outside: float | None = None
 ) -> Array:
-    """Interpolate the columns of ``values`` (N, n), sampled at ``time`` (N,), linearly.
+    """Return columns of values, interpolated linearly at new times.
 
     Args:
         at: new times (K,), or one time.
@@ -280,6 +290,7 @@ def rollout_error(
     """Return a model's position error when it plays windows of a log, and how many ran away.
 
     Args:
+        robot: the arm with the model to be played.
         windows: from ``window_starts``.
         horizon: length of each window [s].
         servo: pulls the model towards the measured motion; None for open loop.
@@ -301,6 +312,9 @@ def rollout_error(
         qd[k] = interpolate(edges + start, piece.time, piece.qd)
         torque[k] = interpolate(middles + start, piece.time, piece.tau)
     if servo is not None:
+        # Spring and damper of the joint are implicit in a step, which keeps it stable; the torque
+        # moves their rest from the model's to the measured motion: positions at the step's begin,
+        # velocities at its end.
         model.jnt_stiffness[model.dof_jntid[robot.dof_index]] += servo.stiffness
         model.dof_damping[robot.dof_index] += servo.damping
         spring_rest = np.array(model.qpos_spring[robot.qpos_index])
@@ -387,22 +401,25 @@ def _chain_joints(robot: RobotModel) -> NDArray[np.int64]:
 def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float, float]:
     """Return (id, gear, Kp, kv, limit) of the actuator that drives a joint, as ``ChainActuators``
     has them.
+
+    Args:
+        model: compiled MuJoCo model.
+        joint: MuJoCo joint id.
     """
     usable = []
     for actuator in actuators_on(model, joint):
         is_static = model.actuator_dyntype[actuator] == int(mujoco.mjtDyn.mjDYN_NONE)
         if is_static and model.actuator_gear[actuator, 0] != 0.0:
-            is_position = _is_position_actuator(model, actuator)
-            usable.append((not is_position, actuator))
+            usable.append(actuator)
     if not usable:
         return NO_ACTUATOR, 1.0, np.nan, np.nan, np.inf
-    # The first position actuator, or else the first of all.
-    is_other, actuator = min(usable, key=lambda entry: entry[0])
+    position_actuators = [k for k in usable if _is_position_actuator(model, k)]
+    actuator = (position_actuators or usable)[0]
     gear = float(model.actuator_gear[actuator, 0])
     limit = np.inf
     if model.actuator_forcelimited[actuator]:
         limit = abs(gear) * float(np.max(np.abs(model.actuator_forcerange[actuator])))
-    if is_other:
+    if not position_actuators:
         return actuator, gear, np.nan, np.nan, limit
     kp = float(gear**2 * model.actuator_gainprm[actuator, 0])
     kv = float(gear**2 * -model.actuator_biasprm[actuator, 2])
@@ -425,7 +442,10 @@ def _is_position_actuator(model: Any, actuator: int) -> bool:
 
 
 def servos_in_model(robot: RobotModel) -> ServoParameters:
-    """Return the servo parameters that the model has: no delay, NaN gains without a servo."""
+    """Return the servo parameters that the model has: no delay, NaN gains without a servo.
+
+    The damping is that of joint and servo together.
+    """
     model = robot.mj_model
     dofs = robot.dof_index
     actuators = chain_actuators(robot)
@@ -454,7 +474,16 @@ def servo_model(robot: RobotModel, timestep: float) -> Any:
 
 
 def set_servos(model: Any, robot: RobotModel, servos: ServoParameters) -> None:
-    """Write servo parameters into a ``servo_model``, over those of an earlier call."""
+    """Write servo parameters into a ``servo_model``, over those of an earlier call.
+
+    The delay is left out: it shifts the commands. A joint without a usable actuator gets its gain
+    as a spring.
+
+    Args:
+        model: from ``servo_model``; it is changed.
+        robot: the arm as in the model file.
+        servos: the parameters.
+    """
     dofs = robot.dof_index
     actuators = chain_actuators(robot)
     model.dof_armature[dofs] = servos.armature
@@ -503,7 +532,8 @@ class ServoWindow:
             edges: (S + 1,) ends of the steps, from the start of the window [s].
         """
         times = self.start + edges - delay
-        # The integral of the commands over time is piecewise linear; the last command lasts 1 s.
+        # A mean command is the difference of the commands' integral over time at the step's ends.
+        # The integral is piecewise linear; the last command lasts 1 s, the first since ever.
         knots = np.append(self.time, self.time[-1] + 1.0)
         durations = np.diff(self.time, append=self.time[-1] + 1.0)[:, None]
         steps = self.command * durations
@@ -527,9 +557,11 @@ class ServoRollouts:
         windows: Sequence[ServoWindow],
         edges: Array,
     ) -> Iterator[Array]:
-        """Yield chain positions (W, S + 1, n) of each candidate in W windows.
+        """Yield chain positions (W, S + 1, n) of each candidate in W windows, the start included.
 
         Args:
+            candidates: servo parameters, played one after the other.
+            windows: starts and commands of the W windows.
             edges: (S + 1,) ends of the steps of every window, from its start [s], evenly spaced.
         """
         robot = self.robot
@@ -537,6 +569,7 @@ class ServoRollouts:
         model.opt.timestep = edges[1] - edges[0]
         q = np.stack([window.q for window in windows])
         qd = np.stack([window.qd for window in windows])
+        # Commands (W, S, n) by delay, because many candidates have the same one.
         commands = dict[float, Array]()
         index = chain_actuators(robot).index
         driven = index != NO_ACTUATOR
