@@ -97,8 +97,8 @@ class MotorRun:
 
         InputError where a file does not fit the model or the joint map.
         """
-        paths = filter(None, (self.values["trajectory"], self.values.get("also")))
-        files = [motion.read_damiao_trajectory(path) for path in paths]
+        paths = self.values["trajectory"], self.values.get("also")
+        files = [motion.read_damiao_trajectory(path) for path in paths if path]
         for file, robot in zip(files, self.robots):
             if file.n_joints != robot.n_joints:
                 raise InputError(
@@ -138,22 +138,27 @@ class MotorRun:
 
         joints = []
         motor_positions = []
-        plain = [DamiaoJoint("", k, 0) for k in range(1, self.robot.n_joints + 1)]
-        for joint in self._with_joint_map(plain):
+        # Without a joint map the motors have the CAN ids 1, 2, 3, ...
+        unmapped = [DamiaoJoint("", i + 1, 0) for i in range(self.robot.n_joints)]
+        for joint in self._with_joint_map(unmapped):
             motor = inspection.motors.get(joint.address)
             types = matching_types(motor.limits) if motor else ()
-            if motor is None or not types or motor.feedback is None:
-                reason = "does not tell its state" if types else "is of no known type"
-                if motor is None:
-                    reason = "does not answer"
+            problem = ""
+            if motor is None:
+                problem = "does not answer"
+            elif not types:
+                problem = "is of no known type"
+            elif motor.feedback is None:
+                problem = "does not tell its state"
+            if motor is None or problem:
                 raise HardwareAbort(
-                    f"{joint.label} {reason}; see robot-sysid motors check"
+                    f"{joint.label} {problem}; see robot-sysid motors check"
                 )
-            master = joint.master_id or motor.master_id
-            joints.append(replace(joint, motor_type=types[0], master_id=master))
+            master_id = joint.master_id or motor.master_id
+            joints.append(replace(joint, motor_type=types[0], master_id=master_id))
             motor_positions.append(motor.position)
         q = JointSpace.of(joints).joint_position(np.array(motor_positions))
-        torque = gravity_check(self.robot, tuple(joints)).torque(q)
+        gravity_torque = gravity_check(self.robot, tuple(joints)).torque(q)
         at_rest = DamiaoTrajectory(
             Path("holding"),
             tuple(joints),
@@ -161,7 +166,7 @@ class MotorRun:
             time=np.array([0.0, 1.0]),
             q=np.tile(q, (2, 1)),
             qd=np.zeros((2, len(q))),
-            tau=np.tile(torque, (2, 1)),
+            tau=np.tile(gravity_torque, (2, 1)),
             has_two_arms=self._has_two_arms,
         )
         return self._plan_of(at_rest)
@@ -185,33 +190,34 @@ class MotorRun:
             model_range = self.robot.limits.lower, self.robot.limits.upper
         return Plan(
             trajectory,
-            record_from(PlaySettings, self.values),
-            self.timing,
-            record_from(Permissions, self.values),
-            record_from(RecordingOptions, self.values),
-            inertia,
-            self._limits(),
-            model_range,
-            ripple,
+            settings=record_from(PlaySettings, self.values),
+            timing=self.timing,
+            permissions=record_from(Permissions, self.values),
+            recording=record_from(RecordingOptions, self.values),
+            inertia=inertia,
+            limits=self._limits(),
+            model_range=model_range,
+            ripple=ripple,
         )
 
     def _limits(self) -> LimitOptions:
-        """Return the limits that the user gives for all motions of the run.
+        """Return the limits that the user gives for all motions of the run; others do not limit.
 
         InputError for a limit that needs a model where there is none.
         """
-        limits = {key: self.values[key] for key in motion.LIMITS if key in self.values}
-        for key in motion.MODEL_LIMITS if self.robot is None else ():
-            if key in limits:
-                raise InputError(
-                    f"--{key.replace('_', '-')} is about a model; add --model"
-                )
-        free = {
+        limits: dict[str, Any] = {
             "max_velocity": motion.NO_LIMITS.max_velocity,
             "clearance": 0.0,
             "below_base": True,
         }
-        return record_from(LimitOptions, {**free, **limits})
+        for key in motion.LIMITS:
+            if key not in self.values:
+                continue
+            if self.robot is None and key in motion.MODEL_LIMITS:
+                flag = key.replace("_", "-")
+                raise InputError(f"--{flag} is about a model; add --model")
+            limits[key] = self.values[key]
+        return record_from(LimitOptions, limits)
 
     def _with_joint_map(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
         """Return joints (base to terminal) with the ids and mounting of the joint map.
@@ -235,8 +241,8 @@ class MotorRun:
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of the buses in the options, or else in the joint map; may be empty."""
-        mapped_to = dict.fromkeys(row.channel for row in self.rows if row.channel)
-        return tuple(self.address.buses or mapped_to)
+        names_in_map = dict.fromkeys(row.channel for row in self.rows if row.channel)
+        return tuple(self.address.buses or names_in_map)
 
     def checks(self, plan: Plan) -> list[Check]:
         """Return the checks of a plan that need no bus, including those against a model."""
@@ -245,28 +251,30 @@ class MotorRun:
             for model_option in given_options(record_from(ModelOptions, self.values)):
                 raise InputError(f"{model_option.flag} is about a model; add --model")
             return checks
-        from robot_sysid.damiao.model_check import (
-            model_checks,
-            torque_checks,
-            transfer_check,
-        )
+        from robot_sysid.damiao import model_check
 
-        checks += model_checks(plan, self._contacts)
+        checks += model_check.model_checks(plan, self._contacts)
         if plan.parking_pose is not None:
-            *_, (name, begin, end) = plan.transfers(plan.trajectory.q[0])
-            checks += transfer_check(name, *self._order(begin, end))
-        return [*checks, *torque_checks(plan.trajectory, plan.settings, self.robot)]
+            # The last transfer leads from the last point to the parking pose.
+            name, begin, end = list(plan.transfers(plan.trajectory.q[0]))[-1]
+            order, touching = self._order(begin, end)
+            checks += model_check.transfer_check(name, order, touching)
+        checks += model_check.torque_checks(plan.trajectory, plan.settings, self.robot)
+        return checks
 
     def orders(self, plan: Plan, q: Array) -> tuple[str, ...]:
-        """Return the order of joints, of ``ORDERS``, in each transfer of an arm at q (n,) [rad]."""
+        """Return in which order joints move in each transfer of an arm that stands at q (n,) [rad].
+
+        Transfers lead to the first point and to the parking pose; orders are those of ``_order``.
+        """
         return tuple(self._order(begin, end)[0] for _, begin, end in plan.transfers(q))
 
     def _order(self, begin: Array, end: Array) -> tuple[str, str]:
-        """Return an order of joints that touches nothing between two poses (n,) [rad].
+        """Return an order of joints in which nothing touches between two poses (n,) [rad].
 
-        The order is one of ``ORDERS``, or "" where there is none; straight without a model. The
-        second result names the bodies that touch on the straight line, or is "". Results are
-        cached, because the checks and the run need them.
+        The order is one of ``references.ORDERS`` (all joints at once, or one after the other), or
+        "" where none is free; without a model it is straight. The second result names the bodies
+        that touch on the straight line, or is "". Results are cached: checks and run need them.
         """
         if self.robot is None:
             return STRAIGHT, ""
@@ -277,6 +285,7 @@ class MotorRun:
 
     @cached_property
     def _contacts(self) -> Any:
+        """Finder of contacts of the model's arms within the user's limits (Contacts)."""
         # Imported here so that playing on real motors does not wait for MuJoCo.
         from robot_sysid.damiao.model_check import Contacts
 
@@ -296,9 +305,11 @@ class MotorRun:
             for name, begin, end in plan.transfers(q) if self.robot is not None else ():
                 from robot_sysid.damiao.model_check import transfer_check
 
-                # The way to a pose begins where the trajectory ends, and was checked without a bus.
+                # Transfers from and to where the arm stands: the way from the end of the
+                # trajectory to a parking pose has been checked without a bus, by ``checks``.
                 if begin is q or end is q:
-                    checks += transfer_check(name, *self._order(begin, end))
+                    order, touching = self._order(begin, end)
+                    checks += transfer_check(name, order, touching)
         if real:
             checks += preflight.direction_checks(plan, self.holding(plan))
         return checks
@@ -334,7 +345,8 @@ class MotorRun:
     def require_free(self, plan: Plan) -> None:
         """Raise InputError where a recording would replace a file, the run's inputs included."""
         keys = "trajectory", "model", "also", "joint_map", "park"
-        plan.recording.require_free(*filter(None, map(self.values.get, keys)))
+        inputs = [self.values[key] for key in keys if self.values.get(key)]
+        plan.recording.require_free(*inputs)
 
     def holding(self, plan: Plan) -> HoldingCheck | None:
         """Return the check of holding torques against the model's gravity; None without a model."""
@@ -368,34 +380,34 @@ class MotorRun:
         if self._has_two_arms:
             terminals.append(self.values.get("also_joint"))
         path = self.values["model"]
-        no_limit = float("inf")
-        arms = tuple(
-            load_robot_model(path, model.mesh_dir, joint, no_limit, model.keyframe)
-            for joint in terminals
-        )
-        names = [name for arm in arms for name in arm.joint_names]
-        for name in (name for name in names if names.count(name) > 1):
-            raise InputError(
-                f"--joint and --also-joint are of one arm: both move {name}"
-            )
-        return arms
+        arms = []
+        names: list[str] = []
+        for joint in terminals:
+            arm = load_robot_model(path, model.mesh_dir, joint, np.inf, model.keyframe)
+            arms.append(arm)
+            names += arm.joint_names
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(
+                    f"--joint and --also-joint are of one arm: both move {name}"
+                )
+        return tuple(arms)
 
     def simulated_arm(
         self, plan: Plan, watchdog: float, *timestep: float
     ) -> SimulatedArm:
         """Return a simulated arm of the model that stands at the plan's first point.
 
-        ``watchdog`` is the watchdog time of its motors [s], ``timestep`` the time step of the
-        physics [s]. InputError without a model.
+        ``watchdog`` is the watchdog time of its motors [s]; ``timestep`` is the time step of the
+        physics [s], or no argument for the default. InputError without a model.
         """
         if self.robot is None:
             raise InputError("a simulated arm needs a model; add --model")
         from robot_sysid.simulation.plant import ArmStepper
 
         motors = [simulated_motor(joint, watchdog) for joint in plan.trajectory.joints]
-        return SimulatedArm(
-            ArmStepper(self.robot, plan.trajectory.q[0], *timestep), motors
-        )
+        stepper = ArmStepper(self.robot, plan.trajectory.q[0], *timestep)
+        return SimulatedArm(stepper, motors)
 
     @contextlib.contextmanager
     def open_simulated(self, arm: SimulatedArm) -> Iterator[GuardedLink]:
@@ -515,20 +527,23 @@ def run(
 def _held_joints(plan: Plan, inspection: Inspection) -> tuple[DamiaoJoint, ...]:
     """Return a joint for each motor outside the trajectory that is to be held.
 
-    The type is the first one whose limits agree with the motor's; without any there is no joint.
+    Its type is the first one whose scaling limits agree with the motor's registers; a motor of no
+    known type gets no joint.
     """
+    if plan.settings.others != "hold":
+        return ()
     joints = []
-    others = plan.other_motors(inspection) if plan.settings.others == "hold" else ()
-    for motor in others:
-        bus, can_id = motor.address
-        ids = can_id, motor.master_id
-        for name in matching_types(motor.limits)[:1]:
-            joints.append(DamiaoJoint(name, *ids, bus=bus, channel=motor.channel))
+    for motor in plan.other_motors(inspection):
+        types = matching_types(motor.limits)
+        if types:
+            bus, can_id = motor.address
+            ids = can_id, motor.master_id
+            joints.append(DamiaoJoint(types[0], *ids, bus=bus, channel=motor.channel))
     return tuple(joints)
 
 
 def _settings_with(plan: Plan, held_joints: Sequence[DamiaoJoint]) -> PlaySettings:
-    """Return a plan's settings with default gains for held motors after those of its joints."""
+    """Return a plan's settings with held motors' default gains and limits after its joints'."""
     settings = plan.settings
     specs = [joint.spec for joint in held_joints]
     held = PlaySettings(rate=settings.rate).for_motors(specs, plan.timing)
@@ -542,10 +557,8 @@ def _settings_with(plan: Plan, held_joints: Sequence[DamiaoJoint]) -> PlaySettin
 
 def _require_complete(console: Aside, writer: Aside) -> None:
     """Raise SysidError where recording (``writer``) or printing (``console``) has failed."""
-    for aside, problem in (
-        (writer, "the recording is not complete"),
-        (console, "cannot print"),
-    ):
+    problems = (writer, "the recording is not complete"), (console, "cannot print")
+    for aside, problem in problems:
         if aside.failure is not None:
             raise SysidError(
                 "the trajectory was played and all motors are disabled, but "

@@ -43,6 +43,7 @@ from __future__ import annotations
 import csv
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import pi
@@ -146,7 +147,11 @@ def matching_types(limits: tuple[float, float, float]) -> tuple[str, ...]:
     Args:
         limits: PMAX [rad], VMAX [rad/s] and TMAX [N m], as read from a motor's registers.
     """
-    return tuple(spec.name for spec in _SPECS if limits_agree(spec.limits, limits))
+    names = []
+    for spec in _SPECS:
+        if limits_agree(spec.limits, limits):
+            names.append(spec.name)
+    return tuple(names)
 
 
 def limits_agree(
@@ -219,7 +224,7 @@ def damiao_joints(
     master_ids: Sequence[int] | None = None,
     names: Sequence[str] = (),
 ) -> tuple[DamiaoJoint, ...]:
-    """Return one checked DamiaoJoint per joint, base to terminal.
+    """Return one checked DamiaoJoint per joint, base to terminal, all on bus 0.
 
     Args:
         motor_types: a name of ``MOTORS`` per joint.
@@ -237,12 +242,12 @@ def damiao_joints(
             f"terminal, out of {', '.join(MOTORS)}"
         )
     types = [motor_spec(name).name for name in motor_types]
-    ids = list(can_ids or range(1, n_joints + 1))
-    replies = list(master_ids or (i + MASTER_ID_OFFSET for i in ids))
+    can_ids = can_ids or range(1, n_joints + 1)
+    master_ids = master_ids or [can_id + MASTER_ID_OFFSET for can_id in can_ids]
     for option, values, alternative in (
         ("--motor-type", types, ", base to terminal"),
-        ("--can-id", ids, " or not at all"),
-        ("--master-id", replies, " or not at all"),
+        ("--can-id", can_ids, " or not at all"),
+        ("--master-id", master_ids, " or not at all"),
     ):
         if len(values) != n_joints:
             times = "once" if len(values) == 1 else f"{len(values)} times"
@@ -250,10 +255,15 @@ def damiao_joints(
                 f"{option} was given {times} but the chain has {n_joints} joints: give it once "
                 f"per joint{alternative}"
             )
-    for problem in id_problems([(0, *pair) for pair in zip(ids, replies)]):
+    bus_and_ids = [(0, *ids) for ids in zip(can_ids, master_ids)]
+    for problem in id_problems(bus_and_ids):
         raise InputError(problem)
     joint_names = ["_".join(name.split()) for name in names] or [""] * n_joints
-    return tuple(map(DamiaoJoint, types, ids, replies, joint_names))
+    joints = []
+    for row in zip(types, can_ids, master_ids, joint_names):
+        motor_type, can_id, master_id, name = row
+        joints.append(DamiaoJoint(motor_type, can_id, master_id, name))
+    return tuple(joints)
 
 
 def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:
@@ -266,10 +276,9 @@ def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:
         motors: (bus, CAN id, master id) per motor; the bus is an index or a name.
     """
     for column, name in ((1, "CAN"), (2, "master")):
-        ids = [(motor[0], motor[column]) for motor in motors]
-        for _, i in sorted(
-            {bus_and_id for bus_and_id in ids if ids.count(bus_and_id) > 1}
-        ):
+        users = Counter((motor[0], motor[column]) for motor in motors)
+        repeated = [bus_and_id for bus_and_id, n in users.items() if n > 1]
+        for _, i in sorted(repeated):
             yield f"{name} id {i:#04x} is used by more than one motor; each needs its own"
     for bus, i, master in motors:
         if not 1 <= i <= 15:
@@ -302,7 +311,9 @@ class JointSpace:
     def of(cls, joints: Sequence[DamiaoJoint]) -> JointSpace:
         """Return the mounting of the motors of n joints, in the order of ``joints``."""
         rows = [(joint.direction, joint.offset, joint.torque_ratio) for joint in joints]
-        return cls(*np.array(rows, dtype=float).reshape(-1, 3).T)
+        # The shape (n, 3) is stated for the case of no joints.
+        direction, offset, ratio = np.array(rows, dtype=float).reshape(-1, 3).T
+        return cls(direction, offset, ratio)
 
     def to_motors(
         self, position: Array, velocity: Array, torque: Array
@@ -346,7 +357,7 @@ class JointSpace:
 
     def joint_position(self, position: Array) -> Array:
         """Return the joint positions (n,) at motor positions (n,) [rad]."""
-        return self.to_joints(position, position, position)[0]
+        return self.direction * (position - self.offset)
 
 
 _COLUMNS = [
@@ -372,6 +383,9 @@ def read_joint_map(path: Path, names: Sequence[str] = ()) -> tuple[DamiaoJoint, 
         names: joint names of the model, used for LeRobot files only: a motor gets the name of the
             only joint whose letters and digits end with the motor's, so that joint_1 becomes
             openarm_left_joint1.
+
+    Returns:
+        Joints without a motor type, each with ``bus`` 0 and the bus's name as ``channel``.
 
     Raises:
         InputError: the file is unreadable, a row is wrong, or names or ids clash.
@@ -400,15 +414,15 @@ def read_joint_map(path: Path, names: Sequence[str] = ()) -> tuple[DamiaoJoint, 
 def _require_distinct(
     path: Path, rows: Sequence[DamiaoJoint]
 ) -> tuple[DamiaoJoint, ...]:
-    """Return ``rows`` as a tuple; InputError if empty, names repeat or ids clash on a bus.
+    """Return ``rows`` as a tuple; InputError if it is empty, names repeat or ids clash on a bus.
 
     ``path`` is only for the messages.
     """
     if not rows:
         raise InputError(f"{path} has no lines")
-    names = [row.name for row in rows]
-    for name in names:
-        if names.count(name) > 1:
+    n_rows = Counter(row.name for row in rows)
+    for name in n_rows:
+        if n_rows[name] > 1:
             raise InputError(f"{path} names {name} twice")
     ids = [(row.channel, row.can_id, row.master_id) for row in rows]
     for problem in id_problems(ids):
@@ -443,13 +457,13 @@ def map_joints(
     Raises:
         InputError: the map does not cover the joints, or names a bus that is not open.
     """
-    by_name = {row.name: row for row in rows}
+    row_by_name = {row.name: row for row in rows}
     for name in names:
-        if name not in by_name:
+        if name not in row_by_name:
             raise InputError(
-                f"the joint map has no line for {name}; it has {', '.join(by_name)}"
+                f"the joint map has no line for {name}; it has {', '.join(row_by_name)}"
             )
-    selected = [by_name[name] for name in names] if names else rows
+    selected = [row_by_name[name] for name in names] if names else rows
     if len(selected) != len(joints):
         raise InputError(
             f"the joint map has {len(selected)} joints but the trajectory {len(joints)}: give one "
@@ -532,6 +546,8 @@ def _lerobot_joints(
 ) -> Iterator[DamiaoJoint]:
     """Yield the joints in the content of a LeRobot configuration or calibration.
 
+    A configuration may have sections, one per arm or "robot", which are configurations again.
+
     Args:
         content: the parsed file, or one section of a configuration.
         prefix: text before the names of the motors in a configuration, such as "left_".
@@ -542,10 +558,10 @@ def _lerobot_joints(
         for key, section in sections.items():
             yield from _lerobot_joints(section, _SIDES.get(key, ""))
     elif "motor_config" in content:
-        port = str(content.get("port", ""))
+        channel = str(content.get("port", ""))
         for name, (can_id, master_id, *_) in content["motor_config"].items():
             ids = int(can_id), int(master_id)
-            yield DamiaoJoint("", *ids, name=prefix + name, channel=port)
+            yield DamiaoJoint("", *ids, name=prefix + name, channel=channel)
     else:
         for name, motor in content.items():
             yield _calibrated_joint(name, motor)
@@ -569,7 +585,10 @@ def _matching_name(name: str, names: Sequence[str]) -> str:
     Only letters and digits are compared, without case.
     """
     ending = _letters_and_digits(name)
-    matches = [other for other in names if _letters_and_digits(other).endswith(ending)]
+    matches = []
+    for joint_name in names:
+        if _letters_and_digits(joint_name).endswith(ending):
+            matches.append(joint_name)
     return matches[0] if len(matches) == 1 else name
 
 

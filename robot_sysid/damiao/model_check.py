@@ -78,14 +78,15 @@ class SampledTrajectory:
         self.n_joints = trajectory.n_joints
 
     def evaluate(self, time: Array) -> Motion:
-        """Return position and velocity at times (K,) [s], with zero acceleration.
+        """Return position and velocity (K, n) at times (K,) [s], with zero acceleration.
 
-        The velocity is the slope of the positions, as the player interpolates them.
+        Positions are interpolated in a straight line between the rows, as the player sends them;
+        the velocity is the slope of this line.
         """
         q = interpolate(time, self.time, self.q)
-        between = np.searchsorted(self.time, time, side="right") - 1
-        qd = self.slope[np.clip(between, 0, len(self.slope) - 1)]
-        return Motion(time, q, qd, np.zeros_like(q))
+        row_before = np.searchsorted(self.time, time, side="right") - 1
+        interval = np.clip(row_before, 0, len(self.slope) - 1)
+        return Motion(time, q, self.slope[interval], np.zeros_like(q))
 
 
 class Contacts:
@@ -98,8 +99,8 @@ class Contacts:
     Attributes:
         arms: as given.
         between: check of two arms against each other; None for one arm.
-        problems: obstacles and limits of each arm.
-        joints_of_arms: slice of each arm's joints among the joints of all arms.
+        problems: geometry, obstacles and limits of each arm, for the search of contacts.
+        joints_of_arms: slice of each arm's joints among the n joints of all arms.
     """
 
     def __init__(
@@ -108,18 +109,23 @@ class Contacts:
         self.arms = arms
         self.between = BetweenArms(*arms) if len(arms) > 1 else None
         self.problems = [build_problem(robot, limits) for robot in arms]
-        ends = np.cumsum([0, *(robot.n_joints for robot in arms)]).tolist()
-        self.joints_of_arms = list(map(slice, ends, ends[1:]))
+        self.joints_of_arms = []
+        end = 0
+        for robot in arms:
+            begin = end
+            end = begin + robot.n_joints
+            self.joints_of_arms.append(slice(begin, end))
 
     def order(self, begin: Array, end: Array) -> tuple[str, str]:
         """Return an order of joints in which arms touch nothing between two poses (n,) [rad].
 
         Returns:
-            The first such order of ``ORDERS``, or "" where there is none; and the names of the
-            bodies that touch on the straight line, or "".
+            The first such order of ``ORDERS`` (straight, joint by joint from the base, or from the
+            tip), or "" where there is none; and the names of the bodies that touch on the straight
+            line, or "". Where all joints move less than 0.02 rad, the order is always straight.
         """
         touching = self._contact_between(poses_between(begin, end, STRAIGHT))
-        if not touching or np.max(np.abs(end - begin)) <= _THERE:
+        if not touching or np.max(np.abs(end - begin)) <= _SHORT:
             return STRAIGHT, ""
         for order in ORDERS[1:]:
             if not self._contact_between(poses_between(begin, end, order)):
@@ -127,12 +133,14 @@ class Contacts:
         return "", touching
 
     def _contact_between(self, poses: Sequence[Array]) -> str:
-        """Return the bodies that touch on straight lines between poses (n,) [rad], or ""."""
+        """Return the bodies that touch first on straight lines between poses (n,) [rad], or "".
+
+        For two arms that touch each other, this is "arms".
+        """
         for begin, end in zip(poses, poses[1:]):
             for problem, joints in zip(self.problems, self.joints_of_arms):
-                contact = first_contact(
-                    problem, straight_way(begin[joints], end[joints])
-                )
+                arm_line = straight_way(begin[joints], end[joints])
+                contact = first_contact(problem, arm_line)
                 if contact is not None:
                     return contact.label
             line = straight_way(begin, end)
@@ -141,15 +149,19 @@ class Contacts:
         return ""
 
 
-_THERE = 0.02
-"""Length of a transfer [rad] below which a contact is an error of the model."""
+_SHORT = 0.02
+"""Largest motion of a joint in a transfer that is too short for another order [rad].
+
+Bodies that touch on so short a way touch where the arm stands: the model has a contact too many.
+"""
 
 
 def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
-    """Yield a stop for each limit of the model that a plan exceeds and each contact, or one OK.
+    """Yield a stop for each limit of the model that a plan exceeds and for each contact.
 
-    The trajectory and the parking pose are checked. The arms of ``contacts`` have been loaded
-    without a limit of speed by the user, so that only the limits of the model count.
+    If there is none, one check with severity OK is yielded. The trajectory and the parking pose are
+    checked. The arms of ``contacts`` have been loaded without a limit of speed by the user, so that
+    only the limits of the model count.
     """
     played = plan.trajectory
     speed = plan.settings.speed
@@ -157,13 +169,17 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
     for robot, problem, joints in zip(
         contacts.arms, contacts.problems, contacts.joints_of_arms
     ):
-        columns = {
-            name: getattr(played, name)[:, joints] for name in ("q", "qd", "tau")
-        }
-        of_arm = replace(played, joints=played.joints[joints], **columns)
-        motion = SampledTrajectory(of_arm, speed)
+        arm_trajectory = replace(
+            played,
+            joints=played.joints[joints],
+            q=played.q[:, joints],
+            qd=played.qd[:, joints],
+            tau=played.tau[:, joints],
+        )
+        motion = SampledTrajectory(arm_trajectory, speed)
         excesses += _joint_excesses(robot, motion)
-        if (contact := first_contact(problem, motion)) is not None:
+        contact = first_contact(problem, motion)
+        if contact is not None:
             excesses.append(
                 f"the model's {contact.label} touch at {contact.time:.2f} s"
             )
@@ -173,13 +189,14 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
     if plan.parking_pose is not None:
         for robot, joints in zip(contacts.arms, contacts.joints_of_arms):
             excesses += _pose_excesses(robot, plan.parking_pose[joints])
-    both_arms = SampledTrajectory(played, speed)
-    between = contacts.between
-    if between is not None and (at := between.touch_at(both_arms)) is not None:
-        excesses.append(
-            f"the arms touch while both move, at {at:.2f} s; play one after the other"
-        )
-    yield from (Check(STOP, excess) for excess in excesses)
+    if contacts.between is not None:
+        time = contacts.between.touch_at(SampledTrajectory(played, speed))
+        if time is not None:
+            excesses.append(
+                f"the arms touch while both move, at {time:.2f} s; play one after the other"
+            )
+    for excess in excesses:
+        yield Check(STOP, excess)
     if not excesses:
         name = contacts.arms[0].path.name
         if len(contacts.arms) > 1:
@@ -199,7 +216,7 @@ def transfer_check(name: str, order: str, touching: str) -> Iterator[Check]:
     """Yield a note or stop for a transfer on whose straight line the arms touch something.
 
     Args:
-        name: name of the transfer, see ``Plan.transfers``.
+        name: begin of the message: "on the way to the first point" or "... to where it is parked".
         order: the order of ``ORDERS`` in which nothing touches; "" where there is none.
         touching: names of the bodies that touch on the straight line; "" where nothing touches.
     """
@@ -229,19 +246,24 @@ def _pose_excesses(robot: RobotModel, pose: Array) -> Iterator[str]:
 def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[str]:
     """Yield a sentence for each joint and limit of the model that a motion exceeds.
 
-    The limits are those of position, velocity and torque.
+    The limits are those of position, velocity and torque; a sentence has the largest excess.
     """
-    # The velocity up to the next row, where the positions show more than the velocity column.
+    # Velocity up to the next row, which counts where the positions show more than the velocity
+    # column. Their rounding alone may make a slope; the last row has no next one.
     slope = np.zeros_like(motion.qd)
     slope[:-1] = np.abs(motion.slope) - _PRINTED / np.diff(motion.time)[:, None]
+    speed = np.maximum(np.abs(motion.qd), slope)
+    torque = np.abs(motion.tau)
     limits = robot.limits
+    # With sign -1, the least value is compared with a lower limit.
     for quantity, sign, values, bounds in (
         ("position", 1.0, motion.q, limits.upper),
         ("position", -1.0, motion.q, limits.lower),
-        ("velocity", 1.0, np.maximum(np.abs(motion.qd), slope), limits.velocity),
-        ("torque", 1.0, np.abs(motion.tau), limits.torque),
+        ("velocity", 1.0, speed, limits.velocity),
+        ("torque", 1.0, torque, limits.torque),
     ):
-        for j, row in enumerate(np.argmax(sign * values, axis=0)):
+        worst_rows = np.argmax(sign * values, axis=0)
+        for j, row in enumerate(worst_rows):
             value = values[row, j]
             bound = bounds[j]
             if sign * value > sign * bound + _ROUNDING * max(abs(bound), 1.0):
@@ -304,7 +326,8 @@ def _foreign_torque_checks(
 ) -> Iterator[Check]:
     """Yield a note or stop for each joint whose feed-forward torque its motion does not need.
 
-    It is a note where the file agrees with its own model, and the motion weighs an unknown load.
+    It is a note where the file's torque agrees with the model that the motion was planned with, and
+    the motion was planned for weighing an unknown load. ``robot`` is the model of the present arm.
     """
     fed = _FedTorque.of(trajectory, robot)
     is_as_planned = bool(np.any(fed.is_foreign)) and _is_as_planned(trajectory)
@@ -356,22 +379,27 @@ class _FedTorque:
         signals = trajectory.q, trajectory.qd, trajectory.qdd
         motion = Motion(trajectory.time, *signals)
         needed = ArmTorque(robot)(motion)
+        # Torque (n,) that friction alone may explain.
         doubt = torque_doubt(trajectory.joints) + robot.friction.largest_dry
         needed_rms = np.sqrt(np.mean(needed**2, axis=0))
+        fed_rms = np.sqrt(np.mean(trajectory.tau**2, axis=0))
         error = np.sqrt(np.mean((trajectory.tau - needed) ** 2, axis=0))
         return cls(
-            needed_rms,
-            error,
-            np.sqrt(np.mean(trajectory.tau**2, axis=0)) < doubt,
-            np.sum(trajectory.tau * needed, axis=0) < 0.0,
-            (error > doubt) & (error > _OTHER_TORQUE * needed_rms),
+            needed=needed_rms,
+            error=error,
+            is_missing=fed_rms < doubt,
+            is_against=np.sum(trajectory.tau * needed, axis=0) < 0.0,
+            is_foreign=(error > doubt) & (error > _OTHER_TORQUE * needed_rms),
         )
 
 
 def _is_weighing(trajectory: DamiaoTrajectory) -> bool:
     """Tell whether the plan beside a file was made for weighing an unknown load."""
-    settings = plan_settings(trajectory.path.parent)
-    return settings is not None and settings[1].get("for_") == WEIGHT
+    plan_file = plan_settings(trajectory.path.parent)
+    if plan_file is None:
+        return False
+    _, settings = plan_file
+    return settings.get("for_") == WEIGHT
 
 
 def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
@@ -379,17 +407,18 @@ def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
 
     False where the plan beside the file, or its model, is not there or fits no more.
     """
-    settings = (
-        None if trajectory.has_two_arms else plan_settings(trajectory.path.parent)
-    )
-    if settings is None:
+    if trajectory.has_two_arms:
         return False
-    model = record_from(ModelOptions, settings[1])
-    free = float("inf")
+    plan_file = plan_settings(trajectory.path.parent)
+    if plan_file is None:
+        return False
+    _, settings = plan_file
+    model = record_from(ModelOptions, settings)
+    max_speed = float("inf")
     try:
-        path = Path(settings[1]["path"])
+        path = Path(settings["path"])
         robot = load_robot_model(
-            path, model.mesh_dir, model.joint, free, model.keyframe
+            path, model.mesh_dir, model.joint, max_speed, model.keyframe
         )
     except (InputError, KeyError):
         return False
@@ -435,16 +464,19 @@ def _plan_command(
     """
     if trajectory.has_two_arms:
         return []
-    settings = plan_settings(trajectory.path.parent)
-    program = ["robot-sysid", "plan"]
-    model = [str(robot.path)]
-    if settings is not None and "trajectory" not in settings[1]:
-        return [*program, *(model if for_model else []), "--config", str(settings[0])]
-    motors = ["--joint", robot.terminal_joint, "--export-damiao"]
+    command = ["robot-sysid", "plan"]
+    plan_file = plan_settings(trajectory.path.parent)
+    # The settings of a plan that only exported a given trajectory plan no motion.
+    if plan_file is not None and "trajectory" not in plan_file[1]:
+        path, _ = plan_file
+        if for_model:
+            command.append(str(robot.path))
+        return [*command, "--config", str(path)]
+    command += [str(robot.path), "--joint", robot.terminal_joint, "--export-damiao"]
     for joint in trajectory.joints:
-        ids = ("--can-id", str(joint.can_id), "--master-id", str(joint.master_id))
-        motors += ["--motor-type", joint.motor_type, *ids]
-    return [*program, *model, *motors]
+        command += ["--motor-type", joint.motor_type]
+        command += ["--can-id", str(joint.can_id), "--master-id", str(joint.master_id)]
+    return command
 
 
 _STEP = 1e-4
