@@ -1,7 +1,10 @@
 """Playing a trajectory on motors: enable, approach, play, come to rest; or a controlled stop.
 
 The player only deals with motors and time: whether a real arm, a simulated one or a test double
-answers makes no difference.
+answers makes no difference. In each control cycle it sends one command and gets the state of each
+joint, sampled just before this command acts: so a sample belongs to the command of the last cycle,
+which is called ``acted``. All quantities are those of joints, (n,) [rad, rad/s, N m]. A state is
+believed where it is plausible after the last believed one.
 """
 
 from __future__ import annotations
@@ -193,7 +196,7 @@ class Player:
         self._heard_at = 0.0
         self._n_recorded = 0
         self._progress_at = -np.inf
-        # Positions and commanded torques (2, n) of the last cycles.
+        # Positions and commanded torques (2, n) of the last cycles, up to 100.
         self._recent_states: list[Array] = []
         # Commanded at the moment of the last samples (n,) [N m].
         self._motor_torque: Array
@@ -227,13 +230,17 @@ class Player:
         )
 
     def _explain(self, fault: Fault) -> HardwareAbort:
-        """Return the fault with its cause, from the mean torques that held the stopped arm."""
+        """Return the fault with its cause, from mean position and torque of the stopped arm."""
         if not self._recent_states:
             return fault
-        return self._observer.explain(fault, *np.mean(self._recent_states, axis=0))
+        q, commanded_torque = np.mean(self._recent_states, axis=0)
+        return self._observer.explain(fault, q, commanded_torque)
 
     def _run_phases(self, trajectory: ReferenceFunction, duration: float) -> None:
-        """Go through the phases of a run: enable, raise gains, approach, play, rest, park."""
+        """Go through the phases of a run: enable, raise gains, approach, play, rest, park.
+
+        ``trajectory`` takes ``duration`` [s]. Any fault, or a request to stop, raises.
+        """
         settings = self._settings
         first = trajectory(0.0)
         self._stop_if_asked()
@@ -269,12 +276,16 @@ class Player:
         self._leave(last, Reference(start, np.zeros_like(start), holding_torque))
 
     def _hold_and_compare(self, reference: Reference) -> None:
-        """Hold the arm still, and compare the torques of the second half with the expected ones."""
+        """Hold the arm still, and compare the torques of the second half with the expected ones.
+
+        HardwareAbort where they disagree. ``_recent_states`` then has the states of this phase.
+        """
         self._recent_states.clear()
         self._phase(hold_reference(reference), self._settings.rest_time, standing=True)
         if self._recent_states:
             second_half = self._recent_states[len(self._recent_states) // 2 :]
-            self._holding(*np.mean(second_half, axis=0))
+            q, commanded_torque = np.mean(second_half, axis=0)
+            self._holding(q, commanded_torque)
 
     def _leave(self, last: Reference, at_start: Reference) -> None:
         """Park the arm as option ``park`` demands.
@@ -302,8 +313,12 @@ class Player:
         self._phase(hold_reference(target), self._settings.rest_time)
 
     def _lower_from(self, begin: Reference) -> paths.Lowering:
-        """Return the reference that lowers the arm; it gets the arm's state in every cycle."""
+        """Return the reference that lowers the arm from ``begin``.
+
+        It becomes the follower, to which ``_exchange`` passes the torques of every cycle.
+        """
         if not self._holding.is_model:
+            # Nobody knows where an arm without a model comes to lie.
             self._session.open_range()
         session = self._session
         speed = self._settings.approach_speed
@@ -369,11 +384,15 @@ class Player:
             raise HardwareAbort(f"cannot record: {error_text(failure)}")
 
     def _cycle(self, reference: Reference) -> tuple[Replies, MitCommand]:
-        """Exchange one command; return the replies and the command in force at their samples."""
-        steps = _LIFT_SHARE * self._settings.ramp_time / self._settings.period
-        self._gain = (
-            min(self._gain + 1.0 / steps, 1.0) if steps > _LEAST_LIFT_STEPS else 1.0
-        )
+        """Exchange one command; return the replies and the command in force at their samples.
+
+        The gain, which scales stiffness and torque, rises to 1 in the first cycles of a run.
+        """
+        n_steps = _LIFT_SHARE * self._settings.ramp_time / self._settings.period
+        if n_steps > _LEAST_LIFT_STEPS:
+            self._gain = min(self._gain + 1.0 / n_steps, 1.0)
+        else:
+            self._gain = 1.0
         command = self._command_for(reference)
         # A motor makes no torque before its first command.
         zero = 0.0 * command.torque
@@ -392,8 +411,9 @@ class Player:
         """Exchange one command, update what is known of the arm, and return the replies.
 
         The state is passed to the observer and to a stop or lowering, and the torques that hold the
-        arm are stored. ``acted`` is the command in force when the replies are sampled; for
-        ``joints`` and ``braking`` see ``MotorSession.exchange``.
+        arm are stored. ``acted`` is the command in force when the replies are sampled. ``joints``
+        (n,) are commanded, or all. If ``braking``, a command beyond the bounds is limited to them,
+        not refused, and motors whose answers are missing are commanded too.
         """
         until = self._clock.now() + _REPLY_SHARE * self._settings.period
         replies = self._session.exchange(command, until, joints, braking)
@@ -417,7 +437,10 @@ class Player:
     def _record(
         self, time: float, origin: float, replies: Replies, acted: MitCommand
     ) -> None:
-        """Record a cycle at ``time`` after ``origin`` [s], and report progress at intervals."""
+        """Record a cycle and report progress at intervals.
+
+        ``time`` is that since the trajectory began [s], at ``origin`` in the clock [s].
+        """
         self._n_recorded += 1
         if self._recorder:
             self._recorder.write(time, origin, replies, acted)
@@ -433,9 +456,9 @@ class Player:
         )
 
     def _stop_gently(self) -> None:
-        """Brake the motors that still answer, hold the arm until it is at rest, and park it.
+        """Brake the motors that still answer, and hold the arm until it is at rest.
 
-        Errors meanwhile are suppressed; the arm is lowered if any parking was asked for.
+        Then it is lowered if any parking was asked for. Errors meanwhile are suppressed.
         """
         if self._reference is None:
             return
@@ -457,8 +480,9 @@ class Player:
     def _carry_from(self, reference: Reference) -> CarriedStop:
         """Return the reference that stops the arm, from the last reference and the believed state.
 
-        A joint that left its path in the direction of its feed-forward torque gets none any more,
-        because this torque is wrong; a joint that sank against it would sink farther without.
+        It becomes the follower, to which ``_exchange`` passes the state of every cycle. A joint
+        that left its path in the direction of its feed-forward torque gets none any more, because
+        this torque is wrong; a joint that sank against it would sink farther without.
         """
         observer = self._observer
         settings = self._settings
@@ -469,21 +493,23 @@ class Player:
         else:
             has_left = np.abs(q - reference.position) > settings.max_tracking_error
         is_pushed = observer.is_pushed(q, reference.position, reference.torque)
-        model = self._holding.torque(np.where(np.isfinite(q), q, reference.position))
-        # While gains rise, the mean feed-forward torque is less than the torque that carries.
-        is_new = np.isnan(observer.fed_torque) | self._rising
-        recent_torque = np.where(is_new, reference.torque, observer.fed_torque)
-        carrying_torque = model if self._holding.is_model else recent_torque
+        if self._holding.is_model:
+            pose = np.where(np.isfinite(q), q, reference.position)
+            carrying_torque = self._holding.torque(pose)
+        else:
+            # While gains rise, the mean feed-forward torque is less than the torque that carries.
+            is_new = np.isnan(observer.fed_torque) | self._rising
+            carrying_torque = np.where(is_new, reference.torque, observer.fed_torque)
         fed = np.where(has_left & is_pushed, 0.0, carrying_torque)
         start = StopStart(
-            reference._replace(position=self._session.sent_position),
-            q,
-            qd,
-            np.nan_to_num(fed),
-            self._kp,
-            self._kd,
-            observer.stuck,
-            self._session.command_range,
+            reference=reference._replace(position=self._session.sent_position),
+            q=q,
+            qd=qd,
+            fed=np.nan_to_num(fed),
+            kp=self._kp,
+            kd=self._kd,
+            stuck=observer.stuck,
+            command_range=self._session.command_range,
         )
         self._follower = CarriedStop(
             start, settings.deceleration, settings.period, settings.rest_time
@@ -491,7 +517,11 @@ class Player:
         return self._follower
 
     def _stop_phase(self, reference: ReferenceFunction, duration: float) -> None:
-        """Follow a reference in a stop, at most for ``duration`` [s]; errors are suppressed."""
+        """Follow a reference in a stop, at most for ``duration`` [s]; errors are suppressed.
+
+        The phase ends early when the arm has come to rest, when commands have no effect any more,
+        or when the user insists.
+        """
         origin = self._timer.next_deadline
         while self._timer.next_deadline <= origin + duration:
             deadline = self._timer.wait(lenient=True)
@@ -505,11 +535,11 @@ class Player:
                 self._stop_cycle(reference(deadline - origin))
 
     def _stop_cycle(self, target: Reference) -> None:
-        """Exchange one command of a stop, limited to the bounds."""
+        """Exchange one command of a stop, limited to the bounds of commands."""
         # A motor that does not answer may still obey, so only failed ones are left out.
-        driving = ~self._observer.failed
+        is_driven = ~self._observer.failed
         command = self._command_for(target)
-        self._exchange(command, self._command or command, driving, braking=True)
+        self._exchange(command, self._command or command, is_driven, braking=True)
         if self._recorder:
             self._recorder.end_cycle()
 
@@ -548,11 +578,14 @@ class StopRequest:
         self.insisted |= insist
 
     def on_signals(self) -> AbstractContextManager[None]:
-        """Return a context in which signals that ask the program to end are stop requests."""
+        """Return a context in which signals that ask the program to end request a stop."""
         return handle_stop_signals(self._handle)
 
     def _handle(self, number: int, frame: Any) -> None:
-        """Request a stop for a signal; an interrupt well after the first one insists."""
+        """Request a stop for a signal; an interrupt 0.2 s or more after the first one insists.
+
+        ``number`` is the signal's number; ``frame`` is not used.
+        """
         insists = False
         if number == signal.SIGINT:
             now = time.monotonic()

@@ -114,7 +114,7 @@ class Scaling:
         return position, velocity, torque
 
     def _codes(self, values: Array, offset: float, fields: Any = slice(None)) -> Codes:
-        """Return integers (..., n, F), saturated at the ranges' ends, that encode quantities.
+        """Return integers (..., n, F) that encode quantities; beyond a range, those of its end.
 
         Args:
             values: quantities (..., n, F) in the units of ``MitCommand``.
@@ -130,24 +130,35 @@ class Scaling:
         return np.clip(np.floor(exact), 0, max_codes).astype(np.int64)
 
     def _values(self, codes: Any, fields: Any = slice(None)) -> Array:
-        """Return the quantities (F, ..., n) that integers (..., n, F) encode; see ``_codes``."""
+        """Return the quantities (F, ..., n) that codes (..., n, F), not only integers, stand for.
+
+        ``fields`` selects the F fields among the five of a command; by default all.
+        """
         low = self._low[:, fields]
         steps = (self._high[:, fields] - low) / _COMMAND.max_codes[fields]
-        return np.moveaxis(codes * steps + low, -1, 0)
+        quantities = codes * steps + low
+        return np.moveaxis(quantities, -1, 0)
 
     def _require_inside(self, values: Array) -> None:
-        """Raise InputError for the first of command values (..., n, 5) outside its range."""
+        """Raise InputError for the first command value (..., n, 5) outside its range.
+
+        All positions are looked at first, then all velocities, and so on.
+        """
         slack = _FLOAT32_SLACK * self._high
         # Written so that a NaN counts as outside.
         inside = (values >= self._low - slack) & (values <= self._high + slack)
-        outside = np.moveaxis(~inside, -1, 0)
-        for index in np.argwhere(outside)[:1]:
-            field = index[0]
-            value = np.moveaxis(values, -1, 0)[tuple(index)]
-            raise InputError(
-                f"{MitCommand._fields[field]} {value:g} {_first_motor(outside)} is outside its "
-                f"range, limit {self._high[index[-1], field]:g}"
-            )
+        if np.all(inside):
+            return
+        for field, name in enumerate(MitCommand._fields):
+            outside = ~inside[..., field]
+            if np.any(outside):
+                value = values[..., field][outside][0]
+                motor = _first_motor(outside)
+                limit = self._high[motor, field]
+                raise InputError(
+                    f"{name} {value:g} of motor number {motor + 1} is outside its range, limit "
+                    f"{limit:g}"
+                )
 
 
 class MitCommand(NamedTuple):
@@ -210,18 +221,20 @@ def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
     scaling._require_inside(values)
     # floor(x + 1/2): numpy's rint rounds halves to even, which differs in the last bit.
     codes = scaling._codes(values, 0.5)
-    unstable = (values[..., 2] > 0.0) & (codes[..., 3] == 0)
-    if np.any(unstable):
+    # The third and the fourth field of a command are kp and kd.
+    is_unstable = (values[..., 2] > 0.0) & (codes[..., 3] == 0)
+    if np.any(is_unstable):
+        number = _first_motor(is_unstable) + 1
         raise InputError(
-            f"kp > 0 needs kd of at least {KD_STEP:.2g} {_first_motor(unstable)}: less is sent "
-            "as 0"
+            f"kp > 0 needs kd of at least {KD_STEP:.2g} of motor number {number}: less is sent as 0"
         )
     frames = _COMMAND.pack(codes)
-    special = np.all(frames[..., :7] == 0xFF, axis=-1)
-    if np.any(special):
+    is_special_frame = np.all(frames[..., :7] == 0xFF, axis=-1)
+    if np.any(is_special_frame):
+        number = _first_motor(is_special_frame) + 1
         raise InputError(
-            f"the command {_first_motor(special)} has every field at its maximum and "
-            "would read as a special frame; lower its gains or torque"
+            f"the command of motor number {number} has every field at its maximum and would read "
+            "as a special frame; lower its gains or torque"
         )
     return frames
 
@@ -234,9 +247,11 @@ def decode_mit(frames: Bytes, scaling: Scaling) -> MitCommand:
 def encode_feedback(feedback: Feedback, scaling: Scaling) -> Bytes:
     """Return feedback frames (..., n, 8) as motors send them: truncated and saturated."""
     measured = _stack_last(feedback.position, feedback.velocity, feedback.torque)
-    codes = np.moveaxis(scaling._codes(measured, 0.0, _MEASURED), -1, 0)
+    codes = scaling._codes(measured, 0.0, _MEASURED)
+    position, velocity, torque = np.moveaxis(codes, -1, 0)
+    heads = feedback.status, feedback.can_id
     temperatures = feedback.temperature_mos, feedback.temperature_rotor
-    fields = _stack_last(feedback.status, feedback.can_id, *codes, *temperatures)
+    fields = _stack_last(*heads, position, velocity, torque, *temperatures)
     return _FEEDBACK.pack(fields)
 
 
@@ -251,11 +266,11 @@ def decode_feedback(
         half_step: add half a quantisation step to position, velocity and torque. A motor truncates
             when it packs a value, so that received values are half a step too low on average.
     """
-    codes = _FEEDBACK.unpack(frames)
-    measured = codes[..., 2:5] + (0.5 if half_step else 0.0)
-    p, v, t = scaling._values(measured, _MEASURED)
-    status, can_id, *_, mos, rotor = np.moveaxis(codes, -1, 0)
-    return Feedback(can_id, status, p, v, t, mos, rotor)
+    fields = _FEEDBACK.unpack(frames)
+    status, can_id, *_, mos, rotor = np.moveaxis(fields, -1, 0)
+    measured = fields[..., 2:5] + (0.5 if half_step else 0.0)
+    position, velocity, torque = scaling._values(measured, _MEASURED)
+    return Feedback(can_id, status, position, velocity, torque, mos, rotor)
 
 
 def _stack_last(*fields: Any) -> Any:
@@ -263,9 +278,10 @@ def _stack_last(*fields: Any) -> Any:
     return np.stack(np.broadcast_arrays(*fields), axis=-1)
 
 
-def _first_motor(mask: Any) -> str:
-    """Return "of motor number k", counted from 1, for the first true entry of a mask (..., n)."""
-    return f"of motor number {int(np.argwhere(np.atleast_1d(mask))[0][-1]) + 1}"
+def _first_motor(mask: Any) -> int:
+    """Return the index of the motor of the first true entry of a mask (..., n), of which one is."""
+    first_entry = np.argwhere(np.atleast_1d(mask))[0]
+    return int(first_entry[-1])
 
 
 REGISTER_ID = 0x7FF
@@ -578,5 +594,7 @@ def suggested_rate(
     to exactly 70 % is returned.
     """
     full_rate = PLANNING_LIMIT / bus_load(n_motors, 1.0, timing)
-    highest = min(full_rate, max_rate)
-    return next((rate for rate in HANDY_RATES if rate <= highest), full_rate)
+    for rate in HANDY_RATES:
+        if rate <= min(full_rate, max_rate):
+            return rate
+    return full_rate

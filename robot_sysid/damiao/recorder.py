@@ -117,8 +117,10 @@ class Aside:
 
 
 _MEASURED = ("pos", "vel", "tau")
+"""Titles of a joint's measured columns, after the joint's label."""
 _COMMANDS = ("cmd_pos", "cmd_vel", "cmd_tau", "cmd_step", "cmd_mean")
 _EXTRA = ("time", *_COMMANDS, "doubted", "status", "temp_mos", "temp_rotor")
+"""Titles of a joint's further columns, which follow the measured ones of all joints."""
 
 
 class RawFrameLog:
@@ -212,12 +214,13 @@ class MeasurementRecorder:
         self._centring = centring
         columns = ["time"]
         for signals in (_MEASURED, _EXTRA):
-            columns += [f"{label}_{signal}" for label in labels for signal in signals]
+            for label in labels:
+                columns += [f"{label}_{signal}" for signal in signals]
+        lines = [f"# {line}" for line in head]
+        lines.append(",".join(columns))
         try:
             self._file = open(path, "w" if overwrite else "x", encoding="utf-8")  # noqa: SIM115
-            self._file.writelines(
-                [*(f"# {line}\n" for line in head), ",".join(columns) + "\n"]
-            )
+            self._file.write("\n".join(lines) + "\n")
             self._file.flush()
         except OSError as error:
             raise InputError(f"cannot write {path}: {error.strerror}") from None
@@ -247,11 +250,18 @@ class MeasurementRecorder:
     def write(
         self, time: float, origin: float, replies: Replies, acted: MitCommand
     ) -> None:
-        """Write a cycle at ``time`` after ``origin`` [s]; ``acted`` was in force at its samples."""
+        """Write a cycle as a row of the file.
+
+        Args:
+            time: time since the trajectory began [s].
+            origin: time in the link's clock at which the trajectory began [s].
+            replies: replies of the joints in this cycle; joints after the recorded n are ignored.
+            acted: command in force when the replies were sampled, in joint space.
+        """
         self._aside(lambda: self._file.write(self._row(time, origin, replies, acted)))
 
     def end_cycle(self) -> None:
-        """Flush the file and the frames to the operating system, which survives this process."""
+        """Flush the rows and frames so far to the operating system, which survives this process."""
         self._aside(self._file.flush)
         if self._frames:
             frame_log = self._frames
@@ -261,20 +271,28 @@ class MeasurementRecorder:
     def _row(
         self, time: float, origin: float, replies: Replies, acted: MitCommand
     ) -> str:
-        """Return the line of a cycle in the file; arguments as for ``write``."""
-        measured = replies.feedback
+        """Return the line of a cycle in the file; arguments as for ``write``.
+
+        Its cells are in the order of the titles: the time, ``_MEASURED`` of each joint, ``_EXTRA``
+        of each joint.
+        """
+        feedback = replies.feedback
         step, centre = self._centring.torques(replies, acted)
-        cells = [f"{time:.6f}"]
-        values = measured.position, measured.velocity, measured.torque + centre
-        for joint in list(zip(*values))[: self._n]:
-            cells += _numbers(joint)
+        # Rows of these tables are joints, of which only the first n are recorded.
+        measured = np.column_stack(
+            [feedback.position, feedback.velocity, feedback.torque + centre]
+        )
         command = acted.position, acted.velocity, acted.torque, step, centre
-        columns = replies.time - origin, *command
-        state = (measured.status, measured.temperature_mos, measured.temperature_rotor)
-        for j, answered in enumerate(replies.answered[: self._n]):
-            cells += _numbers([column[j] for column in columns])
+        commanded = np.column_stack([replies.time - origin, *command])
+        state = (feedback.status, feedback.temperature_mos, feedback.temperature_rotor)
+        cells = [f"{time:.6f}"]
+        for values in measured[: self._n]:
+            cells += _numbers(values)
+        for j in range(self._n):
+            cells += _numbers(commanded[j])
             cells.append(str(int(replies.doubted[j])))
-            cells += [str(code[j]) if answered else "" for code in state]
+            for codes in state:
+                cells.append(str(codes[j]) if replies.answered[j] else "")
         return ",".join(cells) + "\n"
 
 
@@ -290,8 +308,12 @@ _SLOWEST_CHANGE = 1e-3
 class SamplingRipple:
     """Ripple that recurring torque steps add to an arm's motion at the moments of sampling.
 
+    The ripple is the third difference in the module's docstring. An arm of n joints, controlled
+    with stiffness and damping, is a linear system with 2n modes; in steady motion each mode
+    responds periodically to the sawtooth of torque between commands.
+
     Args:
-        mobility: returns the inverse mass matrix (n, n) at positions (n,).
+        mobility: returns the inverse mass matrix (n, n) at positions (n,) [1/(kg m^2)].
         viscous: (n,) the joints' own viscous friction [N m s/rad].
     """
 
@@ -325,37 +347,42 @@ class SamplingRipple:
         """
         n = self.n_joints
         mobility = self._mobility(q)
-        if not (
-            np.all(np.isfinite(mobility)) and np.linalg.eigvalsh(mobility)[0] > 0.0
-        ):
+        zero = np.zeros((n, n))
+        is_finite = np.all(np.isfinite(mobility))
+        if not (is_finite and np.linalg.eigvalsh(mobility)[0] > 0.0):
             # The model has no usable inertia.
             return np.zeros(n), np.zeros(n)
 
-        # Positions and velocities (2n,) change at the rates of these modes, driven by torques.
+        # The state, n positions and then n velocities, is a sum of 2n modes (columns), of which
+        # each changes at its rate [1/s]; ``drive`` (2n, n) is what each joint's torque adds to it.
         stiffness = mobility * acted.kp[:n]
         damping = mobility * (acted.kd[:n] + self._viscous)
-        system = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -damping]])
+        system = np.block([[zero, np.eye(n)], [-stiffness, -damping]])
         rates, modes = np.linalg.eig(system)
         try:
-            drive = np.linalg.solve(modes, np.vstack((np.zeros((n, n)), mobility)))
+            drive = np.linalg.solve(modes, np.vstack((zero, mobility)))
         except np.linalg.LinAlgError:
             # Modes coincide, as of a joint without gains: no correction rather than an error.
             return np.zeros(n), np.zeros(n)
         change = rates * period
         change = np.where(np.abs(change) < _SLOWEST_CHANGE, -_SLOWEST_CHANGE, change)
 
-        # The periodic response (n, n, modes) of each mode to -B1, and to B2 / 2 by way of it, at
-        # the share of a period that has passed when joint i is sampled since j was.
+        # Periodic response of each mode (last axis, 2n) to -B1, and to B2 / 2 by way of it, when
+        # joint i (first axis) is sampled, for the torque of joint j (second axis): ``share`` of a
+        # period has passed since joint j was sampled, at which time its torque stepped.
         share = ((time[:, None] - time) / period % 1.0)[..., None]
         fading = np.exp(change * share) / -np.expm1(change)
         to_step = period / change * (share - 0.5 + 1.0 / change + fading)
         second = share**2 - share + 1.0 / 6.0
         to_growth = -(0.5 * period * second + to_step) / change
 
+        # Amplitudes (n, 2n) of the modes when joint i is sampled, by the torques of all joints.
         response = to_step * step[:, None] + to_growth * growth[:, None]
         amplitudes = np.sum(response * drive.T, axis=1)
-        added = np.sum(modes.reshape(2, n, -1) * amplitudes, axis=-1).real
-        return added[0], added[1]
+        position_modes, velocity_modes = modes.reshape(2, n, -1)
+        position = np.sum(position_modes * amplitudes, axis=-1).real
+        velocity = np.sum(velocity_modes * amplitudes, axis=-1).real
+        return position, velocity
 
 
 class Centring:
@@ -375,17 +402,20 @@ class Centring:
     def torques(self, replies: Replies, acted: MitCommand) -> tuple[Array, Array]:
         """Return a cycle's torque steps (n,) and corrections (n,) to add to its torques [N m].
 
-        ``acted`` is the command in force at the samples. To be called once per cycle, in order.
+        To be called once per cycle, in order. ``acted`` is the command in force at the samples. The
+        correction has one term for each difference in the module's docstring. Where a joint did not
+        answer, its step is NaN.
         """
         step = torque_step(replies, acted)
         state = np.array([replies.feedback.position, replies.time, step])
         last = state if self._last is None else self._last
-        # A joint that did not answer gets its last position and torque step.
+        # A joint that did not answer gets its last position, time and torque step.
         state = np.where(np.isfinite(state), state, last)
-        growth = np.nan_to_num(state[2] - last[2])
         self._last = state
-        rippling = self._ripple_torque(state, growth, acted)
-        return step, 0.5 * step - growth / 12.0 + rippling
+        growth = np.nan_to_num(state[2] - last[2])
+        half_step = 0.5 * step
+        ripple_torque = self._ripple_torque(state, growth, acted)
+        return step, half_step - growth / 12.0 + ripple_torque
 
     def _ripple_torque(self, state: Array, growth: Array, acted: MitCommand) -> Array:
         """Return the torque (n,) to add to samples to correct the ripple [N m]; 0 where unknown.
@@ -399,9 +429,8 @@ class Centring:
         arm = slice(self._ripple.n_joints)
         q, time, step = state[:, arm]
         if np.all(np.isfinite(state[:, arm])):
-            steps = step, growth[arm]
             position, velocity = self._ripple.motion(
-                q, acted, *steps, time, self._period
+                q, acted, step, growth[arm], time, self._period
             )
             torque[arm] = acted.kp[arm] * position + acted.kd[arm] * velocity
         return torque
@@ -410,7 +439,8 @@ class Centring:
 def torque_step(replies: Replies, acted: MitCommand) -> Array:
     """Return the torque step (n,) [N m] of each joint by the command that was sent last.
 
-    It is the torque of ``replies.command`` minus that of ``acted``, the command before.
+    It is the torque of ``replies.command`` minus that of ``acted``, the command before, both at the
+    sampled position and velocity; NaN where a joint did not answer.
     """
     command = replies.command or acted
     q = replies.feedback.position
