@@ -234,7 +234,8 @@ class LinksMotion:
     def joint_twists(self) -> Array:
         """Each joint's screw in the base's frame (6, n, N)."""
         screws = np.array(self.screws).T[:, :, None]
-        return self._to_base(np.tile(screws, self.velocity[0].shape[1]))
+        samples = self.velocity[0].shape[1]
+        return self._to_base(np.tile(screws, samples))
 
     def _to_base(self, twists: Array) -> Array:
         """Return twists (6, n, N) of the links' frames in the base's frame."""
@@ -443,13 +444,15 @@ def split_motion(width: int, *arrays: Array) -> Iterator[tuple[Array, ...]]:
 def bracket(a: Array, b: Array) -> Array:
     """Return ad(a) b = [w_a x w_b, v_a x w_b + w_a x v_b] for twists (6, ...)."""
     angular = cross(a[:3], b[:3])
-    return np.concatenate((angular, cross(a[3:], b[:3]) + cross(a[:3], b[3:])), axis=0)
+    linear = cross(a[3:], b[:3]) + cross(a[:3], b[3:])
+    return np.concatenate((angular, linear), axis=0)
 
 
 def bracket_transposed(a: Array, b: Array) -> Array:
     """Return ad(a)^T b = -[w_a x m + v_a x f, w_a x f] for b = [m, f] (6, ...)."""
-    linear = cross(a[:3], b[3:])
-    return -np.concatenate((cross(a[:3], b[:3]) + cross(a[3:], b[3:]), linear), axis=0)
+    moment = cross(a[:3], b[:3]) + cross(a[3:], b[3:])
+    force = cross(a[:3], b[3:])
+    return -np.concatenate((moment, force), axis=0)
 
 
 def _sum_outwards(values: Array) -> Array:
@@ -500,7 +503,9 @@ def tilt_axes(level: Array, gravity: Array | None = None) -> Array:
     if size == 0.0:
         raise InputError("--tilt auto needs gravity, but the model's gravity is zero")
     down = np.asarray(level) / size
-    first = np.cross(down, np.eye(3)[int(np.argmin(np.abs(down)))])
+    # Perpendicular to gravity and to the world's axis that is farthest from gravity's direction.
+    axis = int(np.argmin(np.abs(down)))
+    first = np.cross(down, np.eye(3)[axis])
     first /= np.linalg.norm(first)
     axes = np.array([first, np.cross(down, first)])
     if gravity is None:

@@ -116,7 +116,8 @@ def roll_pitch_yaw(rotation: Array) -> Array:
     roll = np.arctan2(
         s * rotation[0, 2] - c * rotation[1, 2], c * rotation[1, 1] - s * rotation[0, 1]
     )
-    return np.array([roll, np.arctan2(-rotation[2, 0], cosine), yaw])
+    pitch = np.arctan2(-rotation[2, 0], cosine)
+    return np.array([roll, pitch, yaw])
 
 
 def quaternion(rotation: Array) -> Array:
@@ -158,7 +159,8 @@ def is_consistent(theta: Array) -> bool:
     """Return whether theta can belong to a rigid body of positive mass (J positive definite)."""
     if not np.all(np.isfinite(theta)):
         return False
-    return bool(np.linalg.eigvalsh(pseudo_inertia(theta))[0] > 0.0)
+    eigenvalues = np.linalg.eigvalsh(pseudo_inertia(theta))
+    return bool(eigenvalues[0] > 0.0)
 
 
 def parameter_scale(mass: float, length: float) -> Array:
@@ -188,7 +190,8 @@ def nearest_consistent_body(theta: Array, reference: Array, floor: float) -> Arr
     # Entry (i, j) of a pseudo-inertia has the unit units[i] units[j].
     units = np.sqrt(mass) * np.array([length, length, length, 1.0])
     values, vectors = np.linalg.eigh(pseudo_inertia(theta) / np.outer(units, units))
-    lifted = np.maximum(values, floor * max(float(np.max(np.abs(values))), 1.0))
+    largest = float(np.max(np.abs(values)))
+    lifted = np.maximum(values, floor * max(largest, 1.0))
     if lifted[0] == values[0]:
         return np.array(theta, dtype=float)
     return theta_from_pseudo_inertia(

@@ -188,9 +188,8 @@ def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> tuple[HalfSpace, ..
         for sign, bound, side in ((1.0, low, "min"), (-1.0, high, "max")):
             if np.isfinite(bound):
                 label = f"the workspace's {'xyz'[axis]}{side} = {bound:g} m"
-                half_spaces.append(
-                    HalfSpace(sign * np.eye(3)[axis], sign * bound, 0.0, bodies, label)
-                )
+                inward = sign * np.eye(3)[axis]
+                half_spaces.append(HalfSpace(inward, sign * bound, 0.0, bodies, label))
     return tuple(half_spaces)
 
 

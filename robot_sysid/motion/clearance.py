@@ -191,7 +191,8 @@ class Clearance:
         ``HORIZON`` in the last row, which bounds all other pairs.
         """
         budget = self._free.copy()
-        return float(self._nearest(q[None], budget).slack[0]), budget
+        nearest = self._nearest(q[None], budget)
+        return float(nearest.slack[0]), budget
 
     def closest(self, q: Array) -> Closest:
         """Return the pair of bodies, or body and half-space, with the least slack at one

@@ -346,7 +346,8 @@ def constraints_of(
         extra_slack: distance to keep in addition to the required one [m].
     """
     # The constraints do not depend on the time of a sample, so any times will do.
-    samples = Motion(np.arange(float(len(motion[0]))), *motion)
+    time = np.arange(float(len(motion[0])))
+    samples = Motion(time, *motion)
     # Positions count from the middle of each joint's range, so that limits are symmetric.
     signals = problem.signals(samples)
     slack = problem.obstacles.slack(samples.q)

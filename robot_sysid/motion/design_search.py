@@ -181,6 +181,7 @@ def _search(
     n_jobs = len(batches) + options.starts + options.rounds
 
     def report(n_done: int) -> None:
+        """Show the progress after ``n_done`` jobs, and the errors by the best trajectory so far."""
         best = _best(candidates)
         x = best.feasible_x if best else min(draws, key=lambda draw: draw.score).x
         errors = design.expected_errors(x)

@@ -184,6 +184,7 @@ def _initial_choice(problem: ExcitationProblem, options: EstimationOptions) -> C
     assert options.friction is not None
     motors, candidates = couplings_of(problem.robot, options)
     friction = (options.friction,) * problem.robot.n_joints
+    # The candidates, which only a recording can confirm, are the last ones.
     known_motors = motors[: len(motors) - len(candidates)]
     return Choice(friction, known_motors, link_scales=EXPECTED)
 

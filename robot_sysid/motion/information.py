@@ -81,7 +81,8 @@ def known_arm(problem: ExcitationProblem) -> PriorKnowledge:
     joints' torques are used, rotor inertias are unknown.
     """
     deviations = np.zeros((_N_TERMS, len(problem.rows)))
-    # From one torque alone rotor inertias are not estimated: they look like the link's.
+    # The first of ``JOINT_TERMS``. From one torque alone rotor inertias are not estimated: they
+    # look like the link's.
     n_free = 4 if len(problem.rows) > 1 else 3
     deviations[:n_free] = np.inf
     return PriorKnowledge(np.zeros((0, 0)), deviations)

@@ -202,6 +202,7 @@ def scale_to_limits(
     factors = np.minimum(1.0, (1.0 - RESERVE) / np.maximum(speed_share, RESERVE))
 
     def fits(factor: float) -> bool:
+        """Return whether the motion keeps all limits with this common factor beside the joints'."""
         scaled = plan.scale_amplitudes(factor * factors)
         return keeps_limits(problem, scaled, rate)
 
@@ -239,8 +240,11 @@ def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> Closest | Non
 
 
 def checked_time(plan: MotionPlan) -> float:
-    """Return how many seconds of a motion are checked for clearance; all else repeats them [s]."""
-    return float(np.sum(np.diff(_spans(plan))))
+    """Return how much of a motion is checked for clearance [s]: all of it, or one period and both
+    ends of a motion that repeats itself.
+    """
+    lengths = np.diff(_spans(plan))
+    return float(np.sum(lengths))
 
 
 def _spans(plan: MotionPlan, rate: float = 0.0) -> tuple[tuple[float, float], ...]:
@@ -318,7 +322,8 @@ def _tightest(
         stop_below: the search ends at the first slack below this [m].
     """
     spans = _spans(plan)
-    tightest = _Tightest(plan.evaluate(np.zeros(1)).q[0])
+    start = plan.evaluate(np.zeros(1))
+    tightest = _Tightest(start.q[0])
     if resolution < np.inf:
         # A tight configuration from coarse samples lets the search skip all that is less tight.
         for motion in _motions(plan, FEW_RATE_HZ, spans):
@@ -417,7 +422,8 @@ class _Approach:
         """
         first = len(self._speed)
         for row, limit in limits.items():
-            first = min(first, int(np.searchsorted(self._path(row), limit)))
+            reached = np.searchsorted(self._path(row), limit)
+            first = min(first, int(reached))
         return first
 
     def remaining(self, limits: Mapping[int, float]) -> dict[int, float]:

@@ -251,6 +251,7 @@ def _designed_plan(
     design = Design(problem, request.excitation, request.trajectory, knowledge)
 
     def report_start(plan: MotionPlan) -> None:
+        """Note which parameters no motion identifies, with this one as the example."""
         if request.identifiability_note is not None:
             note = request.identifiability_note(problem, plan)
             if note:

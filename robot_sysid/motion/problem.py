@@ -128,10 +128,13 @@ class Tool:
 
     def speed(self, twist: Array) -> Array:
         """Return the speed (N,) of the fastest point at twists (6, N) of the body [m/s]."""
-        return np.asarray(np.max(self._speeds(twist)[0], axis=0))
+        speeds, _ = self._speeds(twist)
+        return np.asarray(np.max(speeds, axis=0))
 
     def speed_vjp(self, twist: Array, weight: Array) -> Array:
-        """Return the gradient (6, N) of sum(weight * speed) with respect to the twists."""
+        """Return the gradient (6, N) of sum(weight * speed) with respect to the twists (6, N); the
+        weight (N,) is that of each sample.
+        """
         speeds, velocity = self._speeds(twist)
         fastest = np.argmax(speeds, axis=0)
         samples = np.arange(twist.shape[1])
@@ -267,11 +270,13 @@ class ExcitationProblem:
     def torque_at(
         self, q: Array, qd: Array | float = 0.0, qdd: Array | float = 0.0
     ) -> Array:
-        """Return ``torque`` (N, n) at positions (N, n) [N m]; velocities (N, n) and accelerations
-        (N, n) are zero by default.
+        """Return ``torque`` (N, n) at positions (N, n) [N m]; velocities and accelerations are one
+        number for all joints and samples, zero by default, or (N, n) each.
         """
         zero = np.zeros_like(q)
-        return self.torque(Motion(np.arange(float(len(q))), q, zero + qd, zero + qdd))
+        # Torques do not depend on the time of a sample, so any times will do.
+        time = np.arange(float(len(q)))
+        return self.torque(Motion(time, q, zero + qd, zero + qdd))
 
     @property
     def signal_names(self) -> tuple[str, ...]:
@@ -390,12 +395,17 @@ def _position_limits(robot: RobotModel) -> tuple[Array, Array]:
 def _limits(
     robot: RobotModel, options: LimitOptions, top_frequency_hz: float | None
 ) -> tuple[MotionLimits, Mapping[str, NDArray[np.str_]]]:
-    """Return the limits, and per family in ``LIMIT_NAMES`` where that of each joint comes from."""
+    """Return the limits of a motion, and per family in ``LIMIT_NAMES`` the origin (n,) of each
+    joint's limit: ``MODEL``, ``ASKED``, ``ASSUMED`` or ``NONE``.
+
+    ``top_frequency_hz`` is as in ``build_problem``.
+    """
     model_limits = robot.limits
     is_slide = robot.is_slide
     top = np.inf
     if top_frequency_hz is not None:
         top = min(top_frequency_hz, TOP_FREQUENCY_HZ)
+    # The acceleration of a sinusoid of this frequency that reaches the speed limit.
     natural = 2.0 * np.pi * top * model_limits.velocity
     lower, upper = _position_limits(robot)
     is_natural = is_slide | (options.max_acceleration is None)
@@ -459,7 +469,8 @@ def _obstacles(
         InputError: a body is outside a half-space at rest.
     """
     model = robot.mj_model
-    moving = subtree(model, int(model.jnt_bodyid[model.dof_jntid[robot.dof_index[0]]]))
+    first_joint = model.dof_jntid[robot.dof_index[0]]
+    moving = subtree(model, int(model.jnt_bodyid[first_joint]))
     spaces = (*options.half_spaces(moving, subtree(model, robot.body_id)), *base)
     clearance = Clearance(robot, start_pose, options.clearance, spaces)
     if clearance.outside_at_rest:

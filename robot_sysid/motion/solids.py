@@ -206,7 +206,8 @@ def swept_space(robot: RobotModel, q: Array) -> tuple[Array, Array, str]:
     """
     model = robot.mj_model
     data = data_at_pose(robot.mj_model, robot.reference_qpos)
-    solids = solids_of(model, np.flatnonzero(count_moving_joints(robot)).tolist())
+    moving = np.flatnonzero(count_moving_joints(robot))
+    solids = solids_of(model, moving.tolist())
     reach = np.full((len(solids), 6), -np.inf)
     for chunk in np.array_split(q, 1 + len(q) // _AT_ONCE):
         positions = np.empty((len(chunk), model.nbody, 3))
@@ -249,7 +250,9 @@ def mounting_height(
     qpos = robot.reference_qpos.copy()
     qpos[robot.qpos_index] = start_pose
     data = data_at_pose(model, qpos)
-    carrier = int(model.body_parentid[np.flatnonzero(link_of_body)[0]])
+    # The parent of the first body that the arm moves.
+    moving = np.flatnonzero(link_of_body)
+    carrier = int(model.body_parentid[moving[0]])
     fixed = np.flatnonzero(model.body_weldid == model.body_weldid[carrier])
     is_mesh = model.geom_type == _TYPES.mjGEOM_MESH
 
@@ -273,7 +276,7 @@ def mounting_height(
         feet = list(lowest_points(fixed).values())
     height = min(float(up @ data.xpos[carrier]), *feet, np.inf)
     above = []
-    for body, body_height in lowest_points(np.flatnonzero(link_of_body)).items():
+    for body, body_height in lowest_points(moving).items():
         if body_height > height:
             above.append(body)
         elif link_of_body[body] > 1:

@@ -229,14 +229,23 @@ def _is_feasible(problem: ExcitationProblem, poses: Array) -> Array:
     """Return for each of N poses (N, n) whether the arm, at rest in it, keeps all clearances and
     torque limits (N,).
     """
-    is_held = np.all(np.abs(problem.torque_at(poses)) <= problem.limits.torque, axis=1)
-    return is_held & (np.asarray(problem.obstacles.slack(poses).value) >= 0.0)
+    torque = np.abs(problem.torque_at(poses))
+    is_held = np.all(torque <= problem.limits.torque, axis=1)
+    slack = problem.obstacles.slack(poses).value
+    return np.asarray(is_held & (slack >= 0.0))
 
 
 def design_poses(
     problem: ExcitationProblem, options: PoseOptions, rng: np.random.Generator
 ) -> LineTrajectory:
-    """Return a motion through informative poses within all limits; InputError where too few are."""
+    """Return a motion through informative poses, so slow that it keeps all limits.
+
+    Where even the slowest one breaks a limit, that one is returned. ``rng`` draws the poses among
+    which the informative ones are selected.
+
+    Raises:
+        InputError: fewer than ``FEWEST_POSES`` poses can be reached within the limits.
+    """
     # Random poses that leave room to approach them from both sides.
     lower = problem.limits.lower + 2.0 * APPROACH
     upper = problem.limits.upper - 2.0 * APPROACH
@@ -352,7 +361,13 @@ def pose_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
 
 
 def design_sweeps(problem: ExcitationProblem) -> LineTrajectory:
-    """Return a motion that sweeps every joint with a free range; InputError if none has one."""
+    """Return a motion that sweeps every joint with a free range, so small that it keeps all limits.
+
+    Where even the smallest one breaks a limit, that one is returned.
+
+    Raises:
+        InputError: no joint has a free range.
+    """
     joints = range(problem.n_joints)
     ranges = np.array([_free_range(problem, joint) for joint in joints])
     share = 1.0

@@ -210,9 +210,12 @@ class LineTrajectory:
 
 
 def straight_way(begin: Array, end: Array) -> LineTrajectory:
-    """Return the motion from one pose (n,) to another in a straight line, at about 1 rad/s."""
-    seconds = max(1.0, float(np.max(np.abs(end - begin))))
-    return LineTrajectory(np.stack((begin, end)), np.array([seconds]), np.zeros(2))
+    """Return the motion in a straight line between two poses (n,), at about 1 rad/s, without rests
+    at its ends.
+    """
+    distance = np.max(np.abs(end - begin))
+    seconds = np.array([max(1.0, float(distance))])
+    return LineTrajectory(np.stack((begin, end)), seconds, np.zeros(2))
 
 
 def _cruise(elapsed: Array, length: Array, ramp: Array) -> Series:

@@ -219,8 +219,9 @@ class ProcessedSignals:
         return rows, Motion(motion.time, motion.q, qd, qdd)
 
     def spread_indices(self, count: int) -> NDArray[np.int64]:
-        """Return the indices of at most ``count`` samples, spread evenly over the log."""
-        return np.unique(np.linspace(0, len(self) - 1, count).astype(int))
+        """Return the ascending indices of at most ``count`` samples, spread evenly over the log."""
+        indices = np.linspace(0, len(self) - 1, count)
+        return np.unique(indices.astype(int))
 
     def decimated_time(self) -> Array:
         """Return (K,) the instants of the decimated rows [s]."""

@@ -105,12 +105,14 @@ def find_visits(motions: Sequence[Motion]) -> Visits:
     ends = np.cumsum([len(motion.time) for motion in motions])
     steps = map(_step_lengths, np.split(state, ends[:-1]))
     radius = RADIUS_SHARE * np.concatenate(list(steps))
-    rows = np.unique(np.linspace(0, len(state) - 1, PROBES).astype(np.int64))
+    spread_rows = np.linspace(0, len(state) - 1, PROBES)
+    rows = np.unique(spread_rows.astype(np.int64))
     probes = []
     others = []
     for chunk in np.array_split(rows, math.ceil(len(rows) / _CHUNK)):
         is_visit = _is_near(state[chunk], radius[chunk], state)
-        is_visit &= np.abs(chunk[:, None] - np.arange(len(state))) > PASSAGE_ROWS
+        row_distance = np.abs(chunk[:, None] - np.arange(len(state)))
+        is_visit &= row_distance > PASSAGE_ROWS
         probe, other = np.nonzero(is_visit)
         probes.append(chunk[probe])
         others.append(other)
@@ -278,8 +280,9 @@ def resting_poses(samples: Measurement) -> tuple[Measurement, NDArray[np.bool_]]
         InputError: there are too few poses that were approached from both sides.
     """
     n_joints = samples.q.shape[1]
-    # The shape is given for a log without rests.
-    rests = np.array(list(_rests(samples))).reshape(-1, 1 + 3 * n_joints)
+    # Reshaped for a log without rests, of which numpy cannot know the number of columns.
+    rests = np.array(list(_rests(samples)))
+    rests = rests.reshape(-1, 1 + 3 * n_joints)
     time, q, tau, direction = np.split(rests, 1 + n_joints * np.arange(3), axis=1)
     is_same_pose = np.max(np.abs(np.diff(q, axis=0)), axis=1) < SAME_POSE
     count = np.count_nonzero(is_same_pose)

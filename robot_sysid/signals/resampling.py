@@ -111,7 +111,8 @@ def count_lost_rows(measurement: Measurement) -> NDArray[np.int64]:
 def sampling_period(time: Array) -> float:
     """Return the mean step between time stamps (N,), holes left out [s]."""
     step = np.diff(time)
-    return float(np.mean(step[step <= GAP_STEPS * np.median(step)]))
+    is_usual = step <= GAP_STEPS * np.median(step)
+    return float(np.mean(step[is_usual]))
 
 
 def is_even(time: Array) -> bool:
@@ -266,8 +267,8 @@ def _select_pieces(pieces: list[Measurement]) -> list[Measurement]:
     moving = [pieces[k] for k in np.flatnonzero(moved > _MOVING_SHARE)]
     total = sum(map(_duration, moving))
     count = max(1, int(len(moving) * min(1.0, MOST_TIME / total)))
-    numbers = np.linspace(0, len(moving) - 1, count).round().astype(int)
-    return [moving[number] for number in numbers]
+    numbers = np.linspace(0, len(moving) - 1, count).round()
+    return [moving[int(number)] for number in numbers]
 
 
 def slice_samples(samples: Measurement, start: int, stop: int) -> Measurement:
