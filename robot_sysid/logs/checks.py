@@ -3,6 +3,10 @@
 A check takes the usable rows and the robot. It returns notes (the run goes on) or raises InputError
 (the numbers cannot be those of this arm). Both name the first line and a remedy; the error of a log
 that is refused lists the faults of all checks.
+
+The usable rows are ``LogRows``: ``samples`` in SI units (N rows, n chain joints), ``lines`` (N,)
+their numbers in the file. Of all rows of the file, ``n_read`` hold something of this arm and
+``n_foreign`` nothing; ``anomalies`` says how many were left out why, and where the first one is.
 """
 
 from __future__ import annotations
@@ -139,7 +143,9 @@ def check_log(
             notes.extend(check(rows, robot) or ())
         return len(faults) == count
 
-    is_tolerable = {a: passes(partial(require_few, a)) for a in _TOLERANCES}
+    is_tolerable = {}
+    for anomaly in _TOLERANCES:
+        is_tolerable[anomaly] = passes(partial(require_few, anomaly))
     has_time = is_tolerable[REPEATED] and is_tolerable[BACKWARDS]
     if len(rows.lines) >= _FEWEST_ROWS:
         notes.extend(_mending_notes(rows))
@@ -284,6 +290,7 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
     time = rows.samples.time
     q = rows.samples.q
     limit = np.maximum(np.abs(robot.limits.lower), np.abs(robot.limits.upper))
+    # Twice the limit, but at least one full turn; two turns for a joint without limit.
     reach = np.maximum(2.0 * limit, 2.0 * np.pi)
     reach = np.where(np.isfinite(limit), reach, 4.0 * np.pi)
     largest = np.maximum(np.max(q, axis=0), -np.min(q, axis=0))
@@ -330,10 +337,11 @@ def _offset_turns(q: Array, limit: Array, is_far: Mask) -> Array:
 def _are_often_fast(q: Array, step: Array) -> Mask:
     """Return whether each joint (n,) at positions q (N, n) [rad] is often faster than _FAST.
 
-    Speeds are mean speeds over N - R rows; ``step`` (R,) are the durations of N - R rows [s].
+    A speed is the mean speed from a row to the one r rows later. ``step`` (N - r,) are the times
+    that this takes [s]; its length says what r is.
     """
-    n_rows = len(q) - len(step)
-    is_fast = np.abs(q[n_rows:] - q[:-n_rows]) > _FAST * step[:, None]
+    rows_apart = len(q) - len(step)
+    is_fast = np.abs(q[rows_apart:] - q[:-rows_apart]) > _FAST * step[:, None]
     return np.asarray(np.mean(is_fast, axis=0) > _OFTEN)
 
 
@@ -352,6 +360,7 @@ def _explain_speed(time: Array, q: Array, name: str, is_fast: Mask) -> str:
     remedy = _longer_unit_remedy(period)
     if period < _DENSE:
         return f"time steps of {period:.3g} s are so short that {symptom}{remedy}"
+    # Are speeds plausible once no step is shorter than the usual one?
     if not np.any(is_fast & _are_often_fast(q, np.maximum(step, np.median(step)))):
         mean = float(np.mean(step))
         return (
@@ -360,6 +369,7 @@ def _explain_speed(time: Array, q: Array, name: str, is_fast: Mask) -> str:
             "or were written; record when they were measured, or write "
             f"'rate = {1.0 / mean:.6g}' in --columns FILE if rows are evenly spaced"
         )
+    # Are speeds plausible over many rows, which hides the noise of positions?
     n_rows = max(2, int(np.ceil(_WINDOW / period)))
     if not np.any(is_fast & _are_often_fast(q, time[n_rows:] - time[:-n_rows])):
         noise = np.median(np.abs(np.diff(q, axis=0)[:, int(np.argmax(is_fast))]))
@@ -387,7 +397,7 @@ def require_no_jumps(rows: LogRows, robot: RobotModel) -> None:
 
 
 def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
-    """Yield notes on joints without motion and rest at either end; refuse an arm at rest."""
+    """Yield notes on joints that do not move and on rest at either end; refuse an arm at rest."""
     time = rows.samples.time
     q = rows.samples.q
     travel = np.ptp(q, axis=0)
@@ -402,10 +412,12 @@ def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     if unmoved:
         yield f"joints that do not move in this log: {', '.join(unmoved)}"
     shortest = max(_SHORT_REST, _SHORT_SHARE * (time[-1] - time[0]))
-    # A joint that moves by _AT_REST is away from the first and from the last posture at some time.
-    first = int(np.argmax(np.any(np.abs(q - q[0]) > _STILL, axis=1)))
-    has_moved = np.any(np.abs(q[::-1] - q[-1]) > _STILL, axis=1)
-    last = len(q) - int(np.argmax(has_moved))
+    # A joint that moves by _AT_REST is away from the first and from the last posture at some time:
+    # from row ``first`` on, and up to the row before ``last``.
+    has_left = np.any(np.abs(q - q[0]) > _STILL, axis=1)
+    is_away = np.any(np.abs(q - q[-1]) > _STILL, axis=1)
+    first = int(np.argmax(has_left))
+    last = int(np.flatnonzero(is_away)[-1]) + 1
     rests = {
         f"up to {rows.row_noun} {rows.lines[first]}": time[first] - time[0],
         f"from {rows.row_noun} {rows.lines[last]} on": time[-1] - time[last],

@@ -356,7 +356,11 @@ class _ColumnFinder:
     recognised: dict[str, tuple[Column, ...]] = field(default_factory=dict)
 
     def find_all(self, first_row: Sequence[str]) -> ColumnMap:
-        """Return the map, or raise InputError that lists all faults; fills ``recognised``."""
+        """Return the map, or raise InputError that lists all faults; fills ``recognised``.
+
+        ``first_row``: the cells of the first row as text, which may list joint names.
+        """
+        # Quantity to a list, per joint, of the indices of the columns that could be it.
         candidates = match_joints(self._open_titles(), self._joint_names, first_row)
         faults = list[str]()
         for quantity in QUANTITIES:
@@ -387,13 +391,16 @@ class _ColumnFinder:
         )
 
     def _open_titles(self) -> list[Title]:
-        """Return the titles, with empty ones for quantities that are declared for every joint."""
-        # These need not be recognised, and cannot be ambiguous.
-        count = len(self._joint_names)
-        declared = self._choices.columns.items()
-        settled = {quantity for quantity, titles in declared if len(titles) == count}
-        empty = read_title("")
-        return [empty if joint_quantity(t) in settled else t for t in self._titles]
+        """Return the titles, with empty ones for quantities that are declared for every joint.
+
+        These need not be recognised, and cannot be ambiguous.
+        """
+        titles = []
+        for title in self._titles:
+            declared = self._choices.columns.get(joint_quantity(title) or "", {})
+            is_open = len(declared) != len(self._joint_names)
+            titles.append(title if is_open else read_title(""))
+        return titles
 
     def _find_joints(
         self, quantity: str, candidates: Sequence[Sequence[int]]
@@ -408,13 +415,13 @@ class _ColumnFinder:
         columns = []
         for joint, name in enumerate(self._joint_names):
             indices = candidates[joint]
-            factor = 1.0
+            if len(indices) > 1 and name not in declared:
+                raise ambiguity_error(quantity, name, self._titles, indices)
             if name in declared:
                 index, factor = self._look_up(declared[name])
-                indices = [index]
-            if len(indices) > 1:
-                raise ambiguity_error(quantity, name, self._titles, indices)
-            columns += [self._column(quantity, joint, k, factor) for k in indices]
+                columns.append(self._column(quantity, joint, index, factor))
+            elif indices:
+                columns.append(self._column(quantity, joint, indices[0], 1.0))
         if len(columns) == len(self._joint_names):
             return tuple(columns)
         if declared or quantity in ("position", self.driven):
@@ -491,6 +498,7 @@ class _ColumnFinder:
             factor = -1.0
         texts = self._texts
         if re.fullmatch(r"#\d+", title) and title not in texts:
+            # The columns by their numbers, from 1.
             texts = list(map("#{}".format, range(1, len(texts) + 1)))
         if texts.count(title) == 1:
             return texts.index(title), factor
@@ -499,13 +507,21 @@ class _ColumnFinder:
         )
 
     def _column(self, quantity: str, joint: int, index: int, factor: float) -> Column:
-        """Return a column with its factor to SI, by its title's unit or else the declared one."""
+        """Return a column with its factor to SI, by its title's unit or else the declared one.
+
+        Args:
+            quantity: of the column, such as "position", or "time" of the row.
+            joint: index in the chain of the joint that it belongs to.
+            index: of the column.
+            factor: by which the column's numbers are to be multiplied beside the unit.
+        """
         title = self._titles[index]
-        units = UNITS[quantity.removeprefix("joint_")]
-        is_angle = quantity != "torque" and not self._is_slide[joint]
-        declared_unit = self._choices.angle_unit if is_angle else None
-        if units is UNITS["time"]:
+        declared_unit = None
+        if quantity in ("time", "joint_time"):
             declared_unit = self._choices.time_unit
+        elif quantity != "torque" and not self._is_slide[joint]:
+            declared_unit = self._choices.angle_unit
+        units = UNITS["time" if quantity == "joint_time" else quantity]
         declared = units.get(declared_unit or "")
         to_si = units.get(title.unit) if title.unit else declared
         if to_si is None and title.unit:
@@ -521,11 +537,15 @@ class _ColumnFinder:
 
 def _quote(columns: Sequence[Column]) -> str:
     """Return titles in quotes, with their factors; a factor that all share is given once."""
+    common = columns[0].factor
     titles = []
-    scales = []
+    scaled_titles = []
+    is_common = len(columns) > 1
     for column in columns:
+        scale = "" if column.factor == 1.0 else f" x {column.factor:.6g}"
         titles.append(f"'{column.title}'")
-        scales.append("" if column.factor == 1.0 else f" x {column.factor:.6g}")
-    if len({column.factor for column in columns}) > 1 or len(columns) == 1:
-        return ", ".join(map("".join, zip(titles, scales)))
-    return ", ".join(titles) + (scales[0] and f" (each{scales[0]})")
+        scaled_titles.append(f"'{column.title}'{scale}")
+        is_common &= column.factor == common
+    if not is_common or common == 1.0:
+        return ", ".join(scaled_titles)
+    return f"{', '.join(titles)} (each x {common:.6g})"

@@ -109,10 +109,10 @@ def open_log(
     scale = _torque_factors(options.torque_scale, names, SCALE)
     columns = columns.with_torque_factor(constants / scale)
     rows = read_rows(table, columns, robot.is_slide.tolist(), progress)
-    notes = check_log(str(path), rows, robot, columns.angle_declared)
+    check_notes = check_log(str(path), rows, robot, columns.angle_declared)
     pieces = tuple(map(LogPiece.of, split_at_gaps(rows.samples)))
     details = map(Detail, (f"log layout: {table.layout}", *columns.describe()))
-    notes = (*details, *notes, *piece_notes(rows.samples, pieces))
+    notes = (*details, *check_notes, *piece_notes(rows.samples, pieces))
     return MeasurementLog(path, columns, rows.samples, pieces, notes, scale)
 
 
@@ -125,7 +125,8 @@ def _torque_factors(
     """
     if factors is None:
         return np.ones(len(joint_names))
-    return joint_factors(factors, joint_names, table)[0]
+    values, _ = joint_factors(factors, joint_names, table)  # and standard errors
+    return values
 
 
 def _map_columns(
@@ -269,23 +270,26 @@ def content_lines(path: Path, options: LogOptions, progress: Progress) -> list[s
     columns = list(range(len(table.titles)))
     if table.first_row:
         columns = [k for k, cell in enumerate(table.first_row) if is_number(cell)]
-    lowest, highest, empty = np.tile([[np.nan], [np.nan], [0.0]], len(columns))
+    # Smallest and largest number of each column; NaN as long as it has none.
+    lowest = np.full(len(columns), np.nan)
+    highest = np.full(len(columns), np.nan)
+    n_empty = np.zeros(len(columns), dtype=int)
     n_rows = 0
     for block in read_blocks(table, columns, progress):
         n_rows += len(block.cells)
         cells = np.where(np.isfinite(block.cells), block.cells, np.nan)
-        empty += np.count_nonzero(np.isnan(cells), axis=0)
+        n_empty += np.count_nonzero(np.isnan(cells), axis=0)
         lowest = np.fmin.reduce(np.vstack((lowest, cells)))
         highest = np.fmax.reduce(np.vstack((highest, cells)))
     lines = [f"log layout: {table.layout}", f"{n_rows} {table.row_noun}s"]
     width = max(map(len, table.titles))
-    for column, low, high, n_empty in zip(columns, lowest, highest, empty):
+    for column, low, high, n_missing in zip(columns, lowest, highest, n_empty):
         title = read_title(table.titles[column])
         is_time = title.measured_quantity == "time"
         quantity = "time" if is_time else joint_quantity(title)
         numbers = f"{low:12.6g} to {high:12.6g}" if low <= high else "no numbers"
         line = f"  {title.text:{width}}  {numbers}"
-        line += f", {n_empty:.0f} empty" if n_empty else ""
+        line += f", {n_missing} empty" if n_missing else ""
         line += f"  ({quantity})" if quantity else ""
         lines.append(line)
     lines.append(

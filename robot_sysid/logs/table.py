@@ -123,8 +123,10 @@ def nanoseconds(cell: str) -> int:
         raise ValueError(cell)
     day, clock, sign, hours, minutes = match.groups()
     stamp = np.datetime64(f"{day or '1970-01-01'}T{clock.replace(',', '.')}", "ns")
-    ahead = 60 * int(hours or 0) + int(minutes or 0)
-    return int(stamp.astype(np.int64)) - int(f"{sign or '+'}1") * ahead * 60 * 10**9
+    minutes_ahead = 60 * int(hours or 0) + int(minutes or 0)
+    if sign == "-":
+        minutes_ahead = -minutes_ahead
+    return int(stamp.astype(np.int64)) - minutes_ahead * 60 * 10**9
 
 
 LARGEST = 8e8
@@ -211,8 +213,11 @@ def model_spelling(names: Sequence[str], joint_names: Sequence[str]) -> dict[str
 
 
 def _is_suffix(first: str, second: str) -> bool:
-    """Return whether one of two names is the end of the other."""
-    tokens = [re.findall(r"[a-z]+|\d+", name.lower()) for name in (first, second)]
+    """Return whether one of two names is the end of the other, in words and numbers.
+
+    ``joint1`` is the end of ``fr3_joint1``; a name that begins with a number is the end of none.
+    """
+    tokens = (re.findall(r"[a-z]+|\d+", name.lower()) for name in (first, second))
     short, long = sorted(tokens, key=len)
     return bool(short) and long[-len(short) :] == short and not short[0].isdigit()
 
@@ -320,8 +325,14 @@ def read_rows(
         progress: receives the progress of reading.
     """
     cleaner = _RowCleaner(table, columns, is_slide)
-    indices = [column.index for column in columns.columns()]
+    titles = []
+    indices = []
+    for column in columns.columns():
+        titles.append(column.title)
+        indices.append(column.index)
+    # A buffer for each of line, time, position, torque, velocity and time stamps of the joints.
     widths = [1, 1, *map(len, columns.groups())]
+    ends = np.cumsum(widths)
     buffers = [np.empty((0, width)) for width in widths]
     count = 0
 
@@ -329,7 +340,7 @@ def read_rows(
         """Append rows (R, sum of widths) of a log that will have about ``expected`` rows."""
         nonlocal count
         end = count + len(rows)
-        for buffer, group in zip(buffers, np.split(rows, np.cumsum(widths), axis=1)):
+        for buffer, group in zip(buffers, np.split(rows, ends[:-1], axis=1)):
             if end > len(buffer):
                 # The lines of a file are not all of one length, so this is an estimate.
                 capacity = max(end, round(1.1 * expected))
@@ -338,6 +349,7 @@ def read_rows(
         count = end
 
     thinning = None
+    # Rows that wait until it is known whether the log is thinned.
     pending = np.empty((0, sum(widths)))
     for block in read_blocks(table, indices, progress or Progress()):
         pending = np.concatenate((pending, cleaner.clean(block)))
@@ -358,7 +370,6 @@ def read_rows(
         # A servo's torque follows its position error, the measure of torque here [rad].
         command = tau
         tau = command - q
-    titles = [column.title for column in columns.columns()]
     counts = zip(titles, cleaner.empty_cells.tolist())
     return LogRows(
         lines=np.round(lines[:, 0]).astype(np.int64),
@@ -427,7 +438,10 @@ class _RowCleaner:
         self.anomalies = dict.fromkeys(anomalies, Anomaly())
 
     def clean(self, block: Block) -> Array:
-        """Return the usable rows of a block: line, time, then the columns besides the time."""
+        """Return the usable rows (R, 2 + C) of a block: line, time, then the C other columns.
+
+        Numbers are in SI units, times are those of one clock for all recordings.
+        """
         lines = block.lines
         cells = block.cells.copy()
         np.multiply(cells, self._factors, out=cells, where=np.isfinite(cells))
@@ -466,8 +480,11 @@ class _RowCleaner:
     def _find_usable(self, block: Block, cells: Array) -> Mask:
         """Return (R,) which rows hold numbers that can be true; count the others.
 
-        ``cells`` (R, 1 + C): time, positions, torques and further columns in SI units.
+        Args:
+            block: the rows as the file has them.
+            cells: (R, 1 + C) time, positions, torques and further columns in SI units.
         """
+        # Positions and torques.
         needed = cells[:, 1 : 1 + 2 * self._n]
         impossible = np.any(np.abs(needed) > _IMPOSSIBLE, axis=1)
         impossible |= np.abs(cells[:, 0]) > _IMPOSSIBLE_TIME
@@ -493,6 +510,7 @@ class _RowCleaner:
         """
         previous = time[0] - 1.0 if self._last_row is None else self._last_row[0]
         step = np.diff(time, prepend=previous)
+        # The latest time before each row.
         latest = np.maximum.accumulate(np.concatenate(([previous], time)))[:-1]
         backwards = step < 0.0
         if np.any(backwards):
@@ -503,10 +521,15 @@ class _RowCleaner:
         return np.asarray(time > latest)
 
     def _unwrap(self, lines: Lines, cells: Array) -> None:
-        """Take full turns off the positions in cells (R, 1 + C), in place."""
+        """Take full turns off the positions in cells (R, 1 + C), in place; count the jumps.
+
+        The columns of cells: time, positions, and further ones. The last row is remembered for the
+        next block, as the file has it.
+        """
         q = cells[:, 1 : 1 + self._n]
         previous = q[:1] if self._last_row is None else self._last_row[None, 1:]
         step = np.diff(q, axis=0, prepend=previous)
+        # Full turns (R, n) by which each row jumps against the one before.
         turns = np.round(step / _TURN) * self._can_turn
         turns[np.abs(step - turns * _TURN) > _WRAP_TOLERANCE] = 0.0
         self._count(WRAPPED, lines[np.any(turns != 0.0, axis=1)])

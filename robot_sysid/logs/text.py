@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import TextIOWrapper
-from itertools import chain, product
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -109,7 +109,10 @@ def text_table(source: LogSource) -> LogTable:
 
 
 def read_dialect(path: Path, first_bytes: bytes) -> Dialect:
-    """Return the layout of a log by its first lines, or InputError where it is no text table."""
+    """Return the layout of a log by its first lines, or raise InputError where it is no text table.
+
+    ``first_bytes``: of the file, some thousands.
+    """
     is_utf16 = first_bytes[:2] in (b"\xff\xfe", b"\xfe\xff")
     encoding = "utf-16" if is_utf16 else "utf-8-sig"
     control = len(first_bytes) - len(first_bytes.translate(None, _CONTROL))
@@ -122,27 +125,29 @@ def read_dialect(path: Path, first_bytes: bytes) -> Dialect:
         raise InputError(
             f"{path} holds no rows of a table; check that the recording was written"
         )
-    header_line, first = lines[0]
-    last = lines[-1][1]
-    separator = _find_separator(first)
-    header = _drop_last_empty(split_line(first, separator))
-    row = _drop_last_empty(split_line(last, separator))
+    # The header and the first row of data, unless the header is missing or a comment.
+    header_line, header_text = lines[0]
+    _, row_text = lines[-1]
+    separator = _find_separator(header_text)
+    header = _drop_last_empty(split_line(header_text, separator))
+    row = _drop_last_empty(split_line(row_text, separator))
     if not header or not row:
         raise InputError(f"{path} does not begin with a table of text; export CSV")
     if _is_mostly_numbers(header):
         header_line = 0
-        last = first
+        row_text = header_text
         row = header
         header = _header_in_comment(comment, len(row))
     elif len(lines) < 2:
         raise InputError(
             f"{path} has a header but no rows; check that the recording ran"
         )
-    return Dialect(path, encoding, separator, header, header_line, row, '"' in last)
+    is_quoted = '"' in row_text
+    return Dialect(path, encoding, separator, header, header_line, row, is_quoted)
 
 
 def _find_separator(line: str) -> str:
-    """Return the first separator of the table that a line holds, else a blank."""
+    """Return the first separator of ``_SEPARATORS`` that a line holds, else a blank."""
     return next((mark for mark in _SEPARATORS if mark in line), " ")
 
 
@@ -201,6 +206,7 @@ def _read_lines(
         while text := stream.read(size):
             tail = "" if text.endswith("\n") else stream.readline(_LONGEST_LINE)
             text += tail
+            # Drop what a line that is too long has beyond its beginning.
             while len(tail) == _LONGEST_LINE and not tail.endswith("\n"):
                 tail = stream.readline(_LONGEST_LINE)
             lines = text.removesuffix("\n").split("\n")
@@ -210,30 +216,34 @@ def _read_lines(
 
 
 def _read_beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str]]]:
-    """Return the line above the first row, and the first two rows with their line numbers."""
+    """Return (the last line above the rows, [(line number, first row), (line number, second row)]).
+
+    The line is a comment or no row of a table, "" for none; a row may be the header. There are
+    fewer than two rows where the file has fewer.
+    """
     above = ""
-    rows = []
-    chunks = _read_lines(path, encoding, _LONGEST_LINE)
-    numbered = (enumerate(lines, first) for first, lines, _ in chunks)
-    for number, line in chain.from_iterable(numbered):
-        if not line.lstrip().startswith(_COMMENT) and _can_be_row(line):
-            rows.append((number, line))
+    rows: list[tuple[int, str]] = []
+    for first, lines, _ in _read_lines(path, encoding, _LONGEST_LINE):
+        for number, line in enumerate(lines, first):
+            if not line.lstrip().startswith(_COMMENT) and _can_be_row(line):
+                rows.append((number, line))
+            elif line.strip() and not rows:
+                above = line.strip()
             if len(rows) == 2:
-                break
-        elif line.strip() and not rows:
-            above = line.strip()
+                return above, rows
     return above, rows
 
 
 def _can_be_row(line: str) -> bool:
     """Return whether a line may be a row of a table; an empty or a binary one is none."""
     has_control = any(mark < " " and mark != "\t" for mark in line)
+    # A title near the begin of the line may hold a degree sign of another encoding.
     is_garbled = has_control or "\ufffd" in line[80:]
     return len(line) < _LONGEST_LINE and not is_garbled and bool(line.strip())
 
 
 def _header_in_comment(comment: str, width: int) -> tuple[str, ...]:
-    """Return the titles of so many columns in a comment line; () where it holds none."""
+    """Return the titles of ``width`` columns in a comment line; () where it does not hold them."""
     text = comment.lstrip("#% ")
     for separator in (_find_separator(text), " "):
         titles = _drop_last_empty(split_line(text, separator))
@@ -243,7 +253,7 @@ def _header_in_comment(comment: str, width: int) -> tuple[str, ...]:
 
 
 def _drop_last_empty(cells: Sequence[str]) -> tuple[str, ...]:
-    """Return the cells without an empty cell behind a trailing separator."""
+    """Return the cells of a line without an empty cell behind a trailing separator."""
     return tuple(cells[:-1] if len(cells) > 1 and not cells[-1] else cells)
 
 
@@ -284,26 +294,33 @@ def _read_with_numpy(
     if separator != ",":
         lines = [line.replace(",", ".") for line in lines]
     dates = [k for k in columns if k < len(first_row) and ":" in first_row[k]]
-    # A type of all columns, unlike a choice of some, refuses rows with more or fewer cells.
+    # A type of all columns, unlike a choice of some, refuses rows with more or fewer cells. Columns
+    # that are not wanted are texts of one character; NumPy calls columns without a name f0, f1, ...
     types: list[tuple[str, Any]] = [("", "U1")] * len(dialect.titles)
     for column in columns:
         types[column] = ("", float)
     try:
         if dates:
             lines = [_with_seconds(line, separator, dates, first_row) for line in lines]
-        read = np.loadtxt(lines, types, delimiter=separator, comments=None, ndmin=1)
+        table = np.loadtxt(lines, types, delimiter=separator, comments=None, ndmin=1)
     except (ValueError, IndexError):
         return None
     # Lines of odd blanks alone are no rows to numpy.
-    if len(read) != len(lines):
+    if len(table) != len(lines):
         return None
-    return np.column_stack([read[f"f{k}"] for k in columns])
+    return np.column_stack([table[f"f{k}"] for k in columns])
 
 
 def _with_seconds(
     line: str, separator: str | None, dates: Sequence[int], first_row: Sequence[str]
 ) -> str:
-    """Return a line with the dates in these columns as seconds since those of the first row."""
+    """Return a line in which the dates are seconds since those of the first row.
+
+    Args:
+        separator: between cells; None for any run of blanks.
+        dates: indices of the columns with dates.
+        first_row: the cells of the first row of data.
+    """
     cells = line.split(separator)
     for column in dates:
         seconds = _parse_cell(cells[column].strip(), first_row[column])
@@ -322,7 +339,7 @@ def _read_rows(
     cells = np.full((len(rows), len(columns)), np.inf)
     complaint = ""
     for (number, line), row in zip(rows.items(), cells):
-        fault = _read_row(dialect, columns, line, row)
+        fault = _read_row(dialect, columns, line, row)  # which fills the row of cells
         if fault and not complaint:
             complaint = f"line {number}{fault}"
     return cells, complaint
@@ -375,6 +392,7 @@ def write_measurement_csv(
                 attributes = {q: a for q, a in pairs if getattr(chunk, a) is not None}
                 columns = product(attributes, joint_names)
                 titles = [f"{joint}_{quantity}" for quantity, joint in columns]
+                # The name of a joint may hold ends of lines.
                 lines = [re.sub(r"[\r\n]", " ", title) for title in titles]
                 writer.writerow(["time", *lines])
             values = [getattr(chunk, name) for name in attributes.values()]

@@ -187,11 +187,11 @@ def interpret_titles(
     has_currents = currents and count >= len(joint_names)
     interpreted = []
     for title in titles:
-        _, nameless = min(
-            _strip_joint_names(title, joint_names),
-            key=lambda pair: len(pair[1].tokens),
-            default=(0, title),
-        )
+        # Of several joints' names in a title, the one that takes most of it is left out.
+        nameless = title
+        for _, stripped in _strip_joint_names(title, joint_names):
+            if nameless is title or len(stripped.tokens) < len(nameless.tokens):
+                nameless = stripped
         unit = nameless.unit
         is_command = commanded and nameless.is_commanded_position
         override = "command" if is_command else None
@@ -280,6 +280,7 @@ def match_joints(
     for quantity in QUANTITIES:
         named = by_name[quantity]
         numbered = by_number[quantity]
+        # Columns without any joint's name that counting gives to the first joint.
         rivals = unnamed[quantity][0]
         if all(named) and rivals:
             columns = [named[0][0], rivals[0]]
@@ -322,7 +323,7 @@ def ambiguity_error(
 
 
 def _match_names(titles: Sequence[Title], joint_names: Sequence[str]) -> Candidates:
-    """Return the candidates among titles that carry a joint's name."""
+    """Return the candidates among titles that carry a joint's name; none for other quantities."""
     candidates: Candidates = defaultdict(lambda: [[] for _ in joint_names])
     for column, title in enumerate(titles):
         for joint, stripped in _strip_joint_names(title, joint_names):
@@ -342,6 +343,7 @@ def _strip_joint_names(
     matched and ``arm_1`` is told from ``arm-1``; or hold its tokens, as ``Joint_1.position`` does.
     """
     text = title.text.strip()
+    # The name as it is written.
     for joint, name in sorted(enumerate(joint_names), key=lambda pair: -len(pair[1])):
         suffix = text[len(name) :]
         prefix = text[: -len(name)]
@@ -349,6 +351,7 @@ def _strip_joint_names(
             yield joint, read_title(suffix)
         elif text.endswith(name) and prefix and not prefix[-1].isalnum():
             yield joint, read_title(prefix)
+    # The name's letters and numbers, between blanks.
     unit, unitless = _split_bracketed_unit(text.lstrip("%#"))
     phrase = f" {' '.join(_pieces(unitless))} "
     for joint, name in _aliases(tuple(joint_names)):
@@ -360,15 +363,21 @@ def _strip_joint_names(
 
 @lru_cache
 def _aliases(joint_names: tuple[str, ...]) -> list[tuple[int, str]]:
-    """Return (joint index, spelling), longest first; pieces in all names may be left out."""
+    """Return (joint index, spelling), longest first.
+
+    Spellings are the joints' names, and the names without the words with which all names begin or
+    end: "elbow" for "left_elbow_joint".
+    """
     spellings = list(enumerate(joint_names))
-    pieces = [_pieces(name) for name in joint_names]
-    start = len(os.path.commonprefix(pieces))
-    end = len(os.path.commonprefix([p[::-1] for p in pieces]))
-    short = [" ".join(p[start : len(p) - end]) for p in pieces]
+    pieces = list(map(_pieces, joint_names))
+    reversed_pieces = [words[::-1] for words in pieces]
+    n_first = len(os.path.commonprefix(pieces))
+    n_last = len(os.path.commonprefix(reversed_pieces))
+    short = [" ".join(words[n_first : len(words) - n_last]) for words in pieces]
     # A bare number is left to counting, where the base (0 or 1) is checked.
+    has_number = any(map(str.isdigit, short))
     is_distinct = len(set(short)) == len(short) > 1
-    if is_distinct and not any(s.isdigit() or not s for s in short):
+    if is_distinct and all(short) and not has_number:
         spellings += enumerate(short)
     return sorted(spellings, key=lambda pair: -len(_pieces(pair[1])))
 
@@ -379,26 +388,32 @@ def _match_numbers(
     order: Mapping[int, int],
     excluded: set[int],
 ) -> Candidates:
-    """Return the candidates among titles with one number, but for the excluded columns.
+    """Return the candidates among titles with one number; none for other quantities.
 
-    ``order``: number to joint index, by the log's own list of names; empty where it has none.
+    Args:
+        titles: of all columns, from left to right.
+        joint_names: (n,) of the arm; of a single joint, titles without a number count too.
+        order: number to joint index, by the log's own list of names. Where it is empty, the numbers
+            of a quantity have to be 0 to n - 1 or 1 to n.
+        excluded: indices of columns that are left out.
     """
+    # Quantity to number in the title to indices of columns.
     numbered: dict[str, dict[int, list[int]]] = defaultdict(lambda: defaultdict(list))
     for column, title in enumerate(titles):
         quantity = None if column in excluded else joint_quantity(title)
         numbers = title.numbers
-        # A single joint needs no number.
         if len(joint_names) == 1 and quantity != "joint_time":
             numbers = numbers or (0,)
         if quantity and len(numbers) == 1:
             numbered[quantity][numbers[0]].append(column)
     candidates: Candidates = defaultdict(lambda: [[] for _ in joint_names])
     for quantity, columns in numbered.items():
-        # Without a list of names the numbers have to be exactly 0..n-1 or 1..n.
+        joint_of_number = order
         first = min(columns)
         counted = dict(enumerate(range(len(joint_names)), first))
-        is_complete = first < 2 and sorted(columns) == list(counted)
-        for number, joint in (order or (counted if is_complete else {})).items():
+        if not order and first < 2 and sorted(columns) == list(counted):
+            joint_of_number = counted
+        for number, joint in joint_of_number.items():
             if number in columns:
                 candidates[quantity][joint] = columns[number]
     return candidates
@@ -407,11 +422,16 @@ def _match_numbers(
 def _order_from_names(
     titles: Sequence[Title], joint_names: Sequence[str], first_row: Sequence[str]
 ) -> dict[int, int]:
-    """Return number to joint index by a log's own list of names; ROS may order by the alphabet."""
+    """Return number in a title to joint index, by a log's own list of names; {} where it has none.
+
+    ROS lists them in any order, such as that of the alphabet: in a column "name" with all names in
+    its first row, or in columns "name[0]", "name[1]", ... with one each.
+    """
     names: dict[int, str] = {}
     for title, cell in zip(titles, first_row):
         if title.tokens and title.tokens[-1] in ("name", "names"):
             start = title.numbers[0] if title.numbers else 0
-            names.update(enumerate(re.findall(r"[^\s,'\"\[\]()]+", cell), start))
+            listed = re.findall(r"[^\s,'\"\[\]()]+", cell)
+            names.update(enumerate(listed, start))
     pairs = names.items()
     return {k: joint_names.index(n) for k, n in pairs if n in joint_names}
