@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -23,6 +25,11 @@ from robot_sysid.errors import HardwareAbort
 from tests.support.motor_bench import Bench
 
 
+def statuses(bench):
+    """The status code of each motor."""
+    return [motor.status for motor in bench.motors]
+
+
 def test_inspection_reads_everything_and_changes_nothing():
     bench = Bench()
     registers_before = [dict(m.registers) for m in bench.motors]
@@ -32,7 +39,7 @@ def test_inspection_reads_everything_and_changes_nothing():
     assert inspection.motors[0, 2].limits == (12.5, 10.0, 28.0)
     assert inspection.motors[0, 2].feedback.temperature_mos[0] == 31
     assert [m.registers for m in bench.motors] == registers_before
-    assert [m.status for m in bench.motors] == [DISABLED] * 2
+    assert statuses(bench) == [DISABLED] * 2
     assert {frame.id for frame in bench.bus.sent} == {REGISTER_ID}
 
 
@@ -102,13 +109,13 @@ def test_every_way_out_disables(error):
     try:
         with bench.session as session:
             session.enable()
-            assert [m.status for m in bench.motors] == [ENABLED] * 2
+            assert statuses(bench) == [ENABLED] * 2
             bench.exchange()
             if error:
                 raise error
     except BaseException as raised:
         assert raised is error
-    assert [m.status for m in bench.motors] == [DISABLED] * 2
+    assert statuses(bench) == [DISABLED] * 2
 
 
 def test_a_reply_is_the_state_before_the_command_acted():
@@ -177,7 +184,7 @@ def test_a_watchdog_trip_needs_more_than_enabling():
     bench.session.enable()
     bench.wait(0.2)
     bench.arm.advance(bench.clock.now())
-    assert [m.status for m in bench.motors] == [LOST_COMMUNICATION] * 2
+    assert statuses(bench) == [LOST_COMMUNICATION] * 2
     with pytest.raises(HardwareAbort, match="motor 1 did not enable: status D"):
         bench.session.enable()
 
@@ -232,18 +239,15 @@ DELAYS = st.lists(st.integers(0, PAUSE) | st.none(), min_size=1, max_size=60)
 @given(DELAYS)
 def test_no_answer_is_taken_for_that_to_another_command(delays):
     books = Outstanding(1)
-    underway = []
+    # The cycles of the commands whose answers come in a cycle.
+    requests = defaultdict(list)
     for cycle in range(4 * len(delays) + 8):
-        # What came too late for the cycle before is found at the beginning of this one.
-        for _ in [answer for answer in underway if answer[1] < cycle]:
-            books.take_answer(0)
-        underway = [answer for answer in underway if answer[1] >= cycle]
         if books.may_be_commanded(ONE)[0]:
             delay = delays.pop(0) if delays else 0
-            underway += [] if delay is None else [(cycle, cycle + delay)]
-        for requested, _ in [answer for answer in underway if answer[1] == cycle]:
+            if delay is not None:
+                requests[cycle + delay].append(cycle)
+        for requested in requests[cycle]:
             assert books.take_answer(0) == (requested == cycle)
-        underway = [answer for answer in underway if answer[1] > cycle]
 
 
 def test_one_lost_answer_costs_the_pause_and_no_more():
@@ -251,9 +255,9 @@ def test_one_lost_answer_costs_the_pause_and_no_more():
     for _ in range(10):
         assert books.may_be_commanded(ONE)[0] and books.take_answer(0)
     assert books.may_be_commanded(ONE)[0]
-    assert [bool(books.may_be_commanded(ONE)[0]) for _ in range(PAUSE + 1)] == [
-        False
-    ] * PAUSE + [True]
+    for _ in range(PAUSE):
+        assert not books.may_be_commanded(ONE)[0]
+    assert books.may_be_commanded(ONE)[0]
     assert books.take_answer(0)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 from robot_sysid.damiao.joints import MOTORS
 from robot_sysid.damiao.protocol import (
@@ -27,6 +28,7 @@ SPECS = st.lists(st.sampled_from(list(MOTORS.values())), min_size=1, max_size=8)
 TIMINGS = st.builds(BusTiming, fd=st.booleans())
 KP = st.floats(0.0, KP_MAX)
 KD = st.floats(0.01, KD_MAX)
+INERTIA = st.floats(1e-4, 10.0)
 
 
 @given(specs=SPECS, timing=TIMINGS)
@@ -52,7 +54,7 @@ def test_what_is_left_open_suits_motors_and_bus(specs, timing):
 
 @given(specs=SPECS, timing=TIMINGS, data=st.data())
 def test_what_was_asked_for_is_kept(specs, timing, data):
-    kp = tuple(data.draw(KP) for _ in specs)
+    kp = data.draw(st.tuples(*[KP] * len(specs)))
     kd = data.draw(KD)
     rate = data.draw(st.floats(1.0, 1000.0))
     settings = PlaySettings(kp=kp, kd=(kd,), rate=rate, speed=0.3).for_motors(
@@ -69,15 +71,25 @@ def test_another_number_of_gains_is_refused():
         PlaySettings(kp=(1.0,) * 2).for_motors([MOTORS["DM4340"]] * 3, BusTiming())
 
 
+SINGLE_NUMBERS = [
+    name
+    for name, field in options_of(PlaySettings).items()
+    if field.check and not field.takes_many
+]
+
+
 @pytest.mark.parametrize(
     ("name", "setting"),
     [
-        (n, -1.0)
-        for n, field in options_of(PlaySettings).items()
-        if field.check and not field.takes_many
-    ]
-    + [("kp", (1.0, setting)) for setting in (-1.0, 500.1, np.nan)]
-    + [("kd", (1.0, setting)) for setting in (0.0, 5e-4, 5.1, np.nan)],
+        *((name, -1.0) for name in SINGLE_NUMBERS),
+        ("kp", (1.0, -1.0)),
+        ("kp", (1.0, 500.1)),
+        ("kp", (1.0, np.nan)),
+        ("kd", (1.0, 0.0)),
+        ("kd", (1.0, 5e-4)),
+        ("kd", (1.0, 5.1)),
+        ("kd", (1.0, np.nan)),
+    ],
 )
 def test_settings_that_are_no_sensible_numbers_are_refused(name, setting):
     flag = options_of(PlaySettings)[name].flag
@@ -92,10 +104,9 @@ def test_a_motor_may_start_no_warmer_than_it_may_get():
 
 @given(specs=SPECS, timing=TIMINGS, data=st.data())
 def test_a_light_joint_is_damped_less(specs, timing, data):
-    inertia = np.array([data.draw(st.floats(1e-4, 10.0)) for _ in specs])
-    plain, light = (
-        PlaySettings().for_motors(specs, timing, i) for i in (None, inertia)
-    )
+    inertia = data.draw(hnp.arrays(float, len(specs), elements=INERTIA))
+    plain = PlaySettings().for_motors(specs, timing)
+    light = PlaySettings().for_motors(specs, timing, inertia)
     assert light.kp == plain.kp
     for i, kd, kp in zip(inertia, light.kd, plain.kp):
         # Never less than 40 %: models often lack the rotors' inertia.

@@ -108,7 +108,7 @@ _LEAST_TORQUE = 0.3
 """Least torque of a shift that is reported [doubts]."""
 _DIFFERENCE = 0.01
 """Step of central differences by position [rad]."""
-_OTHER_PARTS = 8
+_OTHER_STEPS = 8
 """Number of steps in which a window is computed, besides one for each link."""
 _LOAD_PARAMETERS = 4
 """Number of parameters of a load at the end: mass and first moment."""
@@ -142,7 +142,7 @@ class MovedZeroCheck:
         self._samples: list[tuple[float, Array]] = []
         # Remaining steps of the last window's evaluation, and how many are done per cycle.
         self._work: Iterator[None] = iter(())
-        self._parts_per_cycle = 1
+        self._steps_per_cycle = 1
         self._finding: tuple[int, str] | None = None
         # Whether a change that began during the run was certain.
         self._has_changed = False
@@ -185,7 +185,7 @@ class MovedZeroCheck:
         Returns:
             The joint's index and a sentence about it without its name, or None.
         """
-        for _ in range(self._parts_per_cycle):
+        for _ in range(self._steps_per_cycle):
             next(self._work, None)
         sample = np.stack([q, qd, tau])
         if not (np.isfinite(time) and np.all(np.isfinite(sample))):
@@ -201,8 +201,8 @@ class MovedZeroCheck:
             if np.max(np.abs(average.qd)) > _MOVING:
                 # Where cycles were skipped, unfinished steps of the last window are lost.
                 self._work = self._take_in(average)
-                parts = self._robot.n_joints + _OTHER_PARTS
-                self._parts_per_cycle = 1 + parts // len(window)
+                n_steps = self._robot.n_joints + _OTHER_STEPS
+                self._steps_per_cycle = 1 + n_steps // len(window)
         return self._finding
 
     def _take_in(self, window: _Window) -> Iterator[None]:
