@@ -22,7 +22,8 @@ import numpy as np
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.base_fit import BaseFit
 from robot_sysid.diagnosis.explanations import Explanation, explanations
-from robot_sysid.diagnosis.log_model import LogModel, Posterior, log_rows, rms
+from robot_sysid.diagnosis.log_model import LogModel, Posterior
+from robot_sysid.diagnosis.log_rows import log_rows, rms
 from robot_sysid.diagnosis.plausibility import (
     SURE,
     is_plausible,

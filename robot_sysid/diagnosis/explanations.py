@@ -20,7 +20,8 @@ import numpy as np
 
 from robot_sysid.diagnosis import Level
 from robot_sysid.diagnosis.base_fit import BaseFit
-from robot_sysid.diagnosis.log_model import PAYLOAD, REACH, rms
+from robot_sysid.diagnosis.log_prior import PAYLOAD, REACH
+from robot_sysid.diagnosis.log_rows import rms
 from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, gravity_vector
 from robot_sysid.dynamics.spatial import parameter_scale

@@ -16,7 +16,7 @@ import numpy as np
 
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.contest import Contest, findings
-from robot_sysid.diagnosis.log_model import WINDOW, rms
+from robot_sysid.diagnosis.log_rows import WINDOW, rms
 from robot_sysid.diagnosis.plausibility import least_friction_share
 from robot_sysid.errors import InputError, SysidError, prefix_input_errors
 from robot_sysid.estimation.question import EstimationOptions

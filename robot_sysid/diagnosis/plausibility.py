@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_sysid.diagnosis.log_model import Posterior, rms
+from robot_sysid.diagnosis.log_model import Posterior
+from robot_sysid.diagnosis.log_rows import rms
 from robot_sysid.dynamics.equations import link_names, other_links
 from robot_sysid.records import Array
 

@@ -22,14 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import Finding, Level
-from robot_sysid.diagnosis.log_model import (
-    LEAST_TORQUE,
-    LogModel,
-    LogRows,
-    Posterior,
-    log_rows,
-    rms,
-)
+from robot_sysid.diagnosis.log_model import LogModel, Posterior
+from robot_sysid.diagnosis.log_rows import LEAST_TORQUE, LogRows, log_rows, rms
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import Array, Motion, RobotModel

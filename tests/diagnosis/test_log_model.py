@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from robot_sysid.diagnosis.log_model import rms
+from robot_sysid.diagnosis.log_rows import rms
 
 
 def test_the_evidence_is_that_of_a_normal_distribution(contest):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from robot_sysid.diagnosis.log_model import rms
+from robot_sysid.diagnosis.log_rows import rms
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.estimation.build_result import payload_of, result_of, traces_of

@@ -1,0 +1,159 @@
+"""The prior of a log without faults: the estimate's, with a wider last link and more friction.
+
+Throughout, n is the number of joints, p that of parameters, k that of estimated ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.diagnosis.log_rows import BUILD_UP, LogRows, rms
+from robot_sysid.dynamics.friction import friction_model
+from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
+from robot_sysid.dynamics.spatial import (
+    PARAMETER_NAMES,
+    characteristic_length,
+    parameter_scale,
+)
+from robot_sysid.estimation.algebra.priors import EXPECTED, NuisanceGroup
+from robot_sysid.estimation.choices import WITH_ALL
+from robot_sysid.estimation.question import Choice, EstimationOptions, Question
+from robot_sysid.estimation.unknowns import build_unknowns
+from robot_sysid.records import DELAY_NAME, Array
+
+LINK_SCALES = (replace(EXPECTED, mass=2.0), replace(EXPECTED, mass=6.0))
+"""Scales of the other links' prior over which the evidence is averaged."""
+PAYLOAD = 0.3
+"""Prior standard deviation of the last link's mass, as a share of the arm's mass."""
+REACH = 0.15
+"""Least size of the last link in its prior, as a share of the arm's reach."""
+FRICTION = {
+    "coulomb": 1.0,
+    "viscous": 1.0,
+    "offset": 0.3,
+    "armature": 0.5,
+    "sqrt": 0.05,
+    "stribeck": 0.05,
+    "load": 0.04,
+}
+"""Prior standard deviation of each friction term: its torque at the joint's typical speed and
+acceleration, as a share of the typical torque; of "load" (a gear's loss), as a share of the load.
+"""
+BUILT_UP = 0.15
+"""Prior standard deviation of friction that builds up after a reversal, as a share of the typical
+torque."""
+UNEVEN = 0.03
+"""Prior standard deviation of dry friction that varies over a turn, as a share of the typical
+torque."""
+WIDE_TILT = 0.15
+"""Prior standard deviation of the base's tilt where the estimate is asked to find it [rad]."""
+WIDE_DELAY = 0.04
+"""Prior standard deviation of the delay where the estimate is asked to find it [s]."""
+WORTH_A_WORD = 2.0
+"""Largest prior standard deviation of the delay where the estimate is not asked to find it [ms]: a
+larger delay is worth a finding."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """The normal prior of a log's parameters, a mixture over the widths of links' priors.
+
+    Attributes:
+        estimated: (k,) indices of the estimated parameters, ascending.
+        mean: (p,) prior means, and values of the parameters that are not estimated.
+        spread: (k,) prior standard deviations.
+        precisions: inverse covariances (k, k) in units of ``spread``, one per scale of the links'
+            prior.
+    """
+
+    estimated: NDArray[np.int64]
+    mean: Array
+    spread: Array
+    precisions: tuple[Array, ...]
+
+    def positions(self, indices: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the positions (m,) in ``estimated`` of parameters with given indices (m,)."""
+        return np.searchsorted(self.estimated, indices)
+
+
+def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
+    """Return the prior of a log without faults: that of the estimate, with wider friction.
+
+    Args:
+        log: equations of the log.
+        options: prior uncertainties of the estimate.
+    """
+    columns = log.columns
+    spread = _plain_spread(log)
+    mean = np.zeros(len(spread))
+    mean[: len(columns.names)] = columns.model_values
+    # Faults of a log do not depend on the stated uncertainty of the links; a delay that the
+    # estimate would allow for is reported all the same.
+    links = max(options.link_uncertainty, EstimationOptions().link_uncertainty)
+    late = min(options.delay_uncertainty, WORTH_A_WORD)
+    options = replace(options, link_uncertainty=links, delay_uncertainty=late)
+    friction = (friction_model(WITH_ALL),) * log.robot.n_joints
+    nonzero = np.ones(len(columns.names), dtype=bool)
+    # Per scale of the links' prior, the groups of parameters whose prior has one cause.
+    mixture: list[tuple[NuisanceGroup, ...]] = []
+    for link_scales in LINK_SCALES:
+        choice = Choice(friction, link_scales=link_scales)
+        unknowns = build_unknowns(
+            columns, Question(options), choice, log.typical_torque, nonzero
+        )
+        mixture.append(unknowns.groups)
+        for group in unknowns.groups:
+            at = columns.indices(group.names)
+            mean[at] = group.mean
+            # The group's prior covariance is factor times its transpose.
+            sizes = np.sqrt(np.sum(group.factor**2, axis=1))
+            spread[at] = np.maximum(spread[at], sizes)
+    # The same parameters are unknown with every scale. Those of tilt and delay are unknown if the
+    # estimate is asked to find them.
+    wide = {**dict.fromkeys(TILT_NAMES, WIDE_TILT), DELAY_NAME: WIDE_DELAY}
+    for name in set(wide) & set(unknowns.increments):
+        spread[columns.index[name]] = wide[name]
+
+    estimated = np.flatnonzero(spread)
+    precisions = []
+    for groups in mixture:
+        # Parameters without a group are independent, with a variance of one in these units.
+        precision = np.eye(len(estimated))
+        for group in groups:
+            indices = columns.indices(group.names)
+            at = np.searchsorted(estimated, indices)
+            scaled = group.factor / spread[indices, None]
+            precision[np.ix_(at, at)] = np.linalg.inv(scaled @ scaled.T)
+        precisions.append(precision)
+    return Prior(estimated, mean, spread[estimated], tuple(precisions))
+
+
+def _plain_spread(log: LogRows) -> Array:
+    """Return the prior standard deviations (p,) of the last link, which may carry any tool, and of
+    friction; zero for all other parameters.
+    """
+    robot = log.robot
+    link = robot.prior
+    own_size = characteristic_length(link.theta) if link.mass > 0.0 else 0.0
+    distance = float(np.linalg.norm(link.com))
+    size = max(REACH * robot.length, own_size, distance)
+    # Friction that the estimate does not have, joint by joint, in the order of its columns.
+    shares = np.append(np.full(len(BUILD_UP), BUILT_UP), [UNEVEN, UNEVEN])
+    further = np.outer(log.typical_torque, shares).ravel()
+    spread = np.append(np.zeros(len(log.columns.names)), further)
+    spread[: len(PARAMETER_NAMES)] = parameter_scale(PAYLOAD * robot.mass, size)
+    speed = np.maximum(rms(log.motion.qd), 1e-9)
+    # What each term multiplies; the coefficients of all others are torques.
+    units = {
+        "viscous": speed,
+        "armature": np.maximum(rms(log.motion.qdd), 1e-9),
+        "sqrt": np.sqrt(speed),
+        "load": log.typical_torque,
+    }
+    for term, share in FRICTION.items():
+        sizes = share * log.typical_torque / units.get(term, np.ones_like(speed))
+        spread[log.friction_indices(term)] = sizes
+    return spread
