@@ -22,7 +22,8 @@ from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Progress
-from robot_sysid.servo import UNITS, commanded_pieces, play_servos, run_servo
+from robot_sysid.servo import UNITS, play_servos, run_servo
+from robot_sysid.servo.commands import commanded_pieces
 from robot_sysid.servo.windows import split_pieces
 from robot_sysid.simulation.playback import ServoRollouts, servos_in_model
 from tests.support.places import MODELS

@@ -119,10 +119,11 @@ def export_damiao_trajectory(
     master_ids: Sequence[int] | None = None,
     joint_names: Sequence[str] = (),
 ) -> DamiaoExportReport:
-    """Write a trajectory for Damiao motors, clamped to the limits of their frames.
+    """Write a trajectory for Damiao motors, clamped to the limits of their frames; return a report.
 
     Args:
-        motion_chunks: successive parts of the motion, which are written one after the other.
+        motion_chunks: successive pieces of the motion in joint space: time, position, velocity and
+            torque. They are written one after the other.
         motor_types: type of each of the n motors, base to terminal.
         path_or_file: open text file, or a path, which gets its file when everything is written.
         can_ids: CAN id of each motor; by default 1 to n.

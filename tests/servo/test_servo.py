@@ -17,6 +17,7 @@ from robot_sysid.records import Measurement, Motion
 from robot_sysid.records.data import DataOrigin, Source
 from robot_sysid.records.messages import Progress
 from robot_sysid.results.record import RolloutError, RolloutTest
+from robot_sysid.servo.commands import commanded_pieces, is_moving
 from robot_sysid.servo.fit import ServoFit
 from robot_sysid.servo.windows import smooth_states
 from robot_sysid.simulation.playback import ServoParameters, servos_in_model
@@ -156,8 +157,8 @@ FOLLOWED = delay(COMMAND, 2) + NOISE
 
 
 def test_commands_that_are_followed_are_accepted():
-    (piece,) = servo.commanded_pieces([log(FOLLOWED, COMMAND)], NAMES)
-    assert servo.is_moving([piece]).all()
+    (piece,) = commanded_pieces([log(FOLLOWED, COMMAND)], NAMES)
+    assert is_moving([piece]).all()
     _, qd = smooth_states(piece)
     expected = np.gradient(FOLLOWED, 0.02, axis=0)
     assert qd[100] == pytest.approx(expected[100], abs=0.05)
@@ -187,7 +188,7 @@ def test_implausible_commands_are_refused(q, command, message_parts):
     commands = np.column_stack((COMMAND[:, 0], command[:, 1]))
     positions = np.column_stack((FOLLOWED[:, 0], q[:, 1]))
     with pytest.raises(InputError) as error:
-        servo.commanded_pieces([log(positions, commands)], NAMES)
+        commanded_pieces([log(positions, commands)], NAMES)
     message = str(error.value)
     assert "log.csv" in message and "\n" not in message
     assert all(word in message for word in message_parts), message
@@ -197,5 +198,5 @@ def test_a_joint_that_stands_still_is_no_fault():
     standing = np.full(len(TIME), 0.3)
     q = np.column_stack((FOLLOWED[:, 0], standing))
     command = np.column_stack((COMMAND[:, 0], standing))
-    pieces = servo.commanded_pieces([log(q, command)], NAMES)
-    assert servo.is_moving(pieces).tolist() == [True, False]
+    pieces = commanded_pieces([log(q, command)], NAMES)
+    assert is_moving(pieces).tolist() == [True, False]

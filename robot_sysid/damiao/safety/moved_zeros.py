@@ -229,9 +229,8 @@ class MovedZeroCheck:
         yield
         twists = motion.joint_twists
         yield
-        torques = _joint_torques(
-            twists, np.einsum("lnak,lk->lna", wrenches, robot.thetas)
-        )
+        link_wrenches = np.einsum("lnak,lk->lna", wrenches, robot.thetas)
+        torques = _joint_torques(twists, link_wrenches)
         slopes = (torques[1 : n + 1] - torques[n + 1 :]).T / (2.0 * _DIFFERENCE)
         beyond_links = self._beyond.torque(q[None], qd[None], qdd[None])[0]
         needed = torques[0] + beyond_links + robot.friction.torque(qd[None])[0]
@@ -240,18 +239,9 @@ class MovedZeroCheck:
         # own link and those after it.
         columns = np.einsum("aj,lak->jlk", twists[:, :, 0], wrenches[:, 0])
         columns *= np.triu(np.ones((n, n)))[:, :, None]
-        link_errors = columns[:, self._links].reshape(n, -1) @ self._factor
-        # Dry friction, rounded off below 0.02 rad/s.
-        dry = np.diag(np.tanh(qd / 0.02))
-        viscous = np.diag(qd)
-        errors = np.hstack([link_errors / self._doubt[:, None], dry, viscous])
-        load = link_errors[:, -_LOAD_PARAMETERS:]
         # A force at the end does work with the linear velocity (rows 3 to 5) of the last link.
         force = (to_links[-1, 0] @ twists[:, :, 0])[3:].T
-        at_end = np.hstack([_NEW_LOAD * load, _FORCE * force])
-        alone = _TORQUE * np.diag(self._doubt)
-        changes = np.hstack([_SHIFT * slopes, _SHARE * np.diag(needed), at_end, alone])
-        changes /= self._doubt[:, None]
+        errors, changes = self._deviation_torques(columns, force, slopes, needed, qd)
         residual = (tau - needed) / self._doubt
         yield
         innovation, covariance, gain = self._update(errors, residual, scatter)
@@ -260,6 +250,31 @@ class MovedZeroCheck:
         yield
         weighted_slopes = slopes / self._doubt[:, None]
         self._finding = self._finding or self._judge(time, weighted_slopes)
+
+    def _deviation_torques(
+        self, columns: Array, force: Array, slopes: Array, needed: Array, qd: Array
+    ) -> tuple[Array, Array]:
+        """Return the torque (n, k) per standard deviation of each of k model errors x [doubts],
+        and the torque (n, changes) per prior standard deviation of each change [doubts].
+
+        Args:
+            columns: torque (n, n, 10) of each joint per inertial parameter of each link.
+            force: torque (n, 3) of each joint per force at the end, in the last link's frame [m].
+            slopes: torque (n, n) of joint i per shift of joint j's zero [N m/rad].
+            needed: torque (n,) that the model needs [N m].
+            qd: velocities (n,) [rad/s].
+        """
+        link_errors = columns[:, self._links].reshape(len(qd), -1) @ self._factor
+        # Dry friction, rounded off below 0.02 rad/s.
+        dry = np.diag(np.tanh(qd / 0.02))
+        viscous = np.diag(qd)
+        errors = np.hstack([link_errors / self._doubt[:, None], dry, viscous])
+        load = link_errors[:, -_LOAD_PARAMETERS:]
+        at_end = np.hstack([_NEW_LOAD * load, _FORCE * force])
+        alone = _TORQUE * np.diag(self._doubt)
+        changes = np.hstack([_SHIFT * slopes, _SHARE * np.diag(needed), at_end, alone])
+        changes /= self._doubt[:, None]
+        return errors, changes
 
     def _update(
         self, errors: Array, residual: Array, scatter: Array
@@ -282,13 +297,11 @@ class MovedZeroCheck:
         covariance = predicted + np.diag(_ALIKE * noise + scattered)
         gain = np.linalg.solve(covariance, shared).T
         self._mean = self._mean + gain @ innovation
-        self._covariance = (
-            self._covariance - gain @ shared + _DRIFT * np.eye(len(self._mean))
-        )
+        drift = _DRIFT * np.eye(len(self._mean))
+        self._covariance = self._covariance - gain @ shared + drift
         unexplained = innovation**2 - np.diag(predicted) - scattered
-        self._squares = _REMEMBER * self._squares + np.clip(
-            unexplained, 0.0, _OUTLIER * noise
-        )
+        noise_squares = np.clip(unexplained, 0.0, _OUTLIER * noise)
+        self._squares = _REMEMBER * self._squares + noise_squares
         self._weight = _REMEMBER * self._weight + 1.0
         return innovation, covariance, gain
 

@@ -1,0 +1,155 @@
+"""Commands and positions in logs of servos: which joints move, and whether commands are plausible.
+
+A piece is a part of a log without gaps, with N samples of n joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.errors import InputError
+from robot_sysid.logs.reader import MeasurementLog
+from robot_sysid.records import Array, Measurement
+from robot_sysid.servo.windows import MAX_DELAY_PERIODS
+
+MOVING_RANGE = 0.02
+"""Range of positions from which on a joint moves [rad or m]."""
+_SLOPES = {"degrees": 180.0 / np.pi, "steps of 4096 a turn": 4096 / (2 * np.pi)}
+"""Change of commands per change of positions where they are in other units than rad."""
+_COPIED_SHARE = 0.98
+"""Share of commands that equal a position from which on they are a copy of the positions."""
+_LEAST_CORRELATION = 0.5
+"""Least correlation of commands and positions, at the best delay, of a joint that follows them."""
+_LARGEST_OFFSET = 0.3
+"""Largest median difference of commands and positions that is plausible [rad or m]."""
+
+
+def commanded_pieces(
+    logs: Sequence[MeasurementLog], joint_names: Sequence[str]
+) -> list[Measurement]:
+    """Return the pieces of all logs, after a check that their commands are plausible.
+
+    Raises:
+        InputError: the commands of a moving joint are implausible; says which joint's and why.
+    """
+    pieces = list[Measurement]()
+    for log in logs:
+        pieces += log.pieces
+        for joint in np.flatnonzero(is_moving(log.pieces)).tolist():
+            for fault in _command_faults(_positions_and_commands(log, joint)):
+                raise InputError(
+                    f"{log.path}: the commands of joint {joint_names[joint]} {fault}"
+                )
+    return pieces
+
+
+def _positions_and_commands(
+    log: MeasurementLog, joint: int
+) -> list[tuple[Array, Array]]:
+    """Return positions (N,) and commands (N,) of a joint in each piece of a log with commands."""
+    pairs = []
+    for piece in log.pieces:
+        if piece.command is not None:
+            pairs.append((piece.q[:, joint], piece.command[:, joint]))
+    return pairs
+
+
+def is_moving(pieces: Sequence[Measurement]) -> NDArray[np.bool_]:
+    """Return whether each joint (n,) moves in pieces of logs: by ``MOVING_RANGE`` at least."""
+    q = np.concatenate([piece.q for piece in pieces])
+    return np.asarray(np.ptp(q, axis=0) >= MOVING_RANGE)
+
+
+def _command_faults(pairs: Sequence[tuple[Array, Array]]) -> Iterator[str]:
+    """Yield each fault of a joint's commands, as the predicate of a sentence about them.
+
+    Args:
+        pairs: positions (N,) and commands (N,) of the joint in each piece of a log.
+    """
+    correlation, lag, slope = _best_lag(pairs)
+    offset = float(np.median(np.concatenate([c - q for q, c in pairs])))
+    if _copied_share(pairs) > _COPIED_SHARE:
+        yield (
+            "repeat the measured positions: the log holds no real commands; record what was sent "
+            "to the servos"
+        )
+    for unit, unit_slope in _SLOPES.items():
+        if 0.7 < abs(slope) / unit_slope < 1.4:
+            yield (
+                f"change {abs(slope):.3g} times as much as its positions: they look like {unit}; "
+                "say what they are with --units, or scale the columns with --columns FILE, such as "
+                f"'command.JOINT = {1.0 / slope:.4g} * TITLE'"
+            )
+    if correlation < _LEAST_CORRELATION:
+        yield (
+            f"are not followed (correlation {correlation:.2f} at the best delay); check the "
+            "columns, and that the servos were on"
+        )
+    if not 0.5 < slope < 2.0:
+        yield f"change {slope:.3g} times as much as its positions; check their units and sign"
+    if lag < 0:
+        yield (
+            f"come {-lag} samples after its positions; check the time stamps, and whether the "
+            "columns of commands and positions were exchanged"
+        )
+    if lag > MAX_DELAY_PERIODS:
+        yield (
+            f"come {lag} samples before its positions, more than the {MAX_DELAY_PERIODS} that are "
+            "sought; check the time stamps, or record faster"
+        )
+    if abs(offset) > _LARGEST_OFFSET:
+        yield (
+            f"differ from its positions by {offset:.3g} all the time; check that both count from "
+            "the same zero"
+        )
+
+
+def _copied_share(pairs: Sequence[tuple[Array, Array]]) -> float:
+    """Return the largest share of commands that equal the position 0 to 3 samples later.
+
+    ``pairs`` are positions (N,) and commands (N,) of a joint in each piece of a log.
+    """
+    shares = []
+    for lag in range(4):
+        matches = [np.abs(c[: len(c) - lag] - q[lag:]) < 1e-9 for q, c in pairs]
+        shares.append(float(np.mean(np.concatenate(matches))))
+    return max(shares)
+
+
+def _best_lag(pairs: Sequence[tuple[Array, Array]]) -> tuple[float, int, float]:
+    """Return the lag of a joint's positions behind its commands at the largest correlation.
+
+    Args:
+        pairs: positions (N,) and commands (N,) of the joint in each piece of a log.
+
+    Returns:
+        The absolute correlation, the lag in samples (negative where commands come after the
+        positions), and the slope of commands over positions.
+    """
+    reach = min(3 * MAX_DELAY_PERIODS, min(len(q) for q, _ in pairs) // 4)
+    fits = []
+    for lag in range(-reach, reach + 1):
+        # Position k + lag is compared with command k, wherever both exist.
+        start = max(0, lag)
+        end = min(0, lag)
+        positions = []
+        commands = []
+        for q, command in pairs:
+            q_overlap = q[start : len(q) + end]
+            command_overlap = command[-end : len(command) - start]
+            positions.append(q_overlap - np.mean(q_overlap))
+            commands.append(command_overlap - np.mean(command_overlap))
+        position = np.concatenate(positions)
+        command = np.concatenate(commands)
+        square = float(position @ position)
+        product = float(position @ command)
+        norm = np.sqrt(square) * float(np.linalg.norm(command))
+        correlation = abs(product) / norm if norm > 0.0 else 0.0
+        slope = product / square if norm > 0.0 else 0.0
+        # Of equal correlations the shortest lag.
+        fits.append((correlation, -abs(lag), lag, slope))
+    correlation, _, lag, slope = max(fits)
+    return correlation, lag, slope
