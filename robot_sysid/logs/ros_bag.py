@@ -22,6 +22,7 @@ import contextlib
 import functools
 import heapq
 import importlib.util
+import os
 import shutil
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -86,9 +87,14 @@ def bag_table(source: LogSource) -> LogTable:
     joints = source.joint_names
     topic = source.options.topic
     with _open_bag(path) as bag:
-        types = {c.topic: c.msgtype for c in bag.connections if c.msgtype in _READERS}
-        topics = sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections})
-        its_topics = f"its topics: {', '.join(topics) or 'none'}"
+        # Topic with joint states to the type of its messages.
+        types = {}
+        topics = set()
+        for connection in bag.connections:
+            topics.add(f"{connection.topic} ({connection.msgtype})")
+            if connection.msgtype in _READERS:
+                types[connection.topic] = connection.msgtype
+        its_topics = f"its topics: {', '.join(sorted(topics)) or 'none'}"
         if topic is not None and topic not in types:
             fault = f"{path} has no joint states in topic {topic!r}"
             raise InputError(f"{fault}; {its_topics}")
@@ -99,6 +105,7 @@ def bag_table(source: LogSource) -> LogTable:
                 tables[name] = table
     if not tables:
         raise InputError(f"{path} holds no joint states; {its_topics}")
+    # (whether it has all positions, whether it has all torques).
     ranks = {}
     for name, table in tables.items():
         has_position = _has_all(table, joints, POSITION)
@@ -121,12 +128,17 @@ def bag_table(source: LogSource) -> LogTable:
 def _has_all(
     table: LogTable, joint_names: Sequence[str], quantities: Sequence[str]
 ) -> bool:
-    """Return whether a topic has one of these quantities for every joint."""
+    """Return whether a topic's table has a column of one of the quantities for every joint."""
     for quantity in quantities:
         titles = {f"{joint} {quantity}" for joint in joint_names}
         if titles <= {*table.titles}:
             return True
     return False
+
+
+def _connections(bag: Any, topic: str) -> list[Any]:
+    """Return the connections of a bag through which a topic was recorded, one per publisher."""
+    return [c for c in bag.connections if c.topic == topic]
 
 
 def _topic_table(
@@ -137,21 +149,26 @@ def _topic_table(
     Joints and quantities are those of its first messages; None where these hold none.
     """
     messages = list(islice(_read_messages(bag, topic), _FIRST_MESSAGES))
-    keys = tuple(dict.fromkeys(chain.from_iterable(sample for _, sample in messages)))
-    if not keys:
+    # A dictionary keeps the keys in the order in which they come first.
+    sent: dict[Key, float] = {}
+    for _, sample in messages:
+        sent.update(sample)
+    if not sent:
         return None
-    spelling = model_spelling([joint for joint, _ in keys], joint_names)
+    spelling = model_spelling([joint for joint, _ in sent], joint_names)
     arm_joints = [name for name in spelling if spelling[name] in joint_names]
     pattern = MessagePattern.of(messages, arm_joints)
-    keys += pattern.time_keys
-    titles = ("time", *(f"{spelling[joint]} {quantity}" for joint, quantity in keys))
-    message_type = next(c.msgtype for c in bag.connections if c.topic == topic)
+    keys = (*sent, *pattern.time_keys)
+    titles = ["time"]
+    for joint, quantity in keys:
+        titles.append(f"{spelling[joint]} {quantity}")
+    message_type = _connections(bag, topic)[0].msgtype
     layout = f"ROS bag, topic {topic} ({message_type}), joints by name"
     layout += pattern.description
     if pattern.stamp_index:
         layout += ", headers without time: when it was recorded"
     blocks = partial(_blocks, path, topic, keys, pattern)
-    return LogTable(path, layout, titles, blocks, row_noun="message")
+    return LogTable(path, layout, tuple(titles), blocks, row_noun="message")
 
 
 def _blocks(
@@ -166,7 +183,7 @@ def _blocks(
     Column 0 is time from the start [s], column k + 1 the number of ``keys[k]``.
     """
     with _open_bag(path) as bag:
-        total = max(1, sum(c.msgcount for c in bag.connections if c.topic == topic))
+        total = max(1, sum(c.msgcount for c in _connections(bag, topic)))
         samples = pattern.join(_read_messages(bag, topic))
         count = 0
         while batch := list(islice(samples, BLOCK)):
@@ -181,7 +198,7 @@ def _blocks(
 
 def _read_messages(bag: Any, topic: str) -> Iterator[Message]:
     """Yield the messages of a topic in the order in which they were recorded."""
-    connections = [c for c in bag.connections if c.topic == topic]
+    connections = _connections(bag, topic)
     for connection, received, raw in bag.messages(connections=connections):
         message = bag.deserialize(raw, connection.msgtype)
         # FrankaRobotState holds a JointState.
@@ -194,7 +211,7 @@ def _read_messages(bag: Any, topic: str) -> Iterator[Message]:
 def _read_joint_state(message: Any) -> Sample:
     """Return the numbers of a sensor_msgs/JointState; empty lists were not measured."""
     sample: dict[Key, float] = {}
-    for quantity in QUANTITIES[:3]:
+    for quantity in ("position", "velocity", "effort"):
         numbers = getattr(message, quantity)
         if len(numbers) == len(message.name):
             keys = product(message.name, [quantity])
@@ -222,7 +239,10 @@ _READERS = {
 
 @contextlib.contextmanager
 def _open_bag(path: Path) -> Iterator[Any]:
-    """Yield a bag that is open within a block; what goes wrong in it is an InputError."""
+    """Yield a bag that is open within a block; what goes wrong in it is an InputError.
+
+    ``path``: of the bag, or of a part of a ROS 2 bag, which is then opened whole.
+    """
     typesys = import_optional("rosbags.typesys", "rosbag", FORM)
     import_optional("rosbags.highlevel", "rosbag", FORM)  # the reader below needs it
     is_part = path.suffix in (".db3", ".mcap")
@@ -240,7 +260,11 @@ def _open_bag(path: Path) -> Iterator[Any]:
 
 @functools.cache
 def bounded_reader() -> ModuleType:
-    """Return a copy of ``rosbags.highlevel.anyreader`` that unpacks no more than the bound."""
+    """Return a copy of ``rosbags.highlevel.anyreader`` that unpacks no more than the bound.
+
+    In the copies of the modules below it, every name of an unpacker is bound to one with a bound.
+    The copy is made once and cached; callers must not change it.
+    """
     import lz4.frame
 
     mcap = _copy_module("rosbags.rosbag2.storage_mcap")
@@ -257,10 +281,11 @@ def bounded_reader() -> ModuleType:
         "zstd": zstd,
         "zstandard": zstd,
     }
-    for module in (mcap, ros2, ros1):
-        names = vars(module)
-        names.update({n: unpackers[n] for n in unpackers if n in names})
+    for module, (name, unpacker) in product((mcap, ros2, ros1), unpackers.items()):
+        if hasattr(module, name):
+            setattr(module, name, unpacker)
     mcap.DECOMPRESSORS.update(lz4=unpack_lz4, zstd=zstd.decompress)
+    # Not every release has these tables of unpackers and of classes.
     vars(ros1).get("decompressors", {}).update(bz2=unpack_bz2, lz4=unpack_lz4)
     for member in vars(ros2).values():
         plugins = getattr(member, "STORAGE_PLUGINS", {})
@@ -294,7 +319,7 @@ class BoundedUnpacker:
         return self
 
     def decompress(self, packed: bytes, _: int = 0) -> bytes:
-        """Return the content of packed bytes, or raise ValueError."""
+        """Return the content of packed bytes, or raise ValueError; a size stated too is ignored."""
         content = BytesIO()
         self.copy_stream(BytesIO(packed), content)
         return content.getvalue()
@@ -307,7 +332,8 @@ class BoundedUnpacker:
     @contextlib.contextmanager
     def open(self, file: Any, mode: str = "rb") -> Iterator[Any]:
         """Yield a packed file's content; reading on beyond the bound raises ValueError."""
-        bound = max(ALWAYS_ALLOWED, MAX_RATIO * file.seek(0, 2))
+        packed_size = file.seek(0, os.SEEK_END)
+        bound = max(ALWAYS_ALLOWED, MAX_RATIO * packed_size)
         file.seek(0)
         unpacked = 0
 
@@ -354,9 +380,14 @@ class MessagePattern:
 
     @classmethod
     def of(cls, messages: Sequence[Message], joints: Sequence[str]) -> MessagePattern:
-        """Return the pattern of a topic's first messages, for these joints of the arm."""
+        """Return the pattern of a topic's first messages, for these joints of the arm.
+
+        There are groups only where every joint is in exactly one of several. They have times of
+        their own where they share less than half of the stamps of the rarest one.
+        """
         # Where no header has a time stamp, the time of recording stands in.
         stamp_index = 0 if any(stamps[0] for stamps, _ in messages) else 1
+        # The joints in a message to the stamps of all messages with these joints.
         times: dict[frozenset[str], list[int]] = defaultdict(list)
         for stamps, sample in messages:
             group = frozenset(j for j in joints if (j, "position") in sample)
@@ -373,7 +404,7 @@ class MessagePattern:
 
     @property
     def time_keys(self) -> tuple[Key, ...]:
-        """The keys of the joints' own time stamps that ``join`` adds, by the joints' names."""
+        """The keys (joint, "time") of the joints' own time stamps that ``join`` adds, or ()."""
         joints = sorted(chain(*self.groups)) if self.has_own_times else []
         return tuple(product(joints, ["time"]))
 
@@ -409,12 +440,14 @@ class MessagePattern:
         newest = {}
         for stamp, sample in samples:
             sent = {joint for joint, quantity in sample if quantity == "position"}
-            group = next((group for group in self.groups if group <= sent), None)
+            group = next(filter(sent.issuperset, self.groups), None)
             if group is None:
                 continue
             newest[group] = stamp, sample
-            stamps = [newest.get(group, (0, {}))[0] for group in self.groups]
-            if group == self.groups[-1] and stamp - min(stamps) <= _MAX_AGE:
+            oldest = 0  # as long as a group has sent nothing
+            if len(newest) == len(self.groups):
+                oldest = min(stamp for stamp, _ in newest.values())
+            if group == self.groups[-1] and stamp - oldest <= _MAX_AGE:
                 row: dict[Key, float] = {}
                 for joints, (joint_stamp, joint_sample) in newest.items():
                     time = 1e-9 * (joint_stamp - self.start)
@@ -427,9 +460,11 @@ def sort_late(messages: Iterator[Message]) -> Iterator[Message]:
     """Yield messages in the order of their headers' stamps; equal stamps in the order of recording.
 
     From the first run of more than _MAX_LATE_RUN late messages of a publisher on, messages are
-    yielded in the order of recording.
+    yielded in the order of recording. Publishers are told apart by the joints in their messages.
     """
+    # Heap of (stamp, number in the order of recording, message).
     queue: list[tuple[int, int, Message]] = []
+    # Newest stamp of each publisher, and how many late messages in a row it has sent.
     newest: dict[frozenset[str], int] = {}
     late_run: Counter[frozenset[str]] = Counter()
     for number, message in enumerate(messages):
@@ -439,6 +474,7 @@ def sort_late(messages: Iterator[Message]) -> Iterator[Message]:
         is_late = stamp < newest[publisher]
         late_run[publisher] = late_run[publisher] + 1 if is_late else 0
         if late_run[publisher] > _MAX_LATE_RUN:
+            # What is queued comes first, then this message and all others unsorted.
             messages = chain([message], messages)
             break
         heapq.heappush(queue, (stamp, number, message))
