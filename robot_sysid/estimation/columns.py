@@ -140,6 +140,7 @@ class Columns:
         self._arm_names = arm.names
         self.joint_indices = arm.joint_indices
         self.joints = arm.joints
+        # Parameters whose columns depend on the point.
         point_terms = ["load"]
         for term in NONLINEAR_TERMS:
             point_terms += [term, f"{term}_speed"]
@@ -154,8 +155,8 @@ class Columns:
         point_names += (DELAY_NAME, *PAYLOAD_NAMES)
         self.names = (*arm.names, *point_names)
         self.model_values = np.append(arm.prior, np.zeros(len(point_names)))
-        self.index = {name: index for index, name in enumerate(self.names)}
-        # Parameters that act in no recording have no columns, which would enlarge every triangle.
+        self.index = dict(zip(self.names, range(len(self.names))))
+        # Names of parameters that act in no recording: their columns would enlarge every triangle.
         no_drift = () if any(dataset.order for dataset in datasets) else self._drifts
         self._loaded = any(dataset.is_loaded for dataset in datasets)
         empty = () if self._loaded else PAYLOAD_NAMES
@@ -163,7 +164,11 @@ class Columns:
         self._classify_columns(arm.names)
 
     def _classify_columns(self, names: Sequence[str]) -> None:
-        """Set masks (q,) over the q named parameters, whose columns do not depend on the point."""
+        """Set masks (q,) over the q named parameters, whose columns do not depend on the point.
+
+        They are parameters of bodies, friction that drifts, parameters whose torque is smooth, and
+        links that the model states.
+        """
         terms, owners = np.array(list(map(split_name, names))).T
         self._of_bodies = owners == ""
         self._drifting = np.isin(terms, _DRIFTING) & np.isin(owners, self.joints)
@@ -183,11 +188,11 @@ class Columns:
         base = self._base
         self._base = None
         if base is not None:
-            down, delay, rows = base
+            gravity, delay, rows = base
             names = columns._arm_names
             # Each is released once it is copied: they take most of the memory.
             fewer = (rows.pop(0).only(names) for _ in self.datasets)
-            columns._base = down, delay, store_rows(fewer)
+            columns._base = gravity, delay, store_rows(fewer)
         return columns
 
     def start(self) -> Point:
@@ -243,25 +248,31 @@ class Columns:
         Args:
             values: (p,) the estimate.
         """
+        indices = self.indices(increments)
         new = values.copy()
+        new[indices] = 0.0
+        # (p,) change of each parameter that is an increment, zero for all others.
+        steps = values - new
         speed = dict(point.speed or {})
-        step = {name: float(values[self.index[name]]) for name in increments}
-        new[self.indices(increments)] = 0.0
-        angles = np.array([step.get(name, 0.0) for name in TILT_NAMES])
+        joint_indices = list(self.joint_indices)
         for term, nonlinear in NONLINEAR_TERMS.items():
-            names = names_of(f"{term}_speed", self.robot.joint_names)
-            steps = [step.get(name, 0.0) for name in names]
-            speed[term] = np.clip(speed[term] + steps, *nonlinear.bounds)
+            speeds = speed[term].copy()
+            speed_names = names_of(f"{term}_speed", self.joints)
+            speeds[joint_indices] += steps[self.indices(speed_names)]
+            speed[term] = np.clip(speeds, *nonlinear.bounds)
         return replace(
             point,
             values=new,
-            gravity=self._tilt_gravity(point, angles),
-            delay=point.delay + step.get(DELAY_NAME, 0.0),
+            gravity=self._tilt_gravity(point, steps[self.indices(self.tilts)]),
+            delay=point.delay + float(steps[self.index[DELAY_NAME]]),
             speed=speed,
         )
 
     def _tilt_gravity(self, point: Point, angles: Array) -> Array:
-        """Return a point's gravity (3,), tilted by angles (2,) [rad] about horizontal axes."""
+        """Return a point's gravity (3,), tilted by angles (2,) [rad] about horizontal axes.
+
+        Without gravity, there are no angles.
+        """
         if not np.any(angles):
             return point.gravity
         axes = tilt_axes(gravity_vector(self.robot), point.gravity)
@@ -282,10 +293,11 @@ class Columns:
         delayed = [dataset.remove_delay(point.delay) for dataset in self.datasets]
         bases = self._base_rows(point, delayed)
         if point.in_file:
-            tilts = self._batched(point, delayed, partial(self._tilt, arm))
+            tilts = self._link_dependent(point, delayed, partial(self._tilt, arm))
             return tuple(map(self._rows_for_file, delayed, bases, tilts))
-        columns = zip(bases, delayed, *self._smooth_columns(arm, point, delayed))
-        return tuple(self._linearise(point, *log_columns) for log_columns in columns)
+        loads, zeros_and_tilts = self._smooth_columns(arm, point, delayed)
+        linearise = partial(self._linearise, point)
+        return tuple(map(linearise, bases, delayed, loads, zeros_and_tilts))
 
     def _base_rows(
         self, point: Point, delayed: Sequence[Dataset]
@@ -321,10 +333,10 @@ class Columns:
             )
             yield replace(samples, rows=tuple(map(np.add, samples.rows, change)))
 
-    def _arm_at(self, down: Array) -> RobotModel:
-        """Return the arm under gravity (3,) [m/s^2]."""
-        if self._arm is None or not np.array_equal(self._arm[0], down):
-            self._arm = down, with_gravity(self.robot, down)
+    def _arm_at(self, gravity: Array) -> RobotModel:
+        """Return the arm under gravity (3,) [m/s^2]; the last one is cached."""
+        if self._arm is None or not np.array_equal(self._arm[0], gravity):
+            self._arm = gravity, with_gravity(self.robot, gravity)
         return self._arm[1]
 
     def _equations(self, arm: RobotModel) -> Equations:
@@ -363,6 +375,9 @@ class Columns:
     ) -> DecimatedSamples:
         """Return one recording's rows with the columns that depend on the point.
 
+        Symbols are those of the module's equation: s_j is ``scale``, d_j ``drift``, and t is
+        ``dataset.order``.
+
         Args:
             base: rows with all other columns, under the point's gravity.
             load: (K, joints) columns of friction that grows with a gear's load.
@@ -377,14 +392,16 @@ class Columns:
             indices = base.columns[row]
             block = base.rows[row]
             coefficients = values[indices]
-            bodies = self._of_bodies[indices]
             drifting = self._drifting[indices]
             smooth = self._smooth[indices]
 
             linear = self._scaled_torque(block, indices, coefficients)
             scale_drift = self.indices((self._scales[row], self._drifts[row]))
             scale, drift = point.values[scale_drift]
+            # With a payload, bodies count 1 + s_j fold; without, the column of the scale alone
+            # contains its effect, as the module says.
             exact = self._loaded * scale
+            # measured - tau is the torque that depends on no parameter.
             gear = linear + base.measured[row] - base.tau[row]
 
             joint_friction = {}
@@ -397,8 +414,9 @@ class Columns:
             drifted = 1.0 + drift * dataset.order
 
             smooth_torque = block[:, smooth] @ coefficients[smooth]
-            late = _delay_column(dataset, base.time, smooth_torque)
+            late = dataset.delay_column(base.time, smooth_torque)
             nonlinear = np.stack([*joint_friction.values()], axis=1)
+            # Names of parameters to (their columns (K, b), or a slice of ``block``; a factor).
             point_columns: dict[tuple[str, ...], tuple[Array | slice, Any]] = {
                 tuple(joint_friction): (nonlinear, drifted),
                 (self._scales[row],): (gear[:, None], 1.0),
@@ -407,14 +425,14 @@ class Columns:
                 (DELAY_NAME,): (late[:, None], 1.0),
                 PAYLOAD_NAMES: (slice(N_INERTIAL), (1.0 + exact) * dataset.is_loaded),
             }
+            factor = np.where(drifting, drifted, 1.0)
+            factor[self._of_bodies[indices]] = 1.0 + exact
             names = [group for group in point_columns if group[0] not in self._nowhere]
-            factor = np.where(bodies, 1.0 + exact, np.where(drifting, drifted, 1.0))
-            blocks.append(
-                ((slice(None), factor), *map(point_columns.__getitem__, names))
-            )
+            point_blocks = map(point_columns.__getitem__, names)
+            blocks.append(((slice(None), factor), *point_blocks))
+            columns.append(np.concatenate((indices, *map(self.indices, names))))
             tau = base.tau[row] + exact * linear + drift * dataset.order * friction
             right_sides.append(tau)
-            columns.append(np.concatenate((indices, *map(self.indices, names))))
         return replace(
             base,
             names=self.names,
@@ -446,16 +464,18 @@ class Columns:
     ) -> DecimatedSamples:
         """Return one recording's rows in the parameters of a model file and in gravity's tilt.
 
-        A block is (columns, or a slice of the base columns; their factor); tilt: (K, n, 2).
+        Args:
+            base: rows with the columns that do not depend on the point.
+            tilt: (K, n, 2) columns of gravity's direction in each joint's equation.
         """
-        loaded = PAYLOAD_NAMES if PAYLOAD_NAMES[0] not in self._nowhere else ()
-        indices = self.indices((*self.tilts, *loaded))
-        payload = slice(len(loaded))
+        payload_names = () if PAYLOAD_NAMES[0] in self._nowhere else PAYLOAD_NAMES
+        indices = self.indices((*self.tilts, *payload_names))
+        # A payload has the columns of the terminal link, which come first, or none.
+        payload_block = slice(len(payload_names)), dataset.is_loaded
         blocks = []
         columns = []
         for joint, base_columns in zip(self.joint_indices, base.columns):
             tilt_block = tilt[:, joint], 1.0
-            payload_block = payload, dataset.is_loaded
             blocks.append(((slice(None), 1.0), tilt_block, payload_block))
             columns.append(np.append(base_columns, indices))
         return replace(
@@ -471,31 +491,34 @@ class Columns:
             return np.zeros((*motion.q.shape, 0))
         return tilt_columns(arm, thetas, motion.q, gravity_vector(self.robot))
 
-    def _batched(
+    def _link_dependent(
         self,
         point: Point,
         delayed: Sequence[Dataset],
         make: Callable[[Array, Motion], Array],
     ) -> list[Array]:
-        """Return columns of each recording that depend on its links.
+        """Return columns (K, ...) of each recording that depend on its links.
 
-        Recordings with the payload share calls, and so do those without, as most have few rows.
+        Recordings with the payload share calls of ``make``, and so do those without, as most have
+        few rows: one call for about ``_TOGETHER`` rows.
 
         Args:
             delayed: the recordings, with the point's delay removed.
-            make: returns columns (K, ...) from links (n, 10) and a motion (K, n).
+            make: returns columns (m, ...) from links (n, 10) and a motion (m, n).
         """
         columns = dict[int, Array]()
         motions = [dataset.motion for dataset in delayed]
         counts = np.array([len(motion.time) for motion in motions])
         ends = np.cumsum(counts)
+        # (whether loaded, number of the batch) to numbers of recordings.
         batches = dict[tuple[bool, int], list[int]]()
         for index, dataset in enumerate(delayed):
             key = dataset.is_loaded, int(ends[index] // _TOGETHER)
             batches.setdefault(key, []).append(index)
         for (is_loaded, _), batch in batches.items():
-            fields = zip(*[vars(motions[index]).values() for index in batch])
-            motion = Motion(*map(np.concatenate, fields))
+            # Time, positions, speeds and accelerations, each of all recordings of the batch.
+            series = zip(*[vars(motions[index]).values() for index in batch])
+            motion = Motion(*map(np.concatenate, series))
             batch_ends = np.cumsum(counts[batch])
             batch_columns = make(self.thetas(point.values, is_loaded), motion)
             columns.update(zip(batch, np.split(batch_columns, batch_ends[:-1])))
@@ -519,7 +542,8 @@ class Columns:
                 zeros = zero_columns(arm, theta, motion)
                 return np.concatenate((zeros, self._tilt(arm, theta, motion)), axis=-1)
 
-            self._link_columns = (key, {}, self._batched(point, delayed, common))
+            zeros_and_tilts = self._link_dependent(point, delayed, common)
+            self._link_columns = (key, {}, zeros_and_tilts)
         _, loads, smooth = self._link_columns
         if point.exact_load not in loads:
             dynamics = LinkDynamics(arm)
@@ -533,7 +557,7 @@ class Columns:
             columns = []
             for dataset in delayed:
                 make = partial(load, thetas[dataset.is_loaded])
-                columns.append(_low_pass(dataset, point, make))
+                columns.append(dataset.filter_columns(make, point.exact_load))
             loads[point.exact_load] = columns
         return loads[point.exact_load], smooth
 
@@ -545,44 +569,24 @@ class Columns:
         """
         rows = list(self.joint_indices)
         speed = point.speed or {}
+        names = list(NONLINEAR_TERMS)
+        # Term to its coefficients (joints,) at the point, where one of them is not zero.
         sizes = {}
         for term in NONLINEAR_TERMS:
-            indices = self.indices(names_of(term, self.joints))
-            sizes[term] = point.values[indices]
-        sloped = [term for term, size in sizes.items() if np.any(size)]
+            coefficients = point.values[self.indices(names_of(term, self.joints))]
+            if np.any(coefficients):
+                sizes[term] = coefficients
+                names.append(f"{term}_speed")
 
         def make(motion: Motion) -> Array:
             """Return all terms' columns (K, joints, terms), then those by their speeds."""
             columns = []
             for term, nonlinear in NONLINEAR_TERMS.items():
                 columns.append(nonlinear.column(motion.qd, speed[term])[:, rows])
-            for term in sloped:
+            for term, size in sizes.items():
                 slope = NONLINEAR_TERMS[term].slope(motion.qd, speed[term])
-                columns.append(sizes[term] * slope[:, rows])
+                columns.append(size * slope[:, rows])
             return np.stack(columns, axis=-1)
 
-        columns = np.moveaxis(_low_pass(dataset, point, make), -1, 0)
-        names = [*NONLINEAR_TERMS, *(f"{term}_speed" for term in sloped)]
+        columns = np.moveaxis(dataset.filter_columns(make, point.exact_load), -1, 0)
         return dict(zip(names, columns))
-
-
-def _delay_column(dataset: Dataset, time: Array, torque: Array) -> Array:
-    """Return the column (K,) of a torque's lag [N m/s] at instants ``time`` (K,); zero at rest.
-
-    A torque that lags reads tau(t - delay) = tau(t) - delay tau'(t) + O(delay^2). Estimated, taken
-    out by ``Dataset.remove_delay`` and estimated again, the delay converges in a few rounds. Torque
-    that follows smoothly from the motion identifies it; dry friction does not, because a reversal
-    that is a little early or late looks like a delay: in a closed loop with MuJoCo's friction the
-    whole torque's derivative gives -1.9 ms for none, this 0.03 ms.
-    """
-    if dataset.signals is None or len(time) < 2:
-        return np.zeros_like(torque)
-    return -np.gradient(torque, time)
-
-
-def _low_pass(dataset: Dataset, point: Point, make: Callable[[Motion], Array]) -> Array:
-    """Return columns (K, ...) that ``make`` computes, low-passed only if ``point.exact_load``."""
-    signals = dataset.signals
-    if signals is None or not point.exact_load:
-        return make(dataset.motion)
-    return signals.filter_columns(lambda motion: (make(motion),))[0]

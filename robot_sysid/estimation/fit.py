@@ -78,6 +78,7 @@ class Evidence:
     total: SquareRootInformation = field(init=False)
 
     def __post_init__(self) -> None:
+        # Blocks become views of the total where it contains their rows: half of the memory.
         total = combine(self.blocks)
         object.__setattr__(self, "total", total)
         object.__setattr__(self, "blocks", tuple(block_views(total, self.blocks)))
@@ -106,14 +107,17 @@ class Evidence:
 
         Every block has m sets of parameters of its own.
         """
-        squares = map(SquareRootInformation.squared_residuals, self.blocks, values)
-        return np.array(list(squares))
+        squares = []
+        for block, block_values in zip(self.blocks, values):
+            squares.append(block.squared_residuals(block_values))
+        return np.array(squares)
 
     @cached_property
     def nonzero(self) -> np.ndarray:
         """Mask (p,) of the parameters that have a column which is not zero."""
         nonzero = np.zeros(len(self.total.names), dtype=bool)
         for joint in self.total.joints:
+            # The last column is the right-hand side.
             nonzero[joint.columns] |= np.any(joint.triangle[:, :-1] != 0.0, axis=0)
         return nonzero
 
@@ -159,7 +163,8 @@ class Fit:
         unknowns: which parameters were estimated, and their priors, widened by the data.
         weights: (joints,) of each joint's equations, 1 / effective noise [1/(N m)].
         inflation: (joints,) variance inflation of each joint's noise, because motion repeats.
-        residual_correlation: (joints,) rows per independent row, by the residuals' autocorrelation.
+        residual_correlation: (joints,) rows per independent row, by the autocorrelation of this
+            fit's residuals; the weights use ``correlation_factors`` of the choice.
         free: (p,) the estimate with bodies that may be physically inconsistent.
         values: (p,) the estimate with consistent bodies; its delay, tilt and friction speeds are
             increments on those of the point, and ``final`` has their totals.
@@ -254,7 +259,9 @@ class Fitter:
     Attributes:
         columns: parameter names, and the rows of recordings.
         torque: (n,) root mean square of each joint's measured torque [N m].
-        visits: which rows pass states that other rows pass, too; None where that is not used.
+        visits: which rows pass states that other rows pass, too; from residuals (K,) per joint,
+            its method ``inflation`` returns (variance inflation by repeated motion, rows per
+            independent row), (joints,) each. None where repetition is not used.
         on_pass: called before every pass over the recordings.
         inflation: (joints,) variance inflation by repeated motion, where no ``visits`` count it;
             None for one.
@@ -297,17 +304,19 @@ class Fitter:
         residuals in a few bursts.
         """
         residuals = list(residuals_of(fit.samples, fit.values))
-        burst_factors = [concentration(residual) for residual in residuals]
+        burst_factors = list(map(concentration, residuals))
         if self.visits is None:
             times = np.array(list(map(residual_correlation_time, residuals)))
         else:
-            times = self.visits.inflation(residuals)[1]
+            _, times = self.visits.inflation(residuals)
         return np.maximum(times, burst_factors)
 
     def solve_around(self, point: Point, question: Question, choice: Choice) -> Fit:
         """Return the solution of the equations linearised around a point, without iterating.
 
-        Parameters are within their bounds, bodies are physically consistent.
+        Parameters are within their bounds, bodies are physically consistent. Each round holds
+        further parameters at their bounds. Where repeated motion inflates the noise, or the data
+        may widen priors, a round solves twice: the inflation follows from the first residuals.
         """
         data, samples = self.around(point)
         factors = correlation_factors_of(choice, len(self.columns.joints))
@@ -419,6 +428,7 @@ def squared_effect(fit: Fit, change: Array) -> float:
 
     Torques count in standard deviations of the noise, unknowns in those of their priors.
     """
+    # Right-hand sides, the last column of triangles and priors, do not change.
     effects = []
     for joint, weight in zip(fit.evidence.total.joints, fit.weights):
         effects.append(weight * (joint.triangle[:, :-1] @ change[joint.columns]))
@@ -484,8 +494,8 @@ def _solve_within_bounds(
 
     Args:
         inflation: (joints,) variance inflation of the noise of an equation.
-        correlation: (joints,) further variance inflation, by autocorrelated residuals, that counts
-            where the data widens priors.
+        correlation: (joints,) further variance inflation by autocorrelated residuals, which
+            ``inflation`` does not contain; it counts only where the data widens priors.
         noise: (joints,) noise to begin with [N m]; None estimates it from the data alone.
 
     Returns:
@@ -548,15 +558,22 @@ def make_consistent(
     """
     if unknowns.has_consistent_bodies(free):
         return free
-    rows = with_prior(data.of(unknowns), unknowns.groups).equations(weights)
-    return unknowns.full(ConsistentLinks(*rows, links_problem(unknowns)).best())
+    information = with_prior(data.of(unknowns), unknowns.groups)
+    matrix, right_side = information.equations(weights)
+    problem = ConsistentLinks(matrix, right_side, links_problem(unknowns))
+    return unknowns.full(problem.best())
 
 
 def links_problem(unknowns: Unknowns) -> LinksProblem:
-    """Return each unknown body's indices among the k unknowns, with usual bodies (k,) there."""
+    """Return the bodies of a fit with k unknowns.
+
+    The record holds, per unknown body, indices (10,) among the unknowns, and a vector (k,) with
+    the parameters of usual bodies at these indices, zero elsewhere.
+    """
     prior = np.zeros(len(unknowns.estimated))
     links = []
     for indices, usual_body in unknowns.bodies.values():
-        links.append(np.searchsorted(unknowns.estimated, indices))
-        prior[links[-1]] = usual_body
+        link = np.searchsorted(unknowns.estimated, indices)
+        links.append(link)
+        prior[link] = usual_body
     return LinksProblem(tuple(links), prior)
