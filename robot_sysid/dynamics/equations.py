@@ -211,7 +211,7 @@ class Equations:
         first_carried = len(self._link_thetas) - n_carried
         carried = self._link_thetas[first_carried:]
         values = np.concatenate((self._robot.prior.theta, carried))
-        return np.asarray(columns @ values + bodies[:, -1])
+        return columns @ values + bodies[:, -1]
 
     def bodies(self, motion: Motion) -> Iterator[Array]:
         """Yield (N, k + 1) per joint of ``joints``: columns of the terminal link, columns of the
@@ -247,8 +247,10 @@ class Equations:
         qdd = motion.qdd
         known_torque = self._known_friction.torque(qd)
         known_torque -= self._estimated_armature * qdd
-        motor_columns = [motor.columns(qd, qdd).T for motor in self._motors]
-        for motor, columns in zip(self._motors, motor_columns):
+        motor_columns = []
+        for motor in self._motors:
+            columns = motor.columns(qd, qdd).T
+            motor_columns.append(columns)
             known_torque -= np.outer(motor.model @ columns, motor.ratios)
         for load, j in zip(loads, self.joint_indices):
             blocks = [self._friction[j].columns(qd[:, j], qdd[:, j], load).T]

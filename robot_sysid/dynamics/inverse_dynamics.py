@@ -183,7 +183,7 @@ class BeyondRigidBodies:
         [N m].
         """
         if self._arm is None:
-            return np.asarray(self._armature * qdd)
+            return self._armature * qdd
         model = self._arm.model
         rigid = np.empty(model.nv)
         torque = np.empty_like(q)
@@ -515,7 +515,7 @@ def tilt_axes(level: Array, gravity: Array | None = None) -> Array:
     turn = np.cross(down, tilted_down)
     change = np.cross(turn, axes)
     scale = max(1.0 + down @ tilted_down, _OPPOSITE)
-    return np.asarray(axes + change + np.cross(turn, change) / scale)
+    return axes + change + np.cross(turn, change) / scale
 
 
 def turn_gravity(gravity: Array, angles: Array, axes: Array | None = None) -> Array:
@@ -537,7 +537,7 @@ def tilt_angles(level: Array, gravity: Array) -> Array:
         is_opposite = level @ gravity < 0.0
         return np.array([np.pi * is_opposite, 0.0])
     angle = np.arctan2(sine, level @ gravity)
-    return np.asarray(angle / sine * (tilt_axes(level) @ turn))
+    return angle / sine * (tilt_axes(level) @ turn)
 
 
 def tilt_columns(robot: RobotModel, thetas: Array, q: Array, level: Array) -> Array:

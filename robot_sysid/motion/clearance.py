@@ -226,9 +226,7 @@ class Clearance:
     def _set_configuration(self, q: Array) -> None:
         """Set joint positions q (n,) in ``self._data`` and compute frames and contacts there."""
         self._data.qpos[self._robot.qpos_index] = q
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_comPos(self._model, self._data)
-        mujoco.mj_collision(self._model, self._data)
+        update_contacts(self._model, self._data)
 
     def _contact_bodies(self) -> tuple[Array, Any]:
         """Return distances (C,) [m] and body ids (C, 2) of the contacts that MuJoCo has found."""
@@ -417,6 +415,13 @@ class Clearance:
             nearest.normal[index] = spaces.normals[space]
             nearest.point[index] = lowest[nearer, space]
             nearest.bodies[index] = 0, body
+
+
+def update_contacts(mj_model: Any, data: Any) -> None:
+    """Compute frames and contacts at the positions that ``data`` has, in place."""
+    mujoco.mj_kinematics(mj_model, data)
+    mujoco.mj_comPos(mj_model, data)
+    mujoco.mj_collision(mj_model, data)
 
 
 def _with_margin(mj_model: Any, margin: float) -> Any:

@@ -394,7 +394,7 @@ class Criterion:
         (10 L, 10 L) and the priors leave; zero along directions that no motion shows.
         """
         change, precision = self.eliminate(information, self.visible.shape[1])
-        return np.asarray(change[:10] @ np.linalg.solve(precision, change[:10].T))
+        return change[:10] @ np.linalg.solve(precision, change[:10].T)
 
 
 def mass_and_centre_errors(theta: Array, covariance: Array) -> tuple[float, float]:

@@ -21,13 +21,17 @@ from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.model.bodies import count_moving_joints
 from robot_sysid.model.chain import joint_friction
-from robot_sysid.motion.clearance import Clearance, Closest, approach_rates
+from robot_sysid.motion.clearance import (
+    Clearance,
+    Closest,
+    approach_rates,
+    update_contacts,
+)
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
 from robot_sysid.records import Array, JointLimits, Motion, MotionPlan, RobotModel
 from robot_sysid.trajectory import SineTrajectory, motion_chunks, sample_times
@@ -504,9 +508,7 @@ class BetweenArms:
     def distance(self, q: Array) -> float:
         """Return how far the arms are apart at positions q (n,) of both [m], 0.2 at most."""
         self._data.qpos[self._at_q] = q
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_comPos(self._model, self._data)
-        mujoco.mj_collision(self._model, self._data)
+        update_contacts(self._model, self._data)
         contact = self._data.contact
         # Per contact the arms (C, 2) of its bodies, 1 or 2, and 0 for bodies of none of them.
         arms = self._arm[self._model.geom_bodyid[contact.geom.reshape(-1, 2)]]

@@ -406,17 +406,23 @@ def contact_before(problem: ExcitationProblem, plan: MotionPlan) -> str | None:
     """Return the names of two bodies that come too near each other on the straight line in joint
     space from the model's pose at rest to the start of a motion; None where none do.
     """
+    start, is_at_rest = _start_pose(problem, plan)
+    return None if is_at_rest else contact_on_the_way(problem, start)
+
+
+def _start_pose(problem: ExcitationProblem, plan: MotionPlan) -> tuple[Array, bool]:
+    """Return the joint positions (n,) at which a motion starts [rad or m], and whether they are the
+    model's pose at rest.
+    """
     start = plan.evaluate(np.zeros(1)).q[0]
-    if np.allclose(start, problem.robot.reference, atol=_SAME_POSE):
-        return None
-    return contact_on_the_way(problem, start)
+    return start, np.allclose(start, problem.robot.reference, atol=_SAME_POSE)
 
 
 def _start_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
     """Yield where the motion starts, and whether the straight line there is free."""
-    start = plan.evaluate(np.zeros(1)).q[0]
+    start, is_at_rest = _start_pose(problem, plan)
     pose = ", ".join(f"{name} {q:.3f}" for name, q in zip(problem.joint_names, start))
-    if np.allclose(start, problem.robot.reference, atol=_SAME_POSE):
+    if is_at_rest:
         yield Detail(f"Start: the model's pose at rest, {pose}")
     else:
         contact = contact_before(problem, plan)

@@ -124,12 +124,12 @@ class Tool:
         direction = np.zeros(3)
         if distance[farthest] > 0.0:
             direction = point / distance[farthest]
-        return np.asarray(point + self.radius[farthest] * direction)
+        return point + self.radius[farthest] * direction
 
     def speed(self, twist: Array) -> Array:
         """Return the speed (N,) of the fastest point at twists (6, N) of the body [m/s]."""
         speeds, _ = self._speeds(twist)
-        return np.asarray(np.max(speeds, axis=0))
+        return np.max(speeds, axis=0)
 
     def speed_vjp(self, twist: Array, weight: Array) -> Array:
         """Return the gradient (6, N) of sum(weight * speed) with respect to the twists (6, N); the

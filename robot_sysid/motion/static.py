@@ -199,7 +199,7 @@ def _torque_share(
     """
     speeds = {0.0, creep, -creep}
     torque = np.abs([problem.torque_at(poses, speed) for speed in speeds])
-    return np.asarray(np.max(torque, axis=0) / problem.limits.torque)
+    return np.max(torque, axis=0) / problem.limits.torque
 
 
 def _held_poses(problem: ExcitationProblem) -> Iterator[Array]:
@@ -232,7 +232,7 @@ def _is_feasible(problem: ExcitationProblem, poses: Array) -> Array:
     torque = np.abs(problem.torque_at(poses))
     is_held = np.all(torque <= problem.limits.torque, axis=1)
     slack = problem.obstacles.slack(poses).value
-    return np.asarray(is_held & (slack >= 0.0))
+    return is_held & (slack >= 0.0)
 
 
 def design_poses(

@@ -184,9 +184,7 @@ class LineTrajectory:
         trajectory with ramps.
         """
         assert self.ramps is not None
-        return np.asarray(
-            np.diff(self.points, axis=0) / (self.moves - self.ramps)[:, None]
-        )
+        return np.diff(self.points, axis=0) / (self.moves - self.ramps)[:, None]
 
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration of all joints at times (N,) [s]; velocities

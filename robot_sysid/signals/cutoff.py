@@ -90,7 +90,7 @@ class Spectra:
     @property
     def position_noise(self) -> Array:
         """Standard deviation (n,) of the noise of the readings [rad]."""
-        return np.asarray(np.sqrt(self.level * self.rate / 2.0))
+        return np.sqrt(self.level * self.rate / 2.0)
 
 
 class CutoffChoice(NamedTuple):
@@ -327,7 +327,7 @@ def _cumulative_squared_speed(frequency: Array, motion: Array) -> Array:
         frequency: (F,) [Hz].
         motion: (F,) power density of the motion's acceleration.
     """
-    return np.asarray(np.cumsum(motion / frequency**2))
+    return np.cumsum(motion / frequency**2)
 
 
 def _gap_index(frequency: Array, motion: Array) -> int:

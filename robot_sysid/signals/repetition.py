@@ -123,7 +123,7 @@ def find_visits(motions: Sequence[Motion]) -> Visits:
 def _spread(values: Array) -> Array:
     """Return (n,) the root mean square of joints' values (K, n), with a floor for a still joint."""
     spread = np.sqrt(np.mean(values**2, axis=0))
-    return np.asarray(np.maximum(spread, _LEAST_SPREAD * np.max(spread) or 1.0))
+    return np.maximum(spread, _LEAST_SPREAD * np.max(spread) or 1.0)
 
 
 def _step_lengths(state: Array) -> Array:
@@ -141,7 +141,7 @@ def _is_near(probes: Array, radius: Array, state: Array) -> NDArray[np.bool_]:
         + np.sum(state**2, axis=1)
         - 2.0 * probes @ state.T
     )
-    return np.asarray(squared_distance < radius[:, None] ** 2)
+    return squared_distance < radius[:, None] ** 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,4 +339,4 @@ def _is_still(time: Array, q: Array) -> NDArray[np.bool_]:
     step = float(np.median(np.diff(time)))
     width = max(int(round(WINDOW / step)), 2)
     span = maximum_filter1d(q, width, axis=0) - minimum_filter1d(q, width, axis=0)
-    return np.asarray(np.all(span < STILL, axis=1))
+    return np.all(span < STILL, axis=1)
