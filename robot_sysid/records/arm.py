@@ -257,6 +257,7 @@ class JointFriction:
                 their sign, or a smooth function in place of it.
         """
         assert self.shared is not None
+        # Speeds (N, m) of the shared motors, each as seen at the joint that it moves most.
         largest = np.max(np.abs(self.shared), axis=1, keepdims=True)
         motor_speed = qd @ (self.shared / largest).T
         by_joints = self.coulomb * direction(qd)
@@ -283,8 +284,8 @@ class RobotModel:
         reference_qpos: (nq,) configuration at which joints outside the chain are held.
         is_slide: (n,) whether a chain joint is a slide.
         limits, friction: of the chain joints.
-        prior: composite terminal link (terminal body and all below it at the reference
-            configuration), in the terminal body's frame.
+        prior: inertial parameters of the composite terminal link (terminal body and all below it at
+            the reference configuration), in the terminal body's frame.
         bodies: what that is made of, the terminal body first.
         links: what each chain joint moves, base to terminal; the last one is ``prior``.
         sha256: hash of the files that make the model.
@@ -331,12 +332,12 @@ class RobotModel:
 
     @property
     def length(self) -> float:
-        """Distances from each joint to the next, added up from the base on [m]."""
+        """Distances from the world to the first link and on to the last one, added up [m]."""
         return sum(float(np.linalg.norm(link.translation)) for link in self.links)
 
     @property
     def armature(self) -> Array:
-        """Rotor inertia (n,) of its joints [kg m^2]."""
+        """Rotor inertia (n,) of its joints, as the model has it [kg m^2, of a slide kg]."""
         return np.array(self.mj_model.dof_armature[self.dof_index])
 
     @property

@@ -98,6 +98,7 @@ class JointInformation:
     """Square-root information of one joint's equations Y x = tau.
 
     Attributes:
+        joint: name of the joint.
         columns: (k,) indices of the global parameters that these equations contain.
         triangle: upper triangle R (k+1, k+1) with R^T R = [Y tau]^T [Y tau]; fewer rows, with that
             product, where there are fewer equations.
@@ -145,9 +146,13 @@ class SquareRootInformation:
         return rows[:, :-1], rows[:, -1]
 
     def equation_blocks(self, weights: Array | None = None) -> Iterator[Array]:
-        """Yield the rows [A b] (m, p+1) of ``equations`` joint by joint, then the prior's."""
+        """Yield the rows [A b] (m, p+1) of ``equations`` joint by joint, then the prior's.
+
+        ``weights`` (joints,) as there; without them the prior's rows are left out.
+        """
         scale = np.ones(len(self.joints)) if weights is None else np.asarray(weights)
         for joint, weight in zip(self.joints, scale):
+            # A joint's triangle has the columns of its own parameters, and the torque's.
             block = np.zeros((len(joint.triangle), len(self.names) + 1))
             block[:, [*joint.columns, -1]] = weight * joint.triangle
             yield block
@@ -161,6 +166,8 @@ class SquareRootInformation:
         """
         sums = []
         for joint in self.joints:
+            # The last column of a triangle is that of the torques. The transposition lets it be
+            # subtracted from one vector (k+1,) as well as from several (k+1, ...).
             predicted = joint.triangle[:, :-1] @ values[joint.columns]
             residual = predicted.T - joint.triangle[:, -1]
             sums.append(np.sum((residual**2).T, axis=0))

@@ -56,8 +56,8 @@ def refuse_special_file(
     """Raise InputError where a path leads to a pipe, a device or a socket.
 
     Reading one may never end, and the system would miss a device that a file has replaced.
-    Folders, missing files and paths that cannot be looked at pass: opening them says what is wrong.
-    The remedy ends the message.
+    Folders, missing files and paths that cannot be looked at pass: opening them fails with the
+    reason. ``remedy``: what the user should do; ends the message.
     """
     try:
         mode = os.stat(path).st_mode
@@ -309,7 +309,10 @@ def lock_folder(folder: Path) -> Iterator[None]:
 
 
 def _open_lock(lock_path: Path) -> int:
-    """Return the handle of a lock file, which this process holds until it closes it or ends."""
+    """Return the handle of a lock file, which this process holds until it closes it or ends.
+
+    InputError where another process holds the file.
+    """
     while True:
         handle = os.open(lock_path, os.O_CREAT | os.O_RDWR, 0o666)
         is_free = _try_lock(handle)
@@ -324,7 +327,7 @@ def _open_lock(lock_path: Path) -> int:
 
 
 def _try_lock(handle: int) -> bool:
-    """Lock an open file; False where another process has it locked.
+    """Lock an open file (handle of the system); return False where another process has it locked.
 
     True, without a lock, on a file system that has no locks.
     """

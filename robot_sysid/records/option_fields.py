@@ -197,13 +197,16 @@ def command_arguments(values: Mapping[str, Any], *records: Any) -> list[str]:
             continue
         for single in value if stated.repeats else (value,):
             arguments.append(stated.flag)
+            # A switch, which parses nothing, is its flag alone.
+            if stated.parse is None:
+                continue
             texts = []
-            for number in _leaves(single):
-                is_float = isinstance(number, float)
-                texts.append(f"{number:.12g}" if is_float else str(number))
+            for leaf in _leaves(single):
+                is_float = isinstance(leaf, float)
+                texts.append(f"{leaf:.12g}" if is_float else str(leaf))
             if stated.takes_many or isinstance(stated.metavar, tuple):
-                arguments += texts if stated.parse else []
-            elif stated.parse:
+                arguments += texts
+            else:
                 arguments.append(",".join(texts))
     return arguments
 
@@ -236,9 +239,10 @@ def _checked_value(stated: Option, raw_value: Any) -> Any:
     try:
         value = immutable_value(raw_value, stated.parse)
     except ValueError:
-        value = raw_value
+        value = raw_value  # which then fits no type
     except InputError as error:
         raise InputError(f"{stated.flag}: {error}") from None
+    # A value with several names in the help is a tuple, and several of these are a tuple of tuples.
     has_rows = isinstance(stated.metavar, tuple)
     is_single = not isinstance(value, tuple)
     if has_rows and not is_single:
@@ -246,6 +250,7 @@ def _checked_value(stated: Option, raw_value: Any) -> Any:
     takes_many = stated.repeats or stated.takes_many
     if takes_many and is_single:
         value = (value,)
+    # A switch has no parser; an option with a parser of its own may have values of any type.
     parser_name = getattr(stated.parse, "__name__", "bool")
     types, type_text = _VALUE_TYPES.get(parser_name, ((object,), ""))
     takes_many = takes_many or has_rows or type_text.endswith(_PER_JOINT)
@@ -260,7 +265,10 @@ def _checked_value(stated: Option, raw_value: Any) -> Any:
 
 
 def immutable_value(value: Any, parse: Callable[[str], Any] | None = None) -> Any:
-    """Return lists and arrays as tuples, nested ones too, and texts as ``parse`` reads them."""
+    """Return lists and arrays as tuples, nested ones too, and texts as ``parse`` reads them.
+
+    Anything else, and texts without ``parse``, are returned unchanged.
+    """
     # numpy's arrays and scalars.
     if hasattr(value, "tolist"):
         value = value.tolist()
@@ -399,6 +407,8 @@ def read_factors(path: Path, table: str = SCALE) -> Mapping[str, tuple[float, fl
     """Return joint name to factor and standard error of one table of a file, or raise InputError.
 
     The error is NaN where the file is of version 1, which states none.
+
+    ``table``: ``SCALE`` or ``CONSTANTS``, the table's key in the file.
     """
     form = f'{{"version": 1, "{table}": {{"JOINT": 1.3, ...}}}}'
     content = read_json(path, f"torque factors have the form {form}")
@@ -410,12 +420,13 @@ def read_factors(path: Path, table: str = SCALE) -> Mapping[str, tuple[float, fl
             f"{path} has version {version!r}, this program reads up to {FACTORS_VERSION}: {form}"
         )
     factors = {}
-    for joint, value in content[table].items():
+    for joint, entry in content[table].items():
+        value = entry
         error = math.nan
         if version == FACTORS_VERSION:
-            fields = value if isinstance(value, dict) else {}
-            error = _checked_factor(path, joint, fields.get("standard_error"))
-            value = fields.get("value")
+            stated = entry if isinstance(entry, dict) else {}
+            value = stated.get("value")
+            error = _checked_factor(path, joint, stated.get("standard_error"))
         factors[str(joint)] = _checked_factor(path, joint, value), error
     return factors
 
@@ -433,7 +444,10 @@ def write_torque_scale(path: Path, scales: Mapping[str, tuple[float, float]]) ->
 
 
 def _checked_factor(path: Path, joint: str, value: object) -> float:
-    """Return a factor of a file, or raise InputError where it is no positive number."""
+    """Return a factor or standard error of a file; InputError where it is no positive number.
+
+    ``joint``: the name of the joint that it belongs to, for the message.
+    """
     factor = float(value) if isinstance(value, (int, float)) else math.nan
     complaint = check_factor(factor)
     if complaint:
