@@ -57,12 +57,14 @@ def trajectory_reference(
     values = np.hstack([trajectory.q, trajectory.qd, trajectory.tau])
 
     def reference(time: float) -> Reference:
-        moment = times[0] + time * speed
-        later = int(np.searchsorted(times, moment))
+        """Return the trajectory's state at ``time`` [s] after its first row, at that speed."""
+        file_time = times[0] + time * speed
+        later = int(np.searchsorted(times, file_time))
         row = values[min(later, len(times) - 1)]
         if 0 < later < len(times):
-            share = (moment - times[later - 1]) / (times[later] - times[later - 1])
-            row = values[later - 1] + (row - values[later - 1]) * share
+            earlier = later - 1
+            share = (file_time - times[earlier]) / (times[later] - times[earlier])
+            row = values[earlier] + (row - values[earlier]) * share
         position, velocity, torque = np.split(row, 3)
         return Reference(position, velocity * speed, torque)
 
@@ -77,14 +79,16 @@ ORDERS = (STRAIGHT, "joint by joint from the base", "joint by joint from the tip
 def poses_between(begin: Array, end: Array, order: str) -> list[Array]:
     """Return the corners (n,) [rad] of the path from ``begin`` to ``end`` (n,), both included.
 
-    The path is straight between corners. ``order`` is one of ``ORDERS``.
+    The path is straight between corners. ``order`` is one of ``ORDERS``: all joints move at once,
+    or one after the other, those that need not move left out.
     """
     poses = [begin]
     if order != STRAIGHT:
-        joints = np.flatnonzero(begin != end)
+        moving_joints = np.flatnonzero(begin != end)
         if order != ORDERS[1]:
-            joints = joints[::-1]
-        for joint in joints[:-1]:
+            moving_joints = moving_joints[::-1]
+        # The last joint leads to ``end``.
+        for joint in moving_joints[:-1]:
             pose = poses[-1].copy()
             pose[joint] = end[joint]
             poses.append(pose)
@@ -124,14 +128,15 @@ def transfer_reference(
     extra_at_target = target.torque - carries(target.position)
 
     def reference(time: float) -> Reference:
+        """Return the state at ``time`` [s] after the beginning, on straight line number k."""
         k = int(np.clip(np.searchsorted(begins, time) - 1, 0, len(times) - 1))
         s = min(max((time - begins[k]) / times[k], 0.0), 1.0)
         share = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
-        rate = 30.0 * s * s * (1.0 - s) ** 2 / times[k]
+        share_per_second = 30.0 * s * s * (1.0 - s) ** 2 / times[k]
         done = (begins[k] + share * times[k]) / duration
         q = poses[k] + share * lines[k]
         fed = carries(q) + (1.0 - done) * extra_at_start + done * extra_at_target
-        return Reference(q, rate * lines[k], fed)
+        return Reference(q, share_per_second * lines[k], fed)
 
     return reference, duration
 
@@ -147,7 +152,7 @@ def transfer_rows(
     pace: tuple[float, float],
     order: str = STRAIGHT,
 ) -> DamiaoTrajectory:
-    """Return the motion between two poses as rows of a trajectory, with zero torque.
+    """Return the motion from rest to rest between two poses as rows of a trajectory, torque zero.
 
     Args:
         trajectory: trajectory whose joints the result has.
@@ -161,10 +166,11 @@ def transfer_rows(
     target = Reference(end, zero, zero)
     reference, duration = transfer_reference(start, target, *pace, order)
     time = np.linspace(0.0, duration, int(np.ceil(duration * TRANSFER_RATE)) + 1)
-    q, qd, tau = (np.array(signal) for signal in zip(*map(reference, time)))
-    return replace(
-        trajectory, line=np.arange(len(time)), time=time, q=q, qd=qd, tau=tau
-    )
+    # References stacked as (rows, 3, n): position, velocity and torque.
+    rows = np.array([reference(moment) for moment in time])
+    q, qd, tau = np.moveaxis(rows, 1, 0)
+    line = np.arange(len(time))
+    return replace(trajectory, line=line, time=time, q=q, qd=qd, tau=tau)
 
 
 def hold_reference(reference: Reference) -> ReferenceFunction:
@@ -176,11 +182,15 @@ def hold_reference(reference: Reference) -> ReferenceFunction:
 def add_held_motors(
     reference: ReferenceFunction, positions: Array
 ) -> ReferenceFunction:
-    """Return a reference of n + m joints: n of ``reference``, then m held at ``positions`` (m,)."""
+    """Return a reference of n + m joints: n of ``reference``, then m at ``positions`` (m,) [rad].
+
+    The m joints are held there without velocity and feed-forward torque.
+    """
     zero = np.zeros_like(positions)
+    held = Reference(positions, zero, zero)
 
     def extended_reference(time: float) -> Reference:
-        return Reference(*map(np.append, reference(time), (positions, zero, zero)))
+        return Reference(*map(np.append, reference(time), held))
 
     return extended_reference
 
@@ -230,15 +240,19 @@ class Lowering:
         self._time = self._moved_at = 0.0
 
     def __call__(self, time: float) -> Reference:
-        """Return the reference at ``time`` [s] after the beginning; times never go back."""
+        """Return the reference at ``time`` [s] after the beginning; times never go back.
+
+        Each call moves the stored position on.
+        """
         load_share = np.clip(np.nan_to_num(self.torque) / self._full_load, -1.0, 1.0)
         fed_share = max(1.0 - time / _FADE, 0.0)
         velocity = np.zeros_like(load_share)
         if fed_share == 0.0:
+            # The torque that carries a joint is opposite to its load.
             velocity = -self._speed * load_share
-        moved = self._position + velocity * (time - self._time)
-        self._position = np.clip(moved, self._range.lower, self._range.upper)
-        velocity = np.where(self._position == moved, velocity, 0.0)
+        unlimited = self._position + velocity * (time - self._time)
+        self._position = np.clip(unlimited, self._range.lower, self._range.upper)
+        velocity = np.where(self._position == unlimited, velocity, 0.0)
         self._time = time
         if fed_share > 0.0 or np.max(np.abs(velocity)) > _STILL_SPEED:
             self._moved_at = time
@@ -313,8 +327,8 @@ class HoldingCheck:
     def unverified_joints(self, q: Array) -> list[DamiaoJoint]:
         """Return the unverified joints whose load at q (n,) [rad] cannot show their direction."""
         is_bare = np.abs(self._expected_torque(q)) <= _LOADED * self.doubt
-        joints = [self._joints[j] for j in np.flatnonzero(is_bare).tolist()]
-        return [joint for joint in joints if not joint.verified]
+        joints = zip(self._joints, is_bare)
+        return [joint for joint, bare in joints if bare and not joint.verified]
 
     def load(self, q: Array) -> Array:
         """Return the torque (n,) [N m] that 1 kg at the arm's end adds at q (n + m,) [rad]."""
@@ -337,10 +351,11 @@ class HoldingCheck:
         expected = self._expected_torque(q[: self.n_joints])
         tau = tau[: self.n_joints]
         size = np.abs(expected)
+        # Torque in the direction of the expected one.
         along = np.sign(expected) * tau
-        is_wrong = (size > self.doubt) & (along < -self.doubt)
-        is_wrong |= (size > _LOADED * self.doubt) & (along < _BARE * self.doubt)
-        for j in np.flatnonzero(is_wrong).tolist():
+        is_opposite = (size > self.doubt) & (along < -self.doubt)
+        is_missing = (size > _LOADED * self.doubt) & (along < _BARE * self.doubt)
+        for j in np.flatnonzero(is_opposite | is_missing).tolist():
             raise HardwareAbort(
                 f"{self._joints[j].label} holds the arm with {tau[j]:.1f} N m but {self._source} "
                 f"{expected[j]:.1f} N m in this pose: a motor turns the other way than its joint, "
@@ -481,23 +496,28 @@ class CarriedStop:
         self._start = start
         self._rest_time = rest_time
         self._moved_at = 0.0
+        # Velocity from which each joint brakes: its own, between zero and its reference's.
         led = start.reference.velocity
-        speed = np.where(np.isfinite(start.qd), start.qd, led)
-        self._velocity = np.clip(speed, np.minimum(led, 0.0), np.maximum(led, 0.0))
-        self.duration = (
-            float(np.max(np.abs(self._velocity), initial=0.0)) / deceleration
+        joint_velocity = np.where(np.isfinite(start.qd), start.qd, led)
+        self._velocity = np.clip(
+            joint_velocity, np.minimum(led, 0.0), np.maximum(led, 0.0)
         )
+        top_speed = float(np.max(np.abs(self._velocity), initial=0.0))
+        self.duration = top_speed / deceleration
+        # Distance of the reference from the joint; its torque is removed by the share ``_relief``.
         self._offset = np.nan_to_num(start.reference.position - start.q)
-        self._stiffening = _ADDED_STIFFNESS * start.kd / (_DELAY_CYCLES * period)
         self._relief = np.where(start.stuck, 1.0, 0.0)
+        # Added stiffness [N m/rad], and the farthest position of each joint on its path [rad].
+        self._stiffening = _ADDED_STIFFNESS * start.kd / (_DELAY_CYCLES * period)
         self._reached = start.q
         self._has_moved = np.zeros(len(led), dtype=bool)
         self._time = 0.0
 
     def __call__(self, time: float) -> Reference:
-        """Return the reference at ``time`` [s] after the beginning; times never go back."""
+        """Return the reference at ``time`` [s], and store it as ``last``; times never go back."""
         start = self._start
         position, velocity = self._braking_path(time)
+        # Where the joints should be now (n,) [rad].
         goal = position - self._offset
         self._relieve(time, goal)
         relief_torque = self._relief * start.kp * self._offset
@@ -508,9 +528,10 @@ class CarriedStop:
         return self.last
 
     def _braking_path(self, time: float) -> tuple[Array, Array]:
-        """Return position and velocity (n,) of the reference, which slows down evenly."""
+        """Return position and velocity (n,) of the evenly braked reference at ``time`` [s]."""
         braked = min(max(time, 0.0), self.duration)
         share_left = 1.0 - braked / self.duration if self.duration > 0.0 else 0.0
+        # The mean of the first and the present velocity is (1 + share_left) / 2 of the first.
         position = self._start.reference.position
         position = position + self._velocity * braked * (1.0 + share_left) / 2.0
         command_range = self._start.command_range
@@ -524,34 +545,36 @@ class CarriedStop:
         return last_torque + share * (self._start.fed - last_torque)
 
     def _lift(self, goal: Array) -> Array:
-        """Return the torque (n,) that pulls joints to their path, which ends at ``goal`` (n,)."""
+        """Return the torque (n,) [N m] that pulls joints to their path, ending at ``goal`` (n,)."""
         displacement = self._displacement(goal)
         leaving_speed = -np.sign(displacement) * np.nan_to_num(self.qd)
         share = _STEADY + _LEAVING * np.tanh(leaving_speed / _SPEED_SCALE)
         return np.asarray(self._stiffening * displacement * share)
 
     def _damping_torque(self, velocity: Array) -> Array:
-        """Return the torque (n,) against differences from the reference's ``velocity`` (n,)."""
-        return np.asarray(
-            _ADDED_DAMPING * self._start.kd * np.nan_to_num(velocity - self.qd)
-        )
+        """Return the added damping torque (n,) [N m], by the reference's ``velocity`` (n,)."""
+        difference = np.nan_to_num(velocity - self.qd)
+        return np.asarray(_ADDED_DAMPING * self._start.kd * difference)
 
     def _displacement(self, goal: Array) -> Array:
         """Return the displacement (n,) [rad] that moves the joints back to their paths.
 
-        A joint's path leads from its farthest position so far to its ``goal`` [rad].
+        A joint's path leads from its farthest position so far, not beyond its ``goal`` (n,) [rad],
+        to the goal. The farthest positions are updated. Unknown positions (NaN) are ignored.
         """
-        ahead = np.fmax(self._reached, np.fmin(self.q, goal))
-        behind = np.fmin(self._reached, np.fmax(self.q, goal))
-        self._reached = np.where(self._velocity < 0.0, behind, ahead)
+        highest_reached = np.fmax(self._reached, np.fmin(self.q, goal))
+        lowest_reached = np.fmin(self._reached, np.fmax(self.q, goal))
+        moves_down = self._velocity < 0.0
+        self._reached = np.where(moves_down, lowest_reached, highest_reached)
         lowest = np.fmin(self._reached, goal)
         highest = np.fmax(self._reached, goal)
         return np.nan_to_num(np.clip(self.q, lowest, highest) - self.q)
 
     def _relieve(self, time: float, goal: Array) -> None:
-        """Remove more of the offset's torque from joints that stand at ``goal`` (n,) [rad].
+        """Raise ``_relief`` (n,), the share of the offset's torque that is removed, towards 1.
 
-        Nothing is removed before the reference stands.
+        Nothing is removed before the reference stands, nor from a joint that has moved away from
+        its ``goal`` (n,) [rad] since then.
         """
         passed = time - self._time
         self._time = time
