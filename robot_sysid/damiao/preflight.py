@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -86,14 +87,18 @@ def limit_checks(
 ) -> list[Check]:
     """Return a check for each limit of the user that the trajectory or its transfers break.
 
-    Without ``q`` the trajectory itself is compared; with it, the transfers of an arm that stands at
-    q (n,) [rad], each with its joints moving in one of ``orders``, see ``references.ORDERS``.
+    Args:
+        plan: plan of the run, with the user's limits.
+        q: positions (n,) of the arm [rad], then its transfers to the first point and to the parking
+            pose are compared; None compares the trajectory itself.
+        orders: order in which joints move in each transfer, of ``references.ORDERS``: all at once
+            or one after the other.
     """
     trajectory = plan.trajectory
     settings = plan.settings
     if q is None:
         excesses = motion.limit_excesses(trajectory, settings.speed, plan.limits)
-        return [_stop(excess) for excess in excesses]
+        return list(map(_stop, excesses))
     pace = settings.approach_speed, settings.approach_time
     remedy = (
         f"move it nearer by hand, or lower --approach-speed {settings.approach_speed:g}"
@@ -133,11 +138,13 @@ def plan_checks(plan: Plan) -> list[Check]:
 
 def _id_checks(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
     """Yield whether the ids of the joints' motors are valid and unique on each bus."""
-    ids = [(*joint.address, joint.master_id) for joint in joints]
-    problems = [_stop(problem) for problem in id_problems(ids)]
-    unique = f"ids are unique: {', '.join(str(joint.can_id) for joint in joints)}"
-    yield from problems or [Check(OK, unique)]
-    if any(joint.master_id == 0 for joint in joints):
+    ids = [(joint.bus, joint.can_id, joint.master_id) for joint in joints]
+    problems = list(id_problems(ids))
+    yield from map(_stop, problems)
+    if not problems:
+        can_ids = ", ".join(str(can_id) for _, can_id, _ in ids)
+        yield Check(OK, f"ids are unique: {can_ids}")
+    if any(master_id == 0 for _, _, master_id in ids):
         yield _note("a master id of 0 is a poor choice; set it to CAN id + 0x10")
 
 
@@ -166,24 +173,30 @@ def _motion_checks(plan: Plan) -> Iterator[Check]:
 
 
 def _motor_checks(plan: Plan) -> Iterator[Check]:
-    """Yield where a motor's ratings are exceeded, and which joints a step of torque would shake."""
+    """Yield where a motor's ratings are exceeded, and which joints a step of torque would shake.
+
+    A rating that the motor cannot exceed stops the run; one that it can exceed briefly is noted.
+    """
     trajectory = plan.trajectory
     joints = trajectory.joints
     settings = plan.settings
-    torque_steps = Scaling(joint.spec.limits for joint in joints).steps[2]
-    inertias = [np.inf] * len(joints) if plan.inertia is None else plan.inertia
     doubt = torque_doubt(joints)
-    for problem in motion.rotor_problems(trajectory, settings.speed, doubt):
-        yield _stop(problem)
+    yield from map(_stop, motion.rotor_problems(trajectory, settings.speed, doubt))
+    # Least change (n,) of the torque in a frame [N m], and inertia (n,) of the moved links.
+    _, _, torque_steps = Scaling(joint.spec.limits for joint in joints).steps
+    inertias = np.full(len(joints), np.inf) if plan.inertia is None else plan.inertia
     speeds = np.abs(trajectory.qd).max(axis=0) * settings.speed
     torques = np.abs(trajectory.tau).max(axis=0)
-    for j, (joint, step, inertia) in enumerate(zip(joints, torque_steps, inertias)):
-        torque = torques[j] / joint.torque_ratio
-        for warning in motion.rating_warnings(joint, speeds[j], torque):
+    for j, joint in enumerate(joints):
+        motor_torque = torques[j] / joint.torque_ratio
+        for warning in motion.rating_warnings(joint, speeds[j], motor_torque):
             yield Check(STOP if motion.CANNOT_FOLLOW in warning else NOTE, warning)
         if joint.spec.note:
             yield _note(f"{joint.label}, {joint.motor_type}: {joint.spec.note}")
-        if step * settings.period / inertia > _SHAKING_SPEED:
+        step = torque_steps[j]
+        inertia = inertias[j]
+        speed_change = step * settings.period / inertia
+        if speed_change > _SHAKING_SPEED:
             yield _note(
                 f"{joint.label} moves only {inertia:.2g} kg m^2 in the model, and a step of a "
                 f"{joint.motor_type}'s torque is {step:.2g} N m: it will shake; give the model the "
@@ -197,9 +210,9 @@ def _load_check(
     timing: protocol.BusTiming,
 ) -> Check:
     """Return whether the bus with most of the motors at ``addresses`` can carry their frames."""
-    buses = [bus for bus, _ in addresses]
+    n_by_bus = Counter(address.bus for address in addresses)
+    n_motors = max(n_by_bus.values())
     limit = protocol.PLANNING_LIMIT
-    n_motors = max(buses.count(bus) for bus in buses)
     load = protocol.bus_load(n_motors, 1.0 / settings.period, timing)
     bus_type = "CAN-FD" if timing.fd else "classic CAN"
     text = f"{n_motors} motors at {settings.rate:g} Hz load {bus_type} to {100 * load:.0f} %"
@@ -214,8 +227,12 @@ def _frame_limit_checks(
 ) -> list[Check]:
     """Return where a trajectory, or its parking pose, exceeds what its motors' frames can carry.
 
-    ``limits`` are (PMAX, VMAX, TMAX) per joint, of the motor; messages call them ``owner`` limits.
     A motor turns as fast as its joint, so that slopes of joint positions are compared directly.
+
+    Args:
+        plan: plan of the run.
+        limits: PMAX, VMAX and TMAX of each joint's motor [rad, rad/s, N m].
+        owner: whose limits these are, in messages: "its type's" or "its registers'".
     """
     trajectory = plan.trajectory
     speed = plan.settings.speed
@@ -225,16 +242,18 @@ def _frame_limit_checks(
     if pose is not None:
         positions = np.vstack([positions, pose])
         remedy = f"{remedy}, or choose another --park"
-    p, v, t = JointSpace.of(trajectory.joints).to_motors(
+    # Quantities of the motors (rows, n) and their limits (n,).
+    space = JointSpace.of(trajectory.joints)
+    position, velocity, torque = space.to_motors(
         positions, speed * trajectory.qd, trajectory.tau
     )
-    p_limit, v_limit, t_limit = np.array(limits, dtype=float).T
+    pmax, vmax, tmax = np.array(limits, dtype=float).T
     checks = []
     for quantity, unit, values, quantity_limits in (
-        ("position", "rad", p, p_limit),
-        ("velocity", "rad/s", v, v_limit),
-        ("torque", "N m", t, t_limit),
-        ("position step", "rad/s", speed * trajectory.slopes, v_limit),
+        ("position", "rad", position, pmax),
+        ("velocity", "rad/s", velocity, vmax),
+        ("torque", "N m", torque, tmax),
+        ("position step", "rad/s", speed * trajectory.slopes, vmax),
     ):
         largest = quantity_limits * (1.0 + _FLOAT32_SLACK)
         for j, peak in motion.peaks_beyond(values, largest):
@@ -264,7 +283,10 @@ def general_checks(
 
 
 def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
-    """Return the checks of a plan against the answers of the motors on the bus."""
+    """Return the checks of a plan against the answers of the motors on the bus.
+
+    Frame limits, answer time and start are only checked if all motors' scaling limits are known.
+    """
     joints = plan.trajectory.joints
     settings = plan.settings
     checks = list(_traffic_checks(inspection))
@@ -352,8 +374,12 @@ def _condition_checks(
 ) -> Iterator[Check]:
     """Yield the checks of one motor's registers and state.
 
-    Ids and scaling are compared with those of its ``joint``, if it drives one. A motor that is
-    ``taken_over`` may be enabled already.
+    Args:
+        motor: answers of the motor.
+        settings: settings of the run, with the cycle rate and the temperature at its start.
+        permissions: deviations that the user allows; a watchdog time in them replaces the motor's.
+        joint: joint that the motor drives, with which ids and scaling are compared, or None.
+        taken_over: whether the motor may be enabled already.
     """
     name = joint.label if joint else motor.name
     registers = motor.registers
@@ -399,7 +425,10 @@ def _id_register_checks(
 def _scaling_check(
     motor: InspectedMotor, joint: DamiaoJoint, permissions: Permissions
 ) -> Check:
-    """Return whether a motor's PMAX, VMAX, TMAX are those of its joint's motor type."""
+    """Return whether a motor's PMAX, VMAX, TMAX are those of its joint's motor type.
+
+    Other limits stop the run, unless the user permits those in the registers.
+    """
     limits = motor.limits
     stored = ", ".join(f"{limit:g}" for limit in limits)
     nominal = ", ".join(f"{limit:g}" for limit in joint.spec.limits)
@@ -415,12 +444,17 @@ def _scaling_check(
 
 
 def _watchdog_check(name: str, timeout: float, settings: PlaySettings) -> Check:
-    """Return whether a watchdog's timeout [s] stops a motor soon, and not between two cycles."""
+    """Return whether a watchdog's timeout [s] stops a motor soon, and not between two cycles.
+
+    ``name`` is the motor's name in the message.
+    """
     least = _LEAST_WATCHDOG_CYCLES * settings.period
-    options = f"--set-watchdog {max(0.1, np.ceil(10.0 * least) / 10.0):g}"
+    # The timeout to propose: tenths of a second, or the longest with the rate that it needs.
+    timeout_option = max(0.1, np.ceil(10.0 * least) / 10.0)
+    options = f"--set-watchdog {timeout_option:g}"
     if least > LONGEST_SET_WATCHDOG:
-        slowest = _LEAST_WATCHDOG_CYCLES / LONGEST_SET_WATCHDOG
-        options = f"--rate {slowest:g} and --set-watchdog {LONGEST_SET_WATCHDOG:g}"
+        least_rate = _LEAST_WATCHDOG_CYCLES / LONGEST_SET_WATCHDOG
+        options = f"--rate {least_rate:g} and --set-watchdog {LONGEST_SET_WATCHDOG:g}"
     remedy = f"give {options} or set TIMEOUT"
     watchdog = f"{name}'s watchdog of {1e3 * timeout:g} ms"
     if timeout == 0.0:
@@ -481,9 +515,10 @@ def _answer_time_checks(
     if round_trip <= _ANSWER_SHARE * settings.period:
         yield Check(OK, f"{text}, in time for {settings.rate:g} Hz")
         return
-    rates = protocol.HANDY_RATES
-    slow_enough = (rate for rate in rates if rate * round_trip <= _ANSWER_SHARE)
-    rate = next(slow_enough, rates[-1])
+    # The highest rate in whose cycle the answers come, or else the lowest one.
+    for rate in protocol.HANDY_RATES:
+        if rate * round_trip <= _ANSWER_SHARE:
+            break
     yield _stop(
         f"{text}, too late for {settings.rate:g} Hz: commands and samples would be mixed up; use "
         f"--rate {rate:g} or a faster adapter"
@@ -495,20 +530,20 @@ def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
 
     Args:
         plan: plan with the joints and the first point.
-        model: computes the torques that hold the arm; None for the torques of the trajectory.
+        model: computes the torques that hold the arm; None for the torques of the trajectory, then
+            unknown directions are noted and do not stop the run.
     """
     holding = model or FileHolding(plan.trajectory)
-    unverified = [
-        joint.label for joint in holding.unverified_joints(plan.trajectory.q[0])
-    ]
-    if not unverified:
+    joints = holding.unverified_joints(plan.trajectory.q[0])
+    labels = ", ".join(joint.label for joint in joints)
+    if not joints:
         yield Check(
             OK, "gravity shows which way each joint turns, or somebody has verified it"
         )
         return
     finding = (
-        f"nobody has verified which way {', '.join(unverified)} turn, and where the trajectory "
-        "begins gravity hardly loads them"
+        f"nobody has verified which way {labels} turn, and where the trajectory begins gravity "
+        "hardly loads them"
     )
     if model is None or plan.permissions.directions:
         yield _note(f"{finding}: mirrored or swapped, they would be played like that")
