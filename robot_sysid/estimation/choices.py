@@ -1,8 +1,7 @@
 """Model selection from recordings: each joint's friction terms, couplings, the prior of links.
 
 In-sample errors fall with every friction term, so that terms are chosen by cross-validation
-(``held_out``). A joint starts with the simplest candidate and moves on as long as another one
-predicts the joint's held-out torques clearly better.
+(``held_out``): from the simplest candidate on, as long as another one is clearly better.
 
 A coupling is a motor that turns several joints. One that turns at s = sum_j r_j qd_j (joint units)
 puts its torque tau_m on each of these joints in the same ratio: tau_j = r_j tau_m, because power is
@@ -96,8 +95,8 @@ def choose(
         model: friction of every joint, where the user states it; None to select it by joint.
         couplings: result of ``select_couplings``; None for all couplings that have columns.
     """
-    if couplings is None:
-        couplings = fitter.columns.couplings
+    couplings = fitter.columns.couplings if couplings is None else couplings
+    # Each fit is one linearisation at the point of the previous one, with the choices so far.
     joint_model = model or friction_model(CANDIDATES[0])
     choice = Choice((joint_model,) * fitter.columns.robot.n_joints, couplings)
     fit = replace(fitter.fit(question, choice, rounds=1), samples=())
@@ -134,6 +133,7 @@ def _link_evidence(fit: Fit) -> LinkEvidence | None:
         return None
     (group,) = groups
     columns = fit.columns
+    # Whether the model states each link of the prior; indices and bodies of those that it states.
     is_stated = []
     stated = []
     bodies = []
@@ -148,6 +148,7 @@ def _link_evidence(fit: Fit) -> LinkEvidence | None:
         return None
     share = PER_CENT * fit.question.options.link_uncertainty
     lengths = link_lengths(columns.robot, stated)
+    # (10 L, 10 L + 2) effect of each error of the L stated links on their parameters.
     directions = share * link_directions(tuple(bodies), tuple(lengths))
     data = fit.evidence.of(fit.unknowns)
     return link_evidence(
@@ -172,9 +173,9 @@ def _select_friction(
     friction = list(choice.friction)
     point_speeds = dict(point.speed or {})
     errors: dict[str, dict[str, float]] = {}
-    for row, (index, joint) in enumerate(
-        zip(fitter.columns.joint_indices, fitter.columns.joints)
-    ):
+    # ``row`` counts the joints with equations, ``index`` those of the chain.
+    for row, joint in enumerate(fitter.columns.joints):
+        index = fitter.columns.joint_indices[row]
         block_counts = np.maximum(counts[:, row], 1.0)
         count = max(np.sum(counts[:, row]), 1.0)
         scores = {}
@@ -205,7 +206,7 @@ def _candidate_errors(
 
     Returns:
         (candidate to its squared errors (blocks, joints) [N^2 m^2], candidate to the speed
-        (joints,) of its nonlinear term [rad/s], ``HeldOut.counts``).
+        (joints,) of its nonlinear term [rad/s], number of rows (blocks, joints)).
     """
     robot = fitter.columns.robot
     squared: dict[str, Array] = {}
@@ -228,6 +229,7 @@ def _candidate_errors(
             trial_speed = np.zeros(error.shape[1])
             for term in model.nonlinear_terms:
                 trial_speed[:] = trial_speeds[term][0]
+            # Each joint keeps the errors and the speed of its best trial so far.
             least = squared.setdefault(name, np.full_like(error, np.inf))
             lower = error.sum(axis=0) < least.sum(axis=0)
             squared[name] = np.where(lower, error, least)
@@ -273,7 +275,8 @@ def is_scaled(fit: Fit, question: Question, choice: Choice) -> bool:
     if not unknowns.may_be_scaled(question):
         return False
     names = names_of("scale", fit.columns.joints)
-    return is_notable_scale(*posterior_of(fit, unknowns, names))
+    scales, covariance = posterior_of(fit, unknowns, names)
+    return is_notable_scale(scales, covariance)
 
 
 def posterior_of(
@@ -315,6 +318,19 @@ _CLEAR = 3.0
 _SAME_DIRECTION = 1.0 - 1e-9
 
 
+def _coupling_name(robot: RobotModel, ratios: Array) -> str:
+    """Return the name of a coupling with ratios (n,), such as "joint_5+0.5*joint_6"."""
+    text = ""
+    for joint, ratio in zip(robot.joint_names, ratios):
+        if ratio < 0.0:
+            text += "-"
+        elif ratio > 0.0 and text:
+            text += "+"
+        if ratio != 0.0:
+            text += joint if abs(ratio) == 1.0 else f"{abs(ratio):g}*{joint}"
+    return text
+
+
 def coupling(robot: RobotModel, ratios: Array, tendon: int | None = None) -> Coupling:
     """Return the coupling of a motor with several joints, named after them ("joint_5+joint_6").
 
@@ -323,13 +339,8 @@ def coupling(robot: RobotModel, ratios: Array, tendon: int | None = None) -> Cou
         tendon: MuJoCo id of the model's fixed tendon that is this motor, which gives the model's
             friction and rotor inertia; None where the model has none.
     """
-    text = ""
-    for joint, ratio in zip(robot.joint_names, ratios):
-        if ratio != 0.0:
-            size = "" if abs(ratio) == 1.0 else f"{abs(ratio):g}*"
-            sign = "-" if ratio < 0.0 else "+" if text else ""
-            text += f"{sign}{size}{joint}"
-    motor = Coupling(np.asarray(ratios, dtype=float), text)
+    name = _coupling_name(robot, ratios)
+    motor = Coupling(np.asarray(ratios, dtype=float), name)
     if tendon is None:
         return motor
     model = robot.mj_model
@@ -348,9 +359,12 @@ def couplings_of_model(robot: RobotModel) -> tuple[Coupling, ...]:
 
     A tendon without friction and rotor inertia is no motor, but a spring or a gripper's fingers.
     """
-    ratios = shared_motors(robot.mj_model, robot.dof_index)
-    motors = [coupling(robot, row, tendon) for tendon, row in ratios.items()]
-    return tuple(motor for motor in motors if np.any(motor.model))
+    motors = []
+    for tendon, ratios in shared_motors(robot.mj_model, robot.dof_index).items():
+        motor = coupling(robot, ratios, tendon)
+        if np.any(motor.model):
+            motors.append(motor)
+    return tuple(motors)
 
 
 def neighbours(robot: RobotModel) -> Iterator[Coupling]:
@@ -366,9 +380,9 @@ def neighbours(robot: RobotModel) -> Iterator[Coupling]:
 def couplings_of(
     robot: RobotModel, options: EstimationOptions
 ) -> tuple[tuple[Coupling, ...], tuple[Coupling, ...]]:
-    """Return (all couplings that get regressor columns, the last ones of them on trial).
+    """Return (all couplings that get regressor columns, which of them are offered, the last ones).
 
-    Couplings on trial are used only where the recordings show them (``select_couplings``).
+    Offered couplings are used only where the recordings show them (``select_couplings``).
     Couplings of the model and of the user's file are used without evidence. With torques of the
     last joint alone, which identify no coupling, there are only those of the user's file.
 
@@ -449,8 +463,10 @@ def _promising_couplings(
 ) -> list[tuple[Coupling, ...]]:
     """Return at most two sets of couplings: those of a fit and one of the two best offered motors.
 
-    Motors are compared with the noise of the fit and without bounds on friction, which is cheaper
-    than a fit of each. Motors that do not make the torques more likely are left out.
+    A motor's gain is the increase of the log marginal likelihood when its prior has its full width
+    in place of ``_ABSENT`` times that, which holds its parameters at zero. Gains are compared with
+    the noise of the fit and without bounds on friction, which is cheaper than a fit of each motor;
+    motors without a gain are left out.
     """
     present = fit.choice.couplings
     present_names = [motor.name for motor in present]
@@ -465,11 +481,12 @@ def _promising_couplings(
     )
     priors = [_motor_prior(fit, unknowns, motor) for motor in candidates]
     absent = [replace(prior, widened=_ABSENT) for prior in priors]
-    evidence_without = problem.log_evidence([*unknowns.groups, *absent])[1]
+    _, evidence_without = problem.log_evidence([*unknowns.groups, *absent])
     gains = []
     for k, prior in enumerate(priors):
         groups = [*unknowns.groups, *absent[:k], prior, *absent[k + 1 :]]
-        gains.append(problem.log_evidence(groups)[1] - evidence_without)
+        _, evidence_with = problem.log_evidence(groups)
+        gains.append(evidence_with - evidence_without)
     best = np.argsort(gains)[::-1][:2]
     return [(*present, candidates[k]) for k in best if gains[k] > 0.0]
 
@@ -477,8 +494,9 @@ def _promising_couplings(
 def _evidence_gain(fit: Fit, wider: Fit) -> float:
     """Return the increase of the log marginal likelihood by the last motor of a wider fit.
 
-    It is minus infinity where none of the motor's parameters is clearly not zero. The number of
-    independent samples follows from the residuals of the wider fit.
+    Each fit counts with its own noise, so that sum_j n_j log(noise_j / noise of the wider fit) is
+    added, n_j the number of independent samples, from the residuals of the wider fit. The result is
+    minus infinity where none of the motor's parameters is clearly not zero.
 
     Args:
         fit: without the motor.
@@ -500,11 +518,9 @@ def _evidence_gain(fit: Fit, wider: Fit) -> float:
     )
     counts = np.array(sample_counts(fit.evidence.total)) / correlation
     less_noise = float(counts @ np.log(fit.noise / wider.noise))
-    return (
-        problem.log_evidence(priors)[1]
-        - problem_without.log_evidence(fit.unknowns.groups)[1]
-        + less_noise
-    )
+    _, evidence_with = problem.log_evidence(priors)
+    _, evidence_without = problem_without.log_evidence(fit.unknowns.groups)
+    return evidence_with - evidence_without + less_noise
 
 
 def _motor_prior(fit: Fit, unknowns: Unknowns, motor: Coupling) -> NuisanceGroup:
@@ -515,17 +531,16 @@ def _motor_prior(fit: Fit, unknowns: Unknowns, motor: Coupling) -> NuisanceGroup
     ``LEAST_COULOMB`` of a joint's root mean square torque.
     """
     columns = fit.columns
-    turned = np.flatnonzero(motor.ratios)
     names = [name for name in motor.parameter_names if name in unknowns.estimated_names]
     sizes = []
     for name in names:
         term, _ = split_name(name)
         size = _LEAST
-        for joint in turned:
+        for joint in np.flatnonzero(motor.ratios):
             joint_name = columns.robot.joint_names[joint]
-            size = max(
-                size, abs(float(fit.values[columns.index[f"{term}[{joint_name}]"]]))
-            )
+            joint_value = float(fit.values[columns.index[f"{term}[{joint_name}]"]])
+            size = max(size, abs(joint_value))
+            # Root mean square of the motor's column in the joint's rows: torque per unit.
             rows = fit.evidence.total.joints[joint]
             column = rows.triangle[:, :-1][:, rows.columns == columns.index[name]]
             root = np.sqrt(max(rows.n_samples, 1))
@@ -549,15 +564,18 @@ def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:
     """
     names = robot.joint_names
     content = read_json(path, '--coupling takes JSON such as {"motor": {"joint": 1.0}}')
+    # What messages call a motor, to its entry in the file.
+    rows = dict[str, Any]()
     if isinstance(content, dict):
-        rows = {f"motor {name!r}": row for name, row in content.items()}
+        for name, entry in content.items():
+            rows[f"motor {name!r}"] = entry
     elif isinstance(content, list):
-        rows = {f"row {index + 1}": row for index, row in enumerate(content)}
+        for index, entry in enumerate(content):
+            rows[f"row {index + 1}"] = entry
     else:
-        rows = {"": content}
+        rows[""] = content
     motors = []
-    for label, entry in rows.items():
-        row: Any = entry
+    for label, row in rows.items():
         if isinstance(row, list) and len(row) == robot.n_joints:
             row = dict(zip(names, row))
         if not isinstance(row, dict) or not all(map(_is_number, row.values())):

@@ -3,7 +3,10 @@
 For equations Y x = tau the triangle R of [Y tau] = Q R contains all that least squares needs:
 normal matrix, residual and rank. Stacking a new chunk of rows under R and factorising again gives
 the triangle of all rows (Bierman, "Factorization Methods for Discrete Sequential Estimation", 1977,
-ch. IV), so memory does not grow with the number of samples. Noise stands for the standard deviation
+ch. IV), so memory does not grow with the number of samples. ``SquareRootInformation`` holds names
+of p parameters and per joint the indices (k,) of the parameters in its equations, and a triangle
+(k + 1, k + 1) whose last column is that of tau; its prior is equations [A b] (r, p + 1) of unit
+variance. Noise stands for the standard deviation
 of a joint's torque residual [N m]; the weight of the joint's rows is its inverse. Noise is iterated
 together with the solution.
 """
@@ -53,6 +56,8 @@ of the columns among all p + 1, the last one is p for the right-hand side."""
 
 def ordinary_noise(information: SquareRootInformation, solve: Solve) -> Array:
     """Return the noise (joints,) [N m], equal for all joints: that of ordinary least squares.
+
+    With a prior, noise and solution are computed from each other until the noise converges.
 
     Args:
         information: equations of all joints.
@@ -162,6 +167,8 @@ def _normal_solver(
         prior_rows: (r, p + 1) equations of the prior, of unit variance.
         prior: (p,) values that stay where nothing identifies a parameter.
     """
+    # Parameters are solved for in another order: ``order`` (p,) has their old indices, ``indices``
+    # (p + 1,) the new index of each parameter and of the right-hand side, which stays last.
     size = len(information.names)
     has_column = np.zeros((len(information.joints), size), dtype=bool)
     for row, joint in zip(has_column, information.joints):
@@ -174,6 +181,7 @@ def _normal_solver(
         blocks.append((indices[[*joint.columns, -1]], joint.triangle))
     blocks.append((indices, prior_rows))
     grams = []
+    # Per block its Gram matrix, and where that is added to the normal matrix (``stretches``).
     for at, rows in blocks:
         ordered = rows[:, np.argsort(at)]
         grams.append((ordered.T @ ordered, stretches(np.sort(at))))
@@ -217,6 +225,7 @@ def solve_normal(
     root = inverse_root(normal[:-1, :-1])
     if root is None:
         return None
+    # In coordinates y, x = G y: the gradient is ``steep``; the first direction has no predecessor.
     direction = np.zeros(len(root))
     previous = np.inf
     for _ in range(_MOST_ROUNDS):
@@ -252,8 +261,10 @@ def noise_floor(information: SquareRootInformation) -> float:
 
     The latter is the error of filtering, which nuisances would explain otherwise.
     """
-    squares = [np.sum(joint.triangle[:, -1] ** 2) for joint in information.joints]
-    rms = np.sqrt(float(sum(squares)) / max(information.n_samples, 1))
+    squares = 0.0
+    for joint in information.joints:
+        squares += np.sum(joint.triangle[:, -1] ** 2)
+    rms = np.sqrt(float(squares) / max(information.n_samples, 1))
     share = _NOISE_FLOOR if information.prior is None else _NOISE_FLOOR_WITH_PRIOR
     return float(share * rms) or 1.0
 
@@ -384,6 +395,7 @@ def normal_matrix(information: SquareRootInformation, weights: Array) -> Array:
     """
     normal = np.zeros((len(information.names) + 1,) * 2)
     blocks = information.equation_blocks(weights)
+    # A few blocks of rows at a time, in the columns that are not zero.
     while batch := list(islice(blocks, _TOGETHER)):
         rows = np.vstack(batch)
         at = np.flatnonzero(np.any(rows != 0.0, axis=0))
@@ -396,7 +408,7 @@ def normal_matrix(information: SquareRootInformation, weights: Array) -> Array:
 
 def eliminate_others(normal: Array, indices: NDArray[np.int64]) -> tuple[Array, Array]:
     """Return the normal equations (matrix (k, k), right-hand side (k,)) of some parameters, with
-    all others eliminated.
+    all others eliminated: the Schur complement of the others' block.
 
     Args:
         normal: (p + 1, p + 1) [A b]^T [A b] of all parameters.
@@ -424,13 +436,19 @@ def stretches(at: NDArray[np.int64]) -> list[tuple[Any, Any]]:
     Args:
         at: (k,) ascending indices of the larger matrix.
     """
+    # Runs of contiguous indices: positions in ``at`` where each begins and ends.
     ends = [0, *(np.flatnonzero(np.diff(at) != 1) + 1).tolist(), len(at)]
     runs = []
     for start, end in zip(ends, ends[1:]):
         if start < end:
             target = slice(int(at[start]), int(at[end - 1]) + 1)
             runs.append((slice(start, end), target))
-    return [tuple(zip(*pair)) for pair in product(runs, repeat=2)]
+    blocks: list[tuple[Any, Any]] = []
+    for (row_source, row_target), (column_source, column_target) in product(
+        runs, repeat=2
+    ):
+        blocks.append(((row_source, column_source), (row_target, column_target)))
+    return blocks
 
 
 def sample_counts(information: SquareRootInformation) -> Array:
@@ -452,7 +470,9 @@ def residual_errors(
         per joint name.
     """
     squared = information.squared_residuals(values)
-    samples = {joint.joint: joint.n_samples for joint in information.joints}
+    samples = {}
+    for joint in information.joints:
+        samples[joint.joint] = joint.n_samples
     rms = np.sqrt(squared / np.maximum(sample_counts(information), 1.0)).tolist()
     return {
         "rmse": float(np.sqrt(np.sum(squared) / max(information.n_samples, 1))),
@@ -470,11 +490,12 @@ def combine(blocks: Sequence[SquareRootInformation]) -> SquareRootInformation:
     if len(blocks) == 1:
         return blocks[0]
     joints = []
-    for of_blocks in zip(*[block.joints for block in blocks]):
-        rows = np.vstack([joint.triangle for joint in of_blocks])
+    for k, joint in enumerate(blocks[0].joints):
+        of_blocks = [block.joints[k] for block in blocks]
+        rows = np.vstack([block_joint.triangle for block_joint in of_blocks])
         triangle = update_triangle(rows[:0], rows)
-        count = sum(joint.n_samples for joint in of_blocks)
-        joints.append(replace(of_blocks[0], triangle=triangle, n_samples=count))
+        count = sum(block_joint.n_samples for block_joint in of_blocks)
+        joints.append(replace(joint, triangle=triangle, n_samples=count))
     return SquareRootInformation(blocks[0].names, tuple(joints), blocks[0].prior)
 
 
@@ -518,6 +539,7 @@ def restrict(
             remaining parameters do not count. Zeros by default.
     """
     is_free = np.isin(information.names, names)
+    # (p,) index of each remaining parameter among the remaining ones.
     new_index = np.cumsum(is_free) - 1
     joints = []
     for joint in information.joints:
