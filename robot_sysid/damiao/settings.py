@@ -311,6 +311,7 @@ class Plan:
     ripple: SamplingRipple | None = None
 
     def __post_init__(self) -> None:
+        """Complete the settings; InputError where the trajectory has fewer than two rows."""
         if len(self.trajectory.time) < 2:
             raise InputError(
                 f"{self.trajectory.path} needs at least two rows to be played"
@@ -321,7 +322,7 @@ class Plan:
 
     @property
     def duration(self) -> float:
-        """Time that the trajectory takes at the factor of its speed in the settings [s]."""
+        """Time that the trajectory takes to play [s]: the file's time over the speed factor."""
         return float(np.ptp(self.trajectory.time)) / self.settings.speed
 
     @property

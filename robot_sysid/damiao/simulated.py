@@ -508,7 +508,7 @@ def slcan_terminal() -> tuple[Any, str]:
         """The adapter's end of a line: frames are the same text both ways, commands are ignored."""
 
         def _recv_internal(self, timeout: float | None) -> tuple[Any, bool]:
-            # A client that was killed may leave a part of a line, which is no frame.
+            """Return the next frame or None; a killed client may leave half a line: no frame."""
             with contextlib.suppress(ValueError, IndexError):
                 return super()._recv_internal(timeout)
             return None, False

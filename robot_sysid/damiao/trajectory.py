@@ -102,12 +102,12 @@ class DamiaoTrajectory:
 
     @property
     def qdd(self) -> Array:
-        """Accelerations (N, n) of the velocities, at the file's speed [rad/s^2]."""
+        """Accelerations (N, n), the gradient of the velocities over the file's time [rad/s^2]."""
         return np.asarray(np.gradient(self.qd, self.time, axis=0))
 
     @property
     def slopes(self) -> Array:
-        """Slope (N - 1, n) of the positions between rows, at the file's speed [rad/s]."""
+        """Slopes (N - 1, n) of the positions over the file's time, from row to row [rad/s]."""
         return np.diff(self.q, axis=0) / np.diff(self.time)[:, None]
 
 

@@ -78,11 +78,13 @@ def renderer_library() -> str | None:
     """Return the graphics library that can draw without a screen, or None.
 
     Each is tried in a process of its own, which may crash. Where MUJOCO_GL names one, no other is
-    tried. The result is cached.
+    tried ("disable" names none). The result is cached.
     """
     library = os.environ.get("MUJOCO_GL", "").lower().replace("disable", "")
-    names = ("egl", "osmesa", "glfw") if sys.platform.startswith("linux") else ("glfw",)
-    for name in (library,) if library else names:
+    names = ["egl", "osmesa", "glfw"] if sys.platform.startswith("linux") else ["glfw"]
+    if library:
+        names = [library]
+    for name in names:
         call = [sys.executable, "-c", _PROBE, name]
         try:
             probe = subprocess.run(call, capture_output=True, timeout=60.0)

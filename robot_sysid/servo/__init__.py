@@ -333,12 +333,17 @@ def run_servo(
 def identify_servos(
     robot: RobotModel, logs: LogOptions, progress: Progress
 ) -> tuple[ServoIdentification, Motion]:
-    """Identify from logs; return the result and some of the logs' positions as poses at rest.
+    """Identify servos, friction and rotor inertia; return the result and poses from the logs.
 
     The poses are a motion (``_POSITIONS``, n) without velocity; the written model is checked there.
     The beginnings of the logs are fitted and their ends, or the validation log, are held out to
     compare the models. Numbers that the data does not show go back to the model's. At last the
     remaining numbers are fitted to the whole logs.
+
+    Args:
+        robot: the arm as in the model file.
+        logs: names the logs to fit, and the validation log if there is one.
+        progress: receives each stage.
     """
     names = robot.joint_names
 
@@ -370,12 +375,14 @@ def identify_servos(
     servos = servo_fit.search_servos(derivatives, start, progress)
     first_fit = servo_fit.estimate_errors(derivatives, every_number, servos)
     is_identified = first_fit.is_identified
+
     # Then only those that the data shows; the others are fixed at the model's.
     shown_numbers = replace(every_number, free=every_number.free & is_identified)
     if not np.array_equal(shown_numbers.free, every_number.free):
         start_servos = servo_fit.keep_model_values(robot, servos, ~is_identified)
         shown_numbers = replace(shown_numbers, start=start_servos)
         servos = servo_fit.search_servos(derivatives, shown_numbers, progress)
+
     old_servos = servo_fit.keep_model_values(robot, servos)
     rollout = play_servos(rollouts, held_out, (old_servos, servos), held_out_text)
     if validation_path is None:
@@ -383,6 +390,7 @@ def identify_servos(
         derivatives = ErrorDerivatives(make_problem(rollouts, pieces))
         shown_numbers = replace(shown_numbers, start=servos)
         servos = servo_fit.search_servos(derivatives, shown_numbers, progress)
+
     # The errors are those with all numbers free.
     fit = servo_fit.estimate_errors(derivatives, every_number, servos)
     fit = replace(fit, is_identified=is_identified)

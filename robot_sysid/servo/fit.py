@@ -264,13 +264,15 @@ def search_servos(
     evaluations = 0.0
 
     # scipy calls both with the unknowns (p,) and with ``args``: each joint's scale (n,) [rad] and
-    # the name of the stage. Rows are the M n errors over their scale, then the p of the prior.
+    # the name of the stage.
     def residuals(unknowns: Array, scale: Array, _: str) -> Array:
+        """Return the errors over their scale, then the prior's residuals (M n + p,)."""
         error = problem.errors([parametrisation.servos(unknowns)])[0] / scale
         prior = (unknowns - origin) / PRIOR_DEVIATION
         return np.concatenate((error.ravel(), prior))
 
     def jacobian(unknowns: Array, scale: Array, stage: str) -> Array:
+        """Return the derivative (M n + p, p) of the residuals by the unknowns; show progress."""
         nonlocal evaluations
         evaluations = min(evaluations + 1.0, MAX_EVALUATIONS - 0.5)
         progress.advance(stage, evaluations, MAX_EVALUATIONS, "")

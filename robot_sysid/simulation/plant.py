@@ -201,6 +201,7 @@ def _terminal_distance(robot: RobotModel, plant: RobotModel) -> float:
     """
 
     def terminal_position(arm: RobotModel, q: Array) -> Array:
+        """Return the position (3,) of an arm's terminal body at chain positions q (n,) [m]."""
         qpos = arm.reference_qpos.copy()
         qpos[arm.qpos_index] = q
         return np.array(data_at_pose(arm.mj_model, qpos).xpos[arm.body_id])
@@ -320,17 +321,17 @@ class ArmStepper:
         """
         h = self.timestep if duration is None else duration
         # Half of the last change of velocity stands for that up to the middle of this step.
-        mobility, bias = self._dynamics(
-            self.q + 0.5 * h * self.qd, self.qd + 0.5 * self._last_change
-        )
+        middle_q = self.q + 0.5 * h * self.qd
+        middle_qd = self.qd + 0.5 * self._last_change
+        mobility, bias = self._dynamics(middle_q, middle_qd)
         resistance = damping + self._viscous
         end_response, mean_response = _velocity_responses(mobility, resistance, h)
 
         load = torque - bias - resistance * self.qd
-        velocity, friction = self._resolve_dry_friction(
-            self.qd + end_response @ load, end_response
-        )
+        free_velocity = self.qd + end_response @ load
+        velocity, friction = self._resolve_dry_friction(free_velocity, end_response)
         mean_velocity = self.qd + mean_response @ (load - friction)
+        # A joint that comes to rest loses its velocity evenly.
         mean_velocity = np.where(velocity == 0.0, 0.5 * self.qd, mean_velocity)
 
         self._last_change = velocity - self.qd

@@ -545,7 +545,15 @@ class ServoWindow:
 
 
 class ServoRollouts:
-    """Rollouts of an arm behind servos, on one copy of its model, which meshes make large."""
+    """Rollouts of an arm behind servos, on one copy of its model, which meshes make large.
+
+    Args:
+        robot: the arm as in the model file.
+        timestep: of the model until ``positions`` sets that of its windows [s].
+
+    Attributes:
+        robot: as given.
+    """
 
     def __init__(self, robot: RobotModel, timestep: float = STEP) -> None:
         self.robot = robot

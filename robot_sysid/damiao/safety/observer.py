@@ -175,7 +175,7 @@ class Observer:
         self._change: EffortChange | None = None
 
     def update(self, replies: Replies) -> None:
-        """Add a cycle's replies: count missing answers and note which motors do not drive."""
+        """Count missing, doubted and surplus answers of a cycle; note slips and motors at fault."""
         unanswered = replies.requested & ~replies.answered
         self.missed = np.where(replies.answered, 0, self.missed + unanswered)
         self.silent = np.where(replies.answered, 0, self.silent + 1)
