@@ -3,6 +3,8 @@
 Shapes: the arm's chain has n joints; a fit has p parameters (``Columns.names``), of which k are
 estimated (``Unknowns.estimated``, ascending). A body has ten inertial parameters in the order of
 ``PARAMETER_NAMES``: mass [kg], first moments [kg m], inertia about its frame's origin [kg m^2].
+Parameters of joints, motors and torque sensors are named "term[joint]"; those of bodies, tilt and
+delay have no brackets.
 """
 
 from __future__ import annotations
@@ -134,7 +136,8 @@ class Answer:
             theta: (10,) estimated values of the body's parameters.
             model_theta: (10,) the body's parameters in the model; None where the model lacks it.
         """
-        covariance, noise, budget = self.errors.of(combinations, theta)
+        covariance, noise_errors, budget = self.errors.of(combinations, theta)
+        # The mean share of the estimated values that a parameter is made of.
         weight = np.abs(combinations)
         share = weight @ self.share / np.maximum(np.sum(weight, axis=1), 1e-300)
         return BodyEstimate(
@@ -142,7 +145,7 @@ class Answer:
             inertial=InertialParameters(theta),
             covariance=covariance,
             is_determined=self.errors.are_identified(combinations),
-            noise_errors=noise,
+            noise_errors=noise_errors,
             budget=budget,
             data_share=np.clip(share, 0.0, 1.0),
             prior=None if model_theta is None else InertialParameters(model_theta),
@@ -150,14 +153,15 @@ class Answer:
 
     def links(self) -> Iterator[BodyEstimate]:
         """Yield the estimate of every link whose parameters were estimated, base to terminal."""
-        links = {link.body_name: k for k, link in enumerate(self.robot.links)}
+        # Of several joints that move one body, the last one stands here.
+        link_indices = {link.body_name: k for k, link in enumerate(self.robot.links)}
         for name, (indices, _) in self.fit.unknowns.bodies.items():
-            if name in links:
-                joint = links[name]
+            if name in link_indices:
+                link_index = link_indices[name]
                 theta = self.fit.values[indices]
-                model_theta = self.robot.links[joint].theta
+                model_theta = self.robot.links[link_index].theta
                 body = self.body(name, self._select(indices), theta, model_theta)
-                yield replace(body, joint=self.robot.joint_names[joint])
+                yield replace(body, joint=self.robot.joint_names[link_index])
 
     def quantity(self, name: str) -> Quantity:
         """Return a named parameter in SI units with its standard error.
@@ -175,7 +179,8 @@ class Answer:
     def joints(self) -> Iterator[tuple[str, JointEstimate]]:
         """Yield (name, friction and rotor inertia) of each chain joint, base to terminal.
 
-        The motors that turn several joints follow.
+        The motors that turn several joints follow. Of these, the model has friction and rotor
+        inertia only where it states the motor as a fixed tendon.
         """
         robot = self.robot
         choice = self.fit.choice
@@ -222,8 +227,8 @@ class Answer:
         names = []
         for name in (*unknowns.estimated_names, *unknowns.names_at_bound):
             term, owner = split_name(name)
-            is_sensor = not owner or term in ("scale", "zero", "drift")
-            if not is_sensor and name not in unknowns.nuisance_friction:
+            is_friction = owner and term not in ("scale", "zero", "drift")
+            if is_friction and name not in unknowns.nuisance_friction:
                 names.append(name)
         return names
 
@@ -250,14 +255,15 @@ class Answer:
         if level not in terms or "offset" not in terms or np.isnan(terms[level].error):
             return None
         selection = self.selection_matrix([f"{level}[{joint}]", f"offset[{joint}]"])
-        variances = np.diag(_SIGNS @ self.errors.of(selection)[0] @ _SIGNS.T)
+        covariance, *_ = self.errors.of(selection)
+        variances = np.diag(_SIGNS @ covariance @ _SIGNS.T)
         spread = np.sqrt(np.maximum(variances, 0.0))
         values = _SIGNS @ [terms[level].value, terms["offset"].value]
         forward, backward = map(Quantity, values.tolist(), spread.tolist())
         return forward, backward
 
-    def body_names(self) -> set[str]:
-        """Return the names of all estimated parameters of bodies."""
+    def body_parameter_names(self) -> set[str]:
+        """Return the names of all estimated parameters of bodies: links and payload."""
         names = set[str]()
         for indices, _ in self.fit.unknowns.bodies.values():
             names.update(self.fit.columns.names[k] for k in indices)
@@ -269,7 +275,7 @@ class Answer:
         These are torque scales, encoder zeros, drift, tilt and delay. Friction terms that only a
         prior allows for, which are not in the friction model, are among them, too.
         """
-        excluded = self.body_names().union(self._friction_names)
+        excluded = self.body_parameter_names().union(self._friction_names)
         names = self.fit.unknowns.estimated_names
         return {name: self.quantity(name) for name in names if name not in excluded}
 
@@ -283,27 +289,23 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
     assert file is not None and file.model_validation is not None
     fit = file.fit
     robot = answer.robot
+    unchanged_parts = fit.question.unchanged_parts
     thetas = fit.columns.thetas(fit.values)
     spread = np.zeros_like(thetas)
     for body in file.links():
         spread[robot.joint_names.index(str(body.joint))] = body.errors
     joints = {}
     notes = []
-    unchanged_parts = fit.question.unchanged_parts
-    for owner, joint in file.joints():
-        written = dict(joint.terms)
-        written.pop("offset", None)
-        rotor = joint.model_terms.get("armature", 0.0)
-        if fit.choice.rotors.get(owner, rotor) != rotor:
-            written["armature"] = answer.quantity(f"armature[{owner}]")
-        if written:
-            joints[owner] = written
+    for owner, terms in _file_terms(answer, file):
+        if terms:
+            joints[owner] = terms
         elif owner in robot.joint_names and FILE_FRICTION not in unchanged_parts:
             notes.append(
                 f"{owner} does not move fast enough in these logs: nothing is learnt of its "
                 "friction and rotor inertia, the model's own stay"
             )
     notes += _offset_notes(file)
+    # None, where gravity was not estimated or has not changed, keeps the file's own.
     gravity = None
     if fit.unknowns.increments:
         gravity = fit.next_point.gravity
@@ -336,10 +338,29 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
     return written_file, tuple(notes)
 
 
+def _file_terms(
+    answer: Answer, file: Answer
+) -> Iterator[tuple[str, dict[str, Quantity]]]:
+    """Yield (joint or motor, its friction terms and rotor inertia in the model file).
+
+    The fit for a file holds rotors that ``answer``, the fit of all effects, has estimated. Such a
+    rotor is written, with its error, where it differs from the model's. A torque sensor's offset is
+    not friction, and is not written.
+    """
+    for owner, joint in file.joints():
+        terms = dict(joint.terms)
+        terms.pop("offset", None)
+        model_rotor = joint.model_terms.get("armature", 0.0)
+        if file.fit.choice.rotors.get(owner, model_rotor) != model_rotor:
+            terms["armature"] = answer.quantity(f"armature[{owner}]")
+        yield owner, terms
+
+
 def _offset_notes(file: Answer) -> Iterator[str]:
     """Yield a sentence on torque offsets where they are larger than a model file's held-out error.
 
-    No model file can hold such offsets of torque sensors.
+    No model file can hold such offsets of torque sensors. Offsets that are not significant, which
+    ``Choice.offsets`` lists, do not count.
 
     Args:
         file: the fit for the model file, with its errors and held-out error.
@@ -387,13 +408,14 @@ def estimate_of(answer: Answer) -> Estimate:
     """Return all k estimated parameters and their errors as a record.
 
     The parameters of interest come first: the terminal link, a payload, friction, an estimated
-    delay and tilt. The nuisances follow: the other links, and the sensors.
+    delay and tilt. The nuisances follow: the other links, and the sensors. A delay or tilt that
+    only a prior allows for is no increment of the linearisation point, and a nuisance.
     """
     fit = answer.fit
     errors = answer.errors
     names = fit.unknowns.estimated_names
     increments = {DELAY_NAME, *TILT_NAMES}.intersection(fit.unknowns.increments)
-    links = answer.body_names().difference(PARAMETER_NAMES)
+    links = answer.body_parameter_names().difference(PARAMETER_NAMES)
     nuisances = links.union(answer.sensors()) - increments
     # Sorting is stable: both groups keep their order.
     order = sorted(range(len(names)), key=lambda k: names[k] in nuisances)
@@ -423,25 +445,31 @@ _UNIT_LENGTH = 0.3
 def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
     """Return the base parameters of all links that the data identifies, with standard errors.
 
+    Links that are held, not estimated, add nothing to these errors.
+
     Args:
         errors: of the k estimated parameters of the fit.
     """
-    names = fit.columns.bodies()
-    order = np.sort(np.concatenate([names[n] for n in names if n != "payload"]))
+    indices_by_body = fit.columns.bodies()
+    del indices_by_body["payload"]
+    # Indices of the links' parameters among all p: the columns that are combined.
+    order = np.sort(np.concatenate(list(indices_by_body.values())))
     unknowns = fit.unknowns
-    data = fit.evidence.total.equation_blocks
-    rows = triangle_of(block[:, order] for block in data(fit.weights))
-    combinations = base_combinations(rows, parameter_scale(len(order) // 10))
+    # Rows [A b] (m, p + 1) of each joint, of unit variance.
+    blocks = list(fit.evidence.total.equation_blocks(fit.weights))
+    rows = triangle_of(block[:, order] for block in blocks)
+    combinations = base_combinations(rows, parameter_scale(len(indices_by_body)))
     others = np.setdiff1d(unknowns.estimated, order)
-    inside = np.flatnonzero(np.isin(order, unknowns.estimated))
-    change = combinations.matrix[:, inside]
-    at = np.searchsorted(unknowns.estimated, order[inside])
-    spread = change @ errors.total.covariance[np.ix_(at, at)] @ change.T
+    is_estimated = np.isin(order, unknowns.estimated)
+    weights = combinations.matrix[:, is_estimated]
+    positions = np.searchsorted(unknowns.estimated, order[is_estimated])
+    covariance = errors.total.covariance[np.ix_(positions, positions)]
+    spread = weights @ covariance @ weights.T
     # Priors of sensors are needed: free torque scales would explain all torques by themselves.
-    blocks = list(data(fit.weights))
     for group in unknowns.groups:
         if group.cause != LINKS:
             blocks.append(group.prior_rows(fit.columns.names))
+    # Columns: all other unknowns, the right-hand side (the last of a block), one per combination.
     selected = np.concatenate((others, [-1], order[combinations.leading]))
     rows = triangle_of(block[:, selected] for block in blocks)
     nuisance_columns, right_side, base_columns = np.split(
@@ -469,8 +497,8 @@ def parameter_scale(links: int) -> Array:
 def structural_base(robot: RobotModel) -> BaseCombinations:
     """Return the base parameters that torques of all joints can identify with the best motion.
 
-    They are computed from the regressor of random poses, speeds and accelerations. The parameters
-    are the ten of each link with mass, base to terminal.
+    They are computed from the regressor of random poses, speeds and accelerations; its seed is
+    fixed. The parameters are the ten of each link with mass, base to terminal.
     """
     rng = np.random.default_rng(0)
     shape = (_RANDOM_POSES, robot.n_joints)

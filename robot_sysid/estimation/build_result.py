@@ -97,6 +97,7 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
     notes = answer.notes
     common = _common(answer, data)
     independent_share = common.estimate.independent_share
+    # Pairs (verdict, reason); the verdict of the first one counts.
     findings = [*find_misfits(fit, tests, answer.acceleration_error, independent_share)]
     share, sentence = unexplained_share(fit, independent_share)
     notes += (sentence,) if share > UNUSUAL else ()
@@ -105,22 +106,27 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
     identifiability = common.estimate.identifiability
     is_full = identifiability.rank >= identifiability.n_parameters
     verdict = Verdict.OK if is_full else Verdict.PARTLY_FROM_MODEL
-    judged = _file_verdict(answer)
-    if judged is not None:
-        file, more = model_file(answer)
-        notes += more
+    judgement = _file_verdict(answer)
+    if judgement is not None:
+        file, file_notes = model_file(answer)
+        notes += file_notes
         findings += implausible_links(robot, file.thetas)
-        findings += [] if judged[0].is_trustworthy else [judged]
-        verdict = judged[0]
+        verdict, _ = judgement
+        if not verdict.is_trustworthy:
+            findings.append(judgement)
     status, reasons = first(findings, verdict)
     if share > UNEXPLAINED:
-        better = status is Verdict.BETTER
-        status = (
-            Verdict.TORQUES_ONLY if better else first(findings, Verdict.UNEXPLAINED)[0]
-        )
+        if status is Verdict.BETTER:
+            status = Verdict.TORQUES_ONLY
+        else:
+            status, _ = first(findings, Verdict.UNEXPLAINED)
         reasons = (*reasons, sentence)
     contradicted = tuple(wrong_links(links[:-1]))
     notes += tuple(map(_wrong_link_line, contradicted))
+    all_notes = (*robot.notes, *notes, *_result_notes(answer, file))
+    base = None
+    if fit.columns.torques != "terminal":
+        base = base_parameters(fit, answer.errors)
     return replace(
         common,
         verdict=status,
@@ -129,12 +135,8 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
         wrong_links=contradicted,
         file=file,
         validation=tests,
-        notes=tuple(
-            dict.fromkeys((*robot.notes, *notes, *_result_notes(answer, file)))
-        ),
-        base=None
-        if fit.columns.torques == "terminal"
-        else base_parameters(fit, answer.errors),
+        notes=tuple(dict.fromkeys(all_notes)),
+        base=base,
     )
 
 
@@ -161,7 +163,7 @@ def _file_verdict(answer: Answer) -> Judgement | None:
 def _common(answer: Answer, data: DataOrigin) -> Result:
     """Return a result with the fields that do not depend on whether a payload is identified.
 
-    Its verdict is a placeholder that callers replace.
+    Its verdict, ``Verdict.OK``, is a placeholder that callers replace.
     """
     fit = answer.fit
     robot = answer.robot
@@ -213,6 +215,7 @@ def _result_notes(answer: Answer, file: ModelFile | None) -> Iterator[str]:
         if motor.tendon is None:
             why = "as given" if is_given else "the torques give clear evidence of it"
             yield f"a motor turns with {motor.name}: {why}"
+    # A group is the prior of the parameters with one cause of error.
     for group in answer.fit.unknowns.groups:
         if group.may_widen and group.widened > WIDER:
             yield (
@@ -251,25 +254,28 @@ def payload_of(
     fit = answer.fit
     robot = answer.robot
     known_mass = fit.question.known_mass
+    # Judged is the payload before bodies were made consistent: that step hides a negative mass.
     free = _payload(weighed, flange, weighed.fit.free)
-    contradicting = contradiction(weighed.fit, flange)
-    findings = list(judge_payload(robot, free, contradicting, weighed.validation))
+    sentence = contradiction(weighed.fit, flange)
+    findings = list(judge_payload(robot, free, sentence, weighed.validation))
     if known_mass is not None:
         findings = list(judge_known_mass(findings, free.inertial.mass, known_mass))
     status, reasons = first(findings, Verdict.OK)
-    values = (fit.values if status.is_trustworthy else fit.free).copy()
-    unknown = ""
+    values = fit.free.copy()
+    unknown_inertia = ""
     if status.is_trustworthy:
-        values[fit.columns.indices(PAYLOAD_NAMES)], unknown = written_payload(answer)
-        unknown = Detail(unknown)
+        values = fit.values.copy()
+        theta, unknown_inertia = written_payload(answer)
+        values[fit.columns.indices(PAYLOAD_NAMES)] = theta
     scatter = payloads_by_recording(weighed.fit, flange) if known_mass is None else ()
     payload = _payload_estimate(answer, flange, values, scatter)
-    if unknown:
+    notes = (*robot.notes, *answer.notes)
+    if unknown_inertia:
         payload = _without_inertia(payload)
         status = Verdict.INERTIA_NOT_KNOWN if known_mass is None else status
+        notes += (Detail(unknown_inertia),)
     file, file_notes = _arm_file(answer)
-    notes = (*robot.notes, *answer.notes, *([unknown] if unknown else []), *file_notes)
-    notes += tuple(_result_notes(answer, file))
+    notes += (*file_notes, *_result_notes(answer, file))
     return replace(
         _common(answer, data),
         verdict=status,
@@ -319,11 +325,13 @@ def _without_inertia(payload: Payload) -> Payload:
     This holds for the payload and for the terminal link with the payload.
     """
     is_first = np.arange(10) < 4  # mass and first moments
-    body, total = (
-        replace(body, is_determined=body.is_determined & is_first)
-        for body in (payload.body, payload.total)
+    body = replace(
+        payload.body,
+        is_determined=payload.body.is_determined & is_first,
+        data_share=payload.body.data_share * is_first,
     )
-    body = replace(body, data_share=body.data_share * is_first)
+    is_determined = payload.total.is_determined & is_first
+    total = replace(payload.total, is_determined=is_determined)
     return replace(payload, body=body, total=total)
 
 
@@ -333,12 +341,14 @@ def _arm_file(answer: Answer) -> tuple[ModelFile | None, tuple[str, ...]]:
     The file is None where none was fitted, or where it predicts no better than the given model; a
     note says so in the second case.
     """
-    judged = _file_verdict(answer)
-    if judged is None or judged[0].is_trustworthy:
-        return (None, ()) if judged is None else model_file(answer)
-    return None, (
-        f"the written model is the arm's own with the payload on it: {judged[1]}",
-    )
+    judgement = _file_verdict(answer)
+    if judgement is None:
+        return None, ()
+    verdict, reason = judgement
+    if verdict.is_trustworthy:
+        return model_file(answer)
+    note = f"the written model is the arm's own with the payload on it: {reason}"
+    return None, (note,)
 
 
 def _payload(answer: Answer, flange: Flange, values: Array) -> BodyEstimate:
@@ -347,6 +357,7 @@ def _payload(answer: Answer, flange: Flange, values: Array) -> BodyEstimate:
     Args:
         values: (p,) of all parameters, from which the payload is taken.
     """
+    # The change of frame is linear: its matrix has the images of the ten unit bodies as columns.
     to_flange = np.stack(list(map(flange.to_flange, np.eye(10))), axis=1)
     theta = to_flange @ values[answer.fit.columns.indices(PAYLOAD_NAMES)]
     combinations = to_flange @ answer.selection_matrix(PAYLOAD_NAMES)
@@ -357,7 +368,7 @@ def _link(answer: Answer, values: Array, loaded: bool) -> BodyEstimate:
     """Return the terminal link with its errors, in the frame of its body.
 
     Args:
-        values: (p,) of all parameters, from which the link is taken.
+        values: (p,) of all parameters, the first ten those of the link.
         loaded: whether the payload is part of the link.
     """
     combinations = answer.selection_matrix(PARAMETER_NAMES)
@@ -384,7 +395,7 @@ def make_traces(
     """Return the measured and the predicted torques of all logs, one log after the other.
 
     Args:
-        samples: equations of each log.
+        samples: equations of each log, at least of one; all logs have the same parameter names.
         motions: motion of each log, which is interpolated here to the instants of its equations.
         estimate: parameter name to estimated value; missing parameters are zero.
         prior: parameter name to the model's value; missing parameters are zero.
@@ -405,7 +416,7 @@ def make_traces(
             pieces.append(np.column_stack(interpolated))
         return np.concatenate(pieces)
 
-    def products(values: Mapping[str, float]) -> Array:
+    def predict(values: Mapping[str, float]) -> Array:
         """Return the torque (K, joints) of all rows that named parameters make [N m]."""
         coefficients = np.array([values.get(name, 0.0) for name in samples[0].names])
         torques = [np.stack(log.torque(coefficients), axis=1) for log in samples]
@@ -427,9 +438,9 @@ def make_traces(
         qd=interpolate_motion("qd"),
         measured=np.where(np.isfinite(right_sides), measured, np.nan),
         # A right-hand side lacks the torque that depends on no parameter: it is added back.
-        predicted=measured - right_sides + products(estimate),
-        prior_prediction=measured - right_sides + products(prior),
-        friction=products(friction),
+        predicted=measured - right_sides + predict(estimate),
+        prior_prediction=measured - right_sides + predict(prior),
+        friction=predict(friction),
         limits=JointLimits(
             limits.lower[indices],
             limits.upper[indices],

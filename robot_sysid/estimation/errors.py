@@ -1,7 +1,11 @@
 """Covariance of the estimated parameters, cause by cause.
 
-Shapes: a fit has p parameters (``Columns.names``), of which k are estimated; "joints" counts the
-joints that have equations; an equation of joint j reads Y_j x = tau_j and has weight W_j.
+Shapes: a fit has p parameters (``Columns.names``), of which k are estimated, in the order of
+``Unknowns.estimated_names``; "joints" counts the joints that have equations; an equation of joint j
+reads Y_j x = tau_j and has weight W_j = w_j^2, w_j = 1 / effective noise (``Fit.weights``). The
+matrix C (k, k) is the inverse of the normal matrix sum_j Y_j^T W_j Y_j, with that of the priors
+added. A prior (``NuisanceGroup``) belongs to one cause of error; F is its ``factor``, and its
+covariance (widened F) (widened F)^T.
 
 The low-pass of positions is one of the causes. Equations stay right under a filter that both their
 sides pass (``signals.low_pass``), but positions x pass one of their own, F, before velocities are
@@ -113,7 +117,8 @@ class FitErrors:
         covariance = (
             used_combinations @ self.total.covariance[block] @ used_combinations.T
         )
-        noise = used_combinations @ self.total.noise[block]
+        # The diagonal of U N U^T is the sum over each row of (U N) * U.
+        noise_products = used_combinations @ self.total.noise[block] * used_combinations
         budget = {}
         for cause, rows in self.causes.items():
             if cause != COMMON:
@@ -122,7 +127,7 @@ class FitErrors:
         if self.common and theta is not None:
             covariance = covariance + self.common**2 * np.outer(theta, theta)
             budget[SCALES] = np.hypot(budget[SCALES], self.common * np.abs(theta))
-        return covariance, standard_errors(noise * used_combinations), budget
+        return covariance, standard_errors(noise_products), budget
 
     def are_identified(self, combinations: Array) -> NDArray[np.bool_]:
         """Tell (m,) whether each of m combinations (m, k) contains identified parameters only."""
@@ -133,6 +138,8 @@ class FitErrors:
 
     def share(self, fit: Fit) -> Array:
         """Return the share (k,), 0 to 1, of each estimated value that comes from data, not priors.
+
+        Of a parameter with a prior, it is at most the share by which data reduces the variance.
 
         Args:
             fit: the fit whose errors these are.
@@ -156,22 +163,26 @@ def fit_errors(
     Args:
         residuals: sums over lags of each joint's residuals, from which the autocorrelation of noise
             follows; if empty, they are computed from the fit's rows. Without rows, noise is white.
-        pull: (joints, p) of ``filtering_bias``; None computes it from the fit's rows.
+        pull: (joints, p) sums Y_j^T d_j of ``filtering_bias``; None computes them from the rows.
     """
     if pull is None:
         point = replace(fit.point, values=fit.values)
         pull = filtering_bias(fit.columns, point, fit.samples)
+
+    # Noise and priors, then causes without a prior, then the steps to consistent bodies.
     total = _noise_errors(fit, residuals)
     names = fit.unknowns.estimated_names
     causes = {}
     for group in fit.unknowns.groups:
         causes[group.cause] = group.covariance_rows(names, total.inverse)
     conflicts = _conflicts(fit, total.effective)
+
     bias = total.inverse @ (fit.weights**2 @ pull[:, fit.unknowns.estimated])
     further = _further_causes(fit, total.inverse, causes, conflicts)
-    for name, rows in (*further, (FILTERING, bias[None])):
-        causes[name] = np.vstack((causes.get(name, rows[:0]), rows))
+    for cause, rows in (*further, (FILTERING, bias[None])):
+        causes[cause] = np.vstack((causes.get(cause, rows[:0]), rows))
         total = total.with_cause(rows.T @ rows)
+
     if not (fit.question.in_file or fit.question.loaded):
         parameters, usual_body = fit.unknowns.bodies[fit.columns.robot.body_name]
         indices = np.searchsorted(fit.unknowns.estimated, parameters)
@@ -226,6 +237,7 @@ def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
         values = fit.values[fit.unknowns.estimated]
         root = space.inverse_root()
         residuals = collect_residuals(information, fit.rows, values, root, weights)
+    # Repeated motion counts as additional variance: it inflates the autocovariances ``products``.
     inflated = []
     for joint, inflation in zip(residuals, fit.inflation):
         inflated.append(replace(joint, products=inflation * joint.products))
@@ -238,6 +250,8 @@ def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
 
 def _conflicts(fit: Fit, effective: Sequence[float]) -> tuple[PriorConflict, ...]:
     """Return the causes of error that are larger than their priors allow, by more than chance.
+
+    The noise of a row is enlarged by the square root of the rows per independent sample.
 
     Args:
         effective: (joints,) number of independent samples. The autocorrelation of the residuals
@@ -262,6 +276,9 @@ def _further_causes(
 
     A prior that the data contradicts is widened until they agree. A common torque scale in the fit
     may be zero in truth. A parameter at its bound counts as free: noise may have pushed it there.
+    With the parts N of the normal matrix for estimated (e) and bound (b) parameters, a change x_b
+    of the latter moves the estimate by -C N_eb x_b, and its covariance is the inverse of
+    N_bb - N_be C N_eb; directions that the data does not determine are left out.
 
     Args:
         inverse: (k, k) inverse of the information of data and priors.
@@ -292,7 +309,8 @@ def _scaled_friction(fit: Fit) -> Array:
     """Return the errors (joints, k) of friction and rotor inertia due to each joint's torque scale.
 
     The regressor column of a scale is the torque of the links alone, so that friction and rotors
-    are estimated in units of the sensor: their relative error is that of the scale.
+    are estimated in units of the sensor: their relative error is that of the scale. The term "load"
+    is a share of the links' torque and has no unit.
     """
     spread = scale_spread(fit.columns, fit.question.options, fit.question.loaded)
     names = fit.unknowns.estimated_names
@@ -312,17 +330,21 @@ def _common_scale_change(fit: Fit) -> Array:
 
     The models with and without one are weighted by their evidence (Hoeting, Madigan, Raftery,
     Volinsky, "Bayesian model averaging: a tutorial", Statistical Science 14(4), 1999, eq. 1, 2).
+    They differ in the prior of the torque scales alone.
     """
     unknowns = fit.unknowns
     choice = replace(fit.choice, common_scale=0.0)
     data = fit.evidence
     plain = data.unknowns(fit.columns, fit.question, choice)
     groups = [group for group in unknowns.groups if group.cause != SCALES]
-    posterior = WithPriors(data.of(unknowns), 1.0 / fit.weights).log_evidence
-    values, evidence = posterior([*groups, *unknowns.groups_of(SCALES)])
-    plain_values, plain_evidence = posterior([*groups, *plain.groups_of(SCALES)])
-    share = 1.0 / (1.0 + np.exp(min(np.nan_to_num(evidence - plain_evidence), _SURE)))
-    return np.asarray(np.sqrt(share) * (values - plain_values))[None]
+    problem = WithPriors(data.of(unknowns), 1.0 / fit.weights)
+    values, evidence = problem.log_evidence([*groups, *unknowns.groups_of(SCALES)])
+    plain_values, plain_evidence = problem.log_evidence(
+        [*groups, *plain.groups_of(SCALES)]
+    )
+    log_odds = min(np.nan_to_num(evidence - plain_evidence), _SURE)
+    plain_share = 1.0 / (1.0 + np.exp(log_odds))
+    return np.asarray(np.sqrt(plain_share) * (values - plain_values))[None]
 
 
 def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals]:
@@ -344,6 +366,7 @@ def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals
         unknowns.estimated, fit.columns.indices(unknowns.names_at_bound)
     )
     all_unknowns = replace(unknowns, estimated=indices)
+    # G (k, r) with C = G G^T, among all p parameters; zero for parameters at their bounds.
     inverse_root = joint_space(fit.information, weights).inverse_root()
     root = np.zeros((len(fit.columns.names), inverse_root.shape[1]))
     root[unknowns.estimated] = inverse_root
@@ -352,7 +375,9 @@ def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals
     )
     rows = EstimatedRows((samples,), all_unknowns)
     values = fit.values[indices]
-    sums = collect_residuals(information, rows, values, root[indices], weights, True)
+    sums = collect_residuals(
+        information, rows, values, root[indices], weights, to_add=True
+    )
     return [replace(joint, columns=indices[joint.columns]) for joint in sums]
 
 
@@ -384,12 +409,13 @@ def _common_scale_error(fit: Fit) -> float:
     """Return the standard deviation of a relative error that all torque scales share.
 
     It is zero unless the fit holds the mean of all scales (cause ``COMMON``), which data does not
-    determine.
+    determine; the error of that mean is then that of its prior.
     """
-    if fit.unknowns.groups_of(COMMON):
-        for scale in fit.unknowns.groups_of(SCALES):
-            return scale.widened * common_error(np.diag(scale.factor))
-    return 0.0
+    scale_priors = fit.unknowns.groups_of(SCALES)
+    if not scale_priors or not fit.unknowns.groups_of(COMMON):
+        return 0.0
+    (scales,) = scale_priors
+    return scales.widened * common_error(np.diag(scales.factor))
 
 
 def filtering_bias(
@@ -410,6 +436,7 @@ def filtering_bias(
         signals = dataset.remove_delay(point.delay).signals
         if signals is None:
             continue
+        # Indices of the recording's rows, the ends left out, and the motion low-passed twice there.
         rows, second = signals.refiltered_motion
         first = signals.motion(signals.low_pass.centres(len(signals))[rows])
         same_direction = np.sign(first.qd) == np.sign(second.qd)
@@ -429,8 +456,10 @@ def _torques(equations: Equations, motion: Motion, values: Array) -> list[Array]
     """Return the torque (K,) of each joint along a motion [N m], computed in pieces of the motion.
 
     Args:
+        equations: of the arm; each joint has rows in some of the parameters, and right-hand sides.
         values: of the parameters of the equations, in their order.
     """
+    # Size of the rows of all joints at one instant, by which the motion is split.
     width = motion.q.shape[1] * len(values)
     pieces = []
     for time, q, qd, qdd in split_motion(width, *vars(motion).values()):

@@ -49,7 +49,9 @@ def fit_file(
 ) -> Answer:
     """Return the fit of the model file that predicts held-out torques best.
 
-    Motors that turn several joints are fixed tendons, which only an MJCF has.
+    Motors that turn several joints are fixed tendons, which only an MJCF has. For a URDF of an arm
+    with such motors, the answer is the fit of an MJCF, and its own ``file`` that of the URDF
+    beside it, without the motors.
 
     Args:
         fitter: fits the recordings; its cached rows are replaced.
@@ -57,7 +59,8 @@ def fit_file(
         unchanged_parts: names of the parts of the file that stay as they are, such as
             ``FILE_FRICTION``.
         estimate: a fit of all effects, at which the search starts; rotors are taken from it.
-        pull: (joints, p) sum of ``errors.filtering_bias``; None computes it from the rows.
+        pull: (joints, p) sums of ``errors.filtering_bias``, for the error due to the low-pass of
+            positions; None computes them from the rows.
         carried: the payload (10,) of loaded recordings; None without one.
     """
     robot = fitter.columns.robot
@@ -86,16 +89,19 @@ def _fit_kind(
     estimate: Fit,
     pull: Array | None,
 ) -> Answer:
-    """Return the best file of the kind ``question.file_kind``.
+    """Return the best file of the kind ``question.file_kind``, "mjcf" or "urdf".
+
+    A first linearisation selects friction, the uncertainty of links, offsets and whether gravity
+    is turned; a second fit of the selected parameters is the answer.
 
     Args:
         motors: motors that turn several joints, which the file holds.
         estimate: a fit of all effects, at which the search starts; rotors are taken from it.
-        pull: (joints, p) sum of ``errors.filtering_bias``; None computes it from the rows.
+        pull: (joints, p) sums of ``errors.filtering_bias``; None computes them from the rows.
     """
     columns = fitter.columns
     rotors = select_rotors(estimate) if _holds_rotors(question) else {}
-    friction = _friction(columns.robot, question, rotors, IN_FILE)
+    friction = _friction_terms(columns.robot, question, rotors, IN_FILE)
     choice = Choice(friction, motors, rotors=rotors)
     # Parameters that a file cannot hold go back to the model's values.
     values = estimate.values.copy()
@@ -106,11 +112,14 @@ def _fit_kind(
             values[index] = columns.model_values[index]
     point = replace(columns.start(), values=values, in_file=True)
     model_validation = _validate_model(fitter, question, choice, point)
+
     fit = fitter.fit(question, choice, point, rounds=1)
     judge = held_out(fit)
     choice = _add_polynomials(judge, fit, question, choice)
     choice = predictive_link_scales(judge, fit, question, choice)
     choice = select_offsets(fit, question, choice)
+
+    # Gravity, the only increment in a file, is turned only where that clearly predicts better.
     final_question = question
     start = fit.next_point
     rounds = _ROUNDS
@@ -123,9 +132,12 @@ def _fit_kind(
             final_question = level
             start = point
             rounds = 1
+
     # Gram matrices and rows go before others are made: each takes most of the memory.
     del judge, fit
-    fit = replace(fitter.fit(final_question, choice, start, rounds), question=question)
+    fit = fitter.fit(final_question, choice, start, rounds)
+    # Results list the parts that the caller asked to keep; gravity that is right is not one.
+    fit = replace(fit, question=question)
     judge = held_out(fit, fit.unknowns)
     validation = judge.validation(judge.consistent_squared_errors(fit.unknowns))
     del judge
@@ -146,7 +158,7 @@ def _holds_rotors(question: Question) -> bool:
     return not is_kept and question.file_kind != "urdf"
 
 
-def _friction(
+def _friction_terms(
     robot: RobotModel, question: Question, rotors: Mapping[str, float], name: str
 ) -> tuple[FrictionModel, ...]:
     """Return the friction terms (n,) to estimate for a file, by chain joint.
@@ -157,15 +169,16 @@ def _friction(
         rotors: joint, or motor that turns several joints, to its known rotor inertia [kg m^2].
         name: friction model whose terms are estimated.
     """
-    excluded = set[str]()
+    unchanged_terms = set[str]()
     if FILE_FRICTION in question.unchanged_parts:
-        excluded = {"coulomb", "viscous", "quadratic", "cubic"}
-    without_rotor = rotors if _holds_rotors(question) else robot.joint_names
+        unchanged_terms = {"coulomb", "viscous", "quadratic", "cubic"}
+    has_rotors = _holds_rotors(question)
     models = []
     for joint in robot.joint_names:
+        excluded = set(unchanged_terms)
+        if joint in rotors or not has_rotors:
+            excluded.add("armature")
         terms = [term for term in friction_model(name).terms if term not in excluded]
-        if joint in without_rotor:
-            terms.remove("armature")
         models.append(FrictionModel(tuple(terms)))
     return tuple(models)
 
@@ -175,6 +188,8 @@ def _validate_model(
 ) -> Validation:
     """Return the held-out error of the given model, with fitted sensor offsets.
 
+    Each joint has an offset of its own, so that the weights of the joints are arbitrary.
+
     Args:
         choice: selects the unknowns of the file, from which only bounds are taken.
         point: has the model's gravity; its other values make no difference.
@@ -183,6 +198,7 @@ def _validate_model(
     data, _ = fitter.around(point)
     unknowns = data.unknowns(columns, question, choice)
     indices = columns.indices(names_of("offset", columns.joints))
+    # Without the offsets of joints that have no rows.
     indices = indices[data.nonzero[indices]]
     held = columns.model_values.copy()
     if question.carried is not None:
@@ -190,7 +206,7 @@ def _validate_model(
     offset_unknowns = Unknowns(
         columns.names, indices, held, (), unknowns.lower, unknowns.upper, {}
     )
-    judge = HeldOut(data, np.ones(len(columns.joints)))
+    judge = HeldOut(data, noise=np.ones(len(columns.joints)))
     return judge.validation(judge.squared_errors(offset_unknowns))
 
 
@@ -219,10 +235,13 @@ def _add_polynomials(
     if FILE_FRICTION in question.unchanged_parts:
         return choice
     columns = fit.columns
-    polynomials = _friction(columns.robot, question, choice.rotors, WITH_POLYNOMIAL)
+    polynomials = _friction_terms(
+        columns.robot, question, choice.rotors, WITH_POLYNOMIAL
+    )
     trial = replace(choice, friction=polynomials)
     unknowns = fit.evidence.unknowns(columns, question, choice)
     trial_unknowns = fit.evidence.unknowns(columns, question, trial)
+    # Squared errors (blocks, joints).
     errors = judge.squared_errors(unknowns)
     trial_errors = judge.squared_errors(trial_unknowns)
     friction = list(choice.friction)
@@ -311,8 +330,8 @@ def predictive_link_scales(
     """Return the choice with the least factor on the links' uncertainty that predicts best.
 
     The factor applies to all kinds of parameters alike. Factors of ``SCALES`` are tried until the
-    held-out error rises; errors up to ``AS_GOOD`` times the lowest one count as equal. The result
-    is meant for a file, which has to predict well; the uncertainty of links is estimated by
+    held-out error rises; squared errors up to ``AS_GOOD`` times the lowest count as equal. The
+    result is meant for a file, which has to predict well; the uncertainty of links is estimated by
     ``priors.average_scales``.
     """
     scores = list[float]()
@@ -324,5 +343,6 @@ def predictive_link_scales(
         scores.append(float(np.mean(judge.score(unknowns))))
         if scores[-1] > AS_GOOD * min(scores):
             break
-    as_good = np.array(scores) <= AS_GOOD * min(scores)
-    return choices[int(np.argmax(as_good))]
+    is_as_good = np.array(scores) <= AS_GOOD * min(scores)
+    # The first one, with the least factor.
+    return choices[int(np.argmax(is_as_good))]

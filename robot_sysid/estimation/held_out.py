@@ -5,7 +5,9 @@ In-sample errors fall with every parameter. So each block of time is predicted f
 more in one of them.
 
 Shapes: "blocks" and "joints" count the blocks of cross-validation and the joints with equations; p
-parameters (``Columns.names``), of which k are estimated.
+parameters (``Columns.names``), of which k are estimated. The equations of a joint in a block are
+kept as a triangle [A b] (m, c+1) with the sum of squares of all its rows; its c columns belong to
+the parameters with the indices ``columns`` (c,) among all p.
 """
 
 from __future__ import annotations
@@ -59,13 +61,16 @@ class HeldOut:
         noise: (joints,) effective standard deviation of each joint's torque noise [N m].
         superset: unknowns that contain those of every set to compare, which saves memory with many
             joints; None for all parameters.
+        _triangles: cache of ``_other_triangles``, by the unknowns' indices and held values.
+        _starts: block to an inner solution of its last search for consistent bodies, at which the
+            next search of that block starts.
     """
 
     data: Evidence
     noise: Array
     superset: Unknowns | None = None
     _triangles: dict[tuple[bytes, bytes], Sequence[Array]] = field(default_factory=dict)
-    _path_ends: dict[int, Any] = field(default_factory=dict)
+    _starts: dict[int, Any] = field(default_factory=dict)
 
     @cached_property
     def counts(self) -> Array:
@@ -74,7 +79,10 @@ class HeldOut:
 
     @cached_property
     def _available(self) -> NDArray[np.bool_]:
-        """Which parameters (p,) have columns in the Gram matrices."""
+        """Which parameters (p,) have columns in the Gram matrices.
+
+        These are parameters with data that are unknown, or held at a value other than zero.
+        """
         nonzero = self.data.nonzero
         if self.superset is None:
             return nonzero
@@ -86,8 +94,9 @@ class HeldOut:
         """Gram matrices (blocks, s+2, s+2) of the whitened equations of all blocks but one in turn.
 
         Columns are the s available parameters, the right-hand sides, and one column of zeros that
-        stands for every other parameter.
+        stands for every other parameter: a parameter without a column has the index -1.
         """
+        # The last column of a normal matrix (p+1, p+1) belongs to the right-hand sides.
         indices = np.append(np.flatnonzero(self._available), -1)
         grams = np.zeros((len(self.data.blocks), len(indices) + 1, len(indices) + 1))
         for gram, block in zip(grams, self.data.blocks):
@@ -103,7 +112,12 @@ class HeldOut:
 
         Bodies may be physically inconsistent here.
         """
-        return self.data.squared_residuals(self._values(unknowns)[..., None])[..., 0]
+        return self._squared_residuals(self._values(unknowns))
+
+    def _squared_residuals(self, values: Array) -> Array:
+        """Return squared errors (blocks, joints) of each block at its values (blocks, p)."""
+        # The evidence takes several sets of values per block, here one.
+        return self.data.squared_residuals(values[..., None])[..., 0]
 
     def _normal_equations(
         self, unknowns: Unknowns
@@ -114,8 +128,8 @@ class HeldOut:
         without data have priors.
 
         Yields:
-            (scaled matrix (k, k), scaled right side (k,), scale (k,)): the solution times the scale
-            is the estimate.
+            (scaled matrix (k, k), scaled right side (k,), scale (k,)) of each block: the solution
+            times the scale is the estimate from the other blocks. The arrays are new.
         """
         available = self._available
         held = unknowns.held.copy()
@@ -125,10 +139,12 @@ class HeldOut:
         held[unknowns.estimated] = 0.0
         prior_rows = _prior_rows(unknowns)
         prior_gram = prior_rows.T @ prior_rows
+        # Parameter to its column in the Gram matrices: an available one's rank among these.
         gram_indices = np.where(available, np.cumsum(available) - 1, -1)
         indices = gram_indices[unknowns.estimated]
         held_indices = np.flatnonzero(held)
         for gram in self._grams:
+            # The torque of held parameters is subtracted from the right-hand sides.
             crossed = gram[np.ix_(indices, gram_indices[held_indices])]
             right_side = (
                 gram[indices, -2] - crossed @ held[held_indices] + prior_gram[:-1, -1]
@@ -157,6 +173,7 @@ class HeldOut:
         expected = self.counts * fit.noise**2
         equations = self._normal_equations(fit.unknowns)
         for index, (matrix, _, scale) in enumerate(equations):
+            # R (k, k) with R^T R the covariance C of the estimate: rows A add tr(A C A^T).
             root = np.linalg.inv(np.linalg.cholesky(matrix)) * scale
             for row, joint in enumerate(self.data.blocks[index].joints):
                 is_estimated = np.isin(joint.columns, estimated)
@@ -173,16 +190,17 @@ class HeldOut:
         values = self._values(unknowns)
         problem = links_problem(unknowns)
         prior_rows = _prior_rows(unknowns)
-        path_end = None
+        # A search starts at the inner solution of this block's last one, else of the last block's.
+        start = None
         for index, estimate in enumerate(values):
             if not unknowns.has_consistent_bodies(estimate):
                 rows = np.vstack((self._other_triangles(unknowns)[index], prior_rows))
-                path_end = self._path_ends.get(index, path_end)
-                solver = ConsistentLinks(rows[:, :-1], rows[:, -1], problem, path_end)
+                start = self._starts.get(index, start)
+                solver = ConsistentLinks(rows[:, :-1], rows[:, -1], problem, start)
                 values[index] = unknowns.full(solver.best())
-                path_end = solver.first
-                self._path_ends[index] = path_end
-        return self.data.squared_residuals(values[..., None])[..., 0]
+                start = solver.first
+                self._starts[index] = start
+        return self._squared_residuals(values)
 
     def _other_triangles(self, unknowns: Unknowns) -> Sequence[Array]:
         """Return per block the triangle (., k+1) of the whitened equations of all other blocks."""
@@ -294,7 +312,7 @@ def _error_ratio(squared: Array, expected: Array) -> float:
 
     Args:
         squared: (blocks, joints) squared errors [N^2 m^2].
-        expected: (blocks, joints) expected squared errors [N^2 m^2].
+        expected: (blocks, joints) expected squared errors, zero for a joint without data [N^2 m^2].
     """
     used = np.any(expected > 0.0, axis=0)
     ratios = squared.sum(axis=0)[used] / expected.sum(axis=0)[used]
@@ -380,15 +398,17 @@ def _prediction_variance(
     """Return the variance (joints,) of predicted torques due to a fit's errors [N^2 m^2].
 
     It is summed over the rows of ``data``, and infinite where the fit does not identify a parameter
-    of a joint's torque.
+    of a joint's torque, or had no rows of the joint.
     """
-    indices = fit.unknowns.estimated
-    variances = np.zeros(len(data.joints))
+    estimated = fit.unknowns.estimated
+    variances = np.full(len(data.joints), np.inf)
     for row, (joint, fitted) in enumerate(zip(data.joints, fit.evidence.total.joints)):
-        is_free = np.isin(joint.columns, indices)
-        change = np.zeros((len(joint.triangle), len(indices)))
-        columns = np.searchsorted(indices, joint.columns[is_free])
-        change[:, columns] = joint.triangle[:, :-1][:, is_free]
-        is_identified = fitted.n_samples > 0 and np.all(errors.are_identified(change))
-        variances[row] = np.trace(errors.of(change)[0]) if is_identified else np.inf
+        # Rows (m, k) of the joint in the estimated parameters.
+        is_estimated = np.isin(joint.columns, estimated)
+        columns = np.searchsorted(estimated, joint.columns[is_estimated])
+        rows = np.zeros((len(joint.triangle), len(estimated)))
+        rows[:, columns] = joint.triangle[:, :-1][:, is_estimated]
+        if fitted.n_samples > 0 and np.all(errors.are_identified(rows)):
+            covariance, *_ = errors.of(rows)
+            variances[row] = np.trace(covariance)
     return variances

@@ -81,9 +81,8 @@ def low_pass_recordings(
 ) -> tuple[list[Dataset], tuple[str, ...]]:
     """Resample every recording to a uniform grid and low-pass it, all with the same cut-off.
 
-    The cut-off is the lowest that any of them requires.
-
-    Rows over turns at which a joint stands are left out (``without_standing``).
+    The cut-off is the lowest that any of them requires, unless an option states it. Rows over turns
+    at which a joint stands are left out (``without_standing``).
 
     Returns:
         (recordings, one per piece; notes on them, one sentence each).
@@ -248,11 +247,12 @@ def refit(
 
 def _passes(progress: Progress) -> Callable[[], None]:
     """Return a function that counts passes over the recordings and reports progress by them."""
-    done = itertools.count()
+    counter = itertools.count()
 
     def report() -> None:
         """Count one more pass and report it; later passes than ``_PASSES`` count as the last."""
-        progress.advance("Identifying", min(next(done), _PASSES - 1), _PASSES, "")
+        done = min(next(counter), _PASSES - 1)
+        progress.advance("Identifying", done, _PASSES, "")
 
     return report
 
@@ -275,6 +275,7 @@ def _fitter(
         tilt_axes(gravity_vector(robot))  # raises without gravity
     if not question.resting:
         repetitions = find_visits([dataset.motion for dataset in datasets])
+    # All couplings; the last ones of them are on trial, used only with clear evidence.
     motors, offered = couplings_of(robot, options)
     columns = Columns(robot, datasets, options.torques, motors)
     fitter = Fitter(columns, rms_torque(datasets), repetitions, _passes(progress))
@@ -282,6 +283,7 @@ def _fitter(
         return fitter
     # Columns of rejected couplings would cost every later pass time and memory.
     couplings = motors[: len(motors) - len(offered)]
+    # Poses at rest show no coupling.
     if not question.resting:
         couplings = select_couplings(fitter, question, model, offered)
     fitter.forget_rows()
@@ -297,7 +299,7 @@ r < 2 + m / n."""
 def without_standing(
     robot: RobotModel, dataset: Dataset, options: EstimationOptions
 ) -> Dataset:
-    """Return a recording without the rows at reversals where joints stand still for a while.
+    """Return a new recording without the rows at reversals where joints stand still for a while.
 
     Low-passed positions do not show standing (``signals.turning``), but residuals do. Rows over
     turns also have the most information on inertia, so they are left out only where they fit worse
@@ -322,11 +324,12 @@ def without_standing(
     fit = Fitter(columns, rms_torque([dataset])).fit(question, choice, rounds=1)
 
     (samples,) = fit.samples
-    turns_left_out = replace(signals, standing=tuple(range(robot.n_joints))).usable()
+    torques = samples.torque(fit.values)
+    # Rows (K, n) that would be used if all joints stood at their turns.
+    is_used = replace(signals, standing=tuple(range(robot.n_joints))).usable()
     standing = []
     for row, joint in enumerate(columns.joint_indices):
-        predicted = samples.rows[row] @ fit.values[samples.columns[row]]
-        if _are_worse(samples.tau[row] - predicted, ~turns_left_out[:, joint]):
+        if _are_worse(samples.tau[row] - torques[row], ~is_used[:, joint]):
             standing.append(joint)
     return replace(dataset, source=replace(signals, standing=tuple(standing)))
 
@@ -336,7 +339,7 @@ def _are_worse(residual: Array, doubtful: NDArray[np.bool_]) -> bool:
 
     Args:
         residual: (K,) residual torques of a joint [N m]; NaN where a row is not used.
-        doubtful: (K,) mask of rows.
+        doubtful: (K,) mask of the doubtful rows.
     """
     used = np.isfinite(residual)
     doubted = residual[used & doubtful]
@@ -367,8 +370,9 @@ UNSEEN = 100.0
 def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[RecordingPayload, ...]:
     """Return the payload according to each recording, compared with all of the other kind.
 
-    The kinds are recordings without and with the payload. A recording that is the only one of its
-    kind gets no entry. Payloads are in the flange frame. The fit needs its rows (``Fit.samples``).
+    The kinds are recordings without and with the payload; those without come first. A recording
+    that is the only one of its kind gets no entry. Payloads are in the flange frame. The fit needs
+    its rows (``Fit.samples``).
     """
     unknowns = fit.unknowns
     recordings = fit.columns.datasets
@@ -383,8 +387,11 @@ def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[RecordingPayload, .
             continue
         others = np.flatnonzero(kinds != is_loaded)
         selected = [logs[k], *(logs[other] for other in others)]
-        values, *spread = estimate_alone(selected, unknowns.groups, prior, fit.noise)
-        variances = np.array(spread)[:, indices[0], indices[0]]
+        values, *covariances = estimate_alone(
+            selected, unknowns.groups, prior, fit.noise
+        )
+        # Of the mass, the first parameter of the payload: due to noise, and of the whole error.
+        variances = np.array(covariances)[:, indices[0], indices[0]]
         noise, error = np.sqrt(variances).tolist()
         theta = flange.to_flange(values[indices])
         mass = float(theta[0])
@@ -398,9 +405,10 @@ def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[RecordingPayload, .
 def contradiction(fit: Fit, flange: Flange) -> str:
     """Return a sentence on recordings of one kind that contradict each other; "" where they agree.
 
-    The kinds are recordings without and with the payload. Torque scales of the fit may have been
-    adapted to a recording of the wrong kind, so that a difference has to show in a second
-    linearisation, around the model's own values, too.
+    The kinds are recordings without and with the payload; with fewer than three recordings, none
+    can be compared. Torque scales of the fit may have been adapted to a recording of the wrong
+    kind, so that a difference has to show in a second linearisation, around the model's own values,
+    too.
 
     Args:
         fit: with the rows of recordings (``Fit.samples``).
@@ -408,18 +416,17 @@ def contradiction(fit: Fit, flange: Flange) -> str:
     """
     recordings = fit.columns.datasets
     kinds = np.array([log.is_loaded for log in recordings])
-    bodies = np.zeros((0, N_INERTIAL))
-    differences: list[tuple[float, int, str]] = []
     if len(kinds) < 3:
         return ""
-    for around_model in (False, True):
-        samples = fit.samples
-        if around_model:
-            samples = fit.columns.samples(fit.columns.start())
-        bodies, covariance = bodies_apart(fit, samples)
-        differences = sorted(_differences(kinds, bodies, covariance))
-        if not differences:
-            return ""
+    bodies, covariance = bodies_apart(fit, fit.samples)
+    if not any(_differences(kinds, bodies, covariance)):
+        return ""
+    samples_of_model = fit.columns.samples(fit.columns.start())
+    bodies, covariance = bodies_apart(fit, samples_of_model)
+    differences = sorted(_differences(kinds, bodies, covariance))
+    if not differences:
+        return ""
+    # The largest one, in standard errors.
     _, number, quantity = differences[-1]
     same = [k for k in np.flatnonzero(kinds == kinds[number]) if k != number]
     lightest = int(np.argmin(bodies[:, 0]))
@@ -471,9 +478,11 @@ def _differences(
         others = (kinds == is_loaded) & (np.arange(len(kinds)) != number)
         if not np.any(others):
             continue
+        # The body in this recording less the mean one in the others, with the change's covariance.
         weights = (np.arange(len(kinds)) == number) - others / np.sum(others)
         change = weights @ bodies
         spread = np.einsum("i,iajb,j", weights, covariance, weights)
+        # Change of the first moment that no change of the mass explains [kg m].
         moved = change[1:4] - change[0] * payload[1:4] / mass
         inertia = np.max(np.abs(change[4:]))
         for quantity, size, least, block in (
@@ -520,7 +529,8 @@ def bodies_apart(fit: Fit, samples: Sequence[DecimatedSamples]) -> tuple[Array, 
         columns = tuple(np.append(at, last) for at in narrow.columns)
         return replace(narrow, names=names, columns=columns, rows=tuple(rows))
 
-    # A recording of the wrong kind widens priors that have nothing to do with it.
+    # A recording of the wrong kind widens priors that have nothing to do with it. A known mass
+    # (cause ``WEIGHT``) is that of the payload, which these bodies replace.
     priors = [replace(g, widened=1.0) for g in fit.unknowns.groups if g.cause != WEIGHT]
     priors.append(independent_prior("unseen", added, added, UNSEEN))
     prior = np.append(fit.columns.model_values[common], np.zeros(len(added)))

@@ -13,6 +13,9 @@ all of C is large. Two logs give a single difference per number, so that numbers
 as the Coulomb friction of all joints, have a share r of their size in common, t = r * size, which
 is averaged over a grid. A number's own differences then count as well, as in a scaled inverse
 chi-square prior.
+
+Shapes: a fit has p parameters (``Columns.names``), k of them estimated; "joints" counts the joints
+that have equations. [A b]^T [A b] is the Gram matrix of weighted equations A x = b.
 """
 
 from __future__ import annotations
@@ -85,19 +88,26 @@ def estimate_alone(
         (values (k,), covariance (k, k) due to torque noise, covariance (k, k) of the whole error,
         infinite for parameters that are not identifiable).
     """
-    plain = combine(list(map(DecimatedSamples.information, logs)))
-    information = with_prior(plain, groups)
-    solved = solver(information, prior)
-    noise = estimate_noise(information, solved, start)
-    values = solved(1.0 / noise)[0]
-    memories = list(map(residual_correlation_time, residuals_of(logs, values)))
-    weights = 1.0 / (noise * np.sqrt(memories))
-    space = visible_space(information.equations(weights)[0])
+    data = combine(list(map(DecimatedSamples.information, logs)))
+    information = with_prior(data, groups)
+    # Returns (values (k,), leverage of each joint's equations) for their weights (joints,).
+    solve = solver(information, prior)
+    noise = estimate_noise(information, solve, start)
+    first_values, _ = solve(1.0 / noise)
+    residuals = residuals_of(logs, first_values)
+    # Residuals that are correlated over m rows count as one independent row of m.
+    correlation_times = list(map(residual_correlation_time, residuals))
+    weights = 1.0 / (noise * np.sqrt(correlation_times))
+    values, _ = solve(weights)
+    matrix, _ = information.equations(weights)
+    space = visible_space(matrix)
     inverse = space.inverse()
-    identified = space.is_identified
-    noise_root = plain.equations(weights)[0] @ inverse
-    covariance = np.where(np.outer(identified, identified), inverse, np.inf)
-    return solved(weights)[0], noise_root.T @ noise_root, covariance
+    is_identified = np.outer(space.is_identified, space.is_identified)
+    # The estimate is C A^T b, and b of the data has unit noise: C A^T A C is its covariance.
+    data_matrix, _ = data.equations(weights)
+    noise_root = data_matrix @ inverse
+    covariance = np.where(is_identified, inverse, np.inf)
+    return values, noise_root.T @ noise_root, covariance
 
 
 @dataclass(frozen=True)
@@ -131,6 +141,9 @@ class FrictionOfLogs:
         """Return name of a log to friction term of a joint to its value according to that log.
 
         The errors are those due to the noise of each log.
+
+        Args:
+            owner: the joint, or a motor that turns several joints.
         """
         terms = self._indices(owner)
         columns = [*terms.values()]
@@ -154,6 +167,7 @@ class FrictionOfLogs:
         """
         other_day = {}
         for term, index in self._indices(owner).items():
+            # Of these errors (f,), only the one of this term is used.
             errors = np.full(len(self.names), terms[term].error)
             error = self.between.next_log(errors)[index]
             other_day[term] = Quantity(terms[term].value, float(error))
@@ -181,8 +195,8 @@ def compare_recordings(
 ) -> tuple[tuple[str, ...], list[Validation], FrictionOfLogs | None]:
     """Return how the logs of a fit compare; nothing where there is a single log.
 
-    Recordings of one name are one log. A log with joints that the others do not identify is not
-    used as a test.
+    Recordings of one name are one log, a block of the cross-validation. A log with joints that the
+    others do not identify is not used as a test.
 
     Returns:
         (sentences on masses and friction, error of each log predicted from the others, friction by
@@ -195,18 +209,21 @@ def compare_recordings(
         return (), [], None
     data = evidence_of(logs.values(), fit.evidence.torque)
     judge = HeldOut(data, 1.0 / fit.weights, fit.unknowns)
+    # Squared errors (logs, joints), and those to expect; the last are computed where needed.
     errors = judge.consistent_squared_errors(fit.unknowns)
     noise = judge.counts * fit.noise**2
-    chance = cache(partial(judge.expected_squared_errors, fit))
+    expected_errors = cache(partial(judge.expected_squared_errors, fit))
 
-    def is_test(k: int) -> bool:
+    def tests_fit(k: int) -> bool:
         """Tell whether the error of log k, predicted from the others, tests the fit."""
-        return is_informative_test(errors[[k]], noise[[k]], lambda: chance()[[k]])
+        return is_informative_test(
+            errors[[k]], noise[[k]], lambda: expected_errors()[[k]]
+        )
 
     joints = fit.columns.joints
     tests = []
     for k, name in enumerate(logs):
-        if is_test(k):
+        if tests_fit(k):
             source = f"{name}, predicted from the other logs"
             squares = data.squared_torque[k]
             tests.append(
@@ -248,21 +265,27 @@ def friction_of_logs(
     values = fit.values[unknowns.estimated[indices]]
     restriction = unknowns.estimated_names, unknowns.held
     plain = [restrict(block, *restriction) for block in blocks]
+    # Y^T Y (f, f) of the friction columns Y of all joints and logs, not weighted.
     ones = np.ones(len(fit.weights))
-    squares = sum(normal_matrix(one, ones)[np.ix_(indices, indices)] for one in plain)
+    squares = np.zeros((len(names), len(names)))
+    for log in plain:
+        squares += normal_matrix(log, ones)[np.ix_(indices, indices)]
     terms, owners = np.array(list(map(split_name, names))).T
     has_same_owner = owners[:, None] == owners
-    # A term counts by its share of its joint's usual friction torque, so that a coefficient near
-    # zero may differ as much as the others.
+    # The typical size of a coefficient makes its joint's usual friction torque by itself, so that
+    # a coefficient near zero may differ as much as the others.
     diagonal = np.diag(squares)
     sizes = np.sqrt(has_same_owner @ (values**2 * diagonal) / diagonal)
     sizes = np.maximum(sizes, SIZE_FLOOR * max(float(np.max(sizes)), SIZE_FLOOR))
-    weights = [_weights_beside_friction(fit, log, indices) for log in logs.values()]
-    normals = [normal_matrix(*pair) for pair in zip(plain, weights)]
+    normals = []
+    for log, rows in zip(plain, logs.values()):
+        weights = _weights_beside_friction(fit, rows, indices)
+        normals.append(normal_matrix(log, weights))
     prior = np.zeros_like(normals[0])
     for group in unknowns.groups:
-        rows = group.prior_rows(unknowns.estimated_names)
-        prior += rows.T @ rows
+        prior_rows = group.prior_rows(unknowns.estimated_names)
+        prior += prior_rows.T @ prior_rows
+    # Equal terms are one kind, whatever their joint.
     kinds = np.unique(terms, return_inverse=True)[1]
     between = compare_logs(normals, prior, indices, values, sizes, kinds)
 
@@ -315,9 +338,9 @@ def _weights_beside_friction(
         residual = tau - rows @ values[columns]
         friction = rows[:, np.isin(columns, indices)]
         residual -= friction @ np.linalg.lstsq(friction, residual, rcond=None)[0]
-        slow = residual_correlation_time(residual)
-        floor = NOISE_FLOOR * fit.noise[joint]
-        weights[joint] = 1.0 / (max(float(np.std(residual)), floor) * np.sqrt(slow))
+        correlation_time = residual_correlation_time(residual)
+        noise = max(float(np.std(residual)), NOISE_FLOOR * fit.noise[joint])
+        weights[joint] = 1.0 / (noise * np.sqrt(correlation_time))
     return weights
 
 
@@ -331,10 +354,13 @@ def _largest_difference(values: Array, squares: Array) -> float:
         squares: (m, m) Y^T Y of the columns Y of these coefficients.
     """
     mean = np.mean(values, axis=0)
-    pairs = itertools.combinations(values, 2)
-    squared = max(float((a - b) @ squares @ (a - b)) for a, b in pairs)
-    torque = float(mean @ squares @ mean)
-    return math.sqrt(squared / torque) if torque > 0.0 else math.inf
+    squared_differences = []
+    for first, second in itertools.combinations(values, 2):
+        difference = first - second
+        squared_differences.append(float(difference @ squares @ difference))
+    squared_torque = float(mean @ squares @ mean)
+    largest = max(squared_differences)
+    return math.sqrt(largest / squared_torque) if squared_torque > 0.0 else math.inf
 
 
 def _agreement(
@@ -402,9 +428,12 @@ class BetweenLogs:
     noise: Array
 
     def next_log(self, errors: Array) -> Array:
-        """Return standard errors (f,) for another log, from those of all logs together."""
-        more = 1.0 + 1.0 / len(self.values)
-        return np.asarray(np.sqrt(np.square(errors) + more * self.spread**2))
+        """Return standard errors (f,) for another log, from those (f,) of all logs together.
+
+        The difference of another log from the mean of L has the variance spread^2 (1 + 1 / L).
+        """
+        factor = 1.0 + 1.0 / len(self.values)
+        return np.asarray(np.sqrt(np.square(errors) + factor * self.spread**2))
 
     def differ(self, numbers: NDArray[np.int64], tests: int) -> bool:
         """Tell whether the logs contradict each other in the numbers of given indices.
@@ -413,11 +442,13 @@ class BetweenLogs:
             numbers: (m,) indices among the f numbers.
             tests: number of such tests, by which the significance of one is corrected.
         """
-        off = self.contrasts[:, numbers].ravel()
-        noise = self.noise[:, numbers][:, :, :, numbers].reshape(len(off), len(off))
-        squared = float(off @ np.linalg.solve(noise, off))
+        # All (L - 1) m contrasts as one vector, with their covariance.
+        contrasts = self.contrasts[:, numbers].ravel()
+        size = len(contrasts)
+        noise = self.noise[:, numbers][:, :, :, numbers].reshape(size, size)
+        squared = float(contrasts @ np.linalg.solve(noise, contrasts))
         chance = 1.0 - SURE_DIFFERENCE ** (1.0 / tests)
-        return is_significant(squared, float(len(off)), chance)
+        return is_significant(squared, float(size), chance)
 
 
 def compare_logs(
@@ -428,12 +459,12 @@ def compare_logs(
     sizes: Array,
     kinds: NDArray[np.int64],
 ) -> BetweenLogs:
-    """Return estimates of numbers that may differ between logs.
+    """Return estimates of f numbers that may differ between L logs.
 
     Args:
-        normals: per log (p + 1, p + 1) [A b]' [A b] of its equations, weighted.
-        prior: (p + 1, p + 1) [A b]' [A b] of the priors of all other parameters.
-        indices: (f,) of the numbers among the p parameters.
+        normals: (L) matrices (k + 1, k + 1) [A b]^T [A b] of each log's weighted equations.
+        prior: (k + 1, k + 1) [A b]^T [A b] of the priors of all other parameters.
+        indices: (f,) of the numbers among the k estimated parameters.
         center: (f,) their values from all logs together.
         sizes: (f,) their typical sizes.
         kinds: (f,) the kind of each number, as an integer.
@@ -445,12 +476,14 @@ def compare_logs(
     noise = np.einsum("ia,afbg,jb->ifjg", change, covariance, change, optimize=True)
     spread = _spread(contrasts, noise, sizes, kinds)
 
-    # The errors of the contrasts are divided between the logs as the errors of each log alone.
+    # Errors of single logs have a part in common. So the variances of the contrasts are divided
+    # between the logs as the variances of each log alone, with all other parameters known.
     weak = np.diag((_UNSEEN * sizes) ** -2)
     variances = []
     for normal in normals:
         precision = normal[np.ix_(indices, indices)] + weak
         variances.append(np.diag(np.linalg.inv(precision)))
+    # Of independent errors, the contrasts have a share (1 - 1 / L) of the summed variances.
     total = np.einsum("ifif->f", noise) / (1.0 - 1.0 / count)
     errors = np.sqrt(np.array(variances) * total / np.sum(variances, axis=0))
     return BetweenLogs(values, errors, spread, contrasts, noise)
@@ -466,40 +499,44 @@ def _of_each_log(
     """Return estimates of f numbers for each of L logs, with all other parameters in common.
 
     Args:
-        normals: (L) matrices (p + 1, p + 1) [A b]^T [A b] of each log's weighted equations.
-        prior: (p + 1, p + 1) [A b]^T [A b] of the priors of all other parameters.
-        indices: (f,) of the numbers among the p parameters.
+        normals: (L) matrices (k + 1, k + 1) [A b]^T [A b] of each log's weighted equations.
+        prior: (k + 1, k + 1) [A b]^T [A b] of the priors of all other parameters.
+        indices: (f,) of the numbers among the k estimated parameters.
         center: (f,) their values from all logs together, of a weak prior for what a log hides.
         sizes: (f,) their typical sizes, which scale that prior.
 
     Returns:
         (estimates (L, f), covariance (L, f, L, f)).
     """
-    size = len(prior)
-    number = len(indices)
-    common = np.setdiff1d(np.arange(size - 1), indices)
-    system = np.zeros((len(common) + len(normals) * number + 1,) * 2)
-    shared = np.arange(len(common))
-    last = len(system) - 1
-    at = np.append(shared, last)
-    rows = np.append(common, size - 1)
-    system[np.ix_(at, at)] = prior[np.ix_(rows, rows)]
-    rows = np.concatenate((common, indices, [size - 1]))
-    for log, normal in enumerate(normals):
-        of_log = len(common) + log * number + np.arange(number)
-        at = np.concatenate((shared, of_log, [last]))
-        system[np.ix_(at, at)] += normal[np.ix_(rows, rows)]
-    matrix, right_side = eliminate_others(system, np.arange(len(common), last))
-    weak = np.tile((_UNSEEN * sizes) ** -2, len(normals))
-    covariance = np.linalg.inv(matrix + np.diag(weak))
-    values = covariance @ (right_side + weak * np.tile(center, len(normals)))
     count = len(normals)
-    by_log = np.asarray(covariance.reshape(count, number, count, number))
-    return np.asarray(values.reshape(count, number)), by_log
+    size = len(indices)
+    right_side_index = len(prior) - 1
+    common = np.setdiff1d(np.arange(right_side_index), indices)
+    # Columns of the system: common parameters, the numbers of each log in turn, right-hand side.
+    last = len(common) + count * size
+    system = np.zeros((last + 1, last + 1))
+    common_columns = np.arange(len(common))
+    columns = np.append(common_columns, last)
+    sources = np.append(common, right_side_index)
+    system[np.ix_(columns, columns)] = prior[np.ix_(sources, sources)]
+    sources = np.concatenate((common, indices, [right_side_index]))
+    for log, normal in enumerate(normals):
+        log_columns = len(common) + log * size + np.arange(size)
+        columns = np.concatenate((common_columns, log_columns, [last]))
+        system[np.ix_(columns, columns)] += normal[np.ix_(sources, sources)]
+    matrix, right_side = eliminate_others(system, np.arange(len(common), last))
+    weak = np.tile((_UNSEEN * sizes) ** -2, count)
+    covariance = np.linalg.inv(matrix + np.diag(weak))
+    values = covariance @ (right_side + weak * np.tile(center, count))
+    covariance_by_log = np.asarray(covariance.reshape(count, size, count, size))
+    return np.asarray(values.reshape(count, size)), covariance_by_log
 
 
 def _helmert(count: int) -> Array:
-    """Return orthonormal contrasts (count - 1, count), each row of which adds up to zero."""
+    """Return orthonormal contrasts (count - 1, count), each row of which adds up to zero.
+
+    Row i compares log i + 1 with the mean of all logs before it.
+    """
     rows = np.tril(np.ones((count, count)), -1)[1:]
     rows[np.arange(count - 1), np.arange(1, count)] = -np.arange(1.0, count)
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
@@ -516,12 +553,14 @@ def _spread(
         sizes: (f,) typical sizes of the numbers.
         kinds: (f,) the kind of each number, as an integer.
     """
-    # In axes of its own, the noise of a number's contrasts is independent.
+    # In the principal axes of its noise (f, L - 1, L - 1), a number's contrasts are independent.
     variances, axes = np.linalg.eigh(np.einsum("ifjf->fij", noise))
     turned = np.einsum("fij,if->fj", axes, contrasts)
+    # Scatter (f,) by the share of the size that all numbers of a kind have in common.
     common = np.zeros(len(sizes))
     for label in np.unique(kinds):
         is_kind = kinds == label
+        # Axes: shares of the grid, numbers of the kind, contrasts.
         between = np.multiply.outer(np.square(SHARES), sizes[is_kind, None] ** 2)
         variance = variances[is_kind] + between
         log_likelihood = -0.5 * np.sum(

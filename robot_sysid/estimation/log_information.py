@@ -4,6 +4,8 @@ Triangles of equations add, and so do the sums behind the standard errors; optio
 on all logs at once have to be stated. Two rounds give the estimate of one process: in the first,
 columns that depend on the parameters are those of the model, in the second those of the first
 round's estimate, whose residuals also give the autocorrelation of torque noise.
+
+Shapes: n joints of the chain, "joints" those with equations; p parameters (``Columns.names``).
 """
 
 from __future__ import annotations
@@ -75,7 +77,7 @@ class CommonSettings:
 
     Attributes:
         model: hash of the model's files.
-        joint: the terminal joint.
+        joint: name of the terminal joint.
         around: hash of the first round's sum, at whose estimate the equations are linearised; "" in
             the first round.
         estimation: all options of the estimate.
@@ -111,7 +113,8 @@ class LogInformation:
         settled: settings that are equal in all records that are added.
         evidence: triangles of all joints' equations, in blocks.
         residuals: per joint, sums over lags of the first round's residuals; empty in that round.
-        pull: (joints, p) of ``errors.filtering_bias``, which gives the error due to the low-pass.
+        pull: (joints, p) sums of ``errors.filtering_bias``, for the error due to the low-pass of
+            positions.
         rows: a sample of the rows.
         torque: (n,) sum of squares of all measured torque [N^2 m^2].
         samples: number of samples of each joint's torque.
@@ -147,20 +150,23 @@ class LogInformation:
                 f"information was settled differently and does not add: {', '.join(differing)}; "
                 "make all of it with the same model, options and first round"
             )
-        summed = ("pull", "rows", "torque", "samples", "duration", "logs")
-        sums = {name: getattr(self, name) + getattr(other, name) for name in summed}
-        pairs = zip(self.evidence.blocks, other.evidence.blocks)
+        blocks = map(combine, zip(self.evidence.blocks, other.evidence.blocks))
         squares = self.evidence.squared_torque + other.evidence.squared_torque
-        blocks = tuple(combine(pair) for pair in pairs)
+        torque = self.torque + other.torque
+        samples = self.samples + other.samples
+        root_mean_square = np.sqrt(torque / samples)
         return LogInformation(
             settled=self.settled,
-            evidence=Evidence(
-                blocks, squares, np.sqrt(sums["torque"] / sums["samples"])
-            ),
-            residuals=tuple(a + b for a, b in zip(self.residuals, other.residuals)),
+            evidence=Evidence(tuple(blocks), squares, root_mean_square),
+            residuals=tuple(map(add, self.residuals, other.residuals)),
+            pull=self.pull + other.pull,
+            rows=self.rows + other.rows,
+            torque=torque,
+            samples=samples,
+            duration=self.duration + other.duration,
+            logs=self.logs + other.logs,
             acceleration_error=max(self.acceleration_error, other.acceleration_error),
             notes=tuple(dict.fromkeys((*self.notes, *other.notes)))[:MOST_NOTES],
-            **sums,
         )
 
     def __radd__(self, other: object) -> LogInformation:
@@ -215,7 +221,17 @@ def settled_options(options: EstimationOptions) -> EstimationOptions:
 
 
 class _Fixed(Fitter):
-    """A fitter of added information around one point; it has no rows to linearise anew."""
+    """A fitter of added information around one point; it has no rows to linearise anew.
+
+    It selects and solves like any fitter, but ignores the points at which callers want to start.
+    The autocorrelation of noise, which other fitters take from rows, follows from the record.
+
+    Args:
+        robot: the arm.
+        information: the sum of a round.
+        point: gives gravity and the speeds of friction terms, to which increments are added; None
+            for those of the model. The equations are those of ``information`` in any case.
+    """
 
     def __init__(
         self, robot: RobotModel, information: LogInformation, point: Point | None = None
@@ -226,11 +242,12 @@ class _Fixed(Fitter):
         self._information = information
         self._point = point or columns.start()
         if information.residuals:
-            times = []
+            correlation_times = []
             for joint in information.residuals:
-                times.append(autocorrelation_time(joint.products, joint.count))
+                time = autocorrelation_time(joint.products, joint.count)
+                correlation_times.append(time)
             self.inflation = information.rows.inflation()
-            self.residual_correlation = np.array(times)
+            self.residual_correlation = np.array(correlation_times)
 
     def around(self, point: Point) -> tuple[Evidence, tuple[DecimatedSamples, ...]]:
         """Return (evidence of all logs around the fitter's own point, no rows)."""
@@ -239,7 +256,7 @@ class _Fixed(Fitter):
     def correlation_factors(self, fit: Fit) -> Array:
         """Return how many rows of each joint (joints,) count as one independent row.
 
-        It follows from the residuals of the first round; in that round it is one.
+        The number follows from the residuals of the first round; in that round it is one.
         """
         return fit.residual_correlation
 
@@ -250,7 +267,7 @@ class _Fixed(Fitter):
         point: Point | None = None,
         rounds: int = 1,
     ) -> Fit:
-        """Return the fit around the fitter's own point."""
+        """Return the fit around the fitter's own point; ``point`` and ``rounds`` have no effect."""
         return self.solve_around(self._point, question, choice)
 
 
@@ -262,6 +279,8 @@ def log_information(
     notes: Sequence[str] = (),
 ) -> LogInformation:
     """Return the information of a log about the arm, linearised around the first round's estimate.
+
+    In the first round, it is linearised around the model's own values.
 
     Args:
         logs: whole logs, or the pieces of one, each filtered on its own.
@@ -293,8 +312,8 @@ def log_information(
         log_sums = [residuals_to_add(first, log_samples) for log_samples in samples]
         residuals = tuple(reduce(add, joint_sums) for joint_sums in zip(*log_sums))
     row_samples = []
-    for pair in zip(datasets, samples):
-        row_samples.append(_sample_rows(*pair, point.values))
+    for dataset, dataset_samples in zip(datasets, samples):
+        row_samples.append(_sample_rows(dataset, dataset_samples, point.values))
     signals = motion_signals(datasets)
     torque, count = squared_torque(datasets)
     return LogInformation(
@@ -327,12 +346,16 @@ def _fit_sum(robot: RobotModel, information: LogInformation) -> Fit:
 def _sample_rows(
     dataset: Dataset, samples: DecimatedSamples, values: Array
 ) -> RowSample:
-    """Return a random sample of a recording's rows, with the residuals at parameters (p,)."""
+    """Return a random sample of a recording's rows, with the residuals at parameters (p,).
+
+    The seed is a hash of the recorded signals, so that equal recordings give equal samples. The
+    recording must not be one of poses at rest, which has no signals.
+    """
     residuals = list(map(np.subtract, samples.tau, samples.torque(values)))
     assert dataset.signals is not None
     content = dataset.signals.q.tobytes() + dataset.signals.tau.tobytes()
-    number = int.from_bytes(hashlib.sha256(content).digest()[:8], "little")
-    return sample_rows(dataset.motion, np.stack(residuals, axis=1), number)
+    seed = int.from_bytes(hashlib.sha256(content).digest()[:8], "little")
+    return sample_rows(dataset.motion, np.stack(residuals, axis=1), seed)
 
 
 def answer_from(

@@ -108,6 +108,9 @@ def find_misfits(
 ) -> Iterator[Judgement]:
     """Yield reasons why the torques do not follow from the motion within their noise.
 
+    A joint without data has no noise, a joint without torque no ratio of noise to torque; both are
+    left out.
+
     Args:
         tests: held-out errors and errors on other logs; only informative ones count.
         acceleration_error: expected relative error of the acceleration; 0 where unknown.
@@ -123,11 +126,11 @@ def find_misfits(
     for test in tests:
         if not test.is_informative or (test.relative_error or 0.0) <= HARMLESS:
             continue
-        squares = []
+        squared_ratios = []
         for joint, error in test.rmse_per_joint.items():
             if joint in noise:
-                squares.append((error / noise[joint]) ** 2)
-        ratio = float(np.sqrt(np.mean(squares or [0.0])))
+                squared_ratios.append((error / noise[joint]) ** 2)
+        ratio = float(np.sqrt(np.mean(squared_ratios or [0.0])))
         if ratio > NOISE_EXPLAINS:
             yield (
                 Verdict.UNEXPLAINED,
@@ -162,6 +165,7 @@ def unexplained_share(
             are noise.
     """
     torque = dict(zip(fit.columns.robot.joint_names, fit.evidence.torque.tolist()))
+    # Joint to root mean square of the residuals that are correlated in time [N m].
     slow = {}
     for joint, noise in fit.noise_per_joint.items():
         if torque[joint]:
@@ -183,18 +187,19 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judgemen
     """Yield reasons why this arm cannot have the estimated terminal link.
 
     Bounds on its centre of mass and radius of gyration follow from the extent of the link's
-    geometry in the model and from the reach of the arm.
+    geometry in the model and from the reach of the arm. A link without a positive mass has neither.
     """
     body = link.inertial
     errors = link.errors
     if not body.mass > 0.0:
         return
+    # Largest distances from the link's origin and from the arm's first joint [m].
     reach = link_reach(robot.mj_model, robot.reference_qpos, robot.body_id)
     arm = reach + _distance_of_ends(robot)
-    off = _SURE * float(np.linalg.norm(errors[1:4])) / body.mass
+    slack = _SURE * float(np.linalg.norm(errors[1:4])) / body.mass
     distance = float(np.linalg.norm(body.com))
     where = f"on a link that reaches {reach:.2g} m"
-    if distance - off > reach + COM_BEYOND * arm:
+    if distance - slack > reach + COM_BEYOND * arm:
         yield (
             Verdict.IMPLAUSIBLE,
             f"the centre of mass is {distance:.2g} m away {where}",
@@ -214,7 +219,7 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judgemen
 
 
 def _distance_of_ends(robot: RobotModel) -> float:
-    """Return the distances from each joint to the next, added up from the first one on [m]."""
+    """Return the sum of the distances from each joint to the next, first to last [m]."""
     return sum(float(np.linalg.norm(link.translation)) for link in robot.links[1:])
 
 
@@ -223,12 +228,16 @@ def implausible_joints(
 ) -> Iterator[Judgement]:
     """Yield reasons why this arm cannot have the estimated friction and rotor inertia.
 
+    Dry friction is compared with the joint's torque limit and with the torques of the other joints
+    of its type (hinge or slide), a rotor with the inertia of the outstretched arm.
+
     Args:
         joints: name of each chain joint to its estimate.
         torque: (n,) root mean square of each joint's measured torque [N m].
     """
     inertia = robot.mass * robot.length**2
     for index, (name, slide) in enumerate(zip(robot.joint_names, robot.is_slide)):
+        # Least values that the errors allow; NaN, which no bound refuses, of terms at their bounds.
         terms = {}
         for term, figure in joints[name].terms.items():
             terms[term] = figure.value - _SURE * figure.error
@@ -266,9 +275,9 @@ def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[WrongLink]:
         direction = link.prior.theta[1:4] / expected
         moment = float(direction @ link.inertial.theta[1:4])
         error = float(np.sqrt(direction @ link.covariance[1:4, 1:4] @ direction))
-        off = abs(moment - expected)
+        deviation = abs(moment - expected)
         least = max(_SURE * error, LEAST_WRONG * expected)
-        if np.all(link.is_determined[1:4]) and off > least:
+        if np.all(link.is_determined[1:4]) and deviation > least:
             yield WrongLink(link.name, expected, moment, error)
 
 
@@ -278,9 +287,11 @@ def implausible_links(robot: RobotModel, thetas: Array) -> Iterator[Judgement]:
     Args:
         thetas: (n, 10) estimated parameters of all links; the last one is not judged here.
     """
-    typical = float(np.median([body[0] for body in usual_bodies(robot).values()]))
+    typical_mass = float(np.median([body[0] for body in usual_bodies(robot).values()]))
     for index, (link, theta) in enumerate(zip(robot.links[:-1], thetas)):
-        if link.has_mass and link.theta[0] >= PLACEHOLDER * typical:
+        # A much lighter link of the model is a placeholder, which says nothing of the arm.
+        if link.has_mass and link.theta[0] >= PLACEHOLDER * typical_mass:
+            # Length of the uniform rod from the link's origin that has its inertia.
             model_size = np.sqrt(3.0) * spatial.characteristic_length(link.theta)
             reach = float(np.linalg.norm(robot.links[index + 1].translation))
             size = max(float(model_size), reach, _LEAST_SIZE)
