@@ -36,15 +36,15 @@ from robot_sysid.records.arm import InertialParameters
 from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import MODEL_NAMES, atomic_files, temporary_folder
 from robot_sysid.records.messages import Progress
-from robot_sysid.results.record import ModelTarget, Result, RolloutTest
-from robot_sysid.results.verification import (
-    CHECKPOINTS,
+from robot_sysid.results.prediction import (
     LAST_FIFTH,
     fitted_rows,
     play,
     split_time,
     torque_error,
 )
+from robot_sysid.results.record import ModelTarget, Result, RolloutTest
+from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.results.written_model import write_model
 from robot_sysid.signals.resampling import MOST_ROWS_KEPT, condense_run
 from robot_sysid.simulation.plant import PlantSimulation, load_plant

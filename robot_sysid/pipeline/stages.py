@@ -41,9 +41,10 @@ from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import atomic_files, models_in
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import PerJoint, write_torque_scale
+from robot_sysid.results.prediction import rollout_refusal
 from robot_sysid.results.record import LINK, JointEstimate, Result, Verdict
 from robot_sysid.results.verdict import command_after_weighing, verdict_lines
-from robot_sysid.results.verification import CHECKPOINTS, rollout_refusal
+from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count, spread_motion

@@ -1,6 +1,10 @@
 """Cards: a payload in the form of each controller or library, as text to copy.
 
-Each form is confirmed by its maker's own documentation or source.
+Each form is confirmed by its maker's own documentation or source. A form takes its numbers from
+named groups (``_number_groups``), such as "com_mm", the centre of mass [mm].
+
+A payload's ten parameters theta (10,) are mass m [kg], first moments h [kg m] and the inertia about
+the origin of its frame [kg m^2], six elements; its centre of mass is c = h / m.
 """
 
 from __future__ import annotations
@@ -264,10 +268,12 @@ def payload_cards(body: BodyEstimate, flange: Flange) -> tuple[Card, ...]:
 def load_covariance(body: BodyEstimate) -> Array:
     """Return the covariance (10, 10) of mass, centre of mass c and inertia about c of a body.
 
-    The order is that of ``ERROR_NAMES``. To first order, I_com = I - m (|c|^2 1 - c c^T) and
-    c = h / m. The change of c is not symmetric in the mass, larger where the mass is smaller:
-    its slope is therefore that to the body that is lighter by one standard error of the mass, at
-    most twice that of the body itself. Variances of what is not determined are infinite.
+    The order is that of ``ERROR_NAMES``. It follows to first order from I_com = I - m (|c|^2 1 -
+    c c^T) and c = h / m, by their slopes: dc = (dh - c dm) / m, and with a = dh along an axis
+    dI_com = dI - dm (c c^T - |c|^2 1) - (2 (a c) 1 - a c^T - c a^T). The change of c is not
+    symmetric in the mass, larger where the mass is smaller: its slope is therefore that to the body
+    that is lighter by one standard error of the mass, at most twice that of the body itself.
+    Variances of what is not determined are infinite.
     """
     inertial = body.inertial
     is_com_known = inertial.mass > 0.0 and bool(np.all(body.is_determined[:4]))
@@ -279,6 +285,7 @@ def load_covariance(body: BodyEstimate) -> Array:
     jacobian = np.eye(10)
     com_slopes = np.column_stack((-com, identity))
     jacobian[1:4, :4] = com_slopes / max(mass - mass_error, 0.5 * mass)
+    # Of the inertia about c: by the mass, then by each first moment.
     inertia_slopes = [com @ com * identity - np.outer(com, com)]
     for axis in identity:
         products = np.outer(axis, com) + np.outer(com, axis)
@@ -313,6 +320,7 @@ def principal_moments(body: BodyEstimate) -> tuple[Array, Array, Array]:
     covariance = load_covariance(body)[4:, 4:]
     if not np.all(np.isfinite(covariance)):
         return moments, np.full(3, np.inf), np.full(3, np.inf)
+    # Rows (6, 6) that take the six elements of dI to a_i^T dI a_j, for i <= j.
     rows = []
     for i, j in zip(*np.triu_indices(3)):
         product = np.outer(axes[:, i], axes[:, j])
@@ -320,6 +328,7 @@ def principal_moments(body: BodyEstimate) -> tuple[Array, Array, Array]:
         rows.append(_MULTIPLICITY * spatial.six_from_symmetric(symmetric))
     variances = np.diag(np.array(rows) @ covariance @ np.array(rows).T)
     xx, xy, xz, yy, yz, zz = np.sqrt(np.maximum(variances, 0.0))
+    # The turn about an axis moves the other two: y and z, x and z, x and y.
     gaps = np.abs(moments[[1, 0, 0]] - moments[[2, 2, 1]])
     turns = np.degrees(np.array([yz, xz, xy]) / np.maximum(gaps, 1e-300))
     turns = np.where(turns <= _MAX_AXIS_ERROR, turns, np.inf)
@@ -425,7 +434,12 @@ def join_numbers(values: Sequence[float]) -> str:
 
 
 def _fill_values(form: Mapping[str, Any], groups: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of a form with the numbers of their groups in place of the group names."""
+    """Return the values of a form with the numbers of their groups in place of the group names.
+
+    Args:
+        form: ``Form.values``, whose names of several words take one number of the group each.
+        groups: group name to a number or numbers, of ``_number_groups``.
+    """
     values: dict[str, Any] = {}
     for name, group in form.items():
         if isinstance(group, dict):
@@ -538,7 +552,12 @@ def _errors_with_unit(errors: Array, unit: str) -> str:
 
 
 def _error_notes(error_texts: Mapping[str, str], form: Mapping[str, Any]) -> list[str]:
-    """Return the notes of a card on the errors of the groups in a form's values."""
+    """Return the notes of a card on the errors of the groups in a form's values.
+
+    Args:
+        error_texts: group name to the text on its errors, of ``_error_texts``.
+        form: ``Form.values``, name of a value to its group or to further such values.
+    """
     groups: list[str] = []
     for group in form.values():
         groups += group.values() if isinstance(group, dict) else [group]

@@ -1,4 +1,8 @@
-"""The result of an identification, of a link or a payload: read by files, console and report."""
+"""The result of an identification, of a link or a payload: read by files, console and report.
+
+A body has ten inertial parameters in the order of ``PARAMETER_NAMES``: mass [kg], first moments
+[kg m], inertia about its frame's origin [kg m^2]. The arm's chain has n joints, base to terminal.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +30,7 @@ PAYLOAD = "payload"
 
 
 class Verdict(Enum):
-    """How an identification ended; the value says the cause and what to do."""
+    """How an identification ended; the value is a sentence on the cause and what to do."""
 
     OK = "all requested parameters are identified from the data"
     PARTLY_FROM_MODEL = (
@@ -98,6 +102,10 @@ class Verdict(Enum):
         return self.is_trustworthy or self is Verdict.TORQUES_ONLY
 
 
+_INTERVAL_ERRORS = 1.96
+"""Standard errors on each side of a value within which 95 % of a normal distribution lie."""
+
+
 class Quantity(NamedTuple):
     """An estimated number and its standard error, all causes together.
 
@@ -107,6 +115,12 @@ class Quantity(NamedTuple):
 
     value: float
     error: float
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Bounds (low, high) of the 95 % confidence interval, for an error that is normal."""
+        reach = _INTERVAL_ERRORS * self.error
+        return self.value - reach, self.value + reach
 
 
 @dataclass(frozen=True)
@@ -120,7 +134,8 @@ class BodyEstimate:
         is_determined: (10,) whether data and priors determine a parameter at all.
         noise_errors: (10,) standard errors due to torque noise alone.
         budget: cause other than noise to the standard errors (10,) due to it alone.
-        data_share: (10,) share of each value that the data determines, 1 to 0; the model the rest.
+        data_share: (10,) share of each value that comes from the data, 0 to 1; the model gives the
+            other share.
         prior: the parameters in the model; None of a payload.
         joint: the chain joint that moves the body; None of a payload.
     """
@@ -475,10 +490,6 @@ class ModelTarget:
     mesh_dir: Path | None = None
 
 
-_INTERVAL_ERRORS = 1.96
-"""Standard errors on each side of a value within which 95 % of a normal distribution lie."""
-
-
 def json_text(content: Mapping[str, Any]) -> str:
     """Return strict JSON text: arrays as lists, numbers that are not finite as null."""
     return json.dumps(_strict(content), indent=2, allow_nan=False) + "\n"
@@ -490,11 +501,10 @@ def _strict(value: Any) -> Any:
     Numbers that are not finite become None.
     """
     if isinstance(value, Quantity):
-        reach = _INTERVAL_ERRORS * value.error
         entry = {
             "value": value.value,
             "standard_error": value.error,
-            "interval": [value.value - reach, value.value + reach],
+            "interval": value.interval,
         }
         return _strict(entry)
     if is_dataclass(value) and not isinstance(value, type):

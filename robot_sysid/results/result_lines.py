@@ -194,10 +194,9 @@ def _payload_lines(payload: Payload) -> Iterator[str]:
             f"Torque scales by the known mass of {payload.known_mass:g} kg (what the log reads "
             "over what is there, 95 % interval):"
         )
-    for joint, (scale, error) in payload.torque_scale.items():
-        low = scale - 1.96 * error
-        high = scale + 1.96 * error
-        yield f"  {joint}: {scale:.4f} [{low:.4f}, {high:.4f}]"
+    for joint, scale in payload.torque_scale.items():
+        low, high = scale.interval
+        yield f"  {joint}: {scale.value:.4f} [{low:.4f}, {high:.4f}]"
 
 
 def _joint_lines(result: Result) -> Iterator[str]:

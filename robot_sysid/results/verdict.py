@@ -324,7 +324,7 @@ def _negative_delay(result: Result) -> Iterator[str]:
 
 
 def _weak_parameters(body: BodyEstimate) -> Iterator[str]:
-    """Yield a sentence on the parameters with large errors, the largest first."""
+    """Yield a sentence on the parameters with large finite errors, the largest first."""
     relative_errors = body.errors / body.inertial.scale
     texts = []
     for k in np.argsort(-relative_errors):
@@ -364,6 +364,7 @@ def _negative_friction(result: Result) -> Iterator[str]:
     was_model_given = False
     for name, joint in result.joints.items():
         model = friction_model(joint.friction_model)
+        # Term to whether it must not be negative.
         is_bounded = dict(zip(model.terms, model.non_negative))
         for term, (value, error) in joint.terms.items():
             if is_bounded.get(term) and value < -SURE * error:
@@ -380,6 +381,7 @@ def _negative_friction(result: Result) -> Iterator[str]:
 def _unexplained_residuals(result: Result) -> Iterator[str]:
     """Yield sentences where residuals are correlated in time, or larger on data not fitted."""
     estimate = result.estimate
+    # Joint to its number of independent samples per sample.
     shares = estimate.independent_share.items()
     correlated = [joint for joint, share in shares if share < COLOURED]
     if correlated:

@@ -2,13 +2,13 @@
 
 Both files are compiled and every field of the compiled models is compared, but for those listed
 here, each with its reason. The written model must then take the torques that the identification
-predicts. On demand, both models are simulated along logs that were not fitted.
+predicts.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from operator import attrgetter
@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import (
@@ -29,25 +28,13 @@ from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.inertial import mjcf_inertial
 from robot_sysid.mjcf.updated_model import ModelChange, WeldedBody
 from robot_sysid.model.bodies import body_theta
-from robot_sysid.model.chain import body_label, joint_friction, joint_label
+from robot_sysid.model.chain import body_label, joint_label
 from robot_sysid.model.compilation import (
     CompiledModel,
     captured_warnings,
     compile_model,
 )
-from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Array, Measurement, Motion, RobotModel, Validation
-from robot_sysid.records.data import validation_of
-from robot_sysid.records.file_access import MODEL_NAMES, atomic_files, temporary_folder
-from robot_sysid.results.record import (
-    CLOSED,
-    OPEN,
-    ModelTarget,
-    RolloutError,
-    RolloutTest,
-)
-from robot_sysid.signals.process import ProcessedSignals
-from robot_sysid.simulation import playback
+from robot_sysid.records import Array, Motion, RobotModel
 
 CHECKPOINTS = 400
 """Number of samples of the motion on which a written model is compared with the prediction."""
@@ -129,7 +116,15 @@ class _RequiredValue(NamedTuple):
 
 
 def _required_values(original: Any, change: ModelChange) -> Iterator[_RequiredValue]:
-    """Yield the values of joints, actuators, tendons and gravity that a change requires."""
+    """Yield the values of joints, actuators, tendons and gravity that a change requires.
+
+    A position actuator (servo) of stiffness k and damping d makes the force k u - k q - d qd of
+    command u: MuJoCo keeps it as the gain (k) and the bias (0, -k, -d).
+
+    Args:
+        original: compiled model, whose ids of joints are those of the changed one.
+        change: the difference that is wanted.
+    """
     labels = list(map(partial(joint_label, original), range(original.njnt)))
     for joint in change.joints:
         dof = int(original.jnt_dofadr[labels.index(joint.label)])
@@ -178,7 +173,14 @@ def verify_written_model(
 
 
 def require_change(original: Any, changed: Any, change: ModelChange) -> None:
-    """Raise ExportError unless a compiled model is the original one with a change made."""
+    """Raise ExportError unless a compiled model is the original one with a change made.
+
+    Args:
+        original: compiled model.
+        changed: compiled model. A body that the change adds has an id within those of the original;
+            bodies from that id on have ids larger by one. New tendons follow those of the original.
+        change: the difference that is wanted.
+    """
     new_body = None
     welded = change.welded
     if welded is not None:
@@ -188,7 +190,8 @@ def require_change(original: Any, changed: Any, change: ModelChange) -> None:
         if new_body < 0 or changed.nbody != original.nbody + 1:
             name = welded.name
             raise ExportError(f"the written model has no body '{name}' of its own")
-    # Body to its parameters and to those that set the scale.
+    # Body id in the original to its parameters and to those that set the scale of deviations; an
+    # emptied body, whose mass moves to the changed one, has the scale of that.
     thetas: dict[int, tuple[Array, Array]] = {}
     for body_change in change.bodies:
         plan = body_change.plan
@@ -196,6 +199,7 @@ def require_change(original: Any, changed: Any, change: ModelChange) -> None:
         for body in plan.emptied:
             thetas[body.body_id] = np.zeros(10), plan.theta
     required_values = list(_required_values(original, change))
+    # Field to the rows of it that may differ.
     rows: dict[str, set[int]] = {name: set(thetas) for name in BODY_FIELDS}
     for required in required_values:
         indices = np.ravel(required.address[0]).tolist()
@@ -271,7 +275,12 @@ def require_theta(
 ) -> None:
     """Raise ExportError unless a compiled body has the parameters theta (10,).
 
-    The tolerance is relative to the scale of a body with parameters scale_theta (10,).
+    Args:
+        mj_model: compiled model.
+        body_id: id of the body in it.
+        theta: (10,) wanted parameters; all zero for a body that has been emptied.
+        scale_theta: (10,) parameters whose scale the deviation is relative to.
+        tolerance: largest relative deviation.
     """
     mass, _, inertia = spatial.com_from_theta(scale_theta)
     length = spatial.characteristic_length(scale_theta)
@@ -330,6 +339,13 @@ def _is_same(
     """Return whether a field of two compiled models is the same, but for rows that may differ.
 
     Where the other model has a new body, body ids from it on are larger by one.
+
+    Args:
+        name: of the field.
+        original: number or array in the original model.
+        other: number or array in the other model.
+        changed_rows: rows of the original array that may differ.
+        new_body: id of the one body that only the other model has, or None.
     """
     if not isinstance(original, np.ndarray) or not isinstance(other, np.ndarray):
         return bool(original == other)
@@ -432,169 +448,3 @@ def _require_pose(written: Any, new_body: int, body: WeldedBody) -> None:
             f"in the written model, body '{body.name}' is not fixed to '{body.carrier}' where it "
             "should be; no model was written"
         )
-
-
-HORIZONS = (0.1, 0.3, 1.0, 3.0)
-"""Durations over which the models are simulated [s]."""
-HELD_OUT_SHARE = 0.2
-"""Share of each log, its end, that is held out; cross-validation leaves out as much."""
-LAST_FIFTH = "the last fifth of every log, which was not fitted for it"
-"""Description of the pieces that ``HELD_OUT_SHARE`` holds out."""
-SERVO_DESCRIPTION = (
-    f"measured torques and a critically damped servo of {playback.TRACKING_RATE:g} Hz towards the "
-    "measured motion"
-)
-
-
-def play(
-    robot: RobotModel,
-    signals: Sequence[ProcessedSignals],
-    write: Callable[[ModelTarget], object],
-    mesh_dir: Path | None,
-    start_time: Callable[[ProcessedSignals], float] = lambda log: -np.inf,
-    held_out: str = "the validation log",
-) -> RolloutTest:
-    """Simulate the original model and a written one along logs, and return their position errors.
-
-    Args:
-        robot: the arm with the original model.
-        signals: the processed logs.
-        write: writes the model; it goes to a temporary folder and is loaded from there.
-        mesh_dir: the user's mesh folder, or None.
-        start_time: returns the time of a log [s] from which on it is held out.
-        held_out: description of the held-out pieces.
-
-    Returns:
-        The errors; without any, and with a note, where the model cannot be written or simulated.
-    """
-    try:
-        pieces: list[Measurement] = []
-        for log in signals:
-            pieces += playback.low_passed_pieces(log, start_time(log))
-        checkpoints = signals[0].motion(signals[0].spread_indices(CHECKPOINTS))
-        with temporary_folder() as folder:
-            # Its content and not this name tells the format.
-            path = folder / MODEL_NAMES["mjcf"]
-            with atomic_files() as files:
-                write(ModelTarget(files, path, checkpoints, 0.0, mesh_dir))
-            new_robot = load_robot_model(path, joint=robot.terminal_joint)
-        return compare(robot, new_robot, pieces, held_out)
-    except (ExportError, InputError) as error:
-        return RolloutTest(robot.joint_names, "held-out pieces", "", (), (str(error),))
-
-
-def rollout_refusal(test: RolloutTest | None, accepted: Collection[str]) -> str | None:
-    """Return why a simulated model must not be written, or None where it may.
-
-    None, too, where there was no test, or "rollout" is among the findings that the user accepts.
-    """
-    if test is None or test.is_better or "rollout" in accepted:
-        return None
-    reason = f"nothing could be played on held-out pieces ({'; '.join(test.notes)})"
-    if test.score is not None:
-        reason = (
-            "played on held-out pieces, the new model is not better than the old one (errors "
-            f"{test.score:.2f} times those before)"
-        )
-    return f"no model was written: {reason}; to write it all the same: --accept rollout"
-
-
-def compare(
-    old_robot: RobotModel,
-    new_robot: RobotModel,
-    pieces: Sequence[Measurement],
-    held_out: str,
-) -> RolloutTest:
-    """Simulate two models of an arm along recorded pieces, and return their position errors.
-
-    ``held_out`` describes the pieces.
-    """
-    errors = []
-    notes = []
-    divergence_notes = []
-    robots = (old_robot, new_robot)
-    servo = playback.tracking_servo(robots, pieces) if pieces else None
-    for horizon in HORIZONS:
-        windows = playback.window_starts(pieces, horizon)
-        if not windows:
-            notes.append(f"no held-out piece is as long as {horizon:g} s")
-            continue
-        for loop, loop_servo in ((OPEN, None), (CLOSED, servo)):
-            old_errors, old_diverged = playback.rollout_error(
-                old_robot, windows, horizon, loop_servo
-            )
-            new_errors, new_diverged = playback.rollout_error(
-                new_robot, windows, horizon, loop_servo
-            )
-            diverged = (old_diverged, new_diverged)
-            errors.append(
-                RolloutError(
-                    loop, horizon, len(windows), old_errors, new_errors, diverged
-                )
-            )
-            if any(diverged):
-                divergence_notes.append(
-                    f"{loop}, {horizon:g} s: {old_diverged} of {len(windows)} windows run away "
-                    f"with the model before, {new_diverged} with the new one"
-                )
-    return RolloutTest(
-        old_robot.joint_names,
-        held_out,
-        SERVO_DESCRIPTION,
-        tuple(errors),
-        (*notes, *divergence_notes),
-    )
-
-
-def split_time(signals: ProcessedSignals | Measurement) -> float:
-    """Return the time from which on the last fifth of a log is held out [s]."""
-    start = float(signals.time[0])
-    end = float(signals.time[-1])
-    return end - HELD_OUT_SHARE * (end - start)
-
-
-def fitted_rows(signals: ProcessedSignals) -> NDArray[np.bool_]:
-    """Return which decimated rows (K,) use no sample of the held-out last fifth."""
-    reach = signals.low_pass.half_width / signals.rate
-    return np.asarray(signals.decimated_time() < split_time(signals) - 2.0 * reach)
-
-
-def torque_error(
-    model: Path | Any, robot: RobotModel, signals: ProcessedSignals, source: str
-) -> Validation:
-    """Return the torque error of a model file on a log, up to one sensor offset per joint.
-
-    ``ArmDynamics`` has no linear damping of joints; it is added as viscous friction. Dry friction
-    is Coulomb's. The prediction passes the same low-pass as the measured torque, and the mean
-    residual of each joint is subtracted.
-
-    Args:
-        model: path, or a compiled model whose chain joints have the robot's addresses.
-        robot: the arm.
-        signals: the processed log.
-        source: description of the log.
-
-    Raises:
-        InputError: the file cannot be loaded.
-    """
-    compiled = compile_model(model).mj_model if isinstance(model, Path) else model
-    dynamics = ArmDynamics(robot, compiled)
-    friction = joint_friction(compiled, robot.dof_index)
-
-    def smooth_torque(motion: Motion) -> tuple[Array]:
-        rigid = dynamics.torque(motion.q, motion.qd, motion.qdd)
-        return (rigid + friction.viscous * motion.qd,)
-
-    (predicted,) = signals.filter_columns(smooth_torque, smooth=True)
-    predicted += signals.low_pass.decimate(friction.dry(signals.qd))
-    tau = signals.low_pass.decimate(signals.tau)
-    usable = signals.usable()
-    counts = np.count_nonzero(usable, axis=0)
-    residual = np.where(usable, tau - predicted, 0.0)
-    offset = np.sum(residual, axis=0) / np.maximum(counts, 1)
-    residual = np.where(usable, residual - offset, 0.0)
-    squared_errors = np.sum(residual**2, axis=0)
-    squared_torques = np.sum(np.where(usable, tau, 0.0) ** 2, axis=0)
-    return validation_of(
-        robot.joint_names, squared_errors, squared_torques, counts, source
-    )

@@ -3,6 +3,9 @@
 Each written model is compiled and verified before it counts: the numbers are in it, nothing else
 has changed, and it takes the torques that the identification predicts. A bundle is a model with its
 meshes and textures in one folder, to be sent to somebody.
+
+The arm's chain has n joints and as many links, base to terminal; theta (10,) are the parameters of
+a body: mass, first moments, and the inertia about its frame's origin.
 """
 
 from __future__ import annotations
@@ -189,7 +192,13 @@ def _links_without_payload(result: Result) -> tuple[Array, Array]:
 def _joint_changes(
     robot: RobotModel, terms_by_joint: Mapping[str, Mapping[str, Quantity]]
 ) -> tuple[JointChange, ...]:
-    """Return the changes of the joints, base to terminal, whose friction terms are identified."""
+    """Return the changes of the joints, base to terminal, whose friction terms are identified.
+
+    Args:
+        robot: the arm.
+        terms_by_joint: joint, or motor that turns several, to its terms ("coulomb", ...); motors
+            are passed over.
+    """
     changes = []
     for joint, model_viscous in zip(robot.joint_names, robot.friction.viscous.tolist()):
         if joint not in terms_by_joint:
@@ -237,7 +246,10 @@ def _tendon_changes(robot: RobotModel, file: ModelFile) -> Iterator[TendonChange
 def _changes_of_kind(
     robot: RobotModel, changes: Sequence[JointChange]
 ) -> tuple[tuple[JointChange, ...], tuple[str, ...]]:
-    """Return the changes that the format of the model can hold, and a note on what it cannot."""
+    """Return the changes that the format of the model can hold, and a note on what it cannot.
+
+    There is one note or none. Comments in a URDF name numbers that it lacks, so they are left out.
+    """
     if robot.kind != "urdf":
         return tuple(changes), ()
     lost = []

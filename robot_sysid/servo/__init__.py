@@ -29,6 +29,7 @@ from robot_sysid.records import (
     file_access,
 )
 from robot_sysid.records.messages import Progress
+from robot_sysid.results.prediction import HORIZONS, LAST_FIFTH, rollout_refusal
 from robot_sysid.results.record import (
     CLOSED,
     ModelTarget,
@@ -39,7 +40,6 @@ from robot_sysid.results.record import (
 )
 from robot_sysid.results.result_lines import folder_text, rollout_lines
 from robot_sysid.results.verdict import two_lines
-from robot_sysid.results.verification import HORIZONS, LAST_FIFTH, rollout_refusal
 from robot_sysid.results.written_model import versions, write_joints
 from robot_sysid.servo import fit as servo_fit
 from robot_sysid.servo.commands import commanded_pieces, is_moving

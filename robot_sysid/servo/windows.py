@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement
-from robot_sysid.results.verification import split_time
+from robot_sysid.results.prediction import split_time
 from robot_sysid.signals.resampling import sampling_period, slice_samples
 from robot_sysid.simulation.playback import (
     STEP,

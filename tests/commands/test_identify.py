@@ -14,7 +14,7 @@ from robot_sysid.api.results import one_thread
 from robot_sysid.cli import main
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
-from robot_sysid.results.verification import compare
+from robot_sysid.results.prediction import compare
 from tests.support import arms, schemas, servo_logs
 from tests.support.command_line import words_of
 from tests.support.measured_logs import JOINT, log_of, plan_of, true_arm
@@ -155,7 +155,7 @@ def test_a_model_is_played_on_what_was_not_fitted_before_it_is_written(
         ("open loop", 0.1), ("closed loop", 1.0)
     }  # fmt: skip
     assert (folder / "updated_model.xml").exists()
-    monkeypatch.setattr("robot_sysid.results.verification.compare", swap_columns)
+    monkeypatch.setattr("robot_sysid.results.prediction.compare", swap_columns)
     refused = command.run(*options, "--validation-measurements", logs[1], code=1).err
     assert "not better than the old one" in refused and "--accept rollout" in refused
     assert (folder / "params.json").exists() and not (

@@ -23,7 +23,7 @@ from robot_sysid.estimation.question import FILE_GRAVITY as GRAVITY
 from robot_sysid.estimation.question import FILE_LINKS as LINKS
 from robot_sysid.estimation.question import FILE_ROTORS as ROTORS
 from robot_sysid.model.chain import CAN_HOLD_ROTORS
-from robot_sysid.results.verification import torque_error
+from robot_sysid.results.prediction import torque_error
 from tests.support import arms
 from tests.support.core_fits import BASIC, filter_logs, fit_recordings, fitter_of
 from tests.support.measured_logs import log_of, plan_of

@@ -251,6 +251,12 @@ def random_motion(rng, joints, samples, speed=2.0):
     return q, speed * qd, speed**2 * qdd
 
 
+def seeded_motion(seed, n_joints, n_samples=20):
+    """A motion whose q, qd and qdd (n_samples, n_joints) are independent random numbers."""
+    columns = random_motion(np.random.default_rng(seed), n_joints, n_samples)
+    return Motion(np.arange(float(n_samples)), *columns)
+
+
 def rows_and_rest(robot, motion):
     """Rows (N, n, 10) of the terminal link and the torque (N, n) of the rest of the arm."""
     equations = Equations(robot, "chain", [NO_FRICTION] * robot.n_joints)
