@@ -291,9 +291,9 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
     robot = answer.robot
     unchanged_parts = fit.question.unchanged_parts
     thetas = fit.columns.thetas(fit.values)
-    spread = np.zeros_like(thetas)
+    theta_errors = np.zeros_like(thetas)
     for body in file.links():
-        spread[robot.joint_names.index(str(body.joint))] = body.errors
+        theta_errors[robot.joint_names.index(str(body.joint))] = body.errors
     joints = {}
     notes = []
     for owner, terms in _file_terms(answer, file):
@@ -311,6 +311,7 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
         gravity = fit.next_point.gravity
         if np.array_equal(gravity, gravity_vector(robot)):
             gravity = None
+    # Beside an MJCF that is written for a URDF's arm, a URDF is written, too.
     urdf = None
     if file.file is not None:
         urdf, _ = model_file(replace(answer, file=file.file))
@@ -326,7 +327,7 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
         )
     written_file = ModelFile(
         thetas,
-        spread,
+        theta_errors,
         joints,
         gravity,
         file.model_validation,
@@ -421,6 +422,7 @@ def estimate_of(answer: Answer) -> Estimate:
     order = sorted(range(len(names)), key=lambda k: names[k] in nuisances)
     ordered_names = tuple(names[k] for k in order)
     interest = ordered_names[: len(names) - len(nuisances.intersection(names))]
+    # Three fields of the record: rmse, rmse_per_joint and samples (per joint).
     residuals = residual_errors(fit.evidence.total, fit.values)
     return Estimate(
         names=ordered_names,

@@ -7,7 +7,7 @@ inertial parameters (``PARAMETER_NAMES``), the first four its mass and first mom
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -403,27 +403,25 @@ def make_traces(
     joints = samples[0].joints
     indices = [robot.joint_names.index(joint) for joint in joints]
 
-    def stack_joints(name: str) -> Array:
-        """Return a field of the samples, "tau" or "measured", of all logs (K, joints) [N m]."""
-        return np.concatenate([np.stack(getattr(log, name), axis=1) for log in samples])
+    def join_logs(signals: Iterable[Sequence[Array]]) -> Array:
+        """Return signals (K,) of each joint in each log as one array (K of all logs, joints)."""
+        return np.concatenate(list(map(np.column_stack, signals)))
 
     def interpolate_motion(name: str) -> Array:
         """Return a field of the motions, "q" or "qd", at the instants of all rows (K, joints)."""
-        pieces = []
+        interpolated = []
         for log, motion in zip(samples, motions):
             signals = getattr(motion, name).T[indices]
-            interpolated = [np.interp(log.time, motion.time, x) for x in signals]
-            pieces.append(np.column_stack(interpolated))
-        return np.concatenate(pieces)
+            interpolated.append([np.interp(log.time, motion.time, x) for x in signals])
+        return join_logs(interpolated)
 
     def predict(values: Mapping[str, float]) -> Array:
         """Return the torque (K, joints) of all rows that named parameters make [N m]."""
         coefficients = np.array([values.get(name, 0.0) for name in samples[0].names])
-        torques = [np.stack(log.torque(coefficients), axis=1) for log in samples]
-        return np.concatenate(torques)
+        return join_logs(log.torque(coefficients) for log in samples)
 
-    right_sides = stack_joints("tau")
-    measured = stack_joints("measured")
+    right_sides = join_logs(log.tau for log in samples)
+    measured = join_logs(log.measured for log in samples)
     limits = robot.limits
     friction = {}
     for name, value in estimate.items():

@@ -75,7 +75,7 @@ class HeldOut:
     @cached_property
     def counts(self) -> Array:
         """Number of rows (blocks, joints) of each joint in each block."""
-        return np.array([sample_counts(block) for block in self.data.blocks])
+        return np.array(list(map(sample_counts, self.data.blocks)))
 
     @cached_property
     def _available(self) -> NDArray[np.bool_]:

@@ -385,8 +385,9 @@ def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[RecordingPayload, .
         is_loaded = recordings[k].is_loaded
         if np.count_nonzero(kinds == is_loaded) < 2:
             continue
-        others = np.flatnonzero(kinds != is_loaded)
-        selected = [logs[k], *(logs[other] for other in others)]
+        selected = [logs[k]]
+        for other in np.flatnonzero(kinds != is_loaded):
+            selected.append(logs[other])
         values, *covariances = estimate_alone(
             selected, unknowns.groups, prior, fit.noise
         )
@@ -519,22 +520,26 @@ def bodies_apart(fit: Fit, samples: Sequence[DecimatedSamples]) -> tuple[Array, 
     def add_body_columns(number: int, samples: DecimatedSamples) -> DecimatedSamples:
         """Return a recording's rows with columns of all bodies, zero but for that of its number."""
         narrow = restrict_samples(samples, fewer)
+        body_columns = np.arange(len(common), len(names))
         rows = []
-        for block, full in zip(narrow.rows, samples.rows):
+        columns = []
+        # The first ten columns of a joint's rows are those of the terminal link.
+        for block, full, block_columns in zip(
+            narrow.rows, samples.rows, narrow.columns
+        ):
             bodies = np.zeros((len(block), count, N_INERTIAL))
             if number:
                 bodies[:, number - 1] = full[:, :N_INERTIAL]
             rows.append(np.hstack((block, bodies.reshape(len(block), -1))))
-        last = np.arange(len(common), len(names))
-        columns = tuple(np.append(at, last) for at in narrow.columns)
-        return replace(narrow, names=names, columns=columns, rows=tuple(rows))
+            columns.append(np.append(block_columns, body_columns))
+        return replace(narrow, names=names, columns=tuple(columns), rows=tuple(rows))
 
     # A recording of the wrong kind widens priors that have nothing to do with it. A known mass
     # (cause ``WEIGHT``) is that of the payload, which these bodies replace.
     priors = [replace(g, widened=1.0) for g in fit.unknowns.groups if g.cause != WEIGHT]
     priors.append(independent_prior("unseen", added, added, UNSEEN))
     prior = np.append(fit.columns.model_values[common], np.zeros(len(added)))
-    logs = [add_body_columns(*pair) for pair in enumerate(samples)]
+    logs = list(itertools.starmap(add_body_columns, enumerate(samples)))
     values, _, errors = estimate_alone(logs, priors, prior)
     last = slice(len(common), None)
     bodies = np.zeros((count + 1, N_INERTIAL))

@@ -261,7 +261,7 @@ def friction_of_logs(
     names = _friction_names(unknowns)
     if not names:
         return None
-    indices = np.array([unknowns.estimated_names.index(name) for name in names])
+    indices = np.flatnonzero(np.isin(unknowns.estimated_names, names))
     values = fit.values[unknowns.estimated[indices]]
     restriction = unknowns.estimated_names, unknowns.held
     plain = [restrict(block, *restriction) for block in blocks]
@@ -303,14 +303,15 @@ def friction_of_logs(
 
 
 def _friction_names(unknowns: Unknowns) -> list[str]:
-    """Return the names of the estimated friction terms that may differ between logs.
+    """Return the names of the estimated friction terms that may differ between logs, in order.
 
     Rotor inertia, and friction terms that only a prior allows for, are not among them.
     """
     terms = TERMS.keys() - {"armature"}
     names = []
     for name in unknowns.estimated_names:
-        if split_name(name)[0] in terms and name not in unknowns.nuisance_friction:
+        term, _ = split_name(name)
+        if term in terms and name not in unknowns.nuisance_friction:
             names.append(name)
     return names
 
@@ -398,7 +399,7 @@ def _agreement(
         yield f"the logs agree on the mass, not on friction: {scatter}"
 
 
-SHARES = (0.0, *(0.01 * 2.0**k for k in range(8)))
+SHARES = (0.0, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
 """Grid of differences from log to log, as shares of a number's size, equally likely."""
 COMMON_FREEDOM = 4.0
 """Weight of the share of a whole kind, in differences of one number."""

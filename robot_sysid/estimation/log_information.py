@@ -374,9 +374,9 @@ def answer_from(
     settled = replace(
         information.settled, model=robot.sha256, joint=robot.terminal_joint
     )
-    differences = settled.differences(
-        information.settled if validation is None else validation.settled
-    )
+    differences = []
+    if validation is not None:
+        differences += settled.differences(validation.settled)
     differences += settled.differences(information.settled)
     if differences:
         raise InputError(

@@ -167,12 +167,15 @@ def unexplained_share(
     torque = dict(zip(fit.columns.robot.joint_names, fit.evidence.torque.tolist()))
     # Joint to root mean square of the residuals that are correlated in time [N m].
     slow = {}
+    torques = []
     for joint, noise in fit.noise_per_joint.items():
         if torque[joint]:
             slow_share = max(1.0 - independent_share.get(joint, 0.0), 0.0)
             slow[joint] = noise * np.sqrt(slow_share)
-    total = np.linalg.norm([torque[joint] for joint in slow])
-    share = float(np.linalg.norm([*slow.values()]) / total) if slow else 0.0
+            torques.append(torque[joint])
+    share = 0.0
+    if slow:
+        share = float(np.linalg.norm([*slow.values()]) / np.linalg.norm(torques))
     largest = sorted(slow, key=lambda joint: -slow[joint])[:3]
     phrases = [
         f"{percent(slow[joint] / torque[joint])} of {joint}" for joint in largest
@@ -287,7 +290,8 @@ def implausible_links(robot: RobotModel, thetas: Array) -> Iterator[Judgement]:
     Args:
         thetas: (n, 10) estimated parameters of all links; the last one is not judged here.
     """
-    typical_mass = float(np.median([body[0] for body in usual_bodies(robot).values()]))
+    bodies = np.array(list(usual_bodies(robot).values()))
+    typical_mass = float(np.median(bodies[:, 0]))
     for index, (link, theta) in enumerate(zip(robot.links[:-1], thetas)):
         # A much lighter link of the model is a placeholder, which says nothing of the arm.
         if link.has_mass and link.theta[0] >= PLACEHOLDER * typical_mass:

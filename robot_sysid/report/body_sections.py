@@ -1,4 +1,8 @@
-"""Sections of the report on bodies: parameters, errors by cause, cards, ellipsoids of inertia."""
+"""Sections of the report on bodies: parameters, errors by cause, cards, ellipsoids of inertia.
+
+A body has ten inertial parameters in the order of ``PARAMETER_NAMES``: mass [kg], first moments
+[kg m], inertia about its frame's origin [kg m^2]. ``Run.content`` is the content of params.json.
+"""
 
 from __future__ import annotations
 
@@ -381,6 +385,10 @@ def _ellipsoid_section(robot: RobotModel, bodies: Bodies) -> Section:
     """Return the section with a picture of the whole arm and one of its last link.
 
     SysidError if there is no graphics library to render with.
+
+    Args:
+        robot: the arm, drawn in its reference posture.
+        bodies: pairs (MuJoCo id, body) to draw, one of them at the last link.
     """
     from matplotlib.image import imsave
 
@@ -389,6 +397,7 @@ def _ellipsoid_section(robot: RobotModel, bodies: Bodies) -> Section:
     numbers = masses([body for _, body in bodies])
     figures = []
     last = [body_pair for body_pair in bodies if body_pair[0] == robot.body_id]
+    _, last_body = last[0]
     impossible: dict[str, None] = {}
     with Studio(robot, *_SIZE) as studio:
         for name, subject, drawn_bodies in (
@@ -397,7 +406,7 @@ def _ellipsoid_section(robot: RobotModel, bodies: Bodies) -> Section:
         ):
             studio.look_at_arm(robot.reference[None])
             if name == "close":
-                _approach_last_link(studio, robot, last[0][1])
+                _approach_last_link(studio, robot, last_body)
             else:
                 # So far away that the largest ellipsoid fits into the picture.
                 largest = max(_largest_length(body) for _, body in bodies)
@@ -449,23 +458,19 @@ def _drawn_bodies(robot: RobotModel, run: Run) -> Iterator[tuple[int, Body]]:
     These are the payload and the link with it ("before": without it), or the terminal link and the
     other links.
     """
-    first, *others = run.bodies
     if run.is_payload:
+        payload, link, total = run.bodies
         entry = run.content["payload"]["flange"]
         flange = Flange(
             "flange", np.array(entry["rotation"]), np.array(entry["translation"])
         )
-        yield (
-            robot.body_id,
-            replace(first, thetas={"after": flange.from_flange(first.identified)}),
-        )
-        thetas = {"before": others[0].identified, "after": others[1].identified}
-        yield (
-            robot.body_id,
-            replace(others[1], title="link with payload", thetas=thetas),
-        )
+        payload_thetas = {"after": flange.from_flange(payload.identified)}
+        yield robot.body_id, replace(payload, thetas=payload_thetas)
+        thetas = {"before": link.identified, "after": total.identified}
+        yield (robot.body_id, replace(total, title="link with payload", thetas=thetas))
         return
-    yield robot.body_id, first
+    terminal, *others = run.bodies
+    yield robot.body_id, terminal
     ids = {link.body_name: link.body_id for link in robot.links}
     for body in others:
         if body.title in ids:
@@ -483,6 +488,7 @@ def _approach_last_link(studio: Studio, robot: RobotModel, body: Body) -> None:
     theta = body.identified
     com = theta[1:4] / theta[0] if theta[0] > 0.0 else np.zeros(3)
     extent = max(_ellipsoid_extent(version, com) for version in body.thetas.values())
+    # Pose of the link's frame in the world.
     rotation = studio.data.xmat[robot.body_id].reshape(3, 3)
     target = studio.data.xpos[robot.body_id] + rotation @ com
     studio.point_camera(target, max(0.4 * studio.camera.distance, _NEAREST * extent))

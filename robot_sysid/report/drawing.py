@@ -130,8 +130,9 @@ def table(
     """
     texts = []
     for row in rows:
-        texts.append(tuple(c if isinstance(c, str) else text(c) for c in row))
-    step = -(-len(texts) // MOST_ROWS)
+        cells_of_row = [cell if isinstance(cell, str) else text(cell) for cell in row]
+        texts.append(tuple(cells_of_row))
+    step = math.ceil(len(texts) / MOST_ROWS)
     if step > 1:
         thinning_note = (
             f"every {step}th of {len(texts)} rows; report_data.npz holds all that is "

@@ -1,4 +1,8 @@
-"""Sections of the report on joints: torques, residuals, friction, motion, prediction errors."""
+"""Sections of the report on joints: torques, residuals, friction, motion, prediction errors.
+
+A joint is known by its index from the base. Signals of ``ReportData`` have the shape (K, n), for K
+instants and n joints, its statistics (n, ...). ``Run.content`` is the content of params.json.
+"""
 
 from __future__ import annotations
 
@@ -296,6 +300,7 @@ def _friction_figure(data: ReportData, joint: int) -> Figure:
     """Return the figure of a joint's friction torque, measured and identified, against speed."""
     unit = torque_unit(data.is_slide[joint])
     speed_label = f"speed [{position_unit(data.is_slide[joint])}/s]"
+    # Bins of speed with enough samples.
     has_samples = np.isfinite(data.speed[joint])
     columns = (data.speed, data.friction_measured, data.friction_predicted)
     bins = np.array([column[joint, has_samples] for column in columns])
@@ -467,7 +472,8 @@ def error_sets(run: Run) -> Iterator[ErrorSet]:
     logs (the further ones); on the latter two by the fit, the model before and the written model.
     """
     content = run.content
-    file = run.content["file"] or {"others": ()}
+    # Errors "before" and "after" of the written file on held-out data, and pairs of them on others.
+    file = content["file"] or {"others": ()}
     tests = []
     if content["rmse_per_joint"]:
         fitted = Validation("", 0, content["rmse"], None, content["rmse_per_joint"], {})

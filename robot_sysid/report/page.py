@@ -109,8 +109,8 @@ def html(title: str, sections: Sequence[Section]) -> str:
 def _prose(text: str) -> str:
     """Return a sentence as escaped HTML, with text between backticks as <code> elements.
 
-    Spaces around ± and before % become non-breaking ones. The template marks the result as
-    ``safe``, so that it is not escaped twice.
+    Spaces around ± and before % become non-breaking ones. The page's template (Jinja) marks the
+    result as ``safe``, so that it is not escaped twice.
     """
     from markupsafe import escape
 

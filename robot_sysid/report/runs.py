@@ -214,25 +214,25 @@ def autocorrelation(time: Array, residual: Array) -> dict[str, Array]:
 
     r(l) = mean(e_k e_{k+l}) / mean(e_k^2) over the pairs of samples that were both used. The
     correlation of white noise exceeds 1.96 / sqrt(samples) in one lag of twenty (Box, Jenkins,
-    "Time Series Analysis", 1970, ch. 2).
+    "Time Series Analysis", 1970, ch. 2). Lags are at most a quarter of the recording.
 
     Args:
         time: (K,) instants [s].
         residual: (K, n) residuals; NaN where a sample was not used.
 
     Returns:
-        "lags": (L,) up to ``LONGEST_LAG`` [s]; "correlation": (n, L), zero where all residuals are
-        zero; "independent": (n,) the bound 1.96 / sqrt(samples).
+        "lags": (L,) from zero, up to ``LONGEST_LAG`` [s]; "correlation": (n, L), zero where all
+        residuals are; "independent": (n,) the bound 1.96 / sqrt(samples).
     """
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     step = step or 1.0
-    last = int(min(LONGEST_LAG / step, len(time) // 4))
-    shifts = np.unique(
-        np.linspace(0, last, min(last, _MOST_LAGS) + 1).round().astype(int)
-    )
+    largest_shift = int(min(LONGEST_LAG / step, len(time) // 4))
+    n_shifts = min(largest_shift, _MOST_LAGS) + 1
+    shifts = np.unique(np.linspace(0, largest_shift, n_shifts).round().astype(int))
     correlation = []
     for column in residual.T:
-        covariance = autocovariance(column, last)[0]
+        covariance, *_ = autocovariance(column, largest_shift)
+        # Where all residuals are zero, any divisor serves.
         correlation.append((covariance / (covariance[0] or 1.0))[shifts])
     independent = 1.96 / np.sqrt(np.maximum(np.sum(np.isfinite(residual), axis=0), 1))
     return {
@@ -512,7 +512,10 @@ def _theta(entries: Mapping[str, Any]) -> Array:
 
 
 def _body(entries: Mapping[str, Any]) -> Body:
-    """Return the body of a JSON object whose own objects are records already."""
+    """Return the body of a JSON object, in which other objects are arrays (10,) already.
+
+    KeyError, TypeError or ValueError if an entry is missing or has another type.
+    """
     thetas = {"after": _theta(entries)}
     if entries["model"] is not None:
         thetas = {"before": entries["model"], **thetas}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -485,14 +485,43 @@ def table_lines(rows: Sequence[BeforeAfter], title: str = "") -> list[str]:
 
 def theta_rows(body: BodyEstimate) -> list[BeforeAfter]:
     """Return the rows of the ten inertial parameters; an error of zero counts as not stated."""
-    scale = body.inertial.scale
-    prior: list[float | None] = [None] * 10
-    if body.prior is not None:
-        prior = without_rounding(body.prior.theta, scale).tolist()
-    identified = without_rounding(body.inertial.theta, scale).tolist()
-    errors = [error or None for error in body.errors.tolist()]
+    prior = None if body.prior is None else body.prior.theta
+    rows = _number_rows(
+        LABELS.values(),
+        prior,
+        body.inertial.theta,
+        body.errors,
+        PARAMETER_UNITS,
+        body.inertial.scale,
+    )
     shares = body.data_share.tolist()
-    columns = (LABELS.values(), prior, identified, errors, PARAMETER_UNITS, shares)
+    return [replace(row, share=share) for row, share in zip(rows, shares)]
+
+
+def _number_rows(
+    labels: Iterable[str],
+    prior: Array | None,
+    identified: Array,
+    errors: Array,
+    units: Iterable[str],
+    scale: Array | float,
+) -> list[BeforeAfter]:
+    """Return the rows of m numbers before and after an identification.
+
+    Args:
+        labels: (m,) labels of the rows.
+        prior: (m,) the model's values; None where it has none.
+        identified: (m,) identified values.
+        errors: (m,) their standard errors; one of zero counts as not stated.
+        units: (m,) their units.
+        scale: sizes (m,) of large values, or one size; far below it, a number is shown as zero.
+    """
+    values_before: list[float | None] = [None] * len(identified)
+    if prior is not None:
+        values_before = without_rounding(prior, scale).tolist()
+    values_after = without_rounding(identified, scale).tolist()
+    stated_errors = [error or None for error in errors.tolist()]
+    columns = (labels, values_before, values_after, stated_errors, units)
     return list(map(BeforeAfter, *columns))
 
 
@@ -522,13 +551,9 @@ def _com_rows(body: BodyEstimate) -> list[BeforeAfter]:
     if not np.all(np.isfinite(errors)):
         return []
     length = max(spatial.characteristic_length(body.inertial.theta), _MIN_LENGTH)
-    prior: list[float | None] = [None] * 3
-    if body.prior is not None:
-        prior = without_rounding(body.prior.com, length).tolist()
-    identified = without_rounding(body.inertial.com, length).tolist()
-    stated_errors = [error or None for error in errors.tolist()]
+    prior = None if body.prior is None else body.prior.com
     labels = map("centre of mass {}".format, "xyz")
-    return list(map(BeforeAfter, labels, prior, identified, stated_errors, "mmm"))
+    return _number_rows(labels, prior, body.inertial.com, errors, "mmm", length)
 
 
 def _inertia_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:

@@ -93,6 +93,7 @@ def write_model(
     payload = result.payload
     welded = None
     comments = []
+    # Payload in a body of its own: only the torque check counts it to the terminal link.
     theta_beside = np.zeros(10)
     if payload is not None:
         theta = payload.flange.from_flange(payload.body.inertial.theta)
@@ -208,7 +209,8 @@ def _joint_changes(
         polynomial = None
         if "quadratic" in values or "cubic" in values:
             polynomial = values.get("quadratic", 0.0), values.get("cubic", 0.0)
-            # One attribute holds all three numbers, so that the one that stays is written again.
+            # One attribute holds linear, quadratic and cubic damping, so that linear damping that
+            # stays is written again.
             values.setdefault("viscous", model_viscous)
         attributes = _MJCF_ATTRIBUTES.values()
         numbers = dict(zip(attributes, map(values.get, _MJCF_ATTRIBUTES)))
@@ -281,6 +283,7 @@ def _body_changes(
         The changes, and the parameters (n, 10) of the links that they lead to.
     """
     body_ids = [link.body_id for link in robot.links]
+    # Smallest principal moment that the model's compiler leaves alone [kg m^2].
     bound = setting_number(read_document(robot.path), "boundinertia")
     written_thetas = np.array(thetas, dtype=float)
     indices = np.flatnonzero(np.any(thetas != robot.thetas, axis=1)).tolist()
@@ -299,6 +302,7 @@ def _body_changes(
                 f"moves body '{link.body_name}' too; its parameters belong to that joint's link"
             )
         plan = plan_write_back(thetas[k], bodies, bound, max_inflation(errors[k]))
+        # With the moments of inertia as they were inflated to be possible.
         written_thetas[k] = plan.written_composite(thetas[k])
         comment = "; ".join(comments[k]) or None
         changes.append(BodyChange(link.body_name, link.body_id, plan, comment))
@@ -389,7 +393,8 @@ def _write(
         target.files.withdraw(path)
         raise
     notes = []
-    for plan in (body.plan for body in change.bodies):
+    for body in change.bodies:
+        plan = body.plan
         if plan.note:
             is_major = plan.emptied or plan.lightened
             notes.append(plan.note if is_major else Detail(plan.note))
