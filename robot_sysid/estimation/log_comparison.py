@@ -276,7 +276,8 @@ def friction_of_logs(
     # a coefficient near zero may differ as much as the others.
     diagonal = np.diag(squares)
     sizes = np.sqrt(has_same_owner @ (values**2 * diagonal) / diagonal)
-    sizes = np.maximum(sizes, SIZE_FLOOR * max(float(np.max(sizes)), SIZE_FLOOR))
+    largest_size = max(float(np.max(sizes)), SIZE_FLOOR)
+    sizes = np.maximum(sizes, SIZE_FLOOR * largest_size)
     normals = []
     for log, rows in zip(plain, logs.values()):
         weights = _weights_beside_friction(fit, rows, indices)

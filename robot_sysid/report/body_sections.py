@@ -170,7 +170,9 @@ def _budget_figure(body: Body, name: str) -> Figure:
         name: name of the figure's files without suffix, unique on the page.
     """
     causes = list(body.budget)
-    squares = np.square(np.nan_to_num(np.array(list(body.budget.values()))))
+    errors = np.array(list(body.budget.values()))
+    # Variances (causes, 10); zero where an error is not known.
+    squares = np.square(np.nan_to_num(errors))
     squares[:, ~np.isfinite(body.errors)] = 0.0
     total = np.sum(squares, axis=0)
     shares = np.divide(squares, total, out=np.zeros_like(squares), where=total > 0.0)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
@@ -121,8 +122,7 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
         result: SHA-256 hash of the run's params.json.
     """
     count = len(traces.time)
-    n_drawn = min(count, MAX_INSTANTS)
-    indices = np.unique(np.linspace(0, count - 1, n_drawn).round().astype(int))
+    indices = _spread_indices(count - 1, MAX_INSTANTS)
     residual = traces.residual
     # The time starts anew with each log: here one log follows the other, a second apart.
     steps = np.diff(traces.time, prepend=traces.time[:1])
@@ -143,6 +143,12 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
         truth=np.zeros(0) if traces.truth is None else traces.truth.theta,
         result=result,
     )
+
+
+def _spread_indices(last: int, largest_count: int) -> NDArray[np.int64]:
+    """Return evenly spread indices from 0 to ``last``, both included, no more than a count."""
+    count = min(last + 1, largest_count)
+    return np.unique(np.linspace(0, last, count).round().astype(int))
 
 
 def data_bytes(data: ReportData) -> bytes:
@@ -227,18 +233,17 @@ def autocorrelation(time: Array, residual: Array) -> dict[str, Array]:
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     step = step or 1.0
     largest_shift = int(min(LONGEST_LAG / step, len(time) // 4))
-    n_shifts = min(largest_shift, _MOST_LAGS) + 1
-    shifts = np.unique(np.linspace(0, largest_shift, n_shifts).round().astype(int))
+    shifts = _spread_indices(largest_shift, _MOST_LAGS + 1)
     correlation = []
     for column in residual.T:
         covariance, *_ = autocovariance(column, largest_shift)
         # Where all residuals are zero, any divisor serves.
         correlation.append((covariance / (covariance[0] or 1.0))[shifts])
-    independent = 1.96 / np.sqrt(np.maximum(np.sum(np.isfinite(residual), axis=0), 1))
+    n_used = np.count_nonzero(np.isfinite(residual), axis=0)
     return {
         "lags": shifts * step,
         "correlation": np.array(correlation),
-        "independent": independent,
+        "independent": 1.96 / np.sqrt(np.maximum(n_used, 1)),
     }
 
 
@@ -522,13 +527,15 @@ def _body(entries: Mapping[str, Any]) -> Body:
     if entries.get("in_the_file") is not None:
         thetas["in the file"] = entries["in_the_file"]
     sources = entries["source"]
+    errors = entries["standard_errors"]
     budget = entries["error_budget"]
+    budget_arrays = map(_parameter_array, budget.values())
     return Body(
         title=str(entries["name"]),
         thetas=thetas,
-        errors=_parameter_array(entries["standard_errors"]),
-        budget=dict(zip(budget, map(_parameter_array, budget.values()))),
-        central=_parameter_array(entries["standard_errors"], ERROR_NAMES[:4]),
+        errors=_parameter_array(errors),
+        budget=dict(zip(budget, budget_arrays)),
+        central=_parameter_array(errors, ERROR_NAMES[:4]),
         share=_parameter_array(entries.get("data_share")),
         is_from_model=[sources.get(name) == "from_model" for name in PARAMETER_NAMES],
     )

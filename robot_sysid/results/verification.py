@@ -436,7 +436,13 @@ _BODY_COUNT_FIELDS = {
 
 
 def _require_pose(written: Any, new_body: int, body: WeldedBody) -> None:
-    """Raise ExportError unless a compiled body is fixed to its carrier at the wanted pose."""
+    """Raise ExportError unless a compiled body is fixed to its carrier at the wanted pose.
+
+    Args:
+        written: compiled model.
+        new_body: id of the body in it.
+        body: the wanted pose, relative to the body that carries it.
+    """
     axes = np.empty(9)
     mujoco.mju_quat2Mat(axes, written.body_quat[new_body])
     axes_deviation = np.max(np.abs(axes.reshape(3, 3) - body.rotation))
