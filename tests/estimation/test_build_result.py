@@ -28,11 +28,13 @@ FLANGE = Flange("here", np.eye(3), np.array([0.0, 0.0, 0.05]))
 
 
 def answer_log(robot, log, kept=(), **options):
+    """Return the answer from a log; the model file keeps the parts ``kept``, None for no file."""
     recording = filter_logs(robot, log, friction_model=BASIC, **options)
     return answer_link(robot, *recording, Progress(), kept)
 
 
 def link_result(*arguments, **options):
+    """Return the result for the answer of ``answer_log``."""
     return result_of(answer_log(*arguments, **options), ORIGIN)
 
 

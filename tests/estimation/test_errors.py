@@ -120,6 +120,7 @@ def test_friction_says_nothing_where_the_second_low_pass_reverses_the_motion(
     fit = fit_recordings(SMALL, [recording], EXACT_MODEL)
 
     def reversed_motion(signals):
+        """Return indices of all rows and their motion with the speeds reversed."""
         once = signals.decimated_motion()
         return np.arange(len(once.time)), replace(once, qd=-once.qd)
 
@@ -293,6 +294,7 @@ CASES = [
 
 
 def fitter_of_logs(robot, logs):
+    """Return the fitter of logs, each low-passed as a recording of its own."""
     pieces = [Piece(f"log{number}", log) for number, log in enumerate(logs)]
     return fitter_of(robot, low_pass_recordings(robot, pieces, QUESTION.options)[0])
 

@@ -137,6 +137,7 @@ def test_a_tilted_gravity_is_estimated_unless_it_is_kept(plant, robot):
 
 
 def without_rotors(robot):
+    """Return the arm with a model that has no rotor inertia."""
     model = copy.copy(robot.mj_model)
     model.dof_armature[:] = 0.0
     return replace(robot, mj_model=model)
@@ -149,6 +150,7 @@ def test_a_rotor_is_that_of_the_estimate_where_it_is_clear_else_the_models(
     """Friction that a file cannot hold would look like a rotor."""
 
     def stribeck(motion):
+        """Return friction (K, 3) of the middle joint that fades with speed [N m]."""
         return 1.5 * np.sign(motion.qd) * np.exp(-((motion.qd / 0.3) ** 2)) * MIDDLE
 
     model = robot if has_rotors else without_rotors(robot)
@@ -185,6 +187,7 @@ def test_a_urdf_gets_no_rotors(robot, recording):
 )
 def test_nonlinear_damping_is_given_to_the_joint_that_has_it(plant, robot):
     def quadratic(motion):
+        """Return friction (K, 3) of the middle joint that grows with speed squared [N m]."""
         return 0.3 * motion.qd * np.abs(motion.qd) * MIDDLE
 
     recording = record(plant, robot, extra_torque=quadratic)
@@ -202,6 +205,7 @@ holds_motors = pytest.mark.skipif(not CAN_HOLD_ROTORS, reason="MuJoCo before 3.2
 
 
 def shared_motor(motion):
+    """Return the torque (K, 3) of a motor with friction that turns with both wrist joints [N m]."""
     speed = motion.qd @ WRIST
     acceleration = motion.qdd @ WRIST
     return np.outer(1.5 * np.sign(speed) + 0.4 * speed + 0.02 * acceleration, WRIST)

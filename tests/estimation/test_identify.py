@@ -40,17 +40,19 @@ FLANGE = Flange("here", np.eye(3), np.array([0.0, 0.0, 0.05]))
 
 
 def answer_logs(robot, *logs, kept=None, **options):
+    """Return the answer from logs; the model file keeps the parts ``kept``, None for no file."""
     options = {"friction_model": BASIC, **options}
     return answer_link(robot, *filter_logs(robot, *logs, **options), Progress(), kept)
 
 
 def test_all_logs_pass_the_lowest_cutoff_that_one_requires(plant, robot, noisy):
     coarse = log_of(plant, encoder_resolution=3e-3)
-    fine_cutoff, coarse_cutoff, *common_cutoffs = (
-        dataset.signals.cutoff
-        for logs in ([noisy], [coarse], [noisy, coarse])
-        for dataset in filter_logs(robot, *logs, cutoff=None)[0]
-    )
+    cutoffs = []
+    for logs in ([noisy], [coarse], [noisy, coarse]):
+        datasets, _ = filter_logs(robot, *logs, cutoff=None)
+        for dataset in datasets:
+            cutoffs.append(dataset.signals.cutoff)
+    fine_cutoff, coarse_cutoff, *common_cutoffs = cutoffs
     assert common_cutoffs == [coarse_cutoff] * 2 and coarse_cutoff < fine_cutoff
     pieces = [Piece("fine", noisy), Piece("coarse", coarse)]
     _, notes = low_pass_recordings(robot, pieces, EstimationOptions())
@@ -132,6 +134,7 @@ def test_bodies_of_each_recording_are_those_on_the_arm(payload_fit, recordings):
 
 
 def find_contradiction(recordings):
+    """Return the sentence on recordings of one kind that contradict each other, "" without one."""
     fit = fit_recordings(four_joint_arm(), recordings, loaded=True)
     return contradiction(fit, FLANGE)
 

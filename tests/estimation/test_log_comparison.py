@@ -101,6 +101,7 @@ def compare(robot, datasets, options):
 
 
 def compare_plants(robot, *plants):
+    """Return (fit, notes, tests, friction of logs) of one log from each plant."""
     return compare(robot, *filter_logs_of_days(robot, plants, link_uncertainty=2.0))
 
 

@@ -38,6 +38,7 @@ def body(mass=1.0, com=(0.0, 0.0, 0.1), error=0.01, radius=0.05, moment_error=1e
 
 
 def body_at(distance, moment_error=1e-3, **numbers):
+    """Return a body whose centre of mass is at a distance from its origin [m]."""
     return body(com=(0.0, 0.0, distance), moment_error=moment_error, **numbers)
 
 
@@ -46,6 +47,7 @@ FAR = REACH + 0.3 * ARM
 
 
 def prediction(relative_error):
+    """Return a held-out error, as a share of the torque."""
     return Validation("parts", 100, 0.1, relative_error, {}, {})
 
 
@@ -54,12 +56,14 @@ def judge_link(*args, **numbers):
 
 
 def judge_links(index, change):
+    """Return the reasons against the arm with a change of one link's parameters (10,)."""
     thetas = SEVEN.thetas
     thetas[index] = change(thetas[index])
     return trust.implausible_links(SEVEN, thetas)
 
 
 def shift(theta):
+    """Return a body (10,) with its centre of mass 2 m farther along each axis."""
     mass, com, inertia = spatial.com_from_theta(theta)
     return spatial.theta_from_com(mass, com + 2.0, inertia)
 

@@ -90,9 +90,10 @@ def test_times_of_several_logs_follow_one_another():
 )
 def test_report_data_of_another_version_or_shape_is_refused(tmp_path, changes, message):
     arrays = dict(np.load(io.BytesIO(data_bytes(report_data(traces())))))
-    arrays |= changes
-    for name in [name for name, array in arrays.items() if array is None]:
-        del arrays[name]
+    for name, array in changes.items():
+        arrays[name] = array
+        if array is None:
+            del arrays[name]
     np.savez(tmp_path / DATA_NAME, **arrays)
     with pytest.raises(InputError, match=f"{message}.*identify again"):
         load_data(tmp_path / DATA_NAME)
