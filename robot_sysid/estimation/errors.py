@@ -242,7 +242,7 @@ def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
     for joint, inflation in zip(residuals, fit.inflation):
         inflated.append(replace(joint, products=inflation * joint.products))
     if inflated:
-        # They take as much memory as the triangles, which are no longer needed.
+        # The sums take as much memory as the triangles, which are no longer needed.
         information = replace(information, joints=())
     release_memory()
     return uncertainty(information, weights, 1.0 / weights, inflated, space)
@@ -276,9 +276,6 @@ def _further_causes(
 
     A prior that the data contradicts is widened until they agree. A common torque scale in the fit
     may be zero in truth. A parameter at its bound counts as free: noise may have pushed it there.
-    With the parts N of the normal matrix for estimated (e) and bound (b) parameters, a change x_b
-    of the latter moves the estimate by -C N_eb x_b, and its covariance is the inverse of
-    N_bb - N_be C N_eb; directions that the data does not determine are left out.
 
     Args:
         inverse: (k, k) inverse of the information of data and priors.
@@ -296,13 +293,29 @@ def _further_causes(
     at_bound = fit.columns.indices(fit.unknowns.names_at_bound)
     at_bound = at_bound[fit.evidence.nonzero[at_bound]]
     if len(at_bound):
-        normal = normal_matrix(fit.evidence.total, fit.weights)
-        crossed = normal[np.ix_(fit.unknowns.estimated, at_bound)]
-        move = inverse @ crossed
-        inside = normal[np.ix_(at_bound, at_bound)]
-        eigenvalues, axes = np.linalg.eigh(inside - crossed.T @ move)
-        large = eigenvalues > _SEEN * eigenvalues[-1]
-        yield HELD, (move @ (axes[:, large] / np.sqrt(eigenvalues[large]))).T
+        yield HELD, _bound_errors(fit, inverse, at_bound)
+
+
+def _bound_errors(fit: Fit, inverse: Array, at_bound: NDArray[np.int64]) -> Array:
+    """Return the errors (m, k) of the estimate due to b parameters that are held at bounds.
+
+    N_ee, N_eb and N_bb are the parts of the normal matrix for estimated (e) and held (b)
+    parameters. A change x of the held ones moves the estimate by -C N_eb x. Its covariance would be
+    the inverse of N_bb - N_be C N_eb if they were free, of which only the m directions count that
+    the data determines.
+
+    Args:
+        inverse: C (k, k), inverse of the information of data and priors.
+        at_bound: (b,) indices of the held parameters among all p.
+    """
+    normal = normal_matrix(fit.evidence.total, fit.weights)
+    crossed = normal[np.ix_(fit.unknowns.estimated, at_bound)]
+    move = inverse @ crossed
+    held = normal[np.ix_(at_bound, at_bound)]
+    eigenvalues, axes = np.linalg.eigh(held - crossed.T @ move)
+    is_seen = eigenvalues > _SEEN * eigenvalues[-1]
+    scaled_axes = axes[:, is_seen] / np.sqrt(eigenvalues[is_seen])
+    return (move @ scaled_axes).T
 
 
 def _scaled_friction(fit: Fit) -> Array:

@@ -486,14 +486,15 @@ def _differences(
         # Change of the first moment that no change of the mass explains [kg m].
         moved = change[1:4] - change[0] * payload[1:4] / mass
         inertia = np.max(np.abs(change[4:]))
+        # Quantity, size of its change, least size per kg of the payload, parameters that it is of.
         for quantity, size, least, block in (
             ("mass", abs(change[0]), LEAST_MASS, slice(0, 4)),
             ("centre of mass", np.linalg.norm(moved), LEAST_PLACE, slice(0, 4)),
             ("inertia", inertia, LEAST_GYRATION**2, slice(4, 10)),
         ):
-            off = change[block]
-            squared = off @ np.linalg.solve(spread[block, block], off)
-            ratio = float(np.sqrt(squared / len(off)))
+            changes = change[block]
+            squared = changes @ np.linalg.solve(spread[block, block], changes)
+            ratio = float(np.sqrt(squared / len(changes)))
             if size > least * mass and ratio > SURE_MISFIT:
                 yield ratio, number, quantity
 
