@@ -71,10 +71,11 @@ def write_bag(path, rows):
 def rows_of(indices, joints=(0, 1, 2)):
     """Rows of the motion at these indices, with some of its joints."""
     selected = list(joints)
-    return [
-        (DATA.time[k], selected, JOINTS, DATA.q[k], DATA.qd[k], DATA.tau[k])
-        for k in indices
-    ]
+    rows = []
+    for k in indices:
+        row = (DATA.time[k], selected, JOINTS, DATA.q[k], DATA.qd[k], DATA.tau[k])
+        rows.append(row)
+    return rows
 
 
 def test_a_bag_with_one_late_message_is_the_one_without(tmp_path):
@@ -99,8 +100,10 @@ def test_joints_in_messages_of_their_own_are_put_together(tmp_path):
 def test_joints_that_are_sampled_at_times_of_their_own_keep_them(tmp_path):
     """The wrist comes every second time, between two rows of the others."""
     between = 0.5 * (DATA.time[:-1] + DATA.time[1:])
-    wrist = [(between[k], *rows_of([k], [2])[0][1:]) for k in range(0, 59, 2)]
-    rows = sorted([*rows_of(range(60), [0, 1]), *wrist], key=lambda row: row[0])
+    rows = rows_of(range(60), [0, 1])
+    for time, (_, *values) in zip(between[::2], rows_of(range(0, 59, 2), [2])):
+        rows.append((time, *values))
+    rows.sort(key=lambda row: row[0])
     log = read_measurements(write_bag(tmp_path / "own", rows), JOINTS)
     samples = log.samples
     np.testing.assert_allclose(samples.time, between[::2], atol=1e-9)
@@ -111,9 +114,11 @@ def test_joints_that_are_sampled_at_times_of_their_own_keep_them(tmp_path):
 
 
 def test_a_group_that_stops_sending_leaves_a_hole():
-    both = [message(10**7 * k, "a") for k in range(40)]
-    both += [message(10**7 * k + 10**6, "b") for k in (*range(10), *range(30, 40))]
-    both.sort(key=lambda stamped: stamped[0])
+    both = []
+    for k in range(40):
+        both.append(message(10**7 * k, "a"))
+        if not 10 <= k < 30:
+            both.append(message(10**7 * k + 10**6, "b"))
     pattern = MessagePattern.of(both, ["a", "b"])
     assert list(pattern.groups) == [{"a"}, {"b"}] and pattern.has_own_times
     times = [time for time, _ in pattern.join(iter(both))]
@@ -186,13 +191,16 @@ def test_several_topics_need_a_choice_but_not_one_without_the_arm_or_effort(tmp_
     pairs = zip(DATA.time, DATA.q)
     desired = [state(types, t, JOINTS, q, None, None) for t, q in pairs]
     measured = list(recorded.shuffled_states(types, DATA))
-    messages = {"/gripper": gripper, "/desired": desired, "/joint_states": measured}
-    topics = [(name, recorded.STATE, messages[name]) for name in messages]
+    topics = [
+        ("/gripper", recorded.STATE, gripper),
+        ("/desired", recorded.STATE, desired),
+        ("/joint_states", recorded.STATE, measured),
+    ]
     path = recorded.write_bag2(tmp_path / "bag", topics, store)
     assert "topic /joint_states" in read_measurements(path, JOINTS).notes[0]
     assert_refused("topic /desired has no effort", path, topic="/desired")
     assert_refused("no joint states in topic '/up'; its topics", path, topic="/up")
-    both = [(name, recorded.STATE, measured) for name in ("/left", "/right")]
+    both = [("/left", recorded.STATE, measured), ("/right", recorded.STATE, measured)]
     path = recorded.write_bag2(tmp_path / "both", both, store)
     assert_refused(r"/left .*/right .*--topic", path)
     assert len(read_measurements(path, JOINTS, topic="/right").samples) == len(DATA)
@@ -201,10 +209,12 @@ def test_several_topics_need_a_choice_but_not_one_without_the_arm_or_effort(tmp_
 def test_names_that_differ_in_a_prefix_are_the_models_unless_two_do(tmp_path):
     pytest.importorskip("rosbags")
     store = recorded.typestore()
-    names = [f"{side}_{joint}" for side in ("left", "right") for joint in JOINTS]
-    rows = zip(DATA.time, *(np.tile(a, 2) for a in (DATA.q, DATA.qd, DATA.tau)))
-    wide = [recorded.joint_state(store.types, t, names, *row) for t, *row in rows]
+    left = [f"left_{joint}" for joint in JOINTS]
+    right = [f"right_{joint}" for joint in JOINTS]
+    q, qd, tau = np.tile((DATA.q, DATA.qd, DATA.tau), 2)
+    wide = []
+    for time, *row in zip(DATA.time, q, qd, tau):
+        wide.append(recorded.joint_state(store.types, time, [*left, *right], *row))
     path = recorded.write_bag2(tmp_path / "bag", [("/js", recorded.STATE, wide)], store)
     assert_refused("one position column for each", path)
-    one = [f"left_{joint}" for joint in JOINTS]
-    np.testing.assert_array_equal(read_measurements(path, one).samples.q, DATA.q)
+    np.testing.assert_array_equal(read_measurements(path, left).samples.q, DATA.q)
