@@ -404,14 +404,17 @@ class LinkDynamics:
         self._gravity = np.reshape((not is_weightless) * vector, (3, -1))
 
     def motion(self, q: Array, qd: Array, qdd: Array) -> LinksMotion:
-        """Return the motion of all links for chain motions (N, n) [rad, rad/s, rad/s^2]."""
+        """Return the motion of all links for joint motions q, qd, qdd (N, n) each [rad, rad/s,
+        rad/s^2].
+        """
         return LinksMotion(*zip(*self.moves(q, qd, qdd)))
 
     def moves(
         self, q: Array, qd: Array, qdd: Array
     ) -> Iterator[tuple[Array, Array, Array, Array]]:
         """Yield velocity (6, N), acceleration (6, N), step (6, 6, N) and screw (6,) of each link,
-        as in ``LinksMotion``, for chain motions (N, n) [rad, rad/s, rad/s^2].
+        as in ``LinksMotion``, base to terminal, for joint motions q, qd, qdd (N, n) each [rad,
+        rad/s, rad/s^2].
         """
         velocity, acceleration = np.zeros((2, 6, len(q)))
         acceleration[3:] = -self._gravity

@@ -83,7 +83,9 @@ def _steiner(mass: float, com: Array) -> Array:
 
 
 def aluminium_ball(mass: float, com: Array) -> Array:
-    """Return theta (10,) of a solid ball of aluminium, I = 0.4 m r^2, around com (3,)."""
+    """Return theta (10,) of a solid aluminium ball, I = 0.4 m r^2, of a mass [kg] around com (3,)
+    [m].
+    """
     radius = (3.0 * mass / (4.0 * np.pi * ALUMINIUM)) ** (1.0 / 3.0)
     return theta_from_com(mass, com, 0.4 * mass * radius**2 * np.eye(3))
 

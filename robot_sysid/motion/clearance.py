@@ -220,7 +220,7 @@ class Clearance:
         return other
 
     def _label(self, first: int, second: int) -> str:
-        """Return the names of two bodies with these ids."""
+        """Return the names of two bodies, given by MuJoCo ids, joined by "and"."""
         return f"{body_label(self._model, first)} and {body_label(self._model, second)}"
 
     def _set_configuration(self, q: Array) -> None:
@@ -238,8 +238,10 @@ class Clearance:
         return np.where(np.all(contact.geom >= 0, axis=1), contact.dist, np.inf), bodies
 
     def _set_required_distances(self, clearance: float) -> Mapping[str, Sequence[str]]:
-        """Set the distance that each pair has to keep, from its distance in the configuration that
-        ``self._data`` has; return ``at_rest``.
+        """Set ``self._required``, in place, to the distance that each pair has to keep, from its
+        distance in the configuration that ``self._data`` has; return ``at_rest``.
+
+        ``clearance`` is the distance of pairs that are farther apart there [m].
         """
         distances = dict[tuple[int, int], float]()
         link = self._link_of_body
@@ -285,7 +287,9 @@ class Clearance:
 
     def _ignore_harmless_neighbours(self, start: Array) -> Closest:
         """Ignore pairs of neighbours that keep their distance over the entire range of the joint
-        between them; return the nearest of these pairs.
+        between them, the other joints at ``start`` (n,); return the nearest of these pairs.
+
+        To ignore a pair, its entry in ``self._required`` is set to minus infinity.
         """
         # Links next to each other are always near; to know that this is harmless saves most tests.
         # Least distance of two bodies, the one with the smaller id in the row.
@@ -425,7 +429,9 @@ def update_contacts(mj_model: Any, data: Any) -> None:
 
 
 def _with_margin(mj_model: Any, margin: float) -> Any:
-    """Return a copy of a model in which contacts are reported up to a distance [m]."""
+    """Return a copy of a compiled model in which contacts are reported up to a distance ``margin``
+    [m], also where the model switches contacts off.
+    """
     model = copy.copy(mj_model)
     model.geom_margin[:] = margin
     model.geom_gap[:] = 0.0

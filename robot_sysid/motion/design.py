@@ -153,14 +153,16 @@ def improve(
     iterates = [candidate.x]
 
     def function(flat: Array) -> tuple[float, Array]:
-        """Return the penalised objective and its gradient; TimeoutError after the deadline."""
+        """Return the penalised objective and its gradient (n M,) by ``flat`` (n M,); TimeoutError
+        after the deadline.
+        """
         if is_over(deadline):
             raise TimeoutError
         value, gradient, _ = objective(unit * flat.reshape(shape))
         return value, (unit * gradient).ravel()
 
     def keep(flat: Array) -> None:
-        """Remember an iterate, which an interrupted minimisation would not return."""
+        """Append the iterate ``flat`` (n M,), which an interrupted minimisation does not return."""
         iterates.append(unit * flat.reshape(shape))
 
     options = {
@@ -189,8 +191,11 @@ def improve(
 def _update_feasible(
     design: Design, candidate: Candidate, deadline: float = np.inf
 ) -> Candidate:
-    """Return the candidate with the largest multiple of x that keeps all limits, if that is better
-    than the feasible coefficients it has.
+    """Return the candidate with the score of its x, and with the largest multiple of x that keeps
+    all limits as ``feasible_x``, if that is better than the feasible coefficients it has.
+
+    After the deadline, a time of ``clock`` [s], no further multiple is tried, unless the candidate
+    has no feasible coefficients yet.
     """
     candidate = replace(candidate, score=design.criterion_of(candidate.x))
     for factor in REPAIRS:

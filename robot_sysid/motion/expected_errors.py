@@ -349,6 +349,7 @@ def predict_posterior(
         # The same motion without the payload, recorded before, and with it, recorded after.
         empty = replace(dataset, order=-1.0)
         datasets = (empty, replace(dataset, is_loaded=True, order=1.0))
+    # Columns of all parameters that a question may free, linearised at the model's values.
     columns = Columns(robot, datasets, options.torques, choice.couplings)
     torque = rms_torque(datasets)
     # The filtered equations in all parameters; ``data.of`` selects the columns of the unknowns.
@@ -528,7 +529,7 @@ def _changes(
     criterion: Criterion,
 ) -> Iterator[tuple[str, Array, bool, tuple[str, ...]]]:
     """Yield changes that may make the errors smaller: a longer and a faster motion; for a link also
-    better known other links, its weight, and what is bolted to it as a payload.
+    a smaller uncertainty of the other links, a mass known by weighing, and a payload by difference.
 
     Each is a tuple of its description, the covariance (10, 10) after it, whether that is the one of
     a payload and not of the terminal link, and the command-line options that plan such a motion.

@@ -151,7 +151,7 @@ def _new_plan(
     request: MotionRequest, robot: RobotModel, seed: int, progress: Progress
 ) -> CheckedPlan:
     """Return the trajectory at full speed and the limits that it has to keep, with the check of the
-    limits where the design of the trajectory includes it.
+    limits where the design of the trajectory includes it; arguments as in ``make_plan``.
     """
     options = request.trajectory
     rng = np.random.default_rng(seed)

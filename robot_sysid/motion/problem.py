@@ -445,7 +445,8 @@ def _space_above_base(
 ) -> tuple[HalfSpace, ...]:
     """Return, in a tuple, the half-space above the body that carries the arm.
 
-    () where an option allows to go below it, the model has a floor, or a keep-out plane is one.
+    () where an option allows to go below it, the model has a floor, or a keep-out plane is one. The
+    base's height is taken with the joints at ``start_pose`` (n,).
     """
     mounting = mounting_height(robot, start_pose)
     if options.below_base or has_floor(robot) or mounting is None:
@@ -464,6 +465,12 @@ def _obstacles(
     base: tuple[HalfSpace, ...],
 ) -> Clearance:
     """Return the distances that have to be kept, those from half-spaces included.
+
+    Args:
+        robot: the arm.
+        options: clearance, keep-out planes and workspace.
+        start_pose: (n,) joint positions at rest [rad or m].
+        base: half-spaces in addition to those of the options.
 
     Raises:
         InputError: a body is outside a half-space at rest.

@@ -288,8 +288,17 @@ def _gravity_rows(problem: ExcitationProblem, poses: Array) -> Array:
 def _select_poses(
     problem: ExcitationProblem, poses: Array, rows: Array, count: int
 ) -> list[Array]:
-    """Return up to ``count`` informative poses in the order of visiting, of poses (K, n) with rows
-    (K, n, 4); the straight lines between them, and back to the start, are free.
+    """Return up to ``count`` informative poses (n,) in the order of visiting; the straight lines
+    between them, and back to the start, are free.
+
+    Each next pose makes the determinant of the information largest; one that no free line leads to
+    is passed over.
+
+    Args:
+        problem: the arm and its obstacles.
+        poses: (K, n) to select from [rad or m].
+        rows: (K, n, 4) of these poses, as ``_gravity_rows`` returns them.
+        count: largest number of selected poses.
     """
     information = _TINY * np.eye(4)
     is_left = np.ones(len(poses), dtype=bool)

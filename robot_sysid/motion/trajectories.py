@@ -269,7 +269,10 @@ def _coefficients(plan: MotionPlan) -> tuple[str, dict[str, Any]]:
 
 
 def _build_trajectory(plan_type: str, numbers: Mapping[str, Any]) -> Any:
-    """Return the trajectory of a type, a key of ``_KINDS``, that is defined by numbers by name."""
+    """Return the trajectory that numbers define, a mapping from their names (``_coefficients``).
+
+    ``plan_type`` is a key of ``_KINDS``; further entries of the mapping are not used.
+    """
     trajectory_class, names = _KINDS[plan_type]
     arguments: dict[str, Any] = {
         name: np.array(numbers[name], dtype=float) for name in names
@@ -285,8 +288,11 @@ def _build_trajectory(plan_type: str, numbers: Mapping[str, Any]) -> Any:
 
 
 def at_speed(plan: _Plan, speed: float) -> _Plan:
-    """Return the trajectory scaled in time: q(s t), s q'(s t), s^2 q''(s t); InputError unless
-    0 < s <= 1, where it would be faster and leave the limits it was made for.
+    """Return the trajectory scaled in time by s = ``speed``: q(s t), s q'(s t), s^2 q''(s t).
+
+    Raises:
+        InputError: s is not positive, or above 1, where the motion would break the limits it was
+            made for.
     """
     if not 0.0 < speed <= 1.0:
         raise InputError(

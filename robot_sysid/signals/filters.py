@@ -96,7 +96,9 @@ class LowPass:
         weight = np.where(in_band, 1.0, _STOP_BAND_WEIGHT)[:, None]
 
         def weighted_cosines(half_width: int, sample_rate: float) -> Array:
-            """Return the weighted response (F, M + 1) at ``frequency`` per weight of a kernel."""
+            """Return the weighted response (F, half_width + 1) at ``frequency`` per weight of one
+            half of a symmetric kernel for a sample rate [Hz], middle first.
+            """
             time = np.arange(half_width + 1) / sample_rate
             cosines = weight * np.cos(2.0 * np.pi * np.outer(frequency, time))
             cosines[:, 1:] *= 2.0  # both sides of the centre

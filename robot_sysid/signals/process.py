@@ -174,7 +174,7 @@ class ProcessedSignals:
         return [np.concatenate(chunks) for chunks in decimated.values()]
 
     def motion(self, samples: NDArray[np.int64] | slice) -> Motion:
-        """Return the motion at the given samples: m indices, or a slice."""
+        """Return the motion (m, n) at samples: m indices, or a slice, which gives views."""
         return Motion(
             self.time[samples], self.q[samples], self.qd[samples], self.qdd[samples]
         )
