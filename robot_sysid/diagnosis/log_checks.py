@@ -5,6 +5,9 @@ the clock, the displacement of the joints in each step (from one sample to the n
 with that of the steps around it. A step with twice their speed lacks a sample and its time stamp
 does not show that; a step without displacement repeats the previous sample; a long step of time
 with the displacement of a short one is a jump of the clock.
+
+A log is a sequence of pieces without gaps. A piece has N samples of n joints: ``time`` (N,) [s],
+positions ``q`` [rad], velocities ``qd`` [rad/s] or None, and torques ``tau`` [N m], (N, n) each.
 """
 
 from __future__ import annotations
@@ -46,7 +49,12 @@ def length_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
 
 def _length(pieces: Sequence[Measurement]) -> float:
     """Return the duration of all pieces together [s]."""
-    return sum(float(piece.time[-1] - piece.time[0]) for piece in pieces)
+    return sum(map(_duration, pieces))
+
+
+def _duration(piece: Measurement) -> float:
+    """Return the time from the first to the last sample of a piece [s]."""
+    return float(piece.time[-1] - piece.time[0])
 
 
 def slow_findings(qd: Array) -> Iterator[Finding]:
@@ -60,7 +68,7 @@ def slow_findings(qd: Array) -> Iterator[Finding]:
 def enough_findings(pieces: Sequence[Measurement], cutoff: float) -> Iterator[Finding]:
     """Yield findings where the sampling rate, or the number of independent samples, is too low.
 
-    A low-pass with a cut-off f [Hz] leaves 2 f independent samples per second.
+    A low-pass with a cut-off f [Hz] leaves 2 f independent samples per second. ``cutoff`` is f.
     """
     span = _length(pieces)
     rows = int(2.0 * cutoff * span)
@@ -91,33 +99,38 @@ _NO_WAY = 1.4
 _CLEAR = 8.0
 # Least number of steps from which findings are made.
 _ENOUGH = 100
+_RECORD_TIME = "; record the time of each sample"
 
 
 def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
     """Yield findings on the clock: lost samples, repeated samples, and jumps of the time stamps."""
-    steps = [_steps(piece) for piece in pieces if len(piece) > _ENOUGH]
+    steps = []
+    for piece in pieces:
+        if len(piece) > _ENOUGH:
+            steps.append(_steps(piece))
     if not steps:
         return
-    speed, longer = map(np.concatenate, zip(*steps))
+    speed, duration = map(np.concatenate, zip(*steps))
     if len(speed) < _ENOUGH:
         return
-    is_jump = (longer > _JUMP) & (speed * longer < _NO_WAY) & (speed > 0.0)
+    is_long = duration > _JUMP
+    is_usual = duration < _JUMP
+    is_jump = is_long & (speed * duration < _NO_WAY) & (speed > 0.0)
     jumps = int(np.count_nonzero(is_jump))
-    plain = longer < _JUMP
-    lost = float(np.mean(plain & (speed > LOST[0]) & (speed < LOST[1])))
-    between = float(np.mean(plain & (speed > 1.25) & (speed < 1.5)))
-    repeated = float(np.mean(plain & (np.abs(speed) < REPEATED)))
-    odd = {"repeat the position of the sample before while the arm moves": repeated}
-    if lost > 3.0 * between:
-        odd = {"have lost samples that the time stamps do not show": lost, **odd}
-    for description, share in odd.items():
-        if share > FEW:
-            problem = f"{100.0 * share:.2g} % of the steps {description}"
-            text = f"{problem}; record the time of each sample"
-            # A low-pass smooths a repeated sample away, but not a wrong time.
-            levels = (Level.NOTE, Level.WARN, Level.REFUSE)
-            severity = int("lost" in description) + int(share > MANY)
-            yield Finding("clock", levels[severity], text)
+    lost = float(np.mean(is_usual & (speed > LOST[0]) & (speed < LOST[1])))
+    # Speeds between one and two times the usual one: noise makes these, lost samples do not.
+    uneven = float(np.mean(is_usual & (speed > 1.25) & (speed < 1.5)))
+    repeated = float(np.mean(is_usual & (np.abs(speed) < REPEATED)))
+    if lost > max(FEW, 3.0 * uneven):
+        problem = f"{100.0 * lost:.2g} % of the steps have lost samples that the time stamps do not"
+        level = Level.REFUSE if lost > MANY else Level.WARN
+        yield Finding("clock", level, f"{problem} show{_RECORD_TIME}")
+    if repeated > FEW:
+        problem = f"{100.0 * repeated:.2g} % of the steps repeat the position of the sample before"
+        # A low-pass smooths a repeated sample away, but not a wrong time.
+        level = Level.WARN if repeated > MANY else Level.NOTE
+        text = f"{problem} while the arm moves{_RECORD_TIME}"
+        yield Finding("clock", level, text)
     if jumps:
         text = f"the clock jumps ahead {jumps} times without a sample missing; use the stamps of "
         yield Finding("clock", Level.WARN, f"{text}the controller's own clock")
@@ -140,28 +153,36 @@ def velocity_findings(
 ) -> Iterator[Finding]:
     """Yield findings where recorded velocities are not the derivatives of positions: by a common
     factor, which is an error of the time stamps, or for single joints.
+
+    The displacements p of a joint by its positions and v by its velocities are compared by the sums
+    p.p, p.v and v.v over all windows of time. The velocities are p.v / p.p times the derivatives.
     """
     recordings = [piece for piece in pieces if piece.qd is not None]
     if not recordings:
         return
     products = np.array([_products(recordings, k) for k in range(len(joint_names))])
-    size = products[:, 0, 0]
-    clear = np.flatnonzero(size > 0.01 * np.max(size, initial=0.0))
-    (size, crossed), (_, other) = products[clear].T
-    ratios = crossed / size
+    largest = np.max(products[:, 0, 0], initial=0.0)
+    # Indices of the joints that move enough; arrays below have one element for each of them.
+    moving = np.flatnonzero(products[:, 0, 0] > 0.01 * largest)
+    pp = products[moving, 0, 0]
+    pv = products[moving, 1, 0]
+    vv = products[moving, 1, 1]
+    ratios = pv / pp
     share = float(np.median(ratios)) - 1.0 if len(ratios) else 0.0
     if WRONG_TIME < abs(share) < OTHER and np.ptp(ratios) < ALIKE:
         text = f"by the recorded velocities, time in the log is {100.0 * abs(share):.2g} % too "
         text += f"{'long' if share > 0.0 else 'short'}; record the controller's own time stamps, "
         text += f"or scale them with --columns FILE: time = {1.0 / (1.0 + share):.3g} * TITLE"
         yield Finding("clock", Level.REFUSE, text)
-    is_off = other - 2.0 * crossed + size > OTHER**2 * size
-    is_other_motion = other - ratios * crossed > OTHER**2 * other
+    # |v - p|^2 is large beside |p|^2.
+    is_off = vv - 2.0 * pv + pp > OTHER**2 * pp
+    # |v - ratio p|^2, which no multiple of p explains, is large beside |v|^2.
+    is_other_motion = vv - ratios * pv > OTHER**2 * vv
     descriptions = []
     for k in np.flatnonzero(is_off):
         ratio = f"{ratios[k]:.3g} times that"
         motion = "another motion" if is_other_motion[k] else ratio
-        descriptions.append(f"{joint_names[clear[k]]} {motion}")
+        descriptions.append(f"{joint_names[moving[k]]} {motion}")
     if not descriptions:
         return
     name = "angle-unit"
@@ -187,9 +208,11 @@ def _products(pieces: Sequence[Measurement], joint: int) -> Array:
         assert piece.qd is not None
         q = piece.q[:, joint]
         qd = piece.qd[:, joint]
+        # Number of steps in a window, which begins at every sample.
         length = max(1, round(INTEGRATION_TIME / sampling_period(piece.time)))
-        moved = 0.5 * (qd[1:] + qd[:-1]) * np.diff(piece.time)
-        tracks = np.stack((q, np.append(0.0, np.cumsum(moved))))
+        steps = 0.5 * (qd[1:] + qd[:-1]) * np.diff(piece.time)
+        integrated = np.append(0.0, np.cumsum(steps))
+        tracks = np.stack((q, integrated))
         displacements.append(tracks[:, length:] - tracks[:, :-length])
     displacement = np.concatenate(displacements, axis=1)
     # A constant error of a drive's speed is neither an error of time nor another motion.
@@ -202,26 +225,31 @@ def _steps(piece: Measurement) -> tuple[Array, Array]:
     """Return (relative speed (S,), relative duration (S,)) of the S steps with motion above noise.
 
     The speed of a step, from one sample to the next, is relative to that of the two steps before
-    and the two after it, over all joints; its duration to the median one.
+    and the two after it, over all joints; its duration to the median one. The first and the last
+    two steps have no such neighbours and are left out.
     """
     step = np.diff(piece.time)
     typical_step = float(np.median(step))
-    size = np.zeros(len(step) - 4)
-    along = np.zeros(len(step) - 4)
+    usual_square = np.zeros(len(step) - 4)
+    product = np.zeros(len(step) - 4)
     noise = 0.0
     for q in piece.q.T:
         displacement = np.diff(q)
+        # Displacement in a step of typical duration.
         pace = displacement * (typical_step / step)
         a, b, _, c, d = np.lib.stride_tricks.sliding_window_view(pace, 5).T
-        # The mean of the middle two is the median of four.
-        lower = np.maximum(np.minimum(a, b), np.minimum(c, d))
-        around = 0.5 * (lower + np.minimum(np.maximum(a, b), np.maximum(c, d)))
-        size += around**2
-        along += displacement[2:-2] * around
+        # The usual displacement is the median of the four neighbours, the mean of the middle two.
+        middle = np.maximum(np.minimum(a, b), np.minimum(c, d))
+        other_middle = np.minimum(np.maximum(a, b), np.maximum(c, d))
+        usual = 0.5 * (middle + other_middle)
+        usual_square += usual**2
+        product += displacement[2:-2] * usual
         noise += float(np.median(np.abs(np.diff(displacement)))) ** 2
-    length = step[2:-2] / typical_step
-    clear = size > max(_CLEAR**2 * noise, 0.02 * float(np.max(size, initial=0.0)))
-    return along[clear] / size[clear] / length[clear], length[clear]
+    duration = step[2:-2] / typical_step
+    largest_square = float(np.max(usual_square, initial=0.0))
+    is_clear = usual_square > max(_CLEAR**2 * noise, 0.02 * largest_square)
+    distance = product[is_clear] / usual_square[is_clear]
+    return distance / duration[is_clear], duration[is_clear]
 
 
 LONG = 0.3
@@ -269,21 +297,26 @@ def _at_end(tau: Array, sign: float) -> tuple[float, float]:
     is_near_end = (sign * tau > end - 0.02 * float(np.ptp(tau))) & ~is_at_end
     count = int(np.sum(is_at_end))
     near_count = int(np.sum(is_near_end))
+    # Beginnings and ends of runs at the end of the range, alternately.
     edges = np.flatnonzero(np.diff(np.pad(is_at_end.view(np.int8), 1)))
-    longest_run = np.max(np.diff(edges)[::2], initial=0)
+    longest_run = np.max(edges[1::2] - edges[::2], initial=0)
     is_steady = longest_run >= _RUN and count > 3 * near_count
     is_clipped = is_steady or (count >= _SEEN and count > 5 * near_count)
     return float(np.mean(is_at_end)) if is_clipped else 0.0, sign * end
 
 
 def _longest_hold(piece: Measurement, joint: int) -> float:
-    """Return for how long a torque stays exactly the same while any joint moves [s]."""
+    """Return for how long the torque of a joint stays exactly the same while any joint moves [s].
+
+    ``joint`` is the joint's index.
+    """
+    # First samples of runs of equal torque, and the end of the last run.
     changes = np.flatnonzero(np.diff(piece.tau[:, joint]))
     edges = np.concatenate(([0], changes + 1, [len(piece)]))
     longest = 0.0
-    for start in np.flatnonzero(np.diff(edges) >= _RUN):
-        first = edges[start]
-        last = edges[start + 1] - 1
+    for run in np.flatnonzero(np.diff(edges) >= _RUN):
+        first = edges[run]
+        last = edges[run + 1] - 1
         length = float(piece.time[last] - piece.time[first])
         # The range of positions, not the difference: an arm may return to where it was.
         moved = np.max(np.ptp(piece.q[first : last + 1], axis=0))
@@ -331,7 +364,7 @@ def low_pass(
     signals = []
     for piece in _spread_windows(pieces):
         log_piece = LogPiece.of(piece)
-        cutoff_hz = min(cutoff or CUTOFF_SHARE * log_piece.choice[0], CUTOFF_HZ)
+        cutoff_hz = min(cutoff or CUTOFF_SHARE * log_piece.choice.cutoff, CUTOFF_HZ)
         processed = process(log_piece, (), cutoff_hz)
         # Every row is used: those of a joint that is too slow are masked later.
         deadband = np.zeros_like(processed.deadband)
@@ -341,13 +374,15 @@ def low_pass(
 
 
 def _spread_windows(pieces: Sequence[Measurement]) -> list[Measurement]:
-    """Return the pieces of a log, or ``MOST_WINDOWS`` windows of them where they are longer."""
-    durations = [float(piece.time[-1] - piece.time[0]) for piece in pieces]
-    if sum(durations) <= MOST_WINDOWS * WINDOW:
+    """Return the pieces of a log, or ``MOST_WINDOWS`` windows of them where they are longer.
+
+    A window is at least ``WINDOW`` seconds long, unless its piece is shorter.
+    """
+    if _length(pieces) <= MOST_WINDOWS * WINDOW:
         return list(pieces)
     windows = []
-    for piece, duration in zip(pieces, durations):
-        count = max(1, int(duration / WINDOW))
+    for piece in pieces:
+        count = max(1, int(_duration(piece) / WINDOW))
         for rows in np.array_split(np.arange(len(piece)), count):
             windows.append(slice_samples(piece, int(rows[0]), int(rows[-1]) + 1))
     spread = np.linspace(0, len(windows) - 1, MOST_WINDOWS)
@@ -361,7 +396,7 @@ def check_against_model(
     links_known: bool = True,
     divided: Sequence[float] | Array | None = None,
 ) -> tuple[Finding, ...]:
-    """Return the findings of all checks of a log.
+    """Return the findings of all checks of a log; where the recording is refused, of it alone.
 
     Args:
         robot: the arm with its model.
@@ -388,7 +423,9 @@ def check_against_model(
             np.ones(robot.n_joints) if divided is None else np.array(divided, float)
         )
         qd = contest.posterior.model.log.motion.qd
-        model_findings = _computed_findings(contest) or findings(contest, scales)
+        # Later checks count only where earlier ones find nothing.
+        model_findings = _computed_findings(contest)
+        model_findings = model_findings or findings(contest, scales)
         model_findings = model_findings or [*slow_findings(qd)]
     for finding in model_findings:
         is_of_links = finding.name in OF_LINKS and not links_known
@@ -404,10 +441,15 @@ def check_log(
     options: EstimationOptions | None = None,
     links_known: bool = True,
 ) -> None:
-    """Report the findings of ``check_against_model``, then call ``require_acceptable``.
+    """Report the findings on a log, and raise an error where one forbids an estimate.
+
+    Notes and accepted warnings are reported; the error has the text of all others.
 
     Args:
+        robot: the arm with its model.
+        log: the log that was read.
         accepted: names of checks whose warnings are accepted.
+        progress: receives the notes.
         options: see ``check_against_model``.
         links_known: see ``check_against_model``.
 
@@ -416,16 +458,16 @@ def check_log(
         SysidError: there is a warning that is not accepted.
     """
     with prefix_input_errors(str(log.path)):
-        findings = check_against_model(
+        log_findings = check_against_model(
             robot, log.pieces, options, links_known, log.torque_scale
         )
-    for finding in findings:
+    for finding in log_findings:
         is_accepted = finding.level is Level.WARN and finding.name in accepted
         # Findings that forbid an estimate become the error below.
         if finding.level is Level.NOTE or is_accepted:
             progress.note(finding.line().removeprefix("note: "))
     try:
-        require_acceptable(str(log.path), findings, accepted)
+        require_acceptable(str(log.path), log_findings, accepted)
     except SysidError:
         for note in log.notes:
             progress.note(note)
@@ -456,21 +498,27 @@ def require_acceptable(
     if refused:
         raise InputError(f"{log}: {'; '.join(refused)}")
     if warned:
-        names = dict.fromkeys(f"--accept {finding.name}" for finding in warned)
         texts = "; ".join(finding.text for finding in warned)
-        advice = f"nothing was written (to go on all the same: {' '.join(names)})"
+        # Each name once, in the order of the findings.
+        names = dict.fromkeys(finding.name for finding in warned)
+        options = " ".join(f"--accept {name}" for name in names)
+        advice = f"nothing was written (to go on all the same: {options})"
         raise SysidError(f"{log}: {texts}; {advice}")
 
 
 def _computed_findings(contest: Contest) -> list[Finding]:
-    """Return a finding where the torque was computed from the model: no noise and no friction."""
+    """Return a finding where the torque was computed from the model, else none.
+
+    Such a torque has no residual, no noise and no friction at any joint that the links load.
+    """
     posterior = contest.posterior
     log = posterior.model.log
-    loaded = log.model_torque > 0.1 * float(np.max(log.model_torque))
-    exact = rms(posterior.residual) < _EXACT * log.typical_torque
-    quiet = _fast_torque(contest.signals) < _QUIET * log.typical_torque
-    friction = least_friction_share(posterior) < _FRICTIONLESS
-    if not np.all((exact & quiet & friction)[loaded]):
+    is_loaded = log.model_torque > 0.1 * float(np.max(log.model_torque))
+    is_exact = rms(posterior.residual) < _EXACT * log.typical_torque
+    is_quiet = _fast_torque(contest.signals) < _QUIET * log.typical_torque
+    is_frictionless = least_friction_share(posterior) < _FRICTIONLESS
+    is_computed = is_exact & is_quiet & is_frictionless
+    if not np.all(is_computed[is_loaded]):
         return []
     text = (
         f"the torque follows rigid-body dynamics to {percent(_EXACT)} and has no friction: it was "
@@ -483,6 +531,7 @@ def _fast_torque(signals: Sequence[ProcessedSignals]) -> Array:
     """Return the rms torque (n,) above the cut-off of the low-pass [N m]: noise, if measured."""
     residuals = []
     for piece in signals:
+        # The filter loses this many samples at each end.
         half = piece.low_pass.half_width
         slow = piece.low_pass.filter(piece.tau)
         residuals.append(piece.tau[half : len(piece) - half] - slow)

@@ -5,7 +5,8 @@ the log's equations are made again; the gain in log marginal likelihood is compa
 an explanation (``contest``). Corrections of torques alone need no new rows and are tried for every
 log, others where the model does not fit.
 
-Throughout, K is the number of rows per joint, n that of joints.
+Throughout, K is the number of rows per joint, n that of joints. A torque scale is the ratio of
+recorded to true torque. The model's torque is the rms inverse dynamics of the model's links.
 """
 
 from __future__ import annotations
@@ -33,8 +34,15 @@ REFUSED = 1.6
 """Torque scale, or its inverse, above which a log is refused."""
 WARNED = 1.3
 """Torque scale, or its inverse, above which a log gets a warning."""
-UNITS = {1e3: "mN·m", 100.0: "N·cm", 10.197: "kgf·cm", 8.851: "lbf·in"}
-UNITS.update({0.7376: "lbf·ft", 141.6: "ozf·in", 1e-3: "kN·m"})
+UNITS = {
+    1e3: "mN·m",
+    100.0: "N·cm",
+    10.197: "kgf·cm",
+    8.851: "lbf·in",
+    0.7376: "lbf·ft",
+    141.6: "ozf·in",
+    1e-3: "kN·m",
+}
 """One newton metre in other units of torque, to the unit's name."""
 SMALL = 0.6
 """Ratio of measured torque to the model's below which gravity may be missing from it."""
@@ -115,9 +123,9 @@ def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
         mistakes += _order_mistakes(names, quantities)
         for name, text, correct in mistakes:
             motion = correct if "position" in quantities else None
-            yield Relabelling(
-                name, text, motion, correct if "torque" in quantities else None
-            )
+            torque = correct if "torque" in quantities else None
+            yield Relabelling(name, text, motion, torque)
+    # The methods __mul__ of arrays (n,) multiply values (N, n) by the array.
     to_radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
     text = "positions look like degrees; pass --units deg"
     yield Relabelling("angle-unit", text, to_radians.__mul__)
@@ -133,9 +141,13 @@ _Mistake = tuple[str, str, Callable[[Array], Array]]
 def _sign_mistakes(
     names: Sequence[str], quantities: Sequence[str]
 ) -> Iterator[_Mistake]:
-    """Yield the wrong sign of each of the joints (n,) in "position", "torque" or both."""
+    """Yield the wrong sign of each joint in the quantities "position", "torque" or both.
+
+    ``names`` are those of the joints (n,).
+    """
     for joint, name in enumerate(names):
-        sign = np.where(np.arange(len(names)) == joint, -1.0, 1.0)
+        sign = np.ones(len(names))
+        sign[joint] = -1.0
         columns = " and ".join(f"{quantity}.{name} = -TITLE" for quantity in quantities)
         text = f"the {' and '.join(quantities)} of joint {name} has the opposite sign of the "
         text += f"model's; flip it in the file of --columns: {columns}"
@@ -145,13 +157,17 @@ def _sign_mistakes(
 def _order_mistakes(
     names: Sequence[str], quantities: Sequence[str]
 ) -> Iterator[_Mistake]:
-    """Yield every mistaken order of the joints (n,) in "position", "torque" or both."""
+    """Yield exchanged pairs and the reverse order of joints in "position", "torque" or both.
+
+    ``names`` are those of the joints (n,).
+    """
     scope = "" if len(quantities) == 2 else f" in the {quantities[0]}s"
     advice = f"{scope}; put the columns right with --columns FILE"
     right_order = list(range(len(names)))
     for first, second in combinations(right_order, 2):
         order = right_order.copy()
-        order[first], order[second] = second, first
+        order[first] = second
+        order[second] = first
         text = f"joints {names[first]} and {names[second]} are exchanged{advice}"
         yield "order", text, partial(_arrange, order)
     if len(names) > 2:
@@ -160,7 +176,7 @@ def _order_mistakes(
 
 
 def _arrange(order: list[int], values: Array) -> Array:
-    """Return values (N, n) with the joints in an order, given by their indices (n,)."""
+    """Return values (N, n) whose columns are those with the indices ``order`` (n,)."""
     return values[:, order]
 
 
@@ -199,6 +215,9 @@ def find_wrong_torques(
 ) -> list[Correction]:
     """Return the best corrections of torques alone, which keep the rows of the log.
 
+    All are compared at the noise of the log as it is; the best ``_FINALISTS`` of those that gain
+    are then fitted with noise estimated anew.
+
     Args:
         base: posterior of the base model of the log.
         signals: low-passed signals of the log's pieces.
@@ -224,7 +243,10 @@ def find_wrong_torques(
 def _without_links(
     log: LogRows, signals: Sequence[ProcessedSignals]
 ) -> Iterator[Relabelling]:
-    """Yield the mistakes that the recorded torque lacks the links' weight, or all their torque."""
+    """Yield the mistakes that the recorded torque lacks the links' weight, or all their torque.
+
+    The corrections add the missing torque (K, n), so they are for the rows of this log only.
+    """
     robot = log.robot
 
     def torques(motion: Motion) -> tuple[Array, Array]:
@@ -319,11 +341,15 @@ class TorqueScales:
 
     @cached_property
     def common(self) -> tuple[float, float]:
-        """The weighted mean scale of all joints, and the standard error of its logarithm."""
+        """The weighted mean of the identified scales, and the standard error of its logarithm.
+
+        It is the generalised least-squares mean of the logarithms.
+        """
         precision = np.linalg.inv(self.covariance)
-        weight = np.sum(precision, axis=0) / np.sum(precision)
+        total = np.sum(precision)
+        weight = np.sum(precision, axis=0) / total
         mean = float(weight @ np.log(self.scale[self.identified]))
-        return float(np.exp(mean)), float(np.sum(precision) ** -0.5)
+        return float(np.exp(mean)), float(total**-0.5)
 
     @property
     def spread(self) -> float:
@@ -374,14 +400,18 @@ def find_wrong_scales(
         scale = np.full(len(scale), _unit_near(typical, common_error) or typical)
     undone = log.with_torque(log.torque / scale)
     posterior = LogModel(undone, options).posterior()
+    # The density of recorded torques is that of the divided ones over the scale of each row.
     density = float(np.sum(base.model.count * np.log(scale)))
     gain = posterior.log_evidence - density - base.log_evidence - scales.penalty
-    names = log.robot.joint_names
-    listed = ", ".join(f"{names[j]} {scale[j]:.3g}" for j in scales.identified)
+    joint_scales = []
+    for joint in scales.identified:
+        joint_scales.append(f"{log.robot.joint_names[joint]} {scale[joint]:.3g}")
+    listed = ", ".join(joint_scales)
     meaning = _meaning(typical, scales.spread, common_error, divided)
     text = (
         f"torque reads {typical:.3g} times what the model takes ({listed}): {meaning}"
     )
+    # The farthest scale from one, in either direction.
     off = float(np.max(np.abs(np.log(scale[scales.identified]))))
     level = Level.WARN if off > np.log(WARNED) else Level.NOTE
     level = Level.REFUSE if off > np.log(REFUSED) else level
@@ -391,8 +421,9 @@ def find_wrong_scales(
 def typical_scale(log: LogRows) -> float:
     """Return the median ratio of rms measured torque to the model's, of joints that links load."""
     model = log.model_torque
-    loaded = model > _LOADED * float(np.max(model))
-    return float(np.median((rms(log.torque) / np.maximum(model, 1e-12))[loaded]))
+    is_loaded = model > _LOADED * float(np.max(model))
+    ratio = rms(log.torque) / np.maximum(model, 1e-12)
+    return float(np.median(ratio[is_loaded]))
 
 
 def odd_unit_finding(log: LogRows) -> Finding | None:
@@ -417,20 +448,25 @@ def odd_unit_finding(log: LogRows) -> Finding | None:
 def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
     """Return the torque scale of each joint, by Gauss-Newton from the ratio of rms torques.
 
-    In each round the torque of the estimated links is one more column of each joint's equations;
-    its coefficient is the relative change of the scale.
+    In each round the torques are divided by the scales of the last round, and the torque of the
+    estimated links is one more column of each joint's equations; its coefficient is the relative
+    change of the scale.
+
+    Args:
+        log: equations of the log.
+        options: prior uncertainties of the estimate.
     """
     model = log.model_torque
-    loaded = model > _LOADED * float(np.max(model))
-    ratio = np.clip(
-        rms(log.torque) / np.maximum(model, 1e-6 * np.max(model)), _LEAST, _MOST
-    )
-    typical_ratio = float(np.median(ratio[loaded]))
+    largest = float(np.max(model))
+    is_loaded = model > _LOADED * largest
+    ratio = rms(log.torque) / np.maximum(model, 1e-6 * largest)
+    ratio = np.clip(ratio, _LEAST, _MOST)
+    typical_ratio = float(np.median(ratio[is_loaded]))
     # Friction makes the torque of a joint that links hardly load.
     is_odd = np.abs(np.log(ratio / typical_ratio)) > np.log(_FRICTION)
-    is_of_links = loaded | (is_odd & (model > LEAST_TORQUE * float(np.max(model))))
+    is_of_links = is_loaded | (is_odd & (model > LEAST_TORQUE * largest))
     scale = np.where(is_of_links, ratio, typical_ratio)
-    farthest = np.where(loaded, _FARTHEST, _FRICTION)
+    farthest = np.where(is_loaded, _FARTHEST, _FRICTION)
     lower = scale / farthest
     upper = scale * farthest
     covariance = np.eye(len(scale))
@@ -440,10 +476,12 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
         base = LogModel(undone, options)
         rigid = undone.links_torque(base.prior.mean if values is None else values)
         columns = []
-        for joint, own_column in enumerate(np.eye(len(scale))):
-            of_joint = _FAR * rigid[:, joint, None] * own_column
-            columns.append(base.transform(joint, of_joint))
+        for joint, unit in enumerate(np.eye(len(scale))):
+            # (K, n): column j is that of joint j's scale, which acts at joint j only.
+            scale_columns = _FAR * rigid[:, joint, None] * unit
+            columns.append(base.transform(joint, scale_columns))
         posterior = base.with_columns(columns).posterior()
+        # The scales' coefficients come last.
         first = len(base.prior.estimated)
         change = np.clip(1.0 + _FAR * posterior.coefficients[first:], 0.2, 5.0)
         covariance = _FAR**2 * posterior.covariance[first:, first:]
@@ -452,7 +490,7 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
         values = posterior.values
     is_sure = np.sqrt(np.diag(covariance)) < _KNOWN
     # Where a loaded joint's torque does not follow its links, units do not explain it.
-    sure = np.flatnonzero(is_sure & np.all(is_sure[loaded]))
+    sure = np.flatnonzero(is_sure & np.all(is_sure[is_loaded]))
     if len(sure):
         scale = np.where(is_sure, scale, np.median(scale[sure]))
     return TorqueScales(scale, sure, covariance[np.ix_(sure, sure)])
@@ -461,11 +499,13 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
 def _unit_near(typical: float, error: float) -> float | None:
     """Return the factor in ``UNITS`` that agrees with the scale ``typical``, or None.
 
+    A factor within e of one, as of lbf·ft, counts as no unit: the scale may have other causes.
     ``error`` is the relative standard error of the scale.
     """
     nearest = min(UNITS, key=lambda factor: abs(np.log(typical / factor)))
     is_close = abs(np.log(typical / nearest)) < max(np.log(_CLOSE), 3.0 * error)
-    return nearest if is_close and abs(np.log(nearest)) > 1 else None
+    is_far_from_one = abs(np.log(nearest)) > 1
+    return nearest if is_close and is_far_from_one else None
 
 
 def _meaning(typical: float, spread: float, error: float, divided: Array) -> str:
@@ -478,6 +518,7 @@ def _meaning(typical: float, spread: float, error: float, divided: Array) -> str
         divided: (n,) torque scales by which the torques were divided already.
     """
     remedy = "if the model is this arm's, pass --torque-scale"
+    # One number where all joints have the same.
     scales = divided[:1] if np.ptp(divided) == 0.0 else divided
 
     def in_all(scale: float, digits: str = ".4g") -> str:
