@@ -255,10 +255,11 @@ class MotorSession:
         return position
 
     def _enable_one(self, j: int, status: int, position: float) -> float:
-        """Enable the motor of joint number j and return the joint's position [rad].
+        """Enable the motor of joint j (its index) and return the joint's position [rad].
 
-        ``status`` and ``position`` [rad] are those of the motor's last answer. HardwareAbort where
-        the motor has a fault, does not answer, or its answers disagree.
+        ``status`` and ``position`` [rad] are those of the motor's last answer. The motor is enabled
+        when it says so and two answers in a row agree about the position. HardwareAbort where it
+        has a fault twice, does not answer, or its answers disagree.
         """
         joint = self.joints[j]
         for _ in range(_ENABLE_TRIES):
@@ -276,9 +277,10 @@ class MotorSession:
         raise HardwareAbort(f"{joint.label} did not enable: {reason}")
 
     def _ask(self, j: int, request: Frame) -> tuple[int, float]:
-        """Send a request to the motor of joint j; return its status and position [rad].
+        """Send a request to the motor of joint j; return its status and joint position [rad].
 
-        Without an answer these are ``NO_STATUS`` and NaN.
+        Frames that came before are discarded. Without an answer in ``_CONFIRM_TIMEOUT`` the result
+        is ``NO_STATUS`` and NaN.
         """
         self._link.drain()
         self._link.send(request)
@@ -407,7 +409,10 @@ class MotorSession:
             self._link.send(protocol.disable_frame(joint.address))
 
     def _confirm(self) -> None:
-        """Ask motors to disable until each has confirmed it, or time is up; set ``unconfirmed``."""
+        """Ask motors to disable until each has confirmed it, or ``_CONFIRM_PATIENCE`` is over.
+
+        ``unconfirmed`` is set to the joints whose motors have not confirmed it.
+        """
         running = np.ones(self.n_joints, bool)
         patience = self.clock.now() + _CONFIRM_PATIENCE
         while np.any(running) and self.clock.now() < patience:

@@ -299,7 +299,7 @@ class SimulatedArm:
             self.mechanism.step(torque, damping, duration)
 
     def leave_out(self, until: float) -> None:
-        """Set the time to ``until`` [s] without moving the arm."""
+        """Set the simulated time to ``until`` [s] without moving the arm or its motors."""
         self.time = until
         self._has_moved = True
 

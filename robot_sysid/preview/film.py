@@ -144,7 +144,10 @@ class Studio:
         getattr(self._renderer, "close", lambda: None)()
 
     def pose(self, q: Array) -> None:
-        """Put the arm at chain positions q (n,) [rad or m] and start a new picture with it."""
+        """Put the arm at chain positions q (n,) [rad or m] and start a new picture with it.
+
+        The picture has a white wall behind the arm; what was added to the last one is gone.
+        """
         self._set_positions(q)
         mujoco.mj_comPos(self._model, self.data)
         mujoco.mj_camlight(self._model, self.data)

@@ -169,8 +169,10 @@ class ServoIdentification:
         return joint_changes, actuator_changes
 
     def json_content(self) -> dict[str, Any]:
-        """Return the content of servo.json: each joint's numbers with units, the delay, the
-        comparison of the models before and after, and where all of it comes from.
+        """Return the content of servo.json, which ``json_text`` turns into text.
+
+        It holds each joint's numbers with units, the delay, the comparison of the models before and
+        after, and where all of it comes from.
         """
         joints = {}
         for k, (joint, numbers) in enumerate(self.joint_numbers.items()):

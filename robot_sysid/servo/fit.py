@@ -403,6 +403,7 @@ def estimate_errors(
     slopes = derivatives.at(parametrisation, servos) * unit
     is_moving = problem.is_moving()
     for joint in range(n_joints):
+        # One row per sample: slopes of this joint's error over its scale.
         rows = slopes[:, joint] / scale[joint]
         is_of_joint = (free % n_joints == joint) & (free < 4 * n_joints)
         weight = row_weights(rows[:, is_of_joint], is_moving[:, joint])
@@ -413,6 +414,7 @@ def estimate_errors(
         score += autocorrelation_time(covariance, np.inf) * rows.T @ rows
         bias += rows.T @ (weight * step_error[:, joint]) / scale[joint]
     inverse = np.linalg.inv(normal)
+    # The sandwich estimate, and the square of the bias that the step length makes.
     variance = np.diag(inverse @ score @ inverse) + (inverse @ bias) ** 2
     spread = np.sqrt(np.minimum(variance, PRIOR_DEVIATION**2))
     errors = np.zeros(len(parametrisation.free))

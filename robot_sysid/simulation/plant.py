@@ -114,8 +114,9 @@ class PlantSimulation:
             yield measured
 
     def _delayed_motions(self) -> Iterator[Motion]:
-        """Yield, chunk by chunk, the motion one torque delay before each sample; before that time
-        has passed, the state at the start.
+        """Yield, chunk by chunk, the motion one torque delay before each sample.
+
+        For samples earlier than the delay it is the state at the start.
         """
         for time in sample_times(self._plan.duration, self._sample_rate):
             delayed_time = time - self._options.torque_delay
@@ -393,7 +394,8 @@ class ArmStepper:
 
         Args:
             free_velocity: (n,) joint velocities at the end of the step without dry friction.
-            response: (n, n) matrix by which friction torques, negative, change the velocities.
+            response: (n, n) change of these velocities per constant joint torque; friction torques
+                act with the opposite sign.
         """
         axes = self._friction_axes
         coulomb = self._coulomb
@@ -405,6 +407,7 @@ class ArmStepper:
         present_speed = axes @ self.qd
         direction = np.sign(np.where(present_speed != 0.0, present_speed, free_speed))
         sticks = np.zeros(len(coulomb), dtype=bool)
+        # Directions stick or slide until the friction of all of them agrees with their motion.
         for _ in range(2 * len(coulomb) + 1):
             friction = np.where(sticks, 0.0, coulomb * direction)
             speed = free_speed - axis_response @ friction
@@ -427,7 +430,7 @@ class ArmStepper:
     def _holding_friction(self, response: Array, velocity: Array) -> Array:
         """Return the friction (k,) that stops k directions which move at ``velocity`` (k,).
 
-        ``response`` (k, k) is what the friction takes from these velocities per unit.
+        ``response`` (k, k) is the decrease of each velocity per unit of each friction.
         """
         if len(self._coulomb) == self.n_joints:
             return np.asarray(np.linalg.solve(response, velocity))
