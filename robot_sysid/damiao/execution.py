@@ -441,7 +441,7 @@ class MotorRun:
 
 
 def lengthen_hold(plan: Plan, seconds: float) -> Plan:
-    """Return a plan of ``MotorRun.hold_plan`` that holds the arm for ``seconds`` [s]."""
+    """Return a plan of ``MotorRun.hold_plan``, of two rows, that lasts ``seconds`` [s] instead."""
     time = np.array([0.0, seconds])
     return replace(plan, trajectory=replace(plan.trajectory, time=time))
 

@@ -255,15 +255,12 @@ def damiao_joints(
                 f"{option} was given {times} but the chain has {n_joints} joints: give it once "
                 f"per joint{alternative}"
             )
-    bus_and_ids = [(0, *ids) for ids in zip(can_ids, master_ids)]
-    for problem in id_problems(bus_and_ids):
+    for problem in id_problems(list(zip([0] * n_joints, can_ids, master_ids))):
         raise InputError(problem)
     joint_names = ["_".join(name.split()) for name in names] or [""] * n_joints
-    joints = []
-    for row in zip(types, can_ids, master_ids, joint_names):
-        motor_type, can_id, master_id, name = row
-        joints.append(DamiaoJoint(motor_type, can_id, master_id, name))
-    return tuple(joints)
+    # The first four fields of a joint: type, CAN id, master id and name.
+    rows = zip(types, can_ids, master_ids, joint_names)
+    return tuple(DamiaoJoint(*row) for row in rows)
 
 
 def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:
@@ -276,8 +273,9 @@ def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:
         motors: (bus, CAN id, master id) per motor; the bus is an index or a name.
     """
     for column, name in ((1, "CAN"), (2, "master")):
-        users = Counter((motor[0], motor[column]) for motor in motors)
-        repeated = [bus_and_id for bus_and_id, n in users.items() if n > 1]
+        # Number of motors that use each (bus, id).
+        n_users = Counter((motor[0], motor[column]) for motor in motors)
+        repeated = [bus_and_id for bus_and_id in n_users if n_users[bus_and_id] > 1]
         for _, i in sorted(repeated):
             yield f"{name} id {i:#04x} is used by more than one motor; each needs its own"
     for bus, i, master in motors:

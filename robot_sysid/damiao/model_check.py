@@ -275,7 +275,7 @@ def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[st
 
 
 def _unit(quantity: str, robot: RobotModel, joint: int) -> str:
-    """Return the unit of a quantity of joint number ``joint``: of a hinge, or else of a slide.
+    """Return the unit of a quantity of joint number ``joint``, which is a hinge or a slide.
 
     ``quantity`` is "position", "velocity" or "torque".
     """

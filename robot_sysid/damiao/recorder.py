@@ -145,10 +145,12 @@ class RawFrameLog:
         self._waiting: list[tuple[Frame, bool]] = []
 
     def __enter__(self) -> RawFrameLog:
+        """Become the observer of the link, which passes every frame."""
         self._link.observer = self
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Stop observing, and close the file; errors of the disk are suppressed."""
         self._link.observer = None
         # Frames that no recorder has taken are written if the disk allows it.
         with contextlib.suppress(Exception):
@@ -231,14 +233,16 @@ class MeasurementRecorder:
         return self._aside.failure
 
     def __enter__(self) -> MeasurementRecorder:
+        """Return this recorder, whose file is open already."""
         return self
 
     def __exit__(
         self, error_type: object, error: BaseException | None, trace: object
     ) -> None:
-        ending = (
-            "completed" if error is None else f"stopped: {error}".replace("\n", " ")
-        )
+        """Write how the run ended, and close the file; a failure is not raised."""
+        ending = "completed"
+        if error is not None:
+            ending = f"stopped: {error}".replace("\n", " ")
         self.end_cycle()
         self._aside(lambda: self._file.write(f"# end: {ending}\n"))
         self._aside(self._file.close)

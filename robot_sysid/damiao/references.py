@@ -190,6 +190,7 @@ def add_held_motors(
     held = Reference(positions, zero, zero)
 
     def extended_reference(time: float) -> Reference:
+        """Return the n joints' reference at ``time`` [s] with the m held joints appended."""
         return Reference(*map(np.append, reference(time), held))
 
     return extended_reference
