@@ -430,6 +430,7 @@ def _lerobot_titles(names: Any, feature: str, joint_names: Sequence[str]) -> lis
         names: of the numbers, such as ["elbow.pos"], or a JSON object of such lists; anything else
             makes no titles.
         feature: STATE, ACTION or a key of _FEATURES.
+        joint_names: (n,) of the arm's model; a joint's name that differs in a prefix becomes this.
     """
     groups = names.values() if isinstance(names, dict) else [names]
     joints = []

@@ -6,7 +6,8 @@ that is refused lists the faults of all checks.
 
 The usable rows are ``LogRows``: ``samples`` in SI units (N rows, n chain joints), ``lines`` (N,)
 their numbers in the file. Of all rows of the file, ``n_read`` hold something of this arm and
-``n_foreign`` nothing; ``anomalies`` says how many were left out why, and where the first one is.
+``n_foreign`` nothing; ``anomalies`` says how many were left out why, and where the first one is;
+``empty_cells`` is title to number of the rows in which the column is empty.
 """
 
 from __future__ import annotations
@@ -265,6 +266,7 @@ def _longer_unit_remedy(period: float) -> str:
 
 def require_one_clock(rows: LogRows, robot: RobotModel) -> None:
     """Raise InputError where the joints' time stamps run backwards or are of another clock."""
+    # (N, n) [s], or None where all joints have the row's time.
     stamps = rows.samples.joint_time
     if stamps is None:
         return

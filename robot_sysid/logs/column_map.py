@@ -229,7 +229,7 @@ class ColumnMap:
     commanded: bool = False
 
     def groups(self) -> tuple[tuple[Column, ...], ...]:
-        """Return the columns of position, torque, velocity and joint time; () for no such ones."""
+        """Return the columns of position, torque, velocity and joint time; () for a missing one."""
         return self.position, self.torque, self.velocity or (), self.joint_time or ()
 
     def columns(self) -> list[Column]:
@@ -274,9 +274,11 @@ def draft(
 
     Args:
         titles: of all columns of the log.
+        joint_names: (n,) of the chain, base to terminal.
         driven: the quantity that is needed beside positions, "torque" or "command".
-        recognised: quantity to its columns; without those that were not recognised.
+        recognised: quantity to its columns, one per joint; without those that were not recognised.
     """
+    # Titles on one line, by their numbers.
     numbered = (f"#{k} {' '.join(title.split())}" for k, title in enumerate(titles, 1))
     lines = [
         "# Which column is what. Complete the lines with ?, then give this file with --columns.",

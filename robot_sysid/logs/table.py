@@ -523,8 +523,8 @@ class _RowCleaner:
     def _unwrap(self, lines: Lines, cells: Array) -> None:
         """Take full turns off the positions in cells (R, 1 + C), in place; count the jumps.
 
-        The columns of cells: time, positions, and further ones. The last row is remembered for the
-        next block, as the file has it.
+        The columns of cells: time, positions, and further ones; ``lines`` (R,) are the numbers of
+        the rows. The last row is remembered for the next block, as the file has it.
         """
         q = cells[:, 1 : 1 + self._n]
         previous = q[:1] if self._last_row is None else self._last_row[None, 1:]

@@ -264,7 +264,7 @@ def _is_mostly_numbers(cells: Sequence[str]) -> bool:
 
 
 def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
-    """Yield the rows of a log, with the columns of these indices."""
+    """Yield the rows of a log, with the columns of these indices; dates as seconds."""
     for first, lines, share in _read_lines(dialect.path, dialect.encoding, CHUNK):
         rows = {}
         for number, line in enumerate(lines, first):
@@ -333,8 +333,8 @@ def _read_rows(
 ) -> tuple[Array, str]:
     """Return (cells (R, C), complaint) of the rows of a log, by their line numbers.
 
-    A row that is not numbers becomes infinite; the complaint is the fault of the first such row, ""
-    without one.
+    A row that is not numbers has an infinite cell; the complaint is the fault of the first such
+    row, "" without one. ``columns``: indices of the C columns.
     """
     cells = np.full((len(rows), len(columns)), np.inf)
     complaint = ""
@@ -348,7 +348,8 @@ def _read_rows(
 def _read_row(dialect: Dialect, columns: Sequence[int], line: str, row: Array) -> str:
     """Write the numbers in a line's columns of these indices (C,) into ``row`` (C,), in place.
 
-    Returns "", or the fault of a line that is not numbers, for the user.
+    Returns "", or the fault of a line that is not numbers, for the user; ``row`` then keeps what it
+    held in the column with the fault and in all behind it.
     """
     cells = dialect.cells(line)
     titles = dialect.titles

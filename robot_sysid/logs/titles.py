@@ -163,12 +163,13 @@ class Title:
     @property
     def is_commanded_position(self) -> bool:
         """Whether it names a commanded position, such as ``q_des[0]`` or ``action 1``."""
-        marks = {*self.tokens} & _COMMANDED - _FEED_FORWARD
+        marks = {*self.tokens} & (_COMMANDED - _FEED_FORWARD)
         # A bare d is too short to stand for a command without a position beside it.
         if not marks or (marks == {"d"} and self.quantities != {"position"}):
             return False
         is_current = bool(_CURRENT & {*self.tokens})
-        return not (self.is_foreign or is_current or self.quantities - {"position"})
+        has_other_quantity = bool(self.quantities - {"position"})
+        return not (self.is_foreign or is_current or has_other_quantity)
 
 
 def interpret_titles(

@@ -265,7 +265,7 @@ class JointFriction:
 
     @property
     def largest_dry(self) -> Array:
-        """Largest dry friction (n,) of each joint, whichever way shared motors turn."""
+        """Largest dry friction (n,) of each joint, whichever way shared motors turn [N m or N]."""
         assert self.shared is not None
         return np.asarray(self.coulomb + np.sum(np.abs(self.shared), axis=0))
 

@@ -41,7 +41,9 @@ def number_text(value: float, error: float | None = None) -> str:
     decimals = 1 - math.floor(math.log10(error))
     if decimals <= _MAX_DECIMALS:
         text = f"{value:.{max(decimals, 0)}f}"
-        return text if abs(float(text) - value) <= 0.5 * abs(value) else f"{value:.1g}"
+        is_hidden = abs(float(text) - value) > 0.5 * abs(value)
+        return f"{value:.1g}" if is_hidden else text
+    # As many significant digits as reach the last of these decimals.
     digits = math.floor(math.log10(abs(value))) + decimals + 1
     return f"{value:.{max(digits, 1)}g}"
 
