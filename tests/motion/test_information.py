@@ -79,7 +79,9 @@ def schur_complement(robot, motion, torques, sigma, prior_deviations):
         gain = np.linalg.lstsq(nuisance, body_rows, rcond=None)[0]
         residual = body_rows - nuisance @ gain
         total += residual.T @ residual
-    link_order = [*range(10), *np.arange(10, len(total)).reshape(-1, 10)[::-1].ravel()]
+    # The terminal link first, then the other links from the tool to the base.
+    others = np.arange(10, len(total)).reshape(-1, 10)
+    link_order = [*range(10), *others[::-1].ravel()]
     return total[np.ix_(link_order, link_order)]
 
 

@@ -91,7 +91,8 @@ def test_the_error_of_the_centre_of_mass_equals_monte_carlo():
     rng = default_rng(0)
     root = 1e-3 * rng.normal(size=(10, 10))
     drawn = rng.multivariate_normal(theta, root @ root.T, size=4000)
-    spread = np.sqrt(np.sum(np.var(drawn[:, 1:4] / drawn[:, :1], axis=0)))
+    centres = drawn[:, 1:4] / drawn[:, :1]
+    spread = np.sqrt(np.sum(np.var(centres, axis=0)))
     _, centre_error = mass_and_centre_errors(theta, root @ root.T)
     assert centre_error == pytest.approx(spread, rel=0.05)
 

@@ -108,9 +108,10 @@ def test_stale_readings_with_their_own_time_stamps_are_no_steps():
     stamps = np.maximum.accumulate(drawn)
     slow = Swing(seed)
     fast = Swing(seed + 1, 8.0 * FREQUENCIES)
-    q = np.column_stack(
-        [(slow.q(s) + 1e-3 * fast.q(s))[:, j] for j, s in enumerate(stamps.T)]
-    )
+    q = np.empty_like(stamps)
+    for j, joint_stamps in enumerate(stamps.T):
+        positions = slow.q(joint_stamps) + 1e-3 * fast.q(joint_stamps)
+        q[:, j] = positions[:, j]
     log = Measurement(time, q, None, q + 1.0, joint_time=stamps)
     # The fastest motion that can be told from the stale readings has 0.59 Hz.
     assert 10.0 < process(log).cutoff < HIGHEST

@@ -68,8 +68,10 @@ def test_joint_time_stamps_are_used_for_each_joint():
     rate = 250.0
     time = seconds(4.0, rate)
     joint_time = time[:, None] + np.array([0.2e-3, 0.9e-3, 1.8e-3])
-    q = np.column_stack([swing.q(joint_time[:, j])[:, j] for j in range(3)])
-    tau = np.column_stack([swing.tau(joint_time[:, j])[:, j] for j in range(3)])
+    q, tau = np.empty((2, *joint_time.shape))
+    for j, stamps in enumerate(joint_time.T):
+        q[:, j] = swing.q(stamps)[:, j]
+        tau[:, j] = swing.tau(stamps)[:, j]
     uniform = resample_uniformly(Measurement(time, q, None, tau, joint_time=joint_time))
     assert_equals_swing(uniform, swing)
     assert "own time stamps" in uniform.notes[0]
