@@ -372,8 +372,7 @@ def neighbours(robot: RobotModel) -> Iterator[Coupling]:
     for joint in range(robot.n_joints - 1):
         for sign in (1.0, -1.0):
             ratios = np.zeros(robot.n_joints)
-            ratios[joint] = 1.0
-            ratios[joint + 1] = sign
+            ratios[joint : joint + 2] = 1.0, sign
             yield coupling(robot, ratios)
 
 

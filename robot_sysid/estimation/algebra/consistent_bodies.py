@@ -99,6 +99,7 @@ class LinksProblem:
         for link in self.links:
             prior = self.prior[link]
             theta = spatial.nearest_consistent_body(prior, prior, _FLOOR)
+            # Root L of the pseudo-inertia P0; row k of ``units`` is the body of L B_k L^T.
             root = np.linalg.cholesky(spatial.pseudo_inertia(theta))
             units = _components(root @ _BASIS @ root.T) @ _THETAS
             bodies.append((theta, units.T))
@@ -188,19 +189,22 @@ class ConsistentLinks:
         with the null space held there. Directions with data are not biased towards the usual
         bodies, even if a tool is much larger than the model's link.
         """
-        firsts = []
+        candidates = []
         solvers = [*self._hold_null_space(), self]
         for solver in solvers:
             ends = solver.path((GAMMAS[0], GAMMAS[-1]))
-            firsts.append(next(ends))
+            candidate = next(ends)
             # No body, consistent or not, leaves less than the unexplained residuals.
-            if self._squared_residuals(firsts[-1]) <= self._unexplained + HARDLY:
-                return firsts[-1]
+            if self._squared_residuals(candidate) <= self._unexplained + HARDLY:
+                return candidate
+            candidates.append(candidate)
+        # The last solver is this one: the next of its ends is that for the smallest gamma.
         limit = self._squared_residuals(next(ends)) + HARDLY
-        weaker = chain.from_iterable(solver.path(GAMMAS[1:]) for solver in solvers)
-        return next(
-            x for x in chain(firsts, weaker) if self._squared_residuals(x) <= limit
-        )
+        paths = [solver.path(GAMMAS[1:]) for solver in solvers]
+        for candidate in chain(candidates, *paths):
+            if self._squared_residuals(candidate) <= limit:
+                break
+        return candidate
 
     def _hold_null_space(self) -> Iterator[ConsistentLinks]:
         """Yield the problem with the null space of A held at the usual bodies, if there is one."""
@@ -225,7 +229,7 @@ class ConsistentLinks:
             SysidError: the method did not converge.
         """
         end = self.first or self._start or self._beginning()
-        for gamma in (max(gamma, _RESOLUTION * self._squared) for gamma in gammas):
+        for gamma in np.maximum(gammas, _RESOLUTION * self._squared).tolist():
             try:
                 end = self._follow(*end, gamma)
             except SysidError:
@@ -245,6 +249,7 @@ class ConsistentLinks:
         Raises:
             SysidError: the method did not converge.
         """
+        # t is the gamma that a step aims at, length the part of the last step that was taken.
         t = max(t, gamma)
         length = 1.0
         least = max(_CONVERGED * gamma, _SHORTEST * self._squared)
@@ -408,6 +413,7 @@ class _Newton:
         correction = 0.0 * aim
         if bold is not None:
             correction = cone.second_order(bold.primal, bold.dual)
+        # Gradient of t sum_i tr(K_i), along the singular directions.
         slope = t * (self._turn.T @ np.tile(_TRACES, len(aim)))
         goal = np.append(self._unexplained, _components(aim - correction))
         turned = self._turned(goal[:, None], len(goal))[0][: len(slope), 0]
@@ -543,11 +549,16 @@ def projected_covariance(theta: Array, covariance: Array) -> Array:
 def _projected_errors(
     theta: Array, covariance: Array, center: Array
 ) -> tuple[Array, Array] | None:
-    """Return T (10, 10), and rows (m, 10) whose products rows^T rows are the covariance R.
+    """Return T (10, 10), and rows (m, 10) whose product rows^T rows is the covariance R.
 
-    Errors e of the body theta (10,), of the covariance (10, 10), become T e plus a residual of
-    covariance R; ``center`` (10,) is the usual body of the fit. None where all drawn bodies are
-    consistent, or where the fit fails for one: the errors before are an upper bound then.
+    Errors e of a body become T e plus a residual of covariance R when the body is made consistent.
+    None where all drawn bodies are consistent, or where the fit fails for one: the covariance that
+    is given is an upper bound then.
+
+    Args:
+        theta: (10,) estimated inertial parameters of the body.
+        covariance: (10, 10) of their errors e.
+        center: (10,) the usual body of the fit.
     """
     half = np.random.default_rng(0).standard_normal((_DRAWS // 2, 10))
     draws = np.vstack((half, -half))

@@ -109,6 +109,7 @@ def visible_space(matrix: Array) -> VisibleSpace:
     """
     scale, zero = column_scale(matrix)
     scaled = np.where(zero, 0.0, matrix * scale)
+    # At least p rows, so that ``right`` contains a basis of the null space as well.
     missing = max(matrix.shape[1] - len(matrix), 0)
     padded = np.pad(scaled, ((0, missing), (0, 0)))
     left, singular, right = np.linalg.svd(padded, False)
@@ -173,6 +174,7 @@ def analyse_identifiability(information: SquareRootInformation) -> Identifiabili
     interest[: spatial.N_INERTIAL] = True
     visible = np.where(space.zero, 0.0, matrix)
     length = np.where(space.zero, 1.0, np.linalg.norm(matrix, axis=0))
+    # Rank of the nuisances alone, counted by the same cut as that of all columns.
     singular = np.linalg.svd((visible * space.scale)[:, ~interest], compute_uv=False)
     hidden = _count_visible(singular, np.max(space.singular, initial=0.0))
     return Identifiability(
@@ -219,6 +221,7 @@ def describe(null: Array, scale: Array, names: Sequence[str]) -> tuple[str, ...]
     phrases = []
     for vector in readable_basis(null):
         row = vector * scale
+        # The first parameter whose weight is the largest but for rounding begins the phrase.
         first = int(np.argmax(np.abs(row) > (1.0 - _SAME) * np.max(np.abs(row))))
         phrase = _single(names[first])
         if np.count_nonzero(row) > 1:
@@ -252,6 +255,7 @@ def readable_basis(null: Array) -> list[Array]:
     """
     size, dimension = null.shape
     basis: list[Array] = []
+    # Vectors within few parameters first; one that depends on those before is left out.
     for group in (_FIRST_MOMENT, _INERTIA, range(10), range(size)):
         for candidate in _row_echelon(_within(null, group)):
             extended = np.array([*basis, candidate])
@@ -281,7 +285,8 @@ def _within(null: Array, group: Sequence[int]) -> Array:
 def _row_echelon(basis: Array) -> list[Array]:
     """Return the reduced row echelon form of columns (p, e): at most e unit vectors (p,).
 
-    Each pivot is the largest remaining entry.
+    Each pivot is the largest remaining entry; its row is exchanged with row k. Pivots below
+    ``_TOLERANCE`` are rounding.
     """
     rows = basis.T.copy()
     for k in range(len(rows)):
@@ -368,7 +373,10 @@ def base_combinations(regressor: Array, scale: Array) -> BaseCombinations:
 
 
 def essential(base: Array, nuisance: Array, right_side: Array) -> NDArray[np.bool_]:
-    """Return whether backward elimination keeps each base parameter (r,), see the module.
+    """Return whether backward elimination keeps each base parameter (r,).
+
+    The parameter with the largest relative standard deviation is removed until the largest is at
+    most ``ESSENTIAL_RATIO`` times the smallest, or ``WELL_KNOWN``. One parameter always stays.
 
     Args:
         base: (M, r) whitened columns of the base parameters.

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import mujoco
 import numpy as np
@@ -94,13 +94,16 @@ def uncertainty(
         residuals: sums of each joint's residuals, for noise that is correlated in time.
         space: ``joint_space`` of these equations; None to compute it.
     """
+    # Residuals contain errors that other joints' noise causes: kernels and errors are iterated.
     space = space or joint_space(information, weights)
     inverse = space.inverse()
     size = len(information.names)
     effective = sample_counts(information).tolist()
     if residuals:
         columns = [joint.columns for joint in residuals]
-        alone = [_alone(*pair, inverse) for pair in zip(residuals, weights)]
+        alone = []
+        for joint, weight in zip(residuals, weights):
+            alone.append(_alone(joint, weight, inverse))
         score = np.zeros((size, size))
         for _ in range(_ROUNDS):
             kernels = list(_kernels(residuals, alone, inverse @ score @ inverse))
@@ -108,10 +111,13 @@ def uncertainty(
             score = _score(columns, omegas, weights, size)
         effective = list(map(JointResiduals.effective_samples, residuals, kernels))
     else:
-        columns = [joint.columns for joint in information.joints]
-        rows = [joint.triangle[:, :-1] for joint in information.joints]
-        white = (sigma**2 * block.T @ block for sigma, block in zip(noise, rows))
-        score = _score(columns, white, weights, size)
+        columns = []
+        omegas_of_white = []
+        for joint_information, sigma in zip(information.joints, noise):
+            rows = joint_information.triangle[:, :-1]
+            columns.append(joint_information.columns)
+            omegas_of_white.append(sigma**2 * rows.T @ rows)
+        score = _score(columns, omegas_of_white, weights, size)
     of_noise = inverse @ score @ inverse
     prior = information.prior
     of_prior = np.zeros((0, size)) if prior is None else prior[:, :-1] @ inverse
@@ -138,18 +144,19 @@ def whole_triangle(information: SquareRootInformation, weights: Array) -> Array:
 
 def triangle_of(blocks: Iterable[Array]) -> Array:
     """Return the QR triangle (k, k) of the rows of all blocks (m, k), one block at least."""
-    # In batches: the rows of all joints together may exceed the memory.
+    # In batches: the rows of all joints together may exceed the memory. A batch becomes a triangle
+    # of its columns that are not zero, which is the first block of the next batch.
     waiting: list[Array] = []
     for block in blocks:
         waiting.append(block)
         if sum(map(len, waiting)) > _AT_ONCE * block.shape[1]:
             rows = np.vstack(waiting)
-            at = np.any(rows != 0.0, axis=0)
+            is_used = np.any(rows != 0.0, axis=0)
             waiting = []
-            rows = rows[:, at]
+            rows = rows[:, is_used]
             triangle = update_triangle(rows[:0], rows)
-            waiting = [np.zeros((len(triangle), len(at)))]
-            waiting[0][:, at] = triangle
+            waiting = [np.zeros((len(triangle), len(is_used)))]
+            waiting[0][:, is_used] = triangle
     return update_triangle(waiting[0][:0], np.vstack(waiting))
 
 
@@ -176,7 +183,8 @@ def _alone(
     """Return (absorbed share (1 + m,), kernel coefficients c (1 + m,), energy) of a single joint.
 
     c are fitted as if the noise of other joints had no effect on this joint's residuals. The energy
-    is that of the torque errors that the joint's own noise causes [N^2 m^2]. ``inverse`` is C.
+    is that of the torque errors that the joint's own noise causes [N^2 m^2]. ``weight`` is that of
+    the joint's equations [1/(N m)], ``inverse`` C (p, p), the inverse of the normal matrix.
     """
     hat = joint.inside(weight**2 * inverse[np.ix_(joint.columns, joint.columns)])
     absorbed = joint.absorbed_share(hat)
@@ -285,10 +293,15 @@ class JointResiduals:
     def limit_lags(self) -> JointResiduals:
         """Return a copy without lags and time constants above a tenth of the samples."""
         lags, kernels = _reach(self.count)
-        names = ("lags", "products", "hats", "pairs")
-        shorter = {name: getattr(self, name)[: lags + 1] for name in names}
-        decay = self.decay[:kernels]
-        return replace(self, decay=decay, sums=self.sums[: 1 + kernels], **shorter)
+        return replace(
+            self,
+            decay=self.decay[:kernels],
+            sums=self.sums[: 1 + kernels],
+            lags=self.lags[: lags + 1],
+            products=self.products[: lags + 1],
+            hats=self.hats[: lags + 1],
+            pairs=self.pairs[: lags + 1],
+        )
 
     def absorbed_share(self, hat: Array) -> Array:
         """Return the share (1 + m,) of each kernel's noise energy that is missing in residuals.
@@ -317,6 +330,7 @@ class JointResiduals:
         if energy <= 0.0:
             return np.zeros(1 + len(self.decay))
         count = len(self.lags)
+        # (v,) autocovariance of the torque errors of the estimate, relative to that of lag 0.
         shape = self.hats / self.hats[0] if self.hats[0] > 0.0 else np.zeros(count)
         products = self.products - min(leaked, 0.5 * energy) * shape
         kernels = np.ones((count, 1 + len(self.decay)))
@@ -331,7 +345,11 @@ class JointResiduals:
         return shares * products[0] / float(shares @ shapes[0])
 
     def effective_samples(self, kernels: Array) -> float:
-        """Return the equivalent number of independent samples, n gamma(0) / sum_l gamma(l)."""
+        """Return the equivalent number of independent samples, n gamma(0) / sum_l gamma(l).
+
+        The sum is over all lags l, positive and negative: (1 + a) / (1 - a) of a kernel a^|l|.
+        ``kernels`` are its coefficients c (1 + m,).
+        """
         summed = np.append(1.0, (1.0 + self.decay) / (1.0 - self.decay))
         spread = float(kernels @ summed)
         if spread <= 0.0:
@@ -357,7 +375,6 @@ def collect_residuals(
         weights: (joints,) of each joint's equations [1/(N m)].
         to_add: keep all lags, so that the result can be added to that of another log.
     """
-
     residuals = []
     for index, rows, tau in samples:
         columns = information.joints[index].columns
@@ -387,6 +404,7 @@ def joint_residuals(
     """
     is_used = np.isfinite(residual)
     count = int(np.count_nonzero(is_used))
+    # A log of ten times the largest lag has all lags.
     lags, kernels = _reach(10 * _MAX_LAG if to_add else count)
     products, pairs = autocovariance(residual, lags)
     decay = _decay(kernels)
@@ -396,12 +414,13 @@ def joint_residuals(
         sums = _sums_of_ones(len(rows), kernels)
         image = basis @ root
         hat = image @ image.T
-        hats = np.array([np.trace(hat, lag) for lag in range(lags + 1)])
+        hats = np.array(list(map(partial(np.trace, hat), range(lags + 1))))
     else:
         sums = _sums(rows, is_used, decay)
         hats = np.zeros(lags + 1)
         # A few channels at a time: all channels together would be as large as the log.
-        for channels in np.array_split(root, -(-root.shape[1] // _CHANNELS), axis=1):
+        batches = -(-root.shape[1] // _CHANNELS)  # rounded up
+        for channels in np.array_split(root, batches, axis=1):
             image = np.where(is_used[:, None], rows @ channels, 0.0)
             hats += lagged_sums(image, lags)
     hats = hats / np.maximum(pairs, 1.0)
@@ -420,11 +439,7 @@ def _decay(kernels: int) -> Array:
 def _sums_of_ones(count: int, kernels: int) -> Array:
     """Return the Q_i (1 + m, n, n) of a unit matrix: 1, then exp(-|t - s| / T_i) at (t, s).
 
-    The array is cached: do not change it.
-
-    Args:
-        count: number of samples n.
-        kernels: number of kernels m.
+    There are n = ``count`` samples, m = ``kernels``. The array is cached: do not change it.
     """
     lags = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
     return np.asarray(np.append(0.0, _decay(kernels))[:, None, None] ** lags)
@@ -433,7 +448,9 @@ def _sums_of_ones(count: int, kernels: int) -> Array:
 def _sums(rows: Array, is_used: NDArray[np.bool_], decay: Array) -> Array:
     """Return the Q_i (1 + m, k, k) of rows y (N, k), taken as zero where not ``is_used`` (N,).
 
-    Q_i = Q_0 + B + B^T with B = y^T u, u_t = a (u_(t-1) + y_(t-1)), a = exp(-1 / T_i).
+    Q_i = Q_0 + B + B^T with B = y^T u, u_t = a (u_(t-1) + y_(t-1)), a = exp(-1 / T_i). A chunk of
+    rows is filtered by one matrix product: u = W y + a^t s, W the powers a^(t-t') below the
+    diagonal, s = a (u + y) of the last row of the chunk before, ``state``.
     """
     lags = np.subtract.outer(np.arange(_CHUNK), np.arange(_CHUNK))
     factor = decay[:, None, None]
@@ -443,10 +460,9 @@ def _sums(rows: Array, is_used: NDArray[np.bool_], decay: Array) -> Array:
     state = np.zeros((len(decay), 1, width))
     normal = np.zeros((width, width))
     half = np.zeros((len(decay), width, width))
-    chunks = (
-        np.array_split(array, len(rows) // _CHUNK + 1) for array in (rows, is_used)
-    )
-    for block, mask in zip(*chunks):
+    n_chunks = len(rows) // _CHUNK + 1
+    chunks = zip(np.array_split(rows, n_chunks), np.array_split(is_used, n_chunks))
+    for block, mask in chunks:
         chunk = np.where(mask[:, None], block, 0.0)
         size = len(block)
         filtered = within[:, :size, :size] @ chunk + powers[:, :size, :1] * state
@@ -483,7 +499,8 @@ def _simplest_fit(shapes: Array, products: Array, count: int) -> Array:
         fits[k, : k + 1], misfit = non_negative(shapes[:, : k + 1], products)
         criteria[k] = misfit**2 / variance + 2.0 * np.count_nonzero(fits[k])
     best = fits[np.argmin(criteria)]
-    best[0] += float(not np.any(best))
+    if not np.any(best):
+        best[0] = 1.0
     return best
 
 
@@ -491,11 +508,13 @@ def non_negative(matrix: Array, right_side: Array) -> tuple[Array, float]:
     """Return (x >= 0, |A x - b|) of non-negative least squares, A (M, p) and b (M,).
 
     By MuJoCo, which is imported already: SciPy's solver takes a tenth of a second and 20 MB to
-    import. SciPy takes over where MuJoCo's stops too early.
+    import. SciPy takes over where MuJoCo's stops too early: where the gradient along a positive x,
+    or towards a positive x, is not zero but for rounding.
     """
     size = matrix.shape[1]
     goal = matrix.T @ right_side
     x = np.zeros(size)
+    # MuJoCo minimises 1/2 x^T gram x - goal^T x, from x upwards, without an upper bound.
     workspace = np.zeros((size, size + 7))
     gram = matrix.T @ matrix
     rank = mujoco.mju_boxQP(x, workspace, None, gram, -goal, np.zeros(size), None)
@@ -539,8 +558,8 @@ def concentration(residual: Array) -> float:
     squares = residual[np.isfinite(residual)] ** 2
     if len(squares) < 2 * _STRETCHES or not np.any(squares):
         return 1.0
-    bursts = np.array_split(squares, _STRETCHES)
-    energies = np.array([np.sum(burst) for burst in bursts])
+    stretches_of_squares = np.array_split(squares, _STRETCHES)
+    energies = np.array(list(map(np.sum, stretches_of_squares)))
     return float(_STRETCHES * np.sum(energies**2) / np.sum(energies) ** 2)
 
 
