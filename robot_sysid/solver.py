@@ -23,18 +23,23 @@ from robot_sysid.records import Array, Estimate, SquareRootInformation
 def identify_parameters(
     information: SquareRootInformation, prior: Array, possible: bool = False
 ) -> Estimate:
-    """Estimate all parameters; those that the data does not identify keep the prior's value.
+    """Return the estimate of all p parameters by ordinary least squares.
+
+    Parameters that the data does not identify keep the prior's value. The first ten are those of
+    the terminal link, the body that ``possible`` constrains.
 
     Args:
         information: the equations of all joints.
         prior: (p,) the model's own values, in the order of ``information.names``.
         possible: where the estimated link is no possible rigid body, constrain it to be one.
     """
-    solved = solver(information, prior)
-    noise = ordinary_noise(information, solved)
-    free = solved(1.0 / noise)[0]
+    solve = solver(information, prior)
+    # The standard deviation of each joint's torque [N m]; rows are weighted by its inverse.
+    noise = ordinary_noise(information, solve)
+    free, _ = solve(1.0 / noise)
     values = free
     if possible and not spatial.is_consistent(free[:N_INERTIAL]):
+        # Near this body the solver looks for possible ones; other parameters are zero in it.
         link_only = np.append(prior[:N_INERTIAL], np.zeros(len(prior) - N_INERTIAL))
         problem = LinksProblem((np.arange(N_INERTIAL),), link_only)
         values = ConsistentLinks(*information.equations(1.0 / noise), problem).best()
