@@ -106,9 +106,10 @@ class MotorOptions(OptionRecord):
 def _set_options(
     *records: Any, only: tuple[str, ...] = (), leave_out: tuple[str, ...] = ()
 ) -> list[Option]:
-    """Return the options of records that are not at their default.
+    """Return the options of option records that are not at their default.
 
     Args:
+        records: option records, such as ``LogOptions``.
         only: keys of the options to return; empty for all.
         leave_out: keys of options not to return.
     """
@@ -176,7 +177,8 @@ class Config:
     ) -> AnyConfig:
         """Return the configuration with the scale uncertainty that a torque scale file states.
 
-        An uncertainty that the user sets, and a file without errors, change nothing.
+        It is a percentage per joint. An uncertainty that the user sets, and a file without errors,
+        change nothing. ``joint_names`` are those of the chain (n,).
         """
         path = self.log.torque_scale
         if not isinstance(path, Path):
@@ -248,7 +250,11 @@ class SysidConfig(Config):
 
     @classmethod
     def of_plan(cls, path: Path, **values: Any) -> SysidConfig:
-        """Return the configuration of a plan; a motion is designed unless the options fix it."""
+        """Return the configuration of a plan.
+
+        A motion is designed, unless the options name a trajectory, ask for resting poses or plan
+        for friction. Other arguments are those of ``of``.
+        """
         sets_poses = values.get("static") or values.get("for_") == "friction"
         defaults = {} if values.get("trajectory") or sets_poses else PLANNED
         return cls.of(path, **{**defaults, **values, "plan_only": True})

@@ -163,6 +163,7 @@ def delay_signals(signals: tuple[signal.Signals, ...] = STOP_SIGNALS) -> Iterato
 
     A process that is started inside the block never gets them, where the system has signal masks.
     """
+    # Numbers of the signals that arrived: setdefault(number, frame) is called as their handler.
     arrived: dict[int, Any] = {}
     with contextlib.ExitStack() as cleanup:
         if hasattr(signal, "pthread_sigmask"):  # Windows has no masks.

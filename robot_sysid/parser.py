@@ -172,7 +172,13 @@ def _notes(
 
 
 def _closes_a_loop(mj_model: Any, chain: tuple[int, ...], eq: int) -> bool:
-    """Return whether equality constraint ``eq`` ties a link of the arm to a body off that link."""
+    """Return whether a constraint ties a link of the arm to a body off that link.
+
+    Args:
+        mj_model: the compiled model.
+        chain: ids of the arm's joints.
+        eq: id of the equality constraint.
+    """
     types = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
     if int(mj_model.eq_type[eq]) not in types:
         return False

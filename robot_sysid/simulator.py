@@ -21,14 +21,17 @@ from robot_sysid.records import (
 
 
 class ArmTorque:
-    """Torques the model needs for a motion, friction included."""
+    """A function of a motion that returns the torques the model needs for it, friction included.
+
+    It is pickled as its robot alone, and computes everything else anew in the other process.
+    """
 
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot
         self._dynamics = ArmDynamics(robot)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Travel to another process as what it was made from."""
+        """Return how pickle makes the object again: its class and its robot."""
         return type(self), (self._robot,)
 
     def __call__(self, motion: Motion) -> Array:

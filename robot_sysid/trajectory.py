@@ -85,6 +85,7 @@ class SineTrajectory:
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration at times (N,) [s], by the product rule."""
         time = np.asarray(time, dtype=float)
+        # The S sinusoids with an amplitude, and (S, n) ones that add them up by joint.
         used = np.nonzero(self.amplitude)
         omega = 2.0 * np.pi * self.frequency_hz[used]
         joints = np.eye(len(self.center))[used[0]]
@@ -260,10 +261,9 @@ def _fit_torque(
     limits = TORQUE_MARGIN * robot.limits.torque
 
     def load_share(factor: float) -> Array:
-        return (
-            _peak(trajectory.scale_amplitudes(factor), _TORQUE_CHECK_HZ, torque)
-            / limits
-        )
+        """Return the peak torques (n,) over their limits with amplitudes times a factor."""
+        scaled = trajectory.scale_amplitudes(factor)
+        return _peak(scaled, _TORQUE_CHECK_HZ, torque) / limits
 
     # A joint whose weight and dry friction alone exceed its limit cannot be helped by a smaller
     # motion; it is named in a note and left out of the search.

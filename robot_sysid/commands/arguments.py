@@ -105,7 +105,8 @@ class Parser(argparse.ArgumentParser):
         """Return the options of a TOML file, replaced by those of the command line.
 
         The file's options are turned into command-line words and parsed, so that both have the
-        same errors. A positional argument may come from either.
+        same errors. A positional argument may come from either, so that this method makes all of
+        them optional in this parser. Options that were not given are left out.
         """
         positionals = [a for a in self._actions if not a.option_strings]
         required = [action for action in positionals if action.required]
@@ -121,6 +122,7 @@ class Parser(argparse.ArgumentParser):
         for key, value in vars(self.parse_args(arguments)).items():
             if value not in (None, []):
                 values[key] = value
+        # A positional argument that was not given is None, or an empty list of many.
         values = {k: value for k, value in values.items() if value not in (None, [])}
         missing = [str(a.metavar) for a in required if a.dest not in values]
         if missing:
@@ -193,7 +195,11 @@ class Parser(argparse.ArgumentParser):
 
 
 def _option_words(action: argparse.Action, value: Any) -> Iterator[str]:
-    """Yield the words by which an option has a TOML value on a command line."""
+    """Yield the words by which an option has a TOML value on a command line.
+
+    ``action.nargs`` is 0 for a switch, None for an option of one value, else the option takes
+    several words.
+    """
     flag = action.option_strings[-1]
     if action.nargs == 0:
         if value:
@@ -268,7 +274,9 @@ def _add_option(
 
 
 def _argument_type(parse: Callable[[str], Any]) -> Callable[[str], Any]:
-    """Return ``parse`` with an InputError turned into one for which argparse names the option."""
+    """Return a function like ``parse``, a text's parser, whose errors argparse prefixes with the
+    option's name.
+    """
 
     def argument_type(text: str) -> Any:
         try:
@@ -288,6 +296,7 @@ def parse_command(
     Args:
         build_parser: makes the command's parser; its argument says whether its help has all
             options.
+        arguments: words behind the command's name.
 
     Returns:
         Key to value of the options that were given, lists as tuples; the console.
@@ -318,7 +327,7 @@ def complete() -> None:
     from argcomplete.completers import FilesCompleter
 
     typed = os.environ["COMP_LINE"][: int(os.environ["COMP_POINT"])]
-    # The last word is the one to complete; the first one is the program.
+    # The first word is the program, the last one is to be completed: "|" makes one of no letters.
     typed_words = f"{typed}|".split()[1:-1]
     parser, name_length = _completion_parser(typed_words)
 
@@ -334,7 +343,10 @@ def complete() -> None:
 def _completion_parser(
     typed_words: Sequence[str],
 ) -> tuple[argparse.ArgumentParser, int]:
-    """Return the parser for the complete words of a line, and how many name the command."""
+    """Return the parser for the complete words of a line, and how many words name the command.
+
+    ``typed_words`` leave out the program's name, which is counted.
+    """
     name = typed_words[0] if typed_words and typed_words[0] in COMMANDS else ""
     module_name = COMMANDS.get(name, COMMANDS["identify"])
     module = importlib.import_module(f"robot_sysid.commands.{module_name}")

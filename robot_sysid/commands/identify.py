@@ -259,6 +259,13 @@ def main(arguments: Sequence[str], command: str = "") -> int:
 def run_command(config: Config, console: Console, preview: PreviewOptions) -> None:
     """Run a command, print its outcome and write its report and bundle.
 
+    The verdict is printed last, and not at all where the run failed: the error states it then.
+
+    Args:
+        config: options of the run.
+        console: prints the outcome; its TOML file is kept from being replaced.
+        preview: whether a planned motion is shown or filmed.
+
     Raises:
         SysidError: the run failed, its result cannot be used, or a wanted report is missing.
     """
@@ -343,7 +350,10 @@ def _toml_value(value: Any) -> str:
 
 
 def _json_answer(outcome: Any) -> Mapping[str, Any] | str:
-    """Return the output of --json: the content of the result's file, or the summary of a plan."""
+    """Return the output of --json: the text of the result's file, or the summary of a plan.
+
+    ``outcome`` is that of ``pipeline.stages.run``; its ``files`` are the paths that were written.
+    """
     for path in outcome.files:
         if path.name in (file_access.PARAMS_NAME, file_access.SERVO_NAME):
             return str(path.read_text(encoding="utf-8"))

@@ -90,11 +90,15 @@ def write_outcome_report(
 ) -> str | None:
     """Write the data of a later report, and the report if it is wanted.
 
-    The results are in their files already, and stay there whatever fails here.
+    The results are in their files already, and stay there whatever fails here. Where
+    no torque was measured, the data is written for a wanted report only.
 
     Args:
-        outcome: an ``export.Outcome``; those of a plan and of servos that were found
-            without torques have no report.
+        outcome: an ``export.Outcome``. Its ``traces`` return the data for figures; they are None,
+            and there is no report, for a plan and for servos that were found without torques.
+        output: folder of the results, and whether a report or figures are wanted.
+        mesh_dir: folder of the model's meshes; None as the model says.
+        console: prints where the report is.
 
     Returns:
         Why a wanted report is missing, or None.

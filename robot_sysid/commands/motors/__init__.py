@@ -297,7 +297,7 @@ def build_parser(command: str, full: bool = True) -> Parser:
     is_run = command in (*_PLAYED, "hold")
     main = list(_MAIN)
     if not is_run:
-        main = list(_MAIN[:3])
+        main = ["interface", "channel", "fd"]
         for records in spec.groups.values():
             for record in records:
                 main += options_of(record)
@@ -511,12 +511,14 @@ def _open_simulated_end(session: Session) -> Link:
     else:
         import_can()
         names = session.channels
+        # One pseudo-terminal per bus of the trajectory: (its end here, path of the other end).
         ends = [slcan_terminal() for _ in names or ("",)]
         terminals, channels = zip(*ends)
         link = BusLink(terminals, session.clock)
         interface = "slcan"
         if len(names) > 1:
-            channels = tuple(map("=".join, zip(names, channels)))
+            pairs = zip(names, channels)
+            channels = tuple(f"{name}={path}" for name, path in pairs)
     # The motors of a simulated arm turn as its model does.
     play_command = session.command(
         "play",

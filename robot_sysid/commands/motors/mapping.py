@@ -76,6 +76,9 @@ def movement_texts(
 ) -> list[str]:
     """Return a sentence per joint (n) on the movement that a person sees when the joint turns.
 
+    It is the main direction in which the tip of the arm moves, or, where the tip hardly moves, the
+    direction from which the joint is seen to turn counter-clockwise.
+
     Args:
         robot: model of the arm.
         q: positions (n,) before the movement [rad or m]; None for the model's reference.
@@ -88,6 +91,7 @@ def movement_texts(
     arm = ArmStepper(robot, positions)
     turns = _PROBE_TURN * (np.zeros(robot.n_joints) + signs)
     texts = []
+    # Row j of the diagonal matrix turns joint j alone.
     for joint, turn in enumerate(np.diag(turns)):
         vector = ArmStepper(robot, positions + turn).tip() - arm.tip()
         text = "the end of the arm moves towards"
@@ -330,9 +334,11 @@ def _nudge_plan(
     positions = []
     velocities = []
     for index in indices:
-        target = q + np.diag(_NUDGE * signs)[index]
+        target = q.copy()
+        target[index] += _NUDGE * signs[index]
         for begin, end in ((q, target), (target, q)):
             rows = transfer_rows(plan.trajectory, begin, end, _PACE)
+            # The first row is where the arm stands already.
             positions.append(rows.q[1:])
             velocities.append(rows.qd[1:])
     q_rows = np.vstack(positions)

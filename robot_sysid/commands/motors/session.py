@@ -224,7 +224,12 @@ def _heat_and_status(feedback: Feedback | None) -> tuple[str, str]:
 
 
 def _type_name(limits: tuple[float, float, float], joint: DamiaoJoint | None) -> str:
-    """Return the motor types with these limits, or whether a joint's motor type has them."""
+    """Return the names of the motor types with given limits, or whether a joint's type has them.
+
+    Args:
+        limits: PMAX, VMAX and TMAX of the motor [rad, rad/s, N m].
+        joint: the joint that the motor should drive, with its motor type; None where unknown.
+    """
     if joint is None:
         return " or ".join(matching_types(limits)) or "unknown"
     is_same = limits_agree(joint.spec.limits, limits)

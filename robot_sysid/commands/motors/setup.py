@@ -235,7 +235,10 @@ class MotorSetup:
         return float(state.position[0])
 
     def _status(self) -> int:
-        """Return the motor's present status code; HardwareAbort where no answer comes."""
+        """Return the motor's present status code; HardwareAbort where no answer comes.
+
+        It is the upper half of the first byte of a feedback frame.
+        """
         return self._feedback()[0] >> 4
 
     def _feedback(self) -> bytes:
