@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -70,9 +71,10 @@ def limit_findings(checks):
     stops = [check.text.partition(";")[0] for check in checks if check.severity == STOP]
     if not stops:
         assert [check.severity for check in checks] == [OK]
-    excesses = [
-        (j, w) for t in stops for j in JOINTS for w in WHAT if j in t and f"{w} " in t
-    ]
+    excesses = []
+    for text, joint, quantity in itertools.product(stops, JOINTS, WHAT):
+        if joint in text and f"{quantity} " in text:
+            excesses.append((joint, quantity))
     assert len(excesses) == len(stops) == len(checks) - (not stops), stops
     return set(excesses)
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.damiao.joints import MOTORS, damiao_joints
 from robot_sysid.damiao.protocol import (
+    REQUIRED,
     Feedback,
     MitCommand,
     Scaling,
@@ -36,11 +37,10 @@ from tests.support.recordings import read_recording
 def recorder_for(path, types=("DM4340",), overwrite=False):
     """A recorder that writes at once, for motors of these types."""
     joints = damiao_joints(types, len(types))
-    registers = [simulated_motor(j).registers for j in joints]
-    registers = [
-        {k: v for k, v in r.items() if k in (7, 8, 9, 10, 21, 22, 23)}
-        for r in registers
-    ]
+    registers = []
+    for joint in joints:
+        values = simulated_motor(joint).registers
+        registers.append({number: values[number] for number in REQUIRED})
     settings = PlaySettings(kp=(20.0,) * len(types), kd=(1.0,) * len(types), rate=250.0)
     head = recording_header(joints, registers, settings, "swing.csv")
     labels = [f"j{j}" for j in range(len(joints))]
@@ -319,14 +319,13 @@ def test_a_joint_that_holds_still_gets_the_mean_of_held_commands():
     zero = np.zeros(1)
     times = PERIOD * np.arange(count)
     positions = np.sin(angular * times)
-    torques = [
-        centring.torques(
-            replies_of(zero, zero, zero + time, stiff(positions[k + 1 : k + 2], kp)),
-            stiff(positions[k : k + 1], kp),
-        )[1][0]
-        + kp * positions[k]
-        for k, time in enumerate(times[1:-1] + 0.0)
-    ]
+    torques = []
+    for k, time in enumerate(times[1:-1]):
+        acted = stiff(positions[k : k + 1], kp)
+        command = stiff(positions[k + 1 : k + 2], kp)
+        replies = replies_of(zero, zero, zero + time, command)
+        _, correction = centring.torques(replies, acted)
+        torques.append(correction[0] + kp * positions[k])
     # Row k was sampled when command k + 1 arrived.
     middles = times[1:-1] - 0.5 * PERIOD
     expected = kp * np.sinc(frequency * PERIOD) * np.sin(angular * middles)
