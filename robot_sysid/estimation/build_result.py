@@ -63,6 +63,7 @@ from robot_sysid.results.record import (
     LINK,
     PAYLOAD,
     BodyEstimate,
+    JointEstimate,
     ModelFile,
     Payload,
     Quantity,
@@ -169,8 +170,14 @@ def _common(answer: Answer, data: DataOrigin) -> Result:
     robot = answer.robot
     options = fit.question.options
     scales = fit.choice.link_scales
-    joints = dict(answer.joints())
-    chain_joints = {name: joints.pop(name) for name in robot.joint_names}
+    joints: dict[str, JointEstimate] = {}
+    motors: dict[str, JointEstimate] = {}
+    for name, joint in answer.joints():
+        owners = joints if name in robot.joint_names else motors
+        owners[name] = joint
+    tilt = None
+    if options.tilt == "auto":
+        tilt = math.hypot(*map(fit.value, TILT_NAMES))
     signals = motion_signals(fit.columns.datasets)
     models = {model.name for model in fit.choice.friction}
     return Result(
@@ -180,17 +187,15 @@ def _common(answer: Answer, data: DataOrigin) -> Result:
         verdict=Verdict.OK,
         torques=fit.columns.torques,
         data=data,
-        joints=chain_joints,
-        couplings=joints,
+        joints=joints,
+        couplings=motors,
         sensors=answer.sensors(),
         friction_model=models.pop() if len(models) == 1 else "per joint",
         cutoff=signals[0].cutoff if signals else None,
         link_scales={name: getattr(scales, name) for name in LINK_KINDS},
         conflicts=answer.errors.conflicts,
         delay=fit.value(DELAY_NAME) if options.delay == "auto" else None,
-        tilt=math.hypot(*map(fit.value, TILT_NAMES))
-        if options.tilt == "auto"
-        else None,
+        tilt=tilt,
     )
 
 
@@ -201,8 +206,10 @@ def _result_notes(answer: Answer, file: ModelFile | None) -> Iterator[str]:
         file: the written model file; None where none is written.
     """
     sensors = answer.sensors()
-    scales = [sensors[name].value for name in sensors if name.startswith("scale[")]
-    common_scale = float(np.mean(scales)) if answer.fit.choice.common_scale else 0.0
+    common_scale = 0.0
+    if answer.fit.choice.common_scale:
+        scales = [sensors[n].value for n in sensors if n.startswith("scale[")]
+        common_scale = float(np.mean(scales))
     # A first fit calls for the common scale; the last one may find it to be near zero.
     if abs(common_scale) > LEAST_SCALE:
         yield (
@@ -430,7 +437,7 @@ def make_traces(
             friction[name] = value
     return Traces(
         joints=joints,
-        is_slide=tuple(bool(robot.is_slide[j]) for j in indices),
+        is_slide=tuple(robot.is_slide[indices].tolist()),
         time=np.concatenate([log.time for log in samples]),
         q=interpolate_motion("q"),
         qd=interpolate_motion("qd"),

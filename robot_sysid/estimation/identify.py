@@ -94,7 +94,7 @@ def low_pass_recordings(
     cutoffs = []
     for piece, log in zip(pieces, resampled):
         with prefix_input_errors(piece.name):
-            cutoffs.append(options.cutoff or log.choice[0])
+            cutoffs.append(options.cutoff or log.choice.cutoff)
     low_passed = []
     notes: dict[str, dict[str, None]] = {}
     for piece, log, required in zip(pieces, resampled, cutoffs):
@@ -163,7 +163,9 @@ def answer_link(
         fit = replace(fit, samples=(), evidence=fit.evidence.merge_blocks())
         file = fit_file(fitter, options, unchanged_parts, fit)
     signals = motion_signals(datasets)
+    acceleration_errors = [log.acceleration_error for log in signals]
     notes: list[str] = []
+    # A joint that moves in one direction only confounds Coulomb friction with the sensor's offset.
     if any({"coulomb", "offset"} <= set(model.terms) for model in choice.friction):
         for log_signals in signals:
             notes += log_signals.one_way_joints(robot.joint_names)
@@ -177,9 +179,7 @@ def answer_link(
         candidates,
         file,
         tests=(*validations, *log_tests),
-        acceleration_error=max(
-            (log.acceleration_error for log in signals), default=0.0
-        ),
+        acceleration_error=max(acceleration_errors, default=0.0),
         notes=tuple(dict.fromkeys((*notes, *log_notes))),
         friction_of_logs=friction,
     )
