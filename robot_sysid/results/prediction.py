@@ -184,6 +184,7 @@ def torque_error(
     friction = joint_friction(compiled, robot.dof_index)
 
     def smooth_torque(motion: Motion) -> tuple[Array]:
+        """Return (torque (K, n) along a motion without dry friction [N m],)."""
         rigid = dynamics.torque(motion.q, motion.qd, motion.qdd)
         return (rigid + friction.viscous * motion.qd,)
 
