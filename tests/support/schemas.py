@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from pathlib import Path
 
@@ -9,23 +10,27 @@ import jsonschema
 
 from tests.support.places import ROOT
 
-SCHEMAS = ROOT / "robot_sysid" / "schemas"
-
 
 def schema(name: str) -> dict:
-    """Return a schema: params or servo."""
-    content: dict = json.loads((SCHEMAS / f"{name}.schema.json").read_text("utf-8"))
+    """Return the schema of a kind of result file: params or servo."""
+    path = ROOT / "robot_sysid" / "schemas" / f"{name}.schema.json"
+    content: dict = json.loads(path.read_text(encoding="utf-8"))
     return content
+
+
+@functools.cache
+def _check_text(name: str, text: str) -> None:
+    """Raise where the text of a result file breaks its schema; one text is validated once."""
+    jsonschema.validate(json.loads(text), schema(name), jsonschema.Draft202012Validator)
 
 
 def check(path: Path) -> None:
     """Raise jsonschema's error where a result file is not what its schema says."""
-    content = json.loads(path.read_text(encoding="utf-8"))
-    jsonschema.validate(content, schema(path.stem), jsonschema.Draft202012Validator)
+    _check_text(path.stem, path.read_text(encoding="utf-8"))
 
 
 def check_results(folder: Path) -> None:
-    """Check every result file below a folder."""
+    """Check every params.json and servo.json in the subfolders of a folder."""
     for name in ("params.json", "servo.json"):
         for path in folder.glob(f"*/{name}"):
             check(path)
