@@ -117,6 +117,7 @@ def window(time: Array, duration: float, fade: float) -> Series:
     from_end = np.where(is_rising, time, duration - time)
     w, dw, ddw = smooth_step(np.clip(from_end / fade, 0.0, 1.0))
     dw = dw / fade
+    # In the falling half the step runs backwards in time, which turns the sign of w' only.
     return w, np.where(is_rising, dw, -dw), ddw / fade**2
 
 

@@ -230,7 +230,7 @@ def _steps(piece: Measurement) -> tuple[Array, Array]:
     """
     step = np.diff(piece.time)
     typical_step = float(np.median(step))
-    usual_square = np.zeros(len(step) - 4)
+    reference_square = np.zeros(len(step) - 4)
     product = np.zeros(len(step) - 4)
     noise = 0.0
     for q in piece.q.T:
@@ -238,17 +238,17 @@ def _steps(piece: Measurement) -> tuple[Array, Array]:
         # Displacement in a step of typical duration.
         pace = displacement * (typical_step / step)
         a, b, _, c, d = np.lib.stride_tricks.sliding_window_view(pace, 5).T
-        # The usual displacement is the median of the four neighbours, the mean of the middle two.
+        # The reference is the median of the four neighbours, the mean of the middle two.
         middle = np.maximum(np.minimum(a, b), np.minimum(c, d))
         other_middle = np.minimum(np.maximum(a, b), np.maximum(c, d))
-        usual = 0.5 * (middle + other_middle)
-        usual_square += usual**2
-        product += displacement[2:-2] * usual
+        reference = 0.5 * (middle + other_middle)
+        reference_square += reference**2
+        product += displacement[2:-2] * reference
         noise += float(np.median(np.abs(np.diff(displacement)))) ** 2
     duration = step[2:-2] / typical_step
-    largest_square = float(np.max(usual_square, initial=0.0))
-    is_clear = usual_square > max(_CLEAR**2 * noise, 0.02 * largest_square)
-    distance = product[is_clear] / usual_square[is_clear]
+    largest_square = float(np.max(reference_square, initial=0.0))
+    is_clear = reference_square > max(_CLEAR**2 * noise, 0.02 * largest_square)
+    distance = product[is_clear] / reference_square[is_clear]
     return distance / duration[is_clear], duration[is_clear]
 
 
