@@ -132,7 +132,7 @@ class Equations:
 
     def _parameters(self) -> tuple[tuple[str, ...], tuple[NDArray[np.int64], ...]]:
         """Return the names of all p parameters, and per joint of ``joints`` the indices (k,) of the
-        parameters in its equation: other links are in it where the joint carries them.
+        parameters in its equation, of other links only where the joint carries them.
         """
         every_joint = np.arange(self._robot.n_joints)
         # Names of parameters, and whether they are in the equation of each joint (n,): those of the
@@ -158,7 +158,9 @@ class Equations:
 
     @property
     def prior(self) -> Array:
-        """The model's own values (p,) of all parameters; zero for friction it does not have."""
+        """The model's own values (p,) of all parameters; zero for friction terms that the model
+        does not have.
+        """
         robot = self._robot
         values = dict(zip(PARAMETER_NAMES, robot.prior.theta))
         armature = robot.armature
@@ -261,7 +263,7 @@ class Equations:
 
     def rows_of_gravity(self, q: Array, gravity: Array) -> Iterator[Array]:
         """Yield per joint of ``joints`` the rows (N, k) of the arm at rest under a gravity, with
-        the columns of ``columns``, those of friction zero; the rows are linear in gravity.
+        the columns of ``columns``; friction's columns are zero. The rows are linear in gravity.
 
         Args:
             q: (N, n) joint positions [rad or m].

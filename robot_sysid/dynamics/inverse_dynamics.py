@@ -522,8 +522,8 @@ def tilt_axes(level: Array, gravity: Array | None = None) -> Array:
 
 
 def turn_gravity(gravity: Array, angles: Array, axes: Array | None = None) -> Array:
-    """Return gravity (3,) turned by two angles (2,) [rad] about ``axes`` (2, 3) perpendicular to
-    it; without them, about its own ``tilt_axes``.
+    """Return gravity (3,) turned by two angles (2,) [rad] about two unit axes (2, 3) perpendicular
+    to gravity; None for its ``tilt_axes``.
     """
     turn = angles @ (tilt_axes(gravity) if axes is None else axes)
     # Rodrigues' formula for a perpendicular axis; numpy's sinc(x) is that of pi x.

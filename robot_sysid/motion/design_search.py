@@ -483,8 +483,8 @@ def _submit(pool: ProcessPoolExecutor, jobs: Sequence[Job]) -> list[Future[Any]]
 
 
 def _receive(shared: Any) -> None:
-    """Keep the shared object for the jobs of this worker process, and make the process end with the
-    one that started it.
+    """Keep the shared object for the jobs of this worker process, and make the process end when its
+    parent process ends.
     """
     global _received
     _received = shared

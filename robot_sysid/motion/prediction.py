@@ -190,7 +190,9 @@ def plan_lines(
 def limit_lines(
     problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
 ) -> Iterator[str]:
-    """Yield whether the motion may be played, and how near it comes to the arm and its scene."""
+    """Yield lines on whether the motion keeps all limits, on the least distance between bodies, and
+    on the limits that it breaks.
+    """
     if check.holds:
         nearest = check.nearest
         nearness = "nothing comes near"

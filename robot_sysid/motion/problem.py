@@ -224,7 +224,9 @@ class ExcitationProblem:
 
     @property
     def has_torque_reserve(self) -> bool:
-        """Whether torque is left for the links' errors: something limits it, and they have some."""
+        """Whether torque is reserved for errors of the links: the links have errors, and the torque
+        of some joint is limited.
+        """
         is_limited = np.any(np.isfinite(self.limits.torque))
         return bool(np.any(self.link_errors) and is_limited)
 

@@ -36,7 +36,8 @@ _AT_ONCE = 256
 
 
 class Solid:
-    """One body: its geoms that collide, else those that are seen, else its origin.
+    """The shape of one body: its geoms that collide; without any, its visible geoms; without any
+    geom, its origin.
 
     Attributes:
         points: (P, 3) corners in the body's frame [m]; none of a body that is a plane.

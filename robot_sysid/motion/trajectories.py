@@ -382,8 +382,11 @@ def save_trajectory(
 
 
 def load_trajectory(path: Path) -> SavedTrajectory:
-    """Read a trajectory that ``save_trajectory`` has written, in this version or an earlier one;
-    InputError says what else the file is, or why it cannot be read.
+    """Return the trajectory of a file that ``save_trajectory`` has written, in this version of the
+    program or an earlier one.
+
+    Raises:
+        InputError: the file cannot be read, or holds no trajectory.
     """
     content = read_json(
         Path(path), "--trajectory takes the .json file that robot-sysid plan writes"

@@ -92,7 +92,7 @@ class Visits:
 
 
 def find_visits(motions: Sequence[Motion]) -> Visits:
-    """Return which rows of logs pass the states of other rows.
+    """Return the pairs of rows of logs that pass the same state (q, qd) at different times.
 
     Args:
         motions: of the rows of each log; rows are numbered one log after the other.
