@@ -308,6 +308,37 @@ class LogRows:
         return f"{self.row_noun} {lines[0]}{more}"
 
 
+class _GrowingBuffers:
+    """Collects rows in one array for each group of their columns, without a second copy.
+
+    Attributes:
+        widths: number of columns of each group, in the order of a row.
+    """
+
+    def __init__(self, widths: Sequence[int]) -> None:
+        self.widths = widths
+        self._arrays = [np.empty((0, width)) for width in widths]
+        self._count = 0
+
+    def append(self, rows: Array, expected: float) -> None:
+        """Append rows (R, sum of widths) of a log that will have about ``expected`` rows."""
+        end = self._count + len(rows)
+        groups = np.split(rows, np.cumsum(self.widths)[:-1], axis=1)
+        for array, group in zip(self._arrays, groups):
+            if end > len(array):
+                # The lines of a file are not all of one length, so this is an estimate.
+                capacity = max(end, round(1.1 * expected))
+                array.resize((capacity, group.shape[1]), refcheck=False)
+            array[self._count : end] = group
+        self._count = end
+
+    def finish(self) -> list[Array]:
+        """Return an array (rows, width) of each group; no row can be appended any more."""
+        for array in self._arrays:
+            array.resize((self._count, array.shape[1]), refcheck=False)
+        return self._arrays
+
+
 def read_rows(
     table: LogTable,
     columns: ColumnMap,
@@ -330,24 +361,9 @@ def read_rows(
     for column in columns.columns():
         titles.append(column.title)
         indices.append(column.index)
-    # A buffer for each of line, time, position, torque, velocity and time stamps of the joints.
+    # Of line, time, position, torque, velocity and time stamps of the joints.
     widths = [1, 1, *map(len, columns.groups())]
-    ends = np.cumsum(widths)
-    buffers = [np.empty((0, width)) for width in widths]
-    count = 0
-
-    def keep(rows: Array, expected: float) -> None:
-        """Append rows (R, sum of widths) of a log that will have about ``expected`` rows."""
-        nonlocal count
-        end = count + len(rows)
-        for buffer, group in zip(buffers, np.split(rows, ends[:-1], axis=1)):
-            if end > len(buffer):
-                # The lines of a file are not all of one length, so this is an estimate.
-                capacity = max(end, round(1.1 * expected))
-                buffer.resize((capacity, group.shape[1]), refcheck=False)
-            buffer[count:end] = group
-        count = end
-
+    buffers = _GrowingBuffers(widths)
     thinning = None
     # Rows that wait until it is known whether the log is thinned.
     pending = np.empty((0, sum(widths)))
@@ -359,12 +375,10 @@ def read_rows(
         if thinning is None and is_enough and len(pending) > 1:
             thinning = Thinning.of(pending[:, 1], expected)
         if thinning is not None:
-            keep(thinning.push(pending), expected / thinning.every)
+            buffers.append(thinning.push(pending), expected / thinning.every)
             pending = pending[:0]
-    keep(pending, 0.0)
-    for buffer in buffers:
-        buffer.resize((count, buffer.shape[1]), refcheck=False)
-    lines, time, q, tau, qd, stamps = buffers
+    buffers.append(pending, 0.0)
+    lines, time, q, tau, qd, stamps = buffers.finish()
     command = None
     if columns.commanded:
         # A servo's torque follows its position error, the measure of torque here [rad].
