@@ -206,7 +206,7 @@ class Config:
         )
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
-        """Yield (option that names a file, path of the file) of each file that a run writes."""
+        """Yield (words for it in a message, path) of each written file that could be an input."""
         names = (file_access.PARAMS_NAME, file_access.SERVO_NAME)
         for name in (*names, *file_access.MODEL_NAMES.values()):
             yield "--output-dir", self.output.output_dir / name
@@ -424,7 +424,7 @@ class SysidConfig(Config):
         return (*super().input_files(), self.arm.plant_model, self.trajectory.file)
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
-        """Yield (option that names a file, path of the file) of each file that a run writes."""
+        """Yield (words for it in a message, path) of each written file that could be an input."""
         if self.arm.save_measurements is not None:
             yield "--save-measurements", self.arm.save_measurements
         if self.plan_file is not None:
@@ -536,7 +536,7 @@ class PayloadConfig(Config):
         return (*super().input_files(), *self.payload.empty, *self.payload.loaded)
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
-        """Yield (option that names a file, path of the file) of each file that a run writes."""
+        """Yield (words for it in a message, path) of each written file that could be an input."""
         yield "--output-dir", self.output.output_dir / file_access.CARD_NAME
         if self.payload.save_torque_scale is not None:
             yield "--save-torque-scale", self.payload.save_torque_scale

@@ -242,7 +242,8 @@ def information(
     Args:
         model: MJCF or URDF file.
         log: see ``api.calls.Log``.
-        around: the sum of a first round over all logs, for the second round.
+        around: None in a first round over all logs; in a second round the sum of the first, around
+            whose estimate the equations are linearised. ``identify_from`` takes the second sum.
         options: those of ``identify`` on reading and fitting a log. ``cutoff`` [Hz] is required;
             options whose value would be chosen from all logs together are refused.
 

@@ -239,7 +239,10 @@ class MeasurementRecorder:
     def __exit__(
         self, error_type: object, error: BaseException | None, trace: object
     ) -> None:
-        """Write how the run ended, and close the file; a failure is not raised."""
+        """Write how the run ended, and close the file; an error of the run passes on.
+
+        Where writing fails, ``failure`` holds the reason, and nothing is raised.
+        """
         ending = "completed"
         if error is not None:
             ending = f"stopped: {error}".replace("\n", " ")

@@ -449,7 +449,9 @@ def peaks_beyond(values: Array, limits: Array) -> list[tuple[int, float]]:
 def limit_excesses(
     trajectory: DamiaoTrajectory, speed: float, limits: LimitOptions
 ) -> Iterator[str]:
-    """Yield a sentence for each joint and user's limit that a trajectory breaks.
+    """Yield a sentence for each joint and limit of the options that a trajectory breaks.
+
+    The options are --max-velocity, --max-acceleration and --max-torque.
 
     ``speed`` is the factor of the file's speed at which it is played.
     """

@@ -330,7 +330,8 @@ class LinksMotion:
         recursion of V and A, and d_j Ad(T_j^-1) = -ad(S_j) Ad(T_j^-1).
 
         Args:
-            thetas: (n, 10) of the links.
+            thetas: (n, 10) inertial parameters of the links, base to terminal, in the order of
+                ``spatial.PARAMETER_NAMES``, inertia about the link frame's origin.
             qd: (N, n) joint speeds of this motion.
         """
         samples, count = qd.shape
@@ -548,7 +549,7 @@ def tilt_columns(robot: RobotModel, thetas: Array, q: Array, level: Array) -> Ar
 
     Args:
         robot: the arm, under the gravity around which it is tilted.
-        thetas: (n, 10) of its links.
+        thetas: (n, 10) inertial parameters of its links, base to terminal.
         q: (N, n) positions.
         level: (3,) gravity of the level base, which defines the axes (``tilt_axes``).
     """
@@ -575,7 +576,7 @@ def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
 
     Args:
         robot: the arm.
-        thetas: (n, 10) of its links.
+        thetas: (n, 10) inertial parameters of its links, base to terminal.
         motion: of N samples.
     """
     dynamics = LinkDynamics(robot)

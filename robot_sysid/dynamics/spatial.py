@@ -171,8 +171,8 @@ def parameter_scale(mass: float, length: float) -> Array:
 
 
 def characteristic_length(theta: Array) -> float:
-    """Return the size of a body theta (10,) seen from its origin: sqrt(tr(I) / (2 m)) [m]; 1 where
-    that is no positive number.
+    """Return the size sqrt(tr(I) / (2 m)) [m] of a body, with I about its origin, from its ten
+    parameters theta; 1 where that is no positive number.
     """
     if theta[0] <= 0.0:
         return 1.0
@@ -202,7 +202,7 @@ def nearest_consistent_body(theta: Array, reference: Array, floor: float) -> Arr
 
 
 def _build_pseudo_basis() -> Array:
-    """Return B_k (10, 4, 4) with J(theta) = sum_k theta_k B_k."""
+    """Return B_k (10, 4, 4); the pseudo-inertia of a body is the sum of theta_k B_k."""
     basis = np.zeros((10, 4, 4))
     for matrix, unit in zip(basis, np.eye(10)):
         inertia = symmetric_from_six(unit[4:])

@@ -347,9 +347,10 @@ def _weights_beside_friction(
 
 
 def _largest_difference(values: Array, squares: Array) -> float:
-    """Return the largest difference of a joint's friction torque between any two of L logs.
+    """Return the largest difference of a joint's friction torque between any two of L >= 2 logs.
 
-    It is the root mean square over the rows, as a share of the torque of the mean friction.
+    It is the root mean square over the rows, as a share of the torque of the mean friction;
+    infinite where that torque is zero.
 
     Args:
         values: (L, m) friction coefficients by log.

@@ -240,7 +240,8 @@ def implausible_joints(
     """
     inertia = robot.mass * robot.length**2
     for index, (name, slide) in enumerate(zip(robot.joint_names, robot.is_slide)):
-        # Least values that the errors allow; NaN, which no bound refuses, of terms at their bounds.
+        # Least values that the errors allow. A term at its bound has the error NaN, and no
+        # comparison with NaN is true.
         terms = {}
         for term, figure in joints[name].terms.items():
             terms[term] = figure.value - _SURE * figure.error

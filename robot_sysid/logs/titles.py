@@ -364,7 +364,7 @@ def _strip_joint_names(
 
 @lru_cache
 def _aliases(joint_names: tuple[str, ...]) -> list[tuple[int, str]]:
-    """Return (joint index, spelling), longest first.
+    """Return (joint index, spelling), those of most words first; the list is cached and shared.
 
     Spellings are the joints' names, and the names without the words with which all names begin or
     end: "elbow" for "left_elbow_joint".

@@ -307,7 +307,7 @@ def compiled_in_memory(model: Any) -> CompiledModel:
 
 
 def file_of(model: Any) -> Path:
-    """Return an MJCF file of an MjSpec or MjModel, which exists as long as this process.
+    """Return a temporary MJCF file of an MjSpec or MjModel, removed when this process ends.
 
     MuJoCo writes it, with six digits of each number. Raises ModelError where it cannot.
     """

@@ -313,7 +313,7 @@ class Draw:
 def draw_trajectories(
     design: Design, seed: int, numbers: Sequence[int], deadline: float = np.inf
 ) -> list[Draw]:
-    """Return random trajectories, scaled to keep the limits.
+    """Return random trajectories, scaled to keep the limits; of an infeasible one the score is inf.
 
     Args:
         design: the arm, its limits and the criterion.

@@ -174,8 +174,10 @@ class HalfSpaces:
         self, positions: Array, rotations: Array, margin: float = np.inf
     ) -> Iterator[tuple[int, NDArray[np.intp], Array, Array]]:
         """Yield per body its index in ``solids``, the indices (M,) of the postures in which it is
-        near a boundary, its heights (M, K) [m] above all boundaries in these postures, and its
-        points (M, K, 3) in the world [m] that are nearest to the boundaries.
+        near a boundary, its heights (M, K) [m] above all K boundaries in these postures, and
+        its points (M, K, 3) in the world [m] that are nearest to the boundaries.
+
+        A body that is near no boundary in any posture is left out.
 
         Args:
             positions: (N, nbody, 3) of the bodies in N postures, MuJoCo's xpos [m].
@@ -188,14 +190,16 @@ class HalfSpaces:
         middle = positions + (rotations @ self._centers[:, :, None])[..., 0]
         least_height = middle @ self.normals.T - self._offsets - self._bounds
         is_near = np.any(least_height - self.required < margin, axis=2)
-        for k in np.flatnonzero(np.any(is_near, axis=0)).tolist():
-            postures = np.flatnonzero(is_near[:, k])
-            turn = rotations[postures, k]
+        for body in np.flatnonzero(np.any(is_near, axis=0)).tolist():
+            postures = np.flatnonzero(is_near[:, body])
+            turn = rotations[postures, body]
             directions = (-self.normals @ turn).reshape(-1, 3)
-            corner = self.solids[k].farthest(directions).reshape(len(postures), -1, 3)
-            lowest = positions[postures, k, None] + corner @ turn.transpose(0, 2, 1)
+            corner = (
+                self.solids[body].farthest(directions).reshape(len(postures), -1, 3)
+            )
+            lowest = positions[postures, body, None] + corner @ turn.transpose(0, 2, 1)
             heights = np.sum(lowest * self.normals, axis=2) - self._offsets
-            yield k, postures, heights, lowest
+            yield body, postures, heights, lowest
 
 
 def swept_space(robot: RobotModel, q: Array) -> tuple[Array, Array, str]:

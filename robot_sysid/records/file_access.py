@@ -184,7 +184,7 @@ class AtomicFiles:
         self._unwanted.append(path)
 
     def commit(self) -> None:
-        """Give every draft its final name, the first one last.
+        """Give every draft its final name, the first one last, and then remove unwanted files.
 
         With several drafts, an older file by the name of the first one is removed before the others
         change: should the system refuse to go on in between, it would describe files that are gone.

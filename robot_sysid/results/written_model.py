@@ -371,8 +371,8 @@ def _write(
         thetas: (n, 10) parameters of the links whose torques the compiled draft must predict.
 
     Raises:
-        ExportError: the draft does not load, differs in anything else, or takes other torques; it
-            is withdrawn.
+        ExportError: the draft does not load, differs in more than ``change``, or takes other
+            torques; it is withdrawn.
     """
     written = [body.plan.theta for body in change.bodies]
     if change.welded is not None:

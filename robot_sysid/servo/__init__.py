@@ -428,7 +428,9 @@ def play_servos(
     notes = ["open loop was not played: no torque was measured"]
     for horizon in HORIZONS:
         try:
-            problem = make_problem(rollouts, pieces, MAX_WINDOWS, horizon, 0.0)
+            problem = make_problem(
+                rollouts, pieces, MAX_WINDOWS, horizon, settling_time=0.0
+            )
         except InputError:
             notes.append(f"no held-out piece is as long as {horizon:g} s")
             continue

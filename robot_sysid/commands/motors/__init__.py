@@ -536,7 +536,7 @@ def _open_simulated_end(session: Session) -> Link:
 
 
 def _conclude_dry_run(checks: Sequence[preflight.Check], session: Session) -> int:
-    """Set the verdict of checks that no run follows and return 0.
+    """Set the verdict of a dry run, which only checks, and return the exit code 0.
 
     HardwareAbort where a check forbids to play.
     """

@@ -212,7 +212,10 @@ class MotorSetup:
         )
 
     def _write_flash(self, frame: protocol.Frame) -> None:
-        """Send a frame that a disabled motor answers by writing its flash memory."""
+        """Send a frame that makes the motor write its flash memory, and wait until it has.
+
+        HardwareAbort where the motor is enabled: only a disabled one writes.
+        """
         self._require_disabled()
         self._link.send(frame)
         self._link.clock.sleep_until(self._link.clock.now() + _STORE_TIME)
