@@ -1,6 +1,7 @@
 """All options of a run: frozen records that hold those of the stages and check them together.
 
-``SysidConfig`` is that of an identification or a plan, ``PayloadConfig`` that of a payload.
+``SysidConfig`` holds the options of an identification or a plan, ``PayloadConfig`` those of the
+identification of a payload.
 """
 
 from __future__ import annotations
@@ -69,6 +70,7 @@ _ID: dict[str, Any] = {
     "parse": option_fields.parse_whole_number,
     "repeats": True,
 }
+"""Arguments of ``option`` that both options on CAN ids share."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,11 @@ class Config:
 
     @classmethod
     def of(cls: type[AnyConfig], path: Path, **values: Any) -> AnyConfig:
-        """Return the configuration of a run on a model file from options by key.
+        """Return the configuration of a run.
+
+        Args:
+            path: the model file.
+            values: key of an option of any of the records to its value.
 
         Raises:
             InputError: an option is unknown, its value cannot be used, or it does not go with
@@ -156,6 +162,10 @@ class Config:
         return cls(**records)
 
     def __post_init__(self) -> None:
+        """Raise InputError for options that exclude each other or have no use in this run.
+
+        An output file that would replace an input file raises InputError, too.
+        """
         for are_both_set, first, second in self._exclusive_options():
             if are_both_set:
                 raise InputError(f"{first} and {second} exclude each other; choose one")
@@ -165,11 +175,17 @@ class Config:
                 raise InputError(f"{set_options[0].flag} {reason}")
 
     def _exclusive_options(self) -> Iterator[tuple[bool, str, str]]:
-        """Yield (whether both are set, an option, another option that excludes it)."""
+        """Yield (whether both are set, an option, another option that excludes it).
+
+        There are none here: subclasses override this method.
+        """
         yield from ()
 
     def _option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
-        """Yield (whether this run uses some options, why it does not, those that are set)."""
+        """Yield (whether this run uses a group of options, why not, those of it that are set).
+
+        There are none here: subclasses override this method.
+        """
         yield from ()
 
     def with_scale_uncertainty(
@@ -206,7 +222,7 @@ class Config:
         )
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
-        """Yield (words for it in a message, path) of each written file that could be an input."""
+        """Yield (option that has a file written, path) of each file that might replace an input."""
         names = (file_access.PARAMS_NAME, file_access.SERVO_NAME)
         for name in (*names, *file_access.MODEL_NAMES.values()):
             yield "--output-dir", self.output.output_dir / name
@@ -253,7 +269,7 @@ class SysidConfig(Config):
         """Return the configuration of a plan.
 
         A motion is designed, unless the options name a trajectory, ask for resting poses or plan
-        for friction. Other arguments are those of ``of``.
+        for friction. Arguments and errors are those of ``of``.
         """
         sets_poses = values.get("static") or values.get("for_") == "friction"
         defaults = {} if values.get("trajectory") or sets_poses else PLANNED
@@ -328,14 +344,14 @@ class SysidConfig(Config):
         yield is_from_file and has_duration, "--trajectory", "--duration"
 
     def _option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
-        """Yield (whether this run uses some options, why it does not, those that are set)."""
+        """Yield (whether this run uses a group of options, why not, those of it that are set)."""
         yield from self._data_option_uses()
         yield from self._motion_option_uses()
 
     def _data_option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
-        """Yield (whether this run uses some options, why it does not, those that are set).
+        """Yield (whether this run uses a group of options, why not, those of it that are set).
 
-        The options are those on logs, simulated plants, the estimate and its results.
+        The groups are the options on logs, simulated plants, the estimate and its results.
         """
         has_log = bool(self.log.measurements)
         is_plan = self.trajectory.plan_only
@@ -369,13 +385,13 @@ class SysidConfig(Config):
             needs_plant,
             _set_options(self.arm, leave_out=("save_measurements", "noise_torque")),
         )
-        # A motion is judged for this noise.
+        # A plan or a design predicts errors of the estimate for this noise.
         yield (
             has_plant or is_plan or is_designed,
             needs_plant,
             _set_options(self.arm, only=("noise_torque",)),
         )
-        # The two that are left out count for simulated torques of the model itself as well.
+        # The two options left out also apply to torques simulated with the model itself.
         yield (
             self.is_measured,
             "is about measured torques; add --measurements or --plant-model",
@@ -389,9 +405,9 @@ class SysidConfig(Config):
         )
 
     def _motion_option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
-        """Yield (whether this run uses some options, why it does not, those that are set).
+        """Yield (whether this run uses a group of options, why not, those of it that are set).
 
-        The options are those on a motion: its purpose, motors, design and seed.
+        The groups are the options on a motion: its purpose, motors, design and seed.
         """
         yield (
             self.trajectory.plan_only,
@@ -424,7 +440,7 @@ class SysidConfig(Config):
         return (*super().input_files(), self.arm.plant_model, self.trajectory.file)
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
-        """Yield (words for it in a message, path) of each written file that could be an input."""
+        """Yield (option that has a file written, path) of each file that might replace an input."""
         if self.arm.save_measurements is not None:
             yield "--save-measurements", self.arm.save_measurements
         if self.plan_file is not None:
@@ -519,7 +535,7 @@ class PayloadConfig(Config):
         )
 
     def _option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
-        """Yield (whether this run uses some options, why it does not, those that are set)."""
+        """Yield (whether this run uses a group of options, why not, those of it that are set)."""
         yield (
             self.payload.known_mass is None,
             "is about a written model; --known-mass writes none",
@@ -536,7 +552,7 @@ class PayloadConfig(Config):
         return (*super().input_files(), *self.payload.empty, *self.payload.loaded)
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
-        """Yield (words for it in a message, path) of each written file that could be an input."""
+        """Yield (option that has a file written, path) of each file that might replace an input."""
         yield "--output-dir", self.output.output_dir / file_access.CARD_NAME
         if self.payload.save_torque_scale is not None:
             yield "--save-torque-scale", self.payload.save_torque_scale

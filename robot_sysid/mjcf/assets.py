@@ -1,5 +1,4 @@
-"""The files that a model refers to, and the model's text for another folder, where it still finds
-them.
+"""The files that a model refers to, and its text for another folder, where it still finds them.
 
 MuJoCo's rule: ``folder of the main file / meshdir (or texturedir) / file``; for an element that an
 include brought in, the folder of the file it is written in comes next. Meshes of a URDF are looked
@@ -94,7 +93,7 @@ def asset_folders(
 ) -> AssetFolders:
     """Return where the assets of an MJCF document are; ``mesh_dir`` replaces its meshdir.
 
-    Of several settings the last one in the document counts.
+    It also replaces a texturedir that is no folder. Of several settings the last one counts.
     """
     mesh = "."
     texture = "."
@@ -176,7 +175,7 @@ def _mjcf_candidates(
     """Yield where a file of an MJCF document may be, the first choice first.
 
     Args:
-        folders: of the document's assets.
+        folders: where the document's assets are.
         node: the element that refers to the file.
         name: the reference, with / between folders.
     """
@@ -195,7 +194,7 @@ def _mjcf_candidates(
 
 
 def _join(folder: Path, name: str) -> Path:
-    """Return a folder's file without following links; an absolute name wins."""
+    """Return the path of a file in a folder, links not followed; of an absolute name, that path."""
     return Path(os.path.normpath(folder / name.replace("\\", "/")))
 
 
@@ -234,7 +233,7 @@ def relocated_text(
     References to files that were not found stay as they are.
 
     Args:
-        edits: the edits so far; those of paths are added.
+        edits: the edits so far; those of paths are added, ``folder`` and ``inlined`` are set.
         folder: where the text will live; None makes every path absolute and inlines all includes.
         mesh_dir: folder of the meshes; default as the file says.
     """
@@ -260,8 +259,8 @@ def relocated_text(
 def _needs_folder(file: SourceFile) -> bool:
     """Return whether a file can only be read from where it lies, so that it has to be inlined.
 
-    It names other files relative to its folder, or its encoding is not UTF-8, which an inlined copy
-    gets.
+    It names other files relative to its folder, or its encoding is not UTF-8, as the text of an
+    inlined copy is.
     """
     if not file.is_utf8 or file.includes:
         return True
@@ -274,8 +273,8 @@ def _needs_folder(file: SourceFile) -> bool:
 def bundled_text(document: ModelDocument, names: Mapping[Path, str]) -> bytes:
     """Return the UTF-8 text of a document, all includes inlined, beside copies of its assets.
 
-    ``names`` has the path of each asset's copy, relative to the text. An MJCF's folder settings are
-    taken out here, as MuJoCo would put them before these paths; those of a URDF are taken out with
+    ``names``: path of an asset to that of its copy, relative to the text. An MJCF's folder settings
+    are removed, as MuJoCo would put them before the copies' paths; those of a URDF are removed with
     its other compiler settings (``Edits.set_compiler``).
     """
     edits = Edits(document)
@@ -312,11 +311,11 @@ def _relocated_name(
 ) -> str | None:
     """Return how a document that is moved refers to an asset; None for one that was not found.
 
-    The reference is relative to the asset folder, that of a model to the document's new folder; one
-    that is right already stays.
+    It is relative to the folder of meshes or textures, for an attached model to the document's new
+    folder. A reference that is right already stays.
 
     Args:
-        folders: of the document's assets.
+        folders: where the document's assets are.
         folder: the document's new folder; None makes the reference absolute.
     """
     if asset.path is None:
@@ -332,12 +331,12 @@ def _relocated_name(
 def _move_folders(edits: Edits, folders: AssetFolders, tags: set[str]) -> None:
     """Make one compiler element name the asset folders as seen from the document's new folder.
 
-    An MJCF's paths of assets stay relative to these folders.
+    References to assets are relative to these folders. ``strippath`` is switched off.
 
     Args:
-        edits: of the document; ``edits.folder`` is its new folder.
-        folders: the asset folders.
-        tags: of the elements that refer to files.
+        edits: of an MJCF document; ``edits.folder`` is its new folder.
+        folders: where the assets are.
+        tags: of the elements that refer to files; all but texture and model use the mesh folder.
     """
     compilers = edits.document.settings("compiler")
     uses_meshes = bool(tags - {"texture", "model"})
@@ -352,8 +351,9 @@ def _move_folders(edits: Edits, folders: AssetFolders, tags: set[str]) -> None:
             new[name] = path
     for index, node in enumerate(compilers):
         for name in _FOLDERS:
-            # The first compiler element gets them, all others lose theirs.
+            # The first compiler element gets the folders, the others lose theirs.
             edits.set_path(node, name, None if index else new.get(name))
+        # MuJoCo would drop the folders in the new references.
         if folders.strip and node.get("strippath"):
             edits.set(node, "strippath", "false")
     if new and not compilers:
@@ -364,7 +364,7 @@ MAX_MEMORY = 4e8
 """Memory that textures, height fields, meshes and blocks of numbers may take in MuJoCo together
 [bytes]: 66 million pixels; a plan, which copies the model, takes up to four times as much."""
 MAX_COPIES = 3000
-"""Copies of an element; MuJoCo takes the square of their number, a minute for 20 000."""
+"""Most copies of an element; MuJoCo's time grows with their square, to a minute for 20 000."""
 _NUMBER_BYTES = 16.0
 """Memory per number in MuJoCo [bytes]; this and the next four as measured with MuJoCo 4.0."""
 _TEXEL_BYTES = 6.0
@@ -372,7 +372,7 @@ _TEXEL_BYTES = 6.0
 _HEIGHT_BYTES = 16.0
 """Memory per cell of a height field: four floats [bytes]."""
 _MEMORY_RATIO = 2.0
-"""Memory per byte of a file of any other form."""
+"""Memory per byte of a file of any other form, and the least one of a mesh."""
 _TRIANGLE_BYTES = 450.0
 """Memory per triangle of a mesh [bytes]: a quarter of what a plan takes, and three times what the
 model keeps."""
@@ -400,7 +400,8 @@ def refuse_hazards(
 ) -> float:
     """Return the memory that MuJoCo takes for a model [bytes], or raise ModelError for a hazard.
 
-    Attached models are counted, by calls of this function with the last two arguments.
+    Hazards are more memory than ``MAX_MEMORY``, too many copies, a pipe, and a model that attaches
+    itself. Attached models are counted by calls of this function with the last two arguments.
 
     Args:
         document: the model file.
@@ -455,7 +456,7 @@ def _walk_with_copies(
 ) -> Iterator[tuple[Node, float]]:
     """Yield (element, number of its copies) for an element and all below it, or raise ModelError.
 
-    ``copies``: of the element that it stands in.
+    ``copies``: of the element around it. Errors: a % in a class's name; more than ``MAX_COPIES``.
     """
     # MuJoCo takes the name of a class that it does not know for a format of printf.
     if "%" in (node.get("class") or ""):
@@ -474,7 +475,7 @@ def _walk_with_copies(
 def _memory_of_node(node: Node) -> float:
     """Return the memory that an element asks for by its numbers [bytes]."""
     if node.tag == "size":
-        # Memory that a process reserves for motion is not taken before it is used.
+        # What is reserved for a simulation is taken only as it is used: a tenth is counted.
         sizes = [0.1 * _reserved_bytes(node)]
         for name, value in node.attributes.items():
             if name != "memory":
@@ -482,7 +483,7 @@ def _memory_of_node(node: Node) -> float:
         return max(sizes)
     if node.tag == "texture":
         width = _product(node.get("width"))
-        is_flat = node.get("type") == "2d"
+        is_flat = node.get("type") == "2d"  # else a cube of six sides
         height = _product(node.get("height")) if is_flat else 6.0 * width
         return _TEXEL_BYTES * width * height
     # An element of any other tag has no attribute "", and a product of 0.
@@ -571,6 +572,7 @@ def _count_triangles(path: Path, form: str) -> float:
     count = 0
     for line in BytesIO(lines):
         if line.lstrip(b" ").startswith(b"f"):
+            # A line is an f and k corners; of a long one all blanks are counted, at least k.
             is_short = len(line) < _LONGEST_LINE
             count += len(line.split()) - 3 if is_short else line.count(b" ")
         if _TRIANGLE_BYTES * count > 4.0 * MAX_MEMORY:
@@ -586,11 +588,10 @@ def _unpacks_beyond(png: BinaryIO, limit: float) -> bool:
     unpacker = zlib.decompressobj()
     unpacked = 0
     png.seek(len(_PNG))
-    # A chunk is its length, its type, its data and their checksum.
+    # A chunk is its length, its type, its data and four bytes of their checksum.
     while unpacked <= limit and len(head := png.read(8)) == 8:
         length, chunk_type = struct.unpack(">I4s", head)
         packed = png.read(length) if chunk_type == b"IDAT" else b""
-        # Behind the data of each chunk stand four bytes of its checksum.
         png.seek(length - len(packed) + 4, os.SEEK_CUR)
         with contextlib.suppress(zlib.error):  # of which MuJoCo warns
             while packed and unpacked <= limit:

@@ -29,9 +29,9 @@ _ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([A-Za-z0-9._-]+)[\
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 """Ends of the names of model files."""
 _MAX_INCLUDE_DEPTH = 50
-"""Includes in one another; no model at hand has more than three."""
+"""Largest depth of nested includes; no model at hand has more than three."""
 _MAX_ELEMENT_DEPTH = 256
-"""Elements in one another, as libxml2 allows them; Python's own stack ends at 1000."""
+"""Largest depth of nested elements, that of libxml2; Python's own stack ends at 1000."""
 LARGEST_FILE = 100_000_000
 """Size up to which a file is read [bytes]."""
 MAX_ELEMENTS = 20_000
@@ -126,7 +126,7 @@ class Node:
         return None
 
     def child_attribute(self, *path: str) -> str | None:
-        """Return an attribute, the last name of the path, of the child with the tags before it."""
+        """Return the last name of a path as an attribute of the ``child`` at the tags before it."""
         *tags, name = path
         node = self.child(*tags)
         return None if node is None else node.get(name)
@@ -348,7 +348,7 @@ def _parse(file: SourceFile, max_elements: int) -> None:
 
 
 def mask_comments(text: bytes) -> bytes:
-    """Return the text with the dashes inside comments replaced, every offset unchanged.
+    """Return the text with each dash inside a comment replaced by ~, every offset unchanged.
 
     MuJoCo's reader accepts ``--`` inside a comment, which strict XML parsers refuse.
     """
@@ -417,7 +417,7 @@ class Edits:
             self.set(node, name, value)
 
     def set_compiler(self, values: Mapping[str, str]) -> None:
-        """Set attributes of the compiler: in a URDF of every one, which lose their meshdir."""
+        """Set attributes of the first <compiler>, or add one; in a URDF of all, without meshdir."""
         compilers = self.document.settings("compiler")
         is_urdf = self.document.is_urdf
         for node in compilers if is_urdf else compilers[:1]:
@@ -445,7 +445,7 @@ class Edits:
 
     def append(self, node: Node, *lines: str) -> None:
         """Put lines of text last into an element, indented one step deeper."""
-        # It begins with a line break.
+        # A line break with the white space before the element.
         indentation = _indentation(node)
         deeper = indentation.decode() + "  "
         added = (deeper + deeper.join(lines)).encode()
@@ -461,7 +461,7 @@ class Edits:
         self._edits[node.file].append(edit)
 
     def replace(self, node: Node, new: str, keep_lines: bool = False) -> None:
-        """Put text in the place of an element; ``keep_lines`` adds the line breaks it had."""
+        """Put text in an element's place; ``keep_lines`` adds as many line breaks as it had."""
         lines = node.file.text.count(b"\n", node.start, node.end) if keep_lines else 0
         edit = Edit(node.start, node.end, new.encode() + b"\n" * lines)
         self._edits[node.file].append(edit)
@@ -539,7 +539,7 @@ def reference(target: Path, folder: Path | None) -> str:
 
 def attribute_text(values: Mapping[str, str]) -> str:
     """Return attributes as text of a start tag, a blank before each, values escaped."""
-    # The standard library's way loads HTTP and SSL.
+    # xml.sax.saxutils, which escapes too, would load HTTP and SSL.
     pairs = values.items()
     return "".join(f' {name}="{v.translate(_ESCAPE_TABLE)}"' for name, v in pairs)
 

@@ -66,16 +66,16 @@ class Option:
     Attributes:
         flag: such as "--no-friction".
         help: for the parser's help and the README.
-        unit: of its number, such as "s"; "" where there is none.
+        unit: of the value, such as "s"; "" where it has none.
         metavar: name of the value in the help; one per value where the option takes several.
-        choices: the texts that it accepts; () where it accepts any.
-        parse: turns text into a value; None for a switch. By default it follows from the type that
-            the field's annotation names.
-        check: applied to the value, or to each of a tuple.
-        default_text: describes a default that is only found while running.
+        choices: the texts that the option accepts; () where it accepts any.
+        parse: turns text into a value; None for a switch, and for a field whose annotation names a
+            type that has a parser: ``options_of`` fills that one in.
+        check: applied to the value, or to each element of a tuple.
+        default_text: describes a default that is determined only while running.
         repeats: whether the flag may stand several times, each with one value.
         takes_many: whether any number of values may follow the flag.
-        short: another flag of one letter.
+        short: another flag of one letter, such as "-v"; "" for none.
     """
 
     flag: str
@@ -126,12 +126,12 @@ def option(
     """Return a dataclass field that is an option of the command line.
 
     Args:
-        default: of the field.
+        default: value of the field where the option is not given.
         help: for the parser's help and the README.
         value: name of the value in the help, its unit and its range, as far as it has them:
             "FILE" or "V [rad/s] > 0".
-        flag: where it is not the field's name with dashes.
-        attributes: further ones of ``Option``; they overrule what ``value`` says.
+        flag: such as "--trajectory"; "" makes it the field's name with dashes.
+        attributes: further attributes of ``Option``; they overrule what ``value`` says.
     """
     form = _VALUE_FORM.fullmatch(value)
     assert form, value
@@ -162,7 +162,7 @@ def _options_of_class(record_class: Any) -> Mapping[str, Option]:
             continue
         flag = stated.flag or "--" + record_field.name.replace("_", "-")
         parse = stated.parse
-        # float for "tuple[float, ...] | None".
+        # The first type that has a parser counts: float in "tuple[float, ...] | None".
         for type_name in re.findall(r"\w+", str(record_field.type)):
             parse = parse or _PARSERS.get(type_name)
         options[record_field.name] = replace(stated, flag=flag, parse=parse)
@@ -186,8 +186,8 @@ def command_arguments(values: Mapping[str, Any], *records: Any) -> list[str]:
     """Return the arguments of a command line that state the options of some records.
 
     Args:
-        values: option's key to its value; an option without one, or with None or False, is left
-            out.
+        values: option's key to its value; an option without a value, or with None or False, is
+            left out. Floats are written with 12 digits.
         records: records of options, or their classes.
     """
     arguments = []
@@ -212,10 +212,11 @@ def command_arguments(values: Mapping[str, Any], *records: Any) -> list[str]:
 
 
 def record_from(record_class: type[Record], values: Mapping[str, Any]) -> Record:
-    """Return a record with the values of its options by their keys, defaults for all others.
+    """Return a record of a class, with a value for each option that ``values`` has by its key.
 
-    A text is parsed as on the command line, a list or array becomes a tuple. Keys of other records
-    are left aside. Raises InputError where a value has another type than its option's.
+    All other options have their defaults; keys that are no options of this class are ignored. A
+    text is parsed as on the command line, a list or array becomes a tuple. Raises InputError where
+    a value has another type than its option, or fails its check.
     """
     arguments = {}
     for name, stated in options_of(record_class).items():
@@ -229,6 +230,8 @@ def record_from(record_class: type[Record], values: Mapping[str, Any]) -> Record
 def _checked_value(stated: Option, raw_value: Any) -> Any:
     """Return the value of an option in the form that its record holds.
 
+    A single value of an option that takes several becomes a tuple of one.
+
     Args:
         stated: the option.
         raw_value: value of a keyword: of the option's type, a text, a list or an array.
@@ -239,24 +242,26 @@ def _checked_value(stated: Option, raw_value: Any) -> Any:
     try:
         value = immutable_value(raw_value, stated.parse)
     except ValueError:
-        value = raw_value  # which then fits no type
+        # A text that is no number: it stays a text, which the check of types below refuses.
+        value = raw_value
     except InputError as error:
         raise InputError(f"{stated.flag}: {error}") from None
-    # A value with several names in the help is a tuple, and several of these are a tuple of tuples.
+    # An option with several names in the help, such as LINK KG, takes rows, each of them a tuple.
     has_rows = isinstance(stated.metavar, tuple)
+    # Whether the value is one value, or one row: a tuple that holds no tuple.
     is_single = not isinstance(value, tuple)
     if has_rows and not is_single:
         is_single = not any(isinstance(row, tuple) for row in value)
     takes_many = stated.repeats or stated.takes_many
     if takes_many and is_single:
         value = (value,)
-    # A switch has no parser; an option with a parser of its own may have values of any type.
+    # A switch has no parser. A parser that _VALUE_TYPES does not list allows values of any type.
     parser_name = getattr(stated.parse, "__name__", "bool")
     types, type_text = _VALUE_TYPES.get(parser_name, ((object,), ""))
     takes_many = takes_many or has_rows or type_text.endswith(_PER_JOINT)
     fits = takes_many or is_single
     for leaf in _leaves(value):
-        # A bool is a number to Python, and none here.
+        # Python counts a bool as a number; an option does not.
         fits &= isinstance(leaf, types)
         fits &= bool in types or not isinstance(leaf, bool)
     if not fits:
@@ -278,7 +283,7 @@ def immutable_value(value: Any, parse: Callable[[str], Any] | None = None) -> An
 
 
 def _leaves(value: Any) -> Iterator[Any]:
-    """Yield the values in nested tuples, or a value that is no tuple."""
+    """Yield the values inside nested tuples; a value that is no tuple is yielded as it is."""
     if isinstance(value, tuple):
         for item in value:
             yield from _leaves(item)
@@ -303,7 +308,7 @@ def refuse_unknown(keys: Collection[str], valid_keys: Collection[str]) -> None:
 
     for key in sorted({*keys} - {*valid_keys}):
         hint = f"valid: {', '.join(sorted(valid_keys))}"
-        for similar_key in get_close_matches(key, valid_keys, 1, 0.7):
+        for similar_key in get_close_matches(key, valid_keys, n=1, cutoff=0.7):
             hint = f"did you mean {similar_key!r}?"
         raise InputError(f"unknown option {key!r}; {hint}")
 
@@ -432,7 +437,10 @@ def read_factors(path: Path, table: str = SCALE) -> Mapping[str, tuple[float, fl
 
 
 def write_torque_scale(path: Path, scales: Mapping[str, tuple[float, float]]) -> None:
-    """Write the file that ``--torque-scale`` reads: joint to its scale and its standard error."""
+    """Write the file that ``--torque-scale`` reads: joint to its scale and its standard error.
+
+    InputError where one of them is not positive, or the file cannot be written.
+    """
     entries = {}
     for joint, (scale, error) in scales.items():
         entries[joint] = {
@@ -495,7 +503,8 @@ _VALUE_TYPES: Mapping[str, tuple[tuple[type, ...], str]] = {
     "parse_factors": ((Real, os.PathLike), f"a number, a file, or {_PER_JOINT}"),
     "bool": ((bool,), "True or False"),
 }
-"""Name of the function that parses an option's text to the types of its values, also in words."""
+"""Name of the function that parses an option's text, "bool" for a switch, to the types of its
+values and to a description of them for messages."""
 
 
 def processor_count() -> int:
