@@ -59,7 +59,7 @@ def split_name(name: str) -> tuple[str, str]:
 
 
 def names_of(term: str, joints: Iterable[str]) -> tuple[str, ...]:
-    """Return the name of a term's parameter in each joint, such as "scale[joint6]"."""
+    """Return the names of a term's parameters, one per joint, such as "scale[joint6]"."""
     return tuple(f"{term}[{joint}]" for joint in joints)
 
 
@@ -79,14 +79,17 @@ def other_links(robot: RobotModel) -> tuple[int, ...]:
 class Equations:
     """The linear equations rows x = right-hand side of one arm, x being p parameters.
 
+    The ten parameters of the terminal link are always estimated.
+
     Args:
-        robot: the arm.
-        torques: "chain" for the equation of every joint that carries the link, "terminal" for the
-            last joint's only.
-        friction: terms to estimate, one model per chain joint; where a joint has none, the model's
-            own friction is taken as known.
+        robot: the arm, with n chain joints.
+        torques: "chain" for the equations of all chain joints, "terminal" for the last joint's
+            only.
+        friction: n friction models, the terms to estimate of each chain joint; where a joint has no
+            terms, the friction of the robot's model is taken as known.
         motors: motors that turn with several joints, whose parameters are estimated.
-        links: ascending indices of other links whose parameters are estimated too.
+        links: indices in ``robot.links``, ascending, of other links whose parameters are estimated
+            too.
 
     Attributes:
         joint_indices: chain indices of the joints whose torques are used, one equation per sample
@@ -107,19 +110,21 @@ class Equations:
     ) -> None:
         self._robot = robot
         self._friction = tuple(friction)
+        # The model's friction at the joints whose friction is not estimated; zero at the others.
         is_known = np.array([not model.terms for model in friction])
         coulomb = np.where(is_known, robot.friction.coulomb, 0.0)
         viscous = np.where(is_known, robot.friction.viscous, 0.0)
         known_friction = replace(robot.friction, coulomb=coulomb, viscous=viscous)
         self._known_friction = known_friction
+        # (n,) rotor inertia in the model, of the joints whose rotor inertia is estimated.
         is_estimated = np.array(["armature" in model.terms for model in friction])
-        # (n,) rotor inertia of the joints whose rotor inertia is estimated.
         self._estimated_armature = np.where(is_estimated, robot.armature, 0.0)
         self._links = tuple(links)
         self._dynamics = LinkDynamics(robot)
         self._beyond = BeyondRigidBodies(robot)
-        # (n, 10) parameters of the links that are not estimated; zero for the estimated ones.
-        # ``robot.thetas`` is a new array in every call, so the model stays as it is.
+        # (n, 10) inertial parameters of the links that are not estimated; zero for the estimated
+        # ones, of which -1 is the terminal link. ``robot.thetas`` is a new array in every call, so
+        # the model stays as it is.
         self._known_thetas = robot.thetas
         self._known_thetas[[*self._links, -1]] = 0.0
         n = robot.n_joints
@@ -127,7 +132,7 @@ class Equations:
         self.joints = tuple(robot.joint_names[j] for j in self.joint_indices)
         self._motors = tuple(motors)
         self.names, self.columns = self._parameters()
-        # The model's parameters of the other estimated links, ten after ten, in their order.
+        # The model's parameters of the L other estimated links: (10 L,), ten per link, ascending.
         self._link_thetas = robot.thetas[list(self._links)].ravel()
 
     def _parameters(self) -> tuple[tuple[str, ...], tuple[NDArray[np.int64], ...]]:

@@ -45,11 +45,11 @@ from robot_sysid.records import Array
 
 @dataclass(frozen=True)
 class NonlinearTerm:
-    """A friction term whose column depends on one more parameter, a speed vs [rad/s].
+    """A friction term whose column is nonlinear in one more parameter, a speed vs [rad/s].
 
     Attributes:
-        column: returns the column (...) of velocities (...) and vs.
-        slope: returns the column's derivative (...) by vs.
+        column: returns the column (...) for velocities (...) and vs, a number or (...).
+        slope: returns the column's derivative (...) by vs, for the same two arguments.
         default_speed: vs where nothing is known about it [rad/s].
         trial_speeds: values of vs worth trying, ascending; vs is searched from half the first to
             twice the last. Stribeck velocities of geared joints lie between 0.01 and 0.3 rad/s at
@@ -68,12 +68,12 @@ class NonlinearTerm:
 
 
 _LARGEST_DECAY = 200.0
-"""Exponent x from which exp(-x) is not made smaller: multiplying numbers near 1e-308 takes a
-hundred times as long."""
+"""Exponent x beyond which exp(-x) is replaced by zero (Stribeck) or kept constant (fading):
+arithmetic with numbers near 1e-308 takes a hundred times as long."""
 
 
 def _stribeck(qd: Array, speed: Array | float) -> Array:
-    """Return sign(qd) exp(-(qd / speed)^2) (...) of velocities (...) [rad/s]."""
+    """Return sign(qd) exp(-(qd / speed)^2) (...) of velocities (...) and a speed [rad/s]."""
     decay = (qd / speed) ** 2
     size = np.where(decay < _LARGEST_DECAY, np.exp(-decay), 0.0)
     return np.asarray(np.sign(qd) * size)
@@ -97,19 +97,23 @@ def _stribeck_slope(qd: Array, speed: Array | float) -> Array:
 
 
 def _sigmoid(qd: Array, speed: Array | float) -> Array:
-    """Return tanh(qd / speed) (...) of velocities (...) [rad/s], odd to the last bit."""
+    """Return tanh(qd / speed) (...) of velocities (...) and a speed [rad/s]; exactly odd in qd."""
     return np.asarray(np.sign(qd) * np.tanh(np.abs(qd) / speed))
 
 
 def _sigmoid_slope(qd: Array, speed: Array | float) -> Array:
     """Return the derivative (...) of ``_sigmoid`` of velocities (...) by the speed [s/rad]."""
-    # The square of cosh(300) is the last one that is a number.
+    # The square of cosh overflows at a ratio of 355; the derivative is negligible at 300 already.
     ratio = np.minimum(np.abs(qd / speed), 300.0)
     return np.asarray(-qd / (speed * np.cosh(ratio)) ** 2)
 
 
-_STRIBECK = NonlinearTerm(_stribeck, _stribeck_slope, 0.1, (0.02, 0.05, 0.1, 0.2))
-_SIGMOID = NonlinearTerm(_sigmoid, _sigmoid_slope, 0.05, (0.01, 0.03, 0.1, 0.3))
+_STRIBECK = NonlinearTerm(
+    _stribeck, _stribeck_slope, default_speed=0.1, trial_speeds=(0.02, 0.05, 0.1, 0.2)
+)
+_SIGMOID = NonlinearTerm(
+    _sigmoid, _sigmoid_slope, default_speed=0.05, trial_speeds=(0.01, 0.03, 0.1, 0.3)
+)
 NONLINEAR_TERMS: Mapping[str, NonlinearTerm] = {
     "stribeck": _STRIBECK,
     "sigmoid": _SIGMOID,
@@ -121,8 +125,8 @@ FADING_SPEEDS: Mapping[str, float] = {
     "fading": 0.13,
     "fading_slow": 0.4,
 }
-"""Term to the speed over which it fades [rad/s]: together they follow any friction that falls with
-speed, at whatever speed it falls."""
+"""Term to the speed at which 1/e of it is left [rad/s]. A sum of these terms approximates any
+friction that falls with speed."""
 
 TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
     "coulomb": lambda qd, qdd, load: np.sign(qd),
@@ -142,12 +146,15 @@ TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
 speed."""
 
 DEFAULT_MEASURED = "coulomb-viscous-offset-armature"
-"""Friction model for measured data."""
+"""Name of the default friction model for measured data."""
 
 
 @dataclass(frozen=True)
 class FrictionModel:
-    """The friction terms of one joint: names of ``TERMS``, in the order of the columns."""
+    """The friction terms of one joint: names of ``TERMS``, in the order of the columns.
+
+    Raises InputError where a term is named twice.
+    """
 
     terms: tuple[str, ...]
 
@@ -185,7 +192,7 @@ class FrictionModel:
         return tuple(f"{term}[{joint}]" for term in self.terms)
 
     def columns(self, qd: Array, qdd: Array, load: Array) -> Array:
-        """Return one joint's regressor columns (N, k).
+        """Return the regressor columns (N, k) of one joint's k friction terms.
 
         Args:
             qd: (N,) velocities [rad/s].
@@ -204,8 +211,11 @@ def speed_name(term: str, joint: str) -> str:
 def friction_model(name: str) -> FrictionModel:
     """Return the friction model with a name: "none", or terms joined by "-" or "+".
 
-    A leading "+" adds to the default for measured data, so "+sqrt" is
-    "coulomb-viscous-offset-armature-sqrt". InputError lists the valid terms.
+    A leading "+" adds terms to the default for measured data, so "+sqrt" is
+    "coulomb-viscous-offset-armature-sqrt".
+
+    Raises:
+        InputError: a term is unknown, or named twice.
     """
     terms = () if name == "none" else tuple(re.split(r"[-+]", name.lstrip("+")))
     if name.startswith("+"):
@@ -231,7 +241,8 @@ class Coupling:
     Attributes:
         ratios: (n,) motor speed per joint speed, zero for joints it does not turn with.
         name: such as ``joint_5+joint_6``.
-        model: (terms,) the model's own value of each parameter, in the order of ``terms``.
+        model: (len(terms),) the robot model's value of each parameter, in the order of ``terms``;
+            zeros by default.
         tendon: MuJoCo id of the fixed tendon that is this motor; None where the model has none.
     """
 
@@ -242,7 +253,9 @@ class Coupling:
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """Friction terms of the motor's own speed; offset and load stay with the joints."""
+        """Names of the friction terms, which depend on the motor's speed; offset and load are terms
+        of the joints alone.
+        """
         return _COUPLED.terms
 
     @property
@@ -251,9 +264,9 @@ class Coupling:
         return _COUPLED.parameter_names(self.name)
 
     def columns(self, qd: Array, qdd: Array) -> Array:
-        """Return the motor's torque (N, terms) per unit of each parameter.
+        """Return the motor's torque (N, len(terms)) per unit of each parameter.
 
-        Each joint feels that torque times its ratio.
+        The torque at a joint is this one times the joint's ratio.
 
         Args:
             qd: (N, n) velocities of the joints [rad/s].

@@ -411,9 +411,12 @@ class ContactFinder:
         return {pair for pair in pairs if is_adjacent[pair] or self._never_part(pair)}
 
     def _never_part(self, pair: tuple[int, int]) -> bool:
-        """Return whether two bodies touch at all tried positions of the joints between them.
+        """Return whether two bodies touch at every tried position of the chain joints between them,
+        a grid of ``_POSITIONS`` per joint over their ranges; the other joints are at reference.
 
-        Changes the current configuration.
+        False without a try for a pair of the arm and something beside it (MuJoCo's root body
+        differs), and for a pair with more than ``_MAX_JOINTS_BETWEEN`` joints between. Changes the
+        configuration in ``self._data``, which stays at the last tried position.
         """
         # The chain joints first, ..., last - 1 are between the two bodies.
         first, last = sorted(self._joint_counts[list(pair)].tolist())

@@ -23,27 +23,30 @@ if TYPE_CHECKING:
 
 EXCITATIONS = ("sines", "optimal")
 WEIGHT = "weight"
-"""Purpose of the motion that comes first where an arm is heavier than its model says."""
+"""Purpose of the slow first motion of an arm that may be heavier than its model says."""
 LONGEST_FADE = 1.5
-"""Fade of a designed trajectory [s], shorter where that is short: it takes 7.5 / 1.5^2 = 3.3 / s^2
-of an offset, a quarter of what a swing as wide at 0.6 Hz takes."""
+"""Longest time in which a designed trajectory leaves its start, and in which it returns [s]. To
+leave by 1 rad in this time takes 7.5 / 1.5^2 = 3.3 rad/s^2, a quarter of the acceleration of a
+sinusoid of 1 rad at 0.6 Hz."""
 TOP_FREQUENCY_HZ = 0.6
-"""Highest harmonic: the top of the band of the random sinusoids, where full speed takes the usual
-acceleration limit."""
+"""Largest frequency of a designed trajectory [Hz], the upper end of the band of random sinusoids.
+Where no acceleration limit is given, the limit is what full speed at this frequency needs."""
 FEWEST_HARMONICS = 3
-"""Harmonics of a designed trajectory at least, however short it is."""
+"""Least number of harmonics of a designed trajectory, however short it is."""
 LONGEST_PERIOD = 60.0
-"""A longer motion repeats itself, so that a search costs in proportion to its length [s]."""
+"""Longest period of a designed trajectory [s]; a longer trajectory repeats itself, so that the time
+of a search grows only in proportion to its duration."""
 USUAL_JOINTS = 10
 """Number of joints above which a search is shortened (``ExcitationOptions.for_joints``)."""
 USUAL_EVALUATIONS = 400
-"""Evaluations in a long round of a search for ``USUAL_JOINTS``; more joints get a share of them."""
+"""Number of evaluations of the objective in a long round of a search for ``USUAL_JOINTS`` joints; a
+search for more joints gets a share of it per round."""
 FEWEST_DRAWS = 5
 """Least number of random trajectories in a shortened search."""
 FEWEST_EVALUATIONS = 20
 """Least number of evaluations per round in a shortened search."""
 WORTH_WORKERS = 5.0
-"""Time budget from which on it pays to start other processes, which takes each a second [s]."""
+"""Least time budget for which it pays to start other processes [s]; each takes a second for it."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,10 @@ class HalfSpace:
 
 @dataclass(frozen=True)
 class LimitOptions(OptionRecord):
-    """Limits that every motion has to keep in addition to the limits of the model."""
+    """Limits that every motion has to keep in addition to the limits of the model.
+
+    Raises InputError where a keep-out plane or the workspace box is not valid.
+    """
 
     max_velocity: PerJoint = option(
         DEFAULT_MAX_VELOCITY,
@@ -135,6 +141,9 @@ class LimitOptions(OptionRecord):
         Args:
             moving: MuJoCo ids of the bodies that keep-out planes hold for.
             link: MuJoCo ids of the bodies that the box holds for.
+
+        Raises:
+            InputError: a plane or the box is not valid.
         """
         planes = [
             _plane(plane, self.clearance, tuple(moving)) for plane in self.keep_out
@@ -153,6 +162,9 @@ def _plane(
         values: the four numbers; the normal may have any length, OFFSET is in multiples of it.
         clearance: distance that the bodies have to keep from the plane [m].
         bodies: MuJoCo ids of the bodies that stay on this side.
+
+    Raises:
+        InputError: there are not four finite numbers, or the normal is zero.
     """
     import numpy as np
 
@@ -168,11 +180,15 @@ def _plane(
 
 
 def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> tuple[HalfSpace, ...]:
-    """Return the finite sides of the box of ``--workspace`` in the world; walls may be touched.
+    """Return a half-space per finite side of the box of ``--workspace`` in the world, with zero
+    clearance: the sides may be touched.
 
     Args:
         sides: XMIN, XMAX, YMIN, YMAX, ZMIN, ZMAX [m]; infinite for a side that is open.
         bodies: MuJoCo ids of the bodies that stay in the box.
+
+    Raises:
+        InputError: there are not six numbers, or a minimum is not below its maximum.
     """
     import numpy as np
 
@@ -189,20 +205,24 @@ def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> tuple[HalfSpace, ..
             if np.isfinite(bound):
                 label = f"the workspace's {'xyz'[axis]}{side} = {bound:g} m"
                 inward = sign * np.eye(3)[axis]
-                half_spaces.append(HalfSpace(inward, sign * bound, 0.0, bodies, label))
+                offset = sign * bound
+                half_spaces.append(
+                    HalfSpace(inward, offset, clearance=0.0, bodies=bodies, label=label)
+                )
     return tuple(half_spaces)
 
 
 @dataclass(frozen=True)
 class ExcitationOptions(OptionRecord):
-    """How a trajectory is found.
+    """How a trajectory is made: random sinusoids, or a search for an informative trajectory.
 
     Attributes:
         kind: "sines" for random sinusoids, "optimal" for a designed trajectory.
-        time_budget: duration of the search [s]; None until it hardly gains any more.
+        time_budget: duration of the search [s]; None to search until a round hardly gains.
         draws: number of random trajectories to begin with.
-        starts: how many of the best are improved by one round; the best of them goes on.
-        rounds: largest number of rounds by which a start is improved.
+        starts: number of the best random trajectories that are improved by one round; only the best
+            of these gets more rounds.
+        rounds: largest number of rounds by which a random trajectory is improved.
         iterations: largest number of iterations of the optimiser per round.
         evaluations: largest number of evaluations of the objective per round.
         workers: processes to use; 1 stays in this one, None takes one per processor.
@@ -259,11 +279,11 @@ class ExcitationOptions(OptionRecord):
 
     @property
     def n_workers(self) -> int:
-        """Number of processes: ``workers``, or one per processor, but no more than starts (at least
-        two), as the others would idle after the draws.
+        """Number of processes of a search: ``workers``, or one per processor where that is None,
+        but at most max(2, ``starts``), as more would idle once the random trajectories are drawn.
 
-        A search with a short time budget or none takes one process unless ``workers`` is given:
-        starting others would take longer than they help.
+        Where ``workers`` is None and the time budget is None or below ``WORTH_WORKERS``, it is 1:
+        starting processes would take longer than they save.
         """
         if self.workers is None and (self.time_budget or 0.0) < WORTH_WORKERS:
             return 1

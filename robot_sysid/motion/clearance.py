@@ -6,8 +6,8 @@ velocity of the two nearest points along the normal, per unit joint rate.
 
 Links next to each other that overlap at rest, and links that overlap whatever the joints between
 them do, do so by design of the model and are ignored. Any other pair that touches at rest may never
-get deeper, and one that is deep inside each other there is a collision. A pair that is apart at
-rest but nearer than the clearance must keep half that distance.
+get deeper; two bodies that are more than ``DEEPEST_TOUCH`` inside each other at rest collide. A
+pair that is apart at rest must keep half of its distance there, at most the clearance.
 
 How fast two bodies can approach each other is bounded in every posture: only joints between them
 change their distance, and joint j changes it by at most |qd_j| times the largest distance any point
@@ -36,7 +36,7 @@ from robot_sysid.records import Array, RobotModel
 HORIZON = 0.05
 """How much farther than the clearance a pair is still reported [m]."""
 KEPT_SHARE = 0.5
-"""Share of its distance at rest that a pair nearer than the clearance must keep."""
+"""Share of its distance at rest that a pair must keep, where this is less than the clearance."""
 DEEPEST_TOUCH = 1e-3
 """How deep two bodies may be inside each other at rest to count as touching, as parked arms do [m];
 deeper they collide, and no motion may start there."""
@@ -60,7 +60,7 @@ class Closest:
     Attributes:
         slack: distance minus the distance that must be kept [m]; negative where it is not kept.
         distance: of the pair [m]; infinite where nothing is near.
-        label: names of the two bodies.
+        label: names of the two bodies, or of a body and a half-space; "" where nothing is near.
         time: of the configuration along a motion [s].
     """
 
@@ -110,21 +110,22 @@ class Clearance:
 
     Args:
         robot: the arm.
-        start: (n,) configuration in which the motion starts.
+        start: (n,) configuration at rest, in which the motion starts [rad or m].
         clearance: distance to keep between bodies that are apart at rest [m].
-        half_spaces: that bodies have to stay in.
+        half_spaces: half-spaces that their ``bodies`` have to stay in.
 
     Attributes:
         is_solid: whether the model has collision geometry.
         rates: approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most;
             one row per pair of links, and a last row for every pair (``approach_rates``).
-        at_rest: descriptions of pairs of bodies by their state in the starting configuration:
-            "ignored" are neighbours inside each other, which are not tested; "deep" others inside
-            each other, collisions; "touching" others that touch and never get deeper; "near" those
-            so near that they keep half that distance, not the clearance.
+        at_rest: state of pairs of bodies at rest to descriptions of these pairs: "ignored" pairs
+            are inside each other by design and are not tested; "deep" pairs are inside each other
+            otherwise, collisions; "touching" pairs touch and must not get deeper; "near" pairs are
+            so near that they keep half of that distance, not the clearance.
         neighbours: the nearest of the pairs of links next to each other that keep their distance
-            whatever the arm does, and so are not tested.
-        outside_at_rest: (half-space, body, distance outside [m]) of bodies outside at rest.
+            over the entire range of the joint between them, and so are not tested.
+        outside_at_rest: (half-space, name of the body, distance outside [m]) of each body that is
+            outside a half-space at rest.
     """
 
     def __init__(
@@ -234,7 +235,7 @@ class Clearance:
         bodies = self._body_of_geom[contact.geom.reshape(-1, 2)]
         if not self._model.nflex:
             return contact.dist, bodies
-        # Deformable bodies have no geoms; they are infinitely far away.
+        # A contact of a deformable body has no geom, so no body here: its distance is infinite.
         return np.where(np.all(contact.geom >= 0, axis=1), contact.dist, np.inf), bodies
 
     def _set_required_distances(self, clearance: float) -> Mapping[str, Sequence[str]]:
@@ -309,18 +310,20 @@ class Clearance:
         if np.any(is_harmless):
             first, second = np.unravel_index(np.argmin(distances), distances.shape)
             label = self._label(int(first), int(second))
-        return Closest(min(distance, HORIZON), distance, label)
+        return Closest(slack=min(distance, HORIZON), distance=distance, label=label)
 
     def _sweep(self, start: Array, joint: int, positions: Array, least: Array) -> float:
         """Return the position of a joint, of ``positions`` (K,), at which the bodies on its two
-        sides are nearest; the other joints stay at ``start`` (n,).
+        sides are nearest, or ``start[joint]`` where they are near at none; the other joints stay at
+        ``start`` (n,).
 
         Lowers ``least`` (nbody, nbody), in place, to the distances of these bodies.
         """
         q = start.copy()
         smallest = np.inf
         nearest = float(start[joint])
-        for q[joint] in positions:
+        for position in positions:
+            q[joint] = position
             self._set_configuration(q)
             distance, bodies = self._contact_bodies()
             links = np.sort(self._link_of_body[bodies], axis=1)
@@ -546,7 +549,8 @@ def _reach(robot: RobotModel, data: Any, link_of_body: Any) -> Array:
     anchors = data.xanchor[mj_model.dof_jntid[robot.dof_index]]
     travel = np.where(robot.is_slide, robot.limits.upper - robot.limits.lower, 0.0)
     travel[~np.isfinite(travel)] = _UNLIMITED_TRAVEL
-    links = np.linalg.norm(np.diff(anchors, axis=0), axis=1) + travel[1:]
+    # From each joint's anchor to the next one, which a slide there moves away by its travel.
+    lengths = np.linalg.norm(np.diff(anchors, axis=0), axis=1) + travel[1:]
     reach = np.zeros((n, n + 1))
     for outer in range(1, n + 1):
         # How far from its joint the geoms and origins of this link reach.
@@ -558,6 +562,6 @@ def _reach(robot: RobotModel, data: Any, link_of_body: Any) -> Array:
         solid = np.max(centers + mj_model.geom_rbound[geoms], initial=0.0)
         extent = max(solid, np.max(origins, initial=0.0))
         for j in range(outer):
-            reach[j, outer] = extent + np.sum(links[j : outer - 1])
+            reach[j, outer] = extent + np.sum(lengths[j : outer - 1])
     reach[robot.is_slide] = 1.0
     return reach

@@ -1,6 +1,7 @@
 """The problem of a designed motion, and one round of it: minimise, update multipliers, repair.
 
-The objective is ln det of the posterior covariance plus an augmented Lagrangian of constraints.
+The objective is the design criterion, the mean logarithm of the posterior standard deviations
+(``information.Criterion``), plus an augmented Lagrangian of constraints.
 For constraints g <= 0 with multipliers l and weight m the penalty is
 sum (max(0, l + m g)^2 - l^2) / 2 m; between minimisations l becomes max(0, l + m g)
 (Nocedal, Wright, "Numerical Optimization", 2006, section 17.4). It leads to a feasible optimum
@@ -112,7 +113,7 @@ class Candidate:
     """A trajectory on its way to the optimum.
 
     Attributes:
-        x: (n, M) free coefficients, possibly beyond a limit.
+        x: (n, M) free coefficients of each joint [rad or m]; the motion may break a limit.
         multipliers: (N, 4 n + 2) Lagrange multipliers of the constraints at the N grid points.
         weight: of the penalty.
         rounds: number of rounds of improvement that have been completed.
@@ -131,7 +132,9 @@ class Candidate:
 
 
 def first_candidate(design: Design, x: Array) -> Candidate:
-    """Return a candidate at free coefficients x (n, M), checked against all limits."""
+    """Return a candidate at free coefficients x (n, M) with zero multipliers, its score, and the
+    largest multiple of x that keeps all limits as ``feasible_x``.
+    """
     multipliers = np.zeros((len(design.grid), 4 * design.problem.n_joints + 2))
     return _update_feasible(design, Candidate(x, multipliers))
 
@@ -141,8 +144,8 @@ def improve(
 ) -> Candidate:
     """Return the candidate after one more round: minimisation, new multipliers, repair.
 
-    A round ends early where the deadline, a time of ``clock`` [s], passes; the multipliers and the
-    number of rounds then stay.
+    A round ends early where the deadline, a time of ``clock`` [s], passes: the coefficients are
+    then those of the last iteration, and multipliers, weight and number of rounds stay.
     """
     from scipy.optimize import minimize
 
@@ -153,8 +156,8 @@ def improve(
     iterates = [candidate.x]
 
     def function(flat: Array) -> tuple[float, Array]:
-        """Return the penalised objective and its gradient (n M,) by ``flat`` (n M,); TimeoutError
-        after the deadline.
+        """Return the penalised objective and its gradient (n M,) by ``flat`` (n M,); raises
+        TimeoutError after the deadline.
         """
         if is_over(deadline):
             raise TimeoutError
@@ -221,12 +224,15 @@ class Design:
             friction are unknown.
 
     Attributes:
+        problem: the arm and its limits.
+        sample_rate: of the recording [Hz].
+        options: of the search, shortened for an arm with many joints.
         basis: functions whose M free coefficients per joint are searched.
         unit: (M,) scale of each free coefficient for the optimiser [rad].
         grid: (N,) times at which constraints are computed [s].
         harmonic: (M - 1,) number of the harmonic of each free coefficient but the offset.
-        criterion: maps information to the number that is minimised.
-        information: maps motions to information.
+        criterion: returns the number that is minimised from the information of a motion.
+        information: returns the information about the arm's parameters from a motion.
 
     Raises:
         InputError: the search takes too much memory, or the sample rate is too low.
@@ -322,9 +328,10 @@ class Design:
 class Constraints(NamedTuple):
     """Constraint values of a motion at N samples, and their gradient.
 
-    The columns are, of each joint, the distance of its position from the middle of its range, its
-    velocity, acceleration and torque, then the speed of the tool, each as share of the limit minus
-    one; the last column is the missing distance from obstacles over ``OBSTACLE_LENGTH``.
+    The columns are, n each, the distances of the positions from the middle of their ranges, the
+    velocities, accelerations and torques, then the speed of the tool, all of them absolute values
+    over their limits minus one; the last column is the missing distance from obstacles over
+    ``OBSTACLE_LENGTH``.
 
     Attributes:
         value: (N, 4 n + 2) g; fulfilled where <= 0.
@@ -378,7 +385,7 @@ def _vjp(
         motion: q, qd and qdd (N, n).
         signals: (N, 4 n + 1) of the problem.
         limits: (4 n + 1,) of the signals.
-        slack_gradient: (N, n) of the slack by q.
+        slack_gradient: (N, n) derivative by q of the slack, the distance left to obstacles.
         weight: (N, 4 n + 2) of the constraints.
     """
     # Ends of the columns of positions, velocities, accelerations and torques, n each.
@@ -395,7 +402,9 @@ def _vjp(
         links = problem.dynamics.motion(used_q, *rates)
         zero, by_twist = np.zeros((2, 6, problem.n_joints, len(used)))
         by_twist[:, -1] = problem.tool.speed_vjp(links.velocity[-1], by_speed[used, 0])
-        gradients = links.gradient(rates, zero, (by_twist, zero), zero)
+        gradients = links.gradient(
+            rates, by_screws=zero, by_motion=(by_twist, zero), by_turns=zero
+        )
         for total, gradient in zip((q, qd, qdd), gradients):
             total[used] += gradient
     return q, qd, qdd
@@ -414,8 +423,7 @@ def _add_torque_gradient(
         problem: the arm.
         motion: q, qd and qdd, (N, n) each.
         torque: (N, n) along the motion [N m].
-        adjoint: (N, n) derivative of the scalar by each torque; samples where all are zero cost
-            nothing.
+        adjoint: (N, n) weight of each torque; samples whose weights are all zero cost nothing.
         totals: gradients by q, qd and qdd, (N, n) each; changed.
     """
     active = np.flatnonzero(np.any(adjoint != 0.0, axis=1))

@@ -64,7 +64,7 @@ _STOP_NOTES: Mapping[str, tuple[str, ...]] = {
         "--excitation-time-budget",
     ),
 }
-"""Reason why a search ended early, "" for none, to the notes that a reader gets."""
+"""Reason why a search ended early, "" for none, to the notes for the user."""
 SHRINK_FACTORS = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001)
 """Factors by which a random motion is scaled, tried in turn until it keeps torque limits and
 touches nothing."""
@@ -116,8 +116,9 @@ def design_excitation(
     Args:
         design: the arm, its limits and what is minimised.
         rng: source of randomness; a seed is drawn from it.
-        progress: is advanced after every job.
-        report_start: called with the best random trajectory before the search improves it.
+        progress: is advanced after every job; None to show nothing.
+        report_start: called with the best random trajectory before the search improves it; None
+            for no call.
 
     Raises:
         InputError: no drawn trajectory keeps all limits; names the limit that is in the way.
@@ -275,11 +276,12 @@ def _feasible_draws(draws: Sequence[Draw]) -> list[Draw]:
 def _infeasibility(draws: Sequence[Draw], design: Design) -> str:
     """Return an error message on drawn trajectories of which none can be used.
 
-    It names the limit that stops most of them. Where all keep their limits, none determines every
-    direction of the link's parameters that the joints can show (``visible`` (10, r)).
+    It names the limit that stops most of them. Where no limit stops any of them, it says that none
+    determines every direction of the link's parameters that these joints can show.
     """
     reasons = [draw.obstacle for draw in draws if draw.obstacle]
     if not reasons:
+        # ``visible`` (10, r) has a column per direction that the joints can show.
         n_invisible = 10 - design.criterion.visible.shape[1]
         return (
             "no drawn trajectory shows all that these joints could show of the link "
@@ -333,10 +335,10 @@ def draw_trajectories(
 
 def _draw_within_motion_limits(design: Design, rng: np.random.Generator) -> Array:
     """Return random coefficients (n, M) [rad] of a motion in which each joint uses ``DRAW_SHARE``
-    of its limit of position, speed or acceleration.
+    of its limit of position, speed or acceleration, whichever it reaches first.
 
-    Each joint oscillates about a random position within its limits. The random coefficients of
-    harmonic k are divided by k to a random power between 0 and 1.
+    Each joint oscillates about a random position in the middle 60 % of its range. The random
+    coefficients of harmonic k are divided by k to a random power between 0 and 1.
     """
     limits = design.problem.limits
     start_pose = design.problem.rest

@@ -35,17 +35,18 @@ from robot_sysid.trajectory import (
 )
 
 PEAK_SPEED = 2.1875
-"""Largest first derivative of a smooth step from 0 to 1 in unit time."""
+"""Largest first derivative of ``smooth_step`` from 0 to 1 in unit time: 35 / 16."""
 PEAK_ACCELERATION = 7.5132
-"""Largest second derivative of a smooth step from 0 to 1 in unit time."""
+"""Largest second derivative of ``smooth_step`` from 0 to 1 in unit time."""
 PEAK_OF_RAMP = 1.875
 """Largest derivative of the rise of a sweep's speed from 0 to 1 in unit time: 30 / 16."""
 REST_TOLERANCE = 1e-6
-"""Speed and acceleration of an end at rest [rad/s, rad/s^2]: rounding leaves a thousandth of it."""
+"""Speed [rad/s] and acceleration [rad/s^2] up to which the end of a trajectory counts as at rest;
+rounding leaves a thousandth of it."""
 FORMAT = "robot-sysid trajectory"
 """Name of the file format of trajectories, in each file."""
 VERSION = 1
-"""Version of that format."""
+"""Version of that format in written files, and the only one that is read."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +57,8 @@ class FourierBasis:
         duration: length [s].
         base_frequency_hz: frequency f0 of the first harmonic [Hz].
         harmonics: number of harmonics K.
-        fade: time the window takes to rise and to fall [s]; 0 in files of earlier versions, whose
-            coefficients end at rest by themselves.
+        fade: time the window takes to rise, and to fall [s]; 0 for no window, in files of earlier
+            releases whose coefficients begin and end at rest by themselves.
     """
 
     duration: float
@@ -91,7 +92,7 @@ class FourierBasis:
         """
         time = np.asarray(time, dtype=float)
         base = 2j * np.pi * self.base_frequency_hz
-        # exp(i k W t) by products, which are far cheaper than sines.
+        # exp(i k W t) = cos(k W t) + i sin(k W t), by products, which are far cheaper than sines.
         waves = np.vander(np.exp(base * time), self.harmonics + 1, increasing=True)
         rates = base * np.arange(self.harmonics + 1.0)
         functions = []
@@ -140,10 +141,10 @@ class FourierTrajectory:
 
 @dataclass(frozen=True)
 class LineTrajectory:
-    """Straight lines in joint space; the arm is at rest in every point.
+    """A motion along straight lines in joint space; the arm is at rest in every point.
 
     Attributes:
-        points: (P, n) [rad].
+        points: (P, n) joint positions at the ends of the lines [rad or m].
         moves: (P - 1,) how long the way from each point to the next takes [s].
         dwells: (P,) how long the arm stays in each point [s].
         ramps: (P - 1,) time in which the speed on each way rises smoothly to a constant speed, and
@@ -180,8 +181,8 @@ class LineTrajectory:
 
     @property
     def speeds(self) -> Array:
-        """Velocity of each joint (P - 1, n) between the ramps of each line [rad/s]; only for a
-        trajectory with ramps.
+        """Constant velocity of each joint (P - 1, n) between the ramps of each line [rad/s]; only
+        defined for a trajectory with ramps.
         """
         assert self.ramps is not None
         return np.diff(self.points, axis=0) / (self.moves - self.ramps)[:, None]
@@ -203,13 +204,13 @@ class LineTrajectory:
         else:
             step = self.speeds[line]
             w, dw, ddw = _cruise(elapsed, length, self.ramps[line])
-        q, qd, qdd = (share[:, None] * step for share in (w, dw, ddw))
+        q, qd, qdd = (factor[:, None] * step for factor in (w, dw, ddw))
         return Motion(time, self.points[line] + q, qd, qdd)
 
 
 def straight_way(begin: Array, end: Array) -> LineTrajectory:
-    """Return the motion in a straight line between two poses (n,), at about 1 rad/s, without rests
-    at its ends.
+    """Return the motion along a straight line between two poses (n,) [rad or m], without rests at
+    its ends: in 1 s, or longer where the mean speed of a joint would exceed 1 rad/s (1 m/s).
     """
     distance = np.max(np.abs(end - begin))
     seconds = np.array([max(1.0, float(distance))])
@@ -229,9 +230,10 @@ def _cruise(elapsed: Array, length: Array, ramp: Array) -> Series:
     from_end = np.minimum(elapsed, length - elapsed)
     x = np.minimum(from_end / ramp, 1.0)
     is_falling = elapsed > from_end
-    distance = ramp * x**4 * (2.5 + x * (x - 3.0)) + np.maximum(from_end - ramp, 0.0)
     speed = x**3 * (10.0 + x * (6.0 * x - 15.0))
     slope = 30.0 * (x * (1.0 - x)) ** 2
+    # The integral of the speed over the ramp, then the way at unit speed.
+    distance = ramp * x**4 * (2.5 + x * (x - 3.0)) + np.maximum(from_end - ramp, 0.0)
     return (
         np.where(is_falling, length - ramp - distance, distance),
         speed,
@@ -258,7 +260,9 @@ _Plan = TypeVar("_Plan", bound=MotionPlan)
 
 
 def _coefficients(plan: MotionPlan) -> tuple[str, dict[str, Any]]:
-    """Return a trajectory's type, a key of ``_KINDS``, and the numbers that define it by name."""
+    """Return a trajectory's type, a key of ``_KINDS``, and a dict from names to the numbers that
+    define it; raises InputError for a trajectory of another class.
+    """
     # Backwards, because poses and sweeps have one class: only sweeps have ramps.
     for plan_type, (trajectory_class, names) in reversed(list(_KINDS.items())):
         if isinstance(plan, trajectory_class) and getattr(plan, names[-1]) is not None:
@@ -272,6 +276,11 @@ def _build_trajectory(plan_type: str, numbers: Mapping[str, Any]) -> Any:
     """Return the trajectory that numbers define, a mapping from their names (``_coefficients``).
 
     ``plan_type`` is a key of ``_KINDS``; further entries of the mapping are not used.
+
+    Raises:
+        KeyError: a number is missing.
+        InputError, TypeError, ValueError, IndexError, OverflowError: the numbers define no
+            trajectory.
     """
     trajectory_class, names = _KINDS[plan_type]
     arguments: dict[str, Any] = {
@@ -292,7 +301,7 @@ def at_speed(plan: _Plan, speed: float) -> _Plan:
 
     Raises:
         InputError: s is not positive, or above 1, where the motion would break the limits it was
-            made for.
+            made for; or the trajectory is of no class in ``_KINDS``.
     """
     if not 0.0 < speed <= 1.0:
         raise InputError(
@@ -319,6 +328,10 @@ class SavedTrajectory:
         plan: the trajectory.
         joint_names: names of the joints that it was made for, in the order of its columns.
         sha256: checksum of the model file that it was made for; "" if unknown.
+
+    Raises:
+        InputError: its duration is not finite and positive, its joints are not as many as the
+            names, or it does not start and end at rest.
     """
 
     plan: MotionPlan
@@ -364,7 +377,7 @@ def save_trajectory(
         sha256: checksum of the model file that it was made for; "" is not written.
 
     Raises:
-        InputError: it is a trajectory of another class.
+        InputError: the plan is of another class.
     """
     content: dict[str, Any] = {
         "format": FORMAT,
@@ -382,11 +395,14 @@ def save_trajectory(
 
 
 def load_trajectory(path: Path) -> SavedTrajectory:
-    """Return the trajectory of a file that ``save_trajectory`` has written, in this version of the
-    program or an earlier one.
+    """Return the trajectory that ``save_trajectory`` has written to a file.
+
+    The file's format has to be of version ``VERSION``, which earlier releases of this program write
+    too. Their files may have an entry "speed", by which the trajectory is slowed down.
 
     Raises:
-        InputError: the file cannot be read, or holds no trajectory.
+        InputError: the file cannot be read, is of another format or version, lacks an entry, or
+            holds numbers that define no trajectory which starts and ends at rest.
     """
     content = read_json(
         Path(path), "--trajectory takes the .json file that robot-sysid plan writes"
@@ -400,6 +416,7 @@ def load_trajectory(path: Path) -> SavedTrajectory:
             f"{path} has version {content.get('version')!r} of the format, this program reads "
             f"version {VERSION}; save it again with the program it came from"
         )
+    # InputErrors that are raised here pass the clauses below, which convert other errors.
     try:
         plan_type = content["kind"]
         if plan_type not in _KINDS:
@@ -407,6 +424,7 @@ def load_trajectory(path: Path) -> SavedTrajectory:
                 f"{path}: unknown kind of trajectory {plan_type!r}; valid: {', '.join(_KINDS)}"
             )
         plan = _build_trajectory(plan_type, content)
+        # Only earlier releases wrote a speed; files of this one hold the slowed trajectory.
         plan = at_speed(plan, float(content.get("speed", 1.0)))
         names = tuple(str(name) for name in content["joints"])
         return SavedTrajectory(plan, names, str(content.get("model_sha256", "")))

@@ -225,13 +225,15 @@ class JointLimits:
 
 @dataclass(frozen=True)
 class JointFriction:
-    """Friction of the chain joints, tau_f = coulomb sign(qd) + viscous qd + that of shared motors.
+    """Friction of n chain joints, tau_f = coulomb sign(qd) + viscous qd + that of shared motors.
 
     Attributes:
-        coulomb, viscous: coefficients (n,) [N m, N m s/rad or N, N s/m].
-        shared: (m, n) dry friction of m motors that turn several joints: the torque at each joint
-            while the motor turns forward, which is in proportion to its speed per joint speed. (The
-            viscous friction of such a motor belongs to MuJoCo's inverse dynamics.)
+        coulomb: (n,) dry friction of each joint [N m; N for a slide].
+        viscous: (n,) friction per speed of each joint [N m s/rad; N s/m for a slide].
+        shared: (m, n) dry friction of m motors that turn several joints: entry [k, j] is the torque
+            at joint j while motor k turns forward [N m or N], proportional to the motor's speed per
+            speed of joint j. None, for no such motors, is replaced by an empty (0, n) array. (The
+            viscous friction of these motors belongs to MuJoCo's inverse dynamics.)
     """
 
     coulomb: Array

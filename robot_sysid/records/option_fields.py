@@ -558,11 +558,11 @@ class TrajectoryOptions(OptionRecord):
 
 
 def require_countable(duration: float, sample_rate: float) -> None:
-    """Raise InputError where a trajectory has more than ``MAX_SAMPLES`` samples.
+    """Raise InputError where a trajectory has more than ``MAX_SAMPLES`` samples, or a NaN number.
 
     Args:
-        duration: [s].
-        sample_rate: [Hz].
+        duration: of the trajectory as it is played, at ``--speed`` [s].
+        sample_rate: number of samples per second [Hz].
     """
     count = duration * sample_rate
     if not count <= MAX_SAMPLES:
