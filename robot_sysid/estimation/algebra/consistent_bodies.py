@@ -58,12 +58,14 @@ _RIDGE = 1e-5
 _EASY = 100.0
 # Squared length of a step at convergence, as a multiple of gamma.
 _CONVERGED = 1e-6
-# Largest number of Newton steps, and of reductions of a step: problems take 15 to 30 steps.
+# Largest number of Newton steps, and of reductions of one step: problems take 15 to 30 steps.
 _MOST_STEPS = 1000
 # Largest step, as a share of the step at which a matrix becomes singular.
 _TO_THE_WALL = 0.95
 # Least eigenvalue of the product of a matrix and its dual, as a share of the mean eigenvalue.
 _CENTRALITY = 0.02
+# Factor by which a step is reduced until it satisfies ``_CENTRALITY``.
+_REDUCTION = 0.7
 # Length of a step below which a step without second-order correction is tried as well.
 _SHORT = 0.5
 # Least relative decrease of gamma after a step of full length.
@@ -121,7 +123,7 @@ class ConsistentLinks:
         start: ``first`` of a similar problem, at which to begin; None for the usual bodies.
 
     Attributes:
-        first: the minimiser for the first gamma; None until one has been solved.
+        first: the minimiser for the first gamma that was solved; None before ``path`` or ``best``.
     """
 
     def __init__(
@@ -146,7 +148,7 @@ class ConsistentLinks:
             self._origin[link] = theta
             self._unit[np.ix_(link, link)] = units
         self._others = np.delete(np.arange(len(self._origin)), self._bodies)
-        self._free, of_bodies = self._eliminate_others()
+        self._other_rows, of_bodies = self._eliminate_others()
         left, singular, directions = np.linalg.svd(of_bodies[:-1, :-1])
         self._turn = directions.T
         self._singular = singular
@@ -156,11 +158,11 @@ class ConsistentLinks:
         self._unexplained = float(of_bodies[-1, -1] ** 2)
 
     def _eliminate_others(self) -> tuple[Array, Array]:
-        """Return rows [A b] of a QR factorisation in scaled coordinates, other parameters first.
+        """Return rows [A b] of a QR factorisation in scaled coordinates.
 
-        Returns:
-            Rows (c, c + k + 1) that determine the c other parameters from the k coordinates of the
-            bodies, and rows (k + 1, k + 1) that contain the bodies alone.
+        Columns are c parameters that belong to no body, held by a small ridge where they have no
+        data, k coordinates of the bodies, and the right-hand side. The first rows (c, c + k + 1)
+        determine the c parameters from the bodies, the others (k + 1, k + 1) contain bodies alone.
         """
         count = len(self._others)
         scaled = self._matrix @ self._unit
@@ -173,21 +175,24 @@ class ConsistentLinks:
         return triangle[:count], triangle[count:, count:]
 
     def _all(self, z: Array) -> Array:
-        """Return all parameters (p,) for coordinates z (k,) of the bodies; others fit best."""
+        """Return all parameters (p,) for coordinates z (k,) of bodies, others by least squares."""
         count = len(self._others)
         values = np.zeros(len(self._origin))
-        goal = self._free[:, -1] - self._free[:, count:-1] @ z
+        goal = self._other_rows[:, -1] - self._other_rows[:, count:-1] @ z
         values[self._bodies] = z
-        values[self._others] = np.linalg.solve(self._free[:, :count], goal)
+        values[self._others] = np.linalg.solve(self._other_rows[:, :count], goal)
         return self._origin + self._unit @ values
 
     def best(self) -> Array:
-        """Return the minimiser (p,) for the largest gamma with a negligible increase of residuals.
+        """Return the minimiser (p,) for the largest of ``GAMMAS`` that hardly increases residuals.
 
-        The increase is relative to the smallest gamma; negligible is up to ``HARDLY``. Directions
-        without data then stay at the usual bodies, exactly so where the increase is negligible
-        with the null space held there. Directions with data are not biased towards the usual
-        bodies, even if a tool is much larger than the model's link.
+        Their sum of squares may exceed that for the smallest gamma by ``HARDLY``. Directions
+        without data then stay at the usual bodies, exactly so where the null space can be held
+        there within this limit. Directions with data are not biased towards the usual bodies, even
+        if a tool is much larger than the model's link.
+
+        Raises:
+            SysidError: the method did not converge.
         """
         candidates = []
         solvers = [*self._hold_null_space(), self]
@@ -201,6 +206,7 @@ class ConsistentLinks:
         # The last solver is this one: the next of its ends is that for the smallest gamma.
         limit = self._squared_residuals(next(ends)) + HARDLY
         paths = [solver.path(GAMMAS[1:]) for solver in solvers]
+        # The last candidate, for the smallest gamma, is within the limit.
         for candidate in chain(candidates, *paths):
             if self._squared_residuals(candidate) <= limit:
                 break
@@ -223,7 +229,8 @@ class ConsistentLinks:
     def path(self, gammas: Sequence[float]) -> Iterator[Array]:
         """Yield the minimiser (p,) for each of several gammas, given largest first; set ``first``.
 
-        A gamma below the rounding error of the squared residuals is raised to that error.
+        Each search begins at the previous minimiser or, where it fails from there, at the usual
+        bodies. A gamma below the rounding error of the squared residuals is raised to that error.
 
         Raises:
             SysidError: the method did not converge.
@@ -240,6 +247,7 @@ class ConsistentLinks:
     def _beginning(self) -> End:
         """Return the usual bodies with their duals, the minimiser at the gamma ``_EASY``."""
         z = np.zeros(len(self._bodies))
+        # Roots of Z = gamma K^-1, K = 1.
         duals = np.repeat(np.sqrt(_EASY) * np.eye(4)[None], len(z) // 10, axis=0)
         return _EASY, z, duals
 
@@ -252,23 +260,23 @@ class ConsistentLinks:
         # t is the gamma that a step aims at, length the part of the last step that was taken.
         t = max(t, gamma)
         length = 1.0
-        least = max(_CONVERGED * gamma, _SHORTEST * self._squared)
+        size_limit = max(_CONVERGED * gamma, _SHORTEST * self._squared)
         for _ in range(_MOST_STEPS):
             try:
                 cone = ScaledBodies(z, duals)
                 unexplained = self._projected - self._singular * (self._turn.T @ z)
                 newton = _Newton(cone, self._singular, unexplained, self._turn)
-                bold = newton.step(gamma)
-                remainder = 1.0 - min(1.0, newton.step_limit(bold))
+                predictor = newton.step(gamma)
+                remainder = 1.0 - min(1.0, newton.step_limit(predictor))
                 # Where the predictor step is short but the previous step was long, t decreases
                 # nevertheless.
                 t = max(gamma, min(remainder**2, 1.0 - _EAGER * length) * t)
-                step, length = newton.best(t, bold)
+                step, length = newton.best(t, predictor)
                 z = z + length * step.direction
                 duals = cone.move_duals(length * step.dual)
             except np.linalg.LinAlgError:
                 break
-            if t == gamma and step.size <= least:
+            if t == gamma and step.size <= size_limit:
                 return gamma, z, duals
         raise SysidError(
             "the fit of all links did not converge; check the units of the torques and of the "
@@ -300,6 +308,7 @@ class ScaledBodies:
         self._inverse = _transpose(scaled) @ _transpose(duals)
         inverse = self._inverse[:, None]
         self._basis = inverse @ _BASIS @ _transpose(inverse)
+        # D (links, 4, 4): K and Z in scaled coordinates.
         self._here = self._diagonal[:, :, None] * np.eye(4)
 
     def rows(self) -> Array:
@@ -322,20 +331,21 @@ class ScaledBodies:
         return primal, self.aim(t) - self._here - correction - primal
 
     def second_order(self, primal: Array, dual: Array) -> Array:
-        """Return the second-order term (links, 4, 4) of a primal-dual Newton step (Mehrotra)."""
+        """Return Mehrotra's second-order term (links, 4, 4) of scaled changes of K and Z."""
         product = primal @ dual
         both = self._diagonal[:, :, None] + self._diagonal[:, None, :]
         return np.asarray((product + _transpose(product)) / both)
 
     def step_limit(self, change: Array) -> float:
-        """Return the largest factor of a scaled change that leaves all matrices semidefinite."""
+        """Return the largest factor of a scaled change (links, 4, 4) of K, or of Z, after which it
+        is still positive semidefinite; infinite without a limit."""
         roots = np.sqrt(self._diagonal)
         relative = change / (roots[:, :, None] * roots[:, None, :])
         lowest = float(np.min(np.linalg.eigvalsh(relative), initial=0.0))
         return -1.0 / lowest if lowest < 0.0 else np.inf
 
     def centrality(self, primal: Array, dual: Array) -> float:
-        """Return the least ratio, over all links, of the smallest eigenvalue of K Z to their mean.
+        """Return the smallest eigenvalue of K Z over the mean one, the least over all links.
 
         Args:
             primal: (links, 4, 4) scaled change of K.
@@ -373,7 +383,7 @@ class _Step:
 
 
 class _Newton:
-    """Newton's equations at one point, solved as least squares.
+    """Newton's equations at one point, solved as least squares; LinAlgError where singular.
 
     Rounding of normal equations would hide weakly identified directions.
 
@@ -396,44 +406,43 @@ class _Newton:
         rows = np.vstack((np.diag(singular), curvature.reshape(turn.shape)))
         # Q as Householder vectors: to form it would take longer than all other steps.
         packed, factors, *_ = dgeqrf(rows)
-        self._turned = partial(dormqr, "L", "T", packed, factors)
+        self._turned = partial(dormqr, "L", "T", packed, factors)  # Q^T times columns
         self._inverse, failed = dtrtri(np.triu(packed[: len(turn)]))
         if failed:
             raise np.linalg.LinAlgError("singular")
 
-    def step(self, t: float, bold: _Step | None = None) -> _Step:
+    def step(self, t: float, predictor: _Step | None = None) -> _Step:
         """Return the full Newton step towards the minimiser at gamma = t.
 
         Args:
             t: gamma.
-            bold: predictor step, whose second-order term corrects this one; None for no correction.
+            predictor: step whose second-order term corrects this one; None for no correction.
         """
         cone = self._cone
         aim = cone.aim(t)
         correction = 0.0 * aim
-        if bold is not None:
-            correction = cone.second_order(bold.primal, bold.dual)
+        if predictor is not None:
+            correction = cone.second_order(predictor.primal, predictor.dual)
         # Gradient of t sum_i tr(K_i), along the singular directions.
         slope = t * (self._turn.T @ np.tile(_TRACES, len(aim)))
         goal = np.append(self._unexplained, _components(aim - correction))
         turned = self._turned(goal[:, None], len(goal))[0][: len(slope), 0]
         scaled = turned - self._inverse.T @ slope
         direction = self._turn @ (self._inverse @ scaled)
-        return _Step(
-            direction, *cone.changes(direction, t, correction), float(scaled @ scaled)
-        )
+        primal, dual = cone.changes(direction, t, correction)
+        return _Step(direction, primal, dual, size=float(scaled @ scaled))
 
     def step_limit(self, step: _Step) -> float:
         """Return the largest factor of a step that leaves K and its duals positive semidefinite."""
         return min(self._cone.step_limit(step.primal), self._cone.step_limit(step.dual))
 
-    def best(self, t: float, bold: _Step) -> tuple[_Step, float]:
+    def best(self, t: float, predictor: _Step) -> tuple[_Step, float]:
         """Return (step towards gamma = t, factor by which to take it).
 
-        The step is corrected with the predictor step ``bold``, unless its factor is below
-        ``_SHORT`` and a step without correction has a larger one.
+        The step is corrected by the second-order term of ``predictor``, unless its factor is then
+        below ``_SHORT`` and a step without correction has a larger one.
         """
-        step = self.step(t, bold)
+        step = self.step(t, predictor)
         length = self.central_length(step)
         if length >= _SHORT:
             return step, length
@@ -442,16 +451,13 @@ class _Newton:
         return (plain, other) if other > length else (step, length)
 
     def central_length(self, step: _Step) -> float:
-        """Return the factor (at most 1) of a step after which K Z is still well-centred.
-
-        That is, its smallest eigenvalue is at least ``_CENTRALITY`` of the mean.
-        """
+        """Return a factor (at most 1) of a step that leaves ``centrality`` at ``_CENTRALITY``."""
         length = min(1.0, _TO_THE_WALL * self.step_limit(step))
         centrality = self._cone.centrality
         for _ in range(_MOST_STEPS):
             if centrality(length * step.primal, length * step.dual) >= _CENTRALITY:
                 break
-            length *= 0.7
+            length *= _REDUCTION
         return length
 
 
@@ -506,40 +512,45 @@ def project_errors(
         where the body is not identifiable or needs no change.
     """
     of_body = uncertainty.covariance[np.ix_(indices, indices)]
-    is_known = np.all(np.isfinite(uncertainty.standard_errors[indices]))
-    projection = _projected_errors(theta, of_body, center) if is_known else None
+    is_identifiable = np.all(np.isfinite(uncertainty.standard_errors[indices]))
+    projection = _projected_errors(theta, of_body, center) if is_identifiable else None
     if projection is None:
         return uncertainty, dict(causes)
     turn, residual = projection
-    along = np.linalg.solve(of_body, uncertainty.covariance[indices])
-    change = (turn - np.eye(10)).T @ along
+    # (10, k) regression of all parameters on the body: G^T of the module's formula.
+    regression = np.linalg.solve(of_body, uncertainty.covariance[indices])
+    change = (turn - np.eye(10)).T @ regression
 
     def project(rows: Array) -> Array:
         """Return rows (m, k) of errors after the body is made consistent, without the residual."""
         return rows + rows[:, indices] @ change
 
     by_cause = {cause: project(rows) for cause, rows in causes.items()}
-    by_cause[BODIES] = rows_of_bodies = residual @ along
+    rows_of_bodies = residual @ regression
+    by_cause[BODIES] = rows_of_bodies
+    # A covariance changes by rows, then by columns.
     covariance = project(project(uncertainty.covariance).T)
     covariance = covariance + rows_of_bodies.T @ rows_of_bodies
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    hidden = np.isinf(uncertainty.standard_errors)
+    is_unidentifiable = np.isinf(uncertainty.standard_errors)
     return replace(
         uncertainty,
         covariance=covariance,
         noise=project(project(uncertainty.noise).T),
-        standard_errors=np.where(hidden, np.inf, errors),
+        standard_errors=np.where(is_unidentifiable, np.inf, errors),
     ), by_cause
 
 
 def projected_covariance(theta: Array, covariance: Array) -> Array:
     """Return the covariance (10, 10) of a body's errors after the body is made consistent.
 
+    It is ``covariance`` where bodies need no change, or where making them consistent fails.
+
     Args:
         theta: (10,) estimated inertial parameters of the body.
-        covariance: (10, 10) of their errors before that.
+        covariance: (10, 10) of the errors of ``theta`` before that.
     """
-    projection = _projected_errors(theta, covariance, theta)
+    projection = _projected_errors(theta, covariance, center=theta)
     if projection is None:
         return covariance
     turn, residual = projection
@@ -552,8 +563,8 @@ def _projected_errors(
     """Return T (10, 10), and rows (m, 10) whose product rows^T rows is the covariance R.
 
     Errors e of a body become T e plus a residual of covariance R when the body is made consistent.
-    None where all drawn bodies are consistent, or where the fit fails for one: the covariance that
-    is given is an upper bound then.
+    None where all drawn bodies are consistent, where ``covariance`` is singular, or where one body
+    cannot be made consistent: ``covariance`` is an upper bound then.
 
     Args:
         theta: (10,) estimated inertial parameters of the body.
@@ -570,6 +581,7 @@ def _projected_errors(
         return None
     errors = draws @ root.T
     rows = np.linalg.inv(root)
+    # The first minimiser of the previous body; None while all bodies have been consistent.
     start = None
     projected = errors.copy()
     problem = LinksProblem((np.arange(10),), center)

@@ -112,7 +112,7 @@ def visible_space(matrix: Array) -> VisibleSpace:
     # At least p rows, so that ``right`` contains a basis of the null space as well.
     missing = max(matrix.shape[1] - len(matrix), 0)
     padded = np.pad(scaled, ((0, missing), (0, 0)))
-    left, singular, right = np.linalg.svd(padded, False)
+    left, singular, right = np.linalg.svd(padded, full_matrices=False)
     rank = _count_visible(singular, np.max(singular, initial=0.0))
     left = left[: len(matrix), :rank]
     return VisibleSpace(
@@ -176,9 +176,9 @@ def analyse_identifiability(information: SquareRootInformation) -> Identifiabili
     length = np.where(space.zero, 1.0, np.linalg.norm(matrix, axis=0))
     # Rank of the nuisances alone, counted by the same cut as that of all columns.
     singular = np.linalg.svd((visible * space.scale)[:, ~interest], compute_uv=False)
-    hidden = _count_visible(singular, np.max(space.singular, initial=0.0))
+    nuisance_rank = _count_visible(singular, np.max(space.singular, initial=0.0))
     return Identifiability(
-        rank=space.rank - hidden,
+        rank=space.rank - nuisance_rank,
         n_parameters=int(np.count_nonzero(interest)),
         condition_number=_condition(visible[:, interest]),
         scaled_condition_number=_condition((visible / length)[:, interest]),
@@ -188,9 +188,9 @@ def analyse_identifiability(information: SquareRootInformation) -> Identifiabili
 
 
 def _condition(matrix: Array) -> float:
-    """Return the largest singular value of a regressor (M, k) over its r-th, r its rank.
+    """Return the condition number of a regressor (M, k) without the directions of its null space.
 
-    Infinite where the rank is zero.
+    It is the largest singular value over the r-th, r the rank; infinite where the rank is zero.
     """
     singular = np.linalg.svd(matrix, compute_uv=False)
     rank = visible_space(matrix).rank
@@ -250,12 +250,15 @@ def in_words(weights: Array, first: int, names: Sequence[str]) -> str:
 def readable_basis(null: Array) -> list[Array]:
     """Return d unit vectors (p,) that span a null space and have few non-zero entries.
 
+    They are in the order of the first parameter that each one contains.
+
     Args:
         null: (p, d) orthonormal basis of the null space, in scaled coordinates.
     """
     size, dimension = null.shape
     basis: list[Array] = []
-    # Vectors within few parameters first; one that depends on those before is left out.
+    # Vectors within few parameters first; one that depends on previous ones leaves the rank as it
+    # is and is left out.
     for group in (_FIRST_MOMENT, _INERTIA, range(10), range(size)):
         for candidate in _row_echelon(_within(null, group)):
             extended = np.array([*basis, candidate])
@@ -266,15 +269,16 @@ def readable_basis(null: Array) -> list[Array]:
 
 
 def _within(null: Array, group: Sequence[int]) -> Array:
-    """Return a basis (p, e) of the vectors of a null space (p, d) that are zero outside ``group``.
+    """Return a basis (p, e) of the e-dimensional part of a null space that is zero outside a group.
 
     Args:
-        null: orthonormal basis of the null space.
-        group: indices of parameters.
+        null: (p, d) orthonormal basis of the null space.
+        group: indices of the parameters that may be non-zero.
     """
     # Not setdiff1d, which imports numpy.ma.
     outside = [k for k in range(len(null)) if k not in group]
     _, singular, directions = np.linalg.svd(null[outside])
+    # Directions beyond the last singular value are in the null space of null[outside], too.
     padded = np.zeros(null.shape[1])
     padded[: len(singular)] = singular
     basis = null @ directions[padded < _TOLERANCE].T
@@ -283,10 +287,11 @@ def _within(null: Array, group: Sequence[int]) -> Array:
 
 
 def _row_echelon(basis: Array) -> list[Array]:
-    """Return the reduced row echelon form of columns (p, e): at most e unit vectors (p,).
+    """Return at most e unit vectors (p,) that span the columns of ``basis`` (p, e).
 
-    Each pivot is the largest remaining entry; its row is exchanged with row k. Pivots below
-    ``_TOLERANCE`` are rounding.
+    They are the rows of the reduced row echelon form of ``basis`` transposed. Each pivot is the
+    largest remaining entry; its row is exchanged with row k. Pivots below ``_TOLERANCE`` are
+    rounding.
     """
     rows = basis.T.copy()
     for k in range(len(rows)):
@@ -373,10 +378,11 @@ def base_combinations(regressor: Array, scale: Array) -> BaseCombinations:
 
 
 def essential(base: Array, nuisance: Array, right_side: Array) -> NDArray[np.bool_]:
-    """Return whether backward elimination keeps each base parameter (r,).
+    """Return a mask (r,) of the base parameters that backward elimination keeps as essential.
 
-    The parameter with the largest relative standard deviation is removed until the largest is at
-    most ``ESSENTIAL_RATIO`` times the smallest, or ``WELL_KNOWN``. One parameter always stays.
+    The parameter with the largest relative standard deviation is removed, and the others are fitted
+    again, until the largest is at most ``ESSENTIAL_RATIO`` times the smallest, or at most
+    ``WELL_KNOWN``. One parameter always stays.
 
     Args:
         base: (M, r) whitened columns of the base parameters.
@@ -388,6 +394,7 @@ def essential(base: Array, nuisance: Array, right_side: Array) -> NDArray[np.boo
     span, triangle, _ = qr(nuisance, mode="economic", pivoting=True)
     size = np.abs(np.diag(triangle))
     span = span[:, size > BASE_CUT * np.max(size, initial=0.0)]
+    # What the other parameters cannot explain of columns and right-hand sides.
     columns = base - span @ (span.T @ base)
     target = right_side - span @ (span.T @ right_side)
     is_essential = np.ones(base.shape[1], dtype=bool)
@@ -397,7 +404,7 @@ def essential(base: Array, nuisance: Array, right_side: Array) -> NDArray[np.boo
         inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
         values = inverse @ (scaled.T @ target)
         errors = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-        relative = errors / np.maximum(np.abs(values), 1e-300)
+        relative = errors / np.maximum(np.abs(values), 1e-300)  # no division by zero
         if np.max(relative) <= max(ESSENTIAL_RATIO * np.min(relative), WELL_KNOWN):
             break
         is_essential[np.flatnonzero(is_essential)[int(np.argmax(relative))]] = False

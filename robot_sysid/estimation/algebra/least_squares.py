@@ -3,12 +3,13 @@
 For equations Y x = tau the triangle R of [Y tau] = Q R contains all that least squares needs:
 normal matrix, residual and rank. Stacking a new chunk of rows under R and factorising again gives
 the triangle of all rows (Bierman, "Factorization Methods for Discrete Sequential Estimation", 1977,
-ch. IV), so memory does not grow with the number of samples. ``SquareRootInformation`` holds names
-of p parameters and per joint the indices (k,) of the parameters in its equations, and a triangle
-(k + 1, k + 1) whose last column is that of tau; its prior is equations [A b] (r, p + 1) of unit
-variance. Noise stands for the standard deviation
-of a joint's torque residual [N m]; the weight of the joint's rows is its inverse. Noise is iterated
-together with the solution.
+ch. IV), so memory does not grow with the number of samples.
+
+``SquareRootInformation`` holds the names of p parameters. Per joint it holds the indices (k,) of
+the parameters in the joint's equations, and a triangle (k + 1, k + 1) whose last column is that of
+tau. Its prior is equations [A b] (r, p + 1) of unit variance. Noise stands for the standard
+deviation of a joint's torque residual [N m]; the weight of the joint's rows is the inverse of the
+noise. Noise is iterated together with the solution.
 """
 
 from __future__ import annotations
@@ -55,9 +56,10 @@ of the columns among all p + 1, the last one is p for the right-hand side."""
 
 
 def ordinary_noise(information: SquareRootInformation, solve: Solve) -> Array:
-    """Return the noise (joints,) [N m], equal for all joints: that of ordinary least squares.
+    """Return the noise (joints,) [N m] of ordinary least squares, which is equal for all joints.
 
-    With a prior, noise and solution are computed from each other until the noise converges.
+    With a prior, noise and solution are computed from each other until the noise converges. The
+    noise is at least ``noise_floor``.
 
     Args:
         information: equations of all joints.
@@ -82,7 +84,8 @@ def estimate_noise(
 ) -> Array:
     """Return the standard deviation of each joint's torque noise (joints,) [N m].
 
-    Estimate and noise are computed from each other until the noise converges.
+    Estimate and noise are computed from each other until the noise converges. The noise is at least
+    ``noise_floor``.
 
     Iterated feasible generalised least squares; for independent normal noise the fixed point is
     the maximum-likelihood estimate (Oberhofer, Kmenta 1974).
@@ -112,9 +115,11 @@ def solver(information: SquareRootInformation, prior: Array) -> Solve:
 
     with d of minimum norm in scaled columns, and the leverage (joints,) of each joint's equations,
     see ``joint_noise``. Parameters that neither data nor ``information.prior`` identifies keep
-    their values in ``prior``.
+    their values in ``prior``. With a prior distribution the function keeps all its results and
+    returns the identical arrays for equal weights: do not change them.
 
     Args:
+        information: equations [A b] of all joints, and the prior distribution or None.
         prior: (p,) values, not the prior distribution, which is in ``information.prior``.
     """
     plain = partial(_solve_by_decomposition, information, prior)
@@ -180,8 +185,8 @@ def _normal_solver(
     for joint in information.joints:
         blocks.append((indices[[*joint.columns, -1]], joint.triangle))
     blocks.append((indices, prior_rows))
-    grams = []
     # Per block its Gram matrix, and where that is added to the normal matrix (``stretches``).
+    grams = []
     for at, rows in blocks:
         ordered = rows[:, np.argsort(at)]
         grams.append((ordered.T @ ordered, stretches(np.sort(at))))
@@ -189,6 +194,7 @@ def _normal_solver(
     def solve(weights: Array) -> tuple[Array, Array] | None:
         """Return (values (p,), leverage (joints,)), or None, for weights (joints,)."""
         normal = np.zeros((size + 1, size + 1))
+        # The last block, the prior, has the weight one.
         squares = np.append(weights, 1.0) ** 2
         for (gram, runs), square in zip(grams, squares):
             for source, target in runs:
@@ -197,6 +203,7 @@ def _normal_solver(
         if solution is None:
             return None
         values, root = solution
+        # Zeros for the right-hand side, which Gram matrices contain, too.
         spread = np.pad(root @ root.T, (0, 1))
         leverage = np.zeros(len(weights))
         for k, (gram, runs) in enumerate(grams[:-1]):
@@ -230,6 +237,7 @@ def solve_normal(
     previous = np.inf
     for _ in range(_MOST_ROUNDS):
         slope = np.zeros(len(normal))
+        # [A b] (x, -1) = A x - b.
         full = np.append(values, -1.0)
         for (at, rows), square in zip(blocks, squares):
             slope[at] -= square * ((rows @ full[at]) @ rows)
@@ -245,10 +253,12 @@ def solve_normal(
 
 
 def solve_rows(rows: Array) -> tuple[Array, Array]:
-    """Return (solution (p,), G (p, r)) of equations [A b] (M, p + 1) of rank r, by a decomposition.
+    """Return (least-squares solution (p,), G (p, r)) of equations [A b], by a decomposition.
 
-    The least-squares solution is that of minimum norm in scaled columns; G G^T is the
-    pseudo-inverse of A^T A.
+    The solution is that of minimum norm in scaled columns; G G^T is the pseudo-inverse of A^T A.
+
+    Args:
+        rows: (M, p + 1) [A b], with A of rank r.
     """
     triangle = np.asarray(np.linalg.qr(rows, mode="r"))
     space = triangle_space(triangle[:, :-1])
@@ -259,7 +269,8 @@ def noise_floor(information: SquareRootInformation) -> float:
     """Return the smallest noise of a joint [N m]: 1e-9 of the root mean square torque, or 1e-4 with
     a prior.
 
-    The latter is the error of filtering, which nuisances would explain otherwise.
+    The latter is the error of filtering, which nuisances would explain otherwise. Where all torques
+    are zero, the floor is 1 N m.
     """
     squares = 0.0
     for joint in information.joints:
@@ -274,8 +285,8 @@ def lower_floor(
 ) -> Array:
     """Return the noise (joints,) [N m], estimated with a lower floor for joints at ``noise_floor``.
 
-    With that floor, priors would weigh too much against exact data. Without a prior the noise is
-    returned as it is.
+    With ``noise_floor``, priors would weigh too much against exact data. Without a prior, or with
+    no joint at the floor, ``noise`` itself is returned.
 
     Args:
         information: equations of all joints.
@@ -296,7 +307,7 @@ def lower_floor(
 def joint_noise(
     information: SquareRootInformation, values: Array, leverage: Array, floor: float
 ) -> Array:
-    """Return the noise (joints,): the standard deviation of each joint's torque [N m].
+    """Return the noise (joints,): the standard deviation of each joint's torque residual [N m].
 
     sigma_j^2 = |r_j|^2 / (n_j - l_j) with r_j the residuals of the joint's n_j equations and
     l_j = w_j^2 tr(Y_j C Y_j^T) their leverage, the number of parameters that they determine (Seber,
@@ -316,8 +327,9 @@ def joint_noise(
 def _solve_by_decomposition(
     information: SquareRootInformation, prior: Array, weights: Array
 ) -> tuple[Array, Array]:
-    """Return (x (p,), leverage (joints,)) of ``solver`` for weights (joints,) [1/(N m)], by a
-    decomposition of the equations.
+    """Return (solution x (p,), leverage (joints,)), by a decomposition of the equations.
+
+    The arguments are those of ``solver``, and its function's weights (joints,) [1/(N m)].
     """
     matrix, right_side = information.equations(weights)
     values, root = solve_rows(np.column_stack((matrix, right_side - matrix @ prior)))
@@ -388,9 +400,10 @@ def update_triangle(triangle: Array, rows: Array) -> Array:
 
 
 def normal_matrix(information: SquareRootInformation, weights: Array) -> Array:
-    """Return [A b]^T [A b] (p + 1, p + 1) of ``SquareRootInformation.equations``, with its prior.
+    """Return the normal matrix [A b]^T [A b] (p + 1, p + 1) of weighted equations and prior.
 
     Args:
+        information: equations of all joints; its prior rows count, where it has any.
         weights: (joints,) of each joint's equations [1/(N m)].
     """
     normal = np.zeros((len(information.names) + 1,) * 2)
@@ -408,10 +421,10 @@ def normal_matrix(information: SquareRootInformation, weights: Array) -> Array:
 
 def eliminate_others(normal: Array, indices: NDArray[np.int64]) -> tuple[Array, Array]:
     """Return the normal equations (matrix (k, k), right-hand side (k,)) of some parameters, with
-    all others eliminated: the Schur complement of the others' block.
+    all others eliminated: the Schur complement of the block of the others.
 
     Args:
-        normal: (p + 1, p + 1) [A b]^T [A b] of all parameters.
+        normal: (p + 1, p + 1) [A b]^T [A b] of all parameters; not changed.
         indices: (k,) of the parameters that remain.
     """
     others = np.setdiff1d(np.arange(len(normal) - 1), indices)
@@ -502,9 +515,9 @@ def combine(blocks: Sequence[SquareRootInformation]) -> SquareRootInformation:
 def block_views(
     total: SquareRootInformation, blocks: Sequence[SquareRootInformation]
 ) -> Iterator[SquareRootInformation]:
-    """Yield each block again, its rows as views of the total where the total contains them as such.
+    """Yield each block again, with rows that are views of the total where it contains these rows.
 
-    Views halve the memory.
+    Views halve the memory. A block's rows stay as they are where the total is factorised.
 
     Args:
         total: ``combine`` of the blocks.

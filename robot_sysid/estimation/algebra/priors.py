@@ -22,7 +22,7 @@ curvature L and the gradient b of data and all other priors, 1/2 delta' L delta 
     log p(S) = 1/2 v' S (1 + S M S)^-1 S v - 1/2 log |1 + S M S|,    M = T' L T,  v = T' b.
 
 Masses, centres of mass and inertias have one scale each: a single scale for all would widen the
-prior of the centres of mass so far that they absorb errors in mass. Scales are grid averages.
+prior of the centres of mass so far that they absorb errors in mass. Scales are averaged on a grid.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class NuisanceGroup:
     aspects: Callable[[], tuple[Array, ...]] = tuple
 
     def prior_rows(self, names: Sequence[str]) -> Array:
-        """Return the prior as equations [A b] (k, p+1) of unit variance in named parameters."""
+        """Return the prior as equations [A b] (k, p + 1) of unit variance in parameters (p,)."""
         inverse = np.linalg.inv(self.widened * self.factor)
         rows = np.zeros((len(self.names), len(names) + 1))
         rows[:, self.indices(names)] = inverse
@@ -163,7 +163,7 @@ def independent_prior(
 def with_prior(
     information: SquareRootInformation, groups: Sequence[NuisanceGroup]
 ) -> SquareRootInformation:
-    """Return the information with its prior replaced by the groups'; as it is without groups."""
+    """Return the information with the groups' priors in place of its own; itself without groups."""
     if not groups:
         return information
     return replace(information, prior=_prior_equations(groups, information.names))
@@ -214,7 +214,9 @@ def link_lengths(robot: RobotModel, links: Sequence[int]) -> list[float]:
 
 
 def model_link_factor(robot: RobotModel, links: Sequence[int], share: float) -> Array:
-    """Return ``link_factor`` (10 L, 10 L) of a model's links, each known to a share."""
+    """Return the Cholesky factor ``link_factor`` (10 L, 10 L) of the prior of L links: those with
+    indices ``links`` in ``robot.links``, each known to a relative standard deviation ``share``.
+    """
     thetas = [robot.links[link].theta for link in links]
     return link_factor(thetas, share, link_lengths(robot, links))
 
@@ -227,12 +229,13 @@ def link_directions(
 
     One column per error, for a relative standard deviation of one: each link's mass (1), centre of
     mass (3) and inertia (6), then the common errors of all masses and of all distances of a centre
-    of mass from its joint. The array is cached: do not change it. Arguments as in ``link_factor``.
+    of mass from its joint. The array is cached: do not change it. Per link, ``thetas`` has the ten
+    inertial parameters of the model, ``lengths`` the distance from its joint to the next one [m].
     """
     directions = np.zeros((10 * len(thetas), 10 * len(thetas) + 2))
     for index, (theta, length) in enumerate(zip(np.array(thetas), lengths)):
         block = slice(10 * index, 10 * (index + 1))
-        directions[block, block], moved = own_errors(theta, 1.0, length)
+        directions[block, block], moved = own_errors(theta, share=1.0, length=length)
         com = spatial.com_from_theta(theta)[1]
         distance = float(np.linalg.norm(com))
         directions[block, -2] = theta
@@ -243,23 +246,25 @@ def link_directions(
 def link_aspects(
     thetas: Sequence[Array] | Array, lengths: Sequence[float] | Array
 ) -> tuple[Array, ...]:
-    """Return three matrices (L, 10 L), (3 L, 10 L), (6 L, 10 L) that turn deviations of the
-    parameters of L links into those of masses, of centres of mass and of inertias.
+    """Return three matrices (L, 10 L), (3 L, 10 L), (6 L, 10 L) that turn deviations of the ten
+    inertial parameters of L links into those of masses, of centres of mass and of inertias, as
+    multiples of the errors in ``own_errors`` for a share of one.
     """
     selection = np.zeros((10 * len(thetas), 10 * len(thetas)))
     for index, (theta, length) in enumerate(zip(thetas, lengths)):
         block = slice(10 * index, 10 * (index + 1))
-        selection[block, block] = np.linalg.inv(own_errors(theta, 1.0, length)[0])
+        effects, _ = own_errors(theta, share=1.0, length=length)
+        selection[block, block] = np.linalg.inv(effects)
     # Of a link's ten rows the first is its mass, then three of its centre of mass, six of inertia.
     rows = np.arange(len(selection)) % 10
     return selection[rows < 1], selection[(rows >= 1) & (rows < 4)], selection[rows > 3]
 
 
 def own_errors(theta: Array, share: float, length: float) -> tuple[Array, Array]:
-    """Return the effects of a link's independent errors on its parameters (10,).
+    """Return the effects of a link's independent errors on its ten inertial parameters.
 
-    Returns (10, 10), one column per standard deviation: mass (1), centre of mass along x, y, z (3),
-    inertia (6); and (10, 3), the columns of the centre of mass alone.
+    Returns (10, 10), one column per error, of one standard deviation: mass (1), centre of mass
+    along x, y, z (3), inertia (6); and (10, 3), the columns of the centre of mass alone.
 
     Args:
         theta: (10,) the model's parameters of the link.
@@ -268,6 +273,7 @@ def own_errors(theta: Array, share: float, length: float) -> tuple[Array, Array]
     """
     mass, com, inertia = spatial.com_from_theta(theta)
     size = max(ROD * spatial.characteristic_length(theta), length, LEAST_SIZE)
+    # A link with little or no inertia in the model counts as a tenth of its size wide.
     moment = max(float(np.trace(inertia)) / 3.0, mass * (0.1 * size) ** 2)
     columns = []
     for step in share * size * np.eye(3):
@@ -286,11 +292,12 @@ def widened_groups(
 ) -> tuple[NuisanceGroup, ...]:
     """Return the groups with the factors alpha on their standard deviations that the data implies.
 
+
     Args:
         information: equations of all joints; their prior does not count.
         noise: (joints,) standard deviation of the torque noise [N m].
-        groups: all priors; not changed.
-        least: smallest alpha; below one, groups that may not widen get an alpha as well.
+        groups: all priors; not changed. A tuple is returned itself where no group may change.
+        least: smallest alpha; below one, groups that may not widen get such a factor as well.
     """
     widened = list(groups)
     may_change = [group.may_widen or least < 1.0 for group in groups]
@@ -313,7 +320,11 @@ def widened_groups(
 
 
 class WithPriors:
-    """Data with fixed noise (joints,) [N m], solved with different priors to compare the results.
+    """Data with fixed noise, solved with different priors to compare the results.
+
+    Args:
+        information: equations of all joints; their prior does not count.
+        noise: (joints,) standard deviation of the torque noise [N m].
 
     Attributes:
         names: (p,) of the parameters.
@@ -407,9 +418,9 @@ def misfits(
 ) -> tuple[PriorConflict, ...]:
     """Return a conflict for each group whose prior the data contradicts significantly.
 
-    It does where holding the group at its mean increases the misfit by more than chi-square allows
-    for any of all groups. The conflict's factor is that of the worst aspect: links of another
-    density contradict the prior in masses alone, which an average over all parameters would hide.
+    It does where holding the group at its mean increases the misfit by more than chi-square allows,
+    at the confidence ``SURE`` for all groups together. The conflict's factor is that of the worst
+    aspect: links of another density contradict it in masses alone, which an average would hide.
 
     Args:
         information: equations of all joints; their prior does not count.
@@ -417,17 +428,19 @@ def misfits(
         groups: all priors, widened as in the estimate.
     """
     problem = WithPriors(information, noise)
-    values, covariance, with_all = problem.solve(groups)
+    # The probability of a false alarm for one group, with 1 - SURE for all of them together.
+    chance = 1.0 - SURE ** (1.0 / max(len(groups), 1))
+    values, covariance, misfit = problem.solve(groups)
     wide_groups = tuple[NuisanceGroup, ...]()
     wide_solution = values, covariance
     conflicts = []
     for index, group in enumerate(groups):
         fixed = [*groups[:index], replace(group, widened=_FIXED), *groups[index + 1 :]]
-        gained = problem.solve(fixed)[2] - with_all
+        _, _, fixed_misfit = problem.solve(fixed)
         freedom = _count_determined(
             group, np.eye(len(group.names)), problem.names, covariance
         )
-        if is_significant(gained, freedom, 1.0 - SURE ** (1.0 / len(groups))):
+        if is_significant(fixed_misfit - misfit, freedom, chance):
             if not wide_groups:  # computed once, and only for a conflict
                 wide_groups = widened_groups(information, noise, groups, _NARROWEST)
                 wide_solution = problem.solve(wide_groups)[:2]
@@ -449,9 +462,9 @@ def _contradicted_factor(
     factors = []
     identity = np.eye(len(group.names))
     for aspect in (*group.aspects(), identity):
-        alpha, free = _widening(group, aspect, names, values, covariance)
-        # Significant if the prior were right.
-        if is_significant(alpha**2 * free, free, 1.0 - SURE):
+        alpha, freedom = _widening(group, aspect, names, values, covariance)
+        squared = alpha**2 * freedom  # sum of squared deviations, by alpha's definition
+        if is_significant(squared, freedom, 1.0 - SURE):
             factors.append(alpha)
     # The last alpha is that of all parameters.
     return max(factors, default=min(alpha, 1.0))
@@ -481,9 +494,11 @@ def chi_square_limit(freedom: float, chance: float) -> float:
 def _worst_members(
     group: NuisanceGroup, names: Sequence[str], values: Array
 ) -> tuple[str, ...]:
-    """Return the links or joints of a group that deviate most from its prior, the worst one first.
+    """Return the links or joints of a group that contradict its prior, the worst one first.
 
-    ``values`` (p,) are the estimate of the parameters ``names`` (p,).
+    They are all those whose squared deviation from the prior, in standard deviations, is above
+    ``_SHARE_OF_WORST`` of the largest one. ``values`` (p,) are the estimate of the parameters
+    ``names`` (p,).
     """
     off = np.linalg.solve(group.factor, values[group.indices(names)] - group.mean)
     members = np.array(group.members)
@@ -558,6 +573,7 @@ def link_evidence(
     for group in others:
         rows = group.prior_rows(names)
         normal += rows.T @ rows
+    # Errors of stated links and of placeholders are independent: no row contains both.
     rows = links.prior_rows(names)[~stated]
     normal += rows.T @ rows
     curvature, pull = eliminate_others(normal, np.array(links.indices(names))[stated])
@@ -567,10 +583,10 @@ def link_evidence(
 
 
 def average_scales(evidence: LinkEvidence) -> LinkScales:
-    """Return the root mean square of each scale over the posterior on the grid of scales.
+    """Return the root mean square of each factor on the links' prior over its posterior on a grid.
 
-    This, not the most likely scale: where the data hardly determines a scale, the prior has to
-    allow for its large values, too.
+    The factor ``common`` stays at one. A root mean square and not the most likely factor, because
+    the prior has to allow for large values where the data hardly determines a factor.
     """
     # (combinations, 3): factors of mass, centre of mass and inertia.
     grid = np.array(list(product(MASS_SCALES, COM_SCALES, INERTIA_SCALES)))

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -58,7 +58,7 @@ class Uncertainty:
         covariance: (p, p) of the errors by all causes.
         noise: (p, p) covariance of the errors by torque noise alone.
         standard_errors: (p,) infinite for parameters that are not identifiable.
-        data_share: (p,) squared part of each parameter's scaled axis in the identified directions.
+        data_share: (p,) share of each parameter's squared scaled axis in identified directions.
         inverse: (p, p) C, the inverse of the normal matrix of data and prior.
         effective: (joints,) equivalent number of independent samples of each joint.
     """
@@ -94,7 +94,6 @@ def uncertainty(
         residuals: sums of each joint's residuals, for noise that is correlated in time.
         space: ``joint_space`` of these equations; None to compute it.
     """
-    # Residuals contain errors that other joints' noise causes: kernels and errors are iterated.
     space = space or joint_space(information, weights)
     inverse = space.inverse()
     size = len(information.names)
@@ -104,6 +103,7 @@ def uncertainty(
         alone = []
         for joint, weight in zip(residuals, weights):
             alone.append(_alone(joint, weight, inverse))
+        # Residuals contain errors that other joints' noise causes: kernels and errors are iterated.
         score = np.zeros((size, size))
         for _ in range(_ROUNDS):
             kernels = list(_kernels(residuals, alone, inverse @ score @ inverse))
@@ -131,13 +131,13 @@ def uncertainty(
 
 
 def joint_space(information: SquareRootInformation, weights: Array) -> VisibleSpace:
-    """Return the space of parameters that data and priors identify; its ``inverse()`` is C."""
+    """Return the space that data, by weights (joints,), and prior identify; ``inverse()`` is C."""
     return triangle_space(whole_triangle(information, weights)[:, :-1])
 
 
 def whole_triangle(information: SquareRootInformation, weights: Array) -> Array:
     """Return the triangle (p + 1, p + 1) of all equations [A b], by weights (joints,) [1/(N m)]."""
-    # Last joints first: their rows have the columns of few links.
+    # Last joints first: their rows have the columns of few links, so that triangles stay small.
     backwards = replace(information, joints=information.joints[::-1])
     return triangle_of(backwards.equation_blocks(weights[::-1]))
 
@@ -152,7 +152,7 @@ def triangle_of(blocks: Iterable[Array]) -> Array:
         if sum(map(len, waiting)) > _AT_ONCE * block.shape[1]:
             rows = np.vstack(waiting)
             is_used = np.any(rows != 0.0, axis=0)
-            waiting = []
+            waiting = []  # frees the blocks
             rows = rows[:, is_used]
             triangle = update_triangle(rows[:0], rows)
             waiting = [np.zeros((len(triangle), len(is_used)))]
@@ -262,18 +262,19 @@ class JointResiduals:
 
     def energy(self, spread: Array) -> float:
         """Return tr(Y C Y^T), the torque energy of errors of covariance C (k, k) [N^2 m^2]."""
-        rows = self.sums[0] if self.basis is None else self.basis
-        return float(np.vdot(spread if self.basis is None else rows @ spread, rows))
+        if self.basis is None:
+            return float(np.vdot(spread, self.sums[0]))
+        return float(np.vdot(self.basis @ spread, self.basis))
 
     def score(self, kernels: Array) -> Array:
-        """Return sum_i c_i Q_i (k, k), the covariance of the score for coefficients c (1 + m,)."""
+        """Return sum_i c_i Q_i (k, k), the score's covariance; ``kernels`` (1 + m,) are the c_i."""
         score = np.tensordot(kernels, self.sums, axes=1)
         return score if self.basis is None else self.basis.T @ score @ self.basis
 
     def __add__(self, other: JointResiduals) -> JointResiduals:
         """Return the sums of both logs' samples, no lag reaching from one into the other.
 
-        Both have the same lags and kernels.
+        Both have the same lags and kernels (``to_add`` of ``joint_residuals``).
         """
         pairs = self.pairs + other.pairs
 
@@ -332,6 +333,7 @@ class JointResiduals:
         count = len(self.lags)
         # (v,) autocovariance of the torque errors of the estimate, relative to that of lag 0.
         shape = self.hats / self.hats[0] if self.hats[0] > 0.0 else np.zeros(count)
+        # At most half of the energy counts as leaked, so that some noise remains to be fitted.
         products = self.products - min(leaked, 0.5 * energy) * shape
         kernels = np.ones((count, 1 + len(self.decay)))
         kernels[1:, 0] = 0.0
@@ -371,7 +373,7 @@ def collect_residuals(
         information: equations of all joints.
         samples: rows and torque of each joint.
         values: (p,) the estimate.
-        root: (p, r) with C = root root^T.
+        root: (p, r) with root root^T = C, the inverse of the normal matrix.
         weights: (joints,) of each joint's equations [1/(N m)].
         to_add: keep all lags, so that the result can be added to that of another log.
     """
@@ -397,7 +399,7 @@ def joint_residuals(
 
     Args:
         columns: (k,) indices of the parameters of the joint's rows.
-        root: (k, r) with w^2 C = root root^T.
+        root: (k, r) with root root^T = w^2 C, w the joint's weight, C the inverse normal matrix.
         rows: (N, k) equations of the joint.
         residual: (N,) [N m]; NaN where a sample is left out.
         to_add: keep all lags, so that the result can be added to that of another log.
@@ -409,12 +411,13 @@ def joint_residuals(
     products, pairs = autocovariance(residual, lags)
     decay = _decay(kernels)
     basis = None
+    # With few samples, sums over pairs of samples are smaller than over pairs of parameters.
     if len(rows) < len(columns) and not to_add:
         basis = np.where(is_used[:, None], rows, 0.0)
         sums = _sums_of_ones(len(rows), kernels)
         image = basis @ root
         hat = image @ image.T
-        hats = np.array(list(map(partial(np.trace, hat), range(lags + 1))))
+        hats = np.array([np.trace(hat, offset=lag) for lag in range(lags + 1)])
     else:
         sums = _sums(rows, is_used, decay)
         hats = np.zeros(lags + 1)
@@ -473,15 +476,13 @@ def _sums(rows: Array, is_used: NDArray[np.bool_], decay: Array) -> Array:
 
 
 def _reach(count: int) -> tuple[int, int]:
-    """Return (largest lag [samples], number of kernels) for a number of samples: lags and time
-    constants stay below a tenth of it.
-    """
+    """Return (largest lag [samples], number of kernels), no lag or T_i above ``count`` / 10."""
     lags = int(np.clip(count // 10, 1, _MAX_LAG))
     return lags, max(int(np.log2(max(lags / 2.0, 1.0))) + 1, 1)
 
 
 def _simplest_fit(shapes: Array, products: Array, count: int) -> Array:
-    """Return c >= 0 (1 + m,) with shapes c ~ products, without slow kernels of no significance.
+    """Return kernel coefficients c >= 0 (1 + m,) with shapes c ~ products, and few slow kernels.
 
     Among the fits with the first 1, 2, ... kernels the one of least Akaike's criterion is taken;
     the variance of an autocovariance is (1 / n) sum_l rho_l^2 (Bartlett 1946).
@@ -500,7 +501,7 @@ def _simplest_fit(shapes: Array, products: Array, count: int) -> Array:
         criteria[k] = misfit**2 / variance + 2.0 * np.count_nonzero(fits[k])
     best = fits[np.argmin(criteria)]
     if not np.any(best):
-        best[0] = 1.0
+        best[0] = 1.0  # white noise
     return best
 
 
@@ -514,7 +515,7 @@ def non_negative(matrix: Array, right_side: Array) -> tuple[Array, float]:
     size = matrix.shape[1]
     goal = matrix.T @ right_side
     x = np.zeros(size)
-    # MuJoCo minimises 1/2 x^T gram x - goal^T x, from x upwards, without an upper bound.
+    # MuJoCo minimises 1/2 x^T gram x - goal^T x over x >= 0, and asks for a workspace of this size.
     workspace = np.zeros((size, size + 7))
     gram = matrix.T @ matrix
     rank = mujoco.mju_boxQP(x, workspace, None, gram, -goal, np.zeros(size), None)
@@ -566,10 +567,9 @@ def concentration(residual: Array) -> float:
 def autocorrelation_time(covariance: Array, count: float) -> float:
     """Return the integrated autocorrelation time 1 + 2 sum_l rho_l [samples].
 
-    The sum ends before the first value that is not significant.
-
-    That is the factor by which the variance of a mean is larger than that of independent values
-    (Bartlett, "On the theoretical specification ... of autocorrelated time-series", 1946).
+    It is the factor by which the variance of a mean is larger than that of independent values
+    (Bartlett, "On the theoretical specification ... of autocorrelated time-series", 1946). The sum
+    ends before the first lag l whose autocorrelation rho_l is not significant.
 
     Args:
         covariance: (v,) autocovariance at lags 0, 1, 2, ... samples.
@@ -577,7 +577,7 @@ def autocorrelation_time(covariance: Array, count: float) -> float:
     """
     if not covariance[0] > 0.0:
         return 1.0
-    correlation = np.append(covariance, 0.0) / covariance[0]
+    correlation = np.append(covariance, 0.0) / covariance[0]  # zero at the end
     last = int(np.argmax(correlation <= CHANCE / np.sqrt(count)))
     return float(1.0 + 2.0 * np.sum(correlation[1:last]))
 
@@ -594,7 +594,7 @@ def autocovariance(residual: Array, lags: int) -> tuple[Array, Array]:
 
 
 def lagged_sums(signal: Array, lags: int) -> Array:
-    """Return sum_t s_t . s_(t+l) for l = 0 .. lags of a signal (N, r), by FFT."""
+    """Return sums (lags + 1,) over t of s_t . s_(t+l), l = 0 .. lags, of a signal s (N, r)."""
     size = 1 << int(np.ceil(np.log2(max(len(signal) + lags + 1, 2))))
     power = np.sum(np.abs(np.fft.rfft(signal, size, axis=0)) ** 2, axis=1)
     return np.fft.irfft(power, size)[: lags + 1]
