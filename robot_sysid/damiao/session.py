@@ -33,19 +33,22 @@ from robot_sysid.records import Array
 _DISABLE_REPEATS = 5
 """How often each motor is commanded to disable: single frames may be lost, five are not."""
 _DISABLE_SPACING = 2e-3
-"""Time between these commands [s], in which a full queue of 14 frames empties."""
+"""Time between two disable commands to a motor [s], in which a full queue of 14 frames empties."""
 _CONFIRM_TIMEOUT = 0.02
-"""Time for which an answer to a single request is waited for [s]: adapters take up to 16 ms."""
+"""Longest wait for the answer to a single request [s]: adapters take up to 16 ms."""
 _CONFIRM_PATIENCE = 0.5
-"""Time for which confirmations are requested again [s], in case the bus fails for a while."""
+"""Time for which motors are asked to confirm that they are disabled [s], should a bus fail."""
 _ENABLE_TRIES = 3
-"""How often a motor is commanded to enable."""
+"""How often a motor is commanded to enable, at most."""
 _SAME_PLACE = 0.02
 """Difference up to which two positions of an arm that is not driven yet agree [rad]."""
 _LONGEST_PAUSE = 0.2
 """Longest time since the last command that counts for how far the next one may move [s]."""
 _MOST_CREDIT = 0.02
-"""Longest unused time that counts for the next command [s], see ``PlaySettings.max_lateness``."""
+"""Most time that one command may leave unused for the next one to move in [s].
+
+It is the default of ``PlaySettings.max_lateness``; see ``MotorSession._time_to_move``.
+"""
 
 
 PAUSE = 4
@@ -81,7 +84,8 @@ class Outstanding:
         """Begin a cycle; count and return the motors (n,) that may get a command in it.
 
         ``motors`` (n,) says which motors are to get a command. The result is a subset of these: the
-        motors that owe no answer, or have owed one for ``PAUSE`` cycles. It must not be changed.
+        motors that owe no answer, or have owed one for ``PAUSE`` cycles. The caller must not change
+        the returned array.
         """
         self._silent = np.where(self._commanded, 0, self._silent + 1)
         self._owed[self._silent >= PAUSE] = 0
@@ -90,7 +94,10 @@ class Outstanding:
         return self._commanded
 
     def take_answer(self, j: int) -> bool:
-        """Count an answer of motor j; return whether it answers the command of this cycle."""
+        """Count an answer of motor j; return whether it answers the command of this cycle.
+
+        An answer that no command awaits is counted in ``surplus``.
+        """
         is_timely = bool(self._commanded[j] and self._owed[j] == 1)
         if self._owed[j] == 0:
             self.surplus[j] += 1
@@ -125,9 +132,10 @@ class MotorSession:
         space: mounting of the motors.
         steps: one quantisation step (n,) of position, velocity and torque [rad, rad/s, N m].
         peak_torque: peak torque (n,) of each joint [N m].
-        last_replies: replies of the last exchange, even if an error ended it early.
+        last_replies: replies of the last exchange or request, even if an error ended it early; None
+            before the first, and after an exchange that sent nothing.
         sent_position: positions (n,) commanded last, or those of the arm when it was enabled [rad];
-            NaN before. The user only reads them.
+            NaN before. Callers must not change them.
         unconfirmed: joints whose motors may be enabled: they have not confirmed to be disabled.
     """
 
@@ -237,8 +245,9 @@ class MotorSession:
     def enable(self) -> Array:
         """Enable every motor and return the joint positions (n,) [rad].
 
-        HardwareAbort where a motor has a fault, does not answer, or two answers disagree about its
-        position.
+        The sample filter starts from these positions, and the bounds of commands are widened to
+        include them. HardwareAbort where a motor has a fault, does not answer, or two answers
+        disagree about its position.
         """
         self.unconfirmed = self.joints
         answers = []
@@ -259,7 +268,7 @@ class MotorSession:
 
         ``status`` and ``position`` [rad] are those of the motor's last answer. The motor is enabled
         when it says so and two answers in a row agree about the position. HardwareAbort where it
-        has a fault twice, does not answer, or its answers disagree.
+        reports the same fault twice in a row, or is not enabled after ``_ENABLE_TRIES`` commands.
         """
         joint = self.joints[j]
         for _ in range(_ENABLE_TRIES):
@@ -269,6 +278,7 @@ class MotorSession:
             agree = abs(position - last_position) <= _SAME_PLACE
             if status == ENABLED and agree:
                 return position
+            # One report of a fault may be a damaged frame; two equal ones are the motor's own.
             if protocol.is_fault(status) and status == last_status != NO_STATUS:
                 break
         reason = "no answer" if status == NO_STATUS else protocol.status_text(status)
@@ -297,6 +307,8 @@ class MotorSession:
         braking: bool = False,
     ) -> Replies:
         """Command joints and return their replies, each the state before its command acted.
+
+        The replies are stored as ``last_replies`` too.
 
         Args:
             command: command of all n joints, fields (n,), in joint space.
@@ -329,7 +341,9 @@ class MotorSession:
             bus, can_id = self.joints[j].address
             self._sent_data[j] = packed[j].tobytes()
             self._link.send(Frame(can_id, self._sent_data[j], bus=bus))
-        return self._collect(commanded, until, self._command, acted, believe=True)
+        return self._collect(
+            commanded, until, command=self._command, acted=acted, believe=True
+        )
 
     def _count_late_answers(self) -> None:
         """Count the frames that have come since the last exchange; their content is not used."""
@@ -341,7 +355,7 @@ class MotorSession:
     def _put_in_force(
         self, packed: protocol.Bytes, commanded: Mask, now: float
     ) -> None:
-        """Store a new command, its position and its time; it is sent after this.
+        """Store a command that is about to be sent: its position, time, and the time left unused.
 
         Args:
             packed: data (n, 8) of the command's frames, from which motors read rounded values.
@@ -371,7 +385,7 @@ class MotorSession:
     def _bound(
         self, command: protocol.MitCommand, now: float, braking: bool
     ) -> protocol.MitCommand:
-        """Return the command, fields (n,) in joint space, if it is within the bounds.
+        """Return a command, fields (n,) in joint space, that is within the bounds.
 
         A command beyond the bounds raises BeyondBounds, or is limited to them if ``braking``.
         ``now`` is the time [s]. A joint without a last command may be sent anywhere in its range.
@@ -463,7 +477,9 @@ class MotorSession:
             )
             feedback = hide_answers(decoded, measured, answered)
             stamps = np.where(answered & np.isfinite(sent), sent, received)
-            replies = Replies(answered, stamps, feedback, motors, command)
+            replies = Replies(
+                answered, stamps, feedback, requested=motors, command=command
+            )
             if believe:
                 surplus = self._outstanding.surplus.copy()
                 counted = replace(
@@ -481,7 +497,7 @@ class MotorSession:
         received: Array,
         sent: Array,
     ) -> bool:
-        """Store a frame in the arrays; return whether it is an answer that was waited for.
+        """Store and count a received frame; return whether it is an answer that was waited for.
 
         Args:
             frame: received frame: an answer, an echo of a command, or a frame of another program.

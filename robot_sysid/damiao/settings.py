@@ -51,12 +51,13 @@ _LEAST_DAMPING = 0.05
 _TORQUE_ERROR = 2.0 / 3.0
 """Default torque error limit divided by the peak torque: more than any excitation needs."""
 _LEAST_SHARE = 0.4
-"""Least share of the usual damping for light joints: models often lack the rotors' inertia."""
+"""Least damping of a light joint, as a share of the usual: models often lack rotor inertia."""
 LONGEST_SET_WATCHDOG = 1.0
 """No run needs a motor's watchdog above this [s]: a judgement."""
 _SPEED_MARGIN = 1.1
 """Largest speed of commands relative to the trajectory's, whose rows are rounded."""
 _EACH = "one for all or one per joint"
+# Arguments of options whose default depends on the type of each motor.
 _BY_TYPE: dict[str, Any] = {"takes_many": True, "default_text": "by motor type"}
 _ANGLE = "ANGLE [rad] >= 0"
 _SPEED = "V [rad/s] > 0"
@@ -173,6 +174,7 @@ class PlaySettings(OptionRecord):
         rate = self.rate or default_rate(n, timing)
         rated_torque = np.array([spec.rated_torque for spec in specs])
         stiffness = np.minimum(_STIFFNESS * rated_torque, KP_MAX)
+        # With more damping, a joint's velocity would settle in less than a cycle.
         most_damping = np.inf if inertia is None else inertia * rate
         least_damping = np.maximum(_LEAST_SHARE * _DAMPING * stiffness, _LEAST_DAMPING)
         damping = np.minimum(_DAMPING * stiffness, most_damping)
@@ -245,7 +247,10 @@ class RecordingOptions(OptionRecord):
 
     @property
     def frames(self) -> Path | None:
-        """File for every frame on the bus: by default the record with suffix .log, or None."""
+        """File for every frame on the bus; None where neither this file nor a record is named.
+
+        By default it is the record with suffix .log.
+        """
         default = None if self.record is None else self.record.with_suffix(".log")
         return self.raw_log or default
 
@@ -349,10 +354,11 @@ class Plan:
     def command_range(self, held_positions: Array) -> CommandRange:
         """Return the range of commands for the n joints and m further motors that are only held.
 
-        Joints keep to the model's range, or else to that of the trajectory and the parking pose;
-        the m held motors keep to their ``held_positions`` (m,) [rad]. Speeds are a tenth above the
-        trajectory's largest one, by its velocities and by the slopes of its positions, at the
-        factor of its speed in the settings.
+        The result has n + m values per field, the joints first. Joints keep to the model's range,
+        or else to that of the trajectory and the parking pose; the m held motors keep to their
+        ``held_positions`` (m,) [rad]. A joint's speed limit is a tenth above its largest speed in
+        the trajectory as played (by velocities and by slopes of positions), or above the approach
+        speed if that is larger; for held motors it is a tenth above the approach speed.
         """
         q = self.trajectory.q
         if self.model_range is not None:
@@ -376,8 +382,9 @@ class Plan:
     def transfers(self, q: Array) -> Iterator[tuple[str, Array, Array]]:
         """Yield name, begin and end (n,) [rad] of the motions before and after the trajectory.
 
-        The first leads from q (n,) [rad], where the arm stands, to the first point. A second, from
-        the last point to the parking pose, is yielded only if the arm is to be parked in a pose.
+        The first leads from q (n,) [rad], where the arm stands, to the first point. A second leads
+        from the last point to the parking pose, and is yielded only if the arm is to be parked: in
+        the pose of a file, or, with --park start, at q.
         """
         pose = q if self.settings.park == "start" else self.parking_pose
         yield "on the way to the first point", q, self.trajectory.q[0]

@@ -156,7 +156,7 @@ class SimulatedMotor:
             self.command = _NOTHING
 
     def _register_answer(self, data: bytes) -> bytes | None:
-        """Obey the data of a register frame; return the answer's data, or None without answer.
+        """Obey the data of a register frame; return the answer's data, or None if there is none.
 
         Bytes 0 and 1 hold the CAN id, byte 2 the operation, byte 3 the register's number, and bytes
         4 to 7 its value.
@@ -299,7 +299,7 @@ class SimulatedArm:
             self.mechanism.step(torque, damping, duration)
 
     def leave_out(self, until: float) -> None:
-        """Set the simulated time to ``until`` [s] without moving the arm or its motors."""
+        """Set the simulated time to ``until`` [s]; neither the arm nor a motor's state changes."""
         self.time = until
         self._has_moved = True
 
@@ -356,7 +356,7 @@ class SimulatedArm:
         """Return the motors' torque (n,) [N m] and damping (n,) [N m s/rad] in joint space.
 
         The motors make torque - damping qd at positions q (n,) [rad] and the present velocities qd;
-        where the peak torque is exceeded, torque is the peak and damping zero.
+        where an enabled motor would exceed its peak torque, torque is the peak and damping zero.
         """
         if self._changed:
             self._gather()

@@ -131,7 +131,8 @@ def export_damiao_trajectory(
         joint_names: name of each joint, for messages; by default none.
 
     Raises:
-        InputError: motors do not fit, there are no samples, or a value is not finite.
+        InputError: motor types or ids do not fit the n joints, the arrays of a chunk do not fit
+            together, there are no samples, or a value is not finite.
     """
     chunks = iter(motion_chunks)
     first = next(chunks, None)
@@ -144,7 +145,7 @@ def export_damiao_trajectory(
     limits = np.array([joint.spec.limits for joint in joints]).T[:, None]
     n_rows = 0
     n_clamped, peak_velocity, peak_torque = np.zeros((3, len(joints)))
-    # Milliseconds where all moments are on their grid.
+    # Milliseconds where all times of the first chunk are whole ones, else microseconds.
     decimals = 3 if np.all(np.abs(first[0] - np.round(first[0], 3)) < 1e-9) else 6
     with atomic_file(path_or_file) as file:
         file.write(_head(joints))
@@ -192,7 +193,7 @@ def trajectory_columns(n_joints: int) -> list[str]:
 
 
 def _require_chunk(chunk: MotionChunk, n: int) -> Array:
-    """Return position, velocity and torque (3, N, n) of a chunk of n joints.
+    """Return position, velocity and torque of a chunk of n joints as one array (3, N, n).
 
     InputError where shapes do not fit together or a value is not finite.
     """
@@ -209,7 +210,7 @@ def _require_chunk(chunk: MotionChunk, n: int) -> Array:
 def _rows(time: Array, values: Array, decimals: int) -> str:
     """Return the file's lines of positions, velocities and torques (3, N, n) at times (N,) [s].
 
-    Times have ``decimals`` decimals, the others four.
+    Times have ``decimals`` decimals, all other numbers four.
     """
     # Adding zero turns the -0.0 that rounding leaves into 0.0.
     cells = np.round(values.transpose(1, 2, 0).reshape(len(time), -1), 4) + 0.0
@@ -287,7 +288,10 @@ def rotor_problems(
 
 
 def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
-    """Return the trajectory in a file; InputError names the line that is wrong."""
+    """Return the trajectory in a file.
+
+    InputError where the file cannot be read or is no trajectory; it names the line that is wrong.
+    """
     path = Path(path)
     refuse_special_file(path, "give a trajectory file")
     try:
@@ -338,8 +342,8 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
 def join_arms(first: DamiaoTrajectory, second: DamiaoTrajectory) -> DamiaoTrajectory:
     """Return the trajectories of two arms as one that has the joints of both.
 
-    Both begin at time 0; the shorter one holds its end. Paths and the lines of rows, for messages,
-    are those of the first file and of the longer one.
+    Both begin at time 0; the shorter one holds its end. For messages, the path is that of the first
+    trajectory, and the line numbers are those of the longer one.
     """
     first_time = first.time - first.time[0]
     second_time = second.time - second.time[0]
@@ -380,7 +384,8 @@ def _merge_times(first: Array, second: Array) -> Array:
     rounding error over rounding error.
 
     Args:
-        first, second: (N,) increasing times that begin at 0 [s].
+        first: increasing times (N,) that begin at 0 [s].
+        second: increasing times (K,) that begin at 0 [s].
     """
     steps = np.append(np.diff(first), np.diff(second))
     shortest = 0.5 * np.min(steps, initial=np.inf)
@@ -388,7 +393,7 @@ def _merge_times(first: Array, second: Array) -> Array:
     for moment in np.union1d(first, second):
         if moment - merged[-1] >= shortest:
             merged.append(moment)
-    # The last time of both stays, because the files end at rest there.
+    # The end of the longer file stays as it is, because its motion comes to rest there.
     merged[-1] = max(first[-1], second[-1])
     return np.array(merged)
 
@@ -449,13 +454,13 @@ def peaks_beyond(values: Array, limits: Array) -> list[tuple[int, float]]:
 def limit_excesses(
     trajectory: DamiaoTrajectory, speed: float, limits: LimitOptions
 ) -> Iterator[str]:
-    """Yield a sentence for each joint and limit of the options that a trajectory breaks.
+    """Yield a sentence for each joint and each limit of the options that a trajectory exceeds.
 
-    The options are --max-velocity, --max-acceleration and --max-torque.
-
-    ``speed`` is the factor of the file's speed at which it is played.
+    Compared are --max-velocity, --max-acceleration and --max-torque, with a tolerance for the
+    rounding of the file's numbers. ``speed`` is the factor of the file's speed at which it is
+    played.
     """
-    # The fourth decimal of two velocities makes this much acceleration.
+    # Rounding error of an acceleration, which is the difference of two velocities over a step.
     slack = 2.0 * ROUNDING / np.diff(trajectory.time).min()
     velocity = speed * trajectory.qd
     acceleration = speed**2 * trajectory.qdd

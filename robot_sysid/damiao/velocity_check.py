@@ -76,7 +76,8 @@ def _row_mismatch(time: Array, slope: Array, qd: Array) -> Mismatch | None:
     low = slopes.min(axis=-1)
     high = slopes.max(axis=-1)
     shortest_step = _surrounding_rows(step).min(axis=-1)
-    # Two rounded positions, of the slope and of what it is compared with, over the shortest step.
+    # Accepted: the rounding of two slopes, each of two positions, over the shortest step; that of
+    # the velocity; and as much again as the slopes around it differ, where the motion bends.
     slack = 4.0 * ROUNDING / shortest_step + ROUNDING + (high - low)
     excess = np.maximum(low - slack - qd, qd - high - slack)
     # After the last rows there are no slopes with which their velocities could be compared.
@@ -103,14 +104,14 @@ def _window_mismatch(time: Array, q: Array, qd: Array, slope: Array) -> Mismatch
     times the variation of the velocity, and each printed number is rounded by ``ROUNDING``.
 
     Args:
-        time: (N,) of the rows [s].
-        q, qd: (N, n) positions and velocities [rad, rad/s].
-        slope: (N - 1, n) change of position per time between rows [rad/s].
-
-    Windows lead from each row in ``starts`` to the row at the same index of ``ends``.
+        time: times (N,) of the rows [s].
+        q: positions (N, n) [rad].
+        qd: velocities (N, n) [rad/s].
+        slope: slopes (N - 1, n) of the positions; number k leads from row k to row k + 1 [rad/s].
     """
     step = np.diff(time)[:, None]
     rows = np.arange(len(time))
+    # Windows lead from each row in ``starts`` to the row at the same index of ``ends``.
     ends = np.maximum(np.searchsorted(time, time + _WINDOW), rows + _LEAST_ROWS)
     starts = np.flatnonzero(ends < len(slope))
     if not len(starts):
@@ -125,17 +126,21 @@ def _window_mismatch(time: Array, q: Array, qd: Array, slope: Array) -> Mismatch
     variation = _cumulative_sum(np.abs(np.diff(qd, axis=0)))
     position_change = q[ends] - q[starts]
     velocity_integral = integral[ends] - integral[starts]
-    # Half a row early or late, and a fifth more; then what trapezoids leave out where it bends.
+    # Change of slope over a window: between the steps that follow its first and its last row, or
+    # between those that precede them, whichever is larger.
     slope_before = np.vstack([slope[:1], slope])
     slope_change = np.maximum(
         np.abs(slope[ends] - slope[starts]),
         np.abs(slope_before[ends] - slope_before[starts]),
     )
+    # Positions that are half a row early or late, and a fifth more.
     shift = 0.6 * longest_step * slope_change + 2.0 * ROUNDING
+    # What the trapezoid rule leaves out.
     curvature = longest_step / 6.0 * (variation[ends] - variation[starts])
     duration = (time[ends] - time[starts])[:, None]
     tolerance = shift + curvature + 2.0 * ROUNDING + ROUNDING * duration
     difference = np.abs(position_change - velocity_integral)
+    # The factor is for rounding errors of the sums.
     for k, j in np.argwhere(difference > tolerance * (1.0 + 1e-9))[:1].tolist():
         seconds = float(duration[k, 0])
         stated = float(velocity_integral[k, j]) / seconds

@@ -62,6 +62,7 @@ from robot_sysid.records.option_fields import (
 
 INTERRUPTED = "interrupted; no motor is enabled"
 _CODES = (0, 1, 2, 3, 130)
+"""Exit codes that a motors command may have, for its help."""
 _REAL_TIME_STEP = 1e-3
 """Time step of an arm simulated in real time [s]: one that an ordinary computer keeps up with."""
 _UNLIMITED = 1e8
@@ -95,7 +96,11 @@ class SimulatedMotorOptions(LifetimeOptions):
 
 
 def check(session: Session) -> int:
-    """Inspect the motors; return 0 where a trajectory could be played, else 1."""
+    """Inspect the motors and print what they say; return 0 where nothing forbids to play, else 1.
+
+    Without a trajectory only the motors are judged. InputError without --channel, or where a model
+    is given without a trajectory.
+    """
     console = session.console
     if not session.address.channel:
         raise InputError("check needs --channel, for instance --channel can0")
@@ -132,7 +137,11 @@ def check(session: Session) -> int:
 
 
 def play(session: Session) -> int:
-    """Play a trajectory on the motors, or only check it; return the exit code."""
+    """Play a trajectory on the motors, only check it, or verify directions; return the exit code.
+
+    InputError without --channel, unless it is a dry run; other errors are those of ``_play_on`` and
+    ``verify_directions``.
+    """
     choices = record_from(PlayChoices, session.values)
     verifies = record_from(DirectionChoices, session.values).verify
     plan = session.plan()
@@ -151,7 +160,11 @@ def play(session: Session) -> int:
 
 
 def simulate(session: Session) -> int:
-    """Serve a simulated arm on a bus, or play on it at once; return the exit code."""
+    """Simulate an arm: in real time on a bus, or with --play in simulated time; return code 0.
+
+    In real time it answers until a signal or the end of its lifetime. HardwareAbort where a check
+    forbids to play.
+    """
     options = record_from(SimulatedMotorOptions, session.values)
     plan = session.plan()
     checks = session.checks(plan)
@@ -177,7 +190,11 @@ def simulate(session: Session) -> int:
 
 
 def hold(session: Session) -> int:
-    """Hold the arm in its present pose with gravity torques of its model; return the exit code."""
+    """Hold the arm in its present pose with gravity torques of its model; return the exit code.
+
+    It ends after the lifetime of the options, or when somebody stops it. Errors are those of
+    ``_play_on``.
+    """
     seconds = record_from(LifetimeOptions, session.values).lifetime or _UNLIMITED
     choices = record_from(PlayChoices, session.values)
     with session.open_guarded() as link:
@@ -203,8 +220,10 @@ class MotorCommand(NamedTuple):
     groups: Mapping[str, Sequence[type]]
 
 
+# Groups of option classes that several commands have, by heading in the help.
 _MOTION = {"motion and limits": (PlaySettings,), "what to allow": (Permissions,)}
 _ASKING = {"asking": (PlayChoices,)}
+# Commands that take a trajectory, and all commands, by name.
 _PLAYED = {
     "check": MotorCommand(
         check,
@@ -273,6 +292,7 @@ COMMANDS: Mapping[str, MotorCommand] = {
         {"map": (MapOptions,)},
     ),
 }
+# Keys of the main options, which the short help of commands that move an arm has.
 _MAIN = (
     "interface",
     "channel",
@@ -292,7 +312,10 @@ _MAIN = (
 
 
 def build_parser(command: str, full: bool = True) -> Parser:
-    """Return the parser of a subcommand; without ``full``, its help has the main options only."""
+    """Return the parser of a subcommand of motors.
+
+    ``command`` is a key of ``COMMANDS``. Without ``full``, the help has the main options only.
+    """
     spec = COMMANDS[command]
     is_run = command in (*_PLAYED, "hold")
     main = list(_MAIN)
@@ -330,7 +353,7 @@ def build_parser(command: str, full: bool = True) -> Parser:
 
 
 def _add_arm_options(parser: Parser, command: str) -> None:
-    """Add the options that say which arm the motors drive."""
+    """Add to a command's parser the options that say which arm the motors drive."""
     help_text = "of the arm"
     if command == "map":
         group = parser.add("arm", ModelOptions, leave_out=("also",))
@@ -354,7 +377,10 @@ def _add_arm_options(parser: Parser, command: str) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the command and return its exit code."""
+    """Run the subcommand that the words after ``motors`` give; return its exit code.
+
+    A SysidError that ends the subcommand is raised again when the result has been printed.
+    """
     name = arguments[0] if arguments else "--help"
     if name not in COMMANDS:
         _overview_parser().parse_args(arguments or ["--help"])
@@ -422,7 +448,7 @@ def _play_on(
     """
     console = session.console
     inspection = inspect_bus(link)
-    checks = [*checks, *session.inspection_checks(plan, inspection, is_real)]
+    checks = [*checks, *session.inspection_checks(plan, inspection, real=is_real)]
     table = motor_table(inspection, plan.trajectory.joints)
     console.stage(*table, *check_lines(checks))
     if choices.dry_run:
@@ -434,15 +460,17 @@ def _play_on(
             raise InputError("not confirmed; nothing was moved")
         # The arm may have moved or been touched in the meantime.
         inspection = inspect_bus(link)
-        checks = session.inspection_checks(plan, inspection, is_real)
+        checks = session.inspection_checks(plan, inspection, real=is_real)
         preflight.require_no_stop(checks, "not played")
     stop = StopRequest()
 
     def show_progress(time: float) -> None:
+        """Show how much of the plan has been played at ``time`` [s]; a hold has no known end."""
         if not holds:
             console.advance("Playing", time, plan.duration, "")
 
     def show_phase(phase: str) -> None:
+        """Print the phase of the run that begins; holding is played like a trajectory."""
         if holds and "playing" in phase:
             phase = "holding; Ctrl-C ends it"
         console.stage(phase)
@@ -459,7 +487,10 @@ def _play_on(
 
 
 def _conclude_run(session: Session, plan: Plan, holds: bool, is_real: bool) -> None:
-    """Set the verdict of a run that ended well, and the next command; arguments: ``_play_on``."""
+    """Set the verdict of a run that ended well, with the next command.
+
+    The arguments are those of ``_play_on``.
+    """
     record = plan.recording.record
     done = f"{'held' if holds else 'played'}, and all motors are disabled"
     verdict = f"Done: {done}"
@@ -468,6 +499,7 @@ def _conclude_run(session: Session, plan: Plan, holds: bool, is_real: bool) -> N
     if holds:
         session.verdict = (verdict,)
     elif record is None or plan.settings.speed < 1.0:
+        # The option --speed is left out.
         next_command = session.command("play", "speed", record="measured.csv")
         reason = " (a recording at full speed, to identify from)"
         session.conclude(verdict, next_command, reason)
@@ -501,7 +533,11 @@ def _identify_command(
 
 
 def _open_simulated_end(session: Session) -> Link:
-    """Open the simulated arm's end of the bus and print the command that plays on it."""
+    """Open the simulated arm's end of the bus, print the command that plays on it, return the link.
+
+    Without --channel the other ends are pseudo-terminals. InputError where --interface comes
+    without --channel.
+    """
     interface = session.address.interface
     channels = session.address.channel
     if channels:

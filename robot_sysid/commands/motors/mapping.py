@@ -30,9 +30,10 @@ from robot_sysid.records.option_fields import OptionRecord, option, record_from
 Positions = Mapping[protocol.Address, float]
 """Motor address to its position [rad]."""
 _LEAST_TURN = 0.15
-"""Turn from which on a motor counts as moved by hand: half of the 20 degrees asked for [rad]."""
+"""Turn from which on a motor counts as moved by hand [rad]: half of the 20 degrees asked for."""
 _CLEAR_RATIO = 3.0
-"""The moved motor turns so many times as far as any that a limp arm drags along; a judgement."""
+"""Least ratio of the largest turn of a motor to the second largest, which a limp arm may drag
+along, for the first to count as the one that was moved (a judgement)."""
 _ATTEMPTS = 3
 """Number of times that a person is asked to move the same joint."""
 _ENTER = "; then press Enter: "
@@ -46,7 +47,11 @@ _DIRECTIONS = ("-x", "+x"), ("-y", "+y"), ("-z (down)", "+z (up)")
 _NUDGE = 0.1
 """Movement of a joint for verification [rad]: enough to be seen, little enough the wrong way."""
 _PACE = (0.2, 2.0)
-"""Largest speed of that movement [rad/s], and least time for it each way [s]."""
+"""Largest speed of the movement for verification [rad/s], and least time for it each way [s].
+
+A movement of ``_NUDGE`` takes this least time, because it never reaches the largest speed.
+"""
+# Consequence of a check that forbids the movement for verification.
 _NO_ROOM = (
     "not moved (where there is no room for 0.1 rad either way, "
     "bring the arm elsewhere by hand)"
@@ -74,15 +79,16 @@ class DirectionChoices(OptionRecord):
 def movement_texts(
     robot: RobotModel, q: Array | None = None, signs: Array | float = 1.0
 ) -> list[str]:
-    """Return a sentence per joint (n) on the movement that a person sees when the joint turns.
+    """Return for each of n joints a sentence on what a person sees when that joint alone turns.
 
-    It is the main direction in which the tip of the arm moves, or, where the tip hardly moves, the
-    direction from which the joint is seen to turn counter-clockwise.
+    The sentence has the main direction in which the tip of the arm moves, or, where the tip hardly
+    moves, the direction from which the joint is seen to turn counter-clockwise.
 
     Args:
         robot: model of the arm.
         q: positions (n,) before the movement [rad or m]; None for the model's reference.
-        signs: direction (n,) in which each joint turns: 1 for the model's positive one, or -1.
+        signs: direction in which the joints turn, one (n,) per joint or one for all: 1 for the
+            model's positive one, -1 for the opposite one.
     """
     # Imported here so that setting up and monitoring do not wait for MuJoCo.
     from robot_sysid.simulation.plant import ArmStepper
@@ -104,7 +110,10 @@ def movement_texts(
 
 
 def map_joints(session: Session) -> int:
-    """Write the joint map that a person shows by moving the limp arm; return the exit code."""
+    """Write the joint map that a person shows by moving the limp arm; return the exit code 0.
+
+    InputError where the map's file exists already; other errors are those of ``map_by_hand``.
+    """
     options = record_from(MapOptions, session.values)
     robot = session.robot
     if options.output.exists():
@@ -122,8 +131,14 @@ def map_joints(session: Session) -> int:
 def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
     """Return the joint map that a person shows by moving one joint after the other.
 
+    It has one row per joint of the robot, base to terminal, without motor types.
+
+    Args:
+        link: link of the motors' buses.
+        robot: model of the arm.
+
     Raises:
-        InputError: there are fewer motors than joints.
+        InputError: there are fewer motors than joints, or standard input has ended.
         HardwareAbort: a motor is enabled or does not answer, or in three attempts no single motor
             turned clearly.
     """
@@ -140,6 +155,7 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
             )
 
     def read_positions() -> Positions:
+        """Return the present position of each motor [rad]; HardwareAbort where one is silent."""
         positions = {}
         for address, motor in motors.items():
             state = client.state_of(motor)
@@ -162,20 +178,21 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
     )
     positions = read_positions()
     rows = []
+    # ``directions`` has the motors' addresses in the order of the joints.
     for name, q, address in zip(robot.joint_names, robot.reference, directions):
         motor = motors[address]
         direction = directions[address]
         offset = round(positions[address] - direction * float(q), 4)
         rows.append(
             DamiaoJoint(
-                "",
-                address.can_id,
-                motor.master_id,
-                name,
-                0,
-                motor.channel,
-                direction,
-                offset,
+                motor_type="",
+                can_id=address.can_id,
+                master_id=motor.master_id,
+                name=name,
+                bus=0,
+                channel=motor.channel,
+                direction=direction,
+                offset=offset,
                 verified=BY_HAND,
             )
         )
@@ -188,13 +205,18 @@ def _find_motor(
     addresses: Collection[protocol.Address],
     read_positions: Callable[[], Positions],
 ) -> tuple[protocol.Address, int]:
-    """Have a person move a joint; return the motor that turned, and 1 or -1 for its direction.
+    """Have a person move a joint; return the address of the motor that turned, and its direction.
+
+    The direction is 1 where the motor's position grew, else -1.
 
     Args:
         name: name of the joint.
         movement: positive movement of the joint in words.
         addresses: addresses of the motors that do not belong to another joint.
         read_positions: returns the present positions of all motors [rad].
+
+    Raises:
+        HardwareAbort: in ``_ATTEMPTS`` attempts no single motor turned clearly.
     """
     complaint = ""
     for _ in range(_ATTEMPTS):
@@ -218,12 +240,20 @@ def _find_motor(
 
 
 def verify_directions(session: Session, link: GuardedLink, plan: Plan) -> int:
-    """Move each joint of a plan with an unknown direction, ask, write the joint map, return 0.
+    """Move each joint whose direction is unknown, ask a person, write the joint map, return 0.
+
+    The map becomes an option of the session. Where every direction is known, nothing is moved and
+    nothing is written.
+
+    Args:
+        session: run of the command.
+        link: link of the open bus.
+        plan: plan of the trajectory whose joints are to be verified.
 
     Raises:
-        InputError: there is no model, the map would replace a file, or a joint did not move as
-            described; nothing is written.
-        HardwareAbort: as for any run.
+        InputError: there is no model, the map would replace a file, a motor does not answer, or a
+            person does not confirm; nothing is written.
+        HardwareAbort: a check forbids the movement, or the movement was stopped.
     """
     if session.robot is None:
         raise InputError(
@@ -276,10 +306,23 @@ def verify_directions(session: Session, link: GuardedLink, plan: Plan) -> int:
 def _nudge_joints(
     session: Session, link: GuardedLink, plan: Plan, unverified: Sequence[DamiaoJoint]
 ) -> list[str]:
-    """Move joints one after the other; return the movement of each that a person should see.
+    """Move joints by ``_NUDGE`` and back, one by one; return what a person should see of each.
 
-    Each joint moves into the direction with more room; the opposite direction is checked too,
-    because the joint may turn that way. InputError where a person does not confirm.
+    Each joint moves into the direction with more room within the model's range. The opposite
+    direction is checked too, because a joint of unknown direction may turn that way.
+
+    Args:
+        session: run of the command, which has a model.
+        link: link of the open bus.
+        plan: plan of the trajectory, whose settings are used.
+        unverified: joints of the trajectory that are moved.
+
+    Returns:
+        A sentence per joint of ``unverified`` on its movement, as of ``movement_texts``.
+
+    Raises:
+        InputError: a motor of the trajectory does not answer, or a person does not confirm.
+        HardwareAbort: a check forbids the movement, or the movement was stopped.
     """
     inspection = inspect_bus(link)
     console = session.console
@@ -298,20 +341,25 @@ def _nudge_joints(
     opposite_nudges = _nudge_plan(session, plan, q, indices, -signs)
     for nudge_plan in (nudges, opposite_nudges):
         checks = session.checks(nudge_plan)
-        checks += session.inspection_checks(nudge_plan, inspection, False)
+        # Real motors, but their directions, which are to be found out, cannot be checked.
+        checks += session.inspection_checks(nudge_plan, inspection, real=False)
         require_no_stop(checks, _NO_ROOM)
     for joint, movement in zip(unverified, movements):
         console.stage(f"{joint.label} is to turn so that {movement}, and back")
     if not confirm("They move one after the other, by 0.1 rad. Keep clear, and watch."):
         raise InputError("not confirmed; nothing was moved")
     waiting = list(unverified)
+    _, one_way_time = _PACE
+    there_and_back_time = 2.0 * one_way_time
 
     def announce_joint(time: float) -> None:
-        announced = len(unverified) - len(waiting)
-        if waiting and time >= 2.0 * _PACE[1] * announced:
+        """Print the next joint's name when it begins to move, at ``time`` in the movement [s]."""
+        n_announced = len(unverified) - len(waiting)
+        if waiting and time >= there_and_back_time * n_announced:
             console.stage(f"now {waiting.pop(0).label}")
 
     stop = StopRequest()
+    # The arm may have moved while the person was asked.
     inspection = inspect_bus(link)
     session.play(link, nudges, inspection, stop, console.stage, announce_joint)
     return movements

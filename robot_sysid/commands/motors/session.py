@@ -38,6 +38,7 @@ from robot_sysid.results.verdict import two_lines
 
 _PRINT_TIMEOUT = 1.0
 """Time that printing one line may take while a driver stalls [s]."""
+# Classes whose options ``Session.command`` repeats: before the model's file, and after it.
 _BUS_RECORDS = BusAddress, protocol.BusTiming
 _RUN_RECORDS = ModelOptions, SecondArm, PlaySettings, Permissions, RecordingOptions
 
@@ -128,17 +129,22 @@ class Session(MotorRun):
         return [*arguments, *command_arguments(limits, LimitOptions)]
 
     def play_command(self) -> list[str]:
-        """Return the words of the command that plays the checked motion, slowly at first."""
+        """Return the words of the command that plays the trajectory of this run.
+
+        Options that were not given get a placeholder as channel, a low speed and a recording.
+        """
         defaults = {"channel": ("CHANNEL",), "speed": 0.3, "record": "slow.csv"}
         missing = {k: v for k, v in defaults.items() if k not in self.values}
         return self.command("play", **missing)
 
 
+# Headings of ``motor_table``, of which ``_motor_row`` makes the rows.
 _HEADINGS = (
     *("id", "reply", "mode", "PMAX", "VMAX", "TMAX", "type", "watchdog", "gear"),
     *("degC", "state"),
 )
 _MARKS = {"ok": "ok  ", "note": "note", "stop": "STOP"}
+"""Mark of a check's line by the severity of the check; all have four characters."""
 
 
 def motor_table(
@@ -158,7 +164,10 @@ def motor_table(
 
 
 def state_table(states: Iterable[tuple[InspectedMotor, Feedback | None]]) -> list[str]:
-    """Return the lines of a table of motors and their states, which are None without an answer."""
+    """Return the lines of a table: headings, then position, velocity, torque and state per motor.
+
+    ``states`` are pairs of a motor and its feedback, which is None where the motor did not answer.
+    """
     rows: list[tuple[str, ...]] = [
         ("motor", "position", "velocity", "torque", "degC", "state")
     ]
@@ -172,7 +181,10 @@ def state_table(states: Iterable[tuple[InspectedMotor, Feedback | None]]) -> lis
 
 
 def check_lines(checks: Sequence[Check]) -> Iterator[str]:
-    """Yield one line per check; passed ones are details (--verbose), and are counted."""
+    """Yield one line per check, then a line with the number of passed ones.
+
+    Lines of passed checks are a ``Detail``, which is only printed with --verbose.
+    """
     for check in checks:
         line = f"[{_MARKS[check.severity]}] {check.text}"
         yield Detail(line) if check.severity == OK else line

@@ -99,7 +99,7 @@ class SetupOptions(OptionRecord):
 
 @dataclass(frozen=True)
 class LifetimeOptions(OptionRecord):
-    """Time after which a command ends that would go on until Ctrl-C; None for Ctrl-C."""
+    """Time for which a command runs that otherwise goes on until Ctrl-C."""
 
     lifetime: float | None = option(
         None, "end after this time", "S [s] > 0", flag="--for", default_text="Ctrl-C"
@@ -167,13 +167,14 @@ class MotorSetup:
             yield "not stored: open the bus at the new bit rate and give --store again"
 
     def _write_register(self, register: int, value: float, verify: bool = True) -> str:
-        """Write a register; return a line with its old and new value.
+        """Write a value to a register by its number; return a line with the old and new value.
 
-        ``verify`` waits for the answer. HardwareAbort where the motor is enabled or refuses.
+        With ``verify`` the motor's answer is waited for and compared. HardwareAbort where the motor
+        is enabled, or refuses the value.
         """
         self._require_disabled()
         old = self._client.read(self._address, register)
-        self._client.write(self._address, register, value, verify)
+        self._client.write(self._address, register, value, verify=verify)
         old_text = "unknown"
         if old is not None:
             old_text = protocol.register_text(register, old.value)
@@ -181,7 +182,10 @@ class MotorSetup:
         return f"{self._name}: {old_text} is now {new_text}"
 
     def _clear_error(self) -> str:
-        """Clear the motor's error; return a line that names it. HardwareAbort where it stays."""
+        """Clear the motor's error and return a line that names the error, or says there is none.
+
+        HardwareAbort where the motor still reports an error.
+        """
         status = self._status()
         text = protocol.status_text(status)
         if not protocol.is_fault(status):
@@ -255,7 +259,11 @@ class MotorSetup:
 
 
 def setup(session: Session) -> int:
-    """List the motors on a bus and change one of them; return the exit code."""
+    """List the motors on a bus, change one of them if the options say so; return the exit code.
+
+    With --scan only the motors at every bit rate are listed. Errors are those of ``MotorSetup``,
+    ``_motor_to_change`` and ``_scan_bit_rates``, and InputError for a change without --motor.
+    """
     options = record_from(SetupOptions, session.values)
     keys = {option.key for option in given_options(options)}
     changes = bool(keys - {"scan", "motor"})
@@ -277,7 +285,8 @@ def setup(session: Session) -> int:
 def _conclude_listing(session: Session, count: int, summary: str = "") -> int:
     """Set the verdict of a command that found ``count`` motors; return its exit code.
 
-    The code is 1 where there is no motor, else 0. ``summary`` replaces the number of motors.
+    The code is 1 where there is no motor, else 0. ``summary`` says in the verdict what was done; ""
+    for the number of motors instead.
     """
     if not count:
         session.verdict = (f"Not usable: {SILENT}",)
@@ -288,7 +297,11 @@ def _conclude_listing(session: Session, count: int, summary: str = "") -> int:
 
 
 def _scan_bit_rates(session: Session) -> int:
-    """Inspect the bus at every bit rate, from the highest down; return the exit code."""
+    """Inspect the bus at every classic CAN bit rate, from the highest down; return the exit code.
+
+    Rates that the adapter refuses are printed and left out. InputError where the adapter takes none
+    of them, or where its bit rate is set outside of this program.
+    """
     interface = session.address.interface
     if interface in ("socketcan", "damiao", "virtual"):
         raise InputError(
@@ -297,6 +310,7 @@ def _scan_bit_rates(session: Session) -> int:
         )
     count = 0
     errors = []
+    # Faster ones are those of CAN-FD.
     rates = [rate for rate in protocol.BIT_RATES if rate <= 1_000_000]
     for rate in sorted(rates, reverse=True):
         timing = replace(session.timing, bitrate=float(rate))
@@ -357,7 +371,10 @@ def _motor_to_change(inspection: Inspection, options: SetupOptions) -> Inspected
 
 
 def monitor(session: Session) -> int:
-    """Print the motors' states again and again, without enabling them; return the exit code."""
+    """Print the motors' states at every interval, without enabling them; return the exit code.
+
+    It ends with Ctrl-C or after the lifetime of the options. The code is 1 if no motor answers.
+    """
     options = record_from(MonitorOptions, session.values)
     with session.open_guarded(refuse_motion) as link:
         motors = list(inspect_bus(link).motors.values())
@@ -374,7 +391,10 @@ def _print_states(
     options: MonitorOptions,
     console: Console,
 ) -> None:
-    """Print a table of states at every interval until the lifetime ends."""
+    """Print a table of motors' states at every interval of the options, until the lifetime ends.
+
+    Each table is printed over the last one.
+    """
     client = RegisterClient(link)
     clock = link.clock
     end = clock.now() + (options.lifetime or float("inf"))

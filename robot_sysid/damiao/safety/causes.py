@@ -18,11 +18,12 @@ from robot_sysid.damiao.references import HoldingCheck
 from robot_sysid.records import Array
 
 _NO_CHANGE = 1.0
-"""Torque change below which no joint has changed, in units of ``HoldingCheck.doubt``."""
+"""Torque change below which a joint counts as unchanged [doubts]."""
 _EXPLAINED = 0.6
-"""Least share of the sum of squares that a named cause has to explain."""
+"""Least share of the sum of squared torques that a cause has to explain to be named."""
 _BETTER = 0.5
-"""Most unexplained squares of a cause, relative to a weak motor's, to be named in its place."""
+"""A cause is named in place of a weak motor if the sum of squares that it leaves unexplained is
+less than this share of the sum that the weak motor leaves."""
 _ALONE = 0.3
 """Share of the largest change below which the changes of other joints are negligible."""
 _LEAST_LOAD = 0.1
@@ -65,7 +66,7 @@ def explain_change(
     fed: Array,
     joints: Sequence[DamiaoJoint],
 ) -> str:
-    """Return a sentence with the cause of the change that stopped an arm; "" without all answers.
+    """Return a sentence with the cause of the change that stopped an arm; "" if a torque is NaN.
 
     Each possible cause makes torques of a certain shape over the joints, times an unknown factor.
     The cause whose fitted torques leave the least sum of squares unexplained is named. A weak motor
@@ -91,6 +92,7 @@ def explain_change(
     best_other = _best_cause(changes, weighted)
     is_weak = best_other[0] >= _BETTER * best_weak[0]
     unexplained, text = best_weak if is_weak else best_other
+    # A NaN passes all comparisons here; the text of the best cause is then "".
     if unexplained > (1.0 - _EXPLAINED) * float(weighted @ weighted):
         return "something pushes it or holds it back, or it carries more than before"
     return text
@@ -105,7 +107,8 @@ def _explain_passing_change(
     """Return a sentence with the cause of a change that has vanished since the arm stopped.
 
     One joint alone was held back, or is weak, if no other one changed much and the control pushed
-    it in the direction of ``needed`` (n,), the torque that carries the arm [N m].
+    it in the direction of ``needed`` (n,), the torque that carries the arm [N m]. The other
+    arguments are those of ``explain_change``.
     """
     sudden = (change.at_once - change.baseline)[: holding.n_joints]
     weighted = np.abs(sudden / holding.doubt)
@@ -121,8 +124,8 @@ def _explain_passing_change(
 def _best_cause(causes: Iterator[_Cause], weighted: Array) -> tuple[float, str]:
     """Return the least sum of squares that one of ``causes`` leaves unexplained, and its text.
 
-    Each cause is fitted alone, with a factor of its own. The sum is infinite without any cause.
-    ``weighted`` (n,) is the torque to be explained [doubts].
+    Each cause is fitted alone, with a factor of its own. Without any cause the sum is infinite and
+    the text "". ``weighted`` (n,) is the torque to be explained [doubts].
     """
     best = np.inf, ""
     for text, shape in causes:
@@ -152,8 +155,13 @@ def _load_and_zero_causes(
 ) -> Iterator[_Cause]:
     """Yield a cause for a new load and for each joint whose zero may have moved.
 
-    Nothing is yielded without a model. ``q`` (n + m,) are the positions of n joints and m further
-    motors [rad], ``weighted`` (n,) is commanded minus expected torque [doubts].
+    Nothing is yielded without a model.
+
+    Args:
+        holding: computes the torque that carries the arm, or a load at its end.
+        q: positions (n + m,) of the n joints and m further motors [rad].
+        weighted: commanded minus expected torque (n,) [doubts].
+        joints: joints of the arm, base to terminal, then the further motors.
     """
     if not holding.is_model:
         return

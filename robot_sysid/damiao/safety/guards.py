@@ -40,7 +40,7 @@ _LEAST_JUMP = 0.05
 _TOP_ACCELERATION = 200.0
 """Largest plausible acceleration [rad/s^2]: 7 N m (a DM4310) on a light joint, 0.035 kg m^2."""
 _SPEED_DOUBT = 0.5
-"""Share of the expected change of position by which the position may be wrong as well."""
+"""Further accepted error of a position, as a share of the change of position that is expected."""
 _LEAST_SPEED_CHANGE = 1.0
 """Change of velocity that is always plausible [rad/s]: by a blow or a stop in a cycle of 4 ms."""
 _TORQUE_DOUBT = 0.3
@@ -203,6 +203,7 @@ class SampleFilter:
         return replace(
             replies,
             answered=believed,
+            # Joints that did not answer are hidden already.
             feedback=hide_answers(feedback, (q, qd, tau), ~came | believed),
             doubted=came & ~believed,
             jump=np.nan_to_num(jump),
@@ -222,11 +223,11 @@ class SampleFilter:
         jumps = distance > tolerance
         speed_change = np.abs(now.qd - previous.qd)
         most_change = _LEAST_SPEED_CHANGE + 4.0 * self._velocity_step + accelerated
-        throws = speed_change > most_change
+        accelerates = speed_change > most_change
         torque_change = np.abs(now.torque_error - previous.torque_error)
         bends = torque_change > _TORQUE_DOUBT * self._peak
         heats = np.abs(now.heat - previous.heat) > _HEAT_CHANGE
-        return _Change(jumps, bends, ~(jumps | throws | bends | heats))
+        return _Change(jumps, bends, ~(jumps | accelerates | bends | heats))
 
 
 def hide_answers(
@@ -358,7 +359,8 @@ class VelocityScalingCheck:
         lower = np.minimum(integral, fastest)
         upper = np.maximum(integral, fastest)
         mismatch = change - np.clip(change, lower, upper)
-        # Where a joint slows down within a cycle, its mean speed is known less well.
+        # Where a joint slows down within a cycle, its mean speed is known less well. Twice the
+        # rounding is an error of one velocity step throughout the window.
         doubt = _SLIP_SHARE + 0.5 * (self.explained - 1.0)
         tolerance = _LEAST_SLIP + doubt * path + 2.0 * self._rounding
         tolerance = np.where(self.explained > _COARSE, np.inf, tolerance)
@@ -427,6 +429,7 @@ class TorqueScalingCheck:
 
     def __init__(self, torque_step: Array, peak: Array) -> None:
         self._peak = 0.9 * peak
+        # Error of a single torque: by rounding, or half a percent of the peak torque.
         self._doubt = np.maximum(4.0 * torque_step, 0.005 * peak)
         # Per joint: count and sums of xx, xy, with x the commanded torque and y the reported one.
         self._sums = np.zeros((3, len(peak)))
@@ -543,7 +546,8 @@ class CommandBounds:
             q: (n,) last believed positions [rad]; NaN where a joint has never answered.
 
         Raises:
-            Overload: the command needs more torque than the motor makes.
+            BeyondBounds: for a position or velocity.
+            Overload: a BeyondBounds too, where the command needs more torque than the motor makes.
         """
         lowest, highest = self._reach(last, elapsed)
         slack = self.position_step + _ROUNDING
@@ -579,7 +583,8 @@ class CommandBounds:
         """Return the command limited to the bounds; arguments as for ``require``.
 
         Stiffness is reduced where it alone would exceed the torque bound, the feed-forward torque
-        where the sum would. Damping stays. Values that are not finite are replaced.
+        where the sum would. Damping stays. A position that is not finite becomes the last one, a
+        velocity or torque that is NaN becomes 0.
         """
         lowest, highest = self._reach(last, elapsed)
         position = np.where(np.isfinite(command.position), command.position, last)

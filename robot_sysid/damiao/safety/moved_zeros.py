@@ -82,7 +82,8 @@ _REMEMBER = 0.95
 _OUTLIER = 30.0
 """Largest square of a window in the noise estimate, in units of the variance so far."""
 _SCATTER = 3.0
-"""Standard deviation of noise per scatter of torque within a window, as by a blow."""
+"""Standard deviation of the noise that is added for scatter of the torque within a window (by a
+blow, for instance), relative to the rms scatter."""
 _DRIFT = 1e-6
 """Variance that x gains in each window, because motors become warm."""
 _ALIKE = 5.0
@@ -90,13 +91,13 @@ _ALIKE = 5.0
 _ONSETS = 14
 """Number of last windows in which a change may have begun."""
 _LEAST_AGE = 3
-"""Number of windows after its begin from which a change is judged."""
+"""Number of windows after its begin from which a moved zero is judged."""
 _GROWTH = 1.0
 """Time in which a change grows to its full size [s]."""
 _MARGIN = 12.0
 """Least log likelihood ratio of a moved zero against no change."""
 _APART = 8.0
-"""Least difference of its log likelihood ratio from that of any other change."""
+"""Least difference of a moved zero's log likelihood ratio from that of any other change."""
 _OTHERS = 0.55
 """Largest ratio of another change's log likelihood ratio to the moved zero's.
 
@@ -134,6 +135,7 @@ class MovedZeroCheck:
         self._beyond = BeyondRigidBodies(robot)
         self._links = [*other_links(robot), n - 1]
         factor = model_link_factor(robot, self._links, _LINKS)
+        # A load at the end adds to mass and first moment of the last link.
         load = np.zeros((len(factor), _LOAD_PARAMETERS))
         load[-10:-6] = _LOAD * np.diag([1.0, _LEVER, _LEVER, _LEVER])
         self._factor = np.column_stack([factor, load])
@@ -175,6 +177,8 @@ class MovedZeroCheck:
         self, time: float, q: Array, qd: Array, tau: Array
     ) -> tuple[int, str] | None:
         """Add one control cycle; return the joint whose zero has moved, or None.
+
+        Once a joint has been found, every further call returns it.
 
         Args:
             time: time of the cycle [s]; a cycle with a NaN in any argument is left out.
@@ -219,6 +223,7 @@ class MovedZeroCheck:
         # 0.5 to 2 ms for one sample, which is too long for a control cycle.
         poses = q + np.vstack([np.zeros(n), step, -step])
         moves = []
+        # Velocities and accelerations are the same in all poses.
         for move in self._dynamics.moves(poses, qd + 0.0 * poses, qdd + 0.0 * poses):
             moves.append(move)
             yield
@@ -359,6 +364,9 @@ class MovedZeroCheck:
     def _judge(self, time: float, slopes: Array) -> tuple[int, str] | None:
         """Return the index of the joint whose zero has moved and a sentence; None unless certain.
 
+        Without a moved zero, ``_has_changed`` is set where any change that began at the oldest
+        onset is certain.
+
         Args:
             time: mean time of the window [s].
             slopes: torque (n, n) of joint i per shift of joint j's zero [doubts/rad].
@@ -389,10 +397,12 @@ class MovedZeroCheck:
         is_sure = best[joint] > _MARGIN
         others = np.max(np.delete(best, joint))
         is_sure &= others < min(best[joint] - _APART, _OTHERS * best[joint])
+        # Large enough by two standard errors.
         is_sure &= shift > _LEAST_SHIFT + 2.0 * unit * np.sqrt(variance)
         is_sure &= shift * np.max(np.abs(slopes[:, joint])) > _LEAST_TORQUE
         if is_sure:
             return joint, (_SLIPS if onset > 0 else _MOVED).format(shift)
+        # The onset in whose place the next window comes.
         oldest = 1 + self._windows % _ONSETS
         self._has_changed |= bool(np.max(gains[oldest]) > _MARGIN)
         return None
@@ -450,8 +460,8 @@ def _average(samples: Sequence[tuple[float, Array]]) -> _Window:
     mean = np.mean(signals, axis=0)
     slope = np.tensordot(since, signals, 1) / (since @ since)
     q, qd, tau = mean
-    bend = signals[:, 2] - tau - np.outer(since, slope[2])
-    scatter = np.sqrt(np.mean(bend**2, axis=0))
+    deviation = signals[:, 2] - tau - np.outer(since, slope[2])
+    scatter = np.sqrt(np.mean(deviation**2, axis=0))
     return _Window(time, q, qd, slope[1], tau, scatter)
 
 

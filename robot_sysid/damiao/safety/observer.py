@@ -175,7 +175,10 @@ class Observer:
         self._change: EffortChange | None = None
 
     def update(self, replies: Replies) -> None:
-        """Count missing, doubted and surplus answers of a cycle; note slips and motors at fault."""
+        """Count missing, doubted and surplus answers, and foreign commands, of a cycle's replies.
+
+        A motor that reports a fault is noted in ``failed``, and a slip for the next ``check``.
+        """
         unanswered = replies.requested & ~replies.answered
         self.missed = np.where(replies.answered, 0, self.missed + unanswered)
         self.silent = np.where(replies.answered, 0, self.silent + 1)
@@ -189,10 +192,8 @@ class Observer:
         is_double = is_faulty & (self._surplus > 1.0)
         self._surplus = np.where(is_double, np.inf, self._surplus)
         self.failed |= is_faulty & ~is_double
-        slip = self._velocity_check.add(
-            replies.time, feedback.position, feedback.velocity
-        )
-        self._slip = slip or self._slip
+        motion = feedback.position, feedback.velocity
+        self._slip = self._velocity_check.add(replies.time, *motion) or self._slip
 
     def check(
         self,
@@ -210,23 +211,22 @@ class Observer:
             standing: whether the joints are to stand still.
             rising: whether gains are being raised: an arm that takes up a new load then overshoots
                 with twice the torque, so that efforts and torque errors are not judged.
-            lowered: whether the arm is being lowered, and may come to lie on something.
+            lowered: whether the arm is being lowered: it may come to lie on something, so that
+                moved zeros are not judged.
         """
         feedback = replies.feedback
-        q = feedback.position
-        tau = feedback.torque
-        commanded = acted.motor_torque(q, feedback.velocity)
+        commanded = acted.motor_torque(feedback.position, feedback.velocity)
         self._check_bus()
         self._check_states(replies)
         self._check_jump(replies)
         self._check_frozen(replies, acted, commanded)
-        self._check_reported(commanded, tau)
-        self._torque_check.add(commanded, tau, feedback.velocity)
+        self._check_reported(commanded, feedback.torque)
+        self._torque_check.add(commanded, feedback.torque, feedback.velocity)
         if standing:
             self._check_standing(replies, acted)
         self._check_scales()
         self._moments = np.roll(self._moments, 1, axis=0)
-        self._moments[0] = acted.position, q
+        self._moments[0] = acted.position, feedback.position
         self._added_now = commanded - acted.torque
         if not rising:
             self._check_sudden_effort(acted)
@@ -277,12 +277,8 @@ class Observer:
 
     def _check_bus(self) -> None:
         """Stop for a motor that gets commands of another program, or answers too often."""
-        self._raise_first(
-            self._foreign > _FEW,
-            lambda j: (
-                "gets commands of another program: end it; one master moves an arm"
-            ),
-        )
+        text = "gets commands of another program: end it; one master moves an arm"
+        self._raise_first(self._foreign > _FEW, lambda j: text)
         self._raise_first(
             self._surplus > _FEW,
             lambda j: (
@@ -303,7 +299,10 @@ class Observer:
         )
 
     def _check_reported(self, commanded: Array, tau: Array) -> None:
-        """Stop for a motor that reports a torque (n,) that was not ``commanded`` (n,) [N m]."""
+        """Stop for a motor that reports, in most of the last cycles, a torque not commanded.
+
+        ``commanded`` (n,) and ``tau`` (n,) are the commanded and the reported torques [N m].
+        """
         self._pairs = np.roll(self._pairs, 1, axis=1)
         self._pairs[:, 0] = np.clip(commanded, -self._peak, self._peak), tau
         error = np.abs(self._pairs[1] - self._pairs[0])
@@ -444,10 +443,9 @@ class Observer:
             return
         n = self._holding.n_joints
         time = float(np.mean(replies.time[:n]))
-        feedback = replies.feedback
-        finding = self._zero_check(
-            time, feedback.position[:n], feedback.velocity[:n], commanded[:n]
-        )
+        q = replies.feedback.position[:n]
+        qd = replies.feedback.velocity[:n]
+        finding = self._zero_check(time, q, qd, commanded[:n])
         if finding is not None:
             self._raise(*finding)
 
@@ -470,7 +468,11 @@ class Observer:
         return np.asarray(((q - reference_q) * fed > 0.0) & (np.abs(fed) > self._doubt))
 
     def _check_standing(self, replies: Replies, acted: MitCommand) -> None:
-        """Stop for a joint that moves while it should stand still."""
+        """Stop for a joint that should stand still but ``has_left`` its position or moves too fast.
+
+        Its velocity has to exceed the limit in two cycles in a row, because one may be a damaged
+        frame; ``_was_fast`` (n,) keeps which velocities did so, for the next cycle.
+        """
         q = replies.feedback.position
         qd = replies.feedback.velocity
         fed = acted.torque
@@ -492,7 +494,8 @@ class Observer:
     def _check_limits(self, replies: Replies, acted: MitCommand, rising: bool) -> None:
         """Stop for a joint too far off its commanded position, velocity or torque.
 
-        Velocity and torque must be off in two cycles in a row; torque is not judged if ``rising``.
+        Velocity and torque must be off in two cycles in a row (``_was_beyond`` has the last one);
+        torque is not judged if ``rising``. ``worst_tracking`` is brought up to date.
         """
         feedback = replies.feedback
         path_limit = np.full(len(self._joints), self._settings.max_tracking_error)
@@ -525,10 +528,8 @@ class Observer:
         blocked = self._blocked_joint()
         if blocked is not None:
             self.stuck[blocked] = True
-            self._raise(
-                blocked,
-                f"stands still while its path goes on: it is blocked ({description})",
-            )
+            text = f"stands still while its path goes on: it is blocked ({description})"
+            self._raise(blocked, text)
         self._change = EffortChange(joint, self._long_added.value, self._added_now)
         self._raise(joint, description)
 
@@ -542,7 +543,7 @@ class Observer:
         return joint if np.min(share[:, joint]) < _CAME_SHARE else None
 
     def explain(self, fault: Fault, q: Array, commanded: Array) -> HardwareAbort:
-        """Return ``fault`` with its cause, from the torque that holds the stopped arm.
+        """Return ``fault`` with its cause, or unchanged if none is found, for an arm that stopped.
 
         Args:
             fault: fault that stopped the run.
