@@ -43,11 +43,13 @@ class ArmTorque:
 def simulate_inverse(
     robot: RobotModel, motions: Iterable[Motion]
 ) -> Iterator[Measurement]:
-    """Yield the torques that an arm needs to follow chunks of chain joint motion exactly.
+    """Yield each chunk of a joint motion with the torques that an arm needs to follow it exactly.
 
     tau = inverse dynamics by MuJoCo + coulomb sign(qd) + viscous qd, with the model's own
-    ``frictionloss`` and ``damping`` as coefficients of every chain joint; SimulationError where a
-    torque is not finite.
+    ``frictionloss`` and ``damping`` as coefficients of every chain joint.
+
+    Raises:
+        SimulationError: a torque is not finite; names the first such joint and its time.
     """
     torque = ArmTorque(robot)
     for motion in motions:
@@ -66,8 +68,11 @@ def simulate_inverse(
 def collect_sysid_data(
     equations: Equations, measurements: Iterable[Measurement]
 ) -> SquareRootInformation:
-    """Stream measurements, chunks with accelerations, into square-root information in constant
-    memory: one QR triangle per joint whose torque is used.
+    """Return the square-root information of measurements, one QR triangle per joint whose torque is
+    used.
+
+    The measurements, chunks with velocities and accelerations, are read one at a time, so that the
+    memory does not grow with their number.
     """
     accumulator = InformationAccumulator(
         equations.names, equations.joints, equations.columns

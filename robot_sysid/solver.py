@@ -31,7 +31,8 @@ def identify_parameters(
     Args:
         information: the equations of all joints.
         prior: (p,) the model's own values, in the order of ``information.names``.
-        possible: where the estimated link is no possible rigid body, constrain it to be one.
+        possible: whether a terminal link that is no possible rigid body is estimated again, with
+            the constraint to be one.
     """
     solve = solver(information, prior)
     # The standard deviation of each joint's torque [N m]; rows are weighted by its inverse.

@@ -30,7 +30,8 @@ POSITION_MARGIN = 0.02
 TORQUE_MARGIN = 0.95
 """Share of the torque limits that the motion may use."""
 UNLIMITED_RANGE = {False: 2.0 * np.pi, True: 0.3}
-"""Range assumed for a joint without limits: hinge [rad], slide [m]."""
+"""Whether a joint without limits is a slide to the range that is assumed for it [rad; m for a
+slide]."""
 LONGEST_FADE = 2.5
 """Longest time in which the window rises, and in which it falls [s]."""
 _SPEED_CHECK_HZ = 50.0
@@ -40,7 +41,7 @@ _TORQUE_CHECK_HZ = 25.0
 _FEWEST_CHECKS = 256
 """Fewest samples of such a comparison."""
 _SMALLEST_FACTOR = 2.0**-30
-"""Smallest scale of a motion that a search for kept torque limits tries."""
+"""Smallest factor of the amplitudes that the search for a motion within the torque limits tries."""
 CHUNK = 2048
 """Samples of a motion that are evaluated at a time."""
 
@@ -85,7 +86,7 @@ class SineTrajectory:
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration at times (N,) [s], by the product rule."""
         time = np.asarray(time, dtype=float)
-        # The S sinusoids with an amplitude, and (S, n) ones that add them up by joint.
+        # The S sinusoids with an amplitude, and a matrix (S, n) of 0 and 1 that sums them by joint.
         used = np.nonzero(self.amplitude)
         omega = 2.0 * np.pi * self.frequency_hz[used]
         joints = np.eye(len(self.center))[used[0]]
@@ -144,7 +145,8 @@ def sample_times(
 ) -> Iterator[Array]:
     """Yield the sample times k / rate from 0 to the duration, both included, in chunks [s].
 
-    ``start`` and ``end`` [s] leave out the times before and after them, but for the next one.
+    Times before ``start`` and after ``end`` [s] are left out, but for the last one before ``start``
+    and the first one after ``end``.
     """
     last = np.ceil(end * sample_rate) + 1
     count = int(min(sample_count(duration, sample_rate), last))
@@ -253,9 +255,11 @@ def _peak(plan: MotionPlan, rate: float, quantity: TorqueFunction) -> Array:
 def _fit_torque(
     trajectory: SineTrajectory, robot: RobotModel, torque: TorqueFunction | None
 ) -> tuple[SineTrajectory, tuple[str, ...]]:
-    """Return the motion scaled down until the torque limits hold, and notes on limits.
+    """Return the motion with amplitudes scaled down until ``TORQUE_MARGIN`` of the torque limits is
+    kept, and notes for the user on that and on limits that no motion keeps.
 
-    The scale is found by bisection.
+    The factor, one for all joints, is found by bisection of its logarithm. The motion stays as it
+    is without ``torque``, the joint torques (N, n) along a motion, and without torque limits.
     """
     if torque is None or not np.any(np.isfinite(robot.limits.torque)):
         return trajectory, ()

@@ -311,7 +311,9 @@ class LinksMotion:
         return columns.reshape(joints, -1, samples).transpose(2, 0, 1)
 
     def torque(self, thetas: Array) -> Array:
-        """Return the joint torque (N, n) [N m] of rigid links with parameters thetas (n, 10)."""
+        """Return the joint torque (N, n) [N m] of rigid links with inertial parameters ``thetas``
+        (n, 10), base to terminal; a link with zeros has no effect.
+        """
         samples = self.velocity[0].shape[1]
         tau = np.zeros((samples, len(thetas)))
         wrench = np.zeros((6, samples))
@@ -370,7 +372,9 @@ class LinksMotion:
         return slopes
 
     def _link_wrench(self, link: int, theta: Array) -> Array:
-        """Return the wrench G A - ad(V)^T G V (6, N) that accelerates a link with theta (10,)."""
+        """Return the wrench G A - ad(V)^T G V (6, N) that moves the link of index ``link``, had it
+        the inertial parameters ``theta`` (10,); G is its spatial inertia.
+        """
         inertia = _inertia(theta)
         velocity = self.velocity[link]
         gyroscopic = bracket_transposed(velocity, inertia @ velocity)
@@ -378,11 +382,12 @@ class LinksMotion:
 
 
 class LinkDynamics:
-    """Recursive Newton-Euler of one arm.
+    """The motion of all links of one arm, by the outward recursion of Newton and Euler.
 
     Args:
         robot: the arm.
         gravity: (3,) for all samples, or (3, N) for each sample [m/s^2]; None for the model's own.
+            It counts as zero where the model switches gravity off.
     """
 
     def __init__(self, robot: RobotModel, gravity: Array | None = None) -> None:
@@ -446,21 +451,23 @@ def split_motion(width: int, *arrays: Array) -> Iterator[tuple[Array, ...]]:
 
 
 def bracket(a: Array, b: Array) -> Array:
-    """Return ad(a) b = [w_a x w_b, v_a x w_b + w_a x v_b] for twists (6, ...)."""
+    """Return ad(a) b = [w_a x w_b, v_a x w_b + w_a x v_b] of two twists [w, v] (6, ...)."""
     angular = cross(a[:3], b[:3])
     linear = cross(a[3:], b[:3]) + cross(a[:3], b[3:])
     return np.concatenate((angular, linear), axis=0)
 
 
 def bracket_transposed(a: Array, b: Array) -> Array:
-    """Return ad(a)^T b = -[w_a x m + v_a x f, w_a x f] for b = [m, f] (6, ...)."""
+    """Return ad(a)^T b = -[w_a x m + v_a x f, w_a x f] of a twist a = [w_a, v_a] (6, ...) and a
+    wrench or momentum b = [m, f] (6, ...).
+    """
     moment = cross(a[:3], b[:3]) + cross(a[3:], b[3:])
     force = cross(a[:3], b[3:])
     return -np.concatenate((moment, force), axis=0)
 
 
 def _sum_outwards(values: Array) -> Array:
-    """Return (6, n, N) the sums of values over each link and all links beyond that link.
+    """Return (6, n, N) for each link the sum of values over this link and all links beyond it.
 
     Args:
         values: (6, n, N) of the n links, base to terminal.
@@ -474,7 +481,9 @@ def _lower_triangular(turn: Array, shift: Array) -> Array:
 
 
 def _inertia(theta: Array) -> Array:
-    """Return G = [[I, [h]x], [-[h]x, m 1]] (6, 6) of a link theta (10,)."""
+    """Return the spatial inertia G = [[I, [h]x], [-[h]x, m 1]] (6, 6) of a link with inertial
+    parameters ``theta`` (10,).
+    """
     h = skew(theta[1:4])
     mass = np.diag(np.full(3, theta[0]))
     return np.block([[symmetric_from_six(theta[4:]), h], [-h, mass]])
@@ -550,8 +559,8 @@ def tilt_columns(robot: RobotModel, thetas: Array, q: Array, level: Array) -> Ar
     Args:
         robot: the arm, under the gravity around which it is tilted.
         thetas: (n, 10) inertial parameters of its links, base to terminal.
-        q: (N, n) positions.
-        level: (3,) gravity of the level base, which defines the axes (``tilt_axes``).
+        q: (N, n) joint positions [rad or m].
+        level: (3,) gravity of the level base, which defines the axes (``tilt_axes``) [m/s^2].
     """
     gravity = gravity_vector(robot)
     axes = tilt_axes(level, gravity)

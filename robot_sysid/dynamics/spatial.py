@@ -132,7 +132,9 @@ def quaternion(rotation: Array) -> Array:
 
 
 def transform_theta(theta: Array, rotation: Array, translation: Array) -> Array:
-    """Express theta (10,) of frame B in A, by axes R_AB (3, 3) and origin (3,) of B in A [m]."""
+    """Return theta (10,) in frame A of a body with ``theta`` (10,) in frame B; ``rotation`` R_AB
+    (3, 3) has the axes of B as columns, ``translation`` (3,) is the origin of B in A [m].
+    """
     sigma = np.zeros((4, 4))
     sigma[:3, :3] = rotation
     sigma[:3, 3] = translation
@@ -151,7 +153,7 @@ def pseudo_inertia(theta: Array) -> Array:
 
 
 def theta_from_pseudo_inertia(matrix: Array) -> Array:
-    """Return theta (10,) of a (4, 4) pseudo-inertia; I = tr(S) 1 - S."""
+    """Return theta (10,) of a (4, 4) pseudo-inertia; I = tr(S) 1 - S, S its upper left block."""
     second = matrix[:3, :3]
     inertia = np.trace(second) * np.eye(3) - second
     return np.concatenate(([matrix[3, 3]], matrix[:3, 3], six_from_symmetric(inertia)))
@@ -181,11 +183,11 @@ def characteristic_length(theta: Array) -> float:
 
 
 def nearest_consistent_body(theta: Array, reference: Array, floor: float) -> Array:
-    """Return a body (10,) near theta (10,) that is physically consistent by a margin.
+    """Return theta (10,) of a body near theta (10,) that is physically consistent by a margin.
 
     Eigenvalues of the pseudo-inertia, made dimensionless with mass and size of the body
     ``reference`` (10,), are raised to at least ``floor`` times the largest magnitude (or 1, if that
-    is larger).
+    is larger). Where none has to be raised, a copy of theta is returned.
     """
     mass = float(reference[0]) if reference[0] > 0.0 else 1.0
     length = characteristic_length(reference)
@@ -222,7 +224,9 @@ def _build_axis_turns() -> Array:
     return np.array(turns)
 
 
-# A mirror is never the closest to a rotation: it leaves a trace of at most 1, the best turn one of
-# at least 1.9.
 _TURNS = _build_axis_turns()
+"""All signed permutation matrices (48, 3, 3), from which ``principal_axes`` takes a rotation. It
+never takes a mirror: the product with one has a trace of at most 1, that with the best rotation at
+least 1.9."""
 _PSEUDO_BASIS = _build_pseudo_basis()
+"""Pseudo-inertias (10, 4, 4) of the unit parameter vectors."""

@@ -37,7 +37,8 @@ _MOTION_SHARE = 0.99
 # Largest cut-off over the highest frequency at which the arm moves (docs/measurements.md,
 # tests/signals/test_cutoff.py).
 _LARGEST_CUTOFF_RATIO = 15.0
-# Share of rows with a new reading below which the log has more rows than the encoders were read.
+# Largest share of rows with a new reading at which rows count as more frequent than the readings of
+# the encoders.
 _FRESH_SHARE = 0.6
 # Largest standard deviation of the time between new readings, over its mean, for which the readings
 # count as regular.
@@ -60,8 +61,8 @@ _BLACKMAN_HARRIS = (0.35875, -0.48829, 0.14128, -0.01168)
 # Largest share of the log that is lost at its ends, in the low-pass of positions and in the
 # low-pass of regressor columns together (chosen).
 _TRIMMED_SHARE = 0.2
-# Fewest readings of a log that a spectrum is made from, and least bound on the length of its
-# segments, of which there are at least four (chosen).
+# Fewest readings of a log that a spectrum is made from; the bound on the length of its segments, of
+# which there are at least four, is no smaller either (chosen).
 _SHORTEST_SEGMENT = 64
 
 
@@ -98,7 +99,8 @@ class CutoffChoice(NamedTuple):
 
     Attributes:
         cutoff: for all joints [Hz].
-        expected_error: of the acceleration, relative to the acceleration's root mean square.
+        expected_error: root mean square error of the acceleration, over the acceleration's root
+            mean square.
         reason: a sentence on why this cut-off was chosen.
     """
 
@@ -108,7 +110,11 @@ class CutoffChoice(NamedTuple):
 
 
 def choose_cutoff(spectra: Spectra) -> CutoffChoice:
-    """Return the highest cut-off whose expected error of the acceleration is small."""
+    """Return the highest cut-off whose expected error of the acceleration is small.
+
+    It is at most a fifth of the sample rate and 15 times the highest frequency at which the arm
+    moves, and so high that the filters take at most a fifth of the log at its ends.
+    """
     rate = spectra.rate
     highest = 0.2 * rate
     # The half width [s] is inversely proportional to the cut-off; the low-pass of positions and
@@ -157,6 +163,7 @@ def acceleration_spectra(q: Array, rate: float, steps: Array) -> Spectra | None:
     if len(q) < _SHORTEST_SEGMENT:
         return None
     longest = max(_SHORTEST_SEGMENT, round(_LONGEST_SEGMENT * rate))
+    # At least four segments; the second difference has two samples less.
     length = min((len(q) - 2) // 4, longest)
     frequency, power, shape = _second_difference_spectrum(q, rate, length)
     shape = shape[:, None]
@@ -186,11 +193,12 @@ def acceleration_spectra(q: Array, rate: float, steps: Array) -> Spectra | None:
 def _drop_repeated_readings(
     q: Array, steps: Array, rate: float
 ) -> tuple[Array, Array, float]:
-    """Return positions (M, n), quantisation errors (M, n) and rate [Hz] of the new readings alone.
+    """Return positions (M, n), zero quantisation errors (M, n) and the mean rate [Hz] of the M new
+    readings alone, interpolated at even intervals.
 
     A reading that is held for several rows has images at multiples of its own rate, which look like
-    noise at every frequency. Where most rows are new, or new readings come irregularly, the
-    arguments are returned unchanged.
+    noise at every frequency. Where most rows are new, or new readings are few or come irregularly,
+    the arguments are returned unchanged.
 
     Args:
         q: (N, n) positions on a uniform grid [rad].
@@ -263,6 +271,7 @@ def _second_difference_spectrum(
     angle = 2.0 * np.pi / length * np.arange(length)
     window = np.cos(np.outer(angle, range(4))) @ _BLACKMAN_HARRIS
     last_start = len(q) - 2 - length
+    # Successive segments overlap by three quarters.
     starts = range(0, last_start + 1, length - 3 * length // 4)
     frequency = np.asarray(np.fft.rfftfreq(length, 1.0 / rate))
     power = np.zeros((len(frequency), q.shape[1]))
@@ -284,7 +293,8 @@ def _motion_power(frequency: Array, power: Array, noise: Array) -> Array:
     """Return the power (F, n) of each joint's acceleration that is motion of the arm.
 
     Vibration, ripple and noise that is not white make the spectrum of the acceleration rise again
-    at high frequencies; motion ends where the spectrum is lowest.
+    at high frequencies: power counts as motion up to where the spectrum is lowest, at most up to
+    ``_GAP_RATIO`` times the frequency of the first gap.
 
     Args:
         frequency: (F,) [Hz].
@@ -307,7 +317,8 @@ def _motion_power(frequency: Array, power: Array, noise: Array) -> Array:
 
 
 def _speed_index(frequency: Array, motion: Array) -> int:
-    """Return the index of the frequency (F,) below which 99 % of the squared speed lies.
+    """Return the index of the frequency (F,) below which 99 % of the squared speed lies: the
+    highest one at which the arm moves.
 
     Only the spectrum up to its first gap counts.
 
@@ -331,12 +342,12 @@ def _cumulative_squared_speed(frequency: Array, motion: Array) -> Array:
 
 
 def _gap_index(frequency: Array, motion: Array) -> int:
-    """Return the index of the first octave that adds next to nothing to the squared speed.
+    """Return the index of the frequency at which the first gap begins: an octave that adds next to
+    nothing to the squared speed.
 
     Beyond such a gap lie images of the motion, which repeated samples and jitter in time leave. The
     search begins at the frequency below which half of the squared speed of the lower half of all
-    octaves lies: power there is motion for certain. Where there is no gap, the last index is
-    returned.
+    octaves lies: power there is motion for certain. Where there is no gap, it is the last index.
 
     Args:
         frequency: (F,) [Hz].

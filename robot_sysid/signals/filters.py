@@ -31,7 +31,8 @@ kernels."""
 _TRANSITION = 1.2
 """Width of the transition band over the cut-off."""
 _FINEST_STRIDE = 6
-"""Fewest input samples per decimated one that a smooth signal needs: twelve times the cut-off."""
+"""Fewest input samples per decimated sample that a smooth signal needs; the rate of the input is
+then twelve times the cut-off."""
 _COARSEST_STRIDE = 9
 """Most input samples per decimated sample, where that divides the decimation better (chosen)."""
 _FREQUENCIES_PER_WEIGHT = 12
@@ -71,9 +72,8 @@ class LowPass:
 
     @property
     def stride(self) -> int:
-        """Largest spacing of samples that suffices for a signal without power above nine cut-offs.
-
-        It divides ``step`` and ``half_width``.
+        """Largest spacing [samples] that divides ``step`` and ``half_width`` and suffices for a
+        signal without power above nine cut-offs.
         """
         divisor = math.gcd(self.step, self.half_width)
         largest = max(1, self.step // _FINEST_STRIDE)
@@ -251,7 +251,8 @@ def first_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
     """
     ahead, weights = _central_weights(reach)
     later = weights / ahead
-    return _correlate(values, np.concatenate((-later[::-1], [0.0], later)), 1, rate)
+    stencil = np.concatenate((-later[::-1], [0.0], later))
+    return _correlate(values, stencil, order=1, scale=rate)
 
 
 def second_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
@@ -265,7 +266,7 @@ def second_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
     ahead, weights = _central_weights(reach)
     later = 2.0 * weights / ahead**2
     stencil = np.concatenate((later[::-1], [-2.0 * np.sum(later)], later))
-    return _correlate(values, stencil, 2, rate**2)
+    return _correlate(values, stencil, order=2, scale=rate**2)
 
 
 def _central_weights(reach: int) -> tuple[Array, Array]:
@@ -278,12 +279,12 @@ def _central_weights(reach: int) -> tuple[Array, Array]:
 
 
 def shift_samples(values: Array, samples: float) -> tuple[Array, int]:
-    """Return (shifted (K, ...), first): values (N, ...) at ``samples`` sample steps later.
+    """Return (shifted (K, ...), first): values (N, ...) as they are ``samples`` sample steps later.
 
     shifted[k] is the value at the position k + first + samples; ``samples`` may be negative and
     need not be whole. Values at the ends that cannot be computed are left out.
 
-    A band-limited signal (N, ...) is shifted exactly by its sinc series, here cut off by a window;
+    The fraction of a sample is a sinc series, exact for band-limited signals, cut off by a window;
     whole samples are shifted by slicing, without any error.
     """
     whole_samples = math.floor(samples + 0.5)

@@ -79,8 +79,8 @@ _NOISELESS = 1e-3 / 67.0
 acceleration, at which positions need no filter. The noise of the acceleration is 67 times this
 difference, so at most 1e-3."""
 _CORNER_RATIO = 20.0
-"""Multiple of its median above which the difference of the two derivatives shows a corner of the
-motion: a jump of a higher derivative."""
+"""Multiple of its median above which the difference of second derivatives of orders sixteen and
+fourteen shows a corner of the motion: a jump of a higher derivative."""
 _LEAST_CLEAN_SHARE = 0.5
 """Least share of the log that has to be free of corners for positions to pass no filter."""
 SEPARATION = 6.0
@@ -110,7 +110,8 @@ class ProcessedSignals:
         notes: what a reader should know about the log.
         acceleration_error: expected error of the acceleration over its root mean square; 0 where
             the cut-off was given.
-        standing: numbers of the joints whose rows over turns are not used, because they stand.
+        standing: indices of the joints that stand as they turn round, so that their rows over turns
+            are not used.
     """
 
     time: Array
@@ -378,6 +379,9 @@ def with_delay(signals: ProcessedSignals, delay: float) -> ProcessedSignals:
     that much; negative if it leads.
 
     Samples at the ends for which the shifted torque has no value are cut off.
+
+    Raises:
+        InputError: fewer samples are left than the low-pass needs.
     """
     tau, first = shift_samples(signals.tau, delay * signals.rate)
     if len(tau) < len(signals.low_pass.kernel):

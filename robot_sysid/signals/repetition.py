@@ -52,12 +52,15 @@ MOST_ROWS = 2000
 
 @dataclass(frozen=True)
 class Visits:
-    """Pairs of rows that pass the same state at different times.
+    """P pairs of rows that pass the same state at different times.
+
+    The first row of a pair is a probe, one of at most ``PROBES`` rows whose visits were searched
+    for; the second may be any row.
 
     Attributes:
-        probes: (M,) row number of the first of each pair.
-        others: (M,) row number of the second.
-        repeats: mean number of such pairs per probe.
+        probes: (P,) row number of the first of each pair.
+        others: (P,) row number of the second.
+        repeats: mean number of pairs per probe.
     """
 
     probes: NDArray[np.int64]
@@ -65,19 +68,19 @@ class Visits:
     repeats: float
 
     def inflation(self, residuals: Iterable[Array]) -> tuple[Array, Array]:
-        """Return (D (joints,), M (joints,)): factors by which the variance of sums of each joint's
-        residuals is larger than that of independent residuals.
+        """Return two variance inflations (joints,): factors by which the variance of sums of each
+        joint's residuals is larger than that of independent residuals.
 
-        D is the variance inflation by repetition; 1 where the motion hardly repeats. M is the
-        factor by which the autocorrelation of a joint's residuals inflates the variance of a slow
-        sum.
+        The first, D, is that by repetition; 1 where the motion hardly repeats. The second, for sums
+        that vary slowly along the rows, is the integrated autocorrelation time of the residuals
+        [rows].
 
         Args:
             residuals: per joint (K,) [N m], NaN in rows that are not used; K is the number of rows
                 that ``find_visits`` got.
         """
         inflations = []
-        memories = []
+        autocorrelations = []
         probes = np.unique(self.probes)
         for joint_residual in residuals:
             residual = np.nan_to_num(joint_residual)
@@ -87,8 +90,9 @@ class Visits:
                 covariance = float(residual[self.probes] @ residual[self.others])
                 inflation = max(1.0 + covariance / squared, 1.0)
             inflations.append(inflation)
-            memories.append(residual_correlation_time(joint_residual, inflation))
-        return np.array(inflations), np.array(memories)
+            autocorrelation = residual_correlation_time(joint_residual, inflation)
+            autocorrelations.append(autocorrelation)
+        return np.array(inflations), np.array(autocorrelations)
 
 
 def find_visits(motions: Sequence[Motion]) -> Visits:
@@ -121,7 +125,9 @@ def find_visits(motions: Sequence[Motion]) -> Visits:
 
 
 def _spread(values: Array) -> Array:
-    """Return (n,) the root mean square of joints' values (K, n), with a floor for a still joint."""
+    """Return (n,) the root mean square of joints' values (K, n), at least 1 % of the largest one; 1
+    where no joint moves.
+    """
     spread = np.sqrt(np.mean(values**2, axis=0))
     return np.maximum(spread, _LEAST_SPREAD * np.max(spread) or 1.0)
 
@@ -146,7 +152,7 @@ def _is_near(probes: Array, radius: Array, state: Array) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class RowSample:
-    """At most ``MOST_ROWS`` M of ``total`` rows, drawn at random.
+    """A random sample of M rows, at most ``MOST_ROWS``, of the ``total`` rows of one or more logs.
 
     Attributes:
         drawn: (M,) the random number from 0 to 1 that each row drew, ascending.
@@ -277,7 +283,8 @@ def resting_poses(samples: Measurement) -> tuple[Measurement, NDArray[np.bool_]]
     accelerations are zero.
 
     Raises:
-        InputError: there are too few poses that were approached from both sides.
+        InputError: there are fewer than ``FEWEST_POSES`` poses, or no joint approaches a pose from
+            both sides.
     """
     n_joints = samples.q.shape[1]
     # Reshaped for a log without rests, of which numpy cannot know the number of columns.

@@ -88,8 +88,10 @@ def count_lost_rows(measurement: Measurement) -> NDArray[np.int64]:
     """Return (N - 1,) how many rows are missing after each row but the last of a log.
 
     A step of time that is twice as long is a lost row or, with coarse time stamps, a rounded stamp.
-    Positions decide: over a lost row they move twice as far as over the steps around it. Rows count
-    as lost where positions move farther than half way between one usual step and as many as needed.
+    Positions decide: over a lost row they move twice as far as over the steps around it. With m the
+    rows that a long step of time could hide, these count as lost where positions move farther than
+    over 1 + m / 2 usual steps. None are lost where more than 1 % of the steps are long, and none at
+    the first and the last step.
     """
     step = np.diff(measurement.time)
     lost = np.zeros(len(step), dtype=np.int64)
@@ -201,9 +203,12 @@ def splitting_gap(period: float) -> float:
 
 
 def split_at_gaps(samples: Measurement) -> tuple[Measurement, ...]:
-    """Return the pieces between the gaps of a log that are long enough, none with too many rows.
+    """Return the pieces of a log between its gaps, cut to at most ``MOST_PIECE_ROWS`` rows; those
+    shorter than ``SHORTEST_PIECE`` are left out.
 
-    A log without gaps is returned as its only piece, and so is one whose pieces are all too short.
+    Of a log longer than ``MOST_TIME`` it is pieces of about ``PIECE_TIME``, spread evenly, of that
+    total length. A log that is not cut is its only piece, and so is one whose pieces are all too
+    short.
     """
     step = np.diff(samples.time)
     if not len(step):
@@ -293,13 +298,13 @@ and aliases fold back to frequencies above that."""
 def condense_run(
     chunks: Iterable[Measurement], count: int
 ) -> tuple[tuple[Measurement, ...], tuple[str, ...]]:
-    """Return the pieces of a simulated run, and the sentences on how it was cut.
+    """Return the pieces of a simulated run, and sentences for the user on how it was cut.
 
-    A long run is decimated and cut as a log is. It then has no velocities and accelerations, which
-    no estimate takes from a recording.
+    A run of more than ``MOST_ROWS_KEPT`` samples is decimated and cut as a log is. It then has no
+    velocities and accelerations, which no estimate takes from a recording.
 
     Args:
-        chunks: consecutive chunks of the run; each is read once, and none is kept.
+        chunks: consecutive chunks of the run; an iterator is used up.
         count: number of its samples.
     """
     if count <= MOST_ROWS_KEPT:
