@@ -25,7 +25,7 @@ UNFINISHED = "interrupted; no unfinished file is left"
 """Message of an interrupted command whose module has no message ``INTERRUPTED``."""
 _MESSAGE_START = 1500
 _MESSAGE_END = 400
-"""A longer error message is printed without its middle."""
+"""Numbers of characters at either end that are printed of a longer error message."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -90,7 +90,7 @@ def _refuse_misspelt_command(word: str) -> None:
     """Raise InputError where a word resembles a subcommand and is no file."""
     from difflib import get_close_matches
 
-    matches = get_close_matches(word, COMMANDS, 1, 0.75)
+    matches = get_close_matches(word, COMMANDS, n=1, cutoff=0.75)
     if matches and not os.path.exists(word):
         raise InputError(
             f"there is no file and no command {word}: did you mean {matches[0]}?"
@@ -139,9 +139,11 @@ def _report_unexpected(error: BaseException, debug: bool) -> int:
     if isinstance(error, OSError) and error.strerror:
         # A file that is gone, a name that is too long, a disk that fails.
         fault = f"{error.strerror}: {error.filename or 'a temporary file'}"
-        return _report_error(f"{fault}; check it, or choose another", 2, debug)
+        message = f"{fault}; check it, or choose another"
+        return _report_error(message, InputError.exit_code, debug)
     hint = "this is a defect in robot-sysid; run again with --debug and report it"
-    return _report_error(f"{type(error).__name__}: {error} ({hint})", 1, debug)
+    message = f"{type(error).__name__}: {error} ({hint})"
+    return _report_error(message, SysidError.exit_code, debug)
 
 
 def _report_error(message: str, code: int, debug: bool) -> int:

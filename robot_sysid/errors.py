@@ -159,7 +159,7 @@ def handle_stop_signals(
 
 @contextlib.contextmanager
 def delay_signals(signals: tuple[signal.Signals, ...] = STOP_SIGNALS) -> Iterator[None]:
-    """Deliver these signals after the block only.
+    """Hold signals back inside the block, and deliver those that arrived when it ends.
 
     A process that is started inside the block never gets them, where the system has signal masks.
     """

@@ -165,6 +165,7 @@ def save(
     which says why. An error before files take their places leaves the folder as it was.
 
     Args:
+        folder: the output folder, in which files of earlier runs are removed.
         checkpoints: motion on which the written model must reproduce the predicted torque.
         mesh_dir: the user's mesh folder, if any.
         as_body: name of a new body for the payload; None merges it into the terminal link.
@@ -220,10 +221,9 @@ def save(
         *clamping_lines(report, result.robot.joint_names),
     )
     verdict = verdict_lines(result, failure)
-    paths = tuple(written)
     result_hash = hashlib.sha256(text.encode()).hexdigest()
     return Outcome(
-        lines, verdict, failure, paths, result, notes, result_hash=result_hash
+        lines, verdict, failure, tuple(written), result, notes, result_hash=result_hash
     )
 
 
@@ -335,8 +335,7 @@ def params_json_text(
         joints[name] = _joint_entry(joint, written.get(name, {}))
     couplings = {}
     for name, motor in result.couplings.items():
-        entry = {"terms": motor.terms, "in_the_file": written.get(name, {})}
-        couplings[name] = entry
+        couplings[name] = {"terms": motor.terms, "in_the_file": written.get(name, {})}
     content = {
         "schema_version": SCHEMA_VERSION,
         **_terminal_link_entries(result),
@@ -520,6 +519,7 @@ def _bam_entry(
         terms = written_terms
     if "coulomb" not in terms:
         return None
+    # m1 has Coulomb and viscous friction, m2 the Stribeck term too, m3 that of load, m4 both.
     number = 1 + ("stribeck" in names) + 2 * ("load" in names)
     entry: dict[str, Any] = {
         "model": f"m{number}",

@@ -129,7 +129,10 @@ def _keyframe_names(mj_model: Any) -> list[str]:
 
 
 def _prior(bodies: Sequence[SubtreeBody]) -> InertialParameters:
-    """Return the sum of the bodies of a link, or raise ModelError where they weigh nothing."""
+    """Return the inertial parameters of all bodies of a link together.
+
+    ModelError where the bodies weigh nothing.
+    """
     theta = np.sum([body.theta for body in bodies], axis=0)
     if theta[0] <= 0.0:
         fault = f"the terminal body {bodies[0].name} and all below it weigh nothing"
@@ -216,7 +219,7 @@ def _model_file(path: Path) -> Path:
         raise InputError(f"there is no file {name}; {remedy}") from None
     names = [module.name for module in pkgutil.iter_modules(package.__path__)]
     if name not in names:
-        matches = get_close_matches(name, names, 3)
+        matches = get_close_matches(name, names, n=3)
         hint = "its page lists those it has"
         if matches:
             hint = f"did you mean {' or '.join(matches)}?"
@@ -227,7 +230,7 @@ def _model_file(path: Path) -> Path:
         with contextlib.redirect_stdout(sys.stderr):  # it reports its downloads
             description = importlib.import_module(f"{_PACKAGE}.{name}")
     except Exception as error:
-        # Any message of git's where there is no network, or no git.
+        # Without a network or git, the package raises git's errors, of many types.
         fault = f"{_PACKAGE} cannot fetch {name}: {error_text(error)}"
         raise InputError(f"{fault}; check the network, or give a model file") from None
     for attribute in ("MJCF_PATH", "URDF_PATH"):

@@ -58,7 +58,7 @@ class WriteBack:
     scale: float = 1.0
 
     def written_composite(self, composite: Array) -> Array:
-        """Return theta (10,) of the link as written, for the identified theta (10,) of it."""
+        """Return theta (10,) of the whole link as written, from the identified ``composite``."""
         return composite + self.inflation * _UNIT_SPHERE
 
 
@@ -74,8 +74,9 @@ def plan_write_back(
     those welded to it are emptied, then those on joints of their own are made lighter.
 
     Args:
-        composite: (10,) of the terminal body and all below it, in the terminal body's frame.
-        bodies: those bodies as the model describes them, the terminal body first.
+        composite: (10,) identified theta of the terminal body and all below it together, in the
+            terminal body's frame.
+        bodies: the terminal body and all below it as the model has them, the terminal body first.
         least_moment: smallest principal moment the file's compiler leaves alone [kg m^2].
         max_inflation: by how much all three moments may be inflated, because they are not known any
             better [kg m^2].
@@ -98,6 +99,7 @@ def plan_write_back(
         welded = list[SubtreeBody]()
         hanging = list[SubtreeBody]()
         for body in bodies[1:]:
+            # A body without mass and inertia takes nothing away.
             if np.any(body.theta):
                 group = welded if body.welded else hanging
                 group.append(body)
@@ -128,8 +130,8 @@ def _largest_scale(composite: Array, hanging: Array) -> float:
     """Return the largest share s, below 1, with a possible body composite - s hanging; 0 for none.
 
     Args:
-        composite: theta (10,) of all bodies together.
-        hanging: theta (10,) of those on joints of their own, in the same frame.
+        composite: theta (10,) of all bodies of the link together.
+        hanging: theta (10,) of its bodies on joints of their own together, in the same frame.
     """
     # Possible bodies are a convex set: the shares that leave one are an interval from zero, whose
     # end is found by bisection.
@@ -151,7 +153,10 @@ def _list_names(bodies: Sequence[SubtreeBody]) -> str:
 
 
 def _notes(top: SubtreeBody, plan: WriteBack) -> Iterator[str]:
-    """Yield sentences on a plan for the terminal body ``top``."""
+    """Yield a sentence each on emptied bodies, lightened bodies and larger moments of a plan.
+
+    ``top`` is the terminal body.
+    """
     if plan.emptied:
         yield (
             f"body '{top.name}' now holds the inertia of all that is rigidly attached to it; "
@@ -175,7 +180,9 @@ def _notes(top: SubtreeBody, plan: WriteBack) -> Iterator[str]:
 def possible_body(
     theta: Array, scale: float, least_moment: float = 0.0, max_inflation: float = 0.0
 ) -> Array | None:
-    """Return the possible body (10,) nearest to theta (10,) in equal moments, or None.
+    """Return theta (10,) with all three moments of inertia raised until its body is possible.
+
+    None where they would have to be raised too much, or where theta has no mass.
 
     A body is possible where its second moments about the centre of mass, tr(I)/2 1 - I, the upper
     left block of its pseudo-inertia there, are not negative. Rounding leaves a difference of two
@@ -185,7 +192,7 @@ def possible_body(
     Args:
         scale: mass of the larger of the two bodies [kg]; a mass below NEGLIGIBLE times it is none.
         least_moment: smallest principal moment of inertia that the body must have [kg m^2]; where
-            max_inflation does not suffice for it, it is left aside.
+            max_inflation does not suffice for it, it is ignored.
         max_inflation: by how much all three moments may be inflated, because they are not known any
             better [kg m^2].
     """
@@ -201,6 +208,7 @@ def possible_body(
     shortfall = least_moment - float(moments[0])
     if shortfall <= max_inflation:
         inflation = max(inflation, shortfall)
+    # Rounding alone explains second moments that are negative by SLACK.
     if inflation > max(2.0 * (SLACK + MARGIN) * size, max_inflation):
         return None
     return spatial.theta_from_com(mass, com, inertia + inflation * np.eye(3))
@@ -285,6 +293,8 @@ def check_settings(
     document: ModelDocument, body: Node, theta: Array, gets_child: bool = False
 ) -> None:
     """Raise ExportError where the compiler would change theta (10,) as it is written.
+
+    Settings that do so are settotalmass, fusestatic, boundmass and boundinertia.
 
     Args:
         document: the model file, whose compiler settings are checked.

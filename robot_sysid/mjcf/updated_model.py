@@ -92,7 +92,7 @@ class TendonChange:
         tendon: its MuJoCo id, or the id that a new one gets.
         is_new: whether the file has no such tendon yet.
         coefficients: joint name to speed of the tendon per speed of that joint.
-        numbers: new ones, by their name in MJCF: "armature", "damping", "frictionloss".
+        numbers: new values by their name in MJCF: "armature", "damping", "frictionloss".
         comment: text for its comment.
     """
 
@@ -105,7 +105,13 @@ class TendonChange:
 
 @dataclass(frozen=True)
 class ActuatorChange:
-    """New gains for a position actuator, by its MuJoCo id."""
+    """New gains of a position actuator, which makes stiffness (ctrl - q) - damping qd.
+
+    Attributes:
+        actuator: its MuJoCo id.
+        stiffness: [N m/rad or N/m].
+        damping: [N m s/rad or N s/m].
+    """
 
     actuator: int
     stiffness: float
@@ -159,8 +165,18 @@ def changed_model_text(
     """Return the text of a model file with a change made, for the folder where it will live.
 
     Of an MJCF with includes, the included files that lead to a changed element, and those that
-    contain paths, take the place of their ``<include>``; the others stay included. ExportError
-    where an element is not written out in the file, or a setting of it changes inertias.
+    contain paths, take the place of their ``<include>``; the others stay included. In a URDF,
+    moving links without mass get a minimum of it.
+
+    Args:
+        source: the model file, which stays as it is.
+        change: what is changed.
+        folder: where the text will live; its paths are relative to this folder.
+        mesh_dir: the user's mesh folder, if any.
+
+    Raises:
+        ExportError: the file does not contain an element itself (see ``find_element``), or one of
+            its settings changes inertias.
     """
     edits = Edits(read_document(source))
     written = _write_bodies(edits, change)
@@ -183,12 +199,13 @@ def changed_model_text(
 
 
 def _write_bodies(edits: Edits, change: ModelChange) -> list[Node]:
-    """Write the inertias of ``change.bodies``, with comments; return the elements that got one.
+    """Write the inertias of ``change.bodies``, with comments, and zeros into the emptied bodies.
 
-    ExportError where an element is not written out, or a compiler setting would change its inertia.
+    Returns the elements of all these bodies. ExportError where the file does not contain one of
+    them itself (see ``find_element``), or a compiler setting would change its inertia.
     """
     document = edits.document
-    nothing = _inertial(document, np.zeros(10), change.principal)
+    zero_inertial = _inertial(document, np.zeros(10), change.principal)
     written = list[Node]()
     for body in change.bodies:
         node = find_element(document, "body", body.label)
@@ -201,7 +218,7 @@ def _write_bodies(edits: Edits, change: ModelChange) -> list[Node]:
         written.append(node)
         for emptied in body.plan.emptied:
             node = find_element(document, "body", emptied.name)
-            edits.put_inertial(node, nothing)
+            edits.put_inertial(node, zero_inertial)
             written.append(node)
     return written
 
@@ -321,12 +338,17 @@ def _require_resistance(owner: str, numbers: Mapping[str, float]) -> None:
 
 
 def write_joint(edits: Edits, change: JointChange) -> None:
-    """Give a joint its new numbers, or raise ExportError where the file cannot hold them."""
+    """Give a joint its new numbers; of a URDF's joint, none for nonlinear damping.
+
+    ExportError where a number is negative or not finite, or the file does not contain the joint
+    itself (see ``find_element``).
+    """
     document = edits.document
     numbers = change.numbers
     nonlinear = change.polynomial
     texts = {name: format_number(value) for name, value in numbers.items()}
     if nonlinear:
+        # The lower coefficient is the one to be checked for its sign.
         numbers["nonlinear damping"] = min(nonlinear)
     _require_resistance(f"joint '{change.label}'", numbers)
     node = find_element(document, "joint", change.label)
@@ -340,7 +362,7 @@ def write_joint(edits: Edits, change: JointChange) -> None:
             return
         node = dynamics
     elif "damping" in texts:
-        # Nonlinear damping stands behind the linear one; where none was found the model's stays.
+        # Nonlinear damping stands behind the linear one; the model's stays where none is new.
         coefficients = (node.get("damping") or "").split()[1:]
         if nonlinear is not None:
             coefficients = list(map(format_number, nonlinear))
@@ -384,9 +406,14 @@ def _write_tendon(edits: Edits, change: TendonChange, rmse: float) -> None:
 
 
 def _section_child(document: ModelDocument, section: str, index: int) -> Node | None:
-    """Return the child of an index in all sections of a name, such as "tendon", taken together.
+    """Return the element with a MuJoCo id among the children of all sections of a name.
 
-    MuJoCo numbers tendons and actuators so. None where there are no more than ``index`` children.
+    Args:
+        section: name of the sections, "tendon" or "actuator".
+        index: MuJoCo's id, which counts the children of all these sections from 0.
+
+    Returns:
+        The element; None where there are no more than ``index`` children.
     """
     sections = document.root_children(section)
     children = chain.from_iterable(map(Node.children, sections))
@@ -394,7 +421,7 @@ def _section_child(document: ModelDocument, section: str, index: int) -> Node | 
 
 
 def write_actuator(edits: Edits, change: ActuatorChange) -> None:
-    """Give a position actuator its new gains; ExportError where the file does not write it out."""
+    """Give a position actuator its new gains; ExportError for one that is no position or general."""
     document = edits.document
     node = _section_child(document, "actuator", change.actuator)
     kp = format_number(change.stiffness)
@@ -417,7 +444,10 @@ _MULTIPLIERS = ("replicate", "attach", "composite", "flexcomp")
 
 
 def find_element(document: ModelDocument, element: str, label: str) -> Node:
-    """Return the element of a compiled body or joint; ExportError unless it is written out once.
+    """Return the element of a compiled body or joint, which the file itself must contain once.
+
+    ExportError where it comes from an element that makes bodies, such as ``<replicate>``, is below
+    one, or is there several times.
 
     Args:
         element: "body", which is a ``<link>`` in a URDF, or "joint".
@@ -433,7 +463,8 @@ def find_element(document: ModelDocument, element: str, label: str) -> Node:
         raise ExportError(f"{document.path}: {fault}")
     number = re.fullmatch(r"#(\d+)", label)
     if number and not matches and not document.is_urdf:
-        # The world is body 0; behind a multiplier nobody knows the number.
+        # The world is body 0, so "#1" is the first body, but the second joint. Behind a multiplier
+        # the number is unknown.
         count = int(number[1]) + (0 if element == "body" else 1)
         first = nodes[:count]
         tags = {node.tag for node in first}

@@ -38,7 +38,7 @@ def compilable_urdf(
 
     Args:
         mesh_dir: folder of the meshes; default as the file says.
-        with_minimum: whether moving links without mass get a minimum.
+        with_minimum: whether moving links without mass get a minimum of mass and inertia.
 
     Raises:
         ModelError: a mesh that decides a link's inertia is missing.
@@ -71,7 +71,7 @@ def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
     """Write the absolute path of every mesh, remove shapes with an unusable one; yield notes.
 
     A shape is a link's <visual> or <collision>. ModelError where a link's inertia would be computed
-    from the removed one: the link has no <inertial>, or ``inertiafromgeom`` overrules it.
+    from the removed shape: the link has no <inertial>, or ``inertiafromgeom`` overrules it.
     """
     document = edits.document
     settings = document.settings("compiler")

@@ -56,6 +56,7 @@ def usual_bodies(robot: RobotModel) -> dict[str, Array]:
     """
     bodies = {link.body_name: link.theta for link in robot.links if link.has_mass}
     thetas = list(bodies.values())
+    # Links from which the median is taken: none that is much lighter than the heaviest.
     least_mass = PLACEHOLDER * np.max(np.array(thetas)[:, 0])
     stated = []
     for theta in thetas:
@@ -185,6 +186,7 @@ _PATTERNS = tuple(
     for name in _NAMES
 )
 _DOUBT = "; an end effector's frame may also be the tip of the tool: check"
+"""End of the note on a flange with one of the last, least sure names."""
 REACH = 3.0
 """Distance of a flange from its link beyond which the numbers must be millimetres [m]: no arm is as
 long."""
@@ -236,6 +238,7 @@ def place_in_carrier(robot: RobotModel, flange: Flange) -> tuple[Array, Array]:
 
 
 _OBJECTS = {"site": mujoco.mjtObj.mjOBJ_SITE, "body": mujoco.mjtObj.mjOBJ_BODY}
+"""What a flange may be named after, to MuJoCo's type of object."""
 _Frames = Mapping[str, Flange]
 """Name of a site or body to its frame."""
 
@@ -274,7 +277,10 @@ def _fixed_frames(robot: RobotModel) -> tuple[_Frames, _Frames]:
 
 
 def _guess_flange(robot: RobotModel, sites: _Frames, bodies: _Frames) -> Flange:
-    """Return the frame that is called like a flange, else the terminal body, with a note."""
+    """Return the frame that is called like a flange, else the terminal body's, with a note on it.
+
+    A note is a sentence for the user. ModelError where several different frames are called so.
+    """
     others = {**bodies}
     terminal = others.pop(robot.body_name)
     for pattern in _PATTERNS:
@@ -439,8 +445,9 @@ class ContactFinder:
         return self._touching() - self.resting_pairs
 
     def _touching(self) -> set[tuple[int, int]]:
-        """Return the pairs that touch in the current configuration, but for those that keep their
-        distance.
+        """Return the pairs that touch now, without those that the same chain joints move.
+
+        ModelError where MuJoCo has too little memory for the contacts.
         """
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
@@ -458,6 +465,7 @@ class ContactFinder:
         geoms = geoms[np.all(geoms >= 0, axis=1)]
         bodies = np.sort(self._model.geom_bodyid[geoms], axis=1)
         counts = self._joint_counts[bodies]
+        # Bodies that the same joints move keep their distance.
         moving = bodies[counts[:, 0] != counts[:, 1]]
         return set(map(tuple, moving.tolist()))
 

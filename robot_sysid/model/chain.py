@@ -391,6 +391,7 @@ def joint_friction(mj_model: Any, dofs: NDArray[np.int64]) -> JointFriction:
     # (m, n) for m shared motors, of which there may be none.
     ratios = np.array(list(motors.values())).reshape(-1, len(dofs))
     torques = mj_model.tendon_frictionloss[list(motors)][:, None] * ratios
+    # Motors without dry friction are left out.
     return JointFriction(
         mj_model.dof_frictionloss[dofs],
         mj_model.dof_damping[dofs],

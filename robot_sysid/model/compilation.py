@@ -41,7 +41,9 @@ from robot_sysid.records.messages import Progress
 FAILURES = (ValueError, RuntimeError, mujoco.FatalError, mujoco.UnexpectedError)
 """Exceptions by which MuJoCo refuses a model."""
 _NAME = re.compile(r"(?:Element name|Object name =) ?'?([^',\n]+)")
+"""Name of an element in a message of MuJoCo's."""
 _LINE = re.compile(r"line(?: =)? (\d+)")
+"""Number of a line in a message of MuJoCo's."""
 _MUST_BE_FINITE = (
     "body_mass",
     "body_inertia",
@@ -56,6 +58,7 @@ _MUST_BE_FINITE = (
     "dof_armature",
     "dof_frictionloss",
 )
+"""Arrays of an MjModel whose numbers are checked."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,8 @@ def warnings_as_notes(progress: Progress) -> Iterator[None]:
 def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
     """Compile an MJCF or URDF file, or raise ModelError with one line on why not.
 
-    A mesh folder replaces the file's own (and, in a URDF, its packages).
+    A mesh folder replaces the file's own (and, in a URDF, its packages). Where MuJoCo's cache has
+    no capacity, a tiny model is compiled last, so that the cache keeps nothing of this one.
     """
     document = read_document(path)
     if mesh_dir is not None and not os.path.isdir(mesh_dir):
@@ -162,7 +166,7 @@ def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
     try:
         if mesh_dir is None and all(file.is_utf8 for file in document.files):
             return mujoco.MjModel.from_xml_path(str(document.path))
-        text = relocated_text(Edits(document), None, mesh_dir)
+        text = relocated_text(Edits(document), folder=None, mesh_dir=mesh_dir)
         return mujoco.MjModel.from_xml_string(text.decode())
     except FAILURES as error:
         # Asked only now, so that MuJoCo's own rules decide what is missing.
@@ -285,6 +289,7 @@ _COMPARED = (
     "dof_frictionloss",
     "body_jntadr",
 )
+"""Arrays of two MjModels that must agree for both to be the same arm."""
 _WRITING_ACCURACY = 1e-4
 """Relative difference of numbers that MuJoCo writes: they have six digits."""
 
@@ -303,13 +308,15 @@ def _is_spec(model: Any) -> bool:
 def compiled_in_memory(model: Any) -> CompiledModel:
     """Return an MjSpec or MjModel with all its digits; ModelError where it does not compile."""
     mj_model = _compile_spec(model) if _is_spec(model) else model
-    return CompiledModel(mj_model, (), "", "mjcf")
+    return CompiledModel(mj_model, notes=(), sha256="", kind="mjcf")
 
 
 def file_of(model: Any) -> Path:
     """Return a temporary MJCF file of an MjSpec or MjModel, removed when this process ends.
 
-    MuJoCo writes it, with six digits of each number. Raises ModelError where it cannot.
+    MuJoCo writes it, with six digits of each number. Of an MjModel, it writes only the last one
+    that was loaded; for an earlier one the file of an earlier call is returned, if there is one.
+    Raises ModelError where there is no file.
     """
     _FOLDERS.append(tempfile.TemporaryDirectory(prefix="robot-sysid-"))
     folder = Path(_FOLDERS[-1].name)
@@ -382,7 +389,7 @@ def _is_same_arm(model: Any, other: Any) -> bool:
         others = getattr(other, name)
         has_same_shape = values.shape == others.shape
         if not has_same_shape or not np.allclose(
-            values, others, _WRITING_ACCURACY, 1e-9
+            values, others, rtol=_WRITING_ACCURACY, atol=1e-9
         ):
             return False
     return True
