@@ -210,7 +210,7 @@ def payload(
     Args:
         model: MJCF or URDF file of the arm.
         empty: one recording without the payload or several, see ``api.calls.Log``.
-        loaded: one with it or several.
+        loaded: one recording with the payload or several.
         options: every option of ``robot-sysid payload``, such as ``order="ABBA"`` or
             ``flange="tool0"``.
 

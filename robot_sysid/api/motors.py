@@ -118,8 +118,8 @@ def hold(
 
 
 def _motor_run(say: Say, **values: Any) -> MotorRun:
-    """Return a run with the values of its options by key, which reports to ``say``."""
-    return MotorRun(values, lambda sentence, last: say(sentence))
+    """Return a run with the values of its options by key; ``say`` hears of a driver that stalls."""
+    return MotorRun(values, tell=lambda sentence, last: say(sentence))
 
 
 def _play_plan(
@@ -141,7 +141,9 @@ def _play_plan(
     stop = StopRequest()
     inspection = inspect_bus(link)
     require_no_stop(run.inspection_checks(plan, inspection, is_real), "not played")
-    return run.play(link, plan, inspection, stop, say, lambda time: None)
+    return run.play(
+        link, plan, inspection, stop, on_phase=say, on_progress=lambda time: None
+    )
 
 
 @contextlib.contextmanager

@@ -53,8 +53,12 @@ def recordings_table(
 ) -> LogTable:
     """Return recordings in memory as one table, the rows of one after those of the other.
 
-    ``titles`` (C,) are those of all columns of a recording, from left to right; ``recordings`` has
-    a list per recording of its arrays, (N,) or (N, k), side by side; N may vary.
+    Args:
+        path: of the file or folder, for messages.
+        layout: the form in a few words, for the user.
+        titles: (C,) of all columns of a recording, from left to right.
+        recordings: a list per recording of its arrays, (N,) or (N, k), whose columns stand side by
+            side; N may differ between recordings.
     """
     return LogTable(path, layout, tuple(titles), partial(_blocks, recordings))
 
@@ -132,7 +136,10 @@ def can_be_column(array: Any) -> bool:
 
 
 def _dates_as_seconds(array: Any) -> Any:
-    """Return dates, also as text, and lengths of time as seconds from the first; else the array."""
+    """Return an array of dates, texts of dates or durations as seconds from its first element.
+
+    Any other object is returned unchanged.
+    """
     if not isinstance(array, np.ndarray) or not array.size:
         return array
     first = array.flat[0]
@@ -242,7 +249,10 @@ _LEAST_SPEED = 2e7
 
 
 def matlab_table(source: LogSource) -> LogTable:
-    """Return the arrays of a .mat file, also those in its structs."""
+    """Return the arrays of a .mat file, also those in its structs, as a table.
+
+    A process of its own reads the file. InputError where the file cannot be read.
+    """
     path = source.path
     with (
         as_input_errors(path, "a MATLAB .mat file"),
@@ -372,10 +382,14 @@ _SUFFIXES = {
 # Features (arrays of a frame) whose names are those of joints, to their quantity.
 _FEATURES = {"observation.velocity": "velocity", "observation.effort": "torque"}
 _DOWNLOAD = "download the data set whole"
+"""Remedy for a data set of which files or numbers are missing."""
 
 
 def lerobot_table(source: LogSource) -> LogTable:
-    """Return the selected episodes of a LeRobot data set, or all, each as one recording."""
+    """Return the selected episodes of a LeRobot data set, or all, each as one recording.
+
+    InputError where it holds no torque, no frames, or not the selected episodes.
+    """
     path = source.path
     commanded = source.options.commanded
     info = _as_mapping(read_json(path / "meta" / "info.json", _DOWNLOAD))

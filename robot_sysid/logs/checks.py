@@ -150,6 +150,7 @@ def check_log(
     has_time = is_tolerable[REPEATED] and is_tolerable[BACKWARDS]
     if len(rows.lines) >= _FEWEST_ROWS:
         notes.extend(_mending_notes(rows))
+        # Checks of speeds and positions need a plausible time, and then plausible radians.
         if has_time and passes(clock_notes) and (in_radians or passes(require_radians)):
             passes(require_no_jumps)
             passes(rest_notes)
@@ -235,6 +236,7 @@ def clock_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     """Yield notes on sampling period and gaps; refuse an implausible unit of time."""
     period = sampling_period(rows.samples.time)
     if period > _LONGEST_PERIOD:
+        # The first unit in which the period is at most 50 ms, else ns.
         unit = "ms" if period <= 50 else "us" if period <= 5e4 else "ns"
         remedy = f"if time is in {unit}, pass --units {unit}"
         raise InputError(

@@ -82,12 +82,14 @@ class ColumnChoices:
 
     def over(self, fallback: ColumnChoices) -> ColumnChoices:
         """Return these choices, with those of the fallback where these are undeclared."""
+        # A time column that is declared here stands in place of a rate.
+        fallback_rate = None if self.time else fallback.rate
         return ColumnChoices(
-            self.time or fallback.time,
-            {**fallback.columns, **self.columns},
-            self.angle_unit or fallback.angle_unit,
-            self.time_unit or fallback.time_unit,
-            self.rate or (None if self.time else fallback.rate),
+            time=self.time or fallback.time,
+            columns={**fallback.columns, **self.columns},
+            angle_unit=self.angle_unit or fallback.angle_unit,
+            time_unit=self.time_unit or fallback.time_unit,
+            rate=self.rate or fallback_rate,
         )
 
 
@@ -331,6 +333,7 @@ def recognise_columns(
         return finder.find_all(first_row)
     except InputError as error:
         text = draft(titles, joint_names, driven, finder.recognised)
+        # A draft does not suit a user who has declared columns already.
         is_declared = choices.columns or choices.time or choices.rate
         raise ColumnsError(str(error), "" if is_declared else text) from None
 
@@ -381,15 +384,15 @@ class _ColumnFinder:
             raise InputError(f"position and {self.driven} cannot be left out; {REMEDY}")
         has_unit = all(self._titles[column.index].unit for column in position)
         return ColumnMap(
-            next(iter(self.recognised["time"]), None),
-            self._choices.rate,
-            position,
-            torque,
-            self.recognised["velocity"] or None,
-            self.recognised["joint_time"] or None,
-            self._texts,
-            bool(self._choices.angle_unit) or has_unit,
-            self.driven == "command",
+            time=next(iter(self.recognised["time"]), None),
+            rate=self._choices.rate,
+            position=position,
+            torque=torque,
+            velocity=self.recognised["velocity"] or None,
+            joint_time=self.recognised["joint_time"] or None,
+            titles=self._texts,
+            angle_declared=bool(self._choices.angle_unit) or has_unit,
+            commanded=self.driven == "command",
         )
 
     def _open_titles(self) -> list[Title]:
@@ -423,7 +426,7 @@ class _ColumnFinder:
                 index, factor = self._look_up(declared[name])
                 columns.append(self._column(quantity, joint, index, factor))
             elif indices:
-                columns.append(self._column(quantity, joint, indices[0], 1.0))
+                columns.append(self._column(quantity, joint, indices[0], factor=1.0))
         if len(columns) == len(self._joint_names):
             return tuple(columns)
         if declared or quantity in ("position", self.driven):
@@ -437,7 +440,7 @@ class _ColumnFinder:
         """
         if self._choices.time is not None:
             index, factor = self._look_up(self._choices.time)
-            return (self._column("time", 0, index, factor),)
+            return (self._column("time", joint=0, index=index, factor=factor),)
         if self._choices.rate is not None:
             return ()
         excluded = set(chain(*joint_times))
@@ -456,7 +459,7 @@ class _ColumnFinder:
                 f"the log has no time column; {REMEDY} ('time = TITLE', or 'rate = HZ' for "
                 "evenly spaced rows)"
             )
-        return (self._column("time", 0, times[0], 1.0),)
+        return (self._column("time", joint=0, index=times[0], factor=1.0),)
 
     def _missing_error(self, quantity: str) -> InputError:
         """Return the error for a quantity without a column for each joint, with a hint."""
@@ -513,7 +516,7 @@ class _ColumnFinder:
 
         Args:
             quantity: of the column, such as "position", or "time" of the row.
-            joint: index in the chain of the joint that it belongs to.
+            joint: index in the chain of the joint that it belongs to; without effect for times.
             index: of the column.
             factor: by which the column's numbers are to be multiplied beside the unit.
         """

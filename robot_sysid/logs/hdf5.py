@@ -34,6 +34,7 @@ from robot_sysid.records import Array
 _MAX_LINKS = 3
 """Largest number of links to other files that a message names."""
 _COPY = "copy what is in it into this one (h5copy -f ext, or h5repack)"
+"""Remedy for numbers that are in another file."""
 
 
 def hdf5_table(source: LogSource) -> LogTable:

@@ -142,7 +142,7 @@ def _map_columns(
     if options.columns:
         declared = read_columns_file(Path(options.columns), names)
         choices = choices.over(declared)
-    elif table.titles[:1] == ("#1",):
+    elif table.titles[:1] == ("#1",):  # numbers in the place of missing titles
         driven = "command" if options.commanded else "torque"
         raise ColumnsError(
             f"{table.path} has no column titles; say which of its {len(table.titles)} columns is "
@@ -209,7 +209,7 @@ _FOLDERS: list[tempfile.TemporaryDirectory[str]] = []
 
 @functools.cache
 def _piped_file() -> Path:
-    """Return a temporary copy of the log that is piped in: standard input can be read only once."""
+    """Return a temporary copy of the log that is piped in; cached, as it can be read only once."""
     if sys.stdin is None or sys.stdin.isatty():
         raise InputError("- stands for a log that is piped in, and nothing is")
     _FOLDERS.append(tempfile.TemporaryDirectory(prefix="robot-sysid-"))
@@ -268,6 +268,7 @@ def content_lines(path: Path, options: LogOptions, progress: Progress) -> list[s
     """Return lines for the user on a log's form and on the numbers in each of its columns."""
     table = open_table(Path(path), (), options)
     columns = list(range(len(table.titles)))
+    # Of a text log, the columns of numbers.
     if table.first_row:
         columns = [k for k, cell in enumerate(table.first_row) if is_number(cell)]
     # Smallest and largest number of each column; NaN as long as it has none.

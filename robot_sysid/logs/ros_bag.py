@@ -82,7 +82,10 @@ StampedSample = tuple[int, Sample]
 
 
 def bag_table(source: LogSource) -> LogTable:
-    """Return the topic of a bag with the arm's joints: the one of --topic, or the only one."""
+    """Return the topic of a bag with the arm's joints: the one of --topic, or the only one.
+
+    InputError where no topic or several fit, or where the only one lacks torques.
+    """
     path = source.path
     joints = source.joint_names
     topic = source.options.topic
@@ -444,7 +447,7 @@ class MessagePattern:
             if group is None:
                 continue
             newest[group] = stamp, sample
-            oldest = 0  # as long as a group has sent nothing
+            oldest = 0  # too old for a row, as long as a group has sent nothing
             if len(newest) == len(self.groups):
                 oldest = min(stamp for stamp, _ in newest.values())
             if group == self.groups[-1] and stamp - oldest <= _MAX_AGE:

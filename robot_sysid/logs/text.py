@@ -103,8 +103,8 @@ def text_table(source: LogSource) -> LogTable:
         dialect.titles,
         partial(_blocks, dialect),
         choices,
-        "line",
-        dialect.first_row,
+        row_noun="line",
+        first_row=dialect.first_row,
     )
 
 

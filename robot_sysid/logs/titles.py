@@ -287,6 +287,7 @@ def match_joints(
             columns = [named[0][0], rivals[0]]
             raise ambiguity_error(quantity, joint_names[0], titles, columns)
         for joint_name, name_columns, columns in zip(joint_names, named, numbered):
+            # Names decide for all joints or for none; where numbers do, no name may contradict.
             disputed = set(name_columns) - set(columns)
             if disputed and all(numbered) and not all(named):
                 raise InputError(
@@ -403,6 +404,7 @@ def _match_numbers(
     for column, title in enumerate(titles):
         quantity = None if column in excluded else joint_quantity(title)
         numbers = title.numbers
+        # A time without a number is the row's, not the single joint's own.
         if len(joint_names) == 1 and quantity != "joint_time":
             numbers = numbers or (0,)
         if quantity and len(numbers) == 1:

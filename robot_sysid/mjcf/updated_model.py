@@ -421,7 +421,10 @@ def _section_child(document: ModelDocument, section: str, index: int) -> Node | 
 
 
 def write_actuator(edits: Edits, change: ActuatorChange) -> None:
-    """Give a position actuator its new gains; ExportError for one that is no position or general."""
+    """Give a position actuator its new gains.
+
+    ExportError unless it is a <position> or <general> that the file itself contains.
+    """
     document = edits.document
     node = _section_child(document, "actuator", change.actuator)
     kp = format_number(change.stiffness)

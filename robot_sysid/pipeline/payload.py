@@ -32,9 +32,9 @@ from robot_sysid.results.record import Payload, Quantity
 from robot_sysid.signals.repetition import resting_poses
 
 LEAST_WITHIN = 0.15
-"""Least share of the variance of positions in the order of recording that lies within one kind,
-for a drift to be told apart from the payload: 0 for A B, 0.2 for A A B B at equal distances, 1 for
-A B B A."""
+"""Least share of the variance of positions in the order of recording that lies within the empty and
+within the loaded logs, for a drift to be told apart from the payload: 0 for the order A B, 0.2 for
+A A B B at equal distances, 1 for A B B A."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,8 @@ def identify_payload(
     else:
         datasets, notes = _moving_datasets(robot, recordings, order, config.estimation)
     if not drifts and not options.static:
-        notes = (*notes, _no_drift_note(recordings, positions is not None))
+        is_order_known = positions is not None
+        notes = (*notes, _no_drift_note(recordings, is_order_known))
     progress.note(*notes)
     question = Question(
         config.estimation,
@@ -123,7 +124,9 @@ def _with_applied_scales(
     """Return a payload whose torque scales are those of the log before scales were applied.
 
     Args:
+        payload: as estimated from torques that were divided by the applied scales.
         applied_scales: joint to the scale that the log's torques were divided by.
+        unknowns: of the estimate; they hold how far the prior of the scales had to be widened.
     """
     # Where the estimate contradicts the applied scales, errors are as many times as large as the
     # prior had to be widened (the Birge ratio of means that do not agree).
@@ -246,10 +249,12 @@ def order_positions(
         order: a letter of ``--order`` for each recording, A for an empty one; or None.
     """
     if order is not None:
+        # The k-th A is the k-th empty recording, and so for B: a stable sort keeps their order.
         is_loaded = np.array([letter == LOADED for letter in order])
         return _scaled_to_unit(np.argsort(is_loaded, kind="stable").astype(float))
     ends = np.array([recording.samples.time[[0, -1]] for recording in recordings])
     spans = ends[np.lexsort(ends.T[::-1])]
+    # Logs that overlap in time do not share a clock.
     if np.any(spans[1:, 0] <= spans[:-1, 1]):
         return None
     return _scaled_to_unit(np.mean(ends, axis=1))

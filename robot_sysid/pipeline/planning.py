@@ -57,6 +57,7 @@ def design_motion(
         )
         for joint, motor_type in enumerate(motors.motor_type):
             spec = motor_spec(motor_type)
+            # TMAX, which no command of torque can exceed.
             motor_limits = (spec.peak_torque, spec.limits[2])
             max_torque[joint] = min(*motor_limits, max_torque[joint])
         limits = replace(limits, max_torque=tuple(max_torque.tolist()))
@@ -185,12 +186,13 @@ def _shortfalls(
         return [], ""
     contact = contact_before(checked.problem, checked.plan)
     if prediction is None:
-        return shortfalls_of_plan("", None, contact), ""
+        shortfalls = shortfalls_of_plan("", relative_mass_error=None, contact=contact)
+        return shortfalls, ""
     is_weighing = config.poses.purpose == WEIGHT
     mass_share = None if is_weighing else prediction.relative_mass_error
     shortfalls = shortfalls_of_plan(prediction.subject, mass_share, contact)
     # Another motion shows more of a mass; it does not clear the way.
-    mass_shortfalls = shortfalls_of_plan(prediction.subject, mass_share, None)
+    mass_shortfalls = shortfalls_of_plan(prediction.subject, mass_share, contact=None)
     if not mass_shortfalls or config.plan_file is None:
         return shortfalls, ""
     options = prediction.improvement_options()
@@ -250,9 +252,9 @@ def require_motors(motors: MotorOptions, robot: RobotModel) -> None:
 def motor_writer(
     motors: MotorOptions, robot: RobotModel, plan: MotionPlan, rate: float
 ) -> MotorFile | None:
-    """Return the function that writes a motion, sampled at a rate [Hz], for Damiao motors, once.
+    """Return the function that writes a motion, sampled at a rate [Hz], for Damiao motors.
 
-    None where no option asks for that.
+    It can be called once only. None where no option asks for an export.
     """
     if not motors.export_damiao:
         return None

@@ -59,6 +59,8 @@ def identify_logs(
 ) -> Identification:
     """Read the logs, diagnose each of them, and identify the arm from all.
 
+    The samples of the first log are written to the file of ``--save-measurements``, if it is given.
+
     Args:
         config: names the logs, and says how they are read and fitted.
         robot: the arm as in the model.
@@ -80,6 +82,7 @@ def identify_logs(
     if options.validation_measurements is not None:
         test = open_log(robot, options.validation_measurements, options, progress)
         tests.append(test)
+        # A note keeps its type: a Detail stays one.
         progress.note(*(type(note)(f"validation log: {note}") for note in test.notes))
     diagnose_logs(robot, [*logs, *tests], options.accept, config.estimation, progress)
     origin = origin_of(logs)
@@ -100,6 +103,8 @@ def identify_plant(
     progress: Progress,
 ) -> Identification:
     """Let another model play the real arm along a motion, and identify from its sensors.
+
+    Its samples are written to the file of ``--save-measurements``, if it is given.
 
     Args:
         config: names the other model, its sensors' noise, and how the samples are fitted.
@@ -152,6 +157,7 @@ def diagnose_logs(
     Args:
         accepted: names of faults that are reported but do not stop the run, from ``--accept``.
     """
+    # A delay that is estimated and corrected need not stop the run.
     if options.delay == "auto":
         accepted = (*accepted, "delay")
     label = "Looking for what is wrong with the logs"

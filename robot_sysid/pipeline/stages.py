@@ -300,7 +300,11 @@ def _traces(
 
 
 def self_test_verdict(estimate: Estimate) -> Verdict:
-    """Return the verdict on the identification of a model from its own simulation."""
+    """Return the verdict on the identification of a model from its own simulation.
+
+    TOO_WEAK where the mass's standard error is above half the mass, PARTLY_FROM_MODEL where some
+    parameters are not identifiable, else OK.
+    """
     errors = estimate.standard_errors
     mass_error = np.inf if errors is None else errors[0]
     largest = max(_NEGLIGIBLE_MASS_ERROR, 0.5 * estimate.inertial.mass)

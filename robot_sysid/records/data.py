@@ -146,12 +146,13 @@ class SquareRootInformation:
         return rows[:, :-1], rows[:, -1]
 
     def equation_blocks(self, weights: Array | None = None) -> Iterator[Array]:
-        """Yield the rows [A b] (m, p+1) of ``equations`` joint by joint, then the prior's.
+        """Yield the rows [A b] (m, p+1) of ``equations``: m rows of each joint, then the prior's.
 
-        ``weights`` (joints,) as there; without them the prior's rows are left out.
+        ``weights``: (joints,) weight of each joint's equations; None weighs all joints alike and
+        leaves the prior's rows out.
         """
-        scale = np.ones(len(self.joints)) if weights is None else np.asarray(weights)
-        for joint, weight in zip(self.joints, scale):
+        scales = np.ones(len(self.joints)) if weights is None else np.asarray(weights)
+        for joint, weight in zip(self.joints, scales):
             # A joint's triangle has the columns of its own parameters, and the torque's.
             block = np.zeros((len(joint.triangle), len(self.names) + 1))
             block[:, [*joint.columns, -1]] = weight * joint.triangle

@@ -60,7 +60,10 @@ def with_error(value: float, error: float | None, unit: str = "") -> str:
 
 
 def percent(share: float) -> str:
-    """Return a share in percent with two digits, "over 1000 %", or "not known" for NaN."""
+    """Return a share in percent with two digits, from 99.5 on with none behind the point.
+
+    "over 1000 %" beyond that, "not known" for NaN.
+    """
     size = 100.0 * abs(share)
     if not size <= _MAX_PERCENT:
         return "over 1000 %" if size > _MAX_PERCENT else "not known"
