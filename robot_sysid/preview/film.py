@@ -102,8 +102,8 @@ class Studio:
 
     Args:
         robot: the arm; its compiled model is copied and stays as it is.
-        width: of the pictures [pixels].
-        height: of the pictures [pixels].
+        width: width of the pictures [pixels].
+        height: height of the pictures [pixels].
 
     Attributes:
         robot: as given.
@@ -135,7 +135,7 @@ class Studio:
         self.pose(robot.reference)
 
     def __enter__(self) -> Studio:
-        """Return itself."""
+        """Return the studio."""
         return self
 
     def __exit__(self, *failure: object) -> None:
@@ -225,10 +225,11 @@ class Studio:
         Args:
             body: MuJoCo body id.
             theta: (10,) mass, first moment and inertia about the body's origin, in its frame.
-            colour: of the ellipsoid; the dot has it too, without transparency.
+            colour: colour of the ellipsoid; the dot has it too, without transparency.
 
         Returns:
-            Whether there is such an ellipsoid: a theta of no possible body has none.
+            Whether there is such an ellipsoid: a theta of no possible body has none, and only its
+            centre of mass is added.
         """
         mass, com, inertia = spatial.com_from_theta(theta)
         moments, axes = spatial.principal_axes(inertia)
@@ -272,7 +273,7 @@ class Studio:
 
         Args:
             shape: MuJoCo's ``mjtGeom``, a cylinder or a capsule.
-            width: its radius [m].
+            width: radius of the shape [m].
             colour: red, green, blue and opacity, 0 to 1.
             start: (3,) in the world frame [m].
             end: (3,) in the world frame [m].
@@ -292,9 +293,9 @@ class Plot:
     """One quantity over time and its limit.
 
     Attributes:
-        title: with the unit.
-        values: (T,) the quantity; NaN where it is unknown.
-        limit: in the same unit.
+        title: text above the plot, with the unit of the quantity.
+        values: (T,) the quantity at T instants; NaN where it is unknown.
+        limit: limit of the quantity, drawn as a dashed line, in the same unit.
     """
 
     title: str
@@ -309,7 +310,7 @@ class Preview:
     Attributes:
         time: (T,) instants [s].
         q: (T, n) chain positions [rad or m].
-        plots: drawn beside the arm.
+        plots: quantities over the same instants, drawn beside the arm, the first one on top.
     """
 
     time: Array
@@ -412,7 +413,7 @@ def write_film(
     Args:
         robot: the arm that moves.
         preview: its positions, and the quantities plotted beside the picture of the arm.
-        path: of the film; its ending chooses the format.
+        path: file of the film; its ending chooses the format.
         progress: is advanced with each picture.
     """
     import imageio.v2 as imageio
@@ -437,7 +438,10 @@ def write_film(
 
 
 def _draw_panel(preview: Preview) -> tuple[Picture, NDArray[np.int64]]:
-    """Return the plots as a picture, and the column of pixels (T,) of each instant in it."""
+    """Return a preview's plots as a picture, and its column of pixels (T,) at each instant.
+
+    The plots lie below each other and share the time axis.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -126,6 +126,8 @@ class ServoIdentification:
         model_value = servos_in_model(self.robot).vector()
         value = self.fit.servos.vector()
         error = self.fit.errors.vector()
+        # Where the model has no number (NaN, which differs from every value), the value is not the
+        # model's, even if the data hardly shows it.
         is_identified = self.fit.is_identified | (value != model_value)
         source = np.where(is_identified, "identified", "from_model")
         # The vectors hold n gains, n dampings, n frictions, n rotor inertias and the delay.
@@ -223,7 +225,7 @@ def servo_lines(result: ServoIdentification) -> list[str]:
 
 
 def _number_text(name: str, number: dict[str, Any]) -> str:
-    """Return one identified number of a joint with its unit, as printed.
+    """Return the text "name old -> new ± error unit" of one number of a joint.
 
     ``number`` is a dict as in ``ServoIdentification.joint_numbers``, ``name`` a key of ``UNITS``.
     """
@@ -264,7 +266,7 @@ def servo_notes(result: ServoIdentification, period: float) -> Iterator[str]:
 
 
 def _joint_notes(result: ServoIdentification, k: int) -> Iterator[str]:
-    """Yield sentences on the weak points of the k-th joint's numbers."""
+    """Yield sentences on the weak points of the numbers of the joint with index ``k``."""
     joint = result.robot.joint_names[k]
     numbers = result.joint_numbers[joint]
     gain = numbers["gain"]
@@ -316,18 +318,23 @@ def run_servo(
         folder: for the results; those of an earlier run in it are removed.
         mesh_dir: folder of the model's meshes; None where the file says.
         input_files: files that the run reads, which are never removed.
+
+    Raises:
+        InputError: the logs cannot be used; nothing is written then.
     """
     with locked_folder(folder, progress):
         result, poses = identify_servos(robot, logs, progress)
         progress.note(*result.notes)
         with file_access.atomic_files() as files:
             path = folder / file_access.MODEL_NAMES[robot.kind]
-            target = ModelTarget(files, path, poses, 0.0, mesh_dir)
+            # No torque was measured, so there is no residual to state.
+            target = ModelTarget(files, path, poses, rmse=0.0, mesh_dir=mesh_dir)
             reason = rollout_refusal(result.rollout, logs.accept)
             outcome = _write_results(result, target, reason)
             model_files = [file.path for file in read_document(robot.path).files]
             protected = [*filter(None, input_files), *model_files]
             notes = remove_earlier(files, folder, outcome.files, protected)
+    # The notes that were added when the model was written.
     progress.note(*outcome.result.notes[len(result.notes) :], *notes)
     return outcome
 
@@ -366,8 +373,8 @@ def identify_servos(
         held_out_text = "the validation log"
     moves = is_moving(pieces)
     period = float(np.median([sampling_period(piece.time) for piece in pieces]))
-    q = np.concatenate([piece.q for piece in pieces])
-    q = q[np.linspace(0, len(q) - 1, _POSITIONS).astype(int)]
+    all_q = np.concatenate([piece.q for piece in pieces])
+    q = all_q[np.linspace(0, len(all_q) - 1, _POSITIONS).astype(int)]
     # First all numbers of the joints that move are free.
     every_number = servo_fit.initial_parametrisation(robot, q, period, moves)
     progress.stage("Searching for servos, friction and rotor inertia...")
@@ -413,14 +420,14 @@ def play_servos(
     pair: Sequence[ServoParameters],
     held_out: str,
 ) -> RolloutTest:
-    """Return the errors of two sets of parameters that play pieces of logs, for each horizon.
+    """Return the position errors of two sets of servo parameters that play held-out pieces of logs.
 
-    A horizon is the length of the windows into which the pieces are cut; one that is longer than
-    every piece is left out, with a note.
+    The pieces are cut into windows of each length of ``HORIZONS``. A length for which no piece with
+    commands is long enough (the InputError of ``make_problem``) is left out, with a note.
 
     Args:
-        rollouts: of the arm; they get the parameters in turn.
-        pieces: of the logs that were not fitted.
+        rollouts: play the windows on the arm's model; they are left with the last parameters.
+        pieces: pieces of logs that were not fitted.
         pair: the parameters before and after identification.
         held_out: name of these pieces in printed lines.
     """
@@ -429,9 +436,13 @@ def play_servos(
     for horizon in HORIZONS:
         try:
             problem = make_problem(
-                rollouts, pieces, MAX_WINDOWS, horizon, settling_time=0.0
+                rollouts,
+                pieces,
+                max_windows=MAX_WINDOWS,
+                length=horizon,
+                settling_time=0.0,
             )
-        except InputError:
+        except InputError:  # the only reason: no window fits into a piece with commands
             notes.append(f"no held-out piece is as long as {horizon:g} s")
             continue
         # Root mean square error (n,) of each joint [rad].
@@ -445,6 +456,9 @@ def _write_results(
     result: ServoIdentification, target: ModelTarget, failure: str | None
 ) -> Outcome:
     """Write servo.json and the new model; return what was written, with the lines to print.
+
+    The model is left out where ``failure`` is given or it cannot be exported: the outcome then has
+    the reason. The outcome's result has the notes that were made while the model was written.
 
     Args:
         result: the identification to write.

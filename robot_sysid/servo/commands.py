@@ -129,6 +129,7 @@ def _best_lag(pairs: Sequence[tuple[Array, Array]]) -> tuple[float, int, float]:
         The absolute correlation, the lag in samples (negative where commands come after the
         positions), and the slope of commands over positions.
     """
+    # Far enough beyond the largest delay to tell a wrong lag, but three quarters always overlap.
     reach = min(3 * MAX_DELAY_PERIODS, min(len(q) for q, _ in pairs) // 4)
     fits = []
     for lag in range(-reach, reach + 1):

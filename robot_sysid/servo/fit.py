@@ -142,9 +142,10 @@ class Parametrisation:
 def initial_parametrisation(
     robot: RobotModel, q: Array, period: float, moves: NDArray[np.bool_]
 ) -> Parametrisation:
-    """Return the start values of a search, typical sizes of all numbers, and which are free.
+    """Return the parametrisation of a search for servo parameters.
 
-    Stiffness and damping start at the model's value, or at a typical one where it has none. Every
+    Stiffness and damping start at the model's value, or at a typical one where it has none;
+    friction and rotor inertia start at the model's value, the delay at one sampling period. Every
     free number starts at 0.1 of its typical size at least.
 
     Args:
@@ -157,6 +158,7 @@ def initial_parametrisation(
     gravity, inertia = _gravity_and_inertia(robot, q)
     inertia += in_model.armature
     stiffness = inertia * _DEFAULT_RATE**2
+    # A tenth of critical damping.
     typical_damping = 0.2 * inertia * _DEFAULT_RATE
     has_servo = ~np.isnan(in_model.stiffness)
     stiffness = np.where(has_servo, in_model.stiffness, stiffness)
@@ -165,12 +167,14 @@ def initial_parametrisation(
     # Friction is rarely less than this share of a geared motor's load or limit.
     limit = np.nan_to_num(chain_actuators(robot).limit, posinf=0.0)
     typical_friction = np.maximum(0.05 * gravity, 0.02 * limit)
+    least_friction = np.maximum(typical_friction, _LEAST_SIZE)
+    least_armature = np.maximum(0.2 * inertia, 1e-2 * _LEAST_SIZE)
     typical = ServoParameters(
-        stiffness,
-        np.maximum(damping, typical_damping),
-        np.maximum(in_model.frictionloss, np.maximum(typical_friction, _LEAST_SIZE)),
-        np.maximum(in_model.armature, np.maximum(0.2 * inertia, 1e-2 * _LEAST_SIZE)),
-        period,
+        stiffness=stiffness,
+        damping=np.maximum(damping, typical_damping),
+        frictionloss=np.maximum(in_model.frictionloss, least_friction),
+        armature=np.maximum(in_model.armature, least_armature),
+        delay=period,
     )
     free = np.append(np.tile(moves, 4), True)
     # From zero the search would hardly get away.
@@ -179,8 +183,9 @@ def initial_parametrisation(
 
 
 def _gravity_and_inertia(robot: RobotModel, q: Array) -> tuple[Array, Array]:
-    """Return each joint's largest gravity torque (n,) [N m] and mean inertia (n,) [kg m^2] over
-    positions q (m, n) [rad or m].
+    """Return each joint's largest gravity torque (n,) [N m] and mean inertia (n,) [kg m^2].
+
+    Both are over the positions q (m, n) [rad or m]; an inertia is 1e-6 at least.
     """
     thetas = robot.thetas
     dynamics = LinkDynamics(robot)
@@ -198,6 +203,10 @@ def improve_start(problem: ServoProblem, initial: Parametrisation) -> Parametris
     """Return the parametrisation with the best start gains and delay of a coarse grid.
 
     All joints share the delay; each gets its own gain.
+
+    Args:
+        problem: windows of which up to ``_GRID_WINDOWS`` are played.
+        initial: its start gains are multiplied by ``GAIN_FACTORS``; the rest is kept.
 
     Raises:
         InputError: the model cannot be played with these commands.
@@ -247,8 +256,8 @@ def search_servos(
 ) -> ServoParameters:
     """Return the parameters whose rollouts come nearest to the measured positions.
 
-    Two bounded least-squares searches; each divides a joint's errors by their root mean square at
-    its start.
+    Bounded least-squares searches, two or, where the first does not move, one; each divides a
+    joint's errors by their root mean square at its start.
 
     Args:
         derivatives: of the errors in the fitted windows.
@@ -291,8 +300,8 @@ def search_servos(
         x = least_squares(
             residuals,
             x,
-            jacobian,
-            bounds,
+            jac=jacobian,
+            bounds=bounds,
             args=(scale, stage),
             xtol=_TOLERANCE,
             ftol=_TOLERANCE,
@@ -309,7 +318,8 @@ def keep_model_values(
 ) -> ServoParameters:
     """Return fitted parameters in which chosen numbers are replaced by those of the model file.
 
-    The delay stays as fitted, and so do gain and damping of a joint without servo in the model.
+    The delay stays as fitted, and so do gain and damping of a joint without servo in the model,
+    even if they are chosen.
 
     Args:
         robot: the arm as in the model file.
@@ -343,12 +353,16 @@ class ErrorDerivatives:
         self._cache: dict[int, Array] = {}
 
     def at(self, parametrisation: Parametrisation, servos: ServoParameters) -> Array:
-        """Return the derivative (M, n, p) of the errors by each free number itself, not by the
-        unknown that stands for it in the search.
+        """Return the derivative (M, n, p) of the position errors by each free number.
 
-        By central differences: one-sided ones would hide the directions in which hardly anything
-        changes. Friction changes by as much as is typical: behind a stiff servo a small change
-        moves the rollouts less than chance does.
+        It is by the number itself, in the number's own unit, not by the unknown that stands for it
+        in the search. Central differences are used: one-sided ones would hide the directions in
+        which hardly anything changes. Friction changes by as much as is typical: behind a stiff
+        servo a small change moves the rollouts less than chance does.
+
+        Args:
+            parametrisation: says which p numbers are free, and the scale of each.
+            servos: parameters at which the derivative is taken.
         """
         x = servos.vector()
         free = np.flatnonzero(parametrisation.free).tolist()
@@ -380,7 +394,8 @@ def estimate_errors(
 
     The errors are those of weighted least squares with residuals that are correlated in time (a
     sandwich estimate), plus the bias from the rollouts' step length, which is twice the change that
-    half a step makes. A number that the data does not show gets its prior's standard error.
+    half a step makes. They are at most the prior's ``PRIOR_DEVIATION`` units of the search; of a
+    number that the data does not show, one unit at least.
 
     Args:
         derivatives: of the errors in the fitted windows.
@@ -410,8 +425,9 @@ def estimate_errors(
         rows *= weight[:, None]
         normal += rows.T @ rows
         weighted = weight * residuals[:, joint]
-        covariance, _ = autocovariance(weighted, max(len(rows) // 4, 1) - 1)
-        score += autocorrelation_time(covariance, np.inf) * rows.T @ rows
+        # Lags of up to a quarter of the samples.
+        covariance, _ = autocovariance(weighted, lags=max(len(rows) // 4, 1) - 1)
+        score += autocorrelation_time(covariance, count=np.inf) * rows.T @ rows
         bias += rows.T @ (weight * step_error[:, joint]) / scale[joint]
     inverse = np.linalg.inv(normal)
     # The sandwich estimate, and the square of the bias that the step length makes.
@@ -452,6 +468,11 @@ def link_torque_share(
 
     The links' torque is gravity and inertia; the joint's own is rotor inertia, damping and
     friction.
+
+    Args:
+        robot: the arm, whose links' parameters are trusted.
+        pieces: pieces of logs, which say how the arm moved.
+        servos: the fitted parameters.
     """
     thetas = robot.thetas
     link_torques = []

@@ -41,9 +41,9 @@ class ServoProblem:
 
     Attributes:
         rollouts: of the arm.
-        windows: for each window its start and commands, the times after its start that count (m,)
-            [s] and the positions measured then (m, n). M is the sum of all m.
-        edges: (S + 1,) ends of the rollout steps of each window, from its start [s].
+        windows: for each window its start and commands, the times after its start at which errors
+            count (m,) [s], and the positions measured then (m, n). M is the sum of all m.
+        edges: (S + 1,) ends of the S rollout steps of every window, from its start [s].
     """
 
     rollouts: ServoRollouts
@@ -51,7 +51,7 @@ class ServoProblem:
     edges: Array
 
     def subset(self, max_count: int) -> ServoProblem:
-        """Return the problem with at most ``max_count`` of its windows, spread evenly."""
+        """Return a problem with at most ``max_count`` of these windows, spread evenly."""
         count = min(len(self.windows), max_count)
         indices = np.linspace(0, len(self.windows) - 1, count).round().astype(int)
         return replace(self, windows=tuple(self.windows[k] for k in indices))
@@ -99,17 +99,18 @@ def make_problem(
 ) -> ServoProblem:
     """Return a problem with the consecutive windows into which pieces of logs are cut.
 
-    Pieces without commands are left out.
+    Pieces without commands are left out, and so is the beginning of each piece, whose commands and
+    positions the first window needs.
 
     Args:
         rollouts: play the windows.
-        pieces: of the logs.
-        max_windows: of more windows, so many are taken, spread evenly.
-        length: of a window [s].
-        settling_time: beginning of a window that does not count [s].
+        pieces: pieces of logs.
+        max_windows: largest number of windows; if there are more, so many are taken, spread evenly.
+        length: length of a window [s].
+        settling_time: beginning of a window in which errors do not count [s].
 
     Raises:
-        InputError: no piece is long enough.
+        InputError: no piece with commands is long enough for one window after its beginning.
     """
     windows = []
     for piece in pieces:
@@ -134,8 +135,10 @@ def make_problem(
 
 
 def smooth_states(piece: Measurement) -> tuple[Array, Array]:
-    """Return smoothed positions (N, n) [rad or m] and their derivatives (N, n) [rad/s or m/s], by
-    parabolas through the measured positions (Savitzky-Golay filters over ``SMOOTHING_TIME``).
+    """Return smoothed positions (N, n) [rad or m] of a piece of a log, and velocities (N, n).
+
+    Both follow from parabolas through the measured positions (Savitzky-Golay filters over
+    ``SMOOTHING_TIME``); velocities are in [rad/s or m/s].
     """
     from scipy.signal import savgol_filter
 

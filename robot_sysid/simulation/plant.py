@@ -68,12 +68,12 @@ class PlantSimulation:
         plant: the arm that plays the real one, see ``load_plant``.
         plan: the trajectory.
         options: errors of the sensors.
-        sample_rate: of the measurements [Hz].
+        sample_rate: number of samples per second [Hz].
         rng: source of the sensor noise; drawn from once, here.
 
     Raises:
-        InputError: options and arm do not fit together.
-        SimulationError: the plant cannot be simulated.
+        InputError: options, trajectory and arm do not have the same number of joints.
+        SimulationError: the plant cannot be simulated; raised by the iteration.
     """
 
     def __init__(
@@ -230,6 +230,7 @@ def forward_model(robot: RobotModel) -> Any:
     disable = mujoco.mjtDisableBit
     for name in ("EQUALITY", "LIMIT", "ACTUATION"):
         flags |= int(getattr(disable, f"mjDSBL_{name}"))
+    # MuJoCo's frictionloss, which the copy for analysis switches off, is a constraint.
     model.opt.disableflags = flags & ~int(disable.mjDSBL_CONSTRAINT)
     model.opt.solver = int(mujoco.mjtSolver.mjSOL_NEWTON)
     model.opt.iterations = 100
@@ -282,7 +283,8 @@ class ArmStepper:
         self.n_joints = robot.n_joints
         self.timestep = timestep
         self._model = forward_model(robot)
-        # Damping and dry friction are stepped here, not by MuJoCo.
+        # Damping and dry friction are stepped here, not by MuJoCo: nothing here calls its
+        # constraint solver, in which its frictionloss would act.
         self._model.dof_damping[:] = 0.0
         self._data = data_at_pose(self._model, robot.reference_qpos)
         self._viscous = robot.friction.viscous
@@ -359,11 +361,11 @@ class ArmStepper:
         return np.array(self._data.xaxis[mujoco_joint])
 
     def moved_inertia(self) -> Array:
-        """Return the inertia (n,) that each joint moves, all others being free [kg m^2]."""
+        """Return the inertia (n,) of each joint at ``q``, with all others free [kg m^2]."""
         return np.asarray(1.0 / np.diag(self.mobility(self.q)))
 
     def mobility(self, q: Array) -> Array:
-        """Return the inverse mass matrix (n, n) at positions (n,) [1 / (kg m^2)]."""
+        """Return the inverse mass matrix (n, n) at positions q (n,) [1 / (kg m^2)]."""
         inverse_mass, _ = self._dynamics(q, np.zeros_like(q))
         return inverse_mass
 
@@ -407,7 +409,8 @@ class ArmStepper:
         present_speed = axes @ self.qd
         direction = np.sign(np.where(present_speed != 0.0, present_speed, free_speed))
         sticks = np.zeros(len(coulomb), dtype=bool)
-        # Directions stick or slide until the friction of all of them agrees with their motion.
+        # Directions stick or slide until the friction of all of them agrees with their motion; the
+        # number of rounds is limited in case they never do.
         for _ in range(2 * len(coulomb) + 1):
             friction = np.where(sticks, 0.0, coulomb * direction)
             speed = free_speed - axis_response @ friction
@@ -445,11 +448,12 @@ _STAGE = 1.0 - math.sqrt(0.5)
 def _velocity_responses(
     mobility: Array, resistance: Array, h: float
 ) -> tuple[Array, Array]:
-    """Return how a constant torque changes velocities in a damped step of length ``h`` [s].
+    """Return how a constant torque changes velocities in a damped step of length ``h``.
 
     Args:
         mobility: (n, n) inverse mass matrix [1 / (kg m^2)].
         resistance: (n,) damping of the joints [N m s/rad].
+        h: length of the step [s].
 
     Returns:
         Two matrices (n, n) [rad/s per N m]: the change of the velocities at the end of the step,

@@ -114,6 +114,7 @@ class RolloutRunner:
             from mujoco import rollout
 
             threads = processor_count()
+            # Zero stands for the calling thread.
             self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._data = [mujoco.MjData(model) for _ in range(threads)]
 
@@ -394,7 +395,7 @@ def chain_actuators(robot: RobotModel) -> ChainActuators:
 
 
 def _chain_joints(robot: RobotModel) -> NDArray[np.int64]:
-    """Return the MuJoCo joint ids of the chain (n,)."""
+    """Return the MuJoCo joint ids (n,) of the chain."""
     return np.asarray(robot.mj_model.dof_jntid[robot.dof_index])
 
 
