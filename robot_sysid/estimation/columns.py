@@ -110,6 +110,8 @@ class Columns:
     of the p, have columns that do not depend on the point.
 
     Args:
+        robot: model of the arm.
+        datasets: the recordings.
         torques: "chain" for every joint that carries the link, "terminal" for the last one only.
         couplings: motors that turn with several joints, or candidates for such motors.
 
@@ -166,9 +168,10 @@ class Columns:
     def _classify_columns(self, names: Sequence[str]) -> None:
         """Set masks (q,) over the q named parameters, whose columns do not depend on the point.
 
-        They are parameters of bodies, friction that drifts, parameters whose torque is smooth, and
-        links that the model states.
+        One mask each selects parameters of bodies, friction that drifts, parameters whose torque is
+        smooth, and links that the model states.
         """
+        # Parameters of bodies have no owner in brackets.
         terms, owners = np.array(list(map(split_name, names))).T
         self._of_bodies = owners == ""
         self._drifting = np.isin(terms, _DRIFTING) & np.isin(owners, self.joints)
@@ -182,7 +185,7 @@ class Columns:
                     self._is_stated[self.indices(link_names(self.robot, link))] = True
 
     def with_couplings(self, couplings: tuple[Coupling, ...]) -> Columns:
-        """Return columns with fewer couplings; the cached rows move to them from this object."""
+        """Return columns with only these ``couplings``; cached rows move there from this object."""
         columns = Columns(self.robot, self.datasets, self.torques, couplings)
         columns._link_columns = self._link_columns
         base = self._base
@@ -190,7 +193,7 @@ class Columns:
         if base is not None:
             gravity, delay, rows = base
             names = columns._arm_names
-            # Each is released once it is copied: they take most of the memory.
+            # A recording's rows are released once they are copied: they take most of the memory.
             fewer = (rows.pop(0).only(names) for _ in self.datasets)
             columns._base = gravity, delay, store_rows(fewer)
         return columns
@@ -201,7 +204,7 @@ class Columns:
         speed = {}
         for term, nonlinear in NONLINEAR_TERMS.items():
             speed[term] = np.full(n, nonlinear.default_speed)
-        return Point(self.model_values, gravity_vector(self.robot), 0.0, speed)
+        return Point(self.model_values, gravity_vector(self.robot), speed=speed)
 
     def indices(self, names: Sequence[str]) -> NDArray[np.int64]:
         """Return the indices (m,) of m named parameters among all p."""
@@ -226,7 +229,8 @@ class Columns:
     def thetas(self, values: Array, is_loaded: bool = False) -> Array:
         """Return the inertial parameters (n, 10) of the links, taken from parameter values (p,).
 
-        The terminal link includes the payload if ``is_loaded``.
+        The terminal link includes the payload if ``is_loaded``. With ``torques="terminal"``, all
+        other links have the model's values.
         """
         thetas = self.robot.thetas
         if self.torques == "chain":
@@ -271,7 +275,7 @@ class Columns:
     def _tilt_gravity(self, point: Point, angles: Array) -> Array:
         """Return a point's gravity (3,), tilted by angles (2,) [rad] about horizontal axes.
 
-        Without gravity, there are no angles.
+        Without gravity, ``angles`` is empty.
         """
         if not np.any(angles):
             return point.gravity
@@ -288,7 +292,7 @@ class Columns:
         return tilt_angles(gravity_vector(self.robot), self._tilt_gravity(point, steps))
 
     def samples(self, point: Point) -> tuple[DecimatedSamples, ...]:
-        """Return the rows of each recording around a point."""
+        """Return the rows of each recording around a point; fill the caches of this object."""
         arm = self._arm_at(point.gravity)
         delayed = [dataset.remove_delay(point.delay) for dataset in self.datasets]
         bases = self._base_rows(point, delayed)
@@ -304,8 +308,9 @@ class Columns:
     ) -> Iterator[DecimatedSamples]:
         """Yield each recording's columns that depend on no value of the point but its gravity.
 
-        They are linear in gravity. The change by a small tilt is as slow as the positions, so that
-        it needs no low-pass: the error is within 1e-4 of the change.
+        They are cached, and made anew for another delay or a large tilt. They are linear in
+        gravity: for a small tilt their change is added, which is as slow as the positions and needs
+        no low-pass. The error is within 1e-4 of the change.
 
         Args:
             delayed: the recordings, with the point's delay removed.
@@ -350,16 +355,17 @@ class Columns:
         return Equations(arm, self.torques, friction, self.couplings, links)
 
     def arm_torque(self, point: Point, is_loaded: bool) -> tuple[Equations, Array]:
-        """Return (equations of the q columns that do not depend on the point, its values (q,)).
+        """Return (equations, values (q,) of their q parameters at a point).
 
-        Their columns of bodies (``Equations.bodies``) contain no sign of a speed, so that
-        callers may compute them at fewer instants.
+        The equations have all columns that do not depend on the point but for its gravity. With
+        ``is_loaded``, the values of the terminal link contain the payload. Columns of bodies
+        (``Equations.bodies``) contain no sign of a speed and may be computed at fewer instants.
         """
         equations = self._equations(self._arm_at(point.gravity))
         return equations, self._arm_values(point, is_loaded)
 
     def _arm_values(self, point: Point, is_loaded: bool) -> Array:
-        """Return a point's first values (q,), a payload added to the terminal link."""
+        """Return a point's first values (q,), with the payload in the terminal link if loaded."""
         values = point.values[: len(self._arm_names)].copy()
         if is_loaded:
             values[:N_INERTIAL] += point.values[self.indices(PAYLOAD_NAMES)]
@@ -400,7 +406,7 @@ class Columns:
             scale, drift = point.values[scale_drift]
             # With a payload, bodies count 1 + s_j fold; without, the column of the scale alone
             # contains its effect, as the module says.
-            exact = self._loaded * scale
+            body_scale = self._loaded * scale
             # measured - tau is the torque that depends on no parameter.
             gear = linear + base.measured[row] - base.tau[row]
 
@@ -416,22 +422,24 @@ class Columns:
             smooth_torque = block[:, smooth] @ coefficients[smooth]
             late = dataset.delay_column(base.time, smooth_torque)
             nonlinear = np.stack([*joint_friction.values()], axis=1)
+            payload_factor = (1.0 + body_scale) * dataset.is_loaded
             # Names of parameters to (their columns (K, b), or a slice of ``block``; a factor).
             point_columns: dict[tuple[str, ...], tuple[Array | slice, Any]] = {
                 tuple(joint_friction): (nonlinear, drifted),
                 (self._scales[row],): (gear[:, None], 1.0),
                 (self._drifts[row],): (friction[:, None], dataset.order),
-                (*self._zeros, *self.tilts): (common[:, joint], 1.0 + exact),
+                (*self._zeros, *self.tilts): (common[:, joint], 1.0 + body_scale),
                 (DELAY_NAME,): (late[:, None], 1.0),
-                PAYLOAD_NAMES: (slice(N_INERTIAL), (1.0 + exact) * dataset.is_loaded),
+                # A payload has the columns of the terminal link, which come first, or zeros.
+                PAYLOAD_NAMES: (slice(N_INERTIAL), payload_factor),
             }
             factor = np.where(drifting, drifted, 1.0)
-            factor[self._of_bodies[indices]] = 1.0 + exact
+            factor[self._of_bodies[indices]] = 1.0 + body_scale
             names = [group for group in point_columns if group[0] not in self._nowhere]
             point_blocks = map(point_columns.__getitem__, names)
             blocks.append(((slice(None), factor), *point_blocks))
             columns.append(np.concatenate((indices, *map(self.indices, names))))
-            tau = base.tau[row] + exact * linear + drift * dataset.order * friction
+            tau = base.tau[row] + body_scale * linear + drift * dataset.order * friction
             right_sides.append(tau)
         return replace(
             base,
@@ -470,7 +478,7 @@ class Columns:
         """
         payload_names = () if PAYLOAD_NAMES[0] in self._nowhere else PAYLOAD_NAMES
         indices = self.indices((*self.tilts, *payload_names))
-        # A payload has the columns of the terminal link, which come first, or none.
+        # A payload has the columns of the terminal link, which come first, or zeros.
         payload_block = slice(len(payload_names)), dataset.is_loaded
         blocks = []
         columns = []

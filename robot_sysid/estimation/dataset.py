@@ -274,7 +274,8 @@ def decimated_equations(
 ) -> DecimatedSamples:
     """Return the equations of a recorded motion, both sides passed through the torque's low-pass.
 
-    Columns of friction that depends on the load are NaN. Columns of bodies contain no sign of a
+    Columns of friction that depends on the load are NaN, as the load follows from an estimate.
+    Columns of bodies contain no sign of a
     speed, so that they are smooth and computed at fewer instants.
 
     Args:
@@ -351,12 +352,13 @@ class Dataset:
     """One recording, or a stretch of it without long holes.
 
     Attributes:
-        name: its name in messages.
+        name: name of the recording in messages.
         source: the signals of a motion, or the poses at which the arm rests.
-        is_loaded: whether it carries the payload.
-        order: its position in the order of recording, from -1 for the first to 1 for the last; 0
+        is_loaded: whether the arm carries the payload.
+        order: position among all recordings in time, from -1 for the first to 1 for the last; 0
             where the order is not known.
-        used: (K,) which rows may be used; None for all.
+        used: (K,) which rows may be used, or more than K values, of which the first K count; None
+            for all rows.
     """
 
     name: str
@@ -372,7 +374,7 @@ class Dataset:
 
     @property
     def motion(self) -> Motion:
-        """Positions, speeds, accelerations (K, n) at the instants of rows; poses have no speed."""
+        """Positions, speeds, accelerations (K, n) at the instants of rows; zero speed at rest."""
         if isinstance(self.source, RestingPoses):
             poses = self.source.poses
             zero = 0.0 * poses.q
@@ -420,7 +422,11 @@ class Dataset:
         return columns
 
     def samples(self, equations: Equations) -> DecimatedSamples:
-        """Return the recording's equations; the right-hand side of an unused row is NaN."""
+        """Return the recording's equations; the right-hand side of an unused row is NaN.
+
+        Raises:
+            InputError: no joint ever moves fast enough for its equations to be used.
+        """
         if isinstance(self.source, RestingPoses):
             samples = equations_at(equations, self.source.poses)
             samples = samples.where(self.source.used[:, list(equations.joint_indices)])

@@ -1,7 +1,7 @@
 """Records of an estimation task: the user's options, the question, and the choices from data.
 
-The question says which parameters are wanted; a choice holds the settings that are selected from
-the recordings themselves, such as friction terms.
+A ``Question`` says which parameters are wanted; a ``Choice`` holds the settings that are selected
+from the recordings themselves, such as friction terms.
 """
 
 from __future__ import annotations
@@ -139,6 +139,7 @@ class EstimationOptions(OptionRecord):
 
             friction_model(str(self.friction_model))
         others = [entry for entry in given_options(self) if entry.key != "torque_from"]
+        # All other options describe how parameters are estimated from measured torques.
         if self.torque_from is not None and others:
             raise InputError(
                 f"{others[0].flag} is about measured torques; leave it off with --torque-from "
@@ -147,7 +148,10 @@ class EstimationOptions(OptionRecord):
 
     @property
     def friction(self) -> FrictionModel | None:
-        """Friction terms of every joint, none without friction; None to select them from data."""
+        """Friction terms of every joint; None where each joint's terms are selected from data.
+
+        With the option ``no_friction`` it is a model without terms.
+        """
         from robot_sysid.dynamics.friction import FrictionModel, friction_model
 
         if self.no_friction:

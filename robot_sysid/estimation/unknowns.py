@@ -67,18 +67,18 @@ LARGEST_USUAL_LOSS = 2.5
 """Largest prior standard deviation of the share of its load that a gear loses, which is reached
 where dry friction is large, divided by the option ``friction_uncertainty``."""
 LEAST_COULOMB = 0.02
-"""Least dry friction before a fit, as a share of the joint's root mean square torque."""
+"""Least dry friction assumed before a fit, as a share of the joint's root mean square torque."""
 LEAST_FITTED_COULOMB = 1e-3
-"""Least dry friction after a fit, as a share of the joint's root mean square torque."""
+"""Least dry friction assumed after a fit, as a share of the joint's root mean square torque."""
 LARGEST_LOSS = 0.3
 """Share of its load that a gear loses at most: one that lost half of it would lock backwards."""
 DRIFTS = 0.2
 """Prior standard deviation of friction's relative drift from the middle of the recordings to their
 ends."""
 LOADED_LOSS = 0.1
-"""Standard deviation of the share of its load that a gear loses, where loads differ."""
+"""Prior standard deviation of the share of its load that a gear loses, in weighing a payload."""
 FILE_TILT = np.radians(2.0)
-"""Standard deviation of the direction of gravity that a file is given [rad]."""
+"""Prior standard deviation of gravity's direction, where a model file's gravity is fitted [rad]."""
 USUAL_SCALE = 2.0
 """Default standard deviation of a joint's torque scale [%]."""
 LOADED_SCALE = 3.0
@@ -111,7 +111,7 @@ class Unknowns:
         lower, upper: (p,) bounds; infinite where there is none.
         bodies: name to (indices of its ten parameters, a usual body (10,)) of each unknown body,
             which has to be physically consistent.
-        increments: names of the unknown parameters that are increments of the linearisation point.
+        increments: names of the unknown parameters that count from the linearisation point's value.
         names_at_bound: names of the parameters that are held at a bound that they would cross.
     """
 
@@ -161,12 +161,12 @@ class Unknowns:
         return bool(self.groups_of(LINKS))
 
     def hold_at_bounds(self, values: Array) -> Unknowns | None:
-        """Return the unknowns with parameters whose values (p,) cross a bound held at that bound.
+        """Return the unknowns with fewer parameters: those that cross a bound are held at it.
 
-        None where no value does.
+        ``values`` (p,) decide which ones cross; None where none does.
         """
         inside = np.clip(values, self.lower, self.upper)
-        slack = 1e-9 * (1.0 + np.abs(inside))
+        slack = 1e-9 * (1.0 + np.abs(inside))  # for rounding
         crosses = np.abs(values - inside) > slack
         crossing = self.estimated[crosses[self.estimated]]
         if not len(crossing):
@@ -256,28 +256,29 @@ def build_unknowns(
                 upper[index] = LARGEST_LOSS if term == "load" else np.inf
     if question.known_mass is not None:
         error = _EXACT_MASS * question.known_mass
+        # The first parameter of the payload is its mass.
         payload = independent_prior(WEIGHT, PAYLOAD_NAMES[:1], ("payload",), error)
         groups.append(replace(payload, mean=np.array([question.known_mass])))
     elif question.loaded:
-        for group in [*groups]:
+        for group in [*groups]:  # a copy, as the list grows
             if group.cause == SCALES:
                 groups.append(hold_mean(group, COMMON))
     return Unknowns(
-        columns.names,
-        np.flatnonzero(is_unknown),
-        _held_values(columns, question, choice),
-        tuple(groups),
-        lower,
-        upper,
-        bodies,
-        increments,
+        names=columns.names,
+        estimated=np.flatnonzero(is_unknown),
+        held=_held_values(columns, question, choice),
+        groups=tuple(groups),
+        lower=lower,
+        upper=upper,
+        bodies=bodies,
+        increments=increments,
     )
 
 
 def _may_be_negative(term: str, terms: set[str]) -> bool:
-    """Tell whether the coefficient of a friction term may be negative, beside a joint's ``terms``.
+    """Tell whether the coefficient of a friction term may be negative.
 
-    Viscous friction may where "sqrt" bends the curve that both describe together.
+    Viscous friction may where "sqrt", which bends the same curve, is among its joint's ``terms``.
     """
     if term == "viscous":
         return "sqrt" in terms
@@ -285,7 +286,7 @@ def _may_be_negative(term: str, terms: set[str]) -> bool:
 
 
 def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:
-    """Yield (joint or motor, names of its friction terms), with speeds of nonlinear terms.
+    """Yield (joint or motor, names of its friction terms and of their speeds "<term>_speed").
 
     A motor that turns several joints has the terms of all these joints that a motor can have; its
     rotor is left out where its inertia is known.
@@ -309,7 +310,7 @@ def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:
 def _increment_names(
     columns: Columns, question: Question, choice: Choice
 ) -> Iterator[str]:
-    """Yield the names of parameters that are increments of the linearisation point."""
+    """Yield the names of the unknown parameters that count from the linearisation point's value."""
     if question.in_file:
         if FILE_GRAVITY not in question.unchanged_parts:
             yield from columns.tilts
@@ -326,8 +327,8 @@ def _increment_names(
 def _held_values(columns: Columns, question: Question, choice: Choice) -> Array:
     """Return the values (p,) at which parameters are held where they are not estimated.
 
-    Links, friction and rotors that stay as they are have the model's values, a carried payload and
-    known rotors their own; all other values are zero. Those of unknown parameters have no effect.
+    Links, friction and rotors that are not estimated have the model's values, a carried payload and
+    known rotors the given ones; all others are zero. Those of unknown parameters have no effect.
     """
     held = np.zeros(len(columns.names))
     for name, indices in columns.bodies().items():
@@ -339,6 +340,7 @@ def _held_values(columns: Columns, question: Question, choice: Choice) -> Array:
         kept_terms = []
         if not model.terms or FILE_FRICTION in question.unchanged_parts:
             kept_terms += ["coulomb", "viscous"]
+        # A URDF holds no rotor inertia.
         if "armature" not in model.terms and question.file_kind != "urdf":
             kept_terms.append("armature")
         for term in kept_terms:
@@ -421,9 +423,9 @@ def _prior_groups(
 def _friction_group(
     columns: Columns, question: Question, choice: Choice, torque: Array
 ) -> Iterator[NuisanceGroup]:
-    """Yield the prior of friction terms that the friction model lacks; nothing where it has all.
+    """Yield the prior of friction terms that the joints' friction models lack, one group at most.
 
-    Standard deviations follow from the joint's dry friction.
+    Standard deviations follow from a joint's dry friction, times ``friction_uncertainty``.
 
     Args:
         torque: (n,) root mean square of each joint's measured torque [N m].
@@ -499,8 +501,9 @@ def _link_group(
         name = robot.links[link].body_name
         if name in bodies:
             _, usual_body = bodies[name]
-            is_stated = usual_body is robot.links[link].theta
-            (stated if is_stated else placeholders).append(len(links))
+            # Placeholders have another array than the model's.
+            numbers = stated if usual_body is robot.links[link].theta else placeholders
+            numbers.append(len(links))
             usual_bodies.append(usual_body)
             links.append(link)
             names += link_names(robot, link)
@@ -527,7 +530,7 @@ def _link_group(
 
 
 def scale_spread(columns: Columns, options: EstimationOptions, loaded: bool) -> Array:
-    """Return the prior standard deviation (joints,) of each joint's torque scale, a share.
+    """Return the prior standard deviation (joints,) of each joint's torque scale, 0.02 for 2 %.
 
     Args:
         loaded: whether a payload is weighed, for which the default is larger.
