@@ -70,7 +70,7 @@ from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks, sample_count
 
 ALL_SAMPLES = "that is from all samples, but they cannot all be used"
-"""Beginning of the caveat of errors of a motion that cannot be processed like a log."""
+"""Beginning of the caveat on errors of a motion that cannot be processed like a log."""
 HIGHEST_RATE_HZ = 200.0
 """Highest rate at which a motion is simulated and processed [Hz], far above its band. The noise of
 a sample is scaled to the lower rate."""
@@ -83,7 +83,7 @@ FASTER = 1.5
 BETTER_LINKS = 0.5
 """Share of the links' uncertainty that remains in the suggestion to know them better."""
 _NO_NOISE = 1e-4
-"""Torque noise whose error is negligible beside that of the priors [N m]."""
+"""Torque noise so low that priors make nearly all of the errors [N m]."""
 _WEIGHING = "its mass known, by weighing the part"
 """Description of the change after which the mass has no error."""
 _PAYLOAD_BY_DIFFERENCE = (
@@ -96,7 +96,7 @@ _LARGEST_ERROR = 100.0
 """Standard error over the parameter's size beyond which a parameter counts as not identifiable: its
 variance is then rounding."""
 NOISE = "torque noise"
-"""Cause of errors that is in every recording."""
+"""Name of the cause of errors that is in every recording."""
 SUSPICION = (
     "links that are all off alike look like a scale of all torques (--scale-uncertainty says how "
     "far those may be off at most)"
@@ -303,8 +303,8 @@ class ExpectedPosterior:
         return covariance, by_cause
 
     def suspicion_case(self, names: Sequence[str], theta: Array) -> Improvement:
-        """Return the errors of a body's mass and centre of mass in recordings in which a scale of
-        all torques is suspected.
+        """Return, with a description, the errors of a body's mass and centre of mass that are
+        stated in recordings in which a scale of all torques is suspected.
 
         Args:
             names: of the body's ten parameters.
@@ -462,7 +462,9 @@ def friction_lines(
 def _simulated_recording(
     problem: ExcitationProblem, plan: MotionPlan, rate: float
 ) -> Measurement:
-    """Return a recording of the motion at a rate [Hz] as the model predicts it, without noise."""
+    """Return a recording of the motion at a rate [Hz] as the model predicts it, without noise;
+    raises InputError for more than ``MOST_SAMPLES`` samples.
+    """
     if sample_count(plan.duration, rate) > MOST_SAMPLES:
         raise InputError(
             f"only motions up to {MOST_SAMPLES / rate:.0f} s are processed beforehand"
@@ -474,7 +476,7 @@ def _simulated_recording(
 def _link_mass_errors(
     problem: ExcitationProblem, posterior: ExpectedPosterior
 ) -> dict[str, float]:
-    """Return the name of every other link to the standard error of its mass over the mass."""
+    """Return a dict from each link but the terminal one to its mass error over its mass."""
     masses = {link.body_name: float(link.theta[0]) for link in problem.robot.links}
     unknowns = posterior.unknowns
     mass_errors = {}
@@ -497,10 +499,11 @@ def _improvements(
     """Return changes of the motion or the priors with the errors of mass and centre of mass after
     each, the change with the smallest error of the centre of mass first.
 
-    () for a motion that rests, and where the torque of only one joint is used. A payload's mass
+    () for a motion that rests, and where only one joint's torque is used. A payload's mass
     also has the error of torque scales; the covariance of a link is projected onto physically
     consistent bodies.
     """
+    # Nine instants are enough to see whether the arm moves.
     poses = plan.evaluate(np.linspace(0.0, plan.duration, 9)).q
     if len(problem.rows) == 1 or np.all(poses == poses[0]):
         return ()

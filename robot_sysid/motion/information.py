@@ -34,12 +34,14 @@ from robot_sysid.records import Array, MotionPlan
 from robot_sysid.regressor import wrench_regressor
 
 _RIDGE = 1e-10
-"""Keeps the elimination defined where a joint stands still and its friction has no columns."""
+"""Share of the trace of Z^T Z that is added to its diagonal: x_j can then be eliminated too where a
+joint stands still and its friction columns are zero."""
 _STILL = 1e-9
 """Least divisor in the derivative of sqrt(abs(qd)) [(rad/s)^0.5]: it keeps the derivative finite at
 zero speed."""
 _INVISIBLE = 1e-9
-"""Share of the largest information below which a direction is not identifiable."""
+"""Information along a direction, over the largest along any, up to which the direction is not
+identifiable."""
 JOINT_TERMS = ("coulomb", "viscous", "offset", "armature", "scale", "load", "sqrt")
 """Unknowns of one joint's equations alone: friction terms, rotor inertia, torque scale."""
 _N_TERMS = len(JOINT_TERMS)
@@ -81,8 +83,8 @@ def known_arm(problem: ExcitationProblem) -> PriorKnowledge:
     joints' torques are used, rotor inertias are unknown.
     """
     deviations = np.zeros((_N_TERMS, len(problem.rows)))
-    # The first of ``JOINT_TERMS``. From one torque alone rotor inertias are not estimated: they
-    # look like the link's.
+    # The first of ``JOINT_TERMS``, up to "armature" or "offset". From one torque alone rotor
+    # inertias are not estimated: they look like the link's.
     n_free = 4 if len(problem.rows) > 1 else 3
     deviations[:n_free] = np.inf
     return PriorKnowledge(np.zeros((0, 0)), deviations)
@@ -161,7 +163,7 @@ class InformationModel:
         transposed = terms.transpose(0, 2, 1)
         normal = transposed @ terms
         ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None]
-        # A prior is one more row, in units of its standard deviation.
+        # A term with a prior is in units of its standard deviation, so that its precision is 1.
         ridge = ridge + np.isfinite(self._joint_deviations).T
         precision = normal + ridge[:, None] * np.eye(_N_TERMS)
         gain = np.linalg.solve(precision, transposed @ rows)
@@ -277,7 +279,8 @@ class InformationModel:
 @lru_cache(maxsize=1)
 def _coefficients() -> tuple[Array, Array]:
     """Return A (60, 6) and B (60, 6, 6), symmetric in its last two axes, of the wrench regressor as
-    a function of acceleration V' and twist V: Y6 = A V' + B V V, its (6, 10) entries in one row.
+    a function of acceleration V' and twist V: Y6 = A V' + B V V, with the (6, 10) entries of Y6 as
+    60 rows. Computed once and cached: do not change the arrays.
     """
     # From values of ``wrench_regressor`` (polarisation), so that its formula is written only once.
     unit = np.eye(6)
@@ -290,7 +293,9 @@ def _coefficients() -> tuple[Array, Array]:
 
 
 def body_wrench(velocity: Array, acceleration: Array) -> Array:
-    """Return the wrench regressor Y6 (6, 10, ...) for twists and spatial accelerations (6, ...)."""
+    """Return the wrench regressor Y6 (6, 10, ...) for twists (6, ...) and spatial accelerations
+    minus gravity (6, ...), as ``regressor.wrench_regressor`` does for one body.
+    """
     linear, quadratic = _coefficients()
     products = (velocity[:, None] * velocity[None, :]).reshape(36, -1)
     wrench = linear @ acceleration.reshape(6, -1) + quadratic.reshape(60, 36) @ products
@@ -334,7 +339,8 @@ class Criterion:
     target: str
 
     def eliminate(self, information: Array, count: int) -> tuple[Array, Array]:
-        """Return (T (10 L, count), S (count, count)) with all but the first unknowns eliminated.
+        """Return (T (10 L, count), S (count, count)) with all but the first ``count`` unknowns
+        eliminated.
 
         The unknowns are the coordinates of theta in ``visible``, then those of the other links in
         ``link_factor``. S is the precision of the first ``count`` unknowns x, priors included;
@@ -404,9 +410,10 @@ def mass_and_centre_errors(theta: Array, covariance: Array) -> tuple[float, floa
     of the errors of its three coordinates.
 
     Args:
-        theta: (10,) of the body.
+        theta: (10,) inertial parameters of the body [m, h, ...], with first moments h = m c.
         covariance: (10, 10) of theta.
     """
+    # The derivative (3, 4) of c by [m, h].
     slope = np.hstack((-theta[1:4, None] / theta[0], np.eye(3))) / theta[0]
     centre = slope @ covariance[:4, :4] @ slope.T
     # By rounding, a variance that is zero may be slightly negative.
@@ -427,7 +434,9 @@ def design_criterion(
     scale = np.diag(problem.scale)
     information = random_information(problem, knowledge)
     # All ten directions at first, in units of the typical sizes of the parameters.
-    criterion = Criterion(scale, knowledge.link_factor, knowledge.target)
+    criterion = Criterion(
+        visible=scale, link_factor=knowledge.link_factor, target=knowledge.target
+    )
     _, precision = criterion.eliminate(information, 10)
     values, vectors = np.linalg.eigh(precision)
     visible = scale @ vectors[:, values > _INVISIBLE * values[-1]]

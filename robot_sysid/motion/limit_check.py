@@ -202,6 +202,8 @@ def scale_to_limits(
     """
     rate = max(LEAST_RATE_HZ, sample_rate)
     shares = _peaks(problem, plan, rate).joints / problem.limits.largest
+    # Rows 1 and 2 are speed and acceleration. A joint at rest has a share of zero, so the maximum
+    # keeps the division defined.
     speed_share = np.max(shares[1:3], axis=0)
     factors = np.minimum(1.0, (1.0 - RESERVE) / np.maximum(speed_share, RESERVE))
 
@@ -238,7 +240,9 @@ def keeps_limits(
 
 
 def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> Closest | None:
-    """Return where and when a clearance is first not kept, or None."""
+    """Return the bodies between which a clearance is first not kept along a motion, and when; None
+    where all are kept.
+    """
     closest = _tightest(problem.obstacles, plan, np.inf, stop_below=0.0)
     return closest if closest.slack < 0.0 else None
 
@@ -259,10 +263,11 @@ def _spans(plan: MotionPlan, rate: float = 0.0) -> tuple[tuple[float, float], ..
         plan: the motion.
         rate: of the samples [Hz]; 0 where the check does not depend on samples.
     """
-    # The entire motion where a period holds no whole number of samples: periods differ then.
+    # Only a Fourier series has a cycle.
     period, ends = getattr(plan, "cycle", (np.inf, 0.0))
-    short = SHORTEST_PERIOD <= period < plan.duration - 2.0 * ends
-    if not short or abs(period * rate - round(period * rate)) > WHOLE:
+    is_repeated = SHORTEST_PERIOD <= period < plan.duration - 2.0 * ends
+    # Where a period holds no whole number of samples, the samples of two periods differ.
+    if not is_repeated or abs(period * rate - round(period * rate)) > WHOLE:
         return ((0.0, plan.duration),)
     return (0.0, period + ends), (plan.duration - ends, plan.duration)
 
@@ -270,7 +275,7 @@ def _spans(plan: MotionPlan, rate: float = 0.0) -> tuple[tuple[float, float], ..
 def _motions(
     plan: MotionPlan, rate: float, spans: tuple[tuple[float, float], ...]
 ) -> Iterator[Motion]:
-    """Yield the motion in chunks, sampled at a rate [Hz] within spans (start, end) of time [s]."""
+    """Yield the motion in chunks, sampled at a rate [Hz] over spans (start, end) of time [s]."""
     for span in spans:
         for time in sample_times(plan.duration, rate, *span):
             yield plan.evaluate(time)
@@ -386,8 +391,8 @@ class _Tightest:
 
 
 _NOTHING_TESTED = {-1: -np.inf}
-"""Limits of the path, see ``_Approach.limits``, before the first test: the last row stands for all
-pairs, and its path is beyond the limit at once."""
+"""Limits as ``_Approach.limits`` returns them, before the first test: row -1, the last one, bounds
+all pairs, and its path is beyond minus infinity at the first sample."""
 
 
 class _Approach:
@@ -506,7 +511,7 @@ class BetweenArms:
         self._least = min(_TOUCH, 0.5 * self.distance(both.reference))
 
     def distance(self, q: Array) -> float:
-        """Return how far the arms are apart at positions q (n,) of both [m], 0.2 at most."""
+        """Return how far the arms are apart at positions q (n,) of both [m]; ``_FAR`` at most."""
         self._data.qpos[self._at_q] = q
         update_contacts(self._model, self._data)
         contact = self._data.contact

@@ -35,7 +35,7 @@ LONGEST_CHECKED = 86400.0
 
 @dataclass(frozen=True)
 class MotionRequest:
-    """The motion of a run: its options and its purpose.
+    """What the motion of a run has to be: its options and its purpose.
 
     Attributes:
         trajectory: duration, sample rate, speed and files.
@@ -66,7 +66,9 @@ class MotionRequest:
 
     @property
     def is_checked(self) -> bool:
-        """Whether the motion has to keep all limits: it is played or kept, or limits were given."""
+        """Whether the motion has to keep all limits: it is played, saved, planned only, from a file
+        or designed, or a limit other than ``--max-velocity`` was given.
+        """
         options = self.trajectory
         is_kept = options.plan_only or options.save is not None
         if self.played or is_kept or options.file is not None or self.is_designed:
@@ -122,6 +124,7 @@ def make_plan(
     if options.speed != 1.0:
         from robot_sysid.motion.trajectories import at_speed
 
+        # Without the check of a design, which is one at full speed.
         checked = CheckedPlan(at_speed(checked.plan, options.speed), checked.problem)
     plan = checked.plan
     require_countable(plan.duration, options.sample_rate)
@@ -270,10 +273,14 @@ def _designed_plan(
 
 
 def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
-    """Return the arm with all its limits.
+    """Return the arm with all its limits; for the purpose "weight" with half of the torque limits
+    and low speeds.
 
     For a new motion (not from a file) the top frequency of its band limits the accelerations too,
     and the start is a pose that touches nothing and that the motors can hold.
+
+    Raises:
+        InputError: the arm breaks a limit at rest, or no pose can be a start.
     """
     from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
     from robot_sysid.motion.static import gentle_problem, startable
@@ -283,14 +290,15 @@ def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
     if is_new:
         basis = request.excitation.basis(request.trajectory.duration)
         top_frequency_hz = basis.top_frequency_hz
+    # Zero stands for the default.
     noise = request.noise_torque
     problem = build_problem(
         robot,
         request.limits,
-        request.torques,
-        noise if np.all(noise) else DEFAULT_NOISE_TORQUE,
-        top_frequency_hz,
-        request.link_uncertainty,
+        torques=request.torques,
+        noise_torque=noise if np.all(noise) else DEFAULT_NOISE_TORQUE,
+        top_frequency_hz=top_frequency_hz,
+        link_uncertainty=request.link_uncertainty,
     )
     if request.poses.purpose == WEIGHT:
         problem = gentle_problem(problem)

@@ -77,12 +77,12 @@ class Prediction:
     Attributes:
         subject: which body is identified, in words.
         theta: (10,) of that body.
-        size: (10,) magnitude each parameter is compared with: its own value in the model, for a
-            first moment the mass times a length of the body, for a product of inertia
-            sqrt(Iii Ijj).
+        size: (10,) magnitude that each error is compared with: for the mass and the moments of
+            inertia the model's value, for a first moment the mass times a length of the body, for a
+            product of inertia Iij sqrt(Iii Ijj).
         covariance: (10, 10) of theta; infinite on the diagonal where the model's value stays.
         covariance_by_cause: cause of errors to its part (10, 10) of the covariance.
-        link_mass_errors: name of every other link to the standard error of its mass relative to it.
+        link_mass_errors: name of every other link to the standard error of its mass over its mass.
         invisible: combinations of parameters that no motion of these joints shows, in words.
         improvements: changes that would make the errors smaller, the best first.
         caveat: why the errors are only a lower bound, computed from all samples; "" where not.
@@ -119,14 +119,18 @@ class Prediction:
         return self.errors_of(self.covariance)[0] / float(self.size[0])
 
     def improvement_options(self) -> tuple[str, ...]:
-        """Return the options of the motion that identifies the mass best; () where none does."""
+        """Return the command-line options of the improvement with the smallest error of the mass;
+        () where no improvement has options.
+        """
         planned = [change for change in self.improvements if change.options]
         if not planned:
             return ()
         return min(planned, key=lambda change: change.mass_error).options
 
     def errors_by_cause(self) -> list[tuple[str, float, float]]:
-        """Return (cause, its error of the mass [kg], of the centre of mass [m]), largest first."""
+        """Return (cause, its error of the mass [kg], its error of the centre of mass [m]) of all
+        causes, the one with the largest error of the mass first.
+        """
         errors = []
         for cause, covariance in self.covariance_by_cause.items():
             errors.append((cause, *self.errors_of(covariance)))
@@ -287,6 +291,7 @@ def motion_lines(
 
 def _joint_lines(problem: ExcitationProblem, check: LimitCheck) -> Iterator[str]:
     """Yield a line per joint with its range and its peaks, and one for the tool's speed."""
+    # Row 0 is the distance from the middle of the range; the line has the range itself.
     peaks = check.joints[1:]
     width = max(len(name) for name in problem.joint_names)
     limits = problem.limits.largest[1:]

@@ -62,11 +62,15 @@ NONE = "nothing"
 class MotionLimits(JointLimits):
     """Limits of a motion, (n,) each; infinite where there is none, but for positions.
 
+    Position limits are finite, with the margin already subtracted.
+
     Attributes:
         acceleration: largest absolute acceleration of each joint [rad/s^2 or m/s^2].
-        tool_speed: of the tool's fastest point [m/s].
+        tool_speed: largest speed of the tool's fastest point, one number [m/s].
 
-    Positions are finite, with the margin already subtracted.
+    Raises:
+        InputError: position limits are not finite with lower < upper, or another limit of a joint
+            is not positive.
     """
 
     acceleration: Array
@@ -109,7 +113,7 @@ class Tool:
 
     Attributes:
         points: (P, 3) in the terminal body's frame [m].
-        radius: (P,) of a ball about each that belongs to it too [m].
+        radius: (P,) of the ball about each point that belongs to the tool too [m].
     """
 
     points: Array
@@ -168,16 +172,16 @@ class ExcitationProblem:
         robot: the arm.
         rest: (n,) configuration in which the motion starts and ends [rad].
         limits: of joints and of the tool.
-        links: numbers (L,) of links with mass, the terminal one first; they descend, so that a
-            joint's equations have the first ones alone.
+        links: L indices in ``robot.links`` of the links with mass, descending from the terminal
+            one, so that those that a joint moves come first.
         dynamics: motion of all links.
         tool: the outermost points of the terminal link and all it carries.
         arm_torque: joint torques (N, n) along a motion, friction included, without any load.
         reserve: the heaviest load at the tip of the tool that torque limits hold for too [kg].
         link_errors: (10 L, 10 L) factor of the prior covariance of all links' parameters; zero
             where the links are taken as they are.
-        rows: chain joints whose torque will be used.
-        sigma: (len(rows),) standard deviation of their noise [N m].
+        rows: indices of the chain joints whose torque will be used.
+        sigma: (len(rows),) standard deviation of the noise of these torques [N m].
         origins: per family in ``LIMIT_NAMES`` where the limit of each joint (n,) comes from.
         obstacles: distances between bodies that have to be kept.
         notes: sentences for the user on these limits.
@@ -456,6 +460,7 @@ def _space_above_base(
     up, height, bodies = mounting
     if any(space.normal @ up > _LEVEL for space in options.half_spaces(bodies)):
         return ()
+    # Adding zero turns -0.0 into 0.0.
     label = f"the plane that the arm is mounted on, at {height + 0.0:.3g} m (--below-base lifts it)"
     return (HalfSpace(up, height, 0.0, tuple(bodies), label),)
 

@@ -119,6 +119,7 @@ def _shape(mj_model: Any, geom: int) -> tuple[Array, Array]:
         return _hull_vertices(mj_model, int(mj_model.geom_dataid[geom])), axes
     if geom_type == _TYPES.mjGEOM_BOX:
         return size * _CORNERS, axes
+    # MuJoCo's size is the half axes of an ellipsoid, else a radius and a half length.
     axes[:] = size if geom_type == _TYPES.mjGEOM_ELLIPSOID else size[0]
     if geom_type == _TYPES.mjGEOM_CYLINDER:
         axes[2] = 0.0
@@ -217,7 +218,8 @@ def swept_space(robot: RobotModel, q: Array) -> tuple[Array, Array, str]:
     for chunk in np.array_split(q, 1 + len(q) // _AT_ONCE):
         positions = np.empty((len(chunk), model.nbody, 3))
         turns = np.empty((len(chunk), model.nbody, 3, 3))
-        for k, data.qpos[robot.qpos_index] in enumerate(chunk):
+        for k, configuration in enumerate(chunk):
+            data.qpos[robot.qpos_index] = configuration
             mujoco.mj_kinematics(model, data)
             positions[k] = data.xpos
             turns[k] = data.xmat.reshape(-1, 3, 3)
@@ -322,7 +324,8 @@ def outermost_points(robot: RobotModel) -> tuple[Array, Array]:
 
 def _on_the_hull(points: Array, radius: Array) -> Any:
     """Return the indices, ascending, of points (P, 3) that have a radius (P,) above zero or are
-    corners of the convex hull of the others; all indices where there are few points.
+    corners of the convex hull of those without one; all indices where at most ``_HULL_POINTS`` are
+    without one, or all of these lie in a plane.
     """
     sharp = np.flatnonzero(radius == 0.0)
     if len(sharp) <= _HULL_POINTS:

@@ -36,12 +36,12 @@ from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.trajectory import TORQUE_MARGIN
 
 N_POSES = 1000
-"""Number of random poses that are tried as a start, and of poses added per spread."""
+"""Number of random poses tried as a start, and of further ones per entry of ``SPREADS``."""
 N_PARENTS = 50
 """Number of poses with the least torque near which further poses are drawn."""
 SPREADS = (0.1, 0.05, 0.02, 0.01, 0.005)
-"""Standard deviations of the further poses about these, over the joints' ranges; one search
-each."""
+"""Standard deviations of further poses about the poses with the least torque, over the joints'
+ranges; one round of further poses each."""
 EASY_SHARE = 0.8
 """Share of the torque limits up to which moving off leaves enough torque for a motion."""
 CREEP = 1e-3
@@ -62,7 +62,7 @@ SHORTEST_MOVE = 0.6
 RESERVE = 1.05
 """Duration of a move over the shortest one that speed and acceleration limits allow."""
 CANDIDATES = 3000
-"""Random poses among which the informative ones are chosen."""
+"""Number of random poses among which the informative ones are selected."""
 LINE_POINTS = 24
 """Points of a straight line between poses at which clearances are checked."""
 _MOST_SLOWER = 12
@@ -70,7 +70,8 @@ _MOST_SLOWER = 12
 _SLOWER = 1.25
 """Factor by which a motion through poses is slowed down each time: up to 12 in all."""
 _TINY = 1e-6
-"""Information before the first pose, whose own is singular: a millionth of what noise leaves."""
+"""Information before the first pose is selected, times the unit matrix: the information of a single
+pose is singular, so that its determinant alone could not be compared."""
 
 SLOWEST = 0.02
 """Speed of the first sweep [rad/s]."""
@@ -85,7 +86,7 @@ SHARE = 0.8
 SHORTEST_RAMP = 0.15
 """Time in which a sweep's speed rises [s]: 30 samples at the 200 Hz of ``expected_errors``."""
 WIDEST = 1.0
-"""Farthest that a joint leaves its rest position [rad]."""
+"""Farthest that a sweep takes a joint from its rest position [rad]."""
 LEAST_RANGE = 0.02
 """Range below which a joint is not swept [rad]."""
 _STEP = 0.01
@@ -203,9 +204,11 @@ def _torque_share(
 
 
 def _held_poses(problem: ExcitationProblem) -> Iterator[Array]:
-    """Yield poses (n,) that keep torque limits and clearances: easy ones first, then near ones."""
-    # From near the model's to anywhere, more of them where holding is easy; the random numbers are
-    # fixed, so that the start does not depend on any seed.
+    """Yield poses (n,) that keep torque limits and clearances: those that take at most
+    ``EASY_SHARE`` of the torque limits first, in both groups the nearest to ``problem.rest`` first.
+    """
+    # Random poses from near the start to anywhere, then more of them where holding is easy; the
+    # random numbers are fixed, so that the start does not depend on any seed.
     lower = problem.limits.lower
     upper = problem.limits.upper
     rng = np.random.default_rng(0)
@@ -431,7 +434,10 @@ def _sweep_joints(
     problem: ExcitationProblem, ranges: Array, share: float
 ) -> LineTrajectory:
     """Return the sweeps of all joints within ranges (n, 2) around the start [rad], at a share of
-    the full speed and acceleration.
+    the full speed and acceleration; a joint with a range below ``LEAST_RANGE`` is not swept.
+
+    Raises:
+        InputError: no joint has a range that is wide enough.
     """
     points = [problem.rest]
     speeds = [0.0]
