@@ -70,7 +70,7 @@ CANDIDATES = (
 )
 """Friction models that are compared for each joint, simplest first."""
 IN_FILE = CANDIDATES[0]
-"""Friction model that any model file can hold."""
+"""Friction model from which a model file gets the terms that it can hold."""
 WITH_POLYNOMIAL = CANDIDATES[5]
 """Friction model that an MJCF can hold."""
 WITH_ALL = "coulomb-viscous-offset-armature-sqrt-stribeck-load"
@@ -91,7 +91,8 @@ def choose(
     autocorrelation of residuals and factors on the uncertainty of links.
 
     Args:
-        fitter: fits the recordings; its cached rows are replaced.
+        fitter: fits the recordings; its cached rows and its noise are replaced.
+        question: which parameters are wanted.
         model: friction of every joint, where the user states it; None to select it by joint.
         couplings: result of ``select_couplings``; None for all couplings that have columns.
     """
@@ -221,7 +222,7 @@ def _candidate_errors(
         judge = HeldOut(data, noise)
         for name in CANDIDATES:
             model = friction_model(name)
-            if number and not model.nonlinear_terms:
+            if number and not model.nonlinear_terms:  # all trials are the same
                 continue
             trial = replace(choice, friction=(model,) * robot.n_joints)
             unknowns = data.unknowns(fitter.columns, question, trial)
@@ -233,8 +234,7 @@ def _candidate_errors(
             least = squared.setdefault(name, np.full_like(error, np.inf))
             lower = error.sum(axis=0) < least.sum(axis=0)
             squared[name] = np.where(lower, error, least)
-            least_speed = speeds.get(name, 0.0)
-            speeds[name] = np.where(lower, trial_speed, least_speed)
+            speeds[name] = np.where(lower, trial_speed, speeds.get(name, 0.0))
         counts = judge.counts
         # Before the next ones are made: they take as much memory as the rows.
         del data, judge
@@ -345,12 +345,12 @@ def coupling(robot: RobotModel, ratios: Array, tendon: int | None = None) -> Cou
         return motor
     model = robot.mj_model
     rotor = model.tendon_armature[tendon] if CAN_HOLD_ROTORS else 0.0
-    numbers = {
+    tendon_values = {
         "coulomb": model.tendon_frictionloss[tendon],
         "viscous": model.tendon_damping[tendon],
         "armature": rotor,
     }
-    of_model = np.array([float(numbers.get(term, 0.0)) for term in motor.terms])
+    of_model = np.array([float(tendon_values.get(term, 0.0)) for term in motor.terms])
     return replace(motor, model=of_model, tendon=tendon)
 
 
@@ -379,7 +379,7 @@ def neighbours(robot: RobotModel) -> Iterator[Coupling]:
 def couplings_of(
     robot: RobotModel, options: EstimationOptions
 ) -> tuple[tuple[Coupling, ...], tuple[Coupling, ...]]:
-    """Return (all couplings that get regressor columns, which of them are offered, the last ones).
+    """Return (all couplings that get regressor columns, the offered ones, with which these end).
 
     Offered couplings are used only where the recordings show them (``select_couplings``).
     Couplings of the model and of the user's file are used without evidence. With torques of the

@@ -114,7 +114,7 @@ class Evidence:
 
     @cached_property
     def nonzero(self) -> np.ndarray:
-        """Mask (p,) of the parameters that have a column which is not zero."""
+        """Mask (p,) of the parameters that act in some row: their column is not zero."""
         nonzero = np.zeros(len(self.total.names), dtype=bool)
         for joint in self.total.joints:
             # The last column is the right-hand side.
@@ -126,6 +126,7 @@ def evidence(samples: Sequence[DecimatedSamples], torque: Array) -> Evidence:
     """Return the evidence of recordings in the blocks of ``dataset.block_masks``.
 
     Args:
+        samples: equations of each recording.
         torque: (n,) root mean square of each joint's measured torque [N m].
     """
     recordings = []
@@ -140,6 +141,7 @@ def evidence_of(
     """Return the evidence of blocks, each of rows from one or several recordings.
 
     Args:
+        blocks: per block the equations of each recording, of which the block's rows are in use.
         torque: (n,) root mean square of each joint's measured torque [N m].
     """
     squared_torque = []
@@ -315,8 +317,10 @@ class Fitter:
         """Return the solution of the equations linearised around a point, without iterating.
 
         Parameters are within their bounds, bodies are physically consistent. Each round holds
-        further parameters at their bounds. Where repeated motion inflates the noise, or the data
-        may widen priors, a round solves twice: the inflation follows from the first residuals.
+        further parameters at their bounds. With ``visits``, the inflation by repeated motion
+        follows from the residuals of a first solution; a round solves again where that inflation is
+        not the assumed one, or where the data may widen priors. The noise starts at that of the
+        last ``fit``.
         """
         data, samples = self.around(point)
         factors = correlation_factors_of(choice, len(self.columns.joints))
@@ -333,22 +337,26 @@ class Fitter:
                 self.columns,
                 start,
                 data,
-                variance_factors,
-                correlation / factors,
-                noise,
+                inflation=variance_factors,
+                correlation=correlation / factors,
+                noise=noise,
             )
             noise = effective_noise / np.sqrt(variance_factors)
             if self.visits is not None:
-                assumed = inflation
+                assumed_inflation = inflation
                 inflation, correlation = self.visits.inflation(
                     residuals_of(samples, free)
                 )
                 widens = any(group.may_widen for group in unknowns.groups)
-                if widens or not np.array_equal(assumed, inflation):
+                if widens or not np.array_equal(assumed_inflation, inflation):
                     variance_factors = inflation * factors
-                    ratio = correlation / factors
                     unknowns, free, effective_noise = _solve_within_bounds(
-                        self.columns, unknowns, data, variance_factors, ratio, noise
+                        self.columns,
+                        unknowns,
+                        data,
+                        inflation=variance_factors,
+                        correlation=correlation / factors,
+                        noise=noise,
                     )
                     noise = effective_noise / np.sqrt(variance_factors)
             weights = 1.0 / effective_noise
@@ -359,18 +367,18 @@ class Fitter:
                 break
             start = bounded
         return Fit(
-            self.columns,
-            question,
-            choice,
-            point,
-            samples,
-            data,
-            unknowns,
-            weights,
-            inflation,
-            correlation,
-            free,
-            np.clip(values, unknowns.lower, unknowns.upper),
+            columns=self.columns,
+            question=question,
+            choice=choice,
+            point=point,
+            samples=samples,
+            evidence=data,
+            unknowns=unknowns,
+            weights=weights,
+            inflation=inflation,
+            residual_correlation=correlation,
+            free=free,
+            values=np.clip(values, unknowns.lower, unknowns.upper),
         )
 
     def fit(
@@ -380,12 +388,17 @@ class Fitter:
         point: Point | None = None,
         rounds: int = _MAX_ROUNDS,
     ) -> Fit:
-        """Return the fit, once bodies, delay, tilt and speeds have converged.
+        """Return the fit at the point where linearisation has converged.
+
+        Bodies, delay, tilt and friction's speeds have to converge. With a delay or tilt to estimate
+        there are up to ``_AUTO_ROUNDS`` linearisations. Without, the last of ``rounds`` fits is
+        returned even if it has not converged.
 
         Args:
+            question: which parameters are wanted.
             choice: friction terms, couplings, and priors of the links.
             point: at which to start; None for the model's own values.
-            rounds: largest number of linearisations; more with a delay or tilt to estimate.
+            rounds: largest number of linearisations without a delay or tilt to estimate.
 
         Raises:
             SysidError: a delay or a tilt to estimate does not converge.
@@ -450,6 +463,7 @@ def _has_converged(fit: Fit, next_point: Point) -> bool:
     )
     change[indices] = (next_point.values - point.values)[indices]
     gravity_change = float(np.linalg.norm(np.cross(next_point.gravity, point.gravity)))
+    # Without gravity, nothing is divided by zero.
     gravity_change /= float(next_point.gravity @ next_point.gravity) or 1.0
     speed_change = 0.0
     for term, speeds in (point.speed or {}).items():
@@ -490,9 +504,12 @@ def _solve_within_bounds(
     correlation: Array,
     noise: Array | None,
 ) -> tuple[Unknowns, Array, Array]:
-    """Return the weighted solution with parameters that would cross a bound held at it.
+    """Return the weighted solution, with each parameter that would cross a bound held at the bound.
 
     Args:
+        columns: gives the model's values, which unknowns keep that nothing identifies.
+        unknowns: which parameters to estimate, and their priors.
+        data: evidence of the rows.
         inflation: (joints,) variance inflation of the noise of an equation.
         correlation: (joints,) further variance inflation by autocorrelated residuals, which
             ``inflation`` does not contain; it counts only where the data widens priors.
@@ -538,6 +555,7 @@ def _solve_weighted(
     groups = widened_groups(
         information, effective_noise * np.sqrt(correlation), unknowns.groups
     )
+    # The identical tuple where no prior may widen.
     if groups is not unknowns.groups:
         unknowns = replace(unknowns, groups=groups)
         posterior = with_prior(information, unknowns.groups)
