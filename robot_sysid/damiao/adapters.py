@@ -2,10 +2,10 @@
 
 python-can finds ``DamiaoSerialBus`` (``interface="damiao"``) by its entry point; the class is made
 on first use, because python-can is an extra. The adapter (921600 baud) takes 30 bytes per frame,
-numbers little endian: 55 AA, the length 1E, 03 for "send", how often (4 bytes: 1), the pause
-between in four bytes (10), id type (0 for 11 bits), CAN id in four bytes, frame type (0 for data),
-number of data bytes, two filters (0), eight bytes of data, and a check byte that is not looked at
-(0).
+numbers little endian: 55 AA, the length 1E, 03 for "send", number of repetitions in four bytes (1),
+pause between them in four bytes (10), id type (0 for 11 bits), CAN id in four bytes, frame type (0
+for data), number of data bytes, two filters (0), eight bytes of data, and a check byte that the
+adapter ignores (0).
 
 It sends 16 bytes per frame: AA, type of packet (11 for a received frame), format, CAN id in four
 bytes little endian, eight bytes of data, 55.
@@ -65,8 +65,8 @@ class BusAddress(OptionRecord):
     def buses(self) -> Mapping[str, str]:
         """Channel of each bus, by the bus's name in joint maps (files of the motor of each joint).
 
-        A bus without a name is called as its channel. InputError where a name or a channel is given
-        twice: a bus that got lost would leave its arm to the trajectory of the other one.
+        A bus without a name has its channel as its name. InputError where a name or a channel is
+        given twice: a motor might then get the commands for a motor of another arm.
         """
         names = []
         channels = []
@@ -167,7 +167,7 @@ _LOOKS_TO_END = 50
 By then no motor drives any more: the longest watchdog that a run allows is 5 s.
 """
 _OPENING = 50
-"""Number of further looks that opening an adapter may take: python-can's slcan sleeps for 2 s."""
+"""Number of further looks that opening an adapter may take: 5 s (python-can's slcan takes 2 s)."""
 StallReport = Callable[[str, bool], None]
 """Takes a message about a driver that does not return, and whether it is the last message."""
 
@@ -179,13 +179,13 @@ class DriverWatch:
     computer was asleep.
 
     Args:
-        tell: called from a thread of the watch, at most twice; after the second call nothing can be
-            sent any more, and the program should end. None watches nothing.
+        tell: called from a thread of the watch when a driver's call has lasted for 1 s, and a last
+            time at 5 s; the watch has then ended, and the program should end. None watches nothing.
     """
 
     def __init__(self, tell: StallReport | None = None) -> None:
         self._tell = tell
-        # Each call is an object of its own.
+        # The present call of a driver, a new object for each call; None between calls.
         self._call: object | None = None
         self._looks = 0
         self._closed = threading.Event()
@@ -194,7 +194,10 @@ class DriverWatch:
 
     @contextlib.contextmanager
     def during(self, more_looks: int = 0) -> Iterator[None]:
-        """Watch the call in a ``with`` block (not nested), reported ``more_looks`` looks later."""
+        """Watch the driver's call in a ``with`` block, which must not be nested in another one.
+
+        ``more_looks`` is the number of looks, of 0.1 s each, by which reports come later.
+        """
         self._call = object()
         self._looks = -more_looks
         try:
@@ -203,11 +206,11 @@ class DriverWatch:
             self._call = None
 
     def close(self) -> None:
-        """Stop watching."""
+        """Stop watching, and end the thread."""
         self._closed.set()
 
     def _look(self) -> None:
-        """Look at the present call every 0.1 s, and report one that does not return."""
+        """Look at the present call every 0.1 s until closed; report a call that does not return."""
         assert self._tell is not None
         last_call = None
         while self._looks < _LOOKS_TO_END and not self._closed.wait(_LOOK):
@@ -246,7 +249,7 @@ class BusLink:
         self._garbled_at: deque[float] = deque(maxlen=_MOST_GARBLED)
 
     def send(self, frame: Frame) -> None:
-        """Send a frame on its bus, again for 1.5 ms if its queue is full; else LinkError."""
+        """Send a frame on its bus, tried for 1.5 ms while the queue is full; else LinkError."""
         message = can_message(self._can, frame)
         patience = self._clock.now() + _FULL_PATIENCE
         while True:
@@ -255,9 +258,9 @@ class BusLink:
                     return self._buses[frame.bus].send(message, timeout=_SEND_TIMEOUT)
             except (Exception, SystemExit) as error:
                 # Whatever a driver raises: the caller has to go on with the other motors.
-                # ENOBUFS: the queue is full.
-                names = "error_code", "errno"
-                codes = [getattr(error, name, None) for name in names]
+                # ENOBUFS: the queue is full. Drivers have the code in either attribute.
+                attributes = "error_code", "errno"
+                codes = [getattr(error, name, None) for name in attributes]
                 if errno.ENOBUFS not in codes:
                     reason = f"the CAN bus does not take frames: {_driver_text(error)}"
                     raise LinkError(reason) from error
@@ -266,23 +269,26 @@ class BusLink:
             self._clock.sleep_until(self._clock.now() + _FULL_PAUSE)
 
     def receive(self, until: float) -> Frame | None:
-        """Return the next frame with a standard id of any bus, or None if none came ``until`` [s].
+        """Return the next frame with a standard id of any bus; None if none came by ``until`` [s].
 
-        LinkError where a bus cannot be read.
+        ``until`` is in the link's clock. LinkError where a bus cannot be read.
         """
         while True:
-            for number, bus in enumerate(self._buses):
+            for index, bus in enumerate(self._buses):
                 # One bus can be waited for; several are looked at in turn.
                 wait = until if len(self._buses) == 1 else min(self._clock.now(), until)
                 message = self._next(bus, wait)
                 if message is not None:
-                    return self._frame(message, number)
+                    return self._frame(message, index)
             if self._clock.now() >= until:
                 return None
             self._clock.sleep_until(min(self._clock.now() + _PAUSE, until))
 
     def _next(self, bus: Any, until: float) -> Any:
-        """Return a bus's next python-can message with a standard id; None at ``until`` [s]."""
+        """Return a bus's next python-can message with a standard id; None if none by ``until`` [s].
+
+        LinkError where the bus cannot be read, or the adapter sends too many damaged lines.
+        """
         while True:
             try:
                 with self._watch.during():
@@ -291,9 +297,8 @@ class BusLink:
                 self._note_garbled(error)
                 message = None
             except (Exception, SystemExit) as error:
-                raise LinkError(
-                    f"the CAN bus cannot be read: {_driver_text(error)}"
-                ) from error
+                reason = f"the CAN bus cannot be read: {_driver_text(error)}"
+                raise LinkError(reason) from error
             if message is None and self._clock.now() >= until:
                 return None
             if message is not None and not message.is_extended_id:
@@ -303,10 +308,8 @@ class BusLink:
         """Count a line whose parsing raised ``error``; LinkError at the third within a second."""
         now = self._clock.now()
         self._garbled_at.append(now)
-        if (
-            len(self._garbled_at) == _MOST_GARBLED
-            and now - self._garbled_at[0] < _GARBLED_TIME
-        ):
+        is_full = len(self._garbled_at) == _MOST_GARBLED
+        if is_full and now - self._garbled_at[0] < _GARBLED_TIME:
             raise LinkError(f"{_GARBLED} ({error_text(error)})") from error
 
     def close(self) -> None:
@@ -319,8 +322,8 @@ class BusLink:
     def _frame(self, message: Any, bus: int) -> Frame:
         """Return python-can's message as a frame of the bus with index ``bus``.
 
-        The message's time stamp, in seconds since 1970, is converted to the clock of this link. A
-        message that the adapter has stamped by another clock counts as just come.
+        The message's time stamp, in seconds since 1970, is converted to the clock of this link. If
+        the adapter stamps by another clock, the frame gets the present time.
         """
         age = time.time() - message.timestamp
         if not 0.0 <= age < _PLAUSIBLE_AGE:
@@ -342,7 +345,9 @@ def open_bus(
     clock: SystemClock,
     tell: StallReport | None = None,
 ) -> Link:
-    """Return a link over all buses of an address, which are opened; InputError if one cannot be.
+    """Open all buses of an address and return a link over them.
+
+    InputError if a bus cannot be opened; those opened before are closed again.
 
     Args:
         address: kind of adapter, channels and options.
@@ -368,7 +373,10 @@ def open_bus(
 
 
 def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
-    """Open one channel of an address and return python-can's bus; InputError if impossible."""
+    """Open one channel of an address and return python-can's bus.
+
+    InputError if this fails, or an option in ``address.bus_option`` is not NAME=VALUE.
+    """
     can = import_can()
     interface = address.interface
     options = _bus_options(can, interface, timing)
@@ -384,14 +392,13 @@ def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
             channel=channel, interface=interface, ignore_config=True, **options
         )
         if interface == "slcan":
-            read_in_pieces(bus, len(address.buses) == 1, _SEND_TIMEOUT)
+            is_alone = len(address.buses) == 1
+            read_in_pieces(bus, alone=is_alone, write_timeout=_SEND_TIMEOUT)
         return bus
     except (Exception, SystemExit) as error:
         # Each adapter's driver raises what it likes.
-        reason = _driver_text(error)
-        raise InputError(
-            f"cannot open {interface} channel {channel}: {reason}"
-        ) from error
+        problem = f"cannot open {interface} channel {channel}: {_driver_text(error)}"
+        raise InputError(problem) from error
 
 
 def _parse_value(text: str) -> Any:
@@ -403,7 +410,10 @@ def _parse_value(text: str) -> Any:
 
 
 def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
-    """Return python-can's keywords for bit rates, and reports of sent frames, of an adapter."""
+    """Return the keyword arguments that open an adapter's bus in python-can with given timing.
+
+    They set the bit rates and, where this is an option, that sent frames are received as echoes.
+    """
     if interface == SERIAL_ADAPTER:
         return {}
     if interface == "socketcan":
@@ -417,12 +427,10 @@ def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
         "nom_bitrate": int(timing.bitrate),
         "data_bitrate": int(timing.data_bitrate),
     }
+    # Sample points in percent of a bit.
     points = {"nom_sample_point": 80.0, "data_sample_point": 75.0}
-    return {
-        "timing": can.BitTimingFd.from_sample_point(
-            f_clock=_FD_CLOCK, **rates, **points
-        )
-    }
+    bit_timing = can.BitTimingFd.from_sample_point(f_clock=_FD_CLOCK, **rates, **points)
+    return {"timing": bit_timing}
 
 
 _HEAD = bytes([0x55, 0xAA, 30, 0x03, 1, 0, 0, 0, 10, 0, 0, 0, 0])
@@ -457,7 +465,10 @@ class PacketReader:
         self._incomplete = b""
 
     def take(self, piece: bytes) -> list[Frame]:
-        """Return the frames (id, data) that end in ``piece``, the next bytes; store the others."""
+        """Return the frames (id, data) that end in ``piece``, the next bytes of the stream.
+
+        Bytes of a packet that has not ended yet are stored for the next call.
+        """
         line = self._incomplete + piece
         frames = []
         # A packet may be incomplete if it begins in the last 15 bytes.
@@ -518,24 +529,16 @@ def _bus_class() -> Any:
             """Return the next message, or None after ``timeout`` [s], and False (not filtered)."""
             until = None if timeout is None else time.monotonic() + timeout
             while not self._waiting:
+                # A time-out of None waits without limit.
                 self._port.timeout = until and max(until - time.monotonic(), 0.0)
                 # The rest of what has come already, or the first byte of what comes next.
                 piece = self._port.read(max(self._port.in_waiting, 1))
                 self._waiting.extend(self._reader.take(piece))
-                if (
-                    not self._waiting
-                    and until is not None
-                    and time.monotonic() >= until
-                ):
+                is_over = until is not None and time.monotonic() >= until
+                if is_over and not self._waiting:
                     return None, False
             frame = self._waiting.popleft()
-            message = can.Message(
-                timestamp=time.time(),
-                arbitration_id=frame.id,
-                is_extended_id=False,
-                data=frame.data,
-            )
-            return message, False
+            return can_message(can, frame, timestamp=time.time()), False
 
         def shutdown(self) -> None:
             """Close the serial line."""
@@ -549,11 +552,11 @@ class LineReader:
     """Reads an slcan adapter's lines for python-can, whose own loop asks for every single byte.
 
     python-can's loop also waits a millisecond, a quarter of a control cycle, for the first byte
-    where only bytes that have already come are wanted; this one does not.
+    where only bytes that have already come are wanted; this class does not.
 
     Args:
-        fetch: returns all bytes that have come; where there are none, it waits at most as long as
-            its argument says [s] for the first one.
+        fetch: takes the time left [s] and returns all bytes that have come; where none have and
+            this time is positive, it waits for the first one, but may return none before the end.
     """
 
     def __init__(self, fetch: Callable[[float], bytes]) -> None:
@@ -561,7 +564,7 @@ class LineReader:
         self._received = b""
 
     def __call__(self, timeout: float | None) -> str | None:
-        """Return the next line with its end, or None after ``timeout`` [s]; None never gives up."""
+        """Return the next line with its end, or None after ``timeout`` [s] (None: no limit)."""
         until = math.inf if timeout is None else time.monotonic() + timeout
         while (end := _LINE_END.search(self._received)) is None:
             patience = min(max(until - time.monotonic(), 0.0), _LONGEST_LOOK)
@@ -586,8 +589,8 @@ def read_in_pieces(bus: Any, alone: bool, write_timeout: float) -> None:
 
     Args:
         bus: open slcan bus; its port's time-outs and its method of reading lines are replaced.
-        alone: whether it is the only bus; only then its bytes are waited for, because waiting for
-            a silent bus would keep the others waiting.
+        alone: whether it is the only open bus; only then bytes are waited for, because waiting
+            for a silent bus would delay the other buses.
         write_timeout: longest time to write a line [s].
     """
     port = bus.serialPortOrig

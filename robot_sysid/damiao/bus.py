@@ -87,7 +87,7 @@ class GuardedLink:
     Args:
         link: link on which frames are sent and received.
         clock: clock of the link.
-        fd: whether frames are sent as CAN-FD.
+        fd: whether frames are sent as CAN-FD, whatever ``Frame.fd`` says.
         channels: names of the buses, in the order of ``Frame.bus``.
         refuse: called with each frame to be sent; raises for one that must not be sent.
 
@@ -119,11 +119,13 @@ class GuardedLink:
         frame = frame._replace(fd=self._fd)
         self._link.send(frame)
         if self.observer:
+            # True: this program sent the frame.
             self.observer(frame._replace(time=self.clock.now()), True)
 
     def receive(self, until: float) -> Frame | None:
-        """Return the next frame, or None if none has come at ``until`` [s]."""
+        """Return the next frame, or None if none has come at ``until`` [s]; may raise LinkError."""
         frame = self._link.receive(until)
+        # The observer has got frames of this program, which come back as echoes, by ``send``.
         if frame is not None and self.observer and not frame.echo:
             self.observer(frame, False)
         return frame
@@ -151,8 +153,8 @@ def undisturbed_processor(live: bool = True) -> Iterator[bool]:
     """Keep garbage collection, other threads and other programs from pausing a ``with`` block.
 
     Yields whether the block has real-time priority, which the system may refuse; garbage collection
-    is off in any case. A block with real-time priority has to wait now and then, because no other
-    program can run on its processor meanwhile.
+    is off in any case. A block with real-time priority has to sleep now and then, because no other
+    program can run on its processor while the block computes.
 
     Args:
         live: ask for real-time priority; False for a block that runs in simulated time.
@@ -162,7 +164,8 @@ def undisturbed_processor(live: bool = True) -> Iterator[bool]:
     gc.collect()
     gc.disable()
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    priority = _real_time_priority() if live else contextlib.nullcontext(False)
+    no_priority = contextlib.nullcontext(enter_result=False)
+    priority = _real_time_priority() if live else no_priority
     try:
         with priority as is_granted:
             yield is_granted
@@ -176,7 +179,8 @@ def undisturbed_processor(live: bool = True) -> Iterator[bool]:
 def _real_time_priority() -> Iterator[bool]:
     """Give this program's threads real-time priority in a block; yield whether the block has it.
 
-    A scheduling policy that the user has chosen already (by chrt) is not changed.
+    Afterwards all threads have the usual policy again. A scheduling policy that the user has chosen
+    already (by chrt) is not changed. On other systems than Linux nothing is changed.
     """
     if sys.platform != "linux":
         yield False
@@ -186,7 +190,7 @@ def _real_time_priority() -> Iterator[bool]:
         yield policy in (os.SCHED_FIFO, os.SCHED_RR)
         return
     try:
-        is_granted = _schedule(0, os.SCHED_FIFO, PRIORITY)
+        is_granted = _schedule(thread_id=0, policy=os.SCHED_FIFO, priority=PRIORITY)
         if is_granted:
             for thread_id in _other_threads():
                 _schedule(thread_id, os.SCHED_FIFO, _PRIORITY_ASIDE)
@@ -194,11 +198,11 @@ def _real_time_priority() -> Iterator[bool]:
     finally:
         # Threads that were started in the block have inherited the priority.
         for thread_id in (0, *_other_threads()):
-            _schedule(thread_id, os.SCHED_OTHER, 0)
+            _schedule(thread_id, os.SCHED_OTHER, priority=0)
 
 
 def lacks_priority() -> bool:
-    """Return whether the system has real-time priority but this thread does not."""
+    """Return whether this system offers real-time priority (Linux) but this thread has none."""
     if sys.platform != "linux":
         return False
     return os.sched_getscheduler(0) not in (os.SCHED_FIFO, os.SCHED_RR)
@@ -253,7 +257,7 @@ class RegisterClient:
 
     def read(self, motor: protocol.Address, register: int) -> RegisterReply | None:
         """Return a motor's reply with a register's value; None if three requests get no answer."""
-        replies = self.answers(protocol.read_frame(motor, register), 1)
+        replies = self.answers(protocol.read_frame(motor, register), limit=1)
         return replies[0] if replies else None
 
     def write(
@@ -269,6 +273,7 @@ class RegisterClient:
                 False for a change of bit rate, after which no answer can be received.
 
         Raises:
+            InputError: the value does not fit into the register; nothing was sent.
             HardwareAbort: the motor did not answer, or refused the value.
         """
         raw = protocol.bytes_from_value(register, value)
@@ -276,7 +281,7 @@ class RegisterClient:
         request = protocol.write_frame(motor, register, raw)
         if not verify:
             return self._link.send(request)
-        replies = self.answers(request, 1)
+        replies = self.answers(request, limit=1)
         if not replies:
             raise HardwareAbort(
                 f"motor {motor.can_id} did not answer to writing {name}"
@@ -335,8 +340,9 @@ class RegisterClient:
     ) -> list[RegisterReply]:
         """Return the replies to a register request; motors that share an id send several.
 
-        ``limit`` is the number of replies after which no more are waited for. Without any reply the
-        request is repeated; the list is empty if none comes at all.
+        ``limit`` is the number of replies after which no more are waited for; None waits until the
+        timeout. Without any reply the request is sent again, up to three times in all; then the
+        list is empty.
         """
         for _ in range(_TRIES):
             replies = list(islice(self._replies(request), limit))
@@ -362,9 +368,10 @@ class RegisterClient:
                 yield RegisterReply(value, frame.id)
 
     def _frames_after(self, request: protocol.Frame) -> Iterator[protocol.Frame]:
-        """Send a request and yield the 8-byte frames that others send on its bus until the timeout.
+        """Send a request and yield the 8-byte frames that then come on the request's bus.
 
-        Frames that have come earlier are discarded; error frames are counted.
+        It ends at the timeout. Frames that have come earlier are discarded, and so are echoes of
+        this program's own frames; error frames are counted.
         """
         self._link.drain()
         self._send(request)
@@ -376,7 +383,7 @@ class RegisterClient:
                 yield frame
 
     def _send(self, request: protocol.Frame) -> None:
-        """Send a request, up to three times if a busy computer or adapter raises LinkError."""
+        """Send a request, up to three times if a busy link raises LinkError; raise the third."""
         for _ in range(_TRIES - 1):
             with contextlib.suppress(LinkError):
                 return self._link.send(request)
@@ -399,7 +406,8 @@ def watchdogs_set_to(
         client: access to the registers.
         motors: motors with the values of their registers.
         seconds: new watchdog time [s].
-        is_off: returns, when the block has ended, whether the motor is known to be disabled.
+        is_off: called when the block has ended; returns whether the motor at an address is known to
+            be disabled.
 
     Raises:
         HardwareAbort: before the block, if a motor does not answer or refuses the value.
@@ -422,14 +430,14 @@ _ALL_IDS = range(1, 16)
 _LISTEN = 0.05
 """Time to listen before requesting anything [s]: shows programs that send at 40 Hz or more."""
 _ASK_TIMEOUT = 0.03
-"""Time for which an answer is waited for [s]: twice that of a slow adapter (16 ms)."""
+"""Time for which an answer is waited for [s]: twice the delay of a slow adapter (16 ms)."""
 _ROUNDS = 20
 """How often all motors are requested at once, for the 90th percentile of their answering time."""
 
 
 @dataclass(frozen=True, eq=False)
 class InspectedMotor:
-    """Answers of one motor to an inspection of the bus.
+    """Answers of one motor (or of several with one CAN id) to an inspection of the bus.
 
     Attributes:
         address: bus and CAN id to which the requests were sent.
@@ -489,8 +497,8 @@ class Inspection:
 
     Attributes:
         motors: answers of each motor by its address, in the order of buses and CAN ids.
-        unsolicited: number of frames that came before anything was requested.
-        error_frames: number of error frames.
+        unsolicited: number of frames that came within 0.05 s before anything was requested.
+        error_frames: number of error frames that came during the requests.
         round_trip: 90th percentile of the time in which all motors, requested at once, answer [s];
             None where half of the attempts, or more, ended without some motor's answer, or a
             motor's state is unknown.
@@ -522,7 +530,7 @@ def inspect_bus(link: GuardedLink) -> Inspection:
     round_trip = None
     if all(motor.feedback for motor in motors.values()):
         # Measured under the conditions of a run, for which the time matters.
-        with undisturbed_processor(link.clock.live):
+        with undisturbed_processor(live=link.clock.live):
             round_trip = _round_trip(client, motors.values())
     return Inspection(motors, unsolicited, client.error_frames, round_trip)
 
@@ -559,5 +567,7 @@ def _inspect_motor(
         if reply is not None:
             registers[number] = reply.value
     reply_ids = tuple(answer.reply_id for answer in answers)
-    motor = InspectedMotor(address, reply_ids, registers, None, channel)
+    motor = InspectedMotor(
+        address, reply_ids, registers, feedback=None, channel=channel
+    )
     return replace(motor, feedback=client.state_of(motor))

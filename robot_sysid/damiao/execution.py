@@ -71,7 +71,7 @@ from robot_sysid.records.option_fields import given_options, record_from
 class MotorRun:
     """One run on motors: makes its plan, checks it, opens the bus and plays.
 
-    The robot, the joint map and the free transfers are computed once and cached.
+    The robot, the joint map and the orders of joints in transfers are computed once and cached.
 
     Args:
         values: value of each option that was given, by its key, from the command line or the API.
@@ -114,17 +114,13 @@ class MotorRun:
         """Whether the options name a second arm; InputError where they are incomplete."""
         values = self.values
         second = record_from(SecondArm, values)
-        if (
-            second.also is None
-            and second.also_joint
-            and values.get("trajectory") is not None
-        ):
+        has_trajectory = values.get("trajectory") is not None
+        if second.also is None and second.also_joint and has_trajectory:
             raise InputError("--also-joint is about a second arm; add --also")
         is_named = second.also_joint and values.get("model") and values.get("joint")
         if (second.also or second.also_joint) and not is_named:
-            raise InputError(
-                "two arms need --model, --joint and --also-joint: which they are"
-            )
+            problem = "two arms need --model, --joint and --also-joint: which they are"
+            raise InputError(problem)
         return second.also_joint is not None
 
     def hold_plan(self, inspection: Inspection) -> Plan:
@@ -139,7 +135,8 @@ class MotorRun:
         joints = []
         motor_positions = []
         # Without a joint map the motors have the CAN ids 1, 2, 3, ...
-        unmapped = [DamiaoJoint("", i + 1, 0) for i in range(self.robot.n_joints)]
+        can_ids = range(1, self.robot.n_joints + 1)
+        unmapped = [DamiaoJoint(motor_type="", can_id=i, master_id=0) for i in can_ids]
         for joint in self._with_joint_map(unmapped):
             motor = inspection.motors.get(joint.address)
             types = matching_types(motor.limits) if motor else ()
@@ -151,9 +148,8 @@ class MotorRun:
             elif motor.feedback is None:
                 problem = "does not tell its state"
             if motor is None or problem:
-                raise HardwareAbort(
-                    f"{joint.label} {problem}; see robot-sysid motors check"
-                )
+                finding = f"{joint.label} {problem}"
+                raise HardwareAbort(f"{finding}; see robot-sysid motors check")
             master_id = joint.master_id or motor.master_id
             joints.append(replace(joint, motor_type=types[0], master_id=master_id))
             motor_positions.append(motor.position)
@@ -175,8 +171,8 @@ class MotorRun:
         """Return the plan of a trajectory with the options' settings.
 
         With a model it also has the inertia (n,) that each joint moves [kg m^2], the lower and the
-        upper limits (n,) of the joints [rad], and what computes the ripple of velocities that the
-        steps in which motors read a torque add to the recorded motion.
+        upper limits (n,) of the joints [rad], and the SamplingRipple, which computes the ripple
+        that torque steps between control cycles add to the recorded motion.
         """
         inertia = None
         ripple = None
@@ -201,7 +197,7 @@ class MotorRun:
         )
 
     def _limits(self) -> LimitOptions:
-        """Return the limits that the user gives for all motions of the run; others do not limit.
+        """Return the user's limits for all motions of the run; a limit not given forbids nothing.
 
         InputError for a limit that needs a model where there is none.
         """
@@ -245,7 +241,7 @@ class MotorRun:
         return tuple(self.address.buses or names_in_map)
 
     def checks(self, plan: Plan) -> list[Check]:
-        """Return the checks of a plan that need no bus, including those against a model."""
+        """Return a plan's checks that need no bus; InputError for model options without a model."""
         checks = [*preflight.plan_checks(plan), *preflight.limit_checks(plan)]
         if self.robot is None:
             for model_option in given_options(record_from(ModelOptions, self.values)):
@@ -265,16 +261,17 @@ class MotorRun:
     def orders(self, plan: Plan, q: Array) -> tuple[str, ...]:
         """Return in which order joints move in each transfer of an arm that stands at q (n,) [rad].
 
-        Transfers lead to the first point and to the parking pose; orders are those of ``_order``.
+        The transfers are those to the first point and, if there is one, to the parking pose. Each
+        order is one of ``references.ORDERS``, or "" where the arm would touch something in all.
         """
         return tuple(self._order(begin, end)[0] for _, begin, end in plan.transfers(q))
 
     def _order(self, begin: Array, end: Array) -> tuple[str, str]:
         """Return an order of joints in which nothing touches between two poses (n,) [rad].
 
-        The order is one of ``references.ORDERS`` (all joints at once, or one after the other), or
-        "" where none is free; without a model it is straight. The second result names the bodies
-        that touch on the straight line, or is "". Results are cached: checks and run need them.
+        It is one of ``references.ORDERS``, or "" where something touches in each of them; without a
+        model it is straight. The second result names the bodies that touch on the straight line, or
+        is "". Results are cached: checks and run need them.
         """
         if self.robot is None:
             return STRAIGHT, ""
@@ -325,7 +322,8 @@ class MotorRun:
     ) -> PlayReport:
         """Play a plan, checked by the model while it moves, and return the report of the run.
 
-        Signals that end a program stop the run. For the arguments see the function ``run``.
+        Signals that end a program stop the run. Arguments and errors are those of the function
+        ``run``; the message about an overload adds how to weigh the arm.
         """
         with stop.on_signals():
             holding = self.holding(plan)
@@ -343,7 +341,7 @@ class MotorRun:
                 raise HardwareAbort(f"{error}; {remedy}") from error
 
     def require_free(self, plan: Plan) -> None:
-        """Raise InputError where a recording would replace a file, the run's inputs included."""
+        """Raise InputError if a recording would replace an input, or a file without --overwrite."""
         keys = "trajectory", "model", "also", "joint_map", "park"
         inputs = [self.values[key] for key in keys if self.values.get(key)]
         plan.recording.require_free(*inputs)
@@ -354,7 +352,8 @@ class MotorRun:
             return None
         from robot_sysid.damiao.model_check import gravity_check
 
-        return gravity_check(self.robot, plan.trajectory.joints, not self._has_two_arms)
+        is_chain = not self._has_two_arms
+        return gravity_check(self.robot, plan.trajectory.joints, is_chain=is_chain)
 
     @cached_property
     def robot(self) -> Any:
@@ -383,14 +382,19 @@ class MotorRun:
         arms = []
         names: list[str] = []
         for joint in terminals:
-            arm = load_robot_model(path, model.mesh_dir, joint, np.inf, model.keyframe)
+            arm = load_robot_model(
+                path,
+                model.mesh_dir,
+                joint,
+                max_velocity=np.inf,
+                keyframe=model.keyframe,
+            )
             arms.append(arm)
             names += arm.joint_names
         for name in names:
             if names.count(name) > 1:
-                raise InputError(
-                    f"--joint and --also-joint are of one arm: both move {name}"
-                )
+                problem = f"--joint and --also-joint are of one arm: both move {name}"
+                raise InputError(problem)
         return tuple(arms)
 
     def simulated_arm(
@@ -398,8 +402,8 @@ class MotorRun:
     ) -> SimulatedArm:
         """Return a simulated arm of the model that stands at the plan's first point.
 
-        ``watchdog`` is the watchdog time of its motors [s]; ``timestep`` is the time step of the
-        physics [s], or no argument for the default. InputError without a model.
+        ``watchdog`` is the watchdog time of its motors [s]; ``timestep`` is one value, the time
+        step of the physics [s], or no argument for the default. InputError without a model.
         """
         if self.robot is None:
             raise InputError("a simulated arm needs a model; add --model")
@@ -426,16 +430,15 @@ class MotorRun:
         refuse: Callable[[Frame], None] = refuse_harmful,
         timing: BusTiming | None = None,
     ) -> Iterator[GuardedLink]:
-        """Open the bus for a block and yield its link, which refuses harmful frames.
+        """Open the bus for a block and yield its link; InputError without --channel.
 
         Args:
             refuse: called with each frame to be sent; raises for one that must not be sent.
             timing: bit rates in place of those of the options.
         """
         if not self.address.channel:
-            raise InputError(
-                "this command needs --channel, for instance --channel can0"
-            )
+            problem = "this command needs --channel, for instance --channel can0"
+            raise InputError(problem)
         with contextlib.closing(self.open_link(timing)) as link:
             yield GuardedLink(link, self.clock, self.timing.fd, self.channels, refuse)
 
@@ -483,11 +486,9 @@ def run(
     held_positions = np.array([motor.position for motor in motors[n:]])
     session = MotorSession(link, joints, scaling, plan.command_range(held_positions))
     settings = _settings_with(plan, held_joints)
-    park = (
-        settings.park
-        if plan.parking_pose is None
-        else np.concatenate([plan.parking_pose, held_positions])
-    )
+    park: str | Array | None = settings.park
+    if plan.parking_pose is not None:
+        park = np.concatenate([plan.parking_pose, held_positions])
     console = Aside(link.clock.live)
     writer = Aside(link.clock.live)
     try:
@@ -496,9 +497,8 @@ def run(
             watchdog = plan.permissions.watchdog
             if watchdog is not None:
                 client = RegisterClient(link)
-                stack.enter_context(
-                    watchdogs_set_to(client, motors, watchdog, session.is_off)
-                )
+                watchdogs = watchdogs_set_to(client, motors, watchdog, session.is_off)
+                stack.enter_context(watchdogs)
             stack.enter_context(session)
             holding = holding or FileHolding(plan.trajectory)
             player = Player(
@@ -513,9 +513,8 @@ def run(
                 orders,
             )
             reference = trajectory_reference(plan.trajectory, settings.speed)
-            report = player.play(
-                add_held_motors(reference, held_positions), plan.duration
-            )
+            reference = add_held_motors(reference, held_positions)
+            report = player.play(reference, plan.duration)
     finally:
         console.finish()
     _require_complete(console, writer)
@@ -570,7 +569,7 @@ def _require_complete(console: Aside, writer: Aside) -> None:
 def _open_recorder(
     link: GuardedLink, plan: Plan, motors: Sequence[InspectedMotor], aside: Aside
 ) -> Iterator[MeasurementRecorder | None]:
-    """Yield a recorder that writes a plan's files, or None where the plan records nothing.
+    """Yield a recorder that writes a plan's files, or None if its ``recording.frames`` is None.
 
     Args:
         link: link whose frames are logged.
@@ -589,7 +588,7 @@ def _open_recorder(
     names = [f"j{j}" for j in range(played.n_joints)]
     if played.has_two_arms:
         names = [joint.name for joint in played.joints]
-    # Without a recording, frames pass a recorder too: kept until the end, they fill the memory.
+    # Without --record, a recorder still writes the frames: kept until the end, they fill memory.
     with contextlib.ExitStack() as stack:
         frames = stack.enter_context(RawFrameLog(path, link))
         centring = Centring(plan.settings.period, plan.ripple)

@@ -97,6 +97,7 @@ class MotorSpec:
     note: str = ""
 
 
+# Name, (PMAX, VMAX, TMAX), rated torque, peak torque, gear ratio, supply, no-load rpm, rotor.
 _SPECS = (
     MotorSpec("DM4310", (12.5, 30.0, 10.0), 3.0, 7.0, 10.0, 24.0, 200.0, 0.0018),
     MotorSpec("DM4340", (12.5, 10.0, 28.0), 9.0, 27.0, 40.0, 24.0, 52.0, 0.032),
@@ -142,16 +143,12 @@ def peak_torques(joints: Sequence[DamiaoJoint]) -> Array:
 
 
 def matching_types(limits: tuple[float, float, float]) -> tuple[str, ...]:
-    """Return the names of the motor types whose factory limits agree with given limits.
+    """Return the names of all motor types whose factory limits agree with given limits.
 
     Args:
         limits: PMAX [rad], VMAX [rad/s] and TMAX [N m], as read from a motor's registers.
     """
-    names = []
-    for spec in _SPECS:
-        if limits_agree(spec.limits, limits):
-            names.append(spec.name)
-    return tuple(names)
+    return tuple(spec.name for spec in _SPECS if limits_agree(spec.limits, limits))
 
 
 def limits_agree(
@@ -266,8 +263,8 @@ def damiao_joints(
 def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:
     """Yield a sentence for each CAN or master id that is invalid or clashes with another motor's.
 
-    A motor takes every frame whose id has its own low eight bits, replies of other motors included,
-    and a reply carries only the low four bits of the sender's CAN id.
+    A motor takes every frame whose low eight id bits are its CAN id, replies of other motors
+    included, and a reply carries only the low four bits of the sender's CAN id.
 
     Args:
         motors: (bus, CAN id, master id) per motor; the bus is an index or a name.
@@ -281,6 +278,7 @@ def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:
     for bus, i, master in motors:
         if not 1 <= i <= 15:
             yield f"CAN id {i} is outside 1 to 15, where replies can be told apart"
+        # 0x7FF is the id of register requests.
         if not 0 <= master <= 0x7FE:
             yield f"master id {master:#x} of the motor with CAN id {i} is outside 0 to 0x7fe"
         for other_bus, other, _ in motors:
@@ -318,7 +316,7 @@ class JointSpace:
     ) -> tuple[Array, ...]:
         """Return motor position, velocity and torque of joint position, velocity and torque.
 
-        All arguments and results are (n,) [rad, rad/s, N m].
+        All arguments and results are (..., n) [rad, rad/s, N m].
         """
         sign = self.direction
         return (
@@ -386,7 +384,8 @@ def read_joint_map(path: Path, names: Sequence[str] = ()) -> tuple[DamiaoJoint, 
         Joints without a motor type, each with ``bus`` 0 and the bus's name as ``channel``.
 
     Raises:
-        InputError: the file is unreadable, a row is wrong, or names or ids clash.
+        InputError: the file is unreadable, lacks columns or rows, a row is wrong, or names or ids
+            clash.
     """
     if path.suffix == ".json":
         return _read_lerobot_map(path, names)
@@ -449,7 +448,7 @@ def map_joints(
     Args:
         joints: joints of the trajectory, base to terminal; only their motor types are used.
         rows: joints of the map; without ``names`` one per joint, in the order of ``joints``.
-        channels: names of the open buses; a joint's ``bus`` is an index into them.
+        channels: names of the open buses; ``bus`` of a returned joint is an index into them.
         names: joint names of the model, base to terminal, which select rows of the map by name.
 
     Raises:
@@ -469,11 +468,11 @@ def map_joints(
         )
     # With one bus, the name in the map is ignored, because the system may have renamed the adapter;
     # with several it must match, so that the motion of one arm is never played on the other.
-    several = len(channels) > 1 or len({row.channel for row in rows}) > 1
+    has_several_buses = len(channels) > 1 or len({row.channel for row in rows}) > 1
     mounted = []
     for joint, row in zip(joints, selected):
         channel = row.channel
-        if several and channel and channel not in channels:
+        if has_several_buses and channel and channel not in channels:
             raise InputError(
                 f"the joint map puts {row.name} on {channel}; open it with --channel {channel}"
             )
@@ -525,7 +524,10 @@ _SIDES = {f"{side}_arm_config": f"{side}_" for side in ("left", "right")}
 
 
 def _read_lerobot_map(path: Path, names: Sequence[str]) -> tuple[DamiaoJoint, ...]:
-    """Return the joints of a LeRobot file, renamed to the model's ``names`` where one matches."""
+    """Return the joints of a LeRobot file, renamed to the model's ``names`` where one matches.
+
+    InputError where the file cannot be read, has another content, or names or ids clash.
+    """
     remedy = "give LeRobot's calibration, or a configuration with motor_config"
     content = read_json(path, remedy)
     try:
@@ -558,8 +560,10 @@ def _lerobot_joints(
     elif "motor_config" in content:
         channel = str(content.get("port", ""))
         for name, (can_id, master_id, *_) in content["motor_config"].items():
-            ids = int(can_id), int(master_id)
-            yield DamiaoJoint("", *ids, name=prefix + name, channel=channel)
+            joint = DamiaoJoint(
+                motor_type="", can_id=int(can_id), master_id=int(master_id)
+            )
+            yield replace(joint, name=prefix + name, channel=channel)
     else:
         for name, motor in content.items():
             yield _calibrated_joint(name, motor)
@@ -574,11 +578,12 @@ def _calibrated_joint(name: str, motor: Mapping[str, Any]) -> DamiaoJoint:
         if motor[key] != 0:
             raise ValueError(f"{key} of {name} is {motor[key]}, 0 for Damiao motors")
     can_id = int(motor["id"])
-    return DamiaoJoint("", can_id, can_id + MASTER_ID_OFFSET, name)
+    master_id = can_id + MASTER_ID_OFFSET
+    return DamiaoJoint(motor_type="", can_id=can_id, master_id=master_id, name=name)
 
 
 def _matching_name(name: str, names: Sequence[str]) -> str:
-    """Return the only one of ``names`` that ends with ``name``, or ``name`` if not exactly one.
+    """Return the entry of ``names`` that ends with ``name``; ``name`` if none or several do.
 
     Only letters and digits are compared, without case.
     """

@@ -58,6 +58,10 @@ _PRINTED = 1e-4
 class SampledTrajectory:
     """A motor trajectory of n joints and N rows as a motion plan, played at a factor of its speed.
 
+    Args:
+        trajectory: the trajectory file's content.
+        speed: factor of the file's velocities; its times are divided by this factor.
+
     Attributes:
         time: times (N,) of the rows, from zero [s].
         q: positions (N, n) [rad].
@@ -160,8 +164,8 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
     """Yield a stop for each limit of the model that a plan exceeds and for each contact.
 
     If there is none, one check with severity OK is yielded. The trajectory and the parking pose are
-    checked. The arms of ``contacts`` have been loaded without a limit of speed by the user, so that
-    only the limits of the model count.
+    checked. ``contacts`` has the arms of the model, loaded with an infinite ``max_velocity``, so
+    that only the model's limits of speed count.
     """
     played = plan.trajectory
     speed = plan.settings.speed
@@ -205,11 +209,14 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
 
 
 def _smaller_motion_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
-    """Return the remedy for a motion that is too large for an arm: a command, if there is one."""
-    if not np.any(np.ptp(trajectory.q, axis=0)):
+    """Return the remedy for a motion that is too large for an arm, with a command if possible."""
+    is_moving = np.any(np.ptp(trajectory.q, axis=0))
+    if not is_moving:
         return "bring the arm elsewhere by hand"
     remedy = "export a smaller trajectory for this arm"
-    return _planning_remedy(remedy, "smaller", trajectory, robot)
+    return _planning_remedy(
+        remedy, folder="smaller", trajectory=trajectory, robot=robot
+    )
 
 
 def transfer_check(name: str, order: str, touching: str) -> Iterator[Check]:
@@ -233,7 +240,10 @@ def transfer_check(name: str, order: str, touching: str) -> Iterator[Check]:
 
 
 def _pose_excesses(robot: RobotModel, pose: Array) -> Iterator[str]:
-    """Yield a sentence for each joint of a parking pose (n,) outside the model's range."""
+    """Yield a sentence for each joint of a parking pose (n,) [rad or m] outside its model range.
+
+    The n joints are those of ``robot``.
+    """
     limits = zip(robot.joint_names, pose, robot.limits.lower, robot.limits.upper)
     for j, (name, q, lower, upper) in enumerate(limits):
         if not lower - _ROUNDING <= q <= upper + _ROUNDING:
@@ -246,10 +256,12 @@ def _pose_excesses(robot: RobotModel, pose: Array) -> Iterator[str]:
 def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[str]:
     """Yield a sentence for each joint and limit of the model that a motion exceeds.
 
-    The limits are those of position, velocity and torque; a sentence has the largest excess.
+    The limits are those of position (upper and lower), velocity and torque; a sentence states the
+    largest excess.
     """
-    # Velocity up to the next row, which counts where the positions show more than the velocity
-    # column. Their rounding alone may make a slope; the last row has no next one.
+    # Slope of the positions up to the next row, which counts where it is steeper than the velocity
+    # column says. The slope that rounding of positions may make is subtracted; the last row has no
+    # next one.
     slope = np.zeros_like(motion.qd)
     slope[:-1] = np.abs(motion.slope) - _PRINTED / np.diff(motion.time)[:, None]
     speed = np.maximum(np.abs(motion.qd), slope)
@@ -275,9 +287,9 @@ def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[st
 
 
 def _unit(quantity: str, robot: RobotModel, joint: int) -> str:
-    """Return the unit of a quantity of joint number ``joint``, which is a hinge or a slide.
+    """Return the unit of "position", "velocity" or "torque" (``quantity``) of a joint of a robot.
 
-    ``quantity`` is "position", "velocity" or "torque".
+    ``joint`` is the joint's index; the unit depends on whether the joint is a hinge or a slide.
     """
     length, force = ("m", "N") if robot.is_slide[joint] else ("rad", "N m")
     return {"position": length, "velocity": f"{length}/s", "torque": force}[quantity]
@@ -296,8 +308,9 @@ def torque_checks(
 ) -> Iterator[Check]:
     """Yield a stop for each joint whose motion needs more torque than its motor can make.
 
-    Further stops are yielded where the file feeds forward another torque than the motion needs. The
-    needed torques are those of ``robot``, which is a model of the arm.
+    Further stops are yielded where the file feeds forward another torque than the motion needs, or
+    only a note where the motion is meant to weigh the arm. The needed torques are those of
+    ``robot``, the model of the arm; ``settings`` have the speed and the permitted torque errors.
     """
     played = SampledTrajectory(trajectory, settings.speed)
     qdd = settings.speed**2 * trajectory.qdd
@@ -324,10 +337,11 @@ def torque_checks(
 def _foreign_torque_checks(
     trajectory: DamiaoTrajectory, robot: RobotModel
 ) -> Iterator[Check]:
-    """Yield a note or stop for each joint whose feed-forward torque its motion does not need.
+    """Yield a note or stop for each joint whose feed-forward torque is not what its motion needs.
 
     It is a note where the file's torque agrees with the model that the motion was planned with, and
-    the motion was planned for weighing an unknown load. ``robot`` is the model of the present arm.
+    the motion was planned for weighing an unknown load. The needed torque is that of ``robot``, the
+    model of the arm that is to be moved.
     """
     fed = _FedTorque.of(trajectory, robot)
     is_as_planned = bool(np.any(fed.is_foreign)) and _is_as_planned(trajectory)
@@ -351,7 +365,9 @@ def _foreign_torque_checks(
         if is_as_planned:
             remedy = weighing_remedy(trajectory, robot)
         else:
-            remedy = _planning_remedy(remedy, "exported", trajectory, robot)
+            remedy = _planning_remedy(
+                remedy, folder="exported", trajectory=trajectory, robot=robot
+            )
         yield Check(STOP, f"{finding}, and {CANNOT_FOLLOW}; {remedy}")
 
 
@@ -362,9 +378,10 @@ class _FedTorque:
     Attributes:
         needed: rms (n,) of the needed torque [N m].
         error: rms (n,) of feed-forward minus needed torque [N m].
-        is_missing: whether the file has hardly any torque for a joint (n,).
-        is_against: whether the file's torque has the other sign (n,).
-        is_foreign: whether the file's torque is not that of the motion (n,).
+        is_missing: whether the file has no more torque for a joint than friction explains (n,).
+        is_against: whether the file's torque mostly has the opposite sign (n,).
+        is_foreign: whether the error is more than friction explains, and more than 0.8 times the
+            needed torque (n,).
     """
 
     needed: Array
@@ -375,11 +392,11 @@ class _FedTorque:
 
     @classmethod
     def of(cls, trajectory: DamiaoTrajectory, robot: RobotModel) -> _FedTorque:
-        """Return the agreement of a file's torque with that of a model, at the file's own speed."""
+        """Return how a file's torque agrees with what ``robot`` needs at the file's own speed."""
         signals = trajectory.q, trajectory.qd, trajectory.qdd
         motion = Motion(trajectory.time, *signals)
         needed = ArmTorque(robot)(motion)
-        # Torque (n,) that friction alone may explain.
+        # Torque (n,) that friction alone may explain [N m].
         doubt = torque_doubt(trajectory.joints) + robot.friction.largest_dry
         needed_rms = np.sqrt(np.mean(needed**2, axis=0))
         fed_rms = np.sqrt(np.mean(trajectory.tau**2, axis=0))
@@ -388,13 +405,14 @@ class _FedTorque:
             needed=needed_rms,
             error=error,
             is_missing=fed_rms < doubt,
+            # The mean product of two torques is negative where their signs mostly differ.
             is_against=np.sum(trajectory.tau * needed, axis=0) < 0.0,
             is_foreign=(error > doubt) & (error > _OTHER_TORQUE * needed_rms),
         )
 
 
 def _is_weighing(trajectory: DamiaoTrajectory) -> bool:
-    """Tell whether the plan beside a file was made for weighing an unknown load."""
+    """Tell whether the plan settings beside a trajectory file are for weighing an unknown load."""
     plan_file = plan_settings(trajectory.path.parent)
     if plan_file is None:
         return False
@@ -405,7 +423,8 @@ def _is_weighing(trajectory: DamiaoTrajectory) -> bool:
 def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
     """Tell whether a file's torque agrees with the model that the motion was planned with.
 
-    False where the plan beside the file, or its model, is not there or fits no more.
+    False where the file has two arms, or the settings of its plan are not beside it, or the model
+    that they name cannot be loaded or has another number of joints.
     """
     if trajectory.has_two_arms:
         return False
@@ -429,9 +448,10 @@ def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
 def _planning_remedy(
     remedy: str, folder: str, trajectory: DamiaoTrajectory, robot: RobotModel
 ) -> str:
-    """Return a remedy with the command that plans the motion of a file again for a robot.
+    """Return a remedy followed by the command that plans the motion of a file again for a robot.
 
-    The command writes into ``folder`` beside the file; there is none for the file of two arms.
+    The command writes into ``folder`` beside the file. For the file of two arms there is no
+    command, and the remedy is returned as it is.
     """
     command = _plan_command(trajectory, robot, for_model=True)
     if not command:
@@ -459,8 +479,8 @@ def _plan_command(
 ) -> list[str]:
     """Return the words of the command that plans another motion for the motors of a file.
 
-    Where the settings of the plan stand beside the file, the command uses them; with ``for_model``
-    it takes the model of ``robot`` in place of theirs. Empty for a file of two arms.
+    Where the settings of the file's plan are beside it, the command uses them; with ``for_model``
+    it replaces their model by that of ``robot``. Empty for a file of two arms.
     """
     if trajectory.has_two_arms:
         return []
@@ -486,7 +506,7 @@ _STEP = 1e-4
 def gravity_check(
     robot: RobotModel, joints: tuple[DamiaoJoint, ...], is_chain: bool = True
 ) -> HoldingCheck:
-    """Return a check of the torques that hold an arm against the gravity of its model.
+    """Return a check that compares the torques that hold an arm with those of the model's gravity.
 
     Args:
         robot: model of the arm with n joints.

@@ -68,8 +68,9 @@ class CycleTimer:
     def wait(self, lenient: bool = False) -> float:
         """Sleep until the next cycle is due and return its deadline in the clock [s].
 
-        Whole cycles that have already passed are skipped, never replayed. Unless ``lenient``, a
-        delay of more than ``max_lateness`` raises HardwareAbort.
+        Whole cycles that have already passed are skipped, never replayed: the deadline is then that
+        of the last one that is due. Unless ``lenient``, a delay of more than ``max_lateness``
+        raises HardwareAbort.
         """
         deadline = self.next_deadline
         self._clock.sleep_until(deadline)
@@ -101,7 +102,7 @@ _LIFT_SHARE = 0.2
 It is short, so that the arm does not sink; for the rest of the ramp the standing arm is observed.
 """
 _LEAST_LIFT_STEPS = 4.0
-"""Number of cycles below which gains rise in a single cycle: between more, the arm would fall."""
+"""Number of steps up to which gains rise at once: in steps as long as that, the arm would fall."""
 _REPLY_SHARE = 0.9
 """Share of a cycle for which replies are waited for; the rest is for the checks.
 
@@ -187,18 +188,23 @@ class Player:
         self._timer: CycleTimer
         self._kp = np.array(settings.kp)
         self._kd = np.array(settings.kd)
+        # Factor, from 0 to 1, of stiffness and feed-forward torque.
         self._gain = 0.0
+        # Whether the joints should stand still, and whether the gains rise, in this phase.
         self._standing = True
         self._rising = False
+        # The last reference and the last command that were sent.
         self._reference: Reference | None = None
         self._command: MitCommand | None = None
+        # A reference that depends on the arm's state, which it gets in every cycle.
         self._follower: paths.Lowering | CarriedStop | None = None
+        # Time of the last answer in the clock [s].
         self._heard_at = 0.0
         self._n_recorded = 0
         self._progress_at = -np.inf
         # Positions and commanded torques (2, n) of the last cycles, up to 100.
         self._recent_states: list[Array] = []
-        # Commanded at the moment of the last samples (n,) [N m].
+        # Torque (n,) that was commanded at the moment of the last samples [N m].
         self._motor_torque: Array
 
     def play(self, trajectory: ReferenceFunction, duration: float) -> PlayReport:
@@ -216,21 +222,20 @@ class Player:
                     raise self._explain(error) from None
                 if isinstance(error, HardwareAbort):
                     raise
-                raise HardwareAbort(
-                    f"{type(error).__name__}: {error_text(error)}"
-                ) from error
+                reason = f"{type(error).__name__}: {error_text(error)}"
+                raise HardwareAbort(reason) from error
         timer = self._timer
         return PlayReport(
-            self._n_recorded,
-            timer.skipped,
-            timer.lateness(50.0),
-            timer.lateness(99.0),
-            self._observer.total_missed,
-            self._observer.worst_tracking,
+            cycles=self._n_recorded,
+            skipped=timer.skipped,
+            lateness_p50=timer.lateness(percentile=50.0),
+            lateness_p99=timer.lateness(percentile=99.0),
+            missed=self._observer.total_missed,
+            worst_tracking=self._observer.worst_tracking,
         )
 
     def _explain(self, fault: Fault) -> HardwareAbort:
-        """Return the fault with its cause, from mean position and torque of the stopped arm."""
+        """Return a fault, with its cause if the stopped arm's mean position and torque show it."""
         if not self._recent_states:
             return fault
         q, commanded_torque = np.mean(self._recent_states, axis=0)
@@ -248,13 +253,10 @@ class Player:
         start = self._session.enable()
         standing = Reference(start, np.zeros_like(start), self._holding.torque(start))
         order = self._orders[0]
+        speed = settings.approach_speed
+        shortest = settings.approach_time
         approach, approach_time = paths.transfer_reference(
-            standing,
-            first,
-            settings.approach_speed,
-            settings.approach_time,
-            order,
-            self._holding.torque,
+            standing, first, speed, shortest, order, carries=self._holding.torque
         )
         self._timer = CycleTimer(self._clock, settings.period, settings.max_lateness)
         self._announce("raising the gains")
@@ -276,9 +278,10 @@ class Player:
         self._leave(last, Reference(start, np.zeros_like(start), holding_torque))
 
     def _hold_and_compare(self, reference: Reference) -> None:
-        """Hold the arm still, and compare the torques of the second half with the expected ones.
+        """Hold the arm still for ``rest_time``, and compare its torques with the expected ones.
 
-        HardwareAbort where they disagree. ``_recent_states`` then has the states of this phase.
+        Means of the second half of the recent states count, which are those of this phase only.
+        HardwareAbort where the torques disagree.
         """
         self._recent_states.clear()
         self._phase(hold_reference(reference), self._settings.rest_time, standing=True)
@@ -288,9 +291,9 @@ class Player:
             self._holding(q, commanded_torque)
 
     def _leave(self, last: Reference, at_start: Reference) -> None:
-        """Park the arm as option ``park`` demands.
+        """Park the arm as the argument ``park`` of this class says.
 
-        ``last`` is the present reference, ``at_start`` the one before the transfer.
+        ``last`` is the present reference, ``at_start`` that of the arm where it stood at first.
         """
         if self._park is None:
             return
@@ -301,12 +304,13 @@ class Player:
         carries = self._holding.torque
         target = at_start
         if not isinstance(self._park, str):
+            # The feed-forward torque keeps its present difference from the expected torque.
             torque = carries(self._park) + last.torque - carries(last.position)
             target = Reference(self._park, np.zeros_like(self._park), torque)
         order = self._orders[-1]
         speed = self._settings.approach_speed
         parking, parking_time = paths.transfer_reference(
-            last, target, speed, 1.0, order, carries
+            last, target, speed, shortest=1.0, order=order, carries=carries
         )
         self._announce(f"parking, {order} ({parking_time:.1f} s)")
         self._phase(parking, parking_time)
@@ -322,9 +326,8 @@ class Player:
             self._session.open_range()
         session = self._session
         speed = self._settings.approach_speed
-        lowering = paths.Lowering(
-            begin, speed, session.peak_torque, session.command_range
-        )
+        peak = session.peak_torque
+        lowering = paths.Lowering(begin, speed, peak, session.command_range)
         self._follower = lowering
         return lowering
 
@@ -340,10 +343,10 @@ class Player:
         standing: bool = False,
         record: bool = False,
     ) -> None:
-        """Follow a reference for a time [s]; HardwareAbort where the observer finds a fault.
+        """Follow a reference for a time, one command per cycle; HardwareAbort for fault or stop.
 
         Args:
-            reference: reference by the time since the next cycle.
+            reference: reference by the time since the phase began [s].
             length: duration [s]; lowering may end earlier.
             standing: whether the joints should stand still.
             record: whether cycles are recorded.
@@ -361,9 +364,9 @@ class Player:
                 replies, acted = self._cycle(target)
             except BaseException:
                 # Replies that came before the error are recorded.
-                partial = self._session.last_replies
-                if record and partial is not None and self._command is not None:
-                    self._record(time, origin, partial, self._command)
+                early_replies = self._session.last_replies
+                if record and early_replies is not None and self._command is not None:
+                    self._record(time, origin, early_replies, self._command)
                 raise
             if record:
                 self._record(time, origin, replies, acted)
@@ -376,7 +379,7 @@ class Player:
             )
 
     def _stop_if_asked(self) -> None:
-        """Raise HardwareAbort where somebody asked for a stop, or recording failed."""
+        """Raise HardwareAbort if a stop was requested, or recording failed."""
         if self._stop.count:
             raise HardwareAbort(self._stop.reason)
         failure = self._recorder.failure if self._recorder else None
@@ -384,7 +387,7 @@ class Player:
             raise HardwareAbort(f"cannot record: {error_text(failure)}")
 
     def _cycle(self, reference: Reference) -> tuple[Replies, MitCommand]:
-        """Exchange one command; return the replies and the command in force at their samples.
+        """Command a reference; return the replies and the command in force at their samples.
 
         The gain, which scales stiffness and torque, rises to 1 in the first cycles of a run.
         """
@@ -408,12 +411,12 @@ class Player:
         joints: Mask | None = None,
         braking: bool = False,
     ) -> Replies:
-        """Exchange one command, update what is known of the arm, and return the replies.
+        """Send one command, pass the arm's state to observer and follower, and return the replies.
 
-        The state is passed to the observer and to a stop or lowering, and the torques that hold the
-        arm are stored. ``acted`` is the command in force when the replies are sampled. ``joints``
-        (n,) are commanded, or all. If ``braking``, a command beyond the bounds is limited to them,
-        not refused, and motors whose answers are missing are commanded too.
+        The command, the time of the replies, and the positions and torques of the arm are stored.
+        ``acted`` is the command in force when the replies are sampled. ``joints`` (n,) are whether
+        each joint is commanded; None means all. If ``braking``, a command beyond the bounds is
+        limited to them, not refused, and motors whose answers are missing are commanded too.
         """
         until = self._clock.now() + _REPLY_SHARE * self._settings.period
         replies = self._session.exchange(command, until, joints, braking)
@@ -458,7 +461,8 @@ class Player:
     def _stop_gently(self) -> None:
         """Brake the motors that still answer, and hold the arm until it is at rest.
 
-        Then it is lowered if any parking was asked for. Errors meanwhile are suppressed.
+        Then the arm is lowered if ``park`` is not None and the user does not insist on an end.
+        Nothing is done before the first complete cycle; errors during the stop are suppressed.
         """
         if self._reference is None:
             return
@@ -498,8 +502,10 @@ class Player:
             carrying_torque = self._holding.torque(pose)
         else:
             # While gains rise, the mean feed-forward torque is less than the torque that carries.
-            is_new = np.isnan(observer.fed_torque) | self._rising
-            carrying_torque = np.where(is_new, reference.torque, observer.fed_torque)
+            lacks_mean = np.isnan(observer.fed_torque) | self._rising
+            carrying_torque = np.where(
+                lacks_mean, reference.torque, observer.fed_torque
+            )
         fed = np.where(has_left & is_pushed, 0.0, carrying_torque)
         start = StopStart(
             reference=reference._replace(position=self._session.sent_position),
@@ -535,7 +541,7 @@ class Player:
                 self._stop_cycle(reference(deadline - origin))
 
     def _stop_cycle(self, target: Reference) -> None:
-        """Exchange one command of a stop, limited to the bounds of commands."""
+        """Command a reference in a stop, limited to the bounds of commands, to unfailed motors."""
         # A motor that does not answer may still obey, so only failed ones are left out.
         is_driven = ~self._observer.failed
         command = self._command_for(target)
@@ -582,7 +588,7 @@ class StopRequest:
         return handle_stop_signals(self._handle)
 
     def _handle(self, number: int, frame: Any) -> None:
-        """Request a stop for a signal; an interrupt 0.2 s or more after the first one insists.
+        """Request a stop for a signal, at once for an interrupt over 0.2 s after the first one.
 
         ``number`` is the signal's number; ``frame`` is not used.
         """
@@ -591,4 +597,4 @@ class StopRequest:
             now = time.monotonic()
             self._interrupted_at = min(self._interrupted_at, now)
             insists = now - self._interrupted_at > _SAME_WISH
-        self(f"stopped by {signal.Signals(number).name}", insists)
+        self(f"stopped by {signal.Signals(number).name}", insist=insists)

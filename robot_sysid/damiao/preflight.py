@@ -45,10 +45,11 @@ STOP = "stop"
 """Severity of a finding that forbids to play."""
 _REST_SPEED = 0.05
 """Largest speed at the ends of a trajectory [rad/s]: a quarter of the default approach speed."""
-_LEAST_WATCHDOG_CYCLES = 2 + 2 * PAUSE
+_LEAST_WATCHDOG_CYCLES = 2 * (PAUSE + 1)
 """Least watchdog time in control cycles.
 
-A motor whose answer is missing gets no command for ``PAUSE`` cycles, which may happen twice.
+A motor whose answer is missing gets its next command ``PAUSE`` + 1 cycles after the last one. The
+watchdog has to outlast two such waits in succession.
 """
 _LONG_WATCHDOG = 0.5
 """Watchdog time above which an arm that nobody commands falls or runs far [s] (a judgement)."""
@@ -85,14 +86,14 @@ _stop = partial(Check, STOP)
 def limit_checks(
     plan: Plan, q: Array | None = None, orders: Sequence[str] = ()
 ) -> list[Check]:
-    """Return a check for each limit of the user that the trajectory or its transfers break.
+    """Return a stop for each limit of the user that the trajectory, or a transfer, exceeds.
 
     Args:
         plan: plan of the run, with the user's limits.
-        q: positions (n,) of the arm [rad], then its transfers to the first point and to the parking
-            pose are compared; None compares the trajectory itself.
+        q: positions (n,) at which the arm stands [rad]; then only its transfers to the first point
+            and to the parking pose are compared. None compares only the trajectory.
         orders: order in which joints move in each transfer, of ``references.ORDERS``: all at once
-            or one after the other.
+            or one after the other; only used with ``q``.
     """
     trajectory = plan.trajectory
     settings = plan.settings
@@ -106,7 +107,8 @@ def limit_checks(
     checks = []
     for (name, begin, end), order in zip(plan.transfers(q), orders):
         rows = transfer_rows(trajectory, begin, end, pace, order)
-        for excess in motion.limit_excesses(rows, 1.0, plan.limits):
+        # ``rows`` have the speed of the transfer already.
+        for excess in motion.limit_excesses(rows, speed=1.0, limits=plan.limits):
             checks.append(_stop(f"{name}, {excess}; {remedy}"))
     return checks
 
@@ -117,13 +119,20 @@ def stops(checks: Sequence[Check]) -> list[str]:
 
 
 def require_no_stop(checks: Sequence[Check], consequence: str) -> None:
-    """Raise HardwareAbort with a consequence and the first check that forbids to play."""
+    """Raise HardwareAbort with ``consequence`` and the first check's text that forbids to play.
+
+    Where no check forbids to play, nothing happens.
+    """
     for text in stops(checks):
         raise HardwareAbort(f"{consequence}: {text}")
 
 
 def plan_checks(plan: Plan) -> list[Check]:
-    """Return the checks that need no bus: ids, ends at rest, ratings, bus load, frame limits."""
+    """Return the checks of a plan that need neither a bus nor a model of the arm.
+
+    They compare ids, speed at the ends, velocities with positions, ratings of the motors, bus load
+    and the limits of frames.
+    """
     joints = plan.trajectory.joints
     limits = [joint.spec.limits for joint in joints]
     addresses = [joint.address for joint in joints]
@@ -137,7 +146,10 @@ def plan_checks(plan: Plan) -> list[Check]:
 
 
 def _id_checks(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
-    """Yield whether the ids of the joints' motors are valid and unique on each bus."""
+    """Yield whether the ids of the joints' motors are valid and unique on each bus.
+
+    A master id of 0 is valid but noted.
+    """
     ids = [(joint.bus, joint.can_id, joint.master_id) for joint in joints]
     problems = list(id_problems(ids))
     yield from map(_stop, problems)
@@ -173,9 +185,11 @@ def _motion_checks(plan: Plan) -> Iterator[Check]:
 
 
 def _motor_checks(plan: Plan) -> Iterator[Check]:
-    """Yield where a motor's ratings are exceeded, and which joints a step of torque would shake.
+    """Yield the checks of motors by the data of their types: torque, speed, resolution.
 
-    A rating that the motor cannot exceed stops the run; one that it can exceed briefly is noted.
+    A rating that the motor cannot exceed stops the run, and so does a feed-forward torque that does
+    not even turn the rotor; a rating that can be exceeded briefly is noted. Further notes are the
+    motor type's own, and that a step of torque would shake a joint of little inertia.
     """
     trajectory = plan.trajectory
     joints = trajectory.joints
@@ -184,6 +198,7 @@ def _motor_checks(plan: Plan) -> Iterator[Check]:
     yield from map(_stop, motion.rotor_problems(trajectory, settings.speed, doubt))
     # Least change (n,) of the torque in a frame [N m], and inertia (n,) of the moved links.
     _, _, torque_steps = Scaling(joint.spec.limits for joint in joints).steps
+    # Without a model the inertia is unknown; infinite means that nothing is noted.
     inertias = np.full(len(joints), np.inf) if plan.inertia is None else plan.inertia
     speeds = np.abs(trajectory.qd).max(axis=0) * settings.speed
     torques = np.abs(trajectory.tau).max(axis=0)
@@ -225,9 +240,11 @@ def _load_check(
 def _frame_limit_checks(
     plan: Plan, limits: Sequence[tuple[float, float, float]], owner: str
 ) -> list[Check]:
-    """Return where a trajectory, or its parking pose, exceeds what its motors' frames can carry.
+    """Return a stop for each quantity of a joint beyond the range of its motor's frames.
 
-    A motor turns as fast as its joint, so that slopes of joint positions are compared directly.
+    The quantities are position (of the parking pose too), velocity, torque, and the slope of the
+    positions; a slope has the same size for joint and motor. If none is beyond, one check with
+    severity OK is returned.
 
     Args:
         plan: plan of the run.
@@ -272,20 +289,24 @@ def _frame_limit_checks(
 def general_checks(
     inspection: Inspection, settings: PlaySettings, timing: protocol.BusTiming
 ) -> list[Check]:
-    """Return the checks of inspected motors that need no trajectory: load, traffic, conditions."""
+    """Return the checks of inspected motors that need no trajectory: load, traffic, conditions.
+
+    At least one motor must have answered. No deviation is permitted.
+    """
     checks = [
         _load_check(inspection.motors, settings, timing),
         *_traffic_checks(inspection),
     ]
     for motor in inspection.motors.values():
-        checks += _condition_checks(motor, settings, Permissions())
+        checks += _condition_checks(motor, settings, permissions=Permissions())
     return checks
 
 
 def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
     """Return the checks of a plan against the answers of the motors on the bus.
 
-    Frame limits, answer time and start are only checked if all motors' scaling limits are known.
+    Frame limits, answer time and the distance from the first point are only checked if the scaling
+    limits of all joints' motors are known.
     """
     joints = plan.trajectory.joints
     settings = plan.settings
@@ -311,7 +332,7 @@ def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
 
 
 def _traffic_checks(inspection: Inspection) -> Iterator[Check]:
-    """Yield a finding for each sign of another program, another bit rate, or clashing ids."""
+    """Yield a stop or note for each sign of another program, another bit rate, or clashing ids."""
     if inspection.unsolicited:
         yield _stop(
             f"{inspection.unsolicited} frames came without being asked for: another program is "
@@ -330,7 +351,7 @@ def _traffic_checks(inspection: Inspection) -> Iterator[Check]:
 def _other_motor_checks(
     plan: Plan, motors: Sequence[InspectedMotor]
 ) -> Iterator[Check]:
-    """Yield the checks of ``motors`` outside the trajectory, which are left limp or are held."""
+    """Yield the checks of ``motors`` outside the trajectory, left limp or held as the plan says."""
     if not motors:
         return
     names = ", ".join(motor.name for motor in motors)
@@ -379,7 +400,7 @@ def _condition_checks(
         settings: settings of the run, with the cycle rate and the temperature at its start.
         permissions: deviations that the user allows; a watchdog time in them replaces the motor's.
         joint: joint that the motor drives, with which ids and scaling are compared, or None.
-        taken_over: whether the motor may be enabled already.
+        taken_over: whether the motor may be enabled already, and is then only noted.
     """
     name = joint.label if joint else motor.name
     registers = motor.registers
@@ -407,7 +428,7 @@ def _condition_checks(
 def _id_register_checks(
     motor: InspectedMotor, joint: DamiaoJoint, name: str
 ) -> Iterator[Check]:
-    """Yield where a motor's ids differ from those of the joint that it drives."""
+    """Yield a stop for each id of a motor that differs from its joint's; messages have ``name``."""
     can_id = int(motor.registers[protocol.ESC_ID])
     master_id = int(motor.registers[protocol.MST_ID])
     if can_id != joint.can_id:
@@ -477,9 +498,10 @@ def _watchdog_check(name: str, timeout: float, settings: PlaySettings) -> Check:
 def _state_checks(
     motor: InspectedMotor, settings: PlaySettings, name: str, taken_over: bool
 ) -> Iterator[Check]:
-    """Yield a finding where a motor's state or temperature forbids to enable it.
+    """Yield a stop where a motor's state or temperature forbids to enable it.
 
-    ``name`` is the motor's name in messages; a motor that is ``taken_over`` may be enabled already.
+    ``name`` is the motor's name in messages; a motor that is ``taken_over`` may be enabled already,
+    and is then only noted.
     """
     feedback = motor.feedback
     if feedback is None:
@@ -508,14 +530,18 @@ def _state_checks(
 def _answer_time_checks(
     round_trip: float | None, settings: PlaySettings
 ) -> Iterator[Check]:
-    """Yield whether all answers, a ``round_trip`` [s] after the commands, come within a cycle."""
+    """Yield whether all motors' answers come within 0.9 of a control cycle.
+
+    ``round_trip`` is the time from the commands to the last answer [s]; nothing is yielded where it
+    is None.
+    """
     if round_trip is None:
         return
     text = f"all motors have answered after {1e3 * round_trip:.1f} ms"
     if round_trip <= _ANSWER_SHARE * settings.period:
         yield Check(OK, f"{text}, in time for {settings.rate:g} Hz")
         return
-    # The highest rate in whose cycle the answers come, or else the lowest one.
+    # The highest handy rate in whose cycle the answers come, or else the lowest one.
     for rate in protocol.HANDY_RATES:
         if rate * round_trip <= _ANSWER_SHARE:
             break

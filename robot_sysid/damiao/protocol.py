@@ -108,7 +108,7 @@ class Scaling:
 
     @property
     def steps(self) -> tuple[Array, Array, Array]:
-        """One quantisation step (n,) of position [rad], velocity [rad/s] and torque [N m]."""
+        """Quantisation steps of position [rad], velocity [rad/s] and torque [N m], (n,) each."""
         steps = (self._high - self._low) / _COMMAND.max_codes
         position, velocity, torque = steps.T[_MEASURED]
         return position, velocity, torque
@@ -130,7 +130,7 @@ class Scaling:
         return np.clip(np.floor(exact), 0, max_codes).astype(np.int64)
 
     def _values(self, codes: Any, fields: Any = slice(None)) -> Array:
-        """Return the quantities (F, ..., n) that codes (..., n, F), not only integers, stand for.
+        """Return the quantities (F, ..., n) that codes (..., n, F), which may be fractional, mean.
 
         ``fields`` selects the F fields among the five of a command; by default all.
         """
@@ -220,7 +220,7 @@ def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
     values = _stack_last(*command)
     scaling._require_inside(values)
     # floor(x + 1/2): numpy's rint rounds halves to even, which differs in the last bit.
-    codes = scaling._codes(values, 0.5)
+    codes = scaling._codes(values, offset=0.5)
     # The third and the fourth field of a command are kp and kd.
     is_unstable = (values[..., 2] > 0.0) & (codes[..., 3] == 0)
     if np.any(is_unstable):
@@ -240,14 +240,14 @@ def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
 
 
 def decode_mit(frames: Bytes, scaling: Scaling) -> MitCommand:
-    """Return the command, fields (..., n), that motors read from MIT frames (..., n, 8)."""
+    """Return the command, fields (..., n), that n motors read from MIT frames (..., n, 8)."""
     return MitCommand(*scaling._values(_COMMAND.unpack(frames)))
 
 
 def encode_feedback(feedback: Feedback, scaling: Scaling) -> Bytes:
-    """Return feedback frames (..., n, 8) as motors send them: truncated and saturated."""
+    """Return feedback frames (..., n, 8) as motors send them: rounded down, within the range."""
     measured = _stack_last(feedback.position, feedback.velocity, feedback.torque)
-    codes = scaling._codes(measured, 0.0, _MEASURED)
+    codes = scaling._codes(measured, offset=0.0, fields=_MEASURED)
     position, velocity, torque = np.moveaxis(codes, -1, 0)
     heads = feedback.status, feedback.can_id
     temperatures = feedback.temperature_mos, feedback.temperature_rotor
@@ -269,7 +269,7 @@ def decode_feedback(
     fields = _FEEDBACK.unpack(frames)
     status, can_id, *_, mos, rotor = np.moveaxis(fields, -1, 0)
     measured = fields[..., 2:5] + (0.5 if half_step else 0.0)
-    position, velocity, torque = scaling._values(measured, _MEASURED)
+    position, velocity, torque = scaling._values(measured, fields=_MEASURED)
     return Feedback(can_id, status, position, velocity, torque, mos, rotor)
 
 
@@ -279,7 +279,7 @@ def _stack_last(*fields: Any) -> Any:
 
 
 def _first_motor(mask: Any) -> int:
-    """Return the index of the motor of the first true entry of a mask (..., n), of which one is."""
+    """Return the motor's index in the first true entry of a mask (..., n); one must be true."""
     first_entry = np.argwhere(np.atleast_1d(mask))[0]
     return int(first_entry[-1])
 
@@ -379,7 +379,7 @@ store_frame = partial(_request, STORE, register=1)
 
 
 def is_special(data: bytes) -> bool:
-    """Tell whether data starts with seven bytes 0xFF, which makes its last byte a command."""
+    """Tell whether data are seven bytes 0xFF and one more, which is then a special command."""
     return len(data) == 8 and data[:7] == _SPECIAL
 
 
@@ -402,9 +402,8 @@ def refuse_motion(frame: Frame) -> None:
 
     Allowed are register operations and all special commands except ENABLE.
     """
-    if frame.id != REGISTER_ID and not (
-        is_special(frame.data) and frame.data[7] != ENABLE
-    ):
+    is_harmless = is_special(frame.data) and frame.data[7] != ENABLE
+    if frame.id != REGISTER_ID and not is_harmless:
         raise SysidError(f"refused to send {frame.data.hex(' ')} to {frame.id:#x}")
 
 
@@ -428,7 +427,7 @@ CAN_BR = 35
 """Register: code of the bit rate, a value of ``BIT_RATES``."""
 
 TIMEOUT_UNIT = 50e-6
-"""Seconds per unit of the watchdog register TIMEOUT."""
+"""Time of one unit of the watchdog register TIMEOUT [s]."""
 MIT_MODE = 1
 """Value of CTRL_MODE in which a motor follows MIT commands."""
 MODES = {1: "MIT", 2: "POS_VEL", 3: "VEL", 4: "POS_FORCE"}
@@ -436,9 +435,9 @@ MODES = {1: "MIT", 2: "POS_VEL", 3: "VEL", 4: "POS_FORCE"}
 FD_BITRATE_CODES_ABOVE = 4
 """Codes of register CAN_BR above this one make the motor use CAN-FD."""
 _KBIT = (125, 200, 250, 500, 1000, 2000, 2500, 3200, 4000, 5000)
+"""Bit rates [kbit/s] of the codes 0, 1, 2, ... of register CAN_BR."""
 BIT_RATES = {1000 * rate: code for code, rate in enumerate(_KBIT)}
 """Code of register CAN_BR by bit rate [bit/s]."""
-
 
 NAMES = {
     0: "UV_Value", 1: "KT_Value", 2: "OT_Value", 3: "OC_Value", MST_ID: "MST_ID", ESC_ID: "ESC_ID",
@@ -448,7 +447,7 @@ NAMES = {
 }  # fmt: skip
 """The maker's name of each register, by its number."""
 INTEGERS = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, 14, 16, CAN_BR)
-"""Registers that hold an unsigned integer; the others hold a float."""
+"""Registers that hold an unsigned integer; all other registers hold a float."""
 SCALING = (PMAX, VMAX, TMAX)
 """Registers of the scaling limits, in the order of ``Scaling.limits``."""
 REQUIRED = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, *SCALING)
@@ -566,7 +565,7 @@ class BusTiming(OptionRecord):
 
 
 def bus_load(n_motors: int, rate: float, timing: BusTiming) -> float:
-    """Return the worst-case share of the bus (1 = full) that motors take.
+    """Return the share of a bus's time (1 = full) that motors' frames take at worst.
 
     Args:
         n_motors: number of motors on the bus.
@@ -590,10 +589,10 @@ def suggested_rate(
 ) -> float:
     """Return the highest cycle rate [Hz] of ``HANDY_RATES`` that loads the bus to 70 % or less.
 
-    It is at most ``max_rate`` [Hz]. Where no handy rate is low enough, the rate that loads the bus
-    to exactly 70 % is returned.
+    It is at most ``max_rate`` [Hz]. Where no handy rate is low enough, it is the rate that loads
+    the bus to exactly 70 %.
     """
-    full_rate = PLANNING_LIMIT / bus_load(n_motors, 1.0, timing)
+    full_rate = PLANNING_LIMIT / bus_load(n_motors, rate=1.0, timing=timing)
     for rate in HANDY_RATES:
         if rate <= min(full_rate, max_rate):
             return rate

@@ -62,14 +62,14 @@ A judgement: longer than a healthy disk takes, shorter than a person waits.
 class Aside:
     """Runs actions in order without delaying the control loop, and stores their first error.
 
-    After an error no more actions are run.
+    After an error no more actions are run; calls raise nothing.
 
     Args:
         threaded: run actions in a thread of their own; False runs each at once in the caller's
             thread, for simulated time.
 
     Attributes:
-        failure: the error that an action raised, or None.
+        failure: the first error that an action raised, a TimeoutError of ``finish``, or None.
     """
 
     def __init__(self, threaded: bool) -> None:
@@ -93,7 +93,10 @@ class Aside:
             self(action)
 
     def finish(self, patience: float = _PATIENCE) -> None:
-        """Wait at most ``patience`` [s] until all actions are done, or else set ``failure``."""
+        """End the thread, and wait at most ``patience`` [s] until all actions are done.
+
+        If they are not, ``failure`` becomes a TimeoutError unless an action has failed already.
+        """
         if self._thread is None:
             return
         self._waiting.put(None)
@@ -119,6 +122,7 @@ class Aside:
 _MEASURED = ("pos", "vel", "tau")
 """Titles of a joint's measured columns, after the joint's label."""
 _COMMANDS = ("cmd_pos", "cmd_vel", "cmd_tau", "cmd_step", "cmd_mean")
+"""Titles of the command in force at the sample, its torque step, and what was added to ``tau``."""
 _EXTRA = ("time", *_COMMANDS, "doubted", "status", "temp_mos", "temp_rotor")
 """Titles of a joint's further columns, which follow the measured ones of all joints."""
 
@@ -126,10 +130,16 @@ _EXTRA = ("time", *_COMMANDS, "doubted", "status", "temp_mos", "temp_rotor")
 class RawFrameLog:
     """Writes all frames on a link to a file while its ``with`` block lasts.
 
-    An existing file is replaced.
+    Frames are kept in memory until ``take_frames`` and ``write`` are called, or the block ends.
+    Time stamps are seconds since 1970.
 
-    The format follows the file's suffix: .log (candump), .asc, .blf, .csv, .trc, ... Time stamps
-    are seconds since 1970.
+    Args:
+        path: file, which is replaced if it exists. Its suffix decides the format: .log (candump),
+            .asc, .blf, .csv, .trc, ...
+        link: link whose observer the log becomes.
+
+    Raises:
+        InputError: the suffix is unknown, or the file cannot be written.
     """
 
     def __init__(self, path: Path, link: GuardedLink) -> None:
@@ -150,9 +160,8 @@ class RawFrameLog:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop observing, and close the file; errors of the disk are suppressed."""
+        """Stop observing, write the remaining frames and close the file; suppress their errors."""
         self._link.observer = None
-        # Frames that no recorder has taken are written if the disk allows it.
         with contextlib.suppress(Exception):
             self.write(self.take_frames())
         with contextlib.suppress(Exception):
@@ -169,7 +178,7 @@ class RawFrameLog:
         return frames
 
     def write(self, frames: list[tuple[Frame, bool]]) -> None:
-        """Write frames (with whether each was sent) in order of time; any thread may call this."""
+        """Write frames of ``take_frames`` in order of time, and flush; any thread may call this."""
         for frame, sent in sorted(frames, key=lambda entry: entry[0].time):
             message = can_message(
                 self._can,
@@ -187,14 +196,15 @@ class RawFrameLog:
 class MeasurementRecorder:
     """Writes a run to a CSV file, row by row, without delaying the control loop.
 
-    A context manager; the last line of the file states how the run ended. Only opening the file
-    raises; a later error is stored as ``failure``, so that the arm is brought to rest first.
+    A context manager, which ends the file with a line that states how the run ended, and finishes
+    ``aside``. Only opening the file raises; a later error is stored as ``failure``, so that the arm
+    is brought to rest first.
 
     Args:
         path: file to write.
         head: comment lines, without the leading "# ".
         labels: label of each of the n joints, with which the titles of its columns begin.
-        aside: runs the writing.
+        aside: runs the actions that write.
         centring: corrects sampled torques to mean torques.
         frames: log of all frames, written after each cycle; None without one.
         overwrite: replace an existing file; otherwise it raises InputError.
@@ -239,7 +249,7 @@ class MeasurementRecorder:
     def __exit__(
         self, error_type: object, error: BaseException | None, trace: object
     ) -> None:
-        """Write how the run ended, and close the file; an error of the run passes on.
+        """Write how the run ended, and close the file; an error of the run is not suppressed.
 
         Where writing fails, ``failure`` holds the reason, and nothing is raised.
         """
@@ -268,7 +278,10 @@ class MeasurementRecorder:
         self._aside(lambda: self._file.write(self._row(time, origin, replies, acted)))
 
     def end_cycle(self) -> None:
-        """Flush the rows and frames so far to the operating system, which survives this process."""
+        """Write the frames that have come, and flush them and all rows to the operating system.
+
+        What the operating system has is written even if this program dies.
+        """
         self._aside(self._file.flush)
         if self._frames:
             frame_log = self._frames
@@ -309,7 +322,10 @@ def _numbers(values: Iterable[float]) -> list[str]:
 
 
 _SLOWEST_CHANGE = 1e-3
-"""Least product of a mode's rate and the period: smaller ones are raised to it (rounding)."""
+"""Least size of the product of a mode's rate and the period; smaller ones become minus this value.
+
+Formulas divide by the product's square, which would magnify rounding errors.
+"""
 
 
 class SamplingRipple:
@@ -320,8 +336,11 @@ class SamplingRipple:
     responds periodically to the sawtooth of torque between commands.
 
     Args:
-        mobility: returns the inverse mass matrix (n, n) at positions (n,) [1/(kg m^2)].
+        mobility: returns the inverse mass matrix (n, n) [1/(kg m^2)] at positions (n,) [rad].
         viscous: (n,) the joints' own viscous friction [N m s/rad].
+
+    Attributes:
+        n_joints: number n of joints of the arm.
     """
 
     def __init__(self, mobility: Callable[[Array], Array], viscous: Array) -> None:
@@ -338,15 +357,16 @@ class SamplingRipple:
         time: Array,
         period: float,
     ) -> tuple[Array, Array]:
-        """Return the ripple's share of sampled positions and velocities (n,) [rad, rad/s].
+        """Return how much the ripple adds to sampled positions and velocities (n,) [rad, rad/s].
 
         At a share u of the period after its step, joint j has the torque
         -step_j B1(u) + growth_j / 2 B2(u) beside the mean of held commands, with Bernoulli's
-        polynomials B1(u) = u - 1/2 and B2(u) = u^2 - u + 1/6. Without a usable inertia it is zero.
+        polynomials B1(u) = u - 1/2 and B2(u) = u^2 - u + 1/6. The results are zero where the
+        inertia is not positive, or the modes coincide.
 
         Args:
             q: positions (n,) [rad].
-            acted: command in force; its first n joints are those of the arm.
+            acted: command in force at the samples; its first n joints are those of the arm.
             step: torque step (n,) of each joint at its time of sampling [N m].
             growth: growth (n,) of the step from one period to the next [N m].
             time: times of sampling (n,) [s].
@@ -393,7 +413,9 @@ class SamplingRipple:
 
 
 class Centring:
-    """Corrects sampled torques of a run to mean torques of held commands, cycle by cycle.
+    """Corrects the sampled torques of a run to mean torques while commands are held.
+
+    It is used once per control cycle, and remembers the last cycle.
 
     Args:
         period: length of a control cycle [s].
@@ -409,9 +431,8 @@ class Centring:
     def torques(self, replies: Replies, acted: MitCommand) -> tuple[Array, Array]:
         """Return a cycle's torque steps (n,) and corrections (n,) to add to its torques [N m].
 
-        To be called once per cycle, in order. ``acted`` is the command in force at the samples. The
-        correction has one term for each difference in the module's docstring. Where a joint did not
-        answer, its step is NaN.
+        To be called once per cycle, in order: the state of the cycle is stored. ``acted`` is the
+        command in force at the samples. Where a joint did not answer, both results are NaN.
         """
         step = torque_step(replies, acted)
         state = np.array([replies.feedback.position, replies.time, step])
@@ -420,12 +441,14 @@ class Centring:
         state = np.where(np.isfinite(state), state, last)
         self._last = state
         growth = np.nan_to_num(state[2] - last[2])
+        # One term for each difference in the module's docstring.
         half_step = 0.5 * step
+        armature_torque = growth / 12.0
         ripple_torque = self._ripple_torque(state, growth, acted)
-        return step, half_step - growth / 12.0 + ripple_torque
+        return step, half_step - armature_torque + ripple_torque
 
     def _ripple_torque(self, state: Array, growth: Array, acted: MitCommand) -> Array:
-        """Return the torque (n,) to add to samples to correct the ripple [N m]; 0 where unknown.
+        """Return the torque (n,) to add to sampled torques for the ripple [N m]; 0 where unknown.
 
         ``state`` (3, n) has positions [rad], times [s] and torque steps [N m]; the steps have grown
         by ``growth`` (n,) [N m] since the last cycle.
@@ -444,10 +467,10 @@ class Centring:
 
 
 def torque_step(replies: Replies, acted: MitCommand) -> Array:
-    """Return the torque step (n,) [N m] of each joint by the command that was sent last.
+    """Return the step (n,) of each joint's torque when the command that was sent last acts [N m].
 
-    It is the torque of ``replies.command`` minus that of ``acted``, the command before, both at the
-    sampled position and velocity; NaN where a joint did not answer.
+    It is the torque of ``replies.command`` minus that of ``acted``, the command in force before it,
+    both at the sampled position and velocity; NaN where a joint did not answer.
     """
     command = replies.command or acted
     q = replies.feedback.position

@@ -38,7 +38,7 @@ class Reference(NamedTuple):
 
 
 ReferenceFunction = Callable[[float], Reference]
-"""Returns the reference at a time after its beginning [s]; called with non-decreasing times."""
+"""Returns the reference at a time since its phase began [s]; called with non-decreasing times."""
 
 
 def trajectory_reference(
@@ -57,7 +57,7 @@ def trajectory_reference(
     values = np.hstack([trajectory.q, trajectory.qd, trajectory.tau])
 
     def reference(time: float) -> Reference:
-        """Return the trajectory's state at ``time`` [s] after its first row, at that speed."""
+        """Return the trajectory's state at ``time`` [s] of playing since its first row."""
         file_time = times[0] + time * speed
         later = int(np.searchsorted(times, file_time))
         row = values[min(later, len(times) - 1)]
@@ -85,9 +85,10 @@ def poses_between(begin: Array, end: Array, order: str) -> list[Array]:
     poses = [begin]
     if order != STRAIGHT:
         moving_joints = np.flatnonzero(begin != end)
-        if order != ORDERS[1]:
+        is_from_base = order == ORDERS[1]
+        if not is_from_base:
             moving_joints = moving_joints[::-1]
-        # The last joint leads to ``end``.
+        # The motion of the last joint leads to ``end``.
         for joint in moving_joints[:-1]:
             pose = poses[-1].copy()
             pose[joint] = end[joint]
@@ -105,9 +106,9 @@ def transfer_reference(
 ) -> tuple[ReferenceFunction, float]:
     """Return a motion from rest at ``start`` to rest at ``target``, and its duration [s].
 
-    The arm rests at each corner of the path, see ``poses_between``. After a share s of the time of
-    a straight line it has covered the share 10 s^3 - 15 s^4 + 6 s^5 of the line; the peak speed is
-    15/8 of the mean.
+    The arm rests at each corner of the path, see ``poses_between``. After a share s of a line's
+    time it has covered the share 10 s^3 - 15 s^4 + 6 s^5 of this straight line, whose peak speed is
+    15/8 = 1.875 of the mean.
 
     Args:
         start: begin; its velocity is ignored.
@@ -174,7 +175,7 @@ def transfer_rows(
 
 
 def hold_reference(reference: Reference) -> ReferenceFunction:
-    """Return a function that stays at a reference's position and torque, without velocity."""
+    """Return a function of time that always returns a reference's position and torque, at rest."""
     at_rest = reference._replace(velocity=np.zeros_like(reference.velocity))
     return lambda time: at_rest
 
@@ -215,8 +216,8 @@ class Lowering:
     """A reference that lowers an arm by moving its joints in the direction of their load.
 
     The feed-forward torque is first reduced to zero within a second, so that the position control
-    carries the load and the commanded torque equals it. Each reference position then moves against
-    the commanded torque until the arm lies or hangs, or the joint is at the end of its range.
+    carries the load and the commanded torque equals the load. Each joint's reference then moves
+    against the commanded torque until the arm lies or hangs, or the joint's range ends.
 
     Args:
         begin: reference from which the arm is lowered.
@@ -268,23 +269,24 @@ class Lowering:
 _DOUBT = 0.06
 """Share of a motor's peak torque up to which a torque proves no load (a judgement)."""
 _LOADED = 2.0
-"""Expected torque above which a joint's load is judged, in units of ``torque_doubt``.
+"""Expected torque above which a joint's load is judged, in units of the torque doubt.
 
 With this value a guessed model may be twice too heavy.
 """
 _BARE = 0.5
-"""Measured torque below which a loaded joint counts as unloaded, in units of ``torque_doubt``."""
+"""Measured torque below which a loaded joint counts as unloaded, in units of the torque doubt."""
 
 
 def torque_doubt(joints: Sequence[DamiaoJoint]) -> Array:
-    """Return the torque (n,) of each joint that friction alone may explain [N m]."""
+    """Return the torque (n,) that friction alone may explain: 0.06 of each joint's peak [N m]."""
     return _DOUBT * peak_torques(joints)
 
 
 MotionCheck = Callable[[float, Array, Array, Array], Optional[tuple[int, str]]]
 """Takes time [s], positions, velocities and commanded torques (n,) [rad, rad/s, N m] of each cycle.
 
-Returns the index of a joint that has a fault and a sentence about it (without its name), or None.
+Returns the index of a joint that has a fault and a sentence about the fault (which does not name
+the joint), or None.
 """
 
 
@@ -347,7 +349,8 @@ class HoldingCheck:
     def __call__(self, q: Array, tau: Array) -> None:
         """Compare the torques tau (n + m,) [N m] of an arm that is held still at q (n + m,) [rad].
 
-        HardwareAbort where a joint is loaded the other way, or far less, than it should be.
+        HardwareAbort where a joint has a torque opposite to the expected one, or far less of it. A
+        joint is only judged where more torque is expected than friction may explain.
         """
         expected = self._expected_torque(q[: self.n_joints])
         tau = tau[: self.n_joints]
@@ -384,9 +387,8 @@ class FileHolding(HoldingCheck):
         acceleration = np.max(np.abs(trajectory.qdd), axis=1)
         row = int(np.argmin(np.where(is_near, acceleration, np.inf)))
         torque = trajectory.tau[row]
-        super().__init__(
-            trajectory.joints, lambda q: torque, 0.0, "the trajectory feeds forward"
-        )
+        source = "the trajectory feeds forward"
+        super().__init__(trajectory.joints, lambda q: torque, doubt=0.0, source=source)
         self._is_at_rest = acceleration[row] < _GENTLE
         self._first = q[0]
         peaks = np.abs(trajectory.tau).max(axis=0)
@@ -395,9 +397,9 @@ class FileHolding(HoldingCheck):
     def __call__(self, q: Array, tau: Array) -> None:
         """Compare the torques tau (n + m,) [N m] of an arm that is held still at q (n + m,) [rad].
 
-        HardwareAbort where a joint is loaded the other way, or far less, than the trajectory feeds
-        forward, and where this never carries an arm that has weight. Far from the first point
-        nothing is compared.
+        HardwareAbort where a joint has a torque opposite to the fed-forward one, or far less of it,
+        and where a joint is loaded although the trajectory never feeds forward enough to carry an
+        arm. More than 0.1 rad from the first point nothing is compared.
         """
         if np.any(np.abs(q[: self.n_joints] - self._first) > _NEAR):
             return
@@ -428,8 +430,8 @@ _ADDED_DAMPING = 0.25
 _ADDED_STIFFNESS = 0.8
 """Added stiffness, as a share of the motor's kd divided by the delay."""
 # At a velocity v [rad/s] away from the path, the added stiffness is the share
-# _STEADY + _LEAVING tanh(v / _SPEED_SCALE) of its full value: it is larger for a
-# joint that leaves than for one that returns, which removes energy.
+# _STEADY + _LEAVING tanh(v / _SPEED_SCALE) of its full value: more for a joint
+# that leaves than for one that returns, which removes energy.
 _STEADY = 0.6
 _LEAVING = 0.4
 _SPEED_SCALE = 0.3
@@ -505,7 +507,7 @@ class CarriedStop:
         )
         top_speed = float(np.max(np.abs(self._velocity), initial=0.0))
         self.duration = top_speed / deceleration
-        # Distance of the reference from the joint; its torque is removed by the share ``_relief``.
+        # Reference minus joint position; the share ``_relief`` of kp times it is removed.
         self._offset = np.nan_to_num(start.reference.position - start.q)
         self._relief = np.where(start.stuck, 1.0, 0.0)
         # Added stiffness [N m/rad], and the farthest position of each joint on its path [rad].
@@ -515,7 +517,7 @@ class CarriedStop:
         self._time = 0.0
 
     def __call__(self, time: float) -> Reference:
-        """Return the reference at ``time`` [s], and store it as ``last``; times never go back."""
+        """Return the reference at ``time`` [s] of the stop and store it; times never go back."""
         start = self._start
         position, velocity = self._braking_path(time)
         # Where the joints should be now (n,) [rad].
@@ -529,7 +531,7 @@ class CarriedStop:
         return self.last
 
     def _braking_path(self, time: float) -> tuple[Array, Array]:
-        """Return position and velocity (n,) of the evenly braked reference at ``time`` [s]."""
+        """Return the evenly braked position and velocity (n,) [rad, rad/s] at ``time`` [s]."""
         braked = min(max(time, 0.0), self.duration)
         share_left = 1.0 - braked / self.duration if self.duration > 0.0 else 0.0
         # The mean of the first and the present velocity is (1 + share_left) / 2 of the first.
@@ -546,14 +548,14 @@ class CarriedStop:
         return last_torque + share * (self._start.fed - last_torque)
 
     def _lift(self, goal: Array) -> Array:
-        """Return the torque (n,) [N m] that pulls joints to their path, ending at ``goal`` (n,)."""
+        """Return the torque (n,) [N m] that pulls joints back to paths ending at ``goal`` (n,)."""
         displacement = self._displacement(goal)
         leaving_speed = -np.sign(displacement) * np.nan_to_num(self.qd)
         share = _STEADY + _LEAVING * np.tanh(leaving_speed / _SPEED_SCALE)
         return np.asarray(self._stiffening * displacement * share)
 
     def _damping_torque(self, velocity: Array) -> Array:
-        """Return the added damping torque (n,) [N m], by the reference's ``velocity`` (n,)."""
+        """Return the torque (n,) [N m] that damps motion relative to ``velocity`` (n,) [rad/s]."""
         difference = np.nan_to_num(velocity - self.qd)
         return np.asarray(_ADDED_DAMPING * self._start.kd * difference)
 
@@ -575,7 +577,7 @@ class CarriedStop:
         """Raise ``_relief`` (n,), the share of the offset's torque that is removed, towards 1.
 
         Nothing is removed before the reference stands, nor from a joint that has moved away from
-        its ``goal`` (n,) [rad] since then.
+        its ``goal`` (n,) [rad] since then. ``time`` [s] is stored as the present one.
         """
         passed = time - self._time
         self._time = time
