@@ -60,6 +60,9 @@ class SineTrajectory:
         phase: (n, K) of the sinusoids at time 0 [rad].
         duration: length [s].
         fade: time the window takes to rise, and to fall [s].
+
+    Raises:
+        InputError: the fade is not positive, or longer than half of the duration.
     """
 
     center: Array

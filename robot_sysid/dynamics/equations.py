@@ -30,7 +30,7 @@ from robot_sysid.records import Array, Measurement, Motion, RobotModel
 
 TERMINAL_FRICTION = FrictionModel(("coulomb", "viscous"))
 """Friction terms that are estimated of the terminal joint from simulated data."""
-NO_FRICTION = FrictionModel(())
+NO_FRICTION = FrictionModel(terms=())
 """No friction terms are estimated: the friction of the robot's model is taken as known."""
 
 

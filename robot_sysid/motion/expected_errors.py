@@ -147,7 +147,9 @@ def prior_knowledge(
         deviations[1] = DRIFTS * robot.friction.viscous[joints]
         return PriorKnowledge(np.zeros((0, 0)), deviations, target)
     choice = _initial_choice(problem, options)
-    columns = Columns(robot, (), options.torques, choice.couplings)
+    columns = Columns(
+        robot, datasets=(), torques=options.torques, couplings=choice.couplings
+    )
     # Dry friction is guessed from the mean torque (n,) of each joint at rest in random poses.
     rng = np.random.default_rng(0)
     limits = problem.limits
@@ -267,7 +269,7 @@ def _common_scale_error(
     """Return the relative standard error of a common scale of all torques, and so of a payload's
     mass.
     """
-    columns = Columns(problem.robot, (), options.torques)
+    columns = Columns(problem.robot, datasets=(), torques=options.torques)
     return common_error(scale_spread(columns, options, loaded=True))
 
 

@@ -437,7 +437,7 @@ def design_criterion(
     criterion = Criterion(
         visible=scale, link_factor=knowledge.link_factor, target=knowledge.target
     )
-    _, precision = criterion.eliminate(information, 10)
+    _, precision = criterion.eliminate(information, count=10)
     values, vectors = np.linalg.eigh(precision)
     visible = scale @ vectors[:, values > _INVISIBLE * values[-1]]
     return replace(criterion, visible=visible)

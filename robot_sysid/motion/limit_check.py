@@ -286,7 +286,8 @@ def _peaks(
 ) -> Peaks:
     """Return the largest values of limited quantities along a motion sampled at a rate [Hz].
 
-    The tool's speed is computed where it has a limit or ``tool`` is true; it is zero otherwise.
+    Of a motion that repeats itself, one period and both ends are evaluated (``_spans``). The tool's
+    speed is computed where it has a limit or ``tool`` is true; it is zero otherwise.
     """
     columns = np.arange(4 * problem.n_joints + 1)
     largest, time = np.zeros((2, len(columns)))
@@ -336,7 +337,7 @@ def _tightest(
     if resolution < np.inf:
         # A tight configuration from coarse samples lets the search skip all that is less tight.
         for motion in _motions(plan, FEW_RATE_HZ, spans):
-            tightest.update(motion, 0, obstacles.slack(motion.q).value)
+            tightest.update(motion, first=0, slacks=obstacles.slack(motion.q).value)
     limits = _NOTHING_TESTED
     tested_until = 0.0
     for motion in _motions(plan, FINEST_RATE_HZ, spans):

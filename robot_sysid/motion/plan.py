@@ -185,7 +185,10 @@ def _slow_plan(
     rng: np.random.Generator,
     progress: Progress,
 ) -> CheckedPlan:
-    """Return a motion through resting poses, or sweeps of one joint after the other."""
+    """Return a motion through resting poses, or sweeps of one joint after the other, not checked.
+
+    Arguments are as in ``make_plan``; ``rng`` draws the poses.
+    """
     from robot_sysid.motion.static import design_poses, design_sweeps
 
     poses = request.poses
@@ -204,7 +207,10 @@ def _random_plan(
     rng: np.random.Generator,
     progress: Progress,
 ) -> CheckedPlan:
-    """Return a random motion, scaled down until it keeps all limits where these are checked."""
+    """Return a random motion, scaled down until it keeps all limits where these are checked.
+
+    Arguments are as in ``make_plan``; ``rng`` draws the motion.
+    """
     rate = request.trajectory.sample_rate
     # Ends on a sample, so that the last one is at rest.
     duration = (trajectory.sample_count(request.trajectory.duration, rate) - 1) / rate
@@ -243,7 +249,10 @@ def _designed_plan(
     rng: np.random.Generator,
     progress: Progress,
 ) -> CheckedPlan:
-    """Return the motion that a search finds to identify the arm best, and its check."""
+    """Return the motion that a search finds to identify the arm best, and its check.
+
+    Arguments are as in ``make_plan``; ``rng`` draws the motions with which the search begins.
+    """
     from robot_sysid.motion.design import Design
     from robot_sysid.motion.design_search import design_excitation
 

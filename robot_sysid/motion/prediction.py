@@ -327,7 +327,14 @@ def _origin_lines(problem: ExcitationProblem) -> Iterator[str]:
 
 
 def _limits_with_origin(problem: ExcitationProblem, family: str, origin: str) -> str:
-    """Return "velocity 2 of joint0, joint1" for the limits of a family with one origin, or ""."""
+    """Return the limits that are from one origin in words, such as "velocity 2 of joint0, joint1",
+    or "" where none is.
+
+    Args:
+        problem: the arm and its limits.
+        family: one of ``LIMIT_NAMES``.
+        origin: ``MODEL``, ``ASKED`` or ``ASSUMED``.
+    """
     joints = np.flatnonzero(problem.origins[family] == origin).tolist()
     if not joints:
         return ""

@@ -252,7 +252,9 @@ class ExcitationProblem:
     def torque_per_kilogram(self, motion: Motion) -> Array:
         """Return the torques (N, n) that a load at the tool's tip adds, per kilogram [N m/kg]."""
         thetas = np.zeros((self.n_joints, N_INERTIAL))
-        thetas[-1] = spatial.theta_from_com(1.0, self.tool.tip, np.zeros((3, 3)))
+        # A point mass of 1 kg.
+        point_inertia = np.zeros((3, 3))
+        thetas[-1] = spatial.theta_from_com(1.0, self.tool.tip, point_inertia)
         return self.dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
 
     def load_left(self, motion: Motion) -> tuple[float, int]:
@@ -462,7 +464,8 @@ def _space_above_base(
         return ()
     # Adding zero turns -0.0 into 0.0.
     label = f"the plane that the arm is mounted on, at {height + 0.0:.3g} m (--below-base lifts it)"
-    return (HalfSpace(up, height, 0.0, tuple(bodies), label),)
+    space = HalfSpace(up, height, clearance=0.0, bodies=tuple(bodies), label=label)
+    return (space,)
 
 
 def _obstacles(

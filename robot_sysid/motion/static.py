@@ -107,8 +107,8 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
     """
     collisions = problem.obstacles.at_rest["deep"]
     pose = problem.rest[None]
-    hold_share = _torque_share(problem, pose, 0.0)[0]
-    creep_share = _torque_share(problem, pose, CREEP)[0]
+    hold_share = _torque_share(problem, pose, creep=0.0)[0]
+    creep_share = _torque_share(problem, pose, creep=CREEP)[0]
     worst = int(np.argmax(creep_share))
     if creep_share[worst] < 1.0 and not collisions:
         return problem
@@ -243,8 +243,12 @@ def design_poses(
 ) -> LineTrajectory:
     """Return a motion through informative poses, so slow that it keeps all limits.
 
-    Where even the slowest one breaks a limit, that one is returned. ``rng`` draws the poses among
-    which the informative ones are selected.
+    Where even the slowest one breaks a limit, that one is returned.
+
+    Args:
+        problem: the arm and its limits.
+        options: number of poses, and duration of each rest.
+        rng: draws the poses among which the informative ones are selected.
 
     Raises:
         InputError: fewer than ``FEWEST_POSES`` poses can be reached within the limits.

@@ -59,6 +59,10 @@ class FourierBasis:
         harmonics: number of harmonics K.
         fade: time the window takes to rise, and to fall [s]; 0 for no window, in files of earlier
             releases whose coefficients begin and end at rest by themselves.
+
+    Raises:
+        InputError: duration or base frequency is not finite and positive, or the fade is negative
+            or longer than half of the duration.
     """
 
     duration: float
@@ -150,6 +154,10 @@ class LineTrajectory:
         ramps: (P - 1,) time in which the speed on each way rises smoothly to a constant speed, and
             again in which it falls to zero, at most half of the way's time [s]; None where each way
             is one smooth step.
+
+    Raises:
+        InputError: there are fewer than two points, a way takes no time, a stay is negative, or two
+            ramps take longer than their way.
     """
 
     points: Array

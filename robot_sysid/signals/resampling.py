@@ -81,7 +81,8 @@ def resample_uniformly(measurement: Measurement) -> UniformSignals:
         return _interpolate(even, 1.0 / period, reason)
     gap = np.zeros(len(time))
     rate = (len(time) - 1) / duration
-    return UniformSignals(float(time[0]), rate, measurement.q, measurement.tau, gap, ())
+    start = float(time[0])
+    return UniformSignals(start, rate, measurement.q, measurement.tau, gap, notes=())
 
 
 def count_lost_rows(measurement: Measurement) -> NDArray[np.int64]:
@@ -320,7 +321,7 @@ def condense_run(
     table = np.concatenate(blocks)
     n_joints = (table.shape[1] - 1) // 2
     time, q, tau = np.split(table, (1, 1 + n_joints), axis=1)
-    samples = Measurement(time[:, 0].copy(), q.copy(), None, tau.copy())
+    samples = Measurement(time[:, 0].copy(), q.copy(), qd=None, tau=tau.copy())
     pieces = split_at_gaps(samples)
     return pieces, piece_notes(samples, pieces)
 
