@@ -141,7 +141,9 @@ def export_updated_xml(
         mesh_dir: the user's mesh folder, if any.
         principal: whether to write principal moments and axes instead of a full inertia matrix.
     """
-    change = ModelChange((BodyChange(body, 0, plan),), rmse, principal=principal)
+    # The label alone decides which element is changed; the id is not used.
+    body_change = BodyChange(body, body_id=0, plan=plan)
+    change = ModelChange((body_change,), rmse, principal=principal)
     folder = destination.absolute().parent
     text = changed_model_text(source, change, folder, mesh_dir)
     file_access.write_atomically(destination, text)
@@ -354,7 +356,7 @@ def params_json_text(
 
 
 def inertial_entries(inertial: InertialParameters | None) -> dict[str, Any] | None:
-    """Return the ten parameters and the numbers that follow from them as JSON entries."""
+    """Return ten parameters, and numbers that follow from them, as JSON entries; None for None."""
     if inertial is None:
         return None
     about_com = spatial.six_from_symmetric(inertial.inertia_com)
@@ -452,7 +454,7 @@ def _payload_entry(
 
 
 def _body_entry(body: BodyEstimate) -> dict[str, Any]:
-    """Return the parameters of a body, in the model, too, with their errors by cause."""
+    """Return a body's parameters, as identified and in the model, with their errors by cause."""
 
     def by_name(values: Any) -> dict[str, Any]:
         """Return parameter name to value, of values (10,)."""
@@ -545,9 +547,7 @@ def _fit_entries(result: Result) -> dict[str, Any]:
     if estimate.standard_errors is not None:
         errors = dict(zip(estimate.names, estimate.standard_errors))
     conflict_keys = ("cause", "members", "asked", "scale")
-    conflicts = []
-    for conflict in result.conflicts:
-        conflicts.append(dict(zip(conflict_keys, astuple(conflict))))
+    conflicts = [dict(zip(conflict_keys, astuple(c))) for c in result.conflicts]
     return {
         "method": estimate.method,
         "torques": result.torques,

@@ -67,7 +67,10 @@ def robot_from_compiled(
     max_velocity: PerJoint = DEFAULT_MAX_VELOCITY,
     keyframe: str | None = None,
 ) -> RobotModel:
-    """Return the arm in a compiled model; arguments and errors as in ``load_robot_model``."""
+    """Return the arm in a compiled model; other arguments and errors as in ``load_robot_model``.
+
+    ``path``: of the model file, for the record; nothing is read from it.
+    """
     mj_model = compiled.mj_model
     terminal = (
         find_terminal_joint(mj_model)
@@ -107,10 +110,10 @@ def robot_from_compiled(
 
 
 def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:
-    """Return the index of the keyframe that is the arm at rest; None where the model has none.
+    """Return the index of the keyframe that is the arm at rest, or None.
 
-    The one called ``name`` ("#1" for a nameless one), or InputError; without a name the one called
-    "home", else the only one.
+    With a ``name`` ("#1" for the nameless one with id 1) it is the keyframe called so, InputError
+    where there is none. Without, it is the one called "home", else the only one, else None.
     """
     names = _keyframe_names(mj_model)
     if name is None:

@@ -68,7 +68,10 @@ _ADDED = Path("added information")
 
 
 def _log_source(log: Log) -> Any:
-    """Return a log as a path, table or open log, which ``logs.reader.open_log`` takes."""
+    """Return a log as a path, table or open log, which ``logs.reader.open_log`` takes.
+
+    InputError where it is none of the types of ``Log``.
+    """
     if isinstance(log, (MeasurementLog, LogTable)):
         return log
     if isinstance(log, (str, os.PathLike)):

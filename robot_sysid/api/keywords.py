@@ -256,7 +256,7 @@ def python_words(text: str) -> str:
 
 
 def _keyword(match: re.Match[str]) -> str:
-    """Return a match of ``_FLAG`` with the option written as a keyword."""
+    """Return a match of ``_FLAG`` with the option written as a keyword; unchanged without one."""
     flag = match[1]
     word = match[2]
     next_word = f" {word}" if word else ""

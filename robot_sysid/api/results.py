@@ -84,7 +84,7 @@ class Identified(Identification):
 
     @property
     def inertia(self) -> Array:
-        """Inertia (3, 3) about the centre of mass, axes of that frame [kg m^2]."""
+        """Inertia (3, 3) about the centre of mass, axes of the body or the flange [kg m^2]."""
         return self.inertial.inertia_com
 
     @property
@@ -108,7 +108,10 @@ class Identified(Identification):
 
     @property
     def friction(self) -> Mapping[str, Mapping[str, float]]:
-        """Joint name to friction term ("coulomb", "viscous", ...) to its coefficient."""
+        """Joint name to friction term ("coulomb", "viscous", ...) to its coefficient.
+
+        For a simulation of the model itself, only the terminal joint's.
+        """
         friction: dict[str, dict[str, float]] = {}
         if self.result.is_measured:
             for joint, estimate in self.result.joints.items():
@@ -134,7 +137,7 @@ class Identified(Identification):
         return parameter_rows(self.result)
 
     def lines(self) -> list[str]:
-        """Return the lines that the command prints of such a result."""
+        """Return the lines that the command prints of this result."""
         return result_lines(self.result, self.config.output.links)
 
     def to_dict(self) -> dict[str, Any]:
@@ -320,7 +323,7 @@ class PlanResult:
         motion = self.sampled(_DRAWN_RATE)
         limits = self.robot.limits
         bounds = (limits.lower, limits.upper), (-limits.velocity, limits.velocity)
-        figure, axes = _axes(self.robot.n_joints, 3)
+        figure, axes = _axes(self.robot.n_joints, columns=3)
         for joint, row in enumerate(axes):
             for axis, values in zip(row, (motion.q, motion.qd, motion.qdd)):
                 axis.plot(motion.time, values[:, joint], lw=1, color="#0072B2")

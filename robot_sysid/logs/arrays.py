@@ -462,7 +462,10 @@ def _lerobot_titles(names: Any, feature: str, joint_names: Sequence[str]) -> lis
 
 
 def _read_frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:
-    """Return the columns of all Parquet files of a data set: (N,), or (N, k) for lists."""
+    """Return name to column, (N,) or (N, k) for lists, of all Parquet files of a data set together.
+
+    InputError where there are no files, or one of them cannot be read.
+    """
     parquet = import_optional("pyarrow.parquet", "lerobot", LEROBOT)
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:

@@ -258,7 +258,10 @@ def clock_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
 
 
 def _longer_unit_remedy(period: float) -> str:
-    """Return the remedy for a period that is short because time is in a longer unit [s], or ""."""
+    """Return the remedy for a sampling period [s] that is short as time is in minutes or longer.
+
+    "" where the period is plausible in none of the longer units.
+    """
     for unit, seconds in (("minutes", 60), ("hours", 3600), ("days", 86400)):
         if 1e-3 <= seconds * period <= _LONGEST_PERIOD:
             column = f"time = {seconds} * TITLE"

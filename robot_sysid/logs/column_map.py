@@ -171,7 +171,7 @@ def _titles_by_joint(
 
 
 def _expand_range(title: str) -> list[str]:
-    """Return the columns "#2", "#3", ... of a range "#2-8", or the one of a title."""
+    """Return the columns "#2", "#3", ... of a range "#2-8"; of any other title that title alone."""
     match = re.fullmatch(r"#(\d{1,5})\s*-\s*#?(\d{1,5})", title.strip())
     if not match:
         return [title.strip()]

@@ -67,7 +67,10 @@ def hdf5_table(source: LogSource) -> LogTable:
 def _list_datasets(
     h5py: Any, path: Path, file: Any
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return name to data set of an HDF5 file, and descriptions of its first external links."""
+    """Return name to data set of an HDF5 file, and descriptions of its links to other files.
+
+    At most ``_MAX_LINKS`` links are described. InputError where the file has too many members.
+    """
     members = [("", file)]
 
     def visit(name: str, member: Any) -> None:
@@ -152,7 +155,10 @@ _ALOHA_JOINTS = (
 
 
 def _find_aloha_arrays(h5py: Any, file: Any, commanded: bool) -> dict[str, Any]:
-    """Return those of ALOHA's data sets that a file has, and its actions as "command" if wanted."""
+    """Return name to data set of those of ALOHA's data sets that a file has.
+
+    ``commanded``: whether its actions are among them, as "command".
+    """
     paths = {name: f"observations/{name}" for name in ("qpos", "qvel", "effort")}
     if commanded:
         paths["command"] = "action"

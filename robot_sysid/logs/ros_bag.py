@@ -263,9 +263,10 @@ def _open_bag(path: Path) -> Iterator[Any]:
 
 @functools.cache
 def bounded_reader() -> ModuleType:
-    """Return a copy of ``rosbags.highlevel.anyreader`` that unpacks no more than the bound.
+    """Return a copy of ``rosbags.highlevel.anyreader`` that unpacks within a bound.
 
-    In the copies of the modules below it, every name of an unpacker is bound to one with a bound.
+    The modules that it uses are copied, too; in the copies, every name of an unpacker is bound to a
+    ``BoundedUnpacker``.
     The copy is made once and cached; callers must not change it.
     """
     import lz4.frame
@@ -385,8 +386,8 @@ class MessagePattern:
     def of(cls, messages: Sequence[Message], joints: Sequence[str]) -> MessagePattern:
         """Return the pattern of a topic's first messages, for these joints of the arm.
 
-        There are groups only where every joint is in exactly one of several. They have times of
-        their own where they share less than half of the stamps of the rarest one.
+        There are groups only where every joint is in exactly one of several. Groups have times of
+        their own where all share less than half of the stamps of the rarest group.
         """
         # Where no header has a time stamp, the time of recording stands in.
         stamp_index = 0 if any(stamps[0] for stamps, _ in messages) else 1
@@ -399,7 +400,9 @@ class MessagePattern:
         times.pop(frozenset(), None)
         is_split = len(times) > 1 and sorted(chain(*times)) == sorted(joints)
         if not is_split:
-            return cls((), False, stamp_index, start)
+            return cls(
+                groups=(), has_own_times=False, stamp_index=stamp_index, start=start
+            )
         groups = tuple(sorted(times, key=lambda group: -len(times[group])))
         common = set.intersection(*map(set, times.values()))
         has_own_times = 2 * len(common) < len(times[groups[-1]])

@@ -117,7 +117,10 @@ DATE = re.compile(
 
 
 def nanoseconds(cell: str) -> int:
-    """Return a date and time, or a time alone, of ISO 8601 since 1970 [ns], or raise ValueError."""
+    """Return a date and time of ISO 8601 since 1970 [ns], or raise ValueError.
+
+    A time alone is taken to be of the first day of 1970.
+    """
     match = DATE.fullmatch(cell)
     if match is None:
         raise ValueError(cell)
@@ -377,7 +380,7 @@ def read_rows(
         if thinning is not None:
             buffers.append(thinning.push(pending), expected / thinning.every)
             pending = pending[:0]
-    buffers.append(pending, 0.0)
+    buffers.append(pending, expected=0.0)
     lines, time, q, tau, qd, stamps = buffers.finish()
     command = None
     if columns.commanded:
@@ -413,8 +416,10 @@ def read_blocks(
     for block in table.blocks(columns):
         yield block
         rows += len(block.lines)
-        progress.advance(label, min(block.share_read, 0.999), 1.0, f"{rows} rows")
-    progress.advance(label, 1.0, 1.0, "")
+        # All is done only behind the loop, though the last blocks may report a share of 1.
+        done = min(block.share_read, 0.999)
+        progress.advance(label, done, total=1.0, text=f"{rows} rows")
+    progress.advance(label, done=1.0, total=1.0, text="")
 
 
 class _RowCleaner:
@@ -454,7 +459,8 @@ class _RowCleaner:
     def clean(self, block: Block) -> Array:
         """Return the usable rows (R, 2 + C) of a block: line, time, then the C other columns.
 
-        Numbers are in SI units, times are those of one clock for all recordings.
+        Numbers are in SI units, times are those of one clock for all recordings. Rows left out are
+        counted, and the last usable row is remembered for the next block.
         """
         lines = block.lines
         cells = block.cells.copy()

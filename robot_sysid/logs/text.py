@@ -258,7 +258,7 @@ def _drop_last_empty(cells: Sequence[str]) -> tuple[str, ...]:
 
 
 def _is_mostly_numbers(cells: Sequence[str]) -> bool:
-    """Return whether cells are a row of data, not a header."""
+    """Return whether more than half of the cells are numbers: a row of data, not a header."""
     # A row of data may carry a joint's name or a frame, a header may have a title like "1".
     return 2 * sum(map(is_number, cells)) > len(cells)
 

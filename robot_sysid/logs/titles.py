@@ -325,7 +325,7 @@ def ambiguity_error(
 
 
 def _match_names(titles: Sequence[Title], joint_names: Sequence[str]) -> Candidates:
-    """Return the candidates among titles that carry a joint's name; none for other quantities."""
+    """Return the candidates among titles that carry a joint's name; empty lists without any."""
     candidates: Candidates = defaultdict(lambda: [[] for _ in joint_names])
     for column, title in enumerate(titles):
         for joint, stripped in _strip_joint_names(title, joint_names):

@@ -282,7 +282,7 @@ def bundled_text(document: ModelDocument, names: Mapping[Path, str]) -> bytes:
     if not document.is_urdf:
         for node in document.settings("compiler"):
             for name in _FOLDER_SETTINGS:
-                edits.set(node, name, None)
+                edits.set(node, name, value=None)
     assets = find_assets(document)
     copies = [names[a.path] if a.path else None for a in assets]
     return _rename_files(edits, assets, copies)
@@ -293,7 +293,7 @@ def _rename_files(
 ) -> bytes:
     """Return the text of the edited document with new references to files.
 
-    ``names`` has the new reference of each of the assets; None keeps the old one.
+    ``names``: new reference of each asset, None to keep the old one; they are added to ``edits``.
     """
     has_folder = False
     for asset, name in zip(assets, names):
@@ -415,7 +415,7 @@ def refuse_hazards(
     n_attached = Counter[str]()
     # (memory [bytes], what takes it, in words).
     needs = []
-    for node, copies in _walk_with_copies(document, document.root, 1.0):
+    for node, copies in _walk_with_copies(document, document.root, copies=1.0):
         needs.append((_memory_of_node(node), f"<{node.tag}> in line {node.line}"))
         if node.tag == "attach":
             n_attached[node.get("model") or ""] += math.ceil(copies)
@@ -492,7 +492,7 @@ def _memory_of_node(node: Node) -> float:
 
 
 def _reserved_bytes(node: Node) -> float:
-    """Return the memory that a <size> reserves: a number with K, M, G, T, P or E behind it."""
+    """Return the memory that a <size> reserves [bytes]: a number, K, M, G, T, P or E behind it."""
     text = (node.get("memory") or "0").strip()
     power = "KMGTPE".find(text[-1:].upper()) + 1
     return _product(text[: -1 if power else None]) * 1024.0**power
@@ -507,7 +507,7 @@ def _product(text: str | None) -> float:
 
 
 def _refuse_pipes(document: ModelDocument, asset: Asset) -> None:
-    """Raise ModelError where an asset that was found as no file is a pipe or a device."""
+    """Raise ModelError where the name of an asset that was not found is a pipe's or a device's."""
     if asset.path is not None:
         return
     name = Path(asset.name.replace("\\", "/")).name

@@ -116,7 +116,7 @@ class Node:
             yield from child.walk()
 
     def child(self, *tags: str) -> Node | None:
-        """Return the first child with a tag, of that one the first with the next tag, and so on."""
+        """Return the element at a path of tags below this one, the first of each tag; else None."""
         if not tags:
             return self
         tag, *tags_below = tags
@@ -126,7 +126,7 @@ class Node:
         return None
 
     def child_attribute(self, *path: str) -> str | None:
-        """Return the last name of a path as an attribute of the ``child`` at the tags before it."""
+        """Return an attribute of the ``child`` at a path of tags, whose last item names it."""
         *tags, name = path
         node = self.child(*tags)
         return None if node is None else node.get(name)
@@ -253,7 +253,7 @@ def _read_include(node: Node, files: dict[Path, SourceFile], depth: int) -> Sour
 
 
 def _read_bytes(path: Path) -> bytes:
-    """Return the content of a model file, or raise ModelError or InputError."""
+    """Return a model file's content; ModelError for too large a file, else InputError."""
     require_utf8(path)
     refuse_special_file(path, "pass a model file")
     try:
@@ -424,7 +424,7 @@ class Edits:
             for name, value in values.items():
                 self.set(node, name, value)
             if is_urdf:
-                self.set(node, "meshdir", None)
+                self.set(node, "meshdir", value=None)
         if not compilers:
             self.settings.insert(0, f"<compiler{attribute_text(values)}/>")
 
@@ -467,7 +467,7 @@ class Edits:
         self._edits[node.file].append(edit)
 
     def comment(self, node: Node, comment: str) -> None:
-        """Put a comment before an element, in place of an older one of this program."""
+        """Put a comment before an element, in place of an older comment by this program."""
         old = _OLD_COMMENT.search(node.file.text[: node.start])
         start = old.start() if old else node.start
         # What follows the comment repeats the element's own indentation.
@@ -499,7 +499,7 @@ class Edits:
         return [_insert_first(root, text.encode())]
 
     def _file_edits(self, file: SourceFile) -> list[Edit]:
-        """Return the edits of a file, those of its includes among them."""
+        """Return the edits of a file, among them those that inline or relocate its includes."""
         edits = list(self._edits.get(file, ()))
         for node, included in file.includes:
             if self._must_inline(included):

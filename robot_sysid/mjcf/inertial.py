@@ -117,7 +117,9 @@ def plan_write_back(
         )
     # What was added to each moment of inertia; element 4 is Ixx.
     inflation = float(theta[4] - remainder[4])
-    plan = WriteBack(theta, emptied, None, inflation, lightened, scale)
+    plan = WriteBack(
+        theta, emptied, inflation=inflation, lightened=lightened, scale=scale
+    )
     return replace(plan, note="; ".join(_notes(bodies[0], plan)) or None)
 
 

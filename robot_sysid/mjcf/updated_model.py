@@ -247,7 +247,10 @@ def _comment(subject: str, rmse: float, addition: str) -> str:
 
 
 def _write_welded_body(edits: Edits, body: WeldedBody, change: ModelChange) -> None:
-    """Add the new body of a change, or raise ExportError where its name is taken."""
+    """Add the new body of a change, with its comment, to its carrier; in a URDF with a fixed joint.
+
+    ExportError where its name is empty or taken, or a compiler setting would change its inertia.
+    """
     document = edits.document
     joint_name = f"{body.name}_joint"
     carrier = find_element(document, "body", body.carrier)

@@ -84,8 +84,8 @@ def subtree_bodies(
 ) -> tuple[SubtreeBody, ...]:
     """Return a body and all below it but the excluded ones (ids), held at ``qpos`` (nq,).
 
-    Their theta are in the frame of the first body, which has the id ``body_id``. ``welded`` are
-    that body and all without a joint between it and them.
+    All their theta are in the frame of the body ``body_id``, which comes first. ``welded`` is True
+    of this body, and of those without a joint between it and them.
     """
     data = data_at_pose(mj_model, qpos)
     axes = data.xmat[body_id].reshape(3, 3)
@@ -106,7 +106,7 @@ def subtree_bodies(
 
 
 def composite_theta(mj_model: Any, qpos: Array, body_id: int) -> Array:
-    """Return theta (10,), in its own frame, of a body with everything below it, at ``qpos``."""
+    """Return theta (10,) of a body and all below it together, in its frame, at ``qpos`` (nq,)."""
     return sum_theta(subtree_bodies(mj_model, qpos, body_id))
 
 
@@ -168,7 +168,7 @@ def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink
 def link_bodies(
     mj_model: Any, qpos: Array, body_id: int, later_bodies: Sequence[int]
 ) -> tuple[SubtreeBody, ...]:
-    """Return the bodies of the link of a joint's body, that one first, at ``qpos`` (nq,).
+    """Return the bodies of one link, first ``body_id``, the one its joint moves, at ``qpos`` (nq,).
 
     ``later_bodies``: ids of the bodies that later chain joints move, from the base on; no bodies
     are returned where ``body_id`` is one of them.
@@ -350,7 +350,7 @@ def joint_ranges(robot: RobotModel) -> tuple[Array, Array]:
 
 
 def count_moving_joints(robot: RobotModel) -> NDArray[np.int64]:
-    """Return how many chain joints move each body (nbody,); k of them are the first k of the chain.
+    """Return how many chain joints move each body (nbody,); k joints are the chain's first k.
 
     Bodies with equal counts keep their distances. InputError for joints of two arms, which do not
     move the bodies one after the other.
@@ -410,7 +410,7 @@ class ContactFinder:
         """Return those of some touching pairs of body ids that touch by the model's design.
 
         One carries the other, or they touch whatever the joints between them do (MuJoCo takes the
-        convex hull of a mesh): no position would be free of it. A pair of the arm and something
+        convex hull of a mesh): no position would avoid it. A pair of the arm and something
         beside it is not by design.
         """
         is_adjacent = adjacent_bodies(self._model)
@@ -440,7 +440,10 @@ class ContactFinder:
         return True
 
     def new_pairs(self, q: Array) -> set[tuple[int, int]]:
-        """Return the pairs that touch at chain positions q (n,) but not at rest."""
+        """Return the pairs that touch at chain positions q (n,), but not in ``resting_pairs``.
+
+        Changes the configuration in ``self._data``.
+        """
         self._data.qpos[self._robot.qpos_index] = q
         return self._touching() - self.resting_pairs
 

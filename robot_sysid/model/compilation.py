@@ -177,7 +177,10 @@ def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
 def _compile_urdf(
     document: ModelDocument, mesh_dir: Path | None
 ) -> tuple[Any, tuple[str, ...]]:
-    """Return (MjModel, notes) of a URDF document, or raise ModelError."""
+    """Return (MjModel, notes) of a URDF document, or raise ModelError.
+
+    Where MuJoCo refuses moving links without mass, these get a minimum. Inertias are exact.
+    """
     for with_minimum in (False, True):
         try:
             text, notes = compilable_urdf(document, mesh_dir, with_minimum)

@@ -247,7 +247,7 @@ class JointFriction:
         check_arrays(self, coulomb=(None,), viscous=(n,), shared=(None, n))
 
     def torque(self, qd: Array) -> Array:
-        """Return the friction torque (N, n) at velocities qd (N, n)."""
+        """Return the friction torque (N, n) [N m or N] at velocities qd (N, n) [rad/s or m/s]."""
         return self.dry(qd) + self.viscous * qd
 
     def dry(self, qd: Array, direction: Callable[[Array], Array] = np.sign) -> Array:

@@ -62,7 +62,7 @@ class MotionPlan(Protocol):
         """Length [s]."""
 
     def evaluate(self, time: Array) -> Motion:
-        """Return the motion at times (N,) [s]; exact derivatives."""
+        """Return the motion at times (N,) [s], with exact derivatives."""
 
 
 @dataclass(frozen=True)

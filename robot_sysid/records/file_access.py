@@ -288,8 +288,8 @@ def _hidden_path(path: Path) -> Path:
 def lock_folder(folder: Path) -> Iterator[None]:
     """Create an output folder and keep other runs out of it while the block runs.
 
-    A folder that this created and that is still empty is removed after the block. InputError where
-    another run has the folder.
+    A folder that this function created and that is still empty is removed after the block.
+    InputError where another run has the folder.
     """
     files = AtomicFiles()
     lock_path = folder / LOCK_NAME

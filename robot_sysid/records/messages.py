@@ -60,9 +60,9 @@ def with_error(value: float, error: float | None, unit: str = "") -> str:
 
 
 def percent(share: float) -> str:
-    """Return a share in percent with two digits, from 99.5 on with none behind the point.
+    """Return a share in percent with two digits, from 99.5 % on as a whole number.
 
-    "over 1000 %" beyond that, "not known" for NaN.
+    "over 1000 %" for a larger share, "not known" for NaN.
     """
     size = 100.0 * abs(share)
     if not size <= _MAX_PERCENT:
@@ -119,7 +119,10 @@ class Progress:
         """Print lines that announce a stage of the run or state its outcome."""
 
     def track(self, items: Iterator[Any], label: str, total: int) -> Iterator[Any]:
-        """Yield the items, with ``advance`` after each and a line "LABEL: 100%" after the last."""
+        """Yield the items, ``total`` in number, and call ``advance`` after each.
+
+        A line "LABEL: 100%" is printed after the last.
+        """
         for count, item in enumerate(items, start=1):
             yield item
             self.advance(label, count, total, "")
