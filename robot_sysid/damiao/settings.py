@@ -332,7 +332,10 @@ class Plan:
 
     @property
     def parking_pose(self) -> Array | None:
-        """Positions (n,) [rad] in the file of option --park; None where this names no file."""
+        """Positions (n,) [rad] in the file that --park names; None where it names no file.
+
+        InputError where the file cannot be read, or is not a line of n positions.
+        """
         park = self.settings.park
         n = self.trajectory.n_joints
         if park in (None, "rest", "start"):

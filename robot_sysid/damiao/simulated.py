@@ -69,7 +69,7 @@ class SimulatedMotor:
         temperature_mos: temperature of the power stage [deg C].
         temperature_rotor: temperature of the winding [deg C].
         command: position, velocity, kp, kd and torque in force, in the units of ``MitCommand``.
-        fed_at: time of the last frame to this motor [s].
+        fed_at: time of the last command to this motor, by which its watchdog is fed [s].
         shift: angle added to the reported position since a zero was set [rad].
         stored: registers in flash, by number; empty until they are stored.
     """
@@ -100,7 +100,7 @@ class SimulatedMotor:
         return self.status == protocol.ENABLED
 
     def tick(self, time: float) -> bool:
-        """Stop the motor if its watchdog has expired at ``time`` [s]; return whether it did now."""
+        """Stop the motor if its watchdog has expired at ``time`` [s]; return whether it stopped."""
         timeout = self.registers[protocol.TIMEOUT] * protocol.TIMEOUT_UNIT
         if self.driving and 0.0 < timeout < time - self.fed_at:
             self.fail(protocol.LOST_COMMUNICATION)
@@ -113,7 +113,7 @@ class SimulatedMotor:
         self.command = _NOTHING
 
     def handle(self, frame: protocol.Frame, time: float) -> protocol.Frame | None:
-        """Process a frame on the bus at ``time`` [s]; return the motor's answer, or None."""
+        """Process a frame on the bus at ``time`` [s]; return the motor's answer, None if silent."""
         data = None
         if frame.bus != self.joint.bus or len(frame.data) < 4:
             return None
@@ -129,7 +129,7 @@ class SimulatedMotor:
         )
 
     def _command_answer(self, data: bytes, time: float) -> bytes:
-        """Obey the 8-byte data of a command at ``time`` [s]; return the data of the answer."""
+        """Feed the watchdog at ``time`` [s], obey a command's 8 bytes, return the answer's data."""
         self.fed_at = time
         if protocol.is_special(data):
             self._special(data[7])
@@ -508,7 +508,7 @@ def slcan_terminal() -> tuple[Any, str]:
         """The adapter's end of a line: frames are the same text both ways, commands are ignored."""
 
         def _recv_internal(self, timeout: float | None) -> tuple[Any, bool]:
-            """Return the next frame or None; a killed client may leave half a line: no frame."""
+            """Return the next frame and False (not filtered); None as frame for half a line."""
             with contextlib.suppress(ValueError, IndexError):
                 return super()._recv_internal(timeout)
             return None, False

@@ -214,6 +214,7 @@ def _rows(time: Array, values: Array, decimals: int) -> str:
     """
     # Adding zero turns the -0.0 that rounding leaves into 0.0.
     cells = np.round(values.transpose(1, 2, 0).reshape(len(time), -1), 4) + 0.0
+    # One format for all rows at once, because a loop over rows is slow.
     row = ",".join([f"%.{decimals}f"] + ["%.4f"] * cells.shape[1]) + "\n"
     return (row * len(time)) % tuple(np.column_stack([time, cells]).ravel())
 
@@ -412,9 +413,13 @@ def _numbers(line: str, width: int, path: Path, number: int) -> list[float]:
 
 
 def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
-    """Return the joint that a comment line of a file describes; InputError names the line."""
+    """Return the joint that a comment line of a file describes.
+
+    InputError where it describes none; it names the file's ``path`` and the ``number`` of the line.
+    """
     pairs = dict(_PAIR.findall(line.lstrip("# ")))
     try:
+        # Base 0 takes a number like 0x11 too.
         can_id = int(pairs["can_id"], 0)
         master_id = int(pairs.get("master_id", str(can_id + MASTER_ID_OFFSET)), 0)
         motor_type = motor_spec(pairs["motor_type"]).name

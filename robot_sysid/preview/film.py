@@ -166,8 +166,9 @@ class Studio:
         ids = [link.body_id for link in self.robot.links]
         if not np.any(np.isin(self._model.geom_bodyid, ids)):
             # A model without shapes to draw, as many URDF files: the links' origins are joined.
+            capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
             for start, end in zip(self.data.xpos[ids[:-1]], self.data.xpos[ids[1:]]):
-                self._connect(mujoco.mjtGeom.mjGEOM_CAPSULE, 0.015, _BONE, start, end)
+                self._connect(capsule, width=0.015, colour=_BONE, start=start, end=end)
 
     def _set_positions(self, q: Array) -> None:
         """Put the chain at positions q (n,), all other joints at the reference configuration."""
@@ -340,7 +341,7 @@ def plan_preview(problem: ExcitationProblem, plan: MotionPlan) -> Preview:
     half_range, speed, _, torque_limit = limits.largest
     signals = motion.q - limits.center, motion.qd, torque
     plots = _share_plots(signals, (half_range, speed, torque_limit))
-    clearance_plot = Plot("clearance [mm]", 1000.0 * clearance, 0.0)
+    clearance_plot = Plot("clearance [mm]", 1000.0 * clearance, limit=0.0)
     return Preview(motion.time, motion.q, (*plots, clearance_plot))
 
 
@@ -387,11 +388,11 @@ def _share_plots(signals: Iterable[Array], limits: Iterable[Array]) -> Iterator[
         shares = 100.0 * np.max(np.abs(values) / limit, axis=1)
         if not np.any(np.isfinite(limit)):
             shares *= np.nan
-        yield Plot(title, shares, 100.0)
+        yield Plot(title, shares, limit=100.0)
 
 
 def require_film(path: Path) -> None:
-    """Raise InputError where a film cannot be made; called before a long run."""
+    """Raise InputError where a film cannot be made and written to ``path``, before a long run."""
     libraries = ["matplotlib", "imageio"]
     if path.suffix.lower() == ".mp4":
         libraries.append("imageio_ffmpeg")

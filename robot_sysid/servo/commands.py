@@ -49,7 +49,7 @@ def commanded_pieces(
 def _positions_and_commands(
     log: MeasurementLog, joint: int
 ) -> list[tuple[Array, Array]]:
-    """Return positions (N,) and commands (N,) of a joint in each piece of a log with commands."""
+    """Return positions (N,) and commands (N,) of a joint in each piece that has commands."""
     pairs = []
     for piece in log.pieces:
         if piece.command is not None:

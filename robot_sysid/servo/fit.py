@@ -241,7 +241,8 @@ class ServoFit:
     Attributes:
         servos: the numbers.
         errors: their standard errors, zero for fixed numbers.
-        is_identified: (4 n + 1,) whether the data shows a number; the others are the model's own.
+        is_identified: (4 n + 1,) whether the data shows a number; the others keep the model's value
+            where the model has one.
         position_error: (n,) root mean square error of the rollouts [rad].
     """
 
@@ -260,7 +261,7 @@ def search_servos(
     joint's errors by their root mean square at its start.
 
     Args:
-        derivatives: of the errors in the fitted windows.
+        derivatives: derivatives of the position errors in the fitted windows.
         parametrisation: its start is that of the search and the centre of a weak prior.
         progress: is advanced with each evaluation.
     """
@@ -341,10 +342,10 @@ def _rms_error(errors: Array) -> Array:
 
 
 class ErrorDerivatives:
-    """Derivatives of a problem's errors; those at the last parameters are cached.
+    """Derivatives of position errors by servo parameters; those at the last ones are cached.
 
     Attributes:
-        problem: as given.
+        problem: windows in which the errors arise.
     """
 
     def __init__(self, problem: ServoProblem) -> None:
@@ -370,6 +371,7 @@ class ErrorDerivatives:
             self._cached_at = x.tobytes()
             self._cache = {}
         n_joints = len(servos.stiffness)
+        # Entries k n to (k + 1) n - 1 of a vector are number k of the n joints.
         is_friction = np.arange(len(x)) // n_joints == _FRICTION
         step = np.where(is_friction, 1.0, _DIFFERENCE_STEP)
         step *= parametrisation.unit(servos)
@@ -398,7 +400,7 @@ def estimate_errors(
     number that the data does not show, one unit at least.
 
     Args:
-        derivatives: of the errors in the fitted windows.
+        derivatives: derivatives of the position errors in the fitted windows.
         parametrisation: says which numbers are free, and the unit of each in the search.
         servos: the fitted parameters.
     """
@@ -420,6 +422,7 @@ def estimate_errors(
     for joint in range(n_joints):
         # One row per sample: slopes of this joint's error over its scale.
         rows = slopes[:, joint] / scale[joint]
+        # Entry k of a vector is a number of joint k % n, but the last entry is the delay.
         is_of_joint = (free % n_joints == joint) & (free < 4 * n_joints)
         weight = row_weights(rows[:, is_of_joint], is_moving[:, joint])
         rows *= weight[:, None]

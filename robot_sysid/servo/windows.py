@@ -37,10 +37,10 @@ MAX_DELAY_PERIODS = 10
 
 @dataclass(frozen=True)
 class ServoProblem:
-    """Windows of logs and the errors of rollouts in them.
+    """Windows of logs and the position errors of rollouts in them.
 
     Attributes:
-        rollouts: of the arm.
+        rollouts: play the windows on the arm's model.
         windows: for each window its start and commands, the times after its start at which errors
             count (m,) [s], and the positions measured then (m, n). M is the sum of all m.
         edges: (S + 1,) ends of the S rollout steps of every window, from its start [s].
@@ -144,8 +144,8 @@ def smooth_states(piece: Measurement) -> tuple[Array, Array]:
 
     period = sampling_period(piece.time)
     length = max(5, 2 * round(0.5 * SMOOTHING_TIME / period) + 1)
-    qd = savgol_filter(piece.q, length, 2, deriv=1, delta=period, axis=0)
-    return savgol_filter(piece.q, length, 2, axis=0), qd
+    qd = savgol_filter(piece.q, length, polyorder=2, deriv=1, delta=period, axis=0)
+    return savgol_filter(piece.q, length, polyorder=2, axis=0), qd
 
 
 def split_pieces(

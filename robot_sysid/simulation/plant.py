@@ -94,6 +94,7 @@ class PlantSimulation:
         self._plan = plan
         self._options = options
         self._sample_rate = sample_rate
+        # Every iteration draws its noise from this seed.
         self._seed = rng.integers(2**63, size=4)
 
     def __iter__(self) -> Iterator[Measurement]:

@@ -71,7 +71,7 @@ class RolloutInputs:
     Attributes:
         q: (B, n) chain positions at the start [rad or m].
         qd: (B, n) chain velocities at the start [rad/s or m/s].
-        torque: (B, S, n) applied to the chain during each step [N m].
+        torque: (B, S, n) torques applied to the chain during each step [N m].
         control: (B, S, nu) inputs of the model's actuators; None where they are switched off.
     """
 
@@ -128,7 +128,7 @@ class RolloutRunner:
         return q
 
     def _run_threads(self, inputs: RolloutInputs) -> Array:
-        """Return positions (B, S, n) after each step by ``mujoco.rollout``, several at a time."""
+        """Return positions (B, S, n) after each step, by ``mujoco.rollout``; NaN once diverged."""
         robot = self._robot
         model = self.model
         data = self._data[0]
@@ -292,7 +292,7 @@ def rollout_error(
 
     Args:
         robot: the arm with the model to be played.
-        windows: from ``window_starts``.
+        windows: from ``window_starts``, of pieces that have velocities.
         horizon: length of each window [s].
         servo: pulls the model towards the measured motion; None for open loop.
 
@@ -383,7 +383,7 @@ class ChainActuators:
 
 
 def chain_actuators(robot: RobotModel) -> ChainActuators:
-    """Return the actuators of the chain; of several on a joint, the first position actuator."""
+    """Return each chain joint's actuator: the first position actuator on it, or else the first."""
     rows = [_joint_actuator(robot.mj_model, int(j)) for j in _chain_joints(robot)]
     index, gear, stiffness, damping, limit = map(np.array, zip(*rows))
     limit = np.minimum(limit, robot.limits.torque)
@@ -400,8 +400,9 @@ def _chain_joints(robot: RobotModel) -> NDArray[np.int64]:
 
 
 def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float, float]:
-    """Return (id, gear, Kp, kv, limit) of the actuator that drives a joint, as ``ChainActuators``
-    has them.
+    """Return (id, gear, Kp, kv, limit) of the actuator that drives a joint.
+
+    They are as in ``ChainActuators``; without a usable actuator, gear 1 and no gains or limit.
 
     Args:
         model: compiled MuJoCo model.
@@ -534,7 +535,8 @@ class ServoWindow:
         """
         times = self.start + edges - delay
         # A mean command is the difference of the commands' integral over time at the step's ends.
-        # The integral is piecewise linear; the last command lasts 1 s, the first since ever.
+        # The integral is piecewise linear: the last command is taken to hold for 1 s, and the first
+        # one to have held at all times before it.
         knots = np.append(self.time, self.time[-1] + 1.0)
         durations = np.diff(self.time, append=self.time[-1] + 1.0)[:, None]
         steps = self.command * durations
@@ -550,7 +552,7 @@ class ServoRollouts:
 
     Args:
         robot: the arm as in the model file.
-        timestep: of the model until ``positions`` sets that of its windows [s].
+        timestep: time step of the model [s], until ``positions`` sets that of its windows.
 
     Attributes:
         robot: as given.
@@ -567,6 +569,8 @@ class ServoRollouts:
         edges: Array,
     ) -> Iterator[Array]:
         """Yield chain positions (W, S + 1, n) of each candidate in W windows, the start included.
+
+        Positions are NaN from where a rollout diverged.
 
         Args:
             candidates: servo parameters, played one after the other.

@@ -434,8 +434,8 @@ def _play_on(
 ) -> int:
     """Check a plan on inspected motors, ask the user, play it, and print how it ended.
 
-    Returns 0. A check that forbids the run, or a stopped run, raises HardwareAbort; an unconfirmed
-    one InputError.
+    Returns 0. A dry run ends after the checks. When the user has confirmed, the motors are
+    inspected and checked once more.
 
     Args:
         link: link of the open bus.
@@ -445,6 +445,11 @@ def _play_on(
         session: run of the command.
         holds: whether the plan holds the arm until somebody stops it.
         is_real: whether the motors are real ones.
+
+    Raises:
+        HardwareAbort: a check forbids the run, or the run was stopped; for a run that ``holds``, a
+            stop by the user is the normal end.
+        InputError: the user does not confirm, or a recording would replace a file.
     """
     console = session.console
     inspection = inspect_bus(link)

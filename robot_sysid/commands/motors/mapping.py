@@ -370,6 +370,9 @@ def _nudge_plan(
 ) -> Plan:
     """Return a plan that moves joints by ``_NUDGE`` and back, one after the other.
 
+    Its feed-forward torques hold the arm in each pose, and it records nothing. It parks the arm as
+    the given plan does, but never in the pose of a file.
+
     Args:
         session: run that has a model.
         plan: plan of the trajectory, whose settings are used.

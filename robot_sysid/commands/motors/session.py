@@ -62,9 +62,9 @@ def confirm(question: str, hint: str = "") -> bool:
 
 
 def _report_stall(message: str, is_final: bool) -> None:
-    """Print that a driver does not return; a final report ends the process.
+    """Print a message about a driver that does not return; end the process if it is the final one.
 
-    The main thread waits for the driver, so the process ends without it.
+    The main thread waits for the driver, so it cannot end the process itself.
     """
     level = "error" if is_final else "note"
     line = f"{PROGRAM}: {level}: {message}"

@@ -60,7 +60,7 @@ def _bit_rate_complaint(rate: int) -> str | None:
 _ID: dict[str, Any] = {
     "metavar": "ID",
     "parse": parse_whole_number,
-    "check": _range_check(1, 15, "1 to 15"),
+    "check": _range_check(low=1, high=15, text="1 to 15"),
 }
 
 
@@ -76,14 +76,14 @@ class SetupOptions(OptionRecord):
     new_master_id: int | None = option(
         None,
         "new id it answers on",
-        **{**_ID, "check": _range_check(0, 0x7FE, "0 to 0x7fe")},
+        **{**_ID, "check": _range_check(low=0, high=0x7FE, text="0 to 0x7fe")},
     )
     mit: bool = option(False, "set the control mode to MIT")
     watchdog: float | None = option(
         None,
         "set its watchdog, 0 for none",
         "S [s]",
-        check=_range_check(0, 5, "0 to 5 s"),
+        check=_range_check(low=0, high=5, text="0 to 5 s"),
     )
     motor_bitrate: int | None = option(
         None,
@@ -379,7 +379,7 @@ def monitor(session: Session) -> int:
     with session.open_guarded(refuse_motion) as link:
         motors = list(inspect_bus(link).motors.values())
         if not motors:
-            return _conclude_listing(session, 0)
+            return _conclude_listing(session, count=0)
         with contextlib.suppress(KeyboardInterrupt):
             _print_states(link, motors, options, session.console)
     return 0

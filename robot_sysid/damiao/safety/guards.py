@@ -166,7 +166,7 @@ class SampleFilter:
         self._last = self._last._replace(time=times, q=q.copy(), qd=zero_speed)
 
     def believe(self, replies: Replies, acted: protocol.MitCommand | None) -> Replies:
-        """Return replies in which implausible answers count as missing, with jumps and doubts.
+        """Return replies without implausible answers, which are in ``doubted``, and with ``jump``.
 
         The believed answers become the last samples, to which the next answers are compared.
 

@@ -288,7 +288,7 @@ class Observer:
         )
 
     def _check_jump(self, replies: Replies) -> None:
-        """Stop for a joint whose position jumped, as two samples confirm."""
+        """Stop for a joint whose position jumped, as two samples confirm; mark it as ``stuck``."""
         self.stuck |= replies.jump != 0.0
         self._raise_first(
             replies.jump != 0.0,
@@ -347,7 +347,7 @@ class Observer:
         )
 
     def _check_scales(self) -> None:
-        """Stop for a joint that slipped, or whose torque or velocity has a wrong scale."""
+        """Stop for a slip; every ``_SCALING_CYCLES`` cycles also for a wrong scale."""
         if self._slip is not None:
             self._raise(self._slip.joint, self._slip.description)
         self._cycles += 1
@@ -534,7 +534,7 @@ class Observer:
         self._raise(joint, description)
 
     def _blocked_joint(self) -> int | None:
-        """Return the joint that moved least relative to its command, if blocked; else None."""
+        """Return the index of the joint that moved least for its command, if blocked; else None."""
         # Changes (_MOMENTS, n) of command and of position from each of the last cycles until now.
         led_by, came_by = np.abs(self._moments[0] - self._moments).transpose(1, 0, 2)
         moved_share = came_by / np.maximum(led_by, _LED_BY)
