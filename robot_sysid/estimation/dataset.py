@@ -264,9 +264,15 @@ def information_of(
     # Joint by joint: most rows are assembled on access.
     for joint in range(len(first.joints)):
         for total, group in zip(totals, groups):
-            rows, right_sides = zip(*[recording.in_use(joint) for recording in group])
-            total.add(joint, np.concatenate(rows), np.concatenate(right_sides))
+            total.add(joint, *_used_rows(group, joint))
     return tuple(map(InformationAccumulator.result, totals))
+
+
+def _used_rows(group: Sequence[DecimatedSamples], joint: int) -> tuple[Array, Array]:
+    """Return the used rows (K, k) and right sides (K,) of a joint in all recordings of a group."""
+    # A function of its own frees the rows by recording before the triangle is computed.
+    rows, right_sides = zip(*[recording.in_use(joint) for recording in group])
+    return np.concatenate(rows), np.concatenate(right_sides)
 
 
 def decimated_equations(

@@ -153,8 +153,8 @@ class Unknowns:
     def may_be_scaled(self, question: Question) -> bool:
         """Tell whether to try an error that all torque scales share.
 
-        It is tried where no option states the scales and other links have a prior: only their
-        masses, as the model states them, show such an error.
+        It is tried without a payload, where no option states the scales and other links have a
+        prior: only their masses, as the model states them, show such an error.
         """
         if question.loaded or question.options.scale_uncertainty is not None:
             return False

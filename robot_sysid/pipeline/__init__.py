@@ -23,7 +23,7 @@ class Identification:
     """A result with all that is needed to write it, draw it and test it.
 
     Attributes:
-        config: the options of the run.
+        config: the options of the run, with the errors that a file of torque scales states.
         result: all identified numbers, with errors and verdict.
         checkpoints: motion on which a written model has to reproduce the predicted torque.
         traces: computes the measured and predicted torques that a report draws.

@@ -186,10 +186,10 @@ class ConsistentLinks:
     def best(self) -> Array:
         """Return the minimiser (p,) for the largest of ``GAMMAS`` that hardly increases residuals.
 
-        Their sum of squares may exceed that for the smallest gamma by ``HARDLY``. Directions
-        without data then stay at the usual bodies, exactly so where the null space can be held
-        there within this limit. Directions with data are not biased towards the usual bodies, even
-        if a tool is much larger than the model's link.
+        Their sum of squares may exceed that for the smallest gamma, which is taken where no other
+        fits, by ``HARDLY``. Directions without data then stay at the usual bodies,
+        exactly so where the null space can be held there within this limit. Directions with data
+        are not biased towards the usual bodies, even of a tool much larger than the model's link.
 
         Raises:
             SysidError: the method did not converge.

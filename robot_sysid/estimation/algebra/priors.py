@@ -306,15 +306,15 @@ def widened_groups(
     problem = WithPriors(information, noise)
     for _ in range(_ROUNDS):
         values, covariance, _ = problem.solve(widened)
-        largest_change = 0.0
+        changes = []
         for k in np.flatnonzero(may_change):
             group = widened[k]
             aspect = np.eye(len(group.names))
             alpha, _ = _widening(group, aspect, problem.names, values, covariance)
             alpha = max(alpha, least)
-            largest_change = max(largest_change, abs(alpha / group.widened - 1.0))
+            changes.append(abs(alpha / group.widened - 1.0))
             widened[k] = replace(group, widened=alpha)
-        if largest_change < _SETTLED:
+        if all(change < _SETTLED for change in changes):
             break
     return tuple(widened)
 

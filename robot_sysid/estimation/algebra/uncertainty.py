@@ -97,12 +97,10 @@ def uncertainty(
     space = space or joint_space(information, weights)
     inverse = space.inverse()
     size = len(information.names)
-    effective = sample_counts(information).tolist()
     if residuals:
         columns = [joint.columns for joint in residuals]
-        alone = []
-        for joint, weight in zip(residuals, weights):
-            alone.append(_alone(joint, weight, inverse))
+        weighted = zip(residuals, weights)
+        alone = [_alone(joint, weight, inverse) for joint, weight in weighted]
         # Residuals contain errors that other joints' noise causes: kernels and errors are iterated.
         score = np.zeros((size, size))
         for _ in range(_ROUNDS):
@@ -111,13 +109,9 @@ def uncertainty(
             score = _score(columns, omegas, weights, size)
         effective = list(map(JointResiduals.effective_samples, residuals, kernels))
     else:
-        columns = []
-        omegas_of_white = []
-        for joint_information, sigma in zip(information.joints, noise):
-            rows = joint_information.triangle[:, :-1]
-            columns.append(joint_information.columns)
-            omegas_of_white.append(sigma**2 * rows.T @ rows)
-        score = _score(columns, omegas_of_white, weights, size)
+        effective = sample_counts(information).tolist()
+        columns = [joint.columns for joint in information.joints]
+        score = _score(columns, _white_omegas(information, noise), weights, size)
     of_noise = inverse @ score @ inverse
     prior = information.prior
     of_prior = np.zeros((0, size)) if prior is None else prior[:, :-1] @ inverse
@@ -158,6 +152,12 @@ def triangle_of(blocks: Iterable[Array]) -> Array:
             waiting = [np.zeros((len(triangle), len(is_used)))]
             waiting[0][:, is_used] = triangle
     return update_triangle(waiting[0][:0], np.vstack(waiting))
+
+
+def _white_omegas(information: SquareRootInformation, noise: Array) -> Iterator[Array]:
+    """Yield joint by joint sigma^2 Y^T Y (k, k), with noise (joints,) the sigmas [N m]."""
+    for joint, sigma in zip(information.joints, noise):
+        yield sigma**2 * joint.triangle[:, :-1].T @ joint.triangle[:, :-1]
 
 
 def _score(
