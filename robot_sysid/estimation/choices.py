@@ -93,7 +93,7 @@ def choose(
     Args:
         fitter: fits the recordings; its cached rows and its noise are replaced.
         question: which parameters are wanted.
-        model: friction of every joint, where the user states it; None to select it by joint.
+        model: friction of every joint; None selects it by joint, otherwise errors are empty.
         couplings: result of ``select_couplings``; None for all couplings that have columns.
     """
     couplings = fitter.columns.couplings if couplings is None else couplings
@@ -379,7 +379,7 @@ def neighbours(robot: RobotModel) -> Iterator[Coupling]:
 def couplings_of(
     robot: RobotModel, options: EstimationOptions
 ) -> tuple[tuple[Coupling, ...], tuple[Coupling, ...]]:
-    """Return (all couplings that get regressor columns, the offered ones, with which these end).
+    """Return (couplings that get regressor columns, the offered ones of these, which come last).
 
     Offered couplings are used only where the recordings show them (``select_couplings``).
     Couplings of the model and of the user's file are used without evidence. With torques of the

@@ -199,7 +199,7 @@ class Columns:
         return columns
 
     def start(self) -> Point:
-        """Return the point at the model's own values."""
+        """Return the point at the model's own values, with default speeds of friction."""
         n = self.robot.n_joints
         speed = {}
         for term, nonlinear in NONLINEAR_TERMS.items():
@@ -211,7 +211,7 @@ class Columns:
         return np.array([self.index[name] for name in names], dtype=np.int64)
 
     def bodies(self) -> dict[str, NDArray[np.int64]]:
-        """Return body name to indices (10,): each link, base to terminal, then "payload"."""
+        """Return the indices (10,) of each body by its name: links, base to terminal, "payload"."""
         indices = {}
         if self.torques == "chain":
             for link in other_links(self.robot):
@@ -570,7 +570,7 @@ class Columns:
         return loads[point.exact_load], smooth
 
     def _nonlinear(self, dataset: Dataset, point: Point) -> dict[str, Array]:
-        """Return nonlinear friction term to its columns (K, joints), one in each joint's equation.
+        """Return the columns (K, joints) of each nonlinear friction term, by the term's name.
 
         A term that is not zero at the point also has columns of its derivative by the speed, named
         "<term>_speed".

@@ -130,7 +130,7 @@ class DecimatedSamples:
 
 
 def release_memory() -> None:
-    """Return free memory to the system.
+    """Give free memory back to the operating system; no effect without glibc.
 
     glibc keeps freed blocks that lie between blocks in use: with many joints, whose triangles are
     of all sizes, that is a quarter of all memory.
@@ -227,9 +227,9 @@ class AssembledRows(Sequence[Array]):
 def store_rows(
     samples: Iterable[DecimatedSamples], limit: int = _IN_MEMORY
 ) -> list[DecimatedSamples]:
-    """Return each recording's equations, with long rows in one temporary file.
+    """Return each recording's equations, those of long recordings with rows in a temporary file.
 
-    Without a writable folder, all rows stay in memory.
+    All long recordings share one file. Without a writable folder, all rows stay in memory.
 
     Args:
         samples: consumed one by one, so that a generator keeps one recording in memory.
@@ -281,8 +281,8 @@ def decimated_equations(
     """Return the equations of a recorded motion, both sides passed through the torque's low-pass.
 
     Columns of friction that depends on the load are NaN, as the load follows from an estimate.
-    Columns of bodies contain no sign of a
-    speed, so that they are smooth and computed at fewer instants.
+    Columns of bodies contain no sign of a speed, so that they are smooth and computed at fewer
+    instants.
 
     Args:
         equations: computes rows of a motion, which are not filtered. Its ``bodies`` and

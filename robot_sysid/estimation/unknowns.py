@@ -583,7 +583,7 @@ class EstimatedRows:
 def restrict_samples(samples: DecimatedSamples, unknowns: Unknowns) -> DecimatedSamples:
     """Return a recording's rows in the estimated parameters, the torque of held ones subtracted.
 
-    Its names are those of the estimated parameters, ``Unknowns.estimated_names``.
+    The result's names are those of the estimated parameters, ``Unknowns.estimated_names``.
     """
     columns = []
     for indices in samples.columns:

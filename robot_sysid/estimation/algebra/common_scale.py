@@ -53,7 +53,8 @@ def false_alarms(
     The probability is over arms drawn from the prior of separate scales. Estimates x of the scales
     with separate priors become (1 + C_common D) x with a common scale, D = K_separate - K_common, K
     the prior precision of the scales, C their posterior covariance. x is Gaussian; its covariance
-    is the prior covariance minus the posterior one. Both results are zero where this is zero.
+    is the prior covariance minus the posterior one. Both results are zero where the data holds no
+    information on the scales, so that the two are equal.
 
     Args:
         separate: (prior, posterior) covariance of the scales with separate priors, each (joints,

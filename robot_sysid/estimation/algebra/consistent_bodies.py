@@ -149,6 +149,7 @@ class ConsistentLinks:
             self._unit[np.ix_(link, link)] = units
         self._others = np.delete(np.arange(len(self._origin)), self._bodies)
         self._other_rows, of_bodies = self._eliminate_others()
+        # Rows of bodies in singular directions; no body changes the last row, its right-hand side.
         left, singular, directions = np.linalg.svd(of_bodies[:-1, :-1])
         self._turn = directions.T
         self._singular = singular
@@ -483,9 +484,8 @@ _THETAS = np.array([spatial.theta_from_pseudo_inertia(matrix) for matrix in _BAS
 _TRACES = np.trace(_BASIS, axis1=1, axis2=2)
 BODIES = "possible bodies"
 """Name, in results, of the error that is left by making an inconsistent body consistent."""
-# Number of random errors, half of them the negatives of the others. For a UR5e's last link, whose
-# plain estimate is hardly ever consistent, 60 and 1000 give standard errors of the mass that agree
-# to 7 %.
+# Number of random errors, half of them the negatives of the others. For a UR5e's last link, 60 and
+# 1000 give standard errors of the mass that agree to 7 %.
 _DRAWS = 60
 
 

@@ -352,7 +352,7 @@ class BaseCombinations:
 
 
 def base_combinations(regressor: Array, scale: Array) -> BaseCombinations:
-    """Return the base parameters of a regressor.
+    """Return the combinations of parameters that a regressor identifies: its base parameters.
 
     Args:
         regressor: (M, p).

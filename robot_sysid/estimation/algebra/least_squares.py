@@ -87,8 +87,8 @@ def estimate_noise(
     Estimate and noise are computed from each other until the noise converges. The noise is at least
     ``noise_floor``.
 
-    Iterated feasible generalised least squares; for independent normal noise the fixed point is
-    the maximum-likelihood estimate (Oberhofer, Kmenta 1974).
+    This is iterated feasible generalised least squares. For independent normal noise its fixed
+    point is the maximum-likelihood estimate (Oberhofer, Kmenta 1974).
 
     Args:
         information: equations of all joints.
@@ -329,7 +329,12 @@ def _solve_by_decomposition(
 ) -> tuple[Array, Array]:
     """Return (solution x (p,), leverage (joints,)), by a decomposition of the equations.
 
-    The arguments are those of ``solver``, and its function's weights (joints,) [1/(N m)].
+    Leverage is that of ``joint_noise``.
+
+    Args:
+        information: equations of all joints, and the prior distribution or None.
+        prior: (p,) values that parameters keep that nothing identifies.
+        weights: (joints,) of each joint's equations [1/(N m)].
     """
     matrix, right_side = information.equations(weights)
     values, root = solve_rows(np.column_stack((matrix, right_side - matrix @ prior)))
@@ -370,10 +375,10 @@ class InformationAccumulator:
             self._joints.append(JointInformation(joint, indices, triangle, 0))
 
     def add(self, index: int, rows: Array, tau: Array) -> None:
-        """Add equations rows x = tau of one joint.
+        """Add equations rows x = tau of one joint to the rows collected so far.
 
         Args:
-            index: of the joint.
+            index: number of the joint, base to terminal.
             rows: (N, k) one column per index in the joint's ``columns``.
             tau: (N,) torque [N m].
         """

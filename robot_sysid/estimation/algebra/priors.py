@@ -292,7 +292,6 @@ def widened_groups(
 ) -> tuple[NuisanceGroup, ...]:
     """Return the groups with the factors alpha on their standard deviations that the data implies.
 
-
     Args:
         information: equations of all joints; their prior does not count.
         noise: (joints,) standard deviation of the torque noise [N m].

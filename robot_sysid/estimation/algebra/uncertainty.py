@@ -125,7 +125,7 @@ def uncertainty(
 
 
 def joint_space(information: SquareRootInformation, weights: Array) -> VisibleSpace:
-    """Return the space that data, by weights (joints,), and prior identify; ``inverse()`` is C."""
+    """Return the space that data and prior identify, by weights (joints,); its inverse() is C."""
     return triangle_space(whole_triangle(information, weights)[:, :-1])
 
 
@@ -367,7 +367,7 @@ def collect_residuals(
     weights: Array,
     to_add: bool = False,
 ) -> list[JointResiduals]:
-    """Return each joint's sums over lags and kernels from one pass over the samples.
+    """Return each joint's residuals in sums over time lags and kernels, by one pass over samples.
 
     Args:
         information: equations of all joints.
@@ -393,9 +393,9 @@ def joint_residuals(
     residual: Array,
     to_add: bool = False,
 ) -> JointResiduals:
-    """Return one joint's sums over lags and kernels.
+    """Return one joint's residuals in sums over time lags and kernels exp(-|l| / T_i).
 
-    Lags and time constants stay below a tenth of the number of samples.
+    Without ``to_add``, lags and time constants stay below a tenth of the number of samples.
 
     Args:
         columns: (k,) indices of the parameters of the joint's rows.
