@@ -249,7 +249,9 @@ class MotorSession:
         include them. HardwareAbort where a motor has a fault, does not answer, or two answers
         disagree about its position.
         """
+        # From here on every motor may be enabled.
         self.unconfirmed = self.joints
+        # The state of all motors before the first one is enabled.
         answers = []
         for j, joint in enumerate(self.joints):
             answers.append(self._ask(j, protocol.refresh_frame(joint.address)))

@@ -435,7 +435,7 @@ def write_film(
                 panel_with_cursor = panel.copy()
                 panel_with_cursor[:, columns[k]] = _CURSOR
                 writer.append_data(np.hstack((studio.render(), panel_with_cursor)))
-                progress.advance("Rendering", count, len(frames), "")
+                progress.advance("Rendering", done=count, total=len(frames), text="")
 
 
 def _draw_panel(preview: Preview) -> tuple[Picture, NDArray[np.int64]]:

@@ -285,7 +285,7 @@ def search_servos(
         """Return the derivative (M n + p, p) of the residuals by the unknowns; show progress."""
         nonlocal evaluations
         evaluations = min(evaluations + 1.0, MAX_EVALUATIONS - 0.5)
-        progress.advance(stage, evaluations, MAX_EVALUATIONS, "")
+        progress.advance(stage, done=evaluations, total=MAX_EVALUATIONS, text="")
         servos = parametrisation.servos(unknowns)
         # From the derivative by each number to that by its unknown.
         chain_rule = parametrisation.derivative(servos)[parametrisation.free]
@@ -308,7 +308,7 @@ def search_servos(
             ftol=_TOLERANCE,
             max_nfev=MAX_EVALUATIONS,
         ).x
-        progress.advance(stage, 1.0, 1.0, "")
+        progress.advance(stage, done=1.0, total=1.0, text="")
         if np.array_equal(x, stage_start):  # another search would not move either
             break
     return parametrisation.servos(x)

@@ -472,7 +472,7 @@ def _play_on(
     def show_progress(time: float) -> None:
         """Show how much of the plan has been played at ``time`` [s]; a hold has no known end."""
         if not holds:
-            console.advance("Playing", time, plan.duration, "")
+            console.advance("Playing", done=time, total=plan.duration, text="")
 
     def show_phase(phase: str) -> None:
         """Print the phase of the run that begins; holding is played like a trajectory."""

@@ -324,12 +324,12 @@ class Observer:
         shares = reported / np.where(is_made, commanded_torque, 1e-9)
         share = float(np.median(shares))
         is_steady = bool(np.all(np.abs(shares - share) < 0.2 * max(abs(share), 0.5)))
-        weak = np.count_nonzero(differs, axis=0) >= _ENOUGH - 1
+        often = np.count_nonzero(differs, axis=0) >= _ENOUGH - 1
         if is_steady and abs(share + 1.0) < 0.2:
             return "reports -1 times the torque that it was commanded to make: its sign is reversed"
-        is_weaker = 0.0 <= share < 1.0 and agreed_before or abs(share) < _NO_SCALE
+        is_weaker = (0.0 <= share < 1.0 and agreed_before) or abs(share) < _NO_SCALE
         if is_steady and is_weaker:
-            labels = [self._joints[j].label for j in np.flatnonzero(weak).tolist()]
+            labels = [self._joints[j].label for j in np.flatnonzero(often).tolist()]
             if len(labels) > 1:
                 return (
                     f"makes {share:.2f} times its commanded torque, and so do others "
