@@ -125,9 +125,10 @@ def _record_interrupts(process_ends: bool = False) -> Iterator[list[int]]:
 def _limit_libraries() -> None:
     """Keep numpy from starting threads, and MuJoCo from looking for windows.
 
-    Must come before they are imported. Threads only wait for each other on matrices this small: an
-    arm of 60 joints takes fifty times as long with four of them, so values that are set for other
-    programs are replaced. Code that draws chooses its own renderer (``preview.film``).
+    Sets environment variables, so it must be called before either library is imported. Threads only
+    wait for each other on matrices this small: an arm of 60 joints takes fifty times as long with
+    four threads, so values that are set for other programs are replaced. Code that draws chooses
+    its own renderer (``preview.film``).
     """
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ[name] = "1"
@@ -135,7 +136,10 @@ def _limit_libraries() -> None:
 
 
 def _report_unexpected(error: BaseException, debug: bool) -> int:
-    """Print an error that is not raised on purpose and return the exit code."""
+    """Print an error that is not raised on purpose and return the exit code.
+
+    It is that of InputError where the system refused a file, else that of SysidError.
+    """
     if isinstance(error, OSError) and error.strerror:
         # A file that is gone, a name that is too long, a disk that fails.
         fault = f"{error.strerror}: {error.filename or 'a temporary file'}"

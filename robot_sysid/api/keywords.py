@@ -263,9 +263,11 @@ def _keyword(match: re.Match[str]) -> str:
     if flag in _MOTOR_FLAGS:
         return flag[2:].replace("-", "_") + next_word
     option = _option_by_flag().get(flag)
+    # Some options are of commands alone.
     if option is None or option.key in ("verify_rollout", "torque_from", "output_dir"):
         return match[0]
     key = _NAMED.get(option.key, option.key)
+    # A switch takes no value.
     if option.parse is None:
         return f"{key}=True{next_word}"
     if word is None or not _is_value(option, word):

@@ -54,7 +54,9 @@ _SCALED = re.compile(
     r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*\s*(.+)", re.ASCII
 )
 _ANGLE_UNITS = ("rad", "deg")
+"""Units of angles that a user may declare."""
 _TIME_UNITS = ("s", "ms", "us", "ns")
+"""Units of time that a user may declare."""
 _LONGEST = 1_000_000
 """Largest number of characters of a columns file that are read: 10 000 long lines."""
 _BLANK = "?"

@@ -180,6 +180,7 @@ def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
 
 
 TableReader = Callable[[LogSource], LogTable]
+"""Reads a log of one form as a table."""
 _READERS = {
     b"\x89MCAP0": bag_table,
     b"#ROSBAG V": bag_table,
@@ -203,6 +204,7 @@ _FORM_OPTIONS = {
 STANDARD_INPUT = Path("-")
 """Stands for a log that is piped in."""
 _READ_TWICE = "a log is read twice: write it to a file, or pipe it into this command and call it -"
+"""End of the message that refuses a pipe or a device."""
 _FOLDERS: list[tempfile.TemporaryDirectory[str]] = []
 """Folder of the log that was piped in; it is removed when the process ends."""
 

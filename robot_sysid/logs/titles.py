@@ -108,7 +108,9 @@ _UNIT_TOKENS = _token_set(
     "s sec secs second seconds ms msec millis us usec µs micros ns nsec nanos rad rads radians deg "
     "degs degree degrees ° dps rpm mm nm mnm ncm knm s2"
 )
+"""Tokens of a title that are a unit, or a part of one."""
 _BRACKETS = re.compile(r"[\[({]([^\])}]*)[\])}]")
+"""Text in round, square or curly brackets."""
 
 
 @dataclass(frozen=True)
@@ -255,6 +257,7 @@ def collect_errors(faults: list[str]) -> Iterator[None]:
 QUANTITIES = ("position", "velocity", "torque", "joint_time", "command")
 """Quantities with a column per joint; ``joint_time`` is a joint's own time stamp."""
 REMEDY = "name the columns with --columns FILE"
+"""Remedy for columns that are not recognised."""
 Candidates = dict[str, list[list[int]]]
 """Quantity to the indices of the columns that could be it: a list per joint, base to terminal."""
 

@@ -382,8 +382,8 @@ _LONGEST_LINE = 100_000
 """Length up to which a line of an OBJ file is cut into words [bytes]."""
 _SIZE_ATTRIBUTES = {"hfield": ("nrow", "ncol"), "numeric": ("size",), "user": ("dim",)}
 """Tag to the attributes whose product is a count of numbers."""
-_MULTIPLIERS = ("replicate", "composite", "flexcomp")
-_PNG = b"\x89PNG\r\n\x1a\n"
+_MULTIPLIERS = ("replicate", "composite", "flexcomp")  # elements that make copies
+_PNG = b"\x89PNG\r\n\x1a\n"  # first bytes of a PNG file
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 """Colour type of a PNG file to its numbers per pixel."""
 _DEFLATE_RATIO = 1032.0
@@ -544,7 +544,7 @@ def _memory_of_file(path: Path, tag: str, form: str) -> float:
         raw = height * row
         pixel_bytes = _TEXEL_BYTES if tag == "texture" else _HEIGHT_BYTES
         memory = max(2.0 * raw, width * height * pixel_bytes)
-        # MuJoCo unpacks all that is there, and only then looks how much it should have been.
+        # MuJoCo unpacks all data before it compares their size; twice as much and 1 MB is no fault.
         largest = _DEFLATE_RATIO * size
         if largest > MAX_MEMORY > memory and _unpacks_beyond(stream, 2.0 * raw + 1e6):
             return largest

@@ -340,7 +340,7 @@ def _parse(file: SourceFile, max_elements: int) -> None:
     parser.StartElementHandler = start_element
     parser.EndElementHandler = end_element
     try:
-        parser.Parse(mask_comments(text), True)
+        parser.Parse(mask_comments(text), True)  # the whole text at once
     except expat.ExpatError as error:
         raise ModelError(
             f"Expected an XML model file, but {path} is not XML: {error}"

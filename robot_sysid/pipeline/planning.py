@@ -37,7 +37,7 @@ gentler, but an arm that sticks longer at its reversals shows less: 0.03 costs a
 def design_motion(
     config: SysidConfig, robot: RobotModel, progress: Progress
 ) -> tuple[CheckedPlan, int]:
-    """Return the motion of a run with its limit check, and the seed it was drawn with.
+    """Return the motion of a run with its limit check, and the seed it was drawn with, 0 for none.
 
     Args:
         config: settings of motion, design, limits, motors and estimate; without a seed, one is
@@ -45,6 +45,7 @@ def design_motion(
         robot: the arm.
         progress: receives stages, and the progress of a search.
     """
+    # A run that draws nothing has no seed.
     seed = config.with_seed().trajectory.seed or 0
     limits = config.limits
     motors = config.motors

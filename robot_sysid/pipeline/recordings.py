@@ -141,7 +141,7 @@ def identify_plant(
 def _traces_with_truth(
     traces: Callable[[], Traces], truth: InertialParameters
 ) -> Traces:
-    """Return computed traces that also hold the true parameters of a simulated arm."""
+    """Return what ``traces`` computes, with the true parameters of a simulated arm added."""
     return replace(traces(), truth=truth)
 
 
@@ -247,9 +247,9 @@ def _with_file_tests(
 
 
 def play_models(identification: Identification) -> RolloutTest:
-    """Simulate the model before and the one to be written beside the recorded motion.
+    """Simulate the original and the written model along recorded motions; return their errors.
 
-    Where logs were given that only test the result, those are played; else the last fifth of every
+    Where logs were given that only test the result, these are played; else the last fifth of every
     log, with a model identified from the first four fifths.
     """
     config = identification.config
