@@ -110,7 +110,7 @@ Series = tuple[Array, Array, Array]
 
 
 def window(time: Array, duration: float, fade: float) -> Series:
-    """Return w, w' and w'' (N,) of a window that rises from 0 to 1 and falls back at the end.
+    """Return w, w' and w'' (N,) of a window that rises from 0 to 1 and falls back to 0 at the end.
 
     Args:
         time: (N,) from 0 to the duration [s].
@@ -146,7 +146,7 @@ def apply_window(edge: Series, series: Series) -> Series:
 def sample_times(
     duration: float, sample_rate: float, start: float = 0.0, end: float = np.inf
 ) -> Iterator[Array]:
-    """Yield the sample times k / rate from 0 to the duration, both included, in chunks [s].
+    """Yield the sample times k / rate [s] from 0 up to the duration, in chunks of ``CHUNK``.
 
     Times before ``start`` and after ``end`` [s] are left out, but for the last one before ``start``
     and the first one after ``end``.
@@ -159,7 +159,7 @@ def sample_times(
 
 
 def sample_count(duration: float, sample_rate: float) -> int:
-    """Return the number of samples of a trajectory, both ends included."""
+    """Return the number of sample times k / rate from 0 up to the duration [s], at a rate [Hz]."""
     return int(np.floor(duration * sample_rate + 1e-6)) + 1
 
 
@@ -172,7 +172,8 @@ def motion_chunks(plan: MotionPlan, sample_rate: float) -> Iterator[Motion]:
 def spread_motion(plan: MotionPlan, count: int, rate: float = 200.0) -> Motion:
     """Return a plan's motion at a rate [Hz], or at ``count`` instants where that is fewer.
 
-    These instants follow the golden ratio, which no period of the motion can fall in step with.
+    The instants are multiples of the golden ratio modulo the duration, in ascending order: a
+    sequence that falls in step with no period of the motion.
     """
     n_samples = sample_count(plan.duration, rate)
     if n_samples <= count:
@@ -213,7 +214,9 @@ def generate_excitation_trajectory(
 
 
 def _center_and_reach(robot: RobotModel) -> tuple[Array, Array]:
-    """Return each joint's position at rest (n,), and how far it may move from there (n,)."""
+    """Return each joint's position at rest (n,), and how far it may move from there (n,) [rad; m
+    for slides].
+    """
     lower = robot.limits.lower
     upper = robot.limits.upper
     is_limited = np.isfinite(lower) & np.isfinite(upper)

@@ -210,7 +210,7 @@ class Equations:
         """Return the torque (N,) that the model's links make at one joint [N m].
 
         Args:
-            bodies: (N, k + 1) as ``self.bodies`` yields it for the joint.
+            bodies: as ``self.bodies`` yields it for the joint.
         """
         columns = bodies[:, :-1]
         n_carried = columns.shape[1] - N_INERTIAL
@@ -221,9 +221,9 @@ class Equations:
         return columns @ values + bodies[:, -1]
 
     def bodies(self, motion: Motion) -> Iterator[Array]:
-        """Yield (N, k + 1) per joint of ``joints``: columns of the terminal link, columns of the
-        estimated other links that the joint carries, and the torque of all other bodies, springs
-        and rotors [N m].
+        """Yield (N, 10 + 10 c + 1) per joint of ``joints``: columns of the terminal link, columns
+        of the c other estimated links that the joint carries, and the torque of all other bodies,
+        springs and rotors [N m].
 
         All of these are smooth functions of the motion (no sign of a speed), so that fewer samples
         are enough to filter them.
@@ -239,8 +239,9 @@ class Equations:
             yield np.concatenate(rows).T
 
     def friction(self, motion: Motion, loads: Iterable[Array]) -> Iterator[Array]:
-        """Yield (N, k + 1) per joint of ``joints``: columns of its friction terms, columns of the
-        motors that turn with this joint and others, and the known torque of friction [N m].
+        """Yield (N, f + 1) per joint of ``joints``: columns of its f friction parameters, those of
+        the motors that turn with this joint and others included, and the known torque of friction
+        [N m].
 
         The known torque is the model's friction of joints whose friction is not estimated, minus
         the model's torque of those rotors and shared motors that are estimated: the torque that
@@ -296,7 +297,8 @@ class Equations:
 
 
 def assemble_rows(bodies: Array, friction: Array, tau: Array) -> tuple[Array, Array]:
-    """Return (rows (N, k), right-hand side (N,)) of one joint's equations.
+    """Return (rows (N, k), right-hand side (N,) [N m]) of one joint's equations in k parameters:
+    the torque without what is known, and columns in the order of ``Equations.columns``.
 
     Args:
         bodies: as ``Equations.bodies`` yields it for the joint.

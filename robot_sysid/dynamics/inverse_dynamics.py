@@ -198,7 +198,9 @@ class BeyondRigidBodies:
 
 
 def _as_slice(index: Any) -> Any:
-    """Return addresses (n,) as a slice if they are consecutive, which is faster to write to."""
+    """Return addresses (n,) as a slice, which is faster to write to; as they are if they are not
+    consecutive.
+    """
     first = int(index[0])
     count = len(index)
     is_consecutive = np.array_equal(index, np.arange(first, first + count))
@@ -532,8 +534,8 @@ def tilt_axes(level: Array, gravity: Array | None = None) -> Array:
 
 
 def turn_gravity(gravity: Array, angles: Array, axes: Array | None = None) -> Array:
-    """Return gravity (3,) turned by two angles (2,) [rad] about two unit axes (2, 3) perpendicular
-    to gravity; None for its ``tilt_axes``.
+    """Return gravity (3,) [m/s^2] turned by two angles (2,) [rad] about two unit axes (2, 3) that
+    are perpendicular to gravity; ``axes`` None for ``tilt_axes(gravity)``.
     """
     turn = angles @ (tilt_axes(gravity) if axes is None else axes)
     # Rodrigues' formula for a perpendicular axis; numpy's sinc(x) is that of pi x.

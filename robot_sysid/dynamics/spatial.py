@@ -60,7 +60,8 @@ def fullinertia_from_symmetric(matrix: Array) -> Array:
 
 
 def theta_from_com(mass: float, com: Array, inertia_com: Array) -> Array:
-    """Return theta (10,) from mass, centre of mass (3,) and inertia about it (3, 3).
+    """Return theta (10,) from mass [kg], centre of mass (3,) [m] and inertia about the centre of
+    mass (3, 3) [kg m^2].
 
     Parallel-axis theorem: I_origin = I_com + m (|c|^2 1 - c c^T).
     """
@@ -70,7 +71,9 @@ def theta_from_com(mass: float, com: Array, inertia_com: Array) -> Array:
 
 
 def com_from_theta(theta: Array) -> tuple[float, Array, Array]:
-    """Return (mass, centre of mass (3,), inertia about it (3, 3)); a massless body keeps c = 0."""
+    """Return (mass, centre of mass (3,), inertia about the centre of mass (3, 3)) of a body with
+    theta (10,); the centre of mass of a body without mass is the origin.
+    """
     mass = float(theta[0])
     h = np.asarray(theta[1:4], dtype=float)
     com = h / mass if mass != 0.0 else np.zeros(3)
@@ -91,7 +94,8 @@ def aluminium_ball(mass: float, com: Array) -> Array:
 
 
 def principal_axes(inertia: Array) -> tuple[Array, Array]:
-    """Return (principal moments (3,), their axes (3, 3) as columns, right-handed).
+    """Return the principal moments (3,) of an inertia (3, 3), and their axes (3, 3) as columns of a
+    rotation.
 
     Of all orders and signs of the axes, those that turn the frame's own axes least: of the products
     with ``_TURNS`` (48, 3, 3), the one with the largest trace.
@@ -105,7 +109,8 @@ def principal_axes(inertia: Array) -> tuple[Array, Array]:
 
 
 def roll_pitch_yaw(rotation: Array) -> Array:
-    """Return angles (3,) about the fixed axes x, y, z [rad]: R = Rz(yaw) Ry(pitch) Rx(roll).
+    """Return the angles roll, pitch and yaw (3,) [rad] of a rotation R (3, 3) about the fixed axes
+    x, y and z: R = Rz(yaw) Ry(pitch) Rx(roll).
 
     Where pitch is a right angle, only the sum or difference of roll and yaw counts: yaw is zero.
     """
@@ -123,7 +128,7 @@ def roll_pitch_yaw(rotation: Array) -> Array:
 
 
 def quaternion(rotation: Array) -> Array:
-    """Return the unit quaternion (4,) w x y z of a rotation, w not negative."""
+    """Return the unit quaternion (4,) w x y z of a rotation (3, 3), w not negative."""
     from scipy.spatial.transform import Rotation
 
     # SciPy before 1.14 refuses arrays that cannot be written to.
@@ -143,7 +148,8 @@ def transform_theta(theta: Array, rotation: Array, translation: Array) -> Array:
 
 
 def pseudo_inertia(theta: Array) -> Array:
-    """Return the (..., 4, 4) pseudo-inertia J = [[S, h], [h^T, m]], S = tr(I)/2 1 - I.
+    """Return the (..., 4, 4) pseudo-inertia J = [[S, h], [h^T, m]] of theta (..., 10), that is
+    mass m, first moment h and inertia I, with S = tr(I)/2 1 - I.
 
     theta is physically consistent exactly when J is positive definite (Wensing, Kim, Slotine,
     "Linear matrix inequalities for physically consistent inertial parameter identification",
@@ -168,7 +174,9 @@ def is_consistent(theta: Array) -> bool:
 
 
 def parameter_scale(mass: float, length: float) -> Array:
-    """Return (10,) typical magnitudes of theta for a body of this mass [kg] and size [m]."""
+    """Return (10,) typical magnitudes of theta of a body of this mass [kg] and length [m]: m, m L
+    for first moments, m L^2 for inertias.
+    """
     return mass * np.array([1.0] + [length] * 3 + [length**2] * 6)
 
 

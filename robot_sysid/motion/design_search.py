@@ -177,6 +177,7 @@ def _search(
     started = design_module.clock()
     budget = options.time_budget or np.inf
     deadline = started + budget - min(0.5 * budget, CHECK_TIME)
+    # Numbers of the random trajectories, those of one job in each batch.
     numbers = range(options.draws)
     batches = [numbers[k : k + DRAWS_PER_JOB] for k in numbers[::DRAWS_PER_JOB]]
     n_jobs = len(batches) + options.starts + options.rounds
@@ -184,6 +185,7 @@ def _search(
     def report(n_done: int) -> None:
         """Show the progress after ``n_done`` jobs, and the errors by the best trajectory so far."""
         best = _best(candidates)
+        # Zero coefficients of a draw that keeps no limits give no errors.
         x = best.feasible_x if best else min(draws, key=lambda draw: draw.score).x
         errors = design.expected_errors(x)
         done: float = n_done
@@ -262,7 +264,9 @@ def _improve_starts(
 
 
 def _best(candidates: Sequence[Candidate]) -> Candidate | None:
-    """Return the best candidate that keeps all limits, of equally good ones the first; or None."""
+    """Return the best candidate with feasible coefficients, of equally good ones the first; None
+    where no candidate has any.
+    """
     best = min(candidates, key=lambda c: c.feasible_score, default=None)
     return None if best is None or best.feasible_x is None else best
 
@@ -470,9 +474,9 @@ def _run_jobs(
 def _submit(pool: ProcessPoolExecutor, jobs: Sequence[Job]) -> list[Future[Any]]:
     """Return the futures of jobs, in their order; submitting the first ones starts the workers.
 
-    Processes never get Ctrl-C, and do their linear algebra in one thread: the matrices are small,
-    and threads that wait for each other would cost as much as they gain. Environment variables that
-    are set already keep their values.
+    The workers ignore Ctrl-C, and do their linear algebra in one thread: the matrices are small,
+    and threads that wait for each other would cost as much as they gain. For that,
+    ``_THREAD_COUNTS`` are set in this process while workers start, where they have no value yet.
     """
     unset = [name for name in _THREAD_COUNTS if name not in os.environ]
     os.environ.update(dict.fromkeys(unset, "1"))

@@ -478,7 +478,7 @@ def _simulated_recording(
 def _link_mass_errors(
     problem: ExcitationProblem, posterior: ExpectedPosterior
 ) -> dict[str, float]:
-    """Return a dict from each link but the terminal one to its mass error over its mass."""
+    """Return the mass error over the mass of each link but the terminal one, by its name."""
     masses = {link.body_name: float(link.theta[0]) for link in problem.robot.links}
     unknowns = posterior.unknowns
     mass_errors = {}

@@ -208,7 +208,9 @@ def scale_to_limits(
     factors = np.minimum(1.0, (1.0 - RESERVE) / np.maximum(speed_share, RESERVE))
 
     def fits(factor: float) -> bool:
-        """Return whether the motion keeps all limits with this common factor beside the joints'."""
+        """Return whether the motion with amplitudes times ``factor`` and ``factors`` keeps all
+        limits.
+        """
         scaled = plan.scale_amplitudes(factor * factors)
         return keeps_limits(problem, scaled, rate)
 
@@ -347,6 +349,7 @@ def _tightest(
         sample = approach.first_beyond(limits)
         batch = 1
         while sample < len(motion.time) and tightest.slack >= stop_below:
+            # Up to ``batch`` samples are tested; how far pairs may move on follows from the last.
             last = min(sample + batch, len(motion.time)) - 1
             slacks = obstacles.slack(motion.q[sample:last]).value
             last_slack, row_slacks = obstacles.slack_at(motion.q[last])
@@ -468,7 +471,7 @@ def as_one(first: RobotModel, second: RobotModel) -> RobotModel:
     """
 
     def both(name: str) -> Any:
-        """Return the arrays of both arms under a dotted attribute name, one after the other."""
+        """Return the joined arrays of both arms' attribute of this name, which may have dots."""
         return np.concatenate([attrgetter(name)(arm) for arm in (first, second)])
 
     limits = ("lower", "upper", "velocity", "torque")

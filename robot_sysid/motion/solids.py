@@ -101,7 +101,7 @@ class Solid:
 
 
 def solids_of(mj_model: Any, bodies: Sequence[int]) -> list[Solid]:
-    """Return bodies with an extent of their own: MuJoCo's planes have none."""
+    """Return the shapes of bodies, given by MuJoCo ids, without those that are planes alone."""
     solids = [Solid(mj_model, int(body)) for body in bodies]
     return [solid for solid in solids if len(solid.points)]
 
@@ -264,7 +264,7 @@ def mounting_height(
     is_mesh = model.geom_type == _TYPES.mjGEOM_MESH
 
     def lowest_points(bodies: Any) -> dict[int, float]:
-        """Return the height of the lowest point of each body that has an extent [m]."""
+        """Return a dict from each body that is no plane to the height of its lowest point [m]."""
         heights = {}
         for solid in solids_of(model, bodies.tolist()):
             turn = data.xmat[solid.body].reshape(3, 3)

@@ -172,9 +172,11 @@ def _overload(
 
 
 def gentle_problem(problem: ExcitationProblem) -> ExcitationProblem:
-    """Return the problem with half of the torque limits and speeds of at most 0.6 rad/s or m/s.
+    """Return the problem with half of the torque limits and speed limits of at most 0.6 rad/s or
+    m/s.
 
-    Accelerations are smaller by the same factor as speeds: a motion of this band needs no more.
+    Acceleration limits are smaller by the same factor as speed limits, as slower sinusoids of the
+    same frequencies need no more.
     """
     limits = problem.limits
     velocity = np.minimum(limits.velocity, GENTLE)
@@ -361,7 +363,9 @@ def _motion_through(
 
 
 def pose_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
-    """Return in lines the standard error of a payload's mass from these poses, by noise alone."""
+    """Return lines on the poses of a plan, and on the standard error of a payload's mass from the
+    noise of torques in these poses.
+    """
     assert isinstance(plan, LineTrajectory)
     # The arm rests in each pose twice, one rest after the other.
     rests = plan.points[plan.dwells > 0.0][::2]

@@ -134,7 +134,9 @@ class FourierTrajectory:
 
     @property
     def cycle(self) -> tuple[float, float]:
-        """Period of the motion [s], and the time at each end in which it is not periodic [s]."""
+        """Period of the motion [s], and the time at each end, the fade, in which it does not repeat
+        itself [s].
+        """
         return 1.0 / self.basis.base_frequency_hz, self.basis.fade
 
     def evaluate(self, time: Array) -> Motion:
@@ -364,7 +366,7 @@ class SavedTrajectory:
             )
 
     def require_fits(self, joint_names: Sequence[str]) -> None:
-        """Raise InputError unless it was made for joints of these names, in this order."""
+        """Raise InputError unless the trajectory was made for joints of these names, in order."""
         if self.joint_names != tuple(joint_names):
             raise InputError(
                 f"--trajectory: made for the {len(self.joint_names)} joints "

@@ -121,6 +121,7 @@ class LowPass:
         if lost == 0:
             return self.kernel[0] * values
         count = max(0, len(values) - lost)
+        # A power of two, four to eight times as long as the kernel.
         size = 1 << (4 * len(self.kernel)).bit_length()
         gain = np.fft.rfft(self.kernel, size)
         gain = gain.reshape(-1, *(1,) * (np.ndim(values) - 1))

@@ -175,7 +175,9 @@ class ProcessedSignals:
         return [np.concatenate(chunks) for chunks in decimated.values()]
 
     def motion(self, samples: NDArray[np.int64] | slice) -> Motion:
-        """Return the motion (m, n) at samples: m indices, or a slice, which gives views."""
+        """Return the motion (m, n) at ``samples``: m indices of samples, or a slice of them, for
+        which the arrays are views.
+        """
         return Motion(
             self.time[samples], self.q[samples], self.qd[samples], self.qdd[samples]
         )

@@ -327,7 +327,9 @@ def condense_run(
 
 
 def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
-    """Return consecutive chunks of a log, whose optional columns are alike, as one measurement."""
+    """Return consecutive chunks of a log as one measurement; the first chunk determines which
+    optional columns it has.
+    """
     measurements = list(chunks)
     # ``qd`` has no default: it is None unless the chunks have velocities.
     columns: dict[str, Any] = {"qd": None}
