@@ -152,7 +152,8 @@ class Scaling:
         for field, name in enumerate(MitCommand._fields):
             outside = ~inside[..., field]
             if np.any(outside):
-                value = values[..., field][outside][0]
+                field_values = np.broadcast_to(values, inside.shape)[..., field]
+                value = field_values[outside][0]
                 motor = _first_motor(outside)
                 limit = self._high[motor, field]
                 raise InputError(

@@ -450,9 +450,9 @@ class MessagePattern:
             if group is None:
                 continue
             newest[group] = stamp, sample
-            oldest = 0  # too old for a row, as long as a group has sent nothing
-            if len(newest) == len(self.groups):
-                oldest = min(stamp for stamp, _ in newest.values())
+            oldest = min(group_stamp for group_stamp, _ in newest.values())
+            if len(newest) < len(self.groups):
+                oldest = min(oldest, 0)  # of a group that has sent nothing
             if group == self.groups[-1] and stamp - oldest <= _MAX_AGE:
                 row: dict[Key, float] = {}
                 for joints, (joint_stamp, joint_sample) in newest.items():

@@ -1,4 +1,4 @@
-"""The trajectory file, written and read; what is clamped; velocities against positions."""
+"""The trajectory file, written and read; what is clamped."""
 
 from __future__ import annotations
 

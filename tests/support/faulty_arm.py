@@ -117,7 +117,7 @@ class FaultyArm(SimulatedArm):
                 motor.tick(self.time)
             self._age(mechanism.timestep)
             ahead = mechanism.q + 0.5 * mechanism.timestep * mechanism.qd
-            torque, damping = self._load(*self._law(ahead))
+            torque, damping = self._load(*self._motor_torques(ahead))
             mechanism.step(torque, damping)
             self._keep()
 
@@ -178,7 +178,7 @@ class FaultyArm(SimulatedArm):
         slip = np.where(self.slip_is_felt, self.slip_rate, 0.0)
         return position, np.where(is_frozen, 0.0, slip), is_frozen
 
-    def _law(self, q):
+    def _motor_torques(self, q):
         """Return what the motors believe to make at positions q (n,): torque, and damping (n,)."""
         (p, v, kp, kd, t, brake, peak), driving = self._commands()
         position, slip, is_frozen = self._encoder(q)
@@ -215,7 +215,7 @@ class FaultyArm(SimulatedArm):
         qd = self.mechanism.qd
         position, slip, is_frozen = self._encoder(q)
         velocity = np.where(is_frozen, 0.0, qd + slip)
-        torque, damping = self._law(q)
+        torque, damping = self._motor_torques(q)
         share = np.where(self.share_is_reported, self.torque_share, 1.0)
         delivered = share * (torque - damping * qd)
         for joint_index, motor in enumerate(self.motors[: self.mechanism.n_joints]):
