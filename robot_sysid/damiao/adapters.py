@@ -63,7 +63,7 @@ class BusAddress(OptionRecord):
 
     @property
     def buses(self) -> Mapping[str, str]:
-        """Channel of each bus, by the bus's name in joint maps (files of the motor of each joint).
+        """Channel of each bus, by its name in joint maps (files with the motor of each joint).
 
         A bus without a name has its channel as its name. InputError where a name or a channel is
         given twice: a motor might then get the commands for a motor of another arm.

@@ -90,6 +90,7 @@ class MotorRun:
         self._tell = tell
         self.address = record_from(BusAddress, values)
         self.timing = record_from(BusTiming, values)
+        # Results of ``_order``, by the bytes of its two poses.
         self._order_between: dict[tuple[bytes, bytes], tuple[str, str]] = {}
 
     def plan(self) -> Plan:

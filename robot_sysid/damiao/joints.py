@@ -154,7 +154,7 @@ def matching_types(limits: tuple[float, float, float]) -> tuple[str, ...]:
 def limits_agree(
     expected: tuple[float, float, float], actual: tuple[float, float, float]
 ) -> bool:
-    """Tell whether two (PMAX, VMAX, TMAX) agree to a tenth of a percent of the expected ones."""
+    """Tell whether scaling limits (PMAX, VMAX, TMAX) agree within 0.1 % of the expected ones."""
     return np.allclose(actual, expected, rtol=_AGREEMENT, atol=0.0)
 
 
@@ -384,8 +384,7 @@ def read_joint_map(path: Path, names: Sequence[str] = ()) -> tuple[DamiaoJoint, 
         Joints without a motor type, each with ``bus`` 0 and the bus's name as ``channel``.
 
     Raises:
-        InputError: the file is unreadable, lacks columns or rows, a row is wrong, or names or ids
-            clash.
+        InputError: the file is unreadable or incomplete, a row is wrong, or names or ids clash.
     """
     if path.suffix == ".json":
         return _read_lerobot_map(path, names)
@@ -492,7 +491,8 @@ def _parse_row(row: Mapping[str, str | None], where: str) -> DamiaoJoint:
     """
     cells = {key.strip(): (cell or "").strip() for key, cell in row.items() if key}
     try:
-        can_id = int(cells["can_id"], 0)
+        # Base 0 reads decimal numbers and such as 0x12.
+        can_id = int(cells["can_id"], base=0)
         joint = DamiaoJoint(
             motor_type="",
             can_id=can_id,
@@ -556,7 +556,7 @@ def _lerobot_joints(
     sections = {key: section for key, section in content.items() if key in keys}
     if sections:
         for key, section in sections.items():
-            yield from _lerobot_joints(section, _SIDES.get(key, ""))
+            yield from _lerobot_joints(section, prefix=_SIDES.get(key, ""))
     elif "motor_config" in content:
         channel = str(content.get("port", ""))
         for name, (can_id, master_id, *_) in content["motor_config"].items():

@@ -240,9 +240,9 @@ def transfer_check(name: str, order: str, touching: str) -> Iterator[Check]:
 
 
 def _pose_excesses(robot: RobotModel, pose: Array) -> Iterator[str]:
-    """Yield a sentence for each joint of a parking pose (n,) [rad or m] outside its model range.
+    """Yield a sentence for each joint whose position in a parking pose is out of the model's range.
 
-    The n joints are those of ``robot``.
+    ``pose`` (n,) [rad or m] has the n joints of ``robot``.
     """
     limits = zip(robot.joint_names, pose, robot.limits.lower, robot.limits.upper)
     for j, (name, q, lower, upper) in enumerate(limits):
@@ -530,7 +530,7 @@ def gravity_check(
         return stepper.tip()
 
     def load_torque(q: Array) -> Array:
-        """Return the torque (n,) that holds a mass of 1 kg at the arm's end [N m].
+        """Return the torque (n,) [N m] that holds 1 kg at the arm's end in a pose q (n,) [rad].
 
         By virtual work it is minus gravity times the derivative of the end's position by q.
         """

@@ -208,7 +208,7 @@ class Player:
         self._motor_torque: Array
 
     def play(self, trajectory: ReferenceFunction, duration: float) -> PlayReport:
-        """Enable the motors, play a trajectory of ``duration`` [s], come to rest, return a report.
+        """Enable the motors, play a trajectory of ``duration`` [s], rest, park, return a report.
 
         The session disables the motors afterwards. After any error, motors that still answer are
         brought to rest; then HardwareAbort states the cause.
@@ -275,7 +275,7 @@ class Player:
         self._announce("coming to rest")
         last = trajectory(duration)
         self._phase(hold_reference(last), settings.rest_time)
-        self._leave(last, Reference(start, np.zeros_like(start), holding_torque))
+        self._leave(last, at_start=standing._replace(torque=holding_torque))
 
     def _hold_and_compare(self, reference: Reference) -> None:
         """Hold the arm still for ``rest_time``, and compare its torques with the expected ones.
@@ -293,7 +293,7 @@ class Player:
     def _leave(self, last: Reference, at_start: Reference) -> None:
         """Park the arm as the argument ``park`` of this class says.
 
-        ``last`` is the present reference, ``at_start`` that of the arm where it stood at first.
+        ``last`` is the present reference, ``at_start`` that of the arm before it first moved.
         """
         if self._park is None:
             return
@@ -319,10 +319,10 @@ class Player:
     def _lower_from(self, begin: Reference) -> paths.Lowering:
         """Return the reference that lowers the arm from ``begin``.
 
-        It becomes the follower, to which ``_exchange`` passes the torques of every cycle.
+        It becomes the follower, to which ``_exchange`` passes the torques of every cycle. Without a
+        model nobody knows where the arm comes to lie, so the range of commands is opened.
         """
         if not self._holding.is_model:
-            # Nobody knows where an arm without a model comes to lie.
             self._session.open_range()
         session = self._session
         speed = self._settings.approach_speed
@@ -442,7 +442,7 @@ class Player:
     ) -> None:
         """Record a cycle and report progress at intervals.
 
-        ``time`` is that since the trajectory began [s], at ``origin`` in the clock [s].
+        ``time`` [s] counts since the trajectory began, at ``origin`` in the clock [s].
         """
         self._n_recorded += 1
         if self._recorder:
@@ -485,8 +485,8 @@ class Player:
         """Return the reference that stops the arm, from the last reference and the believed state.
 
         It becomes the follower, to which ``_exchange`` passes the state of every cycle. A joint
-        that left its path in the direction of its feed-forward torque gets none any more, because
-        this torque is wrong; a joint that sank against it would sink farther without.
+        that left its path in the direction of its feed-forward torque gets no such torque any more,
+        because it is wrong; a joint that sank against the torque would sink farther without it.
         """
         observer = self._observer
         settings = self._settings
@@ -541,7 +541,7 @@ class Player:
                 self._stop_cycle(reference(deadline - origin))
 
     def _stop_cycle(self, target: Reference) -> None:
-        """Command a reference in a stop, limited to the bounds of commands, to unfailed motors."""
+        """Send a stop's reference, within the bounds of commands, to all motors but failed ones."""
         # A motor that does not answer may still obey, so only failed ones are left out.
         is_driven = ~self._observer.failed
         command = self._command_for(target)

@@ -428,7 +428,7 @@ def _condition_checks(
 def _id_register_checks(
     motor: InspectedMotor, joint: DamiaoJoint, name: str
 ) -> Iterator[Check]:
-    """Yield a stop for each id of a motor that differs from its joint's; messages have ``name``."""
+    """Yield a stop for each id of a motor, called ``name``, that differs from its joint's."""
     can_id = int(motor.registers[protocol.ESC_ID])
     master_id = int(motor.registers[protocol.MST_ID])
     if can_id != joint.can_id:
@@ -556,8 +556,9 @@ def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
 
     Args:
         plan: plan with the joints and the first point.
-        model: computes the torques that hold the arm; None for the torques of the trajectory, then
-            unknown directions are noted and do not stop the run.
+        model: computes the torques that hold the arm; None for the torques of the trajectory.
+            Without a model, or if the user permits them, unknown directions are only noted;
+            otherwise they stop the run.
     """
     holding = model or FileHolding(plan.trajectory)
     joints = holding.unverified_joints(plan.trajectory.q[0])
@@ -582,7 +583,7 @@ def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
 
 
 def _start_checks(plan: Plan, q: Array) -> Iterator[Check]:
-    """Yield a stop for each joint that is too far from the first point at q (n,) [rad]."""
+    """Yield a stop for each joint whose position in q (n,) [rad] is far from the first point."""
     tolerance = plan.settings.start_tolerance
     for joint, position, first in zip(plan.trajectory.joints, q, plan.trajectory.q[0]):
         distance = abs(position - first)

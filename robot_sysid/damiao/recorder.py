@@ -88,7 +88,7 @@ class Aside:
             self._waiting.put(action)
 
     def if_idle(self, action: Action) -> None:
-        """Run an action that may be dropped, such as a progress bar, unless others are waiting."""
+        """Run an action, such as a progress bar, or drop it if other actions are still waiting."""
         if self._waiting.empty():
             self(action)
 

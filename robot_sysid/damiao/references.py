@@ -50,7 +50,7 @@ def trajectory_reference(
     speed its inertial share is too large, which the position control compensates.
 
     Args:
-        trajectory: at least two rows.
+        trajectory: trajectory with at least two rows.
         speed: factor of the file's velocities; its times are divided by this factor.
     """
     times = trajectory.time
@@ -107,8 +107,8 @@ def transfer_reference(
     """Return a motion from rest at ``start`` to rest at ``target``, and its duration [s].
 
     The arm rests at each corner of the path, see ``poses_between``. After a share s of a line's
-    time it has covered the share 10 s^3 - 15 s^4 + 6 s^5 of this straight line, whose peak speed is
-    15/8 = 1.875 of the mean.
+    time it has covered the share 10 s^3 - 15 s^4 + 6 s^5 of this straight line; the peak speed is
+    15/8 = 1.875 of the mean speed.
 
     Args:
         start: begin; its velocity is ignored.
@@ -239,7 +239,8 @@ class Lowering:
         self._full_load = _FULL_LOAD * peak
         self._range = command_range
         self.torque: Array = np.full(len(peak), np.nan)
-        self._time = self._moved_at = 0.0
+        self._time = 0.0
+        self._moved_at = 0.0
 
     def __call__(self, time: float) -> Reference:
         """Return the reference at ``time`` [s] after the beginning; times never go back.
@@ -328,7 +329,7 @@ class HoldingCheck:
         self.is_model = load is not None
 
     def unverified_joints(self, q: Array) -> list[DamiaoJoint]:
-        """Return the unverified joints whose load at q (n,) [rad] cannot show their direction."""
+        """Return the unverified joints whose load at q (n,) [rad] does not show how they turn."""
         is_bare = np.abs(self._expected_torque(q)) <= _LOADED * self.doubt
         joints = zip(self._joints, is_bare)
         return [joint for joint, bare in joints if bare and not joint.verified]
@@ -449,7 +450,7 @@ class StopStart:
         reference: reference commanded last.
         q: last believed positions; NaN where unknown [rad].
         qd: last believed velocities; NaN where unknown [rad/s].
-        fed: torque that carries the arm at rest, from its model or the feed-forward torque [N m].
+        fed: torque that carries the arm at rest: its model's or the last feed-forward torque [N m].
         kp: stiffness of the motors [N m/rad].
         kd: damping of the motors [N m s/rad].
         stuck: whether a joint is blocked: the torque of its position error is removed.
