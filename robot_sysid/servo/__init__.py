@@ -118,7 +118,7 @@ class ServoIdentification:
 
     @property
     def joint_numbers(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """Each joint's numbers by name, as in ``UNITS``.
+        """Each joint's numbers: by the joint's name, then by a key of ``UNITS``.
 
         A number is a dict of "before" (NaN where the model has none), "value", "standard_error" and
         "source" ("identified" or "from_model").
@@ -143,7 +143,7 @@ class ServoIdentification:
         return numbers_of_joint
 
     def changes(self) -> tuple[list[JointChange], list[ActuatorChange]]:
-        """Return the changes of the model file's joints and position actuators.
+        """Return the changes of the model file's joints that move and of their position actuators.
 
         Of the damping of joint and servo together, the servo gets its share in the model as its kv,
         the joint the remainder. An actuator's numbers are those at the motor: a gear g makes them
@@ -158,16 +158,17 @@ class ServoIdentification:
             joint_changes.append(
                 JointChange(
                     self.robot.joint_names[k],
-                    float(servos.armature[k]),
-                    float(servos.damping[k]) - kv,
-                    float(servos.frictionloss[k]),
+                    armature=float(servos.armature[k]),
+                    damping=float(servos.damping[k]) - kv,
+                    frictionloss=float(servos.frictionloss[k]),
                 )
             )
             if self.has_servo[k]:
                 squared_gear = float(actuators.gear[k]) ** 2
                 gain = float(servos.stiffness[k]) / squared_gear
                 index = int(actuators.index[k])
-                actuator_changes.append(ActuatorChange(index, gain, kv / squared_gear))
+                damping = kv / squared_gear
+                actuator_changes.append(ActuatorChange(index, gain, damping))
         return joint_changes, actuator_changes
 
     def json_content(self) -> dict[str, Any]:
@@ -346,8 +347,8 @@ def identify_servos(
 
     The poses are a motion (``_POSITIONS``, n) without velocity; the written model is checked there.
     The beginnings of the logs are fitted and their ends, or the validation log, are held out to
-    compare the models. Numbers that the data does not show go back to the model's. At last the
-    remaining numbers are fitted to the whole logs.
+    compare the models. Numbers that the data does not show go back to the model's. Without a
+    validation log, the other numbers are at last fitted to the whole logs.
 
     Args:
         robot: the arm as in the model file.
@@ -357,7 +358,7 @@ def identify_servos(
     names = robot.joint_names
 
     def read(path: Path) -> MeasurementLog:
-        """Return a log with its commands."""
+        """Return the log in a file, with its commands; announce that it is read."""
         progress.stage(f"Reading commands and positions from {path}...")
         return open_log(robot, path, replace(logs, commanded=True), progress)
 

@@ -40,7 +40,7 @@ class ServoProblem:
     """Windows of logs and the position errors of rollouts in them.
 
     Attributes:
-        rollouts: play the windows on the arm's model.
+        rollouts: plays the windows on the arm's model.
         windows: for each window its start and commands, the times after its start at which errors
             count (m,) [s], and the positions measured then (m, n). M is the sum of all m.
         edges: (S + 1,) ends of the S rollout steps of every window, from its start [s].
@@ -66,7 +66,10 @@ class ServoProblem:
         return np.asarray(np.abs(speed) > 0.1 * np.sqrt(np.mean(speed**2, axis=0)))
 
     def positions(self, candidates: Sequence[ServoParameters]) -> Iterator[Array]:
-        """Yield the positions (W, S + 1, n) of each candidate in W windows of S steps."""
+        """Yield the played positions (W, S + 1, n) of each candidate in W windows of S steps.
+
+        They are those at the start and at the end of each step; NaN once a rollout has diverged.
+        """
         starts = [window for window, _, _ in self.windows]
         return self.rollouts.positions(candidates, starts, self.edges)
 
