@@ -1,4 +1,4 @@
-"""Checks of a log against the model, before anything is estimated from it; here their findings."""
+"""Checks of a log against the arm's model before an estimate: the record of one finding."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import Enum
 
 
 class Level(Enum):
-    """Severity of a finding: it forbids an estimate, asks for consent, or only informs."""
+    """Severity of a finding: REFUSE forbids an estimate, WARN needs consent, NOTE only informs."""
 
     REFUSE = "refuse"
     WARN = "warn"
@@ -19,7 +19,7 @@ class Finding:
     """One fault of a log, or sign of one.
 
     Attributes:
-        name: of the check, a key of ``logs.CHECKS``.
+        name: name of the check that made the finding, a key of ``logs.CHECKS``.
         level: severity.
         text: the fault and what to do, for the user.
     """

@@ -1,4 +1,6 @@
-"""Torques along a log that the explanations of its faults are made of.
+"""Torques of the fitted base model along a log, from which explanations of faults are made.
+
+The base model is the model of a log without faults (``log_model.LogModel`` without explanations).
 
 Throughout, K is the number of instants, n that of joints, p that of parameters.
 """
@@ -30,6 +32,7 @@ class BaseFit:
 
     Attributes:
         log: equations of the log.
+        robot: the arm of the log.
         values: (p,) parameters of the fitted base model.
         time: (K,) from -1 at the first row to 1 at the last.
         rigid: (K, n) inverse-dynamics torque of the links [N m], the last one as fitted, all others
@@ -85,7 +88,7 @@ class BaseFit:
 
     @cached_property
     def last_link(self) -> Array:
-        """The torque (K, n, 10) per unit of each inertial parameter of the last link."""
+        """The torque (K, n, 10) [N m] per unit of each inertial parameter (SI) of the last link."""
         return self.log.columns_of(PARAMETER_NAMES)
 
     def derivative(self, torque: Array) -> Array:

@@ -3,8 +3,8 @@
 The base model has the parameters and priors of the estimate. Each explanation adds columns to it
 and is scored by the gain in log marginal likelihood, with noise estimated anew. The best one is
 named where it gains ``MARGIN`` nats; explanations within ``TIE`` nats of it are named together with
-it, because the log cannot distinguish them. Then the best one joins the base model, and the others
-are scored again.
+it, because the log cannot distinguish them. Then the best one joins the base model, and the other
+explanations are scored again. Unexplained torque (misfit) is that of ``plausibility.misfit``.
 
 Throughout, K is the number of instants, n that of joints, k that of the base model's estimated
 parameters, e that of an explanation's coefficients. Coefficients of a ``Posterior`` are deviations
@@ -53,9 +53,11 @@ RELABELLED_MARGIN = 8.0
 TIE = 6.0
 """Difference in gain within which two explanations count as equally likely [nats]."""
 LEAST_SHARE = 0.015
-"""Least share of the torque that an explanation of one joint has to explain to be reported."""
+"""Share of the torque that an explanation of one joint, or a mere note, has to exceed to be
+reported."""
 MATTERS = 1.0
-"""Change of a parameter of the last link, in standard errors, that makes an explanation harmful."""
+"""Change of a parameter of the last link, in standard errors, above which the explanation that
+causes it is harmful."""
 HARMFUL_SHARE = 0.05
 """Share of the torque above which an explanation is harmful."""
 MOST_NAMES = 3
@@ -69,35 +71,37 @@ GROSS = 0.05
 GROSS_JOINT = 0.5
 """Share of one joint's torque that is unexplained above which relabellings are tried."""
 SMALL = 0.02
-"""Share of unexplained torque that a relabelling may always leave, even if the log has less."""
+"""Share of unexplained torque that a relabelling may always leave, even where the base model leaves
+less."""
 TYPICAL_STRAIN = 7.0
 """``strain`` of typical arms: squared deviation of their links from the model."""
 ODD_SCALE = 1.3
-"""Ratio of measured torque to the model's above which torque scales are tried."""
+"""Ratio of measured torque to the model's, or its inverse, above which torque scales are tried."""
 STRETCHES = 8
 """Number of stretches of a log whose unexplained torque is compared."""
 CONCENTRATED = 0.4
 """Share of all unexplained torque in one stretch above which the stretch is named."""
-# Number of explanations whose noise is estimated anew in the first round.
+# Number of families of explanations whose noise is estimated anew in the first round.
 _REFITTED = 8
-# Number of explanations whose noise is estimated anew in each later round.
+# Number of families of explanations whose noise is estimated anew in each later round.
 _REFITTED_AGAIN = 4
-# Least gain, with the noise of the model, of explanations whose noise is estimated anew [nats].
+# Least gain at the model's noise of an explanation whose noise is estimated anew [nats].
 _WORTH = 3.0
-# Largest number of rounds, and so of explanations that act together.
+# Largest number of rounds. Each adds one explanation, so it also limits how many act together.
 _MOST_ROUNDS = 5
 
 
 @dataclass(frozen=True)
 class Score:
-    """An explanation fitted to a log together with a model.
+    """An explanation fitted to a log, together with the model that it was added to.
 
     Attributes:
         explanation: the fault that was fitted.
-        gain: increase of the log marginal likelihood [nats], minus the log of ``choices``.
+        gain: increase of the log marginal likelihood by the explanation [nats], minus the log of
+            ``Explanation.choices``, the number of similar explanations that were tried.
         values: (e,) coefficients of the explanation, in units of its columns.
-        errors: (e,) their standard errors.
-        sureness: distance of all coefficients together from zero, in standard errors.
+        errors: (e,) standard errors of ``values``.
+        sureness: Mahalanobis distance of the coefficients from zero, in standard errors.
         posterior: posterior of the model with the explanation's columns.
     """
 
@@ -110,7 +114,7 @@ class Score:
 
     @property
     def text(self) -> str:
-        """The explanation in words, with what to do."""
+        """The fault in words, with its size and what the user should do."""
         return self.explanation.describe(self.values, self.errors)
 
     @property
@@ -128,10 +132,10 @@ class Score:
 
     @property
     def is_reportable(self) -> bool:
-        """Whether the explanation is significant and worth a finding.
+        """Whether the explanation is significant, possible, and large enough for a finding.
 
-        It is worth one if it is a fault of the whole log (of no single joint, and not a mere note)
-        or explains ``LEAST_SHARE`` of the torque.
+        It is significant from ``SURE`` standard errors, and large enough if its torque is more than
+        ``LEAST_SHARE`` of all torque. A warning or refusal on all joints may be smaller.
         """
         explanation = self.explanation
         if self.sureness < SURE or not self.is_possible:
@@ -140,15 +144,18 @@ class Score:
         return is_of_log or self.torque_share > LEAST_SHARE
 
     def is_harmful(self, previous: Posterior) -> bool:
-        """Return whether a result without this explanation would be wrong.
+        """Return whether an estimate that ignores the fault would be wrong.
 
-        ``previous`` is the posterior of the model to which the explanation was added.
+        It would be if the explanation is of level REFUSE, its first coefficient reaches
+        ``harmful_from``, a parameter of the last link changes by more than ``MATTERS`` standard
+        errors, or more than ``HARMFUL_SHARE`` of the torque is explained. ``previous`` is the
+        posterior of the model to which the explanation was added.
         """
         explanation = self.explanation
         is_large = bool(abs(self.values[0]) >= explanation.harmful_from)
         if is_large or explanation.level is Level.REFUSE:
             return True
-        # Of the last link's ten parameters, in units of their prior standard deviations.
+        # (10,) of the last link's parameters, in units of their prior standard deviations.
         change = self.posterior.coefficients[:10] - previous.coefficients[:10]
         errors = np.sqrt(np.diag(previous.covariance)[:10])
         moves_last_link = bool(np.any(np.abs(change) > MATTERS * errors))
@@ -156,7 +163,7 @@ class Score:
 
 
 class Contest:
-    """One log, the fit of the base model to it, and the scores of explanations.
+    """The base model fitted to one log, with the methods that score corrections and explanations.
 
     Args:
         robot: the arm with its model.
@@ -180,9 +187,13 @@ class Contest:
     def corrections(self, divided: Array, winner: Score | None) -> list[Correction]:
         """Return plausible corrections of mistaken columns, the largest gain first.
 
-        Corrections of motions need new rows and are tried only where the best explanation, or the
-        base model if there is none, leaves gross misfit or implausible links. A correction is
-        plausible if it fits no worse than the base model and keeps friction braking.
+        Corrections of torques are always tried. Those of motions, alone or with torques, need new
+        rows and are tried only where the best explanation, or the base model if there is none,
+        leaves gross misfit or implausible links. Torque scales are tried in these cases and where
+        measured and modelled torque differ by a factor of more than ``ODD_SCALE``.
+
+        A correction is plausible if its misfit is at most ``SMALL`` or that of the base model, its
+        links pass ``is_plausible``, and it keeps friction braking.
 
         Args:
             divided: (n,) torque scales by which the torques were divided already.
@@ -210,9 +221,12 @@ class Contest:
         return sorted(plausible, key=lambda correction: -correction.gain)
 
     def rounds(self) -> list[list[Score]]:
-        """Return, for each round, the winning score and those within ``TIE`` of it, winner first.
+        """Return per round the scores within ``TIE`` nats of the largest gain, the winner first.
 
-        Each round starts from the model with the winners of the previous rounds.
+        The winner is the score with the largest gain whose coefficients are possible; where none
+        of these are, the one with the largest gain. Each round starts from the model with the
+        winners of the previous rounds. The rounds end when no explanation gains ``MARGIN``, or
+        after ``_MOST_ROUNDS``.
         """
         fit = BaseFit(self.posterior, self.signals, is_plausible(self.posterior))
         offered = []
@@ -228,27 +242,30 @@ class Contest:
             if not ranked or ranked[0].gain < MARGIN:
                 break
             ties = [score for score in ranked if score.gain > ranked[0].gain - TIE]
-            # Of equally likely explanations, one that its coefficients do not contradict.
+            # Of equally likely explanations, those come first whose coefficients are possible.
             ties.sort(key=lambda score: not score.is_possible)
             winners.append(ties)
             model = ties[0].posterior
         return winners
 
     def is_estimated(self, explanation: Explanation) -> bool:
-        """Return whether the estimate has a free parameter for the cause of an explanation."""
+        """Return whether the estimate itself has a free parameter for this fault.
+
+        That is so for a delay or tilt of all joints where the options ask to find it ("auto").
+        """
         settings = {"delay": self.options.delay, "tilt": self.options.tilt}
         return explanation.joint is None and settings.get(explanation.name) == "auto"
 
 
 Blocks = dict[int, Array]
-"""Index of each joint on which an explanation acts, to its columns there: (K, e), transformed like
-the model's rows, in units of the coefficients' prior standard deviations."""
+"""Index of each joint on which an explanation acts, to the explanation's columns (K, e) there. They
+are transformed like the model's rows, per prior standard deviation of the coefficients."""
 
 
 def transform_columns(model: LogModel, offered: Sequence[Explanation]) -> list[Blocks]:
-    """Return the transformed columns of each of the offered explanations, in their order.
+    """Return the columns of each offered explanation, transformed like the rows of the model.
 
-    The columns of all explanations at one joint are transformed in one call.
+    The list has the order of ``offered``. All columns at one joint are transformed in one call.
     """
     transformed: list[Blocks] = [{} for _ in offered]
     for joint in range(len(model.rows)):
@@ -274,13 +291,13 @@ def screen_gains(posterior: Posterior, columns: Sequence[Blocks]) -> Array:
 
     With E the columns of the explanation, A those of the model, r the residual and C the posterior
     covariance, in units of noise and prior, the gain is 1/2 v' P^-1 v - 1/2 log |P|, with v = E'r
-    and P = 1 + E'E - (A'E)' C (A'E), the posterior precision of the explanation's coefficients.
+    and P = I + E'E - (A'E)' C (A'E), the posterior precision of the explanation's coefficients.
 
     Args:
         posterior: posterior of the model without the explanations.
         columns: ``transform_columns`` of the explanations.
     """
-    # The columns E of all explanations stand side by side: the slice of each, and its 1 + E'E.
+    # The columns E of all explanations stand side by side: the slice of each, and its I + E'E.
     slices = []
     squares = []
     width = 0
@@ -324,11 +341,12 @@ def _rank(
     columns: Sequence[Blocks],
     count: int,
 ) -> list[Score]:
-    """Return the score of the best explanation of each family, the best families first.
+    """Return the scores of the best explanations of the best families, the largest gain first.
 
-    A family are explanations of one check and joint that differ in a setting, such as the instant
-    of a payload's change. All are compared at the noise of the model; the best of the ``count``
-    best families are then scored with noise estimated anew, and refined.
+    A family consists of the explanations of one check and joint that differ in a setting, such as
+    the instant of a payload's change. All explanations are compared at the noise of the model. The
+    best one of each of the ``count`` best families, if it gains more than ``_WORTH``, is scored
+    with noise estimated anew; if it then gains more than ``MARGIN``, its setting is refined.
 
     Args:
         model: posterior of the model that the explanations are added to.
@@ -354,8 +372,10 @@ def _rank(
 def _score(previous: Posterior, explanation: Explanation, columns: Blocks) -> Score:
     """Return the score of an explanation added to a model, with noise estimated anew.
 
-    ``previous`` is the posterior of the model without the explanation; ``columns`` are those of the
-    explanation, transformed.
+    Args:
+        previous: posterior of the model without the explanation.
+        explanation: the fault to add.
+        columns: ``transform_columns`` of the explanation.
     """
     model = previous.model
     width = len(explanation.spread)
@@ -379,10 +399,14 @@ def _score(previous: Posterior, explanation: Explanation, columns: Blocks) -> Sc
 
 
 def _refine(previous: Posterior, score: Score) -> Score:
-    """Return the best score of an explanation and of similar ones, searched uphill.
+    """Return the best score that hill climbing from an explanation to similar ones reaches.
 
     Each step goes to the best of the explanations that ``Explanation.nearby`` returns, as long as
-    the gain increases. ``previous`` is the posterior of the model without the explanation.
+    the gain increases.
+
+    Args:
+        previous: posterior of the model without the explanation.
+        score: score of the explanation to start from.
     """
     best = score
     model = previous.model
@@ -401,10 +425,12 @@ def _refine(previous: Posterior, score: Score) -> Score:
 def findings(contest: Contest, divided: Array) -> list[Finding]:
     """Return the findings of a contest; none where the log fits its model.
 
-    Mistaken columns are considered first, then unexplained torque, implausible links and too many
-    causes, and last explanations. The first of these kinds that applies is returned alone.
+    Mistaken columns are considered first, then unexplained torque, implausible links, too many
+    causes, and last the explanations of the first ``MOST_NAMES`` rounds. Only the findings of the
+    first of these that applies are returned.
 
     Args:
+        contest: the log with its base model.
         divided: (n,) torque scales by which the torques were divided already.
     """
     rounds = contest.rounds()
@@ -433,10 +459,14 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
 
 
 def is_better(correction: Correction, winner: Score | None) -> bool:
-    """Return whether a correction gains enough by itself and beside the best explanation.
+    """Return whether a correction explains the log better than the best explanation does.
 
-    ``winner`` is that explanation, None where there is none. One of the correction's own check is
-    one aspect of that fault and does not compete.
+    It has to gain more than ``RELABELLED_MARGIN``, and more than the explanation's gain less
+    ``TIE``. An explanation of the correction's own check describes the same fault and is no rival.
+
+    Args:
+        correction: the correction to judge.
+        winner: the best explanation of the first round; None where there is none.
     """
     least = RELABELLED_MARGIN
     if winner is not None and winner.explanation.name != correction.finding.name:
@@ -445,9 +475,10 @@ def is_better(correction: Correction, winner: Score | None) -> bool:
 
 
 def name_causes(base: Posterior, rounds: Sequence[Sequence[Score]]) -> list[Finding]:
-    """Return a finding per round whose winner is reportable and has a new subject.
+    """Return a finding for each round whose winner is reportable and has a new subject.
 
-    A subject is a check with a joint. Explanations that tie with the winner are named in the same
+    The subject of an explanation is its check and joint. It is new if no earlier round has named
+    it. Explanations that tie with the winner and are reportable, too, are named in the winner's
     finding, the best one of each check.
 
     Args:
@@ -474,10 +505,14 @@ def name_causes(base: Posterior, rounds: Sequence[Sequence[Score]]) -> list[Find
 
 
 def _finding(scores: Sequence[Score], previous: Posterior) -> Finding:
-    """Return one finding for explanations that tie, the winner first.
+    """Return one finding that names all explanations of a tie.
 
-    Its level is the most severe one of the harmful explanations; a note where none is harmful.
-    ``previous`` is the posterior of the model without these explanations.
+    It has the check of the first score. Its level is the most severe one of the harmful
+    explanations, NOTE where none is harmful.
+
+    Args:
+        scores: scores of the explanations, the winner first.
+        previous: posterior of the model without these explanations.
     """
     ascending = (Level.NOTE, Level.WARN, Level.REFUSE)
     severity = 0
@@ -492,7 +527,10 @@ def _finding(scores: Sequence[Score], previous: Posterior) -> Finding:
 
 
 def unexplained_torque(posterior: Posterior) -> Finding:
-    """Return the finding that torque is unexplained: its share, three worst joints and its time."""
+    """Return the finding that torque is unexplained: its share, the three worst joints, and when.
+
+    It is of the check "model" above ``OTHER_ARM``, else of "unexplained".
+    """
     log = posterior.model.log
     by_joint = misfit_by_joint(posterior)
     share = misfit(posterior)
@@ -510,9 +548,10 @@ def unexplained_torque(posterior: Posterior) -> Finding:
 
 
 def stretch_of_misfit(posterior: Posterior) -> str:
-    """Return a phrase on the stretch of time with ``CONCENTRATED`` of the residual; else "".
+    """Return a phrase that names the stretch of the log with most of the unexplained torque.
 
-    The log is cut into ``STRETCHES`` of equally many rows.
+    The log is cut into ``STRETCHES`` stretches of equally many rows. The phrase is "" where none
+    has ``CONCENTRATED`` of the squared residual, summed over joints relative to their torque.
     """
     model = posterior.model
     residual = model.inverse_transform(posterior.residual) / model.log.typical_torque
@@ -526,9 +565,11 @@ def stretch_of_misfit(posterior: Posterior) -> str:
 
 
 def too_many_causes(base: Posterior, named: Sequence[Finding]) -> Finding:
-    """Return the finding that a log needs more explanations at once than are likely.
+    """Return the finding that it takes more explanations at once than are likely to fit a log.
 
-    ``base`` is the posterior of the base model, ``named`` the findings of its explanations.
+    Args:
+        base: posterior of the base model.
+        named: findings on the log's explanations, which the text lists by check.
     """
     share = percent(misfit(base))
     count = len(named)

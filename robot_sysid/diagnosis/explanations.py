@@ -1,12 +1,13 @@
 """Faults of a log or its model as explanations: each is a few columns with a normal prior.
 
-An explanation adds torque that is linear in its coefficients to the base model, linearised around
+The base model is the model of a log without faults, with the parameters and priors of the estimate.
+An explanation adds torque to it that is linear in the explanation's coefficients, linearised around
 the base model's estimate. To add one, add a function to ``LINEAR`` that takes the base model's fit
 and yields explanations.
 
-Throughout, K is the number of instants, n that of joints, e that of coefficients; [:, :, None]
-makes the torque (K, n) of one coefficient an array of columns (K, n, 1). In texts {value} stands
-for the number with its error, {joint} for the joint's name.
+Throughout, K is the number of instants, n that of joints, e that of an explanation's coefficients;
+[:, :, None] makes the torque (K, n) of one coefficient an array of columns (K, n, 1). In texts
+{value} stands for the number with its error, {joint} for the joint's name.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ PUSHES = (0.5, 1.5, 3.0, 6.0)
 RIPPLES = tuple(range(4, 41, 3))
 """Numbers of torque waves per turn of a joint that are tried."""
 GROSS_ZERO = 0.05
-"""Error of a joint's zero above which it is harmful in any case [rad]."""
+"""Error of a joint's zero position from which it is harmful in any case [rad]."""
 WARM_UP = (10.0, 30.0, 100.0)
 """Time constants over which friction falls as a gear warms up [s]."""
 Description = Callable[[Array, Array], str]
@@ -48,17 +49,18 @@ class Explanation:
     """One fault that a log may have, as torque that is linear in e coefficients.
 
     Attributes:
-        name: of the check that reports it, a key of ``logs.CHECKS``.
+        name: name of the check that reports it, a key of ``logs.CHECKS``.
         level: severity of the finding, where a result without the explanation would be wrong.
         columns: torque per unit of each coefficient: (K, n, e), or (K, e) with a ``joint``.
         spread: (e,) prior standard deviations of the coefficients.
         describe: returns the fault and what to do, for the user.
         joint: index of the joint that it acts on; None for all.
-        choices: number of similar explanations that are tried, the best of which counts.
+        choices: number of similar explanations that are tried, of which only the best one counts;
+            the logarithm of this number is taken from its gain.
         is_possible: whether coefficients (e,) with standard errors (e,) fit the description.
-        nearby: returns similar explanations, with which a winner is refined.
-        harmful_from: size of the first coefficient above which the explanation is harmful even if
-            the last link does not change with it.
+        nearby: returns similar explanations to try where this one fits well; by default none.
+        harmful_from: size of the first coefficient from which the explanation is harmful even if
+            the estimate of the last link does not change with it.
     """
 
     name: str
@@ -74,19 +76,22 @@ class Explanation:
 
     @property
     def subject(self) -> tuple[str, int | None]:
-        """Check and joint; explanations of one subject are named once."""
+        """The name of the check and the joint; a log's findings name each subject once."""
         return self.name, self.joint
 
     @property
     def family(self) -> tuple[object, ...]:
         """Key of similar explanations, which differ in a setting such as the instant of a change.
 
-        Only the best of them is scored with its own noise.
+        Only the best explanation of a family is scored with noise estimated anew.
         """
         return *self.subject, len(self.spread), self.choices
 
     def of_joint(self, joint: int) -> Array:
-        """Return the columns (K, e) at a joint on which it acts, per prior standard deviation."""
+        """Return the columns (K, e) at a joint on which the explanation acts [N m].
+
+        They are per prior standard deviation of each coefficient. ``joint`` is the joint's index.
+        """
         columns = self.columns[:, joint] if self.joint is None else self.columns
         return columns * self.spread
 
@@ -94,12 +99,12 @@ class Explanation:
 def _first_coefficient(
     text: str, factor: float = 1.0, unit: str = "", shift: float = 0.0, **fields: Any
 ) -> Description:
-    """Return a description: ``text`` with the first coefficient and its error at {value}.
+    """Return a function that fills the first coefficient and its error into a text at {value}.
 
     Args:
-        text: with {value} where the number goes, if it is shown.
-        factor: from the coefficient's unit to ``unit``.
-        unit: of the number in the text.
+        text: description of the fault, with {value} where the number goes, if it is shown.
+        factor: factor from the coefficient's unit to ``unit``.
+        unit: unit of the number in the text; "" for none.
         shift: added to the coefficient before it is multiplied by the factor.
         fields: further fields of the text and what stands there, such as the joint's name.
     """
@@ -113,9 +118,9 @@ def _first_coefficient(
 
 
 def _norm(text: str, factor: float, unit: str, **fields: Any) -> Description:
-    """Return a description: ``text`` with the coefficients' Euclidean norm at {value}.
+    """Return a function that fills the coefficients' Euclidean norm into a text at {value}.
 
-    The largest standard error stands for that of the norm. Other arguments are those of
+    The largest standard error stands for that of the norm. The arguments are those of
     ``_first_coefficient``.
     """
     describe_number = _first_coefficient(text, factor, unit, **fields)
@@ -137,14 +142,15 @@ def _of_each_joint(
     unit: str,
     shift: float = 0.0,
 ) -> Iterator[Explanation]:
-    """Yield one explanation per joint, whose column is the joint's column of a torque.
+    """Yield one warning per joint, that has one coefficient and acts at this joint alone.
 
     Args:
         fit: the fitted base model.
-        name: of the check.
+        name: name of the check.
         torque: (K, n) torque at each joint per unit of its coefficient [N m].
-        spread: prior standard deviation of the coefficient.
-        text: with {joint} and {value}; that and further arguments as in ``_first_coefficient``.
+        spread: prior standard deviation of each coefficient.
+        text: description of the fault, with {joint} and {value}.
+        factor: as in ``_first_coefficient``, like ``unit`` and ``shift``.
     """
     spreads = np.array([spread])
     for joint, joint_name in enumerate(fit.robot.joint_names):
@@ -154,18 +160,26 @@ def _of_each_joint(
 
 
 def torque_scales(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield an error of one joint's torque scale; it scales the torque of the links alone, not that
-    of friction and rotors.
+    """Yield an error of each joint's torque scale: the coefficient is the scale minus 1.
+
+    It scales the torque of the links alone, not that of friction and rotors.
     """
     text = "torque of joint {joint} reads {value} what links and the other joints say; weigh a "
     text += "known mass (payload --known-mass) and pass the file that it writes as --torque-scale"
     yield from _of_each_joint(
-        fit, "torque-scale", fit.rigid, 0.3, text, 1.0, "times", shift=1.0
+        fit,
+        "torque-scale",
+        fit.rigid,
+        spread=0.3,
+        text=text,
+        factor=1.0,
+        unit="times",
+        shift=1.0,
     )
 
 
 def drifting_scales(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield torque scales that drift over the log, of all joints and of each one."""
+    """Yield torque scales that drift linearly over the log: of all joints alike, then of each."""
     text = "changes its scale by {value} over the log; let motors and sensors warm up, and record "
     text += "again"
     drifting = fit.rigid * fit.time[:, None]
@@ -173,38 +187,47 @@ def drifting_scales(fit: BaseFit) -> Iterator[Explanation]:
     to_percent = 200.0
     describe = _first_coefficient(f"the torque of all joints {text}", to_percent, "%")
     columns = drifting[:, :, None]
-    yield Explanation("torque-scale", Level.WARN, columns, np.array([0.1]), describe)
-    joint_text = f"the torque of joint {{joint}} {text}"
+    spread = np.array([0.1])
+    yield Explanation("torque-scale", Level.WARN, columns, spread, describe)
     yield from _of_each_joint(
-        fit, "torque-scale", drifting, 0.15, joint_text, to_percent, "%"
+        fit,
+        "torque-scale",
+        drifting,
+        spread=0.15,
+        text=f"the torque of joint {{joint}} {text}",
+        factor=to_percent,
+        unit="%",
     )
 
 
 def zeros(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield a constant error of each joint's position."""
+    """Yield a constant error of each joint's position; its coefficient is the error [rad]."""
     text = "the position of joint {joint} reads {value} too much; correct its zero"
     spread = np.array([0.1])
     for name in fit.robot.joint_names:
         columns = fit.log.columns_of([f"zero[{name}]"])
-        describe = _first_coefficient(text, 1.0, "rad", joint=name)
+        describe = _first_coefficient(text, unit="rad", joint=name)
         zero = Explanation("zero", Level.WARN, columns, spread, describe)
         yield replace(zero, harmful_from=GROSS_ZERO)
 
 
 def tilt(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield a tilt of the base against the model's; none without gravity."""
+    """Yield a tilt of the base, by two angles [rad]; nothing where the model has no gravity."""
     if np.any(gravity_vector(fit.robot)):
         text = "the base is tilted by {value} against the model's; have it found (identify --tilt "
-        describe = _norm(f"{text}auto)", float(np.degrees(1.0)), "degrees")
+        to_degrees = float(np.degrees(1.0))
+        describe = _norm(f"{text}auto)", to_degrees, "degrees")
         columns = fit.log.columns_of(TILT_NAMES)
-        yield Explanation("tilt", Level.WARN, columns, np.full(2, 0.15), describe)
+        spread = np.full(len(TILT_NAMES), 0.15)
+        yield Explanation("tilt", Level.WARN, columns, spread, describe)
 
 
 def time_base(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield an error and a drift of the time stamps' scale, which change inertial torque alone.
+    """Yield two errors of the time stamps' scale: a constant one, and one that also drifts.
 
-    Accelerations and squared speeds from time stamps that are too long by a small share s are too
-    small by 2 s.
+    Time stamps that are too long by a small share s make accelerations and squared speeds too small
+    by 2 s, so they change inertial torque alone. The coefficients are s in the middle of the log
+    and, with drift, the change of s from there to the end.
     """
     slope = 2.0 * fit.inertial[:, :, None]
     advice = "record the controller's own time stamps"
@@ -237,24 +260,28 @@ def _too_long(share: float) -> str:
 
 
 def delays(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield a lag of the torque behind the position, of all joints and of each one.
+    """Yield a lag of the torque behind the position: of all joints alike, then of each one.
 
-    A torque that lags by a short time d is tau(t - d), nearly tau(t) - d tau'(t).
+    A torque that lags by a short time d is tau(t - d), nearly tau(t) - d tau'(t). The coefficient
+    is d [s].
     """
     late = -fit.derivative(fit.rigid)
     text = "torque lags position by {value}; record both at the same instant, or have it found "
     text += "(identify --delay auto; payload does so by itself)"
-    describe = _first_coefficient(text, 1e3, "ms")
-    yield Explanation("delay", Level.WARN, late[:, :, None], np.array([0.04]), describe)
+    describe = _first_coefficient(text, factor=1e3, unit="ms")
+    spread = 0.04
+    columns = late[:, :, None]
+    yield Explanation("delay", Level.WARN, columns, np.array([spread]), describe)
     text = "torque of joint {joint} alone lags position by {value}; record all joints at once"
-    yield from _of_each_joint(fit, "delay", late, 0.04, text, 1e3, "ms")
+    yield from _of_each_joint(fit, "delay", late, spread, text, factor=1e3, unit="ms")
 
 
 def weight_share(fit: BaseFit) -> Iterator[Explanation]:
     """Yield the fault that a share of the weight of links and load is missing from the torque.
 
-    The coefficients are the change of the links' weight, as a share that is negative where weight
-    is missing, and the mass and first moments by which the last link's weight differs.
+    The coefficients (5,) are the change of the links' weight, as a share that is negative where
+    weight is missing, and the mass [kg] and first moments [kg m] by which the last link's weight
+    differs.
     """
     text = "{value} of the links' weight is missing from the torque: is there a spring balancer "
     text += "that the model lacks, or is gravity compensated in part? record the measured joint "
@@ -266,9 +293,10 @@ def weight_share(fit: BaseFit) -> Iterator[Explanation]:
     yield Explanation(
         "gravity",
         Level.REFUSE,
-        np.concatenate((fit.weight[:, :, None], fit.last_weight), axis=-1),
-        np.append(0.5, parameter_scale(0.1 * fit.robot.mass, 0.1)[:4]),
-        _first_coefficient(f"{text}torque, not the command", -100.0, "%"),
+        columns=np.concatenate((fit.weight[:, :, None], fit.last_weight), axis=-1),
+        spread=np.append(0.5, parameter_scale(0.1 * fit.robot.mass, 0.1)[:4]),
+        # In per cent, positive where weight is missing.
+        describe=_first_coefficient(f"{text}torque, not the command", -100.0, "%"),
         is_possible=is_missing,
     )
 
@@ -289,7 +317,7 @@ def _payload_step(fit: BaseFit, row: int, spacing: int, choices: int) -> Explana
         fit: the fitted base model.
         row: index of the first instant with the changed load.
         spacing: number of rows between the instants that are tried.
-        choices: number of instants that are tried.
+        choices: number of instants that are tried without refinement.
     """
     at = float(fit.log.motion.time[row])
     is_later = np.arange(len(fit.time)) >= row
@@ -297,7 +325,7 @@ def _payload_step(fit: BaseFit, row: int, spacing: int, choices: int) -> Explana
     size = 0.5 * REACH * fit.robot.length
 
     def nearby() -> list[Explanation]:
-        """Return steps at up to eleven instants around this one, at a sixth of the spacing."""
+        """Return steps at up to eleven instants around this one, a sixth of the spacing apart."""
         step = math.ceil(spacing / 6)
         count = (spacing - 1) // step
         steps = []
@@ -330,21 +358,26 @@ def _more(mass: float, error: float) -> str:
 
 
 def forces(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield a constant force on the last link, and a weight that contradicts its inertia."""
+    """Yield a constant force on the last link, then a weight of it that contradicts its inertia.
+
+    The coefficients (12,) of the force are those of ``BaseFit.tip_force``; those (4,) of the weight
+    are the mass and first moments by which the weight differs (``BaseFit.last_weight``).
+    """
     total = fit.robot.mass
     down = float(np.linalg.norm(gravity_vector(fit.robot))) or 9.81
     text = "a constant force of {value} acts on the last link, as of a hand, a cable or a spring; "
-    describe_force = _norm(f"{text}take it away, and record again", 1.0, "N")
-    # Per axis the force, then the force times its offset along x, y and z of the link.
+    advice = "take it away, and record again"
+    describe_force = _norm(f"{text}{advice}", factor=1.0, unit="N")
+    # Per axis the force, then the force times its offset (0.1 m) along x, y and z of the link.
     spread = 0.1 * total * down * np.tile((1.0, 0.1, 0.1, 0.1), 3)
     force = slice(None, None, 4)
 
     def describe(v: Array, e: Array) -> str:
-        """Return the text for coefficients v (e,) with standard errors e (e,)."""
+        """Return the text for coefficients v (12,) with standard errors e (12,)."""
         return describe_force(v[force], e[force])
 
     def is_sure(v: Array, e: Array) -> bool:
-        """Return whether the force differs from zero by three standard errors e (e,) of v (e,)."""
+        """Return whether the force in v (12,) exceeds three times its standard error in e (12,)."""
         return bool(np.linalg.norm(v[force]) > 3.0 * np.max(e[force]))
 
     columns = fit.tip_force
@@ -352,13 +385,13 @@ def forces(fit: BaseFit) -> Iterator[Explanation]:
     yield replace(pull, is_possible=is_sure)
     text = "the last link weighs {value} more than its inertia says: something holds a part of it, "
     text += "or pulls, as a hand or a hose does; take it away, record again"
-    carried = _first_coefficient(text, 1.0, "kg")
+    carried = _first_coefficient(text, unit="kg")
     spread = parameter_scale(0.1 * total, 0.1)[:4]
     yield Explanation("force", Level.REFUSE, fit.last_weight, spread, carried)
 
 
 def springs(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield a torque that depends on the position of one joint, as of a spring or a hose."""
+    """Yield a torque at each joint in its position q, sin q and cos q, as of a spring or hose."""
     text = "at joint {joint} a torque follows the position, as of a spring, a balancer or a hose; "
     text += "the model has to have it, or take it away"
     for joint, name in enumerate(fit.robot.joint_names):
@@ -370,9 +403,9 @@ def springs(fit: BaseFit) -> Iterator[Explanation]:
 
 
 def pushes(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield a contact for each duration of ``PUSHES``, when the residual torque is largest.
+    """Yield for each duration of ``PUSHES`` a contact at the time of the largest residual torque.
 
-    Durations of more than a third of the log are left out.
+    Durations of a third of the log or more are left out.
     """
     step = float(np.median(np.diff(fit.log.motion.time)))
     relative = fit.residual / np.maximum(rms(fit.residual), 1e-12)
@@ -406,7 +439,7 @@ def _push(fit: BaseFit, start: int, width: int, choices: int) -> Explanation:
     def nearby() -> list[Explanation]:
         """Return contacts that begin up to half a width earlier or later, of three widths.
 
-        They have no nearby ones themselves.
+        Their own ``nearby`` returns none, so that the refinement ends after one step.
         """
         contacts = []
         step = math.ceil(width / 6)
@@ -429,13 +462,15 @@ def _push(fit: BaseFit, start: int, width: int, choices: int) -> Explanation:
     columns = wave[:, None, None] * np.eye(fit.robot.n_joints)
     spread = fit.log.typical_torque
     contact = Explanation("contact", Level.WARN, columns, spread, describe)
+    # A contact of any size is harmful.
     return replace(contact, choices=choices, nearby=nearby, harmful_from=0.0)
 
 
 def hums(fit: BaseFit) -> Iterator[Explanation]:
     """Yield the strongest sine over time in each joint's residual torque.
 
-    Frequencies from two periods per log to 0.4 per row are tried, at a quarter of a period per log.
+    The frequencies that are tried go from 2 periods per log to 0.4 periods per row, in steps of a
+    quarter of a period per log. The coefficients (2,) are the amplitudes of cosine and sine [N m].
     """
     time = fit.log.motion.time - fit.log.motion.time[0]
     span = float(time[-1])
@@ -447,42 +482,43 @@ def hums(fit: BaseFit) -> Iterator[Explanation]:
     text += "nor friction makes; find its source"
     for joint, name in enumerate(fit.robot.joint_names):
         best = int(np.argmax(power[:, joint]))
-        # Sine and cosine of the frequency, whose sum has any phase.
+        # Cosine and sine of the frequency, whose sum has any phase.
         columns = np.stack((waves[best].real, waves[best].imag), axis=1)
         describe = _norm(text, 1.0, "N m", joint=name, rate=rates[best])
         spread = np.full(2, 0.1 * fit.log.typical_torque[joint])
-        yield Explanation(
-            "contact", Level.WARN, columns, spread, describe, joint, len(rates)
-        )
+        hum = Explanation("contact", Level.WARN, columns, spread, describe, joint)
+        yield replace(hum, choices=len(rates))
 
 
 def ripples(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield the strongest torque of each joint that is periodic in its position, as of cogging or a
-    gear's teeth.
+    """Yield each joint's strongest residual torque that is periodic in position, as of cogging.
+
+    The numbers of waves per turn that are tried are ``RIPPLES``. The coefficients (2,) are the
+    amplitudes of cosine and sine [N m].
     """
     text = "torque of joint {joint} ripples about {count} times per turn by {value}, as of "
     text += "cogging; errors count it as noise"
     for joint, name in enumerate(fit.robot.joint_names):
         waves = np.exp(1j * np.outer(fit.log.motion.q[:, joint], RIPPLES))
         best = int(np.argmax(np.abs(fit.residual[:, joint] @ waves)))
-        # Sine and cosine of the position, whose sum has any phase.
+        # Cosine and sine of the position, whose sum has any phase.
         columns = np.stack((waves[:, best].real, waves[:, best].imag), axis=1)
         describe = _norm(text, 1.0, "N m", joint=name, count=RIPPLES[best])
         spread = np.full(2, 0.1 * fit.log.typical_torque[joint])
-        yield Explanation(
-            "ripple", Level.NOTE, columns, spread, describe, joint, len(RIPPLES)
-        )
+        ripple = Explanation("ripple", Level.NOTE, columns, spread, describe, joint)
+        yield replace(ripple, choices=len(RIPPLES))
 
 
 def couplings(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield the friction and rotor inertia of a motor that turns two joints.
+    """Yield, for each motor that may turn several joints, the friction and inertia of its rotor.
 
-    These explanations compete but are never reported: the estimate reports couplings, and uses them
-    only with clear evidence.
+    The coefficients (3,) are its Coulomb and viscous friction and its rotor inertia. These
+    explanations compete, but ``is_possible`` rules out that they are reported: the estimate reports
+    couplings, and uses them only with clear evidence.
     """
     speed = np.max(rms(fit.log.motion.qd))
     acceleration = np.max(rms(fit.log.motion.qdd))
-    # Typical motion that coulomb, viscous and armature are multiplied by.
+    # Typical sizes of what Coulomb, viscous friction and rotor inertia are multiplied by.
     units = np.array([1.0, speed, acceleration])
     for motor in fit.log.columns.couplings:
         name = motor.name
@@ -495,7 +531,7 @@ def couplings(fit: BaseFit) -> Iterator[Explanation]:
 
 
 def crosstalk(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield sensors that read a share of the torque of the joint before or after theirs."""
+    """Yield torque sensors that also read a share of the torque of the joint before or after."""
     text = "the torque of joint {joint} holds {value} of that of joint {other}; calibrate its "
     text += "sensor"
     names = fit.robot.joint_names
@@ -513,9 +549,11 @@ def crosstalk(fit: BaseFit) -> Iterator[Explanation]:
 
 
 def warming(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield friction that falls as gears warm up; none for a log shorter than ``WARM_UP``'s first.
+    """Yield friction that falls as gears warm up, with each of the time constants ``WARM_UP``.
 
-    The coefficients (n,) are the Coulomb friction by which each joint exceeds its last value [N m].
+    Nothing is yielded for a log no longer than the first of them. The coefficients (n,) are each
+    joint's Coulomb friction at the start of the log minus the value to which it decays
+    exponentially [N m].
     """
     time = fit.log.motion.time - fit.log.motion.time[0]
     if time[-1] <= WARM_UP[0]:
@@ -549,11 +587,11 @@ LINEAR: tuple[Callable[[BaseFit], Iterator[Explanation]], ...] = (
     crosstalk,
     warming,
 )
-"""Functions that together yield all explanations; they are linear in their coefficients."""
+"""Functions that take the fitted base model and yield explanations, all linear in coefficients."""
 
 
 def explanations(fit: BaseFit) -> list[Explanation]:
-    """Return all explanations of the base model's residual torque."""
+    """Return the explanations that all functions of ``LINEAR`` yield for a fitted base model."""
     offered: list[Explanation] = []
     for yield_explanations in LINEAR:
         offered += yield_explanations(fit)

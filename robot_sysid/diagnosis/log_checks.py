@@ -40,7 +40,7 @@ SLOWEST = 0.05
 
 
 def length_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
-    """Yield a finding where the pieces of a log together are too short."""
+    """Yield a finding where the pieces of a log together are shorter than ``SHORTEST``."""
     span = _length(pieces)
     if span < SHORTEST:
         text = f"the log is {span:.2g} s long, too short; record ten seconds or more"
@@ -58,7 +58,10 @@ def _duration(piece: Measurement) -> float:
 
 
 def slow_findings(qd: Array) -> Iterator[Finding]:
-    """Yield a finding where all speeds (K, n) [rad/s] are too slow to separate friction."""
+    """Yield a finding where no speed in qd (K, n) reaches ``SLOWEST``, too slow for friction.
+
+    K is the number of instants.
+    """
     fastest = float(np.max(np.abs(qd)))
     if fastest < SLOWEST:
         text = f"no joint moves faster than {fastest:.2g} rad/s; record a faster motion"
@@ -68,7 +71,9 @@ def slow_findings(qd: Array) -> Iterator[Finding]:
 def enough_findings(pieces: Sequence[Measurement], cutoff: float) -> Iterator[Finding]:
     """Yield findings where the sampling rate, or the number of independent samples, is too low.
 
-    A low-pass with a cut-off f [Hz] leaves 2 f independent samples per second. ``cutoff`` is f.
+    Args:
+        pieces: the log without gaps.
+        cutoff: cut-off f of the low-pass [Hz], which leaves 2 f independent samples per second.
     """
     span = _length(pieces)
     rows = int(2.0 * cutoff * span)
@@ -83,7 +88,7 @@ def enough_findings(pieces: Sequence[Measurement], cutoff: float) -> Iterator[Fi
 
 
 REPEATED = 0.3
-"""Largest speed of a step that repeats a sample, over that of the steps around it."""
+"""Largest speed of a step that counts as a repeated sample, over that of the steps around it."""
 LOST = (1.6, 4.0)
 """Least and largest speed of a step with lost samples, over that of the steps around it: 2 for one
 lost sample."""
@@ -95,9 +100,9 @@ MANY = 0.02
 _JUMP = 1.75
 # Largest displacement in a jump of the clock, over that of the steps around it.
 _NO_WAY = 1.4
-# Least displacement of a step that counts, over the noise of positions.
+# Least displacement, over the noise of positions, of the steps that are judged.
 _CLEAR = 8.0
-# Least number of steps from which findings are made.
+# Number of samples of a piece, and of steps of all pieces, below which findings are not made.
 _ENOUGH = 100
 _RECORD_TIME = "; record the time of each sample"
 
@@ -118,9 +123,10 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
     is_jump = is_long & (speed * duration < _NO_WAY) & (speed > 0.0)
     jumps = int(np.count_nonzero(is_jump))
     lost = float(np.mean(is_usual & (speed > LOST[0]) & (speed < LOST[1])))
-    # Speeds between one and two times the usual one: noise makes these, lost samples do not.
+    # A lost sample doubles the speed; noise makes smaller excesses, too, and more of them.
     uneven = float(np.mean(is_usual & (speed > 1.25) & (speed < 1.5)))
     repeated = float(np.mean(is_usual & (np.abs(speed) < REPEATED)))
+    # Noise that makes many steps of the smaller excess may also make those with the larger one.
     if lost > max(FEW, 3.0 * uneven):
         problem = f"{100.0 * lost:.2g} % of the steps have lost samples that the time stamps do not"
         level = Level.REFUSE if lost > MANY else Level.WARN
@@ -151,8 +157,10 @@ ALIKE = 0.02
 def velocity_findings(
     pieces: Sequence[Measurement], joint_names: Sequence[str]
 ) -> Iterator[Finding]:
-    """Yield findings where recorded velocities are not the derivatives of positions: by a common
-    factor, which is an error of the time stamps, or for single joints.
+    """Yield findings where recorded velocities are not the derivatives of the positions.
+
+    A factor that all joints have in common is an error of the time stamps, and refuses the log.
+    Differences of single joints make a note. Pieces without velocities are left out.
 
     The displacements p of a joint by its positions and v by its velocities are compared by the sums
     p.p, p.v and v.v over all windows of time. The velocities are p.v / p.p times the derivatives.
@@ -162,7 +170,8 @@ def velocity_findings(
         return
     products = np.array([_products(recordings, k) for k in range(len(joint_names))])
     largest = np.max(products[:, 0, 0], initial=0.0)
-    # Indices of the joints that move enough; arrays below have one element for each of them.
+    # Joints that move enough, with a tenth of the largest displacement; pp to is_other_motion have
+    # one element for each of these.
     moving = np.flatnonzero(products[:, 0, 0] > 0.01 * largest)
     pp = products[moving, 0, 0]
     pv = products[moving, 1, 0]
@@ -198,17 +207,18 @@ def velocity_findings(
 
 
 def _products(pieces: Sequence[Measurement], joint: int) -> Array:
-    """Return Y^T Y (2, 2) of a joint's displacements Y in all windows of ``INTEGRATION_TIME``.
+    """Return Y^T Y (2, 2) of a joint's displacements Y (windows, 2) over ``INTEGRATION_TIME``.
 
-    The first column of Y is from positions, the second from integrated velocities; both minus their
-    mean. One joint at a time: arrays of all joints would take twice the memory of a long log.
+    A window begins at every sample. The first column of Y is from positions, the second from
+    integrated velocities; both minus their mean. ``joint`` is the joint's index. One joint at a
+    time: arrays of all joints would take twice the memory of a long log.
     """
     displacements = []
     for piece in pieces:
         assert piece.qd is not None
         q = piece.q[:, joint]
         qd = piece.qd[:, joint]
-        # Number of steps in a window, which begins at every sample.
+        # Number of steps in a window.
         length = max(1, round(INTEGRATION_TIME / sampling_period(piece.time)))
         steps = 0.5 * (qd[1:] + qd[:-1]) * np.diff(piece.time)
         integrated = np.append(0.0, np.cumsum(steps))
@@ -225,8 +235,9 @@ def _steps(piece: Measurement) -> tuple[Array, Array]:
     """Return (relative speed (S,), relative duration (S,)) of the S steps with motion above noise.
 
     The speed of a step, from one sample to the next, is relative to that of the two steps before
-    and the two after it, over all joints; its duration to the median one. The first and the last
-    two steps have no such neighbours and are left out.
+    and the two after it, over all joints, and negative against their direction. Its duration is
+    relative to the median duration. The first and last two steps are left out, which have no such
+    neighbours.
     """
     step = np.diff(piece.time)
     typical_step = float(np.median(step))
@@ -247,6 +258,7 @@ def _steps(piece: Measurement) -> tuple[Array, Array]:
         noise += float(np.median(np.abs(np.diff(displacement)))) ** 2
     duration = step[2:-2] / typical_step
     largest_square = float(np.max(reference_square, initial=0.0))
+    # Steps with a seventh of the fastest speed or less, near a reversal, say little of the clock.
     is_clear = reference_square > max(_CLEAR**2 * noise, 0.02 * largest_square)
     distance = product[is_clear] / reference_square[is_clear]
     return distance / duration[is_clear], duration[is_clear]
@@ -260,9 +272,9 @@ OFTEN = 0.005
 _MANY_VALUES = 100
 # Least mean speed of an arm that moves [rad/s].
 _MOVING = 0.05
-# Number of equal samples in a row that does not occur by chance.
+# Least number of equal samples in a row that does not occur by chance.
 _RUN = 4
-# Number of equal samples in a log that does not occur by chance.
+# Least number of samples of a log at the end of its range that does not occur by chance.
 _SEEN = 20
 
 
@@ -290,7 +302,8 @@ def _at_end(tau: Array, sign: float) -> tuple[float, float]:
     """Return (share of samples at which a torque (N,) saturates, value of the end of its range).
 
     ``sign`` is 1 for the upper and -1 for the lower end. The share is zero where equal samples at
-    the end may be chance.
+    the end may be chance: a sensor that saturates has a run of them, or many, and several times as
+    many as there are samples within 2 % of the range from the end.
     """
     end = float(np.max(sign * tau))
     is_at_end = sign * tau == end
@@ -306,9 +319,9 @@ def _at_end(tau: Array, sign: float) -> tuple[float, float]:
 
 
 def _longest_hold(piece: Measurement, joint: int) -> float:
-    """Return for how long the torque of a joint stays exactly the same while any joint moves [s].
+    """Return the longest time for which a joint's torque is constant while any joint moves [s].
 
-    ``joint`` is the joint's index.
+    It is zero where there is none. ``joint`` is the joint's index.
     """
     # First samples of runs of equal torque, and the end of the last run.
     changes = np.flatnonzero(np.diff(piece.tau[:, joint]))
@@ -328,8 +341,9 @@ def _longest_hold(piece: Measurement, joint: int) -> float:
 CUTOFF_HZ = 8.0
 """Highest cut-off of the low-pass [Hz]: faster motion has little information on links."""
 CUTOFF_SHARE = 0.6
-"""Cut-off over the one that suits accelerations. It is lower because explanations have columns that
-are time derivatives of torques: their noise of positions would count as evidence."""
+"""Ratio of the cut-off to the one that suits accelerations. It is below one because explanations
+have columns that are time derivatives of torques: their noise of positions would count as evidence.
+"""
 MOST_WINDOWS = 4
 """Number of windows of a long log that are used, spread evenly."""
 OF_LINKS = (
@@ -342,7 +356,7 @@ OF_LINKS = (
     "gravity",
     "force",
 )
-"""Checks that a faultless log fails if its links differ from the model's."""
+"""Checks that a faultless log fails if the arm's links differ from the model's."""
 # Largest rms residual of a torque that was computed, as a share of the typical torque.
 _EXACT = 0.004
 # Largest rms noise of a torque that was computed, as a share of the typical torque.
@@ -354,18 +368,20 @@ _FRICTIONLESS = 0.002
 def low_pass(
     pieces: Sequence[Measurement], cutoff: float | None
 ) -> list[ProcessedSignals]:
-    """Return the low-passed signals of each piece of a log, or of evenly spread windows of it where
-    the log is longer than ``MOST_WINDOWS`` windows.
+    """Return the low-passed signals of a log, piece by piece.
+
+    Of a log longer than ``MOST_WINDOWS`` times ``WINDOW``, evenly spread windows are used.
 
     Args:
         pieces: the log without gaps.
-        cutoff: cut-off of the low-pass [Hz]; None chooses it from the data.
+        cutoff: cut-off of the low-pass [Hz], lowered to ``CUTOFF_HZ`` where it is higher; None
+            chooses one for each piece from the data.
     """
     signals = []
     for piece in _spread_windows(pieces):
         log_piece = LogPiece.of(piece)
         cutoff_hz = min(cutoff or CUTOFF_SHARE * log_piece.choice.cutoff, CUTOFF_HZ)
-        processed = process(log_piece, (), cutoff_hz)
+        processed = process(log_piece, joint_names=(), cutoff=cutoff_hz)
         # Every row is used: those of a joint that is too slow are masked later.
         deadband = np.zeros_like(processed.deadband)
         turning = np.zeros_like(processed.turning)
@@ -374,9 +390,11 @@ def low_pass(
 
 
 def _spread_windows(pieces: Sequence[Measurement]) -> list[Measurement]:
-    """Return the pieces of a log, or ``MOST_WINDOWS`` windows of them where they are longer.
+    """Return the pieces of a log, or windows of them where the log is long.
 
-    A window is at least ``WINDOW`` seconds long, unless its piece is shorter.
+    It is long above ``MOST_WINDOWS`` times ``WINDOW``; at most ``MOST_WINDOWS`` windows, evenly
+    spread, are then returned. A window is at least ``WINDOW`` seconds long, unless its piece is
+    shorter.
     """
     if _length(pieces) <= MOST_WINDOWS * WINDOW:
         return list(pieces)
@@ -396,7 +414,9 @@ def check_against_model(
     links_known: bool = True,
     divided: Sequence[float] | Array | None = None,
 ) -> tuple[Finding, ...]:
-    """Return the findings of all checks of a log; where the recording is refused, of it alone.
+    """Return the findings of all checks of a log.
+
+    Checks against the model are left out where a check of the recording by itself refuses the log.
 
     Args:
         robot: the arm with its model.
@@ -404,7 +424,7 @@ def check_against_model(
         options: prior uncertainties of the estimate; None for the defaults.
         links_known: whether the model's links are taken as right; if not, findings of ``OF_LINKS``
             are only notes.
-        divided: (n,) torque scales by which the torques were divided already.
+        divided: (n,) torque scales by which the torques were divided already; None for ones.
 
     Raises:
         InputError: the log is too short to be looked at.
@@ -441,9 +461,10 @@ def check_log(
     options: EstimationOptions | None = None,
     links_known: bool = True,
 ) -> None:
-    """Report the findings on a log, and raise an error where one forbids an estimate.
+    """Check a log, report the findings on it, and raise an error where one forbids an estimate.
 
-    Notes and accepted warnings are reported; the error has the text of all others.
+    Notes and accepted warnings go to ``progress``. The error has the texts of the refusals or, if
+    there are none, of the other warnings; the notes of the log's reader are then reported, too.
 
     Args:
         robot: the arm with its model.
@@ -454,7 +475,7 @@ def check_log(
         links_known: see ``check_against_model``.
 
     Raises:
-        InputError: a finding refuses the log.
+        InputError: a finding refuses the log, or the log is too short to be checked.
         SysidError: there is a warning that is not accepted.
     """
     with prefix_input_errors(str(log.path)):
@@ -463,7 +484,7 @@ def check_log(
         )
     for finding in log_findings:
         is_accepted = finding.level is Level.WARN and finding.name in accepted
-        # Findings that forbid an estimate become the error below.
+        # All other findings forbid an estimate, and become the error below.
         if finding.level is Level.NOTE or is_accepted:
             progress.note(finding.line().removeprefix("note: "))
     try:
@@ -477,11 +498,11 @@ def check_log(
 def require_acceptable(
     log: str, findings: Iterable[Finding], accepted: Collection[str] = ()
 ) -> None:
-    """Raise an error where a finding forbids an estimate.
+    """Raise an error where a finding refuses the log or is a warning that is not accepted.
 
     Args:
         log: the log's name for messages.
-        findings: of all checks.
+        findings: the findings of all checks.
         accepted: names of checks whose warnings are accepted.
 
     Raises:
@@ -507,7 +528,7 @@ def require_acceptable(
 
 
 def _computed_findings(contest: Contest) -> list[Finding]:
-    """Return a finding where the torque was computed from the model, else none.
+    """Return a list with one finding where the torque was computed from the model, else [].
 
     Such a torque has no residual, no noise and no friction at any joint that the links load.
     """
@@ -528,7 +549,10 @@ def _computed_findings(contest: Contest) -> list[Finding]:
 
 
 def _fast_torque(signals: Sequence[ProcessedSignals]) -> Array:
-    """Return the rms torque (n,) above the cut-off of the low-pass [N m]: noise, if measured."""
+    """Return the rms torque (n,) [N m] above the cut-off of the low-pass, where a sensor has noise.
+
+    ``signals`` hold the torque before the low-pass, one record per piece.
+    """
     residuals = []
     for piece in signals:
         # The filter loses this many samples at each end.

@@ -11,13 +11,14 @@ correlations, and noise of variance S_j(f) at each frequency f of the cosine tra
 at the most likely x, with residuals r = tau - A x (MacKay, "Bayesian interpolation", Neural
 Computation 4(3), 1992). A joint's noise is white plus exponentially correlated noise; its power and
 mixture are the most likely ones, found by expectation maximisation with the expected squares
-r^2 + diag(A L^-1 A'), L the inverse posterior covariance.
+r^2 + diag(A L^-1 A'), where L^-1 is the posterior covariance.
 
 This noise model, in the frequency domain, serves to compare explanations. Standard errors of an
 estimate have another model of correlated noise (``estimation.algebra.uncertainty``).
 
 Throughout, K is the number of instants (rows per joint), n that of joints, p that of parameters, k
-that of estimated ones.
+that of estimated parameters, m that of a joint's columns or of all coefficients, e that of the
+columns of explanations.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ SHARES = (0.4, 0.75, 0.95)
 MEMORIES = (0.15, 0.5, 1.5)
 """Candidate time constants of correlated noise [s]."""
 LEAST_NOISE = 0.003
-"""Least standard deviation of a joint's noise, as a share of its typical torque: no model is more
-exact."""
+"""Least standard deviation of a joint's noise, as a share of its typical torque: no model fits the
+torque more exactly."""
 # Rounds of expectation maximisation that begin with white noise.
 _ROUNDS = 5
 # Rounds of expectation maximisation that begin with the noise of a similar model.
@@ -52,14 +53,14 @@ _FIRST_NOISE = 0.05
 
 @dataclass(frozen=True)
 class Posterior:
-    """Posterior of a log's model.
+    """Posterior of the parameters of a log's model and of the explanations that were added to it.
 
     Attributes:
         model: the model; do not change it.
         log_evidence: log marginal likelihood [nats].
-        coefficients: (m,) posterior means in units of the prior standard deviations, those of
-            explanations last.
-        covariance: (m, m) posterior covariance in these units.
+        coefficients: (m,) posterior means of the deviations from the prior's means, in units of the
+            prior standard deviations: k estimated parameters, then the explanations' coefficients.
+        covariance: (m, m) posterior covariance in the units of ``coefficients``.
         noise: (K, n) variance of each transformed row [N^2 m^2].
         residual: (K, n) transformed residual torque [N m].
     """
@@ -73,7 +74,7 @@ class Posterior:
 
     @cached_property
     def values(self) -> Array:
-        """Posterior means (p,) of all parameters; the prior's where one is not estimated."""
+        """Posterior means (p,) of all parameters; the prior mean of one that is not estimated."""
         prior = self.model.prior
         values = prior.mean.copy()
         own_coefficients = self.coefficients[: len(prior.estimated)]
@@ -88,11 +89,11 @@ class Posterior:
 
 
 class LogModel:
-    """The transformed equations of a log: of its parameters and of explanations added to them.
+    """The transformed equations of a log, with columns of parameters and of added explanations.
 
-    Rows go through an orthonormal cosine transform over time, window by window, after those that
-    ``log.used`` excludes are set to zero. Coefficients are deviations from the prior's means in
-    units of its standard deviations. Copies share arrays: do not change them.
+    Rows that ``log.used`` excludes are set to zero; then all go through an orthonormal cosine
+    transform over time, window by window. Coefficients are deviations from the prior's means in
+    units of its standard deviations. Models made from one another share arrays: do not change them.
 
     Args:
         log: equations of the log.
@@ -103,7 +104,7 @@ class LogModel:
         prior: ``base_prior`` of the log.
         count: (n,) number of rows of each joint that are used, at least one.
         rows: per joint (K, m) transformed columns, in units of the prior's standard deviations.
-        indices: per joint (m,) indices of its columns among the prior's estimated parameters.
+        indices: per joint (m,) indices of its columns among the k estimated parameters.
         right_sides: (K, n) transformed right-hand sides minus the torque at the prior's mean [N m].
         explained: per joint (K, e) transformed columns of the explanations that were added.
     """
@@ -128,26 +129,29 @@ class LogModel:
         self._determinants = np.linalg.slogdet(np.array(prior.precisions))[1]
 
     def transform(self, joint: int, rows: Array) -> Array:
-        """Return the transform (K, m) of rows (K, m) of the joint with the index ``joint``."""
+        """Return rows (K, m) of the joint with index ``joint``, transformed by frequency (K, m).
+
+        Rows that do not count (``LogRows.used``) are set to zero first; the argument is unchanged.
+        """
         from scipy.fft import dct
 
         return self._by_window(dct, rows * self.log.used[:, joint, None])
 
     def inverse_transform(self, transformed: Array) -> Array:
-        """Return the rows (K, n) of all joints from their transform (K, n)."""
+        """Return rows over time (K, n) of all joints from their cosine transform (K, n)."""
         from scipy.fft import idct
 
         return self._by_window(idct, transformed)
 
     def _by_window(self, function: Callable[..., Array], rows: Array) -> Array:
-        """Return a transform, dct or idct, of the rows (K, m), one window after another."""
+        """Return rows (K, m) with ``function``, scipy's dct or idct, applied window by window."""
         transformed = []
         for window in self.log.windows:
             transformed.append(function(rows[window], axis=0, norm="ortho"))
         return np.concatenate(transformed)
 
     def _transform_right_sides(self, log: LogRows) -> Array:
-        """Return ``right_sides`` (K, n) for the torques of a log with these rows."""
+        """Return ``right_sides`` (K, n) for the torques of a log with the rows of this model."""
         right_sides = log.right_sides - log.torque_of(self.prior.mean)
         transformed = np.empty_like(right_sides)
         for joint in range(len(self.rows)):
@@ -156,22 +160,27 @@ class LogModel:
         return transformed
 
     def with_columns(self, columns: Sequence[Array]) -> LogModel:
-        """Return a copy with further transformed columns, per joint (K, e), in prior units."""
+        """Return a copy of the model with columns of an explanation added.
+
+        Args:
+            columns: per joint (K, e) transformed columns, per prior standard deviation.
+        """
         wider = copy(self)
         wider.explained = tuple(map(np.hstack, zip(self.explained, columns)))
         return wider
 
     def with_torque_of(self, log: LogRows) -> LogModel:
-        """Return a copy with the torques of another log that has the same rows."""
+        """Return a copy of the model with the torques of another log, which has the same rows."""
         other = copy(self)
         other.log = log
         other.right_sides = self._transform_right_sides(log)
         return other
 
     def equations(self, joint: int) -> tuple[NDArray[np.int64], Array]:
-        """Return (indices (m + e,), rows (K, m + e)) of a joint, those of explanations last.
+        """Return (indices (m + e,), rows (K, m + e)) of a joint's equations.
 
-        The indices are those of the columns among all coefficients.
+        The indices are those of the columns among all coefficients. Columns of explanations come
+        last. ``joint`` is the joint's index.
         """
         size = len(self.prior.estimated)
         added = self.explained[joint]
@@ -180,8 +189,9 @@ class LogModel:
 
     @cached_property
     def spectra(self) -> Array:
-        """Candidate spectra (s, K) of noise, of unit mean: white, then each pair of memory and
-        share of correlated noise.
+        """The s candidate noise spectra (s, K), relative to white noise of the same power.
+
+        The first is white; then follows one for each pair of ``MEMORIES`` and ``SHARES``.
         """
         radians_per_row = []
         for window in self.log.windows:
@@ -199,10 +209,11 @@ class LogModel:
         return np.array(spectra)
 
     def posterior(self, noise: Array | None = None) -> Posterior:
-        """Return the posterior under the most likely noise.
+        """Return the posterior under the most likely noise, found by expectation maximisation.
 
-        ``noise`` (K, n) are the variances at which the search begins [N^2 m^2]; None for white
-        noise.
+        Args:
+            noise: (K, n) variances at which the search begins [N^2 m^2], with few rounds; None
+                begins with white noise, with more rounds.
         """
         rounds = _MORE_ROUNDS
         if noise is None:
@@ -217,8 +228,8 @@ class LogModel:
     def at_noise(self, noise: Array) -> Posterior:
         """Return the posterior under noise of given variances (K, n) [N^2 m^2].
 
-        Its log evidence is that of the mixture of the prior's precisions; all else belongs to the
-        likeliest of them.
+        The prior is a mixture of normal priors, one for each of ``prior.precisions``. The log
+        evidence is that of the mixture; all other fields are those under its likeliest component.
         """
         size = len(self.prior.estimated)
         total = size + self.explained[0].shape[1]
@@ -231,7 +242,8 @@ class LogModel:
             normal[np.ix_(indices, indices)] += rows.T @ weighted
             pull[indices] += self.right_sides[:, joint] @ weighted
         posteriors = []
-        # Log determinant of the noise, of as many rows as are used: a transform mixes all rows.
+        # Log determinant of the noise. The transform mixes used rows with zeros, so the sum over
+        # all frequencies is scaled by the share of rows that are used.
         used_share = self.count / len(self.right_sides)
         noise_size = float(used_share @ np.sum(np.log(2.0 * np.pi * noise), axis=0))
         for precision, determinant in zip(self.prior.precisions, self._determinants):
@@ -258,14 +270,14 @@ class LogModel:
         return replace(best, log_evidence=float(average))
 
     def gain_of_torque(self, log: LogRows, posterior: Posterior) -> float:
-        """Return the gain in log marginal likelihood [nats] of another log's torques.
+        """Return the gain in log marginal likelihood [nats] of another log's torques over these.
 
-        Noise S and covariance C stay those of the posterior of the present torques. Up to a
+        Noise S and covariance C stay those of the posterior of the model's torques. Up to a
         constant, right-hand sides b then have 1/2 (b' S^-1 A C A' S^-1 b - b' S^-1 b).
 
         Args:
-            log: the other log, which has the same rows.
-            posterior: posterior of the present torques.
+            log: the other log, which has the rows of this model.
+            posterior: posterior of this model with its own torques.
         """
         log_likelihoods = []
         for right_sides in (self._transform_right_sides(log), self.right_sides):
@@ -280,17 +292,18 @@ class LogModel:
         return log_likelihoods[0] - log_likelihoods[1]
 
     def _likely_noise(self, posterior: Posterior) -> Array:
-        """Return the most likely noise (K, n) given a posterior of the coefficients [N^2 m^2].
+        """Return the most likely variances (K, n) of noise given a posterior [N^2 m^2].
 
-        Each candidate spectrum of a joint's noise has its most likely power, at least that of
-        ``LEAST_NOISE``; the spectrum with the largest likelihood of the expected squares counts.
+        Each candidate spectrum of a joint's noise gets its most likely power, at least that of
+        ``LEAST_NOISE``. The spectrum under which the expected squared residuals are likeliest is
+        chosen for the joint.
         """
         noise = np.empty_like(self.right_sides)
         for joint, count in enumerate(self.count):
             indices, rows = self.equations(joint)
             spread = rows @ posterior.covariance[np.ix_(indices, indices)]
             expected = posterior.residual[:, joint] ** 2 + np.sum(spread * rows, axis=1)
-            # (s,) per candidate spectrum.
+            # Power and log determinant (s,) of noise with each candidate spectrum.
             power = np.sum(expected / self.spectra, axis=1) / count
             power = np.maximum(power, (LEAST_NOISE * self._typical_torque[joint]) ** 2)
             used_share = count / len(expected)

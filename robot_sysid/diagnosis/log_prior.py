@@ -1,6 +1,7 @@
 """The prior of a log without faults: the estimate's, with a wider last link and more friction.
 
-Throughout, n is the number of joints, p that of parameters, k that of estimated ones.
+Throughout, n is the number of joints, p that of parameters, k that of estimated parameters. The
+typical torque of a joint is ``LogRows.typical_torque``.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ from robot_sysid.estimation.unknowns import build_unknowns
 from robot_sysid.records import DELAY_NAME, Array
 
 LINK_SCALES = (replace(EXPECTED, mass=2.0), replace(EXPECTED, mass=6.0))
-"""Scales of the other links' prior over which the evidence is averaged."""
+"""Scales of the prior of all links but the last one, over which the evidence is averaged."""
 PAYLOAD = 0.3
 """Prior standard deviation of the last link's mass, as a share of the arm's mass."""
 REACH = 0.15
-"""Least size of the last link in its prior, as a share of the arm's reach."""
+"""Least size of the last link that its prior assumes, as a share of the arm's length."""
 FRICTION = {
     "coulomb": 1.0,
     "viscous": 1.0,
@@ -49,17 +50,17 @@ UNEVEN = 0.03
 """Prior standard deviation of dry friction that varies over a turn, as a share of the typical
 torque."""
 WIDE_TILT = 0.15
-"""Prior standard deviation of the base's tilt where the estimate is asked to find it [rad]."""
+"""Prior standard deviation of the base's tilt where the options ask to estimate it [rad]."""
 WIDE_DELAY = 0.04
-"""Prior standard deviation of the delay where the estimate is asked to find it [s]."""
+"""Prior standard deviation of the delay where the options ask to estimate it [s]."""
 WORTH_A_WORD = 2.0
-"""Largest prior standard deviation of the delay where the estimate is not asked to find it [ms]: a
+"""Largest prior standard deviation of the delay where the options do not ask to estimate it [ms]: a
 larger delay is worth a finding."""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """The normal prior of a log's parameters, a mixture over the widths of links' priors.
+    """The prior of a log's parameters: a mixture of normal priors with different widths for links.
 
     Attributes:
         estimated: (k,) indices of the estimated parameters, ascending.
@@ -75,12 +76,18 @@ class Prior:
     precisions: tuple[Array, ...]
 
     def positions(self, indices: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the positions (m,) in ``estimated`` of parameters with given indices (m,)."""
+        """Return the positions (m,) in ``estimated`` of parameters with given indices (m,).
+
+        Every one of these has to be an estimated parameter.
+        """
         return np.searchsorted(self.estimated, indices)
 
 
 def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
-    """Return the prior of a log without faults: that of the estimate, with wider friction.
+    """Return the prior of a log without faults.
+
+    It is the prior of the estimate, with a last link that may carry any tool and with more friction
+    terms. The prior of other links is at least as wide as by default.
 
     Args:
         log: equations of the log.
@@ -90,14 +97,14 @@ def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
     spread = _plain_spread(log)
     mean = np.zeros(len(spread))
     mean[: len(columns.names)] = columns.model_values
-    # Faults of a log do not depend on the stated uncertainty of the links; a delay that the
-    # estimate would allow for is reported all the same.
+    # A small stated uncertainty of the links must not turn their usual errors into faults. A delay
+    # that the estimate would allow for is reported all the same.
     links = max(options.link_uncertainty, EstimationOptions().link_uncertainty)
     late = min(options.delay_uncertainty, WORTH_A_WORD)
     options = replace(options, link_uncertainty=links, delay_uncertainty=late)
     friction = (friction_model(WITH_ALL),) * log.robot.n_joints
     nonzero = np.ones(len(columns.names), dtype=bool)
-    # Per scale of the links' prior, the groups of parameters whose prior has one cause.
+    # For each scale of the links' prior: groups of parameters, each with one cause of error.
     mixture: list[tuple[NuisanceGroup, ...]] = []
     for link_scales in LINK_SCALES:
         choice = Choice(friction, link_scales=link_scales)
@@ -140,13 +147,13 @@ def _plain_spread(log: LogRows) -> Array:
     own_size = characteristic_length(link.theta) if link.mass > 0.0 else 0.0
     distance = float(np.linalg.norm(link.com))
     size = max(REACH * robot.length, own_size, distance)
-    # Friction that the estimate does not have, joint by joint, in the order of its columns.
+    # Friction that the estimate does not have (``log_rows``), joint by joint, in column order.
     shares = np.append(np.full(len(BUILD_UP), BUILT_UP), [UNEVEN, UNEVEN])
     further = np.outer(log.typical_torque, shares).ravel()
     spread = np.append(np.zeros(len(log.columns.names)), further)
     spread[: len(PARAMETER_NAMES)] = parameter_scale(PAYLOAD * robot.mass, size)
     speed = np.maximum(rms(log.motion.qd), 1e-9)
-    # What each term multiplies; the coefficients of all others are torques.
+    # The typical size of what each term multiplies; coefficients of all other terms are torques.
     units = {
         "viscous": speed,
         "armature": np.maximum(rms(log.motion.qdd), 1e-9),

@@ -4,8 +4,8 @@ Rows are those of ``estimation.columns`` around the model, with every friction t
 of friction have columns here, because their torque would be mistaken for other faults: friction
 that builds up over some distance after a reversal, and dry friction that varies over a turn.
 
-Throughout, N is the number of samples, K that of instants (rows per joint), n that of joints, p
-that of parameters.
+Throughout, N is the number of samples of a piece, K that of instants at the lower rate of the
+equations (rows per joint), n that of joints, p that of parameters.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def rms(values: Array) -> Array:
 
 @dataclass(frozen=True)
 class LogRows:
-    """Equations of all joints at K instants of a log.
+    """Equations of all joints at K instants of a log, linear in the p parameters of the arm.
 
     Attributes:
         columns: names and indices of the estimate's parameters.
@@ -114,7 +114,10 @@ class LogRows:
         return self.columns.indices(names_of(term, self.robot.joint_names))
 
     def columns_of(self, names: Sequence[str]) -> Array:
-        """Return the columns (K, n, e) of parameters ``names`` (e,); zero at joints without one."""
+        """Return the columns (K, n, e) of the e parameters ``names``: torque per unit of each.
+
+        They are zero at joints whose equations do not contain the parameter.
+        """
         columns = np.zeros((*self.torque.shape, len(names)))
         for k, name in enumerate(names):
             # No column has the index -1.
@@ -134,7 +137,8 @@ def log_rows(
     Args:
         robot: the arm with its model.
         signals: low-passed signals, one per piece of the log.
-        used: (K, n) bool, the rows that count; None for those in which the joint moves.
+        used: (K, n) bool, the rows that count; None for those in which the joint is faster than
+            ``_SLOW`` of its top speed. Rows that are not finite never count.
     """
     datasets = [Dataset("log", piece) for piece in signals]
     columns = Columns(robot, datasets, couplings=tuple(neighbours(robot)))
@@ -177,17 +181,17 @@ def log_rows(
 
 
 def _join_motions(motions: Sequence[Motion]) -> Motion:
-    """Return motions, each with arrays (K, n) of its own length, as one, one after another."""
+    """Return one motion that joins motions end to end; each has arrays (K, n), K may differ."""
     fields = zip(*(vars(motion).values() for motion in motions))
     return Motion(*map(np.concatenate, fields))
 
 
 def _windows(counts: Sequence[int], signals: ProcessedSignals) -> list[slice]:
-    """Return the slices of rows that are transformed together: pieces, or parts of long ones.
+    """Return the slices of rows that are transformed together: a piece each, or part of a long one.
 
     Args:
         counts: number of rows of each piece.
-        signals: of any piece; all have the same rate and filter.
+        signals: signals of any piece; all pieces have the same rate and filter.
     """
     longest = int(WINDOW * signals.rate / signals.low_pass.step)
     windows: list[slice] = []
@@ -203,9 +207,9 @@ def _windows(counts: Sequence[int], signals: ProcessedSignals) -> list[slice]:
 def _further_friction(signals: ProcessedSignals) -> Array:
     """Return columns (K, n, m) of friction that builds up after reversals and of uneven friction.
 
-    The first len(BUILD_UP) of the m columns are this friction minus dry friction, which acts at
-    once; the last two are dry friction times sine and cosine of the position. Friction that builds
-    up approaches the sign of the speed exponentially with the distance travelled.
+    The first len(BUILD_UP) of the m columns are friction that builds up minus dry friction, which
+    acts at once; the last two are dry friction times sine and cosine of the position. Friction that
+    builds up approaches the sign of the speed exponentially with the distance travelled.
     """
     stride = signals.low_pass.stride
     q = signals.q[::stride]

@@ -15,11 +15,12 @@ from robot_sysid.dynamics.equations import link_names, other_links
 from robot_sysid.records import Array
 
 SURE = 3.0
-"""Standard errors by which friction, or an explanation's coefficients, have to differ from zero."""
+"""Standard errors by which friction, or an explanation's coefficients, have to differ from zero to
+be significant."""
 HEAVIEST = 0.6
 """Largest mass of a plausible last link, as a share of the arm's mass."""
 FAR = 40.0
-"""``strain`` that no arm reaches with its own model."""
+"""Value of ``strain`` that no log reaches with the right model of its arm."""
 
 
 def last_mass(posterior: Posterior) -> tuple[float, float]:
@@ -50,9 +51,9 @@ def strain(posterior: Posterior) -> float:
 def is_plausible(posterior: Posterior) -> bool:
     """Return whether the last link's mass and the other links are plausible.
 
-    The mass has to agree within two standard errors with one above zero and below ``HEAVIEST`` of
-    the arm's mass, or the model's own plus 30 % of the arm's; the other links' ``strain`` has to be
-    below ``FAR``.
+    The mass has to lie, within two standard errors, between zero and the larger of two limits:
+    ``HEAVIEST`` of the arm's mass, and the link's mass in the model plus 30 % of the arm's mass.
+    The ``strain`` of the other links has to be below ``FAR``.
     """
     robot = posterior.model.log.robot
     largest_mass = max(HEAVIEST * robot.mass, robot.prior.mass + 0.3 * robot.mass)
@@ -82,8 +83,8 @@ def least_friction_share(posterior: Posterior) -> Array:
 def misfit_by_joint(posterior: Posterior) -> Array:
     """Return the unexplained torque (n,) of each joint, as a share of its typical torque.
 
-    That is the residual without white noise. White noise is the residual in the upper half of the
-    frequencies, in which links make little torque.
+    It is the root mean square residual less white noise, whose power is taken from the upper half
+    of the frequencies, in which links make little torque.
     """
     # (K, n): in each window of time, by ascending frequency of the cosine transform.
     squares = posterior.residual**2
@@ -98,16 +99,24 @@ def misfit_by_joint(posterior: Posterior) -> Array:
 
 
 def misfit(posterior: Posterior) -> float:
-    """Return the unexplained torque of all joints together, as a share of all torque."""
+    """Return the unexplained torque (``misfit_by_joint``) of all joints, as a share of all torque.
+
+    Both are the norm over joints of root mean squares.
+    """
     log = posterior.model.log
     slow = misfit_by_joint(posterior) * log.typical_torque
     return float(np.linalg.norm(slow) / np.linalg.norm(rms(log.torque)))
 
 
 def reverses_friction(base: Posterior, corrected: Posterior) -> bool:
-    """Return whether a correction turns a joint's friction from braking into driving.
+    """Return whether a correction turns any joint's Coulomb friction from braking into driving.
 
-    Where links hardly load a joint, everything but its friction fits with either sign.
+    Only friction of at least ``SURE`` standard errors counts. Where links hardly load a joint, all
+    torques but friction fit with either sign.
+
+    Args:
+        base: posterior of the base model of the log as it is.
+        corrected: posterior of the base model of the corrected log.
     """
     dry, error = dry_friction(base)
     corrected_dry, corrected_error = dry_friction(corrected)

@@ -1,12 +1,13 @@
 """Mistaken columns of a log: signs, exchanged joints, degrees, units of torque.
 
-There is a finite number of such mistakes, or each is a factor per joint. A mistake is corrected and
-the log's equations are made again; the gain in log marginal likelihood is comparable with that of
-an explanation (``contest``). Corrections of torques alone need no new rows and are tried for every
-log, others where the model does not fit.
+Mistakes in signs, order and degrees can be listed; torque scales are one factor per joint. A
+mistake is corrected and the log's equations are made again; the gain in log marginal likelihood is
+comparable with that of an explanation (``contest``). Corrections of torques alone need no new rows
+and are tried for every log; those of positions and scales where the model does not fit.
 
-Throughout, K is the number of rows per joint, n that of joints. A torque scale is the ratio of
-recorded to true torque. The model's torque is the rms inverse dynamics of the model's links.
+Throughout, N is the number of samples of a piece, K that of rows per joint, n that of joints. A
+torque scale is the ratio of recorded to true torque. The model's torque is the rms inverse dynamics
+of the model's links. The base model is the model of a log without faults (``LogModel``).
 """
 
 from __future__ import annotations
@@ -45,13 +46,14 @@ UNITS = {
 }
 """One newton metre in other units of torque, to the unit's name."""
 SMALL = 0.6
-"""Ratio of measured torque to the model's below which gravity may be missing from it."""
+"""Ratio of measured torque to the model's below which gravity may be missing from the measured
+torque."""
 ODD_UNIT = 20.0
 """Ratio of one joint's torque to the model's, over that of the other joints, above which the joint
 has a unit of its own."""
 SHORT = 6.0
 """Length of the stretch of a log on which relabelled motions are tried first [s]."""
-# Largest ratio between the torque scales of joints that have one common cause.
+# Ratio between the largest and smallest torque scale below which they have one common cause.
 _SAME = 1.35
 # Largest ratio between a torque scale and the factor of a unit that explains it.
 _CLOSE = 1.25
@@ -63,13 +65,13 @@ _COMMON_RANGE = 4.0
 _OWN_RANGE = 0.4
 # Rounds of Gauss-Newton for the scales.
 _ROUNDS = 5
-# Prior standard deviation of a scale's relative change in a round.
+# Prior standard deviation of a scale's relative change in one round of Gauss-Newton.
 _FAR = 0.7
 # Smallest torque scale of any unit and gear.
 _LEAST = 1e-4
 # Largest torque scale of any unit and gear.
 _MOST = 1e5
-# Relative standard error of a scale above which the median of the other joints is taken.
+# Relative standard error from which a joint's scale is not identified.
 _KNOWN = 0.3
 # Least model torque of a joint whose torque ratio is a scale, over that of the strongest joint.
 _LOADED = 0.1
@@ -79,7 +81,7 @@ _LEAST_LOAD = 0.03
 _FARTHEST = 3.0
 # Largest factor between a scale and the torque ratio of a joint whose torque is mostly friction.
 _FRICTION = 10.0
-# Number of corrections, the best of a first comparison, that are scored in full.
+# Number of the best corrections of a first comparison that are fitted to the whole log.
 _FINALISTS = 3
 
 
@@ -88,7 +90,7 @@ class Relabelling:
     """A mistake in the columns of a log, and its correction.
 
     Attributes:
-        name: of the check that reports it.
+        name: name of the check that reports the mistake, a key of ``logs.CHECKS``.
         text: the mistake and what to do, for the user.
         motion: function of recorded positions, velocities or accelerations (N, n) that returns the
             corrected ones; None where they are right.
@@ -116,7 +118,11 @@ class Relabelling:
 
 
 def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
-    """Yield every mistake in signs, order and units of angles, those of torques alone first."""
+    """Yield every mistake in signs, order and units of angles that is tried.
+
+    Mistakes in torques alone come first, then those in positions alone, then those in both; last
+    are positions in degrees, or in radians that were taken for degrees.
+    """
     names = robot.joint_names
     for quantities in (("torque",), ("position",), ("position", "torque")):
         mistakes = [*_sign_mistakes(names, quantities)]
@@ -125,7 +131,7 @@ def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
             motion = correct if "position" in quantities else None
             torque = correct if "torque" in quantities else None
             yield Relabelling(name, text, motion, torque)
-    # The methods __mul__ of arrays (n,) multiply values (N, n) by the array.
+    # The method __mul__ of an array (n,) multiplies values (N, n) by the array.
     to_radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
     text = "positions look like degrees; pass --units deg"
     yield Relabelling("angle-unit", text, to_radians.__mul__)
@@ -141,9 +147,11 @@ _Mistake = tuple[str, str, Callable[[Array], Array]]
 def _sign_mistakes(
     names: Sequence[str], quantities: Sequence[str]
 ) -> Iterator[_Mistake]:
-    """Yield the wrong sign of each joint in the quantities "position", "torque" or both.
+    """Yield for each joint the mistake that its sign is wrong in all given quantities.
 
-    ``names`` are those of the joints (n,).
+    Args:
+        names: names of the n joints.
+        quantities: "position", "torque" or both.
     """
     for joint, name in enumerate(names):
         sign = np.ones(len(names))
@@ -157,9 +165,11 @@ def _sign_mistakes(
 def _order_mistakes(
     names: Sequence[str], quantities: Sequence[str]
 ) -> Iterator[_Mistake]:
-    """Yield exchanged pairs and the reverse order of joints in "position", "torque" or both.
+    """Yield each exchange of two joints, then the reverse order, in all given quantities.
 
-    ``names`` are those of the joints (n,).
+    Args:
+        names: names of the n joints; the reverse order of two is their exchange.
+        quantities: "position", "torque" or both.
     """
     scope = "" if len(quantities) == 2 else f" in the {quantities[0]}s"
     advice = f"{scope}; put the columns right with --columns FILE"
@@ -198,10 +208,10 @@ class Correction:
 def _correction(
     mistake: Relabelling, posterior: Posterior, base: Posterior
 ) -> Correction:
-    """Return the correction of a mistake, which refuses the log.
+    """Return the correction of a mistake, with a finding of level REFUSE.
 
     Args:
-        mistake: the mistake.
+        mistake: the mistake that was corrected.
         posterior: posterior of the base model of the corrected log.
         base: posterior of the base model of the log as it is.
     """
@@ -213,10 +223,12 @@ def _correction(
 def find_wrong_torques(
     base: Posterior, signals: Sequence[ProcessedSignals]
 ) -> list[Correction]:
-    """Return the best corrections of torques alone, which keep the rows of the log.
+    """Return the best corrections of wrong torques, best first by a comparison at fixed noise.
 
-    All are compared at the noise of the log as it is; the best ``_FINALISTS`` of those that gain
-    are then fitted with noise estimated anew.
+    They are corrections of signs and order that keep the positions, and with them the rows of the
+    log; where the torque is small, also additions of missing gravity. All are compared at the noise
+    of the log as it is; up to ``_FINALISTS`` of those that gain are fitted with noise estimated
+    anew.
 
     Args:
         base: posterior of the base model of the log.
@@ -245,7 +257,11 @@ def _without_links(
 ) -> Iterator[Relabelling]:
     """Yield the mistakes that the recorded torque lacks the links' weight, or all their torque.
 
-    The corrections add the missing torque (K, n), so they are for the rows of this log only.
+    The corrections add the missing torque (K, n), so they apply to ``log.torque`` only.
+
+    Args:
+        log: equations of the log.
+        signals: low-passed signals of the log's pieces.
     """
     robot = log.robot
 
@@ -257,7 +273,7 @@ def _without_links(
         moving = dynamics.motion(motion.q, motion.qd, motion.qdd)
         return resting.torque(robot.thetas), moving.torque(robot.thetas)
 
-    # Low-passed like the torque: the part that the filter removes may exceed the noise.
+    # Low-passed like the torque: the part that the low-pass removes may exceed the noise.
     filtered = [piece.filter_columns(torques, smooth=True) for piece in signals]
     weight, inverse_dynamics = map(np.concatenate, zip(*filtered))
     yield Relabelling(
@@ -277,11 +293,11 @@ def _without_links(
 def find_wrong_columns(
     base: Posterior, signals: Sequence[ProcessedSignals], options: EstimationOptions
 ) -> list[Correction]:
-    """Return the corrections of columns that explain the log best, with the gain of each.
+    """Return the ``_FINALISTS`` corrections of columns that explain a short stretch best.
 
-    All relabellings of positions, torques or both are tried on a short stretch; those with the
-    largest evidence are then compared on the whole log. Samples are used where the uncorrected log
-    uses them, so that all corrections are judged on the same rows.
+    All ``relabellings`` of positions, torques or both are tried on this stretch; those with the
+    largest evidence are then fitted to the whole log, which gives their gain. Samples are used
+    where the uncorrected log uses them, so that all corrections are judged on the same rows.
 
     Args:
         base: posterior of the base model of the log, which has no correction.
@@ -295,7 +311,10 @@ def find_wrong_columns(
         pieces: Sequence[ProcessedSignals],
         used: NDArray[np.bool_],
     ) -> Posterior:
-        """Return the posterior of pieces after a mistake's correction, with ``used`` (K, n)."""
+        """Return the posterior of pieces after a mistake's correction.
+
+        ``used`` (K, n) are the rows that count.
+        """
         rows = log_rows(robot, mistake.correct(pieces), used)
         return LogModel(rows, options).posterior()
 
@@ -312,7 +331,10 @@ def find_wrong_columns(
 
 
 def _busiest(signals: Sequence[ProcessedSignals]) -> ProcessedSignals:
-    """Return ``SHORT`` seconds of the longest piece, those in which the joints move most."""
+    """Return the ``SHORT`` seconds of the longest piece in which the joints move most.
+
+    Each joint's speed counts relative to its largest. A shorter piece is returned as it is.
+    """
     best = max(signals, key=len)
     count = round(SHORT * best.rate)
     if len(best) <= count:
@@ -329,8 +351,11 @@ def _busiest(signals: Sequence[ProcessedSignals]) -> ProcessedSignals:
 class TorqueScales:
     """Torque scales: recorded torque over true torque of each joint.
 
+    Properties need at least one identified scale.
+
     Attributes:
-        scale: (n,) of each joint; the median of the identified ones where it is not identified.
+        scale: (n,) scale of each joint; the median of the identified scales where a joint's is not
+            identified. Without any identified one, the last iterates of the search.
         identified: (k,) indices of the joints whose scale is identified.
         covariance: (k, k) covariance of the logarithms of these joints' scales.
     """
@@ -341,9 +366,9 @@ class TorqueScales:
 
     @cached_property
     def common(self) -> tuple[float, float]:
-        """The weighted mean of the identified scales, and the standard error of its logarithm.
+        """The mean of the identified scales, and the standard error of its logarithm.
 
-        It is the generalised least-squares mean of the logarithms.
+        Its logarithm is the generalised least-squares mean of the logarithms of the scales.
         """
         precision = np.linalg.inv(self.covariance)
         total = np.sum(precision)
@@ -380,6 +405,8 @@ def find_wrong_scales(
     base: Posterior, options: EstimationOptions, divided: Array
 ) -> list[Correction]:
     """Return the correction of torque scales: a unit, a common scale or a scale per joint.
+
+    The finding's level depends on the scale farthest from 1 (``REFUSED``, ``WARNED``).
 
     Args:
         base: posterior of the base model of the log.
@@ -419,7 +446,7 @@ def find_wrong_scales(
 
 
 def typical_scale(log: LogRows) -> float:
-    """Return the median ratio of rms measured torque to the model's, of joints that links load."""
+    """Return the median ratio of rms measured to modelled torque, over joints that links load."""
     model = log.model_torque
     is_loaded = model > _LOADED * float(np.max(model))
     ratio = rms(log.torque) / np.maximum(model, 1e-12)
@@ -427,7 +454,10 @@ def typical_scale(log: LogRows) -> float:
 
 
 def odd_unit_finding(log: LogRows) -> Finding | None:
-    """Return the finding that one joint's torque has another unit than the others', or None."""
+    """Return the finding that one joint's torque has another unit than that of the other joints.
+
+    None where no joint has, with fewer than three joints, and where gravity may be missing.
+    """
     model = log.model_torque
     ratio = rms(log.torque) / np.maximum(model, _LEAST_LOAD * float(np.max(model)))
     joint = int(np.argmax(ratio))
@@ -450,7 +480,8 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
 
     In each round the torques are divided by the scales of the last round, and the torque of the
     estimated links is one more column of each joint's equations; its coefficient is the relative
-    change of the scale.
+    change of the scale. No scale counts as identified unless those of all joints that links load
+    have a relative standard error below ``_KNOWN``.
 
     Args:
         log: equations of the log.
@@ -483,6 +514,7 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
         posterior = base.with_columns(columns).posterior()
         # The scales' coefficients come last.
         first = len(base.prior.estimated)
+        # A linear step is not trusted beyond a factor of five.
         change = np.clip(1.0 + _FAR * posterior.coefficients[first:], 0.2, 5.0)
         covariance = _FAR**2 * posterior.covariance[first:, first:]
         covariance = covariance / np.outer(change, change)
@@ -509,11 +541,11 @@ def _unit_near(typical: float, error: float) -> float | None:
 
 
 def _meaning(typical: float, spread: float, error: float, divided: Array) -> str:
-    """Return in words the probable cause of a torque scale, and what to do.
+    """Return in words the probable cause of torque scales, and what to do.
 
     Args:
         typical: the common scale.
-        spread: ratio of the largest to the smallest scale.
+        spread: ratio of the largest to the smallest scale; above ``_SAME``, joints differ.
         error: relative standard error of the common scale.
         divided: (n,) torque scales by which the torques were divided already.
     """

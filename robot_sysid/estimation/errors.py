@@ -64,12 +64,12 @@ from robot_sysid.records import Array, Measurement, Motion, PriorConflict
 FILTERING = "filtering"
 # Cause in results: parameters that are held at a bound.
 HELD = "friction at its bound"
-# Coefficient of an unidentified parameter in a combination below which it counts as rounding error.
+# Size below which the coefficient of an unidentified parameter in a combination is rounding error.
 _ROUNDING = 1e-9
 # Eigenvalue of information, as a share of the largest one, above which data determines a direction
 # of the parameters that are held at bounds.
 _SEEN = 1e-12
-# Largest log odds of two models: beyond it the less likely one has no weight, and exp overflows.
+# Largest log odds of two models: above it the less likely one has no weight, and exp may overflow.
 _SURE = 500.0
 
 
@@ -130,7 +130,7 @@ class FitErrors:
         return covariance, standard_errors(noise_products), budget
 
     def are_identified(self, combinations: Array) -> NDArray[np.bool_]:
-        """Tell (m,) whether each of m combinations (m, k) contains identified parameters only."""
+        """Return whether each of m combinations (m, k) has identified parameters only (m,)."""
         hidden = np.isinf(self.total.standard_errors)
         return np.asarray(
             np.max(np.abs(combinations[:, hidden]), axis=1, initial=0.0) < _ROUNDING
@@ -161,6 +161,7 @@ def fit_errors(
     """Return the errors of a fit from all causes, with torque noise that is correlated in time.
 
     Args:
+        fit: the fit.
         residuals: sums over lags of each joint's residuals, from which the autocorrelation of noise
             follows; if empty, they are computed from the fit's rows. Without rows, noise is white.
         pull: (joints, p) sums Y_j^T d_j of ``filtering_bias``; None computes them from the rows.
@@ -199,7 +200,7 @@ def fit_errors(
 
 
 def _unlikely_move(fit: Fit) -> Array:
-    """Return the part of the step to physically consistent bodies that chance does not explain.
+    """Return the excess of the step to physically consistent bodies over what chance explains.
 
     The step leads from the unconstrained estimate ``Fit.free`` to the constrained one. The true
     bodies are consistent, so that its cost, the squared effect in standard deviations of noise and
@@ -225,7 +226,11 @@ def _unlikely_move(fit: Fit) -> Array:
 def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
     """Return the errors of a fit that torque noise and priors explain.
 
+    Repeated motion adds variance to noise (``fit.inflation``). Memory that is free is given back to
+    the system on the way.
+
     Args:
+        fit: the fit.
         residuals: sums over lags of each joint's residuals; if empty, they are computed from the
             fit's rows. Without rows, noise is white.
     """
@@ -251,9 +256,12 @@ def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
 def _conflicts(fit: Fit, effective: Sequence[float]) -> tuple[PriorConflict, ...]:
     """Return the causes of error that are larger than their priors allow, by more than chance.
 
-    The noise of a row is enlarged by the square root of the rows per independent sample.
+    The noise of a row is enlarged by the square root of the rows per independent sample times
+    ``fit.inflation``, the variance that repeated motion adds. Fits with a payload and fits for a
+    file have no conflicts here.
 
     Args:
+        fit: the fit with its priors and data.
         effective: (joints,) number of independent samples. The autocorrelation of the residuals
             would give more of them, because the fit follows slow noise.
     """
@@ -278,6 +286,7 @@ def _further_causes(
     may be zero in truth. A parameter at its bound counts as free: noise may have pushed it there.
 
     Args:
+        fit: the fit.
         inverse: (k, k) inverse of the information of data and priors.
         causes: cause to the rows of its covariance according to the priors.
         conflicts: the priors that the data contradicts.
@@ -305,6 +314,7 @@ def _bound_errors(fit: Fit, inverse: Array, at_bound: NDArray[np.int64]) -> Arra
     the data determines.
 
     Args:
+        fit: the fit, in which these parameters are held.
         inverse: C (k, k), inverse of the information of data and priors.
         at_bound: (b,) indices of the held parameters among all p.
     """
@@ -403,6 +413,7 @@ def residuals_within(
     other fields stay as they are.
 
     Args:
+        fit: the fit whose estimated parameters are kept.
         residuals: per joint, with ``columns`` (c,) among all p parameters (``residuals_to_add``).
 
     Returns:
@@ -466,11 +477,15 @@ def filtering_bias(
 
 
 def _torques(equations: Equations, motion: Motion, values: Array) -> list[Array]:
-    """Return the torque (K,) of each joint along a motion [N m], computed in pieces of the motion.
+    """Return per joint the torque (K,) along a motion of K instants [N m].
+
+    It is computed in pieces of the motion, which limits memory.
 
     Args:
-        equations: of the arm; each joint has rows in some of the parameters, and right-hand sides.
-        values: of the parameters of the equations, in their order.
+        equations: equations of the arm; each joint has rows in some of the parameters, and
+            right-hand sides.
+        motion: positions, velocities and accelerations (K, n).
+        values: (p,) parameters of the equations, in the order of their indices.
     """
     # Size of the rows of all joints at one instant, by which the motion is split.
     width = motion.q.shape[1] * len(values)

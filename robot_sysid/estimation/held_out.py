@@ -5,9 +5,9 @@ In-sample errors fall with every parameter. So each block of time is predicted f
 more in one of them.
 
 Shapes: "blocks" and "joints" count the blocks of cross-validation and the joints with equations; p
-parameters (``Columns.names``), of which k are estimated. The equations of a joint in a block are
-kept as a triangle [A b] (m, c+1) with the sum of squares of all its rows; its c columns belong to
-the parameters with the indices ``columns`` (c,) among all p.
+parameters (``Columns.names``), of which k are estimated. The equations [A b] of a joint in a block,
+A x = b with c parameters x, are kept as the triangle R (m, c+1) with R^T R = [A b]^T [A b]; their
+columns belong to the parameters with the indices ``columns`` (c,) among all p.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ CLEAR_SHARE = 0.1
 """Least relative decrease of the held-out squared error that counts as clear."""
 CLEARLY = 2.0
 """Least mean decrease of the logarithm of the held-out squared error that counts as clear, in
-standard errors over the blocks."""
+standard errors of the mean over the blocks."""
 # Less than every squared error [N^2 m^2]; avoids the logarithm of zero.
 _TINY = 1e-30
 # Added to the diagonal of scaled normal equations, which stay regular without data on a parameter.
@@ -59,8 +59,8 @@ class HeldOut:
     Attributes:
         data: evidence (triangles of equations) of each block.
         noise: (joints,) effective standard deviation of each joint's torque noise [N m].
-        superset: unknowns that contain those of every set to compare, which saves memory with many
-            joints; None for all parameters.
+        superset: unknowns that contain those of every set to compare, so that sums are made of
+            their columns alone, which saves memory; None for all parameters.
         _triangles: cache of ``_other_triangles``, by the unknowns' indices and held values.
         _starts: block to an inner solution of its last search for consistent bodies, at which the
             next search of that block starts.
@@ -125,7 +125,7 @@ class HeldOut:
         """Yield the normal equations of data and priors without each block in turn.
 
         Friction terms that the other blocks do not identify stay near zero; all other parameters
-        without data have priors.
+        without data have priors. The unknowns have to be part of ``superset``.
 
         Yields:
             (scaled matrix (k, k), scaled right side (k,), scale (k,)) of each block: the solution
@@ -157,7 +157,10 @@ class HeldOut:
             yield matrix, scale * right_side, scale
 
     def _values(self, unknowns: Unknowns) -> Array:
-        """Return the parameters (blocks, p), estimated from all blocks but one in turn."""
+        """Return all parameters (blocks, p), estimated without each block in turn.
+
+        Bodies may be physically inconsistent.
+        """
         values = []
         for matrix, right_side, scale in self._normal_equations(unknowns):
             values.append(unknowns.full(scale * np.linalg.solve(matrix, right_side)))
@@ -185,7 +188,8 @@ class HeldOut:
     def consistent_squared_errors(self, unknowns: Unknowns) -> Array:
         """Return the squared error (blocks, joints) of blocks predicted from the others [N^2 m^2].
 
-        Bodies are physically consistent in every one of these estimates.
+        Bodies are physically consistent in every one of these estimates. Later calls start the
+        search for consistent bodies at the solutions of this one.
         """
         values = self._values(unknowns)
         problem = links_problem(unknowns)
@@ -203,7 +207,10 @@ class HeldOut:
         return self._squared_residuals(values)
 
     def _other_triangles(self, unknowns: Unknowns) -> Sequence[Array]:
-        """Return per block the triangle (., k+1) of the whitened equations of all other blocks."""
+        """Return per block the triangle (m, k+1) of the whitened equations of all other blocks.
+
+        It is computed once for each set of unknowns and held values.
+        """
         key = unknowns.estimated.tobytes(), unknowns.held.tobytes()
         if key not in self._triangles:
             restriction = unknowns.estimated_names, unknowns.held
@@ -216,9 +223,10 @@ class HeldOut:
         return self._triangles[key]
 
     def score(self, unknowns: Unknowns) -> Array:
-        """Return the mean squared error (blocks,) of all rows, in units of the noise variance.
+        """Return the mean squared error (blocks,) of each block predicted from the others.
 
-        Bodies are physically consistent.
+        The mean is over rows of all joints, in units of each joint's noise variance. Bodies are
+        physically consistent.
         """
         squared = self.consistent_squared_errors(unknowns)
         counts = np.maximum(np.sum(self.counts, axis=1), 1.0)
@@ -238,9 +246,10 @@ class HeldOut:
 
 
 def held_out(fit: Fit, superset: Unknowns | None = None) -> HeldOut:
-    """Return the cross-validation of a fit's data, with the weights of its equations.
+    """Return the cross-validation of a fit's data, with the noise that weights its equations.
 
     Args:
+        fit: the fit whose blocks of data and weights are used.
         superset: see ``HeldOut``; None for all parameters.
     """
     return HeldOut(fit.evidence, 1.0 / fit.weights, superset)
@@ -308,7 +317,9 @@ NOISE_EXPLAINS = 3.0
 
 
 def _error_ratio(squared: Array, expected: Array) -> float:
-    """Return the ratio of actual to expected root mean square errors, over joints with data.
+    """Return the root mean square over joints of the ratio of actual to expected error.
+
+    Blocks are summed. Joints without data are left out.
 
     Args:
         squared: (blocks, joints) squared errors [N^2 m^2].
@@ -350,7 +361,9 @@ def validate_datasets(
     """Return the error with which a fit predicts the torques of other recordings.
 
     Args:
-        errors: of the fit's parameters.
+        fit: the fit that predicts.
+        errors: errors of the fit's parameters.
+        datasets: the other recordings.
         source: name of these recordings for the user.
 
     Raises:
@@ -369,7 +382,8 @@ def validate_rows(
     """Return the error with which a fit predicts the torques of rows that were not fitted.
 
     Args:
-        errors: of the fit's parameters.
+        fit: the fit that predicts.
+        errors: errors of the fit's parameters.
         data: evidence of these rows, linearised around the fit.
         source: name of these rows for the user.
 
@@ -399,6 +413,11 @@ def _prediction_variance(
 
     It is summed over the rows of ``data``, and infinite where the fit does not identify a parameter
     of a joint's torque, or had no rows of the joint.
+
+    Args:
+        fit: the fit that predicts.
+        errors: errors of the fit's parameters.
+        data: triangles of the predicted rows, linearised around the fit.
     """
     estimated = fit.unknowns.estimated
     variances = np.full(len(data.joints), np.inf)
