@@ -130,7 +130,7 @@ class Answer:
         """Return the estimate of a body, with the errors of its ten inertial parameters.
 
         Args:
-            name: of the body.
+            name: name of the body.
             combinations: (10, k) matrix from the k estimated parameters to the body's parameters,
                 from which the errors follow.
             theta: (10,) estimated values of the body's parameters.
@@ -166,8 +166,8 @@ class Answer:
     def quantity(self, name: str) -> Quantity:
         """Return a named parameter in SI units with its standard error.
 
-        The error is NaN for a parameter that is held at a bound. Every other parameter has to be
-        an estimated one.
+        ``name`` is that of an estimated parameter, or of one that is held at a bound; the error of
+        the latter is NaN. Another name raises a ``ValueError``.
         """
         fit = self.fit
         error = np.nan
@@ -233,7 +233,7 @@ class Answer:
         return names
 
     def _friction(self, owner: str) -> dict[str, Quantity]:
-        """Return friction term of a joint or motor to its estimate."""
+        """Return friction term to its estimate, for the joint or motor named ``owner``."""
         terms = {}
         for name in self._friction_names:
             term, member = split_name(name)
@@ -249,6 +249,7 @@ class Answer:
         None where no offset or no level is estimated, or the level is held at a bound.
 
         Args:
+            joint: name of the joint.
             terms: friction term of the joint to its estimate.
         """
         level = "coulomb" if "coulomb" in terms else "sigmoid"
@@ -347,6 +348,10 @@ def _file_terms(
     The fit for a file holds rotors that ``answer``, the fit of all effects, has estimated. Such a
     rotor is written, with its error, where it differs from the model's. A torque sensor's offset is
     not friction, and is not written.
+
+    Args:
+        answer: the fit of all effects with its errors.
+        file: the fit for the model file (``Answer.file``).
     """
     for owner, joint in file.joints():
         terms = dict(joint.terms)
@@ -450,7 +455,8 @@ def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
     Links that are held, not estimated, add nothing to these errors.
 
     Args:
-        errors: of the k estimated parameters of the fit.
+        fit: the fit.
+        errors: errors of the k estimated parameters of the fit.
     """
     indices_by_body = fit.columns.bodies()
     del indices_by_body["payload"]
@@ -499,8 +505,8 @@ def parameter_scale(links: int) -> Array:
 def structural_base(robot: RobotModel) -> BaseCombinations:
     """Return the base parameters that torques of all joints can identify with the best motion.
 
-    They are computed from the regressor of random poses, speeds and accelerations; its seed is
-    fixed. The parameters are the ten of each link with mass, base to terminal.
+    They are computed from the regressor of random poses, speeds and accelerations with a fixed
+    seed. The parameters are the ten of each link with mass, base to terminal.
     """
     rng = np.random.default_rng(0)
     shape = (_RANDOM_POSES, robot.n_joints)

@@ -84,7 +84,9 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
     """Return the result for an arm from recordings without a payload.
 
     Its verdict is that of the first reason against the fit, the links or the model file; without
-    such a reason, it is that on the model file.
+    such a reason, it is that on the model file or, without a file, whether the data identifies all
+    parameters. Where too much torque is unexplained (``UNEXPLAINED``), it is never better than
+    ``Verdict.TORQUES_ONLY``.
 
     Args:
         answer: the identified arm.
@@ -200,9 +202,10 @@ def _common(answer: Answer, data: DataOrigin) -> Result:
 
 
 def _result_notes(answer: Answer, file: ModelFile | None) -> Iterator[str]:
-    """Yield sentences for the user on torque scale, couplings, priors, zeros and gravity.
+    """Yield sentences for the user on torque scale, couplings, priors, encoder zeros and gravity.
 
     Args:
+        answer: the fit with its errors.
         file: the written model file; None where none is written.
     """
     sensors = answer.sensors()
@@ -231,6 +234,7 @@ def _result_notes(answer: Answer, file: ModelFile | None) -> Iterator[str]:
             )
     for name, quantity in sensors.items():
         large = abs(quantity.value) > max(_CLEAR * quantity.error, _SMALL_ZERO)
+        # The joint's name is between the brackets of "zero[...]".
         if name.startswith("zero[") and large:
             yield (
                 f"the log reads {name[5:-1]} {1e3 * quantity.value:.1f} \u00b1 "
@@ -301,7 +305,8 @@ def _payload_estimate(
     """Return the record of the payload, and of the terminal link without and with the payload.
 
     Args:
-        values: (p,) of all parameters, from which the three bodies are taken.
+        flange: the frame in which the payload is stated.
+        values: (p,) values of all parameters, from which the three bodies are taken.
         scatter: the payload according to each recording alone.
     """
     columns = answer.fit.columns
@@ -317,8 +322,8 @@ def _payload_estimate(
     return Payload(
         flange,
         _payload(answer, flange, values),
-        _link(answer, values, False),
-        _link(answer, values, True),
+        _link(answer, values, loaded=False),
+        _link(answer, values, loaded=True),
         recordings,
         scatter,
         torque_scale,
@@ -345,8 +350,8 @@ def _without_inertia(payload: Payload) -> Payload:
 def _arm_file(answer: Answer) -> tuple[ModelFile | None, tuple[str, ...]]:
     """Return (model file of the arm without its payload, notes on the file for the user).
 
-    The file is None where none was fitted, or where it predicts no better than the given model; a
-    note says so in the second case.
+    The file is None where none was fitted, and where its verdict is not trustworthy, as of a file
+    that predicts worse than the given model; a note then has the reason.
     """
     judgement = _file_verdict(answer)
     if judgement is None:
@@ -362,7 +367,9 @@ def _payload(answer: Answer, flange: Flange, values: Array) -> BodyEstimate:
     """Return the payload with its errors, in the flange frame.
 
     Args:
-        values: (p,) of all parameters, from which the payload is taken.
+        answer: the fit with its errors.
+        flange: the frame in which the payload is stated.
+        values: (p,) values of all parameters, from which the payload is taken.
     """
     # The change of frame is linear: its matrix has the images of the ten unit bodies as columns.
     to_flange = np.stack(list(map(flange.to_flange, np.eye(10))), axis=1)
@@ -375,7 +382,8 @@ def _link(answer: Answer, values: Array, loaded: bool) -> BodyEstimate:
     """Return the terminal link with its errors, in the frame of its body.
 
     Args:
-        values: (p,) of all parameters, the first ten those of the link.
+        answer: the fit with its errors.
+        values: (p,) values of all parameters, the first ten those of the link.
         loaded: whether the payload is part of the link.
     """
     combinations = answer.selection_matrix(PARAMETER_NAMES)
@@ -402,6 +410,7 @@ def make_traces(
     """Return the measured and the predicted torques of all logs, one log after the other.
 
     Args:
+        robot: the arm, for the types and limits of its joints.
         samples: equations of each log, at least of one; all logs have the same parameter names.
         motions: motion of each log, which is interpolated here to the instants of its equations.
         estimate: parameter name to estimated value; missing parameters are zero.

@@ -95,6 +95,8 @@ def _fit_kind(
     is turned; a second fit of the selected parameters is the answer.
 
     Args:
+        fitter: fits the recordings; its cached rows are replaced.
+        question: what the file may hold and what stays as it is.
         motors: motors that turn several joints, which the file holds.
         estimate: a fit of all effects, at which the search starts; rotors are taken from it.
         pull: (joints, p) sums of ``errors.filtering_bias``; None computes them from the rows.
@@ -141,15 +143,15 @@ def _fit_kind(
     judge = held_out(fit, fit.unknowns)
     validation = judge.validation(judge.consistent_squared_errors(fit.unknowns))
     del judge
-    errors = fit_errors(fit, (), pull)
+    errors = fit_errors(fit, residuals=(), pull=pull)
     return Answer(fit, errors, validation, model_validation=model_validation)
 
 
 def _holds_rotors(question: Question) -> bool:
     """Tell whether the file gets estimated rotor inertia.
 
-    It does not where rotors stay as they are, in a URDF, and with torques of the last joint alone,
-    which do not identify its rotor.
+    It does not where rotors stay as they are, in a URDF, and with torques of the terminal joint
+    alone, which do not identify the joint's rotor.
     """
     is_kept = (
         FILE_ROTORS in question.unchanged_parts
@@ -166,6 +168,8 @@ def _friction_terms(
     Terms of parts of the file that stay as they are, and rotors of known inertia, are left out.
 
     Args:
+        robot: the arm.
+        question: what the file may hold and what stays as it is.
         rotors: joint, or motor that turns several joints, to its known rotor inertia [kg m^2].
         name: friction model whose terms are estimated.
     """
@@ -188,9 +192,12 @@ def _validate_model(
 ) -> Validation:
     """Return the held-out error of the given model, with fitted sensor offsets.
 
-    Each joint has an offset of its own, so that the weights of the joints are arbitrary.
+    Only offsets are fitted, one per joint. They do not depend on each other, so that the weights of
+    the joints are arbitrary.
 
     Args:
+        fitter: gives the recordings' equations.
+        question: may contain a payload that the arm carries.
         choice: selects the unknowns of the file, from which only bounds are taken.
         point: has the model's gravity; its other values make no difference.
     """
@@ -211,9 +218,10 @@ def _validate_model(
 
 
 def holds_polynomial(robot: RobotModel, joint: int, file_kind: str) -> bool:
-    """Tell whether a file can hold nonlinear damping of a joint whose model has none.
+    """Tell whether a file can hold nonlinear damping of a joint for which the model states none.
 
     Args:
+        robot: the arm.
         joint: index in the chain.
         file_kind: "mjcf" or "urdf".
     """
@@ -230,7 +238,13 @@ def _add_polynomials(
 ) -> Choice:
     """Return the choice with nonlinear damping added to the friction of joints where it helps.
 
-    It is added at joints whose held-out error it clearly lowers and whose file can hold it.
+    It is added at joints whose held-out error it clearly lowers and at which the file can hold it.
+
+    Args:
+        judge: held-out errors of the recordings.
+        fit: a fit of the file, which gives the equations.
+        question: what the file may hold and what stays as it is.
+        choice: friction and priors so far.
     """
     if FILE_FRICTION in question.unchanged_parts:
         return choice
@@ -253,8 +267,8 @@ def _add_polynomials(
 
 
 SCALES = (1.0, 2.0, 4.0, 8.0, 16.0)
-"""Factors on the uncertainty of all links but the terminal one that are tried; 16 times the default
-of 5 % is nearly all of a link."""
+"""Factors that are tried on the uncertainty of all links but the terminal one; 16 times the default
+of 5 % is nearly all of a link's parameters."""
 AS_GOOD = 1.02
 """Ratio of squared errors up to which they count as equal: one per cent of the error."""
 CLEAR_OFFSET = 3.0
@@ -266,7 +280,7 @@ ones, as a share of the joint's torque: offsets of a KUKA LWR4+ are not known be
 
 
 def select_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
-    """Return the choice with priors of the offsets of torque sensors that have no clear offset.
+    """Return the choice with the priors of torque sensors' offsets that are not significant.
 
     In a small motion an offset and the weight of links make the same torque, so that noise alone
     would move weight into offsets: offsets that are not significant become zero, the least

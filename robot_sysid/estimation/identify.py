@@ -52,7 +52,8 @@ from robot_sysid.signals.process import LogPiece, process
 from robot_sysid.signals.repetition import find_visits
 
 AT_REST = FrictionModel(("offset",))
-"""Friction model for poses at rest: approached from both sides, they have a torque offset only."""
+"""Friction model for poses at rest. Each is approached from both sides, so that friction cancels
+and a torque offset remains."""
 _PASSES = 18
 """Number of passes over the recordings that progress is counted against: an identification takes 15
 to 18 with three real arms and an example."""
@@ -83,6 +84,11 @@ def low_pass_recordings(
 
     The cut-off is the lowest that any of them requires, unless an option states it. Rows over turns
     at which a joint stands are left out (``without_standing``).
+
+    Args:
+        robot: the arm with its model.
+        pieces: stretches of recordings, each of which becomes one recording.
+        options: the cut-off, or None in its field to choose it from the data.
 
     Returns:
         (recordings, one per piece; notes on them, one sentence each).
@@ -137,7 +143,10 @@ def answer_link(
     """Return the answer for an arm from recordings without a payload.
 
     Args:
+        robot: the arm with its model.
         datasets: filtered recordings, as from ``low_pass_recordings``.
+        options: options of the estimate.
+        progress: receives the stages.
         unchanged_parts: parts of the model file that stay as they are; None for no file.
         tests: name to recordings that only test the result.
 
@@ -197,6 +206,7 @@ def answer_payload(
     Args:
         datasets: filtered recordings, or poses at rest.
         question: may contain the known mass of the payload.
+        progress: receives the stages.
         unchanged_parts: parts of the model file that stay as they are; None for no file.
 
     Returns:
@@ -230,7 +240,7 @@ def answer_payload(
 def refit(
     answer: Answer, used: Sequence[Mask], unchanged_parts: tuple[str, ...]
 ) -> Answer:
-    """Return an answer from some of the rows of an answer's recordings, all choices made again.
+    """Return the answer from a part of the rows of an answer's recordings, all choices made again.
 
     Args:
         answer: gives recordings and options.
@@ -267,7 +277,11 @@ def _fitter(
     """Return a fitter of recordings with the stated couplings and those with clear evidence.
 
     Args:
+        robot: the arm with its model.
+        datasets: the recordings.
+        question: what to estimate, with which options.
         model: friction of every joint, where the user states it; None to select it later.
+        progress: receives a count of passes over the recordings.
     """
     options = question.options
     repetitions = None
@@ -275,7 +289,7 @@ def _fitter(
         tilt_axes(gravity_vector(robot))  # raises without gravity
     if not question.resting:
         repetitions = find_visits([dataset.motion for dataset in datasets])
-    # All couplings; the last ones of them are on trial, used only with clear evidence.
+    # All couplings: first stated ones, then ``offered``, which are used only with clear evidence.
     motors, offered = couplings_of(robot, options)
     columns = Columns(robot, datasets, options.torques, motors)
     fitter = Fitter(columns, rms_torque(datasets), repetitions, _passes(progress))
@@ -291,15 +305,15 @@ def _fitter(
 
 
 WORSE = 2.0
-"""Ratio of mean squared residuals above which additional rows make an estimate worse: with n rows
-of variance s^2 its variance is s^2 / n, and m more rows of variance r s^2 lower it only while
-r < 2 + m / n."""
+"""Ratio of mean squared residuals above which additional rows make an estimate worse. With n rows
+of variance s^2, the variance of a mean is s^2 / n; m more rows of variance r s^2 lower it only
+while r < 2 + m / n."""
 
 
 def without_standing(
     robot: RobotModel, dataset: Dataset, options: EstimationOptions
 ) -> Dataset:
-    """Return a new recording without the rows at reversals where joints stand still for a while.
+    """Return the recording without the rows at reversals where joints stand still for a while.
 
     Low-passed positions do not show standing (``signals.turning``), but residuals do. Rows over
     turns also have the most information on inertia, so they are left out only where they fit worse
@@ -364,11 +378,12 @@ LEAST_PLACE = 0.01
 LEAST_GYRATION = 0.05
 """Difference in the payload's radius of gyration below which recordings agree [m]."""
 UNSEEN = 100.0
-"""Prior standard deviation of a body's parameters, which bounds parameters without data [SI]."""
+"""Prior standard deviation of a body's ten parameters, each in its SI unit: wide, and only there to
+keep parameters without data finite."""
 
 
 def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[RecordingPayload, ...]:
-    """Return the payload according to each recording, compared with all of the other kind.
+    """Return the payload according to each recording, compared with those of the other kind.
 
     The kinds are recordings without and with the payload; those without come first. A recording
     that is the only one of its kind gets no entry. Payloads are in the flange frame. The fit needs
@@ -446,9 +461,10 @@ def contradiction(fit: Fit, flange: Flange) -> str:
 
 
 def _describe_body(theta: Array, least: float) -> str:
-    """Return a phrase with mass and centre of mass of a body (10,).
+    """Return a phrase with mass and centre of mass of a body.
 
     Args:
+        theta: (10,) inertial parameters of the body.
         least: mass up to which the phrase is "nothing" [kg].
     """
     if theta[0] <= least:
@@ -460,13 +476,15 @@ def _describe_body(theta: Array, least: float) -> str:
 def _differences(
     kinds: NDArray[np.bool_], bodies: Array, covariance: Array
 ) -> Iterator[tuple[float, int, str]]:
-    """Yield the differences of each recording from the others of its kind that are significant.
+    """Yield the significant differences of each recording from the others of its kind.
 
-    Differences that are small compared with the payload are left out.
+    The kinds are recordings without and with the payload. Differences that are small compared with
+    the payload are left out (``LEAST_MASS``, ``LEAST_PLACE``, ``LEAST_GYRATION``).
 
     Args:
         kinds: (d,) whether each recording carries the payload.
-        bodies: (d, 10) on the arm in each recording, in the frame of the terminal body.
+        bodies: (d, 10) inertial parameters of the body on the arm in each recording, in the frame
+            of the terminal body.
         covariance: (d, 10, d, 10) of the bodies.
 
     Yields:
@@ -500,9 +518,10 @@ def _differences(
 
 
 def bodies_apart(fit: Fit, samples: Sequence[DecimatedSamples]) -> tuple[Array, Array]:
-    """Return (bodies (d, 10), covariance (d, 10, d, 10)) on the arm in each of d recordings.
+    """Return the bodies (d, 10) on the arm in each of d recordings, and their covariance.
 
-    Each recording gets a body of its own in place of the payload. The first recording is the
+    A body is its ten inertial parameters, the covariance (d, 10, d, 10). Each recording gets a body
+    of its own in place of the payload. The first recording is the
     reference: its body and its error are zero. Labels of recordings as empty or loaded are not
     used. Bodies are in the frame of the terminal body.
 

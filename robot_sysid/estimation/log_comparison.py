@@ -1,8 +1,8 @@
 """How several logs of an arm agree: in mass, in friction, and each predicted from the others.
 
-L logs give estimates x_1 ... x_L of the same f numbers, with everything else in common and a
-covariance of all of them. In orthonormal contrasts d of the logs (Helmert's), which leave out the
-mean, a model with a variance of its own for what differs between logs is
+L logs give estimates x_1 ... x_L of the same f numbers, with all other parameters in common, and a
+joint covariance of these estimates. In orthonormal contrasts d of the logs (Helmert's), which leave
+out the mean, a model with a variance of its own for what differs between logs is
 
     d ~ N(0, C + T),    T = diag(t^2),
 
@@ -115,12 +115,12 @@ class FrictionOfLogs:
     """Friction of each log, and how much it differs between them.
 
     Attributes:
-        logs: (L,) their names.
+        logs: (L,) names of the logs.
         names: (f,) friction terms, such as "coulomb[joint_1]".
         between: values and errors of these terms by log.
         differences: joint or coupled motor to the largest difference of its friction between two
-            logs, as a share of its friction torque; only where it exceeds its errors; the largest
-            first.
+            logs, as a share of its friction torque, largest first. Only significant differences of
+            more than ``LEAST_DIFFERENCE`` are among them.
     """
 
     logs: tuple[str, ...]
@@ -129,7 +129,7 @@ class FrictionOfLogs:
     differences: Mapping[str, float]
 
     def _indices(self, owner: str) -> dict[str, int]:
-        """Return friction term of a joint or a motor to its index in ``names``."""
+        """Return friction term to its index in ``names``, for the joint or motor ``owner``."""
         indices = {}
         for index, name in enumerate(self.names):
             term, member = split_name(name)
@@ -175,7 +175,7 @@ class FrictionOfLogs:
 
     @property
     def note(self) -> tuple[str, ...]:
-        """A sentence on the joints whose friction differs; none where there are none."""
+        """One sentence, in a tuple, on the joints whose friction differs; () without these."""
         if not self.differences:
             return ()
         worst = list(self.differences.items())
@@ -195,8 +195,9 @@ def compare_recordings(
 ) -> tuple[tuple[str, ...], list[Validation], FrictionOfLogs | None]:
     """Return how the logs of a fit compare; nothing where there is a single log.
 
-    Recordings of one name are one log, a block of the cross-validation. A log with joints that the
-    others do not identify is not used as a test.
+    Recordings of one name are one log, a block of the cross-validation. A log whose error does not
+    test the fit (``is_informative_test``) is left out, as one with joints that the other logs do
+    not identify. The fit needs its rows (``Fit.samples``).
 
     Returns:
         (sentences on masses and friction, error of each log predicted from the others, friction by
@@ -254,8 +255,9 @@ def friction_of_logs(
     """Return friction of each log with all other parameters in common; None without friction.
 
     Args:
-        logs: rows of each log in the fit's estimated parameters.
-        blocks: information of each log about all parameters.
+        fit: the fit to all logs together.
+        logs: name of a log to its recordings' rows in the fit's estimated parameters.
+        blocks: information of each log about all p parameters, in the order of ``logs``.
     """
     unknowns = fit.unknowns
     names = _friction_names(unknowns)
@@ -404,10 +406,11 @@ def _agreement(
 SHARES = (0.0, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
 """Grid of differences from log to log, as shares of a number's size, equally likely."""
 COMMON_FREEDOM = 4.0
-"""Weight of the share of a whole kind, in differences of one number."""
+"""Weight of the spread that all numbers of a kind have in common, against the weight 1 of one
+contrast of a number's own."""
 SURE_DIFFERENCE = 0.999
-"""Significance of a contradiction between logs: the errors of differences are themselves off by up
-to a fifth (measured), which 0.99 would not cover."""
+"""Confidence level from which logs contradict each other: the errors of differences are themselves
+off by up to a fifth (measured), which 0.99 would not cover."""
 # Prior standard deviation, in sizes, of a number that a log does not identify.
 _UNSEEN = 100.0
 
@@ -417,8 +420,8 @@ class BetweenLogs:
     """Estimates of the same f numbers from L logs.
 
     Attributes:
-        values: (L, f) according to each log, with everything else in common.
-        errors: (L, f) their standard errors due to the noise of each log.
+        values: (L, f) numbers according to each log, with all other parameters in common.
+        errors: (L, f) standard errors of ``values`` due to the noise of each log.
         spread: (f,) standard deviation from log to log, beyond these errors.
         contrasts: (L - 1, f) orthonormal contrasts of the logs.
         noise: (L - 1, f, L - 1, f) covariance of the contrasts that noise makes.
@@ -462,7 +465,7 @@ def compare_logs(
     sizes: Array,
     kinds: NDArray[np.int64],
 ) -> BetweenLogs:
-    """Return estimates of f numbers that may differ between L logs.
+    """Return estimates of f numbers for each of L logs, and how much they differ between logs.
 
     Args:
         normals: (L) matrices (k + 1, k + 1) [A b]^T [A b] of each log's weighted equations.

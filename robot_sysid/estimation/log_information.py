@@ -89,7 +89,7 @@ class CommonSettings:
     estimation: EstimationOptions
 
     def differences(self, other: CommonSettings) -> list[str]:
-        """Return a phrase for each setting that differs from the other record's; [] without any."""
+        """Return a phrase for each setting that differs from the other record's."""
         labels = {
             "model": "the model",
             "joint": "the terminal joint",
@@ -111,16 +111,17 @@ class LogInformation:
 
     Attributes:
         settled: settings that are equal in all records that are added.
-        evidence: triangles of all joints' equations, in blocks.
+        evidence: triangles of all joints' equations, in the blocks of cross-validation.
         residuals: per joint, sums over lags of the first round's residuals; empty in that round.
         pull: (joints, p) sums of ``errors.filtering_bias``, for the error due to the low-pass of
             positions.
-        rows: a sample of the rows.
+        rows: a random sample of the motion and residuals of the rows.
         torque: (n,) sum of squares of all measured torque [N^2 m^2].
         samples: number of samples of each joint's torque.
-        duration: of all logs [s].
+        duration: duration of all logs together [s].
         logs: number of logs.
-        acceleration_error: the largest, see ``signals.process``.
+        acceleration_error: largest expected error of a log's acceleration, as a share of the
+            acceleration (``signals.process``).
         notes: the first ``MOST_NOTES`` notes of the logs, one sentence each.
     """
 
@@ -193,7 +194,9 @@ class LogInformation:
 
 
 def settled_options(options: EstimationOptions) -> EstimationOptions:
-    """Return the options, the friction model among them.
+    """Return options under which information adds, with a stated friction model.
+
+    It is the default model where the options state none.
 
     Raises:
         InputError: an option would be chosen from the data, or needs every sample of it.
@@ -283,8 +286,9 @@ def log_information(
     In the first round, it is linearised around the model's own values.
 
     Args:
-        logs: whole logs, or the pieces of one, each filtered on its own.
-        options: of ``settled_options``.
+        robot: the arm with its model.
+        logs: whole logs, or the pieces of one, each filtered on its own; they count as one log.
+        options: options that ``settled_options`` returned.
         around: the sum of a first round over all logs; None in that round.
         notes: sentences to keep.
 
@@ -332,7 +336,10 @@ def log_information(
 
 
 def _fit_sum(robot: RobotModel, information: LogInformation) -> Fit:
-    """Return the fit to the sum of all logs, around the linearisation point of their records."""
+    """Return the fit to the sum of all logs, around the point at which their equations were made.
+
+    Couplings and choices (``choose``) are made from the sum, too.
+    """
     options = information.settled.estimation
     fitter = _Fixed(robot, information)
     question = Question(options)
@@ -366,7 +373,10 @@ def answer_from(
     """Return the estimate of an arm from the sum of a second round.
 
     Args:
-        validation: information of other logs with the same settings, on which to test the estimate.
+        robot: the arm with its model.
+        information: the sum of a second round.
+        validation: information of other logs with the same settings, on which to test the estimate;
+            None for no test.
 
     Raises:
         InputError: this is a first round, or the settings of model or options differ.

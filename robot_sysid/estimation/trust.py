@@ -80,7 +80,8 @@ LEAST_REACH = 0.6
 MOST_FACTOR = 2.0
 """Largest factor, up or down, between a payload's known mass and its estimate: gears lose a third
 of the torque at most."""
-# Standard errors of a mass from zero, and of a size beyond its bound, that are significant (95 %).
+# Standard errors from which a distance of a mass from zero, or of a size from its bound, is
+# significant (95 %).
 _SURE = 2.0
 # Size that smaller links are given in the bounds by ``FARTHEST_LINK`` [m].
 _LEAST_SIZE = 0.02
@@ -91,9 +92,9 @@ Judgement = tuple[Verdict, str]
 def first(
     findings: Iterable[Judgement], otherwise: Verdict
 ) -> tuple[Verdict, tuple[str, ...]]:
-    """Return (verdict of the first finding, reasons of all findings).
+    """Return (verdict of the first of (verdict, reason) pairs, reasons of all pairs).
 
-    Without findings, the verdict is ``otherwise``.
+    Without pairs, the verdict is ``otherwise``.
     """
     judged = list(findings)
     verdict = judged[0][0] if judged else otherwise
@@ -112,6 +113,7 @@ def find_misfits(
     left out.
 
     Args:
+        fit: the fit with its noise.
         tests: held-out errors and errors on other logs; only informative ones count.
         acceleration_error: expected relative error of the acceleration; 0 where unknown.
         independent_share: joint to the share of its residuals that are independent samples.
@@ -190,7 +192,8 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judgemen
     """Yield reasons why this arm cannot have the estimated terminal link.
 
     Bounds on its centre of mass and radius of gyration follow from the extent of the link's
-    geometry in the model and from the reach of the arm. A link without a positive mass has neither.
+    geometry in the model and from the reach of the arm. A link without a positive mass has neither,
+    so nothing is yielded. A mass that the data does not identify is compared with the model's.
     """
     body = link.inertial
     errors = link.errors
@@ -232,9 +235,11 @@ def implausible_joints(
     """Yield reasons why this arm cannot have the estimated friction and rotor inertia.
 
     Dry friction is compared with the joint's torque limit and with the torques of the other joints
-    of its type (hinge or slide), a rotor with the inertia of the outstretched arm.
+    of its type (hinge or slide), a rotor with the inertia of the outstretched arm, as if all mass
+    were at its end.
 
     Args:
+        robot: the arm with its model.
         joints: name of each chain joint to its estimate.
         torque: (n,) root mean square of each joint's measured torque [N m].
     """
@@ -286,9 +291,12 @@ def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[WrongLink]:
 
 
 def implausible_links(robot: RobotModel, thetas: Array) -> Iterator[Judgement]:
-    """Yield reasons why this arm cannot have its estimated links but the last one.
+    """Yield reasons why this arm cannot have one of its estimated links other than the last.
+
+    Links without mass, and links whose mass in the model is a placeholder, are not judged.
 
     Args:
+        robot: the arm with its model.
         thetas: (n, 10) estimated parameters of all links; the last one is not judged here.
     """
     bodies = np.array(list(usual_bodies(robot).values()))
@@ -309,9 +317,10 @@ def _strangeness(name: str, model_theta: Array, theta: Array, size: float) -> st
     """Return why an estimated link is implausible, as a sentence; "" where it is plausible.
 
     Args:
-        model_theta: (10,) the link's parameters in the model.
-        theta: (10,) the estimated parameters.
-        size: of the link [m].
+        name: name of the link in the sentence.
+        model_theta: (10,) the link's inertial parameters in the model.
+        theta: (10,) the estimated inertial parameters.
+        size: size of the link [m].
     """
     if not spatial.is_consistent(theta):
         return f"{name} is no possible rigid body"
@@ -365,11 +374,12 @@ def judge_payload(
     """Yield reasons why a payload is not trustworthy.
 
     Args:
+        robot: the arm with its model.
         payload: in the flange frame, from the estimate with bodies that may be inconsistent.
         contradicting: sentence on a contradiction between recordings; "" where there is none.
         validation: held-out error of the fit.
     """
-    # The errors contain those of the projection to consistent bodies, which this estimate lacks.
+    # The errors contain those of the step to consistent bodies, which this estimate did not take.
     moved = payload.budget.get(BODIES, np.zeros(10))[0]
     mass = payload.inertial.mass
     error = float(payload.errors[0])

@@ -1,4 +1,4 @@
-"""Prediction of logs that were not fitted, by the given model and a written one, as files.
+"""Prediction of logs that were not fitted, by the original model and by a written model.
 
 Both models are simulated along the logs, and their positions compared with the measured ones
 (rollout); or the torques that a model takes are compared with the measured ones.
@@ -56,9 +56,10 @@ def play(
 
     Args:
         robot: the arm with the original model.
-        signals: the processed logs.
-        write: writes the model; it goes to a temporary folder and is loaded from there.
-        mesh_dir: the user's mesh folder, or None.
+        signals: the processed logs, at least one.
+        write: writes the new model to the given target, a file in a temporary folder, from which
+            the model is loaded.
+        mesh_dir: the user's mesh folder; None where there is none.
         start_time: returns the time of a log [s] from which on it is held out.
         held_out: description of the held-out pieces.
 
@@ -82,9 +83,16 @@ def play(
 
 
 def rollout_refusal(test: RolloutTest | None, accepted: Collection[str]) -> str | None:
-    """Return why a simulated model must not be written, or None where it may.
+    """Return why a new model that was compared in a rollout must not be written, or None.
 
-    None, too, where there was no test, or "rollout" is among the findings that the user accepts.
+    It must not where the test could not be made, or found it no better than the original model at
+    predicting positions.
+
+    Args:
+        test: position errors of both models (``play``); None, without a test, does not refuse the
+            model.
+        accepted: names of the findings that the user accepts; with "rollout" among them, no model
+            is refused.
     """
     if test is None or test.is_better or "rollout" in accepted:
         return None
@@ -104,6 +112,9 @@ def compare(
     held_out: str,
 ) -> RolloutTest:
     """Simulate two models of an arm along recorded pieces, and return their position errors.
+
+    Windows of each of ``HORIZONS`` are simulated in open loop and with a servo. A note names each
+    horizon for which no piece is long enough, and windows in which a simulation diverges.
 
     Args:
         old_robot: the arm with the original model.
@@ -157,6 +168,7 @@ def split_time(signals: ProcessedSignals | Measurement) -> float:
 
 def fitted_rows(signals: ProcessedSignals) -> NDArray[np.bool_]:
     """Return which decimated rows (K,) use no sample of the held-out last fifth."""
+    # Positions pass a low-pass of their own before the equations pass one: two half widths.
     reach = signals.low_pass.half_width / signals.rate
     return np.asarray(signals.decimated_time() < split_time(signals) - 2.0 * reach)
 
@@ -171,7 +183,8 @@ def torque_error(
     residual of each joint is subtracted.
 
     Args:
-        model: path, or a compiled model whose chain joints have the robot's addresses.
+        model: path of the file, or a compiled model whose chain joints have the addresses of the
+            robot's model.
         robot: the arm.
         signals: the processed log.
         source: description of the log.

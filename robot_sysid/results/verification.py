@@ -37,7 +37,8 @@ from robot_sysid.model.compilation import (
 from robot_sysid.records import Array, Motion, RobotModel
 
 CHECKPOINTS = 400
-"""Number of samples of the motion on which a written model is compared with the prediction."""
+"""Number of samples of the motion at which the torques of a written model are compared with the
+predicted ones."""
 TOLERANCE = 1e-9
 """Largest relative deviation of a compiled number from the written one: MuJoCo's transformation to
 principal axes and back leaves up to 1e-10."""
@@ -91,7 +92,7 @@ class _RequiredValue(NamedTuple):
         owner: description of the joint, actuator or tendon, for messages.
         field: dotted name of the field of the compiled model.
         address: index of the value in that field.
-        value: number, or row of numbers.
+        value: required number, or row of numbers.
         advice: what to do where the compiled model has another value; ends the message.
     """
 
@@ -164,8 +165,8 @@ def verify_written_model(
         change: the difference that is wanted.
 
     Raises:
-        ExportError: the file does not load, or the message names the field that has changed and
-            should not have, or does not have the wanted value.
+        ExportError: the file does not load, or a field has changed that should not have, or does
+            not have the wanted value; the message names the field.
     """
     compiled = compiled_again(written)
     require_change(original, compiled.mj_model, change)
@@ -235,12 +236,14 @@ def require_same_model(
     changed_rows: Mapping[str, Collection[int]],
     new_body: int | None = None,
 ) -> None:
-    """Raise ExportError naming the first field of two compiled models that differs and may not.
+    """Raise ExportError if two compiled models differ in a field in which they may not.
+
+    The message names the first such field. Fields of ``DERIVED`` and ``PATHS`` may differ.
 
     Args:
         original: compiled model.
         other: compiled model; it may have further tendons, behind those of the original.
-        changed_rows: name of a field to the rows that may differ.
+        changed_rows: name of a field to the indices of its rows that may differ.
         new_body: id of the one body that only the other model has, or None.
     """
     other_fields = dict(compiled_fields(other))
@@ -278,8 +281,9 @@ def require_theta(
     Args:
         mj_model: compiled model.
         body_id: id of the body in it.
-        theta: (10,) wanted parameters; all zero for a body that has been emptied.
-        scale_theta: (10,) parameters whose scale the deviation is relative to.
+        theta: (10,) wanted inertial parameters; all zero for a body that has been emptied.
+        scale_theta: (10,) inertial parameters of a body with mass, from whose mass and size follow
+            the scales that deviations are relative to.
         tolerance: largest relative deviation.
     """
     mass, _, inertia = spatial.com_from_theta(scale_theta)
@@ -338,10 +342,11 @@ def _is_same(
 ) -> bool:
     """Return whether a field of two compiled models is the same, but for rows that may differ.
 
-    Where the other model has a new body, body ids from it on are larger by one.
+    Where the other model has a new body, body ids from it on are larger by one: integers of the
+    original that are at least ``new_body`` may be larger by one in every field.
 
     Args:
-        name: of the field.
+        name: name of the field.
         original: number or array in the original model.
         other: number or array in the other model.
         changed_rows: rows of the original array that may differ.
@@ -371,7 +376,7 @@ def _is_same(
 TORQUE_TOLERANCE = 1e-9
 """Largest deviation of a written model's torque, relative to the joint's largest torque."""
 _MIN_TORQUE_SHARE = 1e-3
-"""Share of the arm's largest torque that scales the deviation of a joint that carries less."""
+"""Share of the arm's largest torque: the least scale that a joint's deviation is relative to."""
 
 
 def require_reproduction(
@@ -389,8 +394,8 @@ def require_reproduction(
         thetas: (n, 10) identified parameters of the links, in their bodies' frames.
         change: identified numbers of joints, tendons and gravity.
         written: the compiled written model.
-        motion: on which the torques are compared.
-        path: of the written model, for the message.
+        motion: motion of S samples, at which the torques are compared.
+        path: path of the written model, for the message.
     """
     expected = replace(robot, mj_model=copy.copy(robot.mj_model))
     old_tendons = tuple(tendon for tendon in change.tendons if not tendon.is_new)
@@ -428,7 +433,7 @@ POSE_TOLERANCE = 1e-12
 """Largest deviation of a new body's origin [m] and axes: a few rounding errors of a quaternion."""
 _NAME_FIELDS = ("nnames", "nnames_map", "names", "names_map")
 """Fields that hold the names of all elements."""
-# Fields that list each body or number the pairs of them.
+# Fields whose size or content depends on the number of bodies, or on ids of pairs of bodies.
 _BODY_COUNT_FIELDS = {
     *_NAME_FIELDS,
     *["nbody", "nB", "tree_bodynum", "exclude_signature", "pair_signature"],

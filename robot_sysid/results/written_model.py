@@ -73,7 +73,7 @@ def write_model(
     payload is written onto the model's own links, or else the terminal link alone is written.
 
     Args:
-        result: of the identification; it stays unchanged.
+        result: result of the identification; it stays unchanged.
         target: where to write; ``target.path`` is the path of the file.
         as_body: name of a new body for the payload; None merges it into the terminal link.
 
@@ -81,7 +81,8 @@ def write_model(
         Notes for the user, one sentence each.
 
     Raises:
-        ExportError: the model cannot hold the numbers; the draft is withdrawn.
+        ExportError: the model cannot hold the numbers, or the compiled draft does not have them or
+            takes other torques; the draft is withdrawn.
     """
     thetas, errors = _links_without_payload(result)
     robot = result.robot
@@ -93,7 +94,8 @@ def write_model(
     payload = result.payload
     welded = None
     comments = []
-    # Payload in a body of its own: only the torque check counts it to the terminal link.
+    # Parameters of a payload in a body of its own, which only the torque check adds to the terminal
+    # link.
     theta_beside = np.zeros(10)
     if payload is not None:
         theta = payload.flange.from_flange(payload.body.inertial.theta)
@@ -155,7 +157,8 @@ def write_joints(
         target: where to write.
 
     Raises:
-        ExportError: the model cannot hold the numbers; the draft is withdrawn.
+        ExportError: the model cannot hold the numbers, or the compiled draft does not have them or
+            takes other torques; the draft is withdrawn.
     """
     joint_changes, notes = _changes_of_kind(robot, joints)
     change = ModelChange((), target.rmse, joint_changes, None, tuple(actuators))
@@ -163,9 +166,10 @@ def write_joints(
 
 
 def max_inflation(errors: Array) -> float:
-    """Return by how much moments of inertia may be inflated to be possible [kg m^2].
+    """Return by how much moments of inertia may be enlarged to be physically possible [kg m^2].
 
-    It is the smallest finite one of the standard errors of Ixx, Iyy and Izz in errors (10,).
+    It is the smallest finite standard error of Ixx, Iyy and Izz, or zero without a finite one.
+    ``errors`` (10,) are the standard errors of a body's parameters.
     """
     moment_errors = np.asarray(errors)[_MOMENTS]
     finite_errors = moment_errors[np.isfinite(moment_errors)]
@@ -173,10 +177,11 @@ def max_inflation(errors: Array) -> float:
 
 
 def _links_without_payload(result: Result) -> tuple[Array, Array]:
-    """Return the links' parameters to write, without a payload, and their errors; both (n, 10).
+    """Return the links' inertial parameters to write and their standard errors; both (n, 10).
 
-    Both are new arrays, which the caller may change. The fit of a model file (``result.file``)
-    comes before the estimate of the terminal link.
+    The parameters are those of the fit for a model file (``result.file``) if there is one, else the
+    model's own; without a payload, the terminal link then has its estimate. Errors that are not
+    known are infinite. Both are new arrays, which the caller may change.
     """
     if result.file is not None:
         return result.file.thetas.copy(), result.file.errors.copy()
@@ -222,7 +227,10 @@ def _joint_changes(
 
 
 def _terms_text(terms: Mapping[str, Quantity]) -> str:
-    """Return friction terms for a comment, such as "damping 0.25 ± 0.02, quadratic damping 0.1"."""
+    """Return friction terms as text, such as "damping 0.25 ± 0.02, quadratic damping 0.1".
+
+    ``terms`` is friction term to its estimate.
+    """
     texts = []
     for term, (value, error) in terms.items():
         text = f"{_MJCF_ATTRIBUTES.get(term, f'{term} damping')} {value:.4g}"
@@ -231,7 +239,10 @@ def _terms_text(terms: Mapping[str, Quantity]) -> str:
 
 
 def _tendon_changes(robot: RobotModel, file: ModelFile) -> Iterator[TendonChange]:
-    """Yield the motors that turn several joints as fixed tendons, new ones behind the model's."""
+    """Yield the motors that turn several joints as fixed tendons of the model.
+
+    A motor that the model lacks becomes a new tendon, with an index behind those of the model.
+    """
     new_indices = itertools.count(robot.mj_model.ntendon)
     for motor in file.motors:
         terms = file.joints.get(motor.name, {})
@@ -250,7 +261,8 @@ def _changes_of_kind(
 ) -> tuple[tuple[JointChange, ...], tuple[str, ...]]:
     """Return the changes that the format of the model can hold, and a note on what it cannot.
 
-    There is one note or none. Comments in a URDF name numbers that it lacks, so they are left out.
+    The notes are one sentence or (). For a URDF, comments on joints are left out, which name
+    numbers that it lacks.
     """
     if robot.kind != "urdf":
         return tuple(changes), ()
@@ -270,7 +282,10 @@ def _body_changes(
     joints: Sequence[JointChange],
     terminal_comment: str,
 ) -> tuple[tuple[BodyChange, ...], Array]:
-    """Return the changes of all bodies of the links, and the links as the changed bodies have them.
+    """Return the changes of the bodies of all links that differ from the model.
+
+    A link may consist of several bodies; the change goes to one of them, and others may be made
+    lighter or emptied for it (``plan_write_back``).
 
     Args:
         robot: the arm.
@@ -280,7 +295,10 @@ def _body_changes(
         terminal_comment: comment on the terminal link, or "".
 
     Returns:
-        The changes, and the parameters (n, 10) of the links that they lead to.
+        (changes, parameters (n, 10) of the links that they lead to).
+
+    Raises:
+        ExportError: a joint moves no body of its own.
     """
     body_ids = [link.body_id for link in robot.links]
     # Smallest principal moment that the model's compiler leaves alone [kg m^2].
@@ -347,7 +365,7 @@ def _payload_body(
     Args:
         robot: the arm.
         payload: its parameters are in the flange frame, which becomes the frame of the body.
-        name: of the new body.
+        name: name of the new body.
         text: describes the payload in a comment of the file.
     """
     flange = payload.flange
@@ -362,17 +380,22 @@ def _payload_body(
 def _write(
     robot: RobotModel, change: ModelChange, target: ModelTarget, thetas: Array
 ) -> tuple[str, ...]:
-    """Write the draft of a changed model, verify it, and return notes on its bodies.
+    """Write the text of a changed model as a draft file, verify the draft, and return notes.
+
+    The draft is compiled, compared with the original model, and its torques are compared with those
+    of the links' parameters. Inertias are written as principal moments where the installed MuJoCo
+    reads full matrices inaccurately. The notes are those of the plans for the changed bodies.
 
     Args:
         robot: the arm with the original model.
         change: the difference that is written.
         target: where to write.
-        thetas: (n, 10) parameters of the links whose torques the compiled draft must predict.
+        thetas: (n, 10) inertial parameters of the links that the compiled draft must have, judged
+            by its torques at ``target.checkpoints``.
 
     Raises:
         ExportError: the draft does not load, differs in more than ``change``, or takes other
-            torques; it is withdrawn.
+            torques. The draft is withdrawn on this and on any other exception.
     """
     written = [body.plan.theta for body in change.bodies]
     if change.welded is not None:
@@ -422,8 +445,12 @@ def write_bundle(model: Path, folder: Path) -> Path:
 
     The bundle lies in the output folder; an earlier one is replaced once the copy has been loaded.
 
+    Args:
+        model: path of the written model.
+        folder: the output folder, which is locked while the bundle is written.
+
     Raises:
-        ExportError: it refers to another model, or the copy does not load as the same model.
+        ExportError: the model refers to another model, or the copy does not load as the same model.
         InputError: a file cannot be copied, or another run has the folder.
     """
     bundle = folder / BUNDLE_NAME
@@ -451,7 +478,10 @@ def write_bundle(model: Path, folder: Path) -> Path:
 
 
 def _replace_folder(folder: Path, new: Path, trash: Path) -> None:
-    """Move a new folder to the path of a folder, and what stands there, if anything, to a third."""
+    """Put the folder ``new`` at the path ``folder``; anything that was there goes to ``trash``.
+
+    Signals are delayed meanwhile, so that an interrupt leaves neither half done.
+    """
     with delay_signals():
         if os.path.lexists(folder):
             os.replace(folder, trash)
@@ -475,7 +505,8 @@ def model_in_memory(model: Path) -> Any:
 def _bundled_model(model: Path, folder: str) -> tuple[bytes, dict[Path, str]]:
     """Return a model's text with new paths of its assets, and each asset's file to its new path.
 
-    The new paths are relative, in ``folder``. ExportError where the model attaches other models.
+    The new paths are relative and begin with ``folder``, which is "" or ends with a slash. Equal
+    file names get a number. Raises ExportError where the model attaches other models.
     """
     document = read_document(model)
     assets = find_assets(document)
