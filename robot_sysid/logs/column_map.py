@@ -153,10 +153,14 @@ def _titles_by_joint(
     """Return joint name to title, from the value of one line of a columns file.
 
     Args:
+        path: of the file, for messages.
         quantity: the line's key before the dot.
         joint: the key behind the dot, a joint name; "" where the line is about all joints.
         value: the text behind "=".
         joint_names: (n,) of the chain, base to terminal.
+
+    Raises:
+        InputError: the joint is unknown, or there is not one title per joint.
     """
     if joint and joint not in joint_names:
         valid = f"the chain's joints are {', '.join(joint_names)}"

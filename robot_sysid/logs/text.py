@@ -317,6 +317,7 @@ def _with_seconds(
     """Return a line in which the dates are seconds since those of the first row.
 
     Args:
+        line: a row of data.
         separator: between cells; None for any run of blanks.
         dates: indices of the columns with dates.
         first_row: the cells of the first row of data.

@@ -287,9 +287,11 @@ def joint_limits(
     max_velocity: PerJoint,
     model_velocities: Sequence[float | None],
 ) -> JointLimits:
-    """Return the limits of joints (n ids).
+    """Return the limits of joints.
 
     Args:
+        mj_model: the compiled model.
+        joints: ids of the n joints.
         max_velocity: speed limit of hinges, one number or one per joint [rad/s]; slides have at
             most DEFAULT_SLIDE_VELOCITY [m/s].
         model_velocities: (n,) speed limits that the model file states [rad/s or m/s], None for
@@ -364,6 +366,7 @@ def shared_motors(mj_model: Any, dofs: NDArray[np.int64]) -> dict[int, Array]:
     """Return the fixed tendons over two or more joints of a chain, and over no other joint.
 
     Args:
+        mj_model: the compiled model.
         dofs: (n,) addresses of the chain's joints in qvel.
 
     Returns:

@@ -151,7 +151,10 @@ def _moving_datasets(
     """Return recordings as low-passed signals, and notes on them.
 
     Args:
+        robot: the arm.
+        recordings: k logs; each piece between long holes becomes a data set.
         positions: (k,) of ``order_positions``; all zero where the order is not known.
+        options: say how signals are low-passed.
     """
     pieces = []
     notes = {}

@@ -155,7 +155,11 @@ def diagnose_logs(
     """Compare each log with the model; InputError where its numbers must not be used.
 
     Args:
+        robot: the arm as in the model.
+        logs: the logs, checked one after the other.
         accepted: names of faults that are reported but do not stop the run, from ``--accept``.
+        options: how the parameters will be estimated.
+        progress: receives the findings.
     """
     # A delay that is estimated and corrected need not stop the run.
     if options.delay == "auto":
@@ -179,10 +183,13 @@ def _identify_pieces(
     """Low-pass recordings and identify an arm from them.
 
     Args:
+        config: says how the recordings are filtered and fitted.
+        robot: the arm as in the model.
         pieces: the recordings; the list is emptied, so that the raw samples need no memory any
             more when the estimate begins.
         origin: where the recordings come from.
         notes: what reading them had to say, one sentence each.
+        progress: receives stages and notes.
         tests: logs that only test the result; they get the cut-off of the others.
     """
     options = config.estimation

@@ -100,7 +100,10 @@ def load_arm(
     """Load the model, find its terminal joint, and report both.
 
     Args:
-        max_velocity: of joints to which the model gives none, one or one per joint [rad/s].
+        model: names the model file and its terminal joint.
+        progress: receives stages and notes.
+        max_velocity: speed limit of joints to which the model gives none, one number or one per
+            joint [rad/s].
     """
     progress.stage(f"Loading robot model from {model.path}...")
     robot = load_robot_model(
