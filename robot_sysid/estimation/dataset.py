@@ -15,6 +15,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import itertools
+import os
 import tempfile
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -164,7 +165,7 @@ class _StoredRows(Sequence[Array]):
         # Per joint (offset in the file [bytes], shape (K, k)).
         self._blocks = list[tuple[int, Any]]()
         for block in rows:
-            start = row_file.file.seek(0, 2)
+            start = row_file.file.seek(0, os.SEEK_END)
             self._blocks.append((start, block.shape))
             row_file.file.write(np.ascontiguousarray(block).data)
         row_file.file.flush()
@@ -175,8 +176,10 @@ class _StoredRows(Sequence[Array]):
     def __getitem__(self, joint: Any) -> Any:
         """Return the rows (K, k) of a joint number, read-only."""
         # Mapped, not read: threads share the file and its read position.
-        start, shape = self._blocks[joint]
-        return np.asarray(np.memmap(self._row_file.file, np.float64, "r", start, shape))
+        offset, shape = self._blocks[joint]
+        file = self._row_file.file
+        rows = np.memmap(file, np.float64, mode="r", offset=offset, shape=shape)
+        return np.asarray(rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return tuple, (tuple(map(np.array, self)),)

@@ -583,7 +583,7 @@ def make_consistent(
 
 
 def links_problem(unknowns: Unknowns) -> LinksProblem:
-    """Return the bodies of a fit with k unknowns.
+    """Return the unknown bodies of a fit with k unknowns as links of a least-squares problem.
 
     The record holds, per unknown body, indices (10,) among the unknowns, and a vector (k,) with
     the parameters of usual bodies at these indices, zero elsewhere.

@@ -243,7 +243,7 @@ def build_unknowns(
     for indices, _ in bodies.values():
         is_unknown[indices] = True
     lower = np.full(len(columns.names), -np.inf)
-    upper = -lower
+    upper = np.full(len(columns.names), np.inf)
     for owner, terms in _terms(columns, choice):
         for term in terms:
             name = f"{term}[{owner}]"

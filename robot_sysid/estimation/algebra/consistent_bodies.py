@@ -100,7 +100,7 @@ class LinksProblem:
         bodies = []
         for link in self.links:
             prior = self.prior[link]
-            theta = spatial.nearest_consistent_body(prior, prior, _FLOOR)
+            theta = spatial.nearest_consistent_body(prior, prior, floor=_FLOOR)
             # Root L of the pseudo-inertia P0; row k of ``units`` is the body of L B_k L^T.
             root = np.linalg.cholesky(spatial.pseudo_inertia(theta))
             units = _components(root @ _BASIS @ root.T) @ _THETAS
@@ -149,12 +149,12 @@ class ConsistentLinks:
             self._unit[np.ix_(link, link)] = units
         self._others = np.delete(np.arange(len(self._origin)), self._bodies)
         self._other_rows, of_bodies = self._eliminate_others()
-        # Rows of bodies in singular directions; no body changes the last row, its right-hand side.
+        # The last row has a right-hand side alone, the residual that no body explains.
         left, singular, directions = np.linalg.svd(of_bodies[:-1, :-1])
         self._turn = directions.T
         self._singular = singular
         self._projected = left.T @ of_bodies[:-1, -1]
-        self._least_seen = np.min(singular) / np.max(singular, initial=_RIDGE)
+        self._inverse_condition = np.min(singular) / np.max(singular, initial=_RIDGE)
         self._squared = float(self._projected @ self._projected)
         self._unexplained = float(of_bodies[-1, -1] ** 2)
 
@@ -215,7 +215,7 @@ class ConsistentLinks:
 
     def _hold_null_space(self) -> Iterator[ConsistentLinks]:
         """Yield the problem with the null space of A held at the usual bodies, if there is one."""
-        if self._least_seen > RELATIVE_CUT:
+        if self._inverse_condition > RELATIVE_CUT:
             return
         space = visible_space(self._matrix)
         rows = _PIN * space.null.T / space.scale

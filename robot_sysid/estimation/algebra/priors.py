@@ -236,8 +236,9 @@ def link_directions(
     for index, (theta, length) in enumerate(zip(np.array(thetas), lengths)):
         block = slice(10 * index, 10 * (index + 1))
         directions[block, block], moved = own_errors(theta, share=1.0, length=length)
-        com = spatial.com_from_theta(theta)[1]
+        _, com, _ = spatial.com_from_theta(theta)
         distance = float(np.linalg.norm(com))
+        # Common errors scale all parameters with the mass, and move the centre of mass outwards.
         directions[block, -2] = theta
         directions[block, -1] = moved @ com / distance if distance > 0.0 else 0.0
     return directions
@@ -279,7 +280,7 @@ def own_errors(theta: Array, share: float, length: float) -> tuple[Array, Array]
     for step in share * size * np.eye(3):
         ahead = spatial.theta_from_com(mass, com + step, inertia)
         behind = spatial.theta_from_com(mass, com - step, inertia)
-        columns.append(0.5 * (ahead - behind))
+        columns.append(0.5 * (ahead - behind))  # central difference
     turns = list(2.0 * share * moment * np.eye(10)[4:])
     return np.column_stack([share * theta, *columns, *turns]), np.column_stack(columns)
 

@@ -201,12 +201,12 @@ def _kernels(
     """Yield each joint's kernel coefficients (1 + m,), with the effect of other joints' noise.
 
     Args:
-        alone: of ``_alone`` for each joint.
+        alone: per joint (absorbed share, kernel coefficients, energy) of ``_alone``.
         spread: (p, p) covariance of the estimate's errors by noise, of the previous round.
     """
     for joint, (absorbed, kernels, energy) in zip(residuals, alone):
-        errors = joint.energy(spread[np.ix_(joint.columns, joint.columns)])
-        leaked = (errors - energy) / max(joint.count, 1)
+        total_energy = joint.energy(spread[np.ix_(joint.columns, joint.columns)])
+        leaked = (total_energy - energy) / max(joint.count, 1)
         yield joint.fit(absorbed, leaked) if leaked > 0.0 else kernels
 
 
@@ -459,11 +459,11 @@ def _sums(rows: Array, is_used: NDArray[np.bool_], decay: Array) -> Array:
     factor = decay[:, None, None]
     powers = factor ** np.abs(lags)
     width = rows.shape[1]
-    within = np.where(lags > 0, powers, 0.0)
+    within = np.where(lags > 0, powers, 0.0)  # W
     state = np.zeros((len(decay), 1, width))
     normal = np.zeros((width, width))
-    half = np.zeros((len(decay), width, width))
-    n_chunks = len(rows) // _CHUNK + 1
+    half = np.zeros((len(decay), width, width))  # B
+    n_chunks = len(rows) // _CHUNK + 1  # of at most _CHUNK rows
     chunks = zip(np.array_split(rows, n_chunks), np.array_split(is_used, n_chunks))
     for block, mask in chunks:
         chunk = np.where(mask[:, None], block, 0.0)
