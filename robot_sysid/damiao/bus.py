@@ -185,6 +185,7 @@ def _real_time_priority() -> Iterator[bool]:
     if sys.platform != "linux":
         yield False
         return
+    # Thread 0 is the calling one.
     policy = os.sched_getscheduler(0)
     if policy != os.SCHED_OTHER:
         yield policy in (os.SCHED_FIFO, os.SCHED_RR)
@@ -205,6 +206,7 @@ def lacks_priority() -> bool:
     """Return whether this system offers real-time priority (Linux) but this thread has none."""
     if sys.platform != "linux":
         return False
+    # Thread 0 is the calling one.
     return os.sched_getscheduler(0) not in (os.SCHED_FIFO, os.SCHED_RR)
 
 

@@ -416,13 +416,13 @@ class MotorRun:
 
     @contextlib.contextmanager
     def open_simulated(self, arm: SimulatedArm) -> Iterator[GuardedLink]:
-        """Yield a link to a simulated arm, in simulated time."""
+        """Yield a guarded link to a simulated arm, whose clock only advances when waited for."""
         clock = SimulatedClock()
         wire = SimulatedLink(clock, arm, self.timing, echo=True)
         yield GuardedLink(wire, clock, self.timing.fd, self.channels or ("simulated",))
 
     def open_link(self, timing: BusTiming | None = None) -> Link:
-        """Open the bus and return its link; ``timing`` replaces the bit rates of the options."""
+        """Open the bus and return its link; ``timing`` replaces that of the options unless None."""
         return open_bus(self.address, timing or self.timing, self.clock, self._tell)
 
     @contextlib.contextmanager
@@ -435,7 +435,7 @@ class MotorRun:
 
         Args:
             refuse: called with each frame to be sent; raises for one that must not be sent.
-            timing: bit rates in place of those of the options.
+            timing: bit rates in place of those of the options; None for those of the options.
         """
         if not self.address.channel:
             problem = "this command needs --channel, for instance --channel can0"
