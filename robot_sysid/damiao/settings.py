@@ -59,6 +59,7 @@ _SPEED_MARGIN = 1.1
 _EACH = "one for all or one per joint"
 # Arguments of options whose default depends on the type of each motor.
 _BY_TYPE: dict[str, Any] = {"takes_many": True, "default_text": "by motor type"}
+# Placeholders for values of options in the help, with unit and range.
 _ANGLE = "ANGLE [rad] >= 0"
 _SPEED = "V [rad/s] > 0"
 

@@ -209,7 +209,7 @@ class ServoIdentification:
 
 
 def servo_lines(result: ServoIdentification) -> list[str]:
-    """Return the printed lines of a result."""
+    """Return the printed lines of a result: delay, each joint's numbers, errors of rollouts."""
     delay = result.fit.servos.delay
     error = result.fit.errors.delay
     lines = [

@@ -28,7 +28,7 @@ from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.option_fields import OptionRecord, option, record_from
 
 Positions = Mapping[protocol.Address, float]
-"""Motor address to its position [rad]."""
+"""Position of each motor [rad], by its address."""
 _LEAST_TURN = 0.15
 """Turn from which on a motor counts as moved by hand [rad]: half of the 20 degrees asked for."""
 _CLEAR_RATIO = 3.0
