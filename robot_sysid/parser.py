@@ -47,7 +47,8 @@ def load_robot_model(
             "ur5e_mj_description".
         mesh_dir: folder of its meshes; default as the file says.
         joint: name of the terminal joint; default found automatically.
-        max_velocity: speed limit of hinge joints, one number or one per joint [rad/s].
+        max_velocity: speed limit of hinge joints, one number or one per joint [rad/s]; a lower
+            limit in the model counts.
         keyframe: name of the one that is the arm at rest; default see ``rest_keyframe``.
 
     Raises:

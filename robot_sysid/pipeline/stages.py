@@ -102,8 +102,8 @@ def load_arm(
     Args:
         model: names the model file and its terminal joint.
         progress: receives stages and notes.
-        max_velocity: speed limit of joints to which the model gives none, one number or one per
-            joint [rad/s].
+        max_velocity: speed limit of hinge joints, one number or one per joint [rad/s]; a lower
+            limit in the model counts.
     """
     progress.stage(f"Loading robot model from {model.path}...")
     robot = load_robot_model(

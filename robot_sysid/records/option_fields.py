@@ -47,7 +47,8 @@ SCALE = "torque_scale"
 CONSTANTS = "torque_constants"
 """Key of the table of torque constants in a file [N m/A]."""
 DEFAULT_MAX_VELOCITY = 2.0
-"""Speed limit of hinge joints for which neither model nor user states one [rad/s]."""
+"""Speed limit of hinge joints for which neither the user states one nor the model a lower one
+[rad/s]."""
 MAX_SAMPLES = 1e9
 """Largest number of samples of a run; more would take days."""
 Check = Callable[[Any], Optional[str]]
