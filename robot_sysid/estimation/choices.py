@@ -97,7 +97,7 @@ def choose(
         couplings: result of ``select_couplings``; None for all couplings that have columns.
     """
     couplings = fitter.columns.couplings if couplings is None else couplings
-    # Each fit is one linearisation at the point of the previous one, with the choices so far.
+    # Each fit is one linearisation at the last point with the choices so far; () drops its rows.
     joint_model = model or friction_model(CANDIDATES[0])
     choice = Choice((joint_model,) * fitter.columns.robot.n_joints, couplings)
     fit = replace(fitter.fit(question, choice, rounds=1), samples=())

@@ -546,8 +546,8 @@ def scale_spread(columns: Columns, options: EstimationOptions, loaded: bool) -> 
 class EstimatedRows:
     """Rows of recordings in the estimated parameters, the torque of held ones subtracted.
 
-    Iterating makes the rows of one joint at a time: those of all joints take much memory. All
-    ``samples``, the recordings, have the same columns of all p parameters.
+    Iterating makes the rows of one joint at a time, as those of all joints take much memory. The
+    recordings ``samples`` all have the same columns, of all p parameters.
     """
 
     samples: tuple[DecimatedSamples, ...]

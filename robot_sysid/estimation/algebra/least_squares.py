@@ -358,7 +358,7 @@ class InformationAccumulator:
     Args:
         names: (p,) global parameter names.
         joints: names of the joints, base to terminal.
-        columns: per joint (k,) indices, among ``names``, of the columns of its rows.
+        columns: per joint (k,) indices into ``names`` of the parameters in its rows.
     """
 
     def __init__(

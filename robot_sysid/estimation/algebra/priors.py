@@ -67,7 +67,7 @@ _FIXED = 1e-4
 
 @dataclass(frozen=True)
 class LinkScales:
-    """Factors on the stated standard deviation of the other links, for each kind of error.
+    """Factors on the stated standard deviations of all links but the last, by kind of error.
 
     Attributes:
         mass: factor on the independent error of each link's mass.
@@ -96,7 +96,7 @@ class NuisanceGroup:
     """The nuisances with one cause, and their prior N(mean, (widened factor) (widened factor)^T).
 
     Attributes:
-        cause: in words, such as "other links".
+        cause: cause of the nuisances' errors in words, such as "links".
         names: (k,) parameter names of the nuisances.
         mean: (k,) prior mean d0.
         factor: (k, k) F, the prior covariance is F F^T before widening.
@@ -528,7 +528,7 @@ LINK_KINDS = ("mass", "centre_of_mass", "inertia")
 
 @dataclass(frozen=True)
 class LinkEvidence:
-    """Marginal likelihood of the other links' deviations from the model, see the module.
+    """Marginal likelihood of the scales S of links' deviations from the model (module's formula).
 
     Attributes:
         n_links: L, number of other links whose parameters the model states.

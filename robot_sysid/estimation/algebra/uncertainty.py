@@ -201,6 +201,7 @@ def _kernels(
     """Yield each joint's kernel coefficients (1 + m,), with the effect of other joints' noise.
 
     Args:
+        residuals: per joint its sums over lags and kernels.
         alone: per joint (absorbed share, kernel coefficients, energy) of ``_alone``.
         spread: (p, p) covariance of the estimate's errors by noise, of the previous round.
     """
@@ -272,10 +273,7 @@ class JointResiduals:
         return score if self.basis is None else self.basis.T @ score @ self.basis
 
     def __add__(self, other: JointResiduals) -> JointResiduals:
-        """Return the sums of both logs' samples, no lag reaching from one into the other.
-
-        Both have the same lags and kernels (``to_add`` of ``joint_residuals``).
-        """
+        """Return the sums of two logs, both made with ``to_add``; no lag leads from log to log."""
         pairs = self.pairs + other.pairs
 
         def mean(ours: Array, theirs: Array) -> Array:
@@ -344,6 +342,7 @@ class JointResiduals:
         bins = np.unique(np.clip(np.append(0, edges), 0, count - 1))
         binned_products = _sum_bins(products / energy, bins)
         shares = _simplest_fit(_sum_bins(shapes, bins), binned_products, self.count)
+        # The fitted autocovariance at lag 0 is the measured one.
         return shares * products[0] / float(shares @ shapes[0])
 
     def effective_samples(self, kernels: Array) -> float:
