@@ -398,7 +398,7 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
     read = []
     load = parser.load_robot_model
     monkeypatch.setattr(
-        parser, "load_robot_model", lambda *a: read.append(a) or load(*a)
+        parser, "load_robot_model", lambda *a, **k: read.append(a) or load(*a, **k)
     )
     record = tmp_path / "measured.csv"
     arguments = (
