@@ -372,7 +372,8 @@ class InformationAccumulator:
         for joint, indices in zip(joints, columns):
             indices = np.asarray(indices, dtype=np.int64)
             triangle = np.zeros((0, len(indices) + 1))
-            self._joints.append(JointInformation(joint, indices, triangle, 0))
+            empty = JointInformation(joint, indices, triangle, n_samples=0)
+            self._joints.append(empty)
 
     def add(self, index: int, rows: Array, tau: Array) -> None:
         """Add equations rows x = tau of one joint to the rows collected so far.

@@ -521,7 +521,7 @@ USUAL_COM_SCALE = 1.5
 USUAL_INERTIA_SCALE = 2.0
 """Median of the log-normal prior of ``inertia``; its standard deviation is one octave."""
 EXPECTED = LinkScales(4.0, USUAL_COM_SCALE, USUAL_INERTIA_SCALE)
-"""Scales that are expected without any recording."""
+"""Factors for mass, centre of mass and inertia that are expected without any recording."""
 LINK_KINDS = ("mass", "centre_of_mass", "inertia")
 """Fields of ``LinkScales`` that are estimated."""
 

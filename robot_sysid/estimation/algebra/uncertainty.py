@@ -188,7 +188,7 @@ def _alone(
     """
     hat = joint.inside(weight**2 * inverse[np.ix_(joint.columns, joint.columns)])
     absorbed = joint.absorbed_share(hat)
-    kernels = joint.fit(absorbed, 0.0)
+    kernels = joint.fit(absorbed, leaked=0.0)
     errors = hat @ np.tensordot(kernels, joint.sums, axes=1) @ hat
     return absorbed, kernels, float(np.vdot(errors, joint.sums[0]))
 
