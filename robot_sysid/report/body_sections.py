@@ -70,14 +70,15 @@ def parameters(run: Run) -> Section:
 def masses(bodies: Sequence[Body]) -> Table:
     """Return a table of mass and centre of mass, one row per body and version of its parameters.
 
-    The versions are those of ``Body.thetas``; one with zero mass has no row.
+    The versions are those of ``Body.thetas``; a version with zero mass has no row.
     """
     header = ("body", "", "mass [kg]", *map("centre {} [m]".format, "xyz"))
     rows = []
     for body in bodies:
         for version, theta in body.thetas.items():
             if theta[0] != 0.0:
-                numbers = _mass_and_center(theta, body, version == "after")
+                is_identified = version == "after"
+                numbers = _mass_and_center(theta, body, is_identified)
                 rows.append((body.title, version, *numbers))
     return table(header, rows)
 
@@ -87,8 +88,8 @@ def _mass_and_center(theta: Array, body: Body, is_identified: bool) -> Iterator[
 
     Args:
         theta: (10,) one version of the body's parameters; its mass is not zero.
-        body: the body, whose standard errors stand behind the numbers of the identified version.
-        is_identified: whether ``theta`` is that version.
+        body: the body, whose standard errors are shown with the identified version only.
+        is_identified: whether ``theta`` is the identified version.
     """
     errors: list[float | None] = [None] * 4
     if is_identified:
@@ -159,7 +160,7 @@ def _parameter_figure(body: Body, name: str) -> Figure:
                 ax.set_xlim(middle - half_span, middle + half_span)
         drawing.draw_legend(canvas, axes[0], 4)
 
-    return draw_figure(name, caption, numbers, 4.6, draw)
+    return draw_figure(name, caption, numbers, height=4.6, draw=draw)
 
 
 def _budget_figure(body: Body, name: str) -> Figure:
@@ -211,7 +212,7 @@ def _budget_figure(body: Body, name: str) -> Figure:
         drawing.draw_legend(canvas, ax, 2)
 
     numbers = ("parameter", "± standard error", *causes), rows
-    return draw_figure(name, caption, numbers, 4.6, draw)
+    return draw_figure(name, caption, numbers, height=4.6, draw=draw)
 
 
 def visibility(run: Run) -> Section:
@@ -281,8 +282,8 @@ def _source(body: Body, k: int, is_payload: bool) -> str:
 def card(run: Run) -> Section | None:
     """Return the section with the payload's numbers in the form of each controller, to be copied.
 
-    None if the run identified no payload. The section has no numbers but says why, if the run
-    wrote no card.
+    None if the run identified no payload. If the run wrote no card, the section has the reason in
+    place of the numbers.
     """
     payload = run.content["payload"]
     if payload is None:
@@ -313,7 +314,8 @@ def card(run: Run) -> Section | None:
 def scatter(run: Run) -> Section | None:
     """Return the section with the payload's mass according to each recording alone.
 
-    None if the run identified no payload or too few recordings allow it.
+    None if the run identified no payload or knew the payload's mass, and where there is only one
+    empty and one loaded recording.
     """
     payload = run.content["payload"]
     if payload is None or not payload["scatter"]:
@@ -359,12 +361,12 @@ Bodies = list[tuple[int, Body]]
 def picture(run: Run, mesh_dir: Path | None = None) -> Section:
     """Return the section with pictures of the arm and ellipsoids of its links' mass and inertia.
 
-    The section has no pictures but says why, if the model is not at its path any more or has
+    The section has the reason in place of pictures if the model is not at its path any more or has
     changed, or if nothing can be rendered.
 
     Args:
         run: the run whose bodies are drawn.
-        mesh_dir: folder with the model's meshes, as the option of that name; None for the model's.
+        mesh_dir: folder with the model's meshes; None for the folder that the model names.
     """
     entry = run.content["model"]
     path = Path(entry["path"])
@@ -416,6 +418,7 @@ def _ellipsoid_section(robot: RobotModel, bodies: Bodies) -> Section:
                     _FARTHER * studio.camera.distance, _ROOM * largest
                 )
             studio.pose(robot.reference)
+            # The arm's own surfaces, so that the ellipsoids inside are seen.
             studio.make_transparent(0.35)
             impossible.update(dict.fromkeys(_add_ellipsoids(studio, drawn_bodies)))
             caption = f"Ellipsoids of inertia on {subject}, in its reference posture."
@@ -455,10 +458,10 @@ def _add_ellipsoids(studio: Studio, bodies: Bodies) -> Iterator[str]:
 
 
 def _drawn_bodies(robot: RobotModel, run: Run) -> Iterator[tuple[int, Body]]:
-    """Yield (MuJoCo id, body in the frame of that id) of the bodies to draw.
+    """Yield (id of a MuJoCo body, run's body in the frame of that MuJoCo body) for each to draw.
 
-    These are the payload and the link with it ("before": without it), or the terminal link and the
-    other links.
+    These are the payload, and the terminal link with it, whose version "before" is the link without
+    payload; of a run without a payload, the terminal link and the other links.
     """
     if run.is_payload:
         payload, link, total = run.bodies
@@ -485,7 +488,7 @@ def _approach_last_link(studio: Studio, robot: RobotModel, body: Body) -> None:
     Args:
         studio: the renderer, its camera at the distance of the whole arm.
         robot: the arm.
-        body: the last link, or the payload in its frame.
+        body: the last link, or the payload in the link's frame.
     """
     theta = body.identified
     com = theta[1:4] / theta[0] if theta[0] > 0.0 else np.zeros(3)
@@ -493,7 +496,9 @@ def _approach_last_link(studio: Studio, robot: RobotModel, body: Body) -> None:
     # Pose of the link's frame in the world.
     rotation = studio.data.xmat[robot.body_id].reshape(3, 3)
     target = studio.data.xpos[robot.body_id] + rotation @ com
-    studio.point_camera(target, max(0.4 * studio.camera.distance, _NEAREST * extent))
+    # The link's surroundings stay in the picture.
+    least_distance = 0.4 * studio.camera.distance
+    studio.point_camera(target, max(least_distance, _NEAREST * extent))
 
 
 def _ellipsoid_extent(theta: Array, point: Array) -> float:

@@ -75,7 +75,8 @@ class Section:
         points: items of a bulleted list.
         blocks: (title, text) of preformatted text for the reader to copy.
         missing: one sentence for each table or figure that cannot be shown, with cause and remedy.
-        verdict: "good", "bad", "part" if the payload is only partly known; "" in other sections.
+        verdict: of the verdict's section, "good", "bad", or "part" if the payload is only partly
+            known; "" in all other sections.
         headline: the section's main numbers in one short line; "" for none.
         details: (title, sentences) of folded paragraphs with further information.
         is_open: whether the section is unfolded when the page opens.
@@ -410,7 +411,7 @@ def draw_legend(canvas: Any, axes: Any, columns: int = 3) -> None:
 
 
 def draw_dots(axes: Any, x: Array, values: Array) -> None:
-    """Draw a scatter plot in MEASURED on matplotlib axes, thinned to fewer than 800 dots.
+    """Draw a scatter plot in the colour ``MEASURED``, thinned to fewer than 800 dots.
 
     Args:
         axes: matplotlib axes to draw on.

@@ -75,7 +75,7 @@ def _section_by_joint(
 
 
 def _torque_figure(data: ReportData, joint: int, reference: str) -> Figure:
-    """Return the figure of measured and predicted torque and residual of a joint over time.
+    """Return the figure of a joint's measured torque, predicted torque and residual over time.
 
     Args:
         data: signals to draw.
@@ -101,16 +101,15 @@ def _torque_figure(data: ReportData, joint: int, reference: str) -> Figure:
         Panel(f"torque [{unit}]", _torque_curves(data, joint), height=2.5),
         Panel(f"residual [{unit}]", residual_curve),
     )
-    return drawing.curves_figure(
-        f"torque-{joint}", caption, ("time [s]", data.time), panels, 3.6
-    )
+    across = ("time [s]", data.time)
+    return drawing.curves_figure(f"torque-{joint}", caption, across, panels, height=3.6)
 
 
 def most_changed(run: Run) -> Figure:
-    """Return the figure of measured and predicted torque of one joint: that whose root mean square
-    prediction error differs most between the prior prediction and the result.
+    """Return the figure of measured and predicted torque of the joint that changed most.
 
-    The run must have data to draw.
+    That is the joint whose root mean square prediction error differs most between the prior
+    prediction and the result. The run must have data to draw.
     """
     data = run.data
     assert data is not None
@@ -128,9 +127,8 @@ def most_changed(run: Run) -> Figure:
         f"{prior_rms:.3g} {unit}, and is by {residual_rms:.3g} {unit} (root mean square)."
     )
     panel = Panel(f"torque [{unit}]", _torque_curves(data, joint))
-    return drawing.curves_figure(
-        "before-after", caption, ("time [s]", data.time), (panel,), 3.0
-    )
+    across = ("time [s]", data.time)
+    return drawing.curves_figure("before-after", caption, across, (panel,), height=3.0)
 
 
 def _torque_curves(data: ReportData, joint: int) -> Curves:
@@ -146,7 +144,7 @@ def _torque_curves(data: ReportData, joint: int) -> Curves:
 
 
 def _rms(values: Array) -> float:
-    """Return the root mean square of the finite ones of values (K,); NaN if none is finite."""
+    """Return the root mean square of all finite numbers in values (K,); NaN if none is finite."""
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
 
@@ -167,7 +165,7 @@ def residuals(run: Run) -> Section | None:
 
 
 def _residual_figure(data: ReportData, joint: int) -> Figure:
-    """Return the figure of a joint's residual: against speed, as histogram, autocorrelation."""
+    """Return the figure of a joint's residual: against speed, histogram and autocorrelation."""
     residual_label = f"residual [{torque_unit(data.is_slide[joint])}]"
     speed_label = f"speed [{position_unit(data.is_slide[joint])}/s]"
     has_samples = np.isfinite(data.speed[joint])
@@ -215,7 +213,9 @@ def _residual_figure(data: ReportData, joint: int) -> Figure:
         (speed_label, f"mean {residual_label}", f"spread of the {residual_label}"),
         zip(speeds, mean, spread),
     )
-    return drawing.draw_figure(f"residual-{joint}", caption, numbers, 3.9, draw)
+    return drawing.draw_figure(
+        f"residual-{joint}", caption, numbers, height=3.9, draw=draw
+    )
 
 
 def _draw_histogram(ax: Any, edges: Array, counts: Array) -> None:
@@ -238,8 +238,9 @@ def _draw_histogram(ax: Any, edges: Array, counts: Array) -> None:
 def friction(run: Run) -> Section:
     """Return the section on friction: tables of coefficients, and a curve per joint against speed.
 
-    The tables are those of the run, of another day, of each log and of the written model, as far
-    as there are any; a joint without predicted friction has no curve.
+    The tables have the coefficients of the run, with errors for another day, of each log and of the
+    written model, as far as the run has them. A joint without predicted friction has no curve, and
+    no joint has one if the run has no data to draw.
     """
     data = run.data
     slides = {} if data is None else dict(zip(data.joints, data.is_slide))
@@ -276,7 +277,7 @@ def _coefficient_table(
     Args:
         title: title of the first column, which names the joints.
         coefficients: joint or coupling to friction term to coefficient and standard error; "–"
-            stands for a term that a joint lacks and another one has.
+            stands for a term that a joint lacks and another joint has.
         slides: joint to whether it is a slide, which determines the units; empty if not known.
     """
     all_terms = dict.fromkeys(itertools.chain.from_iterable(coefficients.values()))
@@ -300,7 +301,7 @@ def _friction_figure(data: ReportData, joint: int) -> Figure:
     """Return the figure of a joint's friction torque, measured and identified, against speed."""
     unit = torque_unit(data.is_slide[joint])
     speed_label = f"speed [{position_unit(data.is_slide[joint])}/s]"
-    # Bins of speed with enough samples.
+    # Bins of speed with too few samples are NaN.
     has_samples = np.isfinite(data.speed[joint])
     columns = (data.speed, data.friction_measured, data.friction_predicted)
     bins = np.array([column[joint, has_samples] for column in columns])
@@ -321,8 +322,9 @@ def _friction_figure(data: ReportData, joint: int) -> Figure:
         (data.friction + data.measured - data.predicted)[:, joint],
     )
     panel = Panel(f"friction [{unit}]", lines, cloud=cloud)
+    across = (speed_label, speeds)
     return drawing.curves_figure(
-        f"friction-{joint}", caption, (speed_label, speeds), (panel,), 3.0
+        f"friction-{joint}", caption, across, (panel,), height=3.0
     )
 
 
@@ -387,9 +389,8 @@ def _motion_figure(data: ReportData, joint: int) -> Figure:
         highest_drawn = np.max(values) + margin
         drawn_limits = [x for x in limit_pair if lowest_drawn <= x <= highest_drawn]
         panels.append(Panel(label, {label: (values, {"color": colour})}, drawn_limits))
-    return drawing.curves_figure(
-        f"motion-{joint}", caption, ("time [s]", data.time), panels, 3.0
-    )
+    across = ("time [s]", data.time)
+    return drawing.curves_figure(f"motion-{joint}", caption, across, panels, height=3.0)
 
 
 FITTED = "fitted"
@@ -468,8 +469,9 @@ def error_numbers(
 def error_sets(run: Run) -> Iterator[ErrorSet]:
     """Yield the sets of torque errors of a run that have errors per joint.
 
-    First those on the fitted data, then on held-out data (the first validation), then on other
-    logs (the further ones); on the latter two by the fit, the model before and the written model.
+    The first set is the fit's errors on the fitted data. Then follow errors on held-out data (the
+    run's first validation) and on other logs (its further validations): each by the fit, by the
+    model before and by the written model.
     """
     content = run.content
     # Errors "before" and "after" of the written file on held-out data, and pairs of them on others.

@@ -42,7 +42,7 @@ from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, number, report_d
 _TEMPLATE = Path(__file__).with_name("template.html")
 """Jinja template of the page."""
 _ODD = (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError)
-"""Errors that a section may raise if somebody edited the result file by hand."""
+"""Errors that a section may raise if somebody has edited the run's params.json by hand."""
 
 
 def sections_of(
@@ -191,10 +191,10 @@ def write_report(
 
 
 def verdict(run: Run) -> Section:
-    """Return the first section: the verdict in the sentences of the console, the torque error, and
-    a figure of the joint torque that changed most.
+    """Return the first section of a run's page: verdict, torque error, and what limits the result.
 
-    There is no figure if the data are a simulation of the model itself, or cannot be read.
+    The sentences are those of the console. A figure shows the joint torque whose prediction changed
+    most, unless the data are a simulation of the model itself, or cannot be read.
     """
     content = run.content
     is_simulation_of_model = str(content["source"]).startswith(Source.ITSELF.value)
@@ -239,8 +239,10 @@ def _headline(run: Run) -> str:
 
 
 def _masses(run: Run) -> Iterator[str]:
-    """Yield a sentence on the mass of the terminal link, or of the payload, the link without and
-    the link with it; with its standard error, also relative to the mass.
+    """Yield a sentence on the mass of a body and its standard error, also relative to the mass.
+
+    The body is the terminal link. Of a run that identified a payload, there is a sentence on the
+    payload, on the link without it and on the link with it.
     """
     for body in run.bodies if run.is_payload else run.bodies[:1]:
         mass = float(body.identified[0])
@@ -271,7 +273,7 @@ def _origin(run: Run) -> Iterator[str]:
 def _other_models(run: Run) -> Iterator[str]:
     """Yield a warning of each model file in the run's folder that another run has written.
 
-    A written model states the root mean square residual of its run, which identifies the run.
+    A written model states the root mean square residual of its run, by which the run is recognised.
     """
     rmse_text = format_rmse(run.content["rmse"])
     for name in MODEL_NAMES.values():
@@ -282,9 +284,9 @@ def _other_models(run: Run) -> Iterator[str]:
 
 
 def verdicts(runs: Sequence[Run]) -> Section:
-    """Return the section with a table of each run's question, verdict and model.
+    """Return the section of a comparison whose table has each run's question, verdict and model.
 
-    A warning says so if the runs are of different model files.
+    A sentence warns where the runs used different model files. Data that a run lacks are named.
     """
     rows = []
     missing_lines = []
@@ -323,7 +325,7 @@ def compare_bodies(runs: Sequence[Run]) -> Section:
     for name, run in run_by_name(runs).items():
         bodies[name] = {body.title: body for body in run.bodies}
     first, *others = bodies.values()
-    # In the order of the first run.
+    # Bodies that all runs have, in the order of the first run.
     common_titles = list(first)
     for other in others:
         common_titles = list(filter(other.__contains__, common_titles))

@@ -42,8 +42,8 @@ LONGEST_LAG = 2.0
 _MOST_LAGS = 80
 """Largest number of lags above zero of which the autocorrelation is saved."""
 _WIDE = 4.0
-"""Half width of a histogram in root mean squares of the residual: noise exceeds it once in 16 000
-samples."""
+"""Half width of a histogram in root mean squares of the residual: normal noise exceeds it once in
+16 000 samples."""
 _LEAST_IN_BIN = 4
 """Smallest number of samples of a speed bin whose mean and standard deviation are meaningful."""
 _VERSION = 1
@@ -146,7 +146,7 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
 
 
 def _spread_indices(last: int, largest_count: int) -> NDArray[np.int64]:
-    """Return evenly spread indices from 0 to ``last``, both included, no more than a count."""
+    """Return at most ``largest_count`` evenly spread indices from 0 to ``last``, both included."""
     count = min(last + 1, largest_count)
     return np.unique(np.linspace(0, last, count).round().astype(int))
 
@@ -164,8 +164,9 @@ def data_bytes(data: ReportData) -> bytes:
 def load_data(path: Path) -> ReportData:
     """Return the data of a file that ``data_bytes`` made.
 
-    Raises InputError if there is no such file, it is damaged or its version differs.
+    Raises InputError if there is no such file, it is damaged or its version is not ``_VERSION``.
     """
+    # All other fields are arrays of floats.
     converters: dict[str, Callable[[Array], Any]] = {
         "n_samples": int,
         "result": str,
@@ -227,8 +228,8 @@ def autocorrelation(time: Array, residual: Array) -> dict[str, Array]:
         residual: (K, n) residuals; NaN where a sample was not used.
 
     Returns:
-        "lags": (L,) from zero, up to ``LONGEST_LAG`` [s]; "correlation": (n, L), zero where all
-        residuals are; "independent": (n,) the bound 1.96 / sqrt(samples).
+        "lags": (L,) from zero, up to ``LONGEST_LAG`` [s]; "correlation": (n, L), zero for a joint
+        whose residuals are all zero; "independent": (n,) the bound 1.96 / sqrt(samples).
     """
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     step = step or 1.0
@@ -260,8 +261,8 @@ def statistics_by_speed(
         friction: (K, n) predicted friction torque [N m].
 
     Returns:
-        Each name in ``BY_SPEED`` to its statistic (n, S), see ``ReportData``; NaN in a bin of less
-        than ``_LEAST_IN_BIN`` samples.
+        Each name in ``BY_SPEED`` to its statistic (n, S), see ``ReportData``; NaN in a bin of fewer
+        than ``_LEAST_IN_BIN`` samples. Samples whose residual is NaN do not count.
     """
     statistics = np.full((len(BY_SPEED), qd.shape[1], SPEED_BINS), np.nan)
     for joint in range(qd.shape[1]):
@@ -322,9 +323,10 @@ class Body:
         return self.thetas["after"]
 
     def errors_or_none(self, errors: Array) -> list[float | None]:
-        """Return standard errors (m,) of this body as a list, all None if the run states no errors.
+        """Return ``errors`` (m,) as a list, or m times None if the run states no errors.
 
-        A run states no errors if its data are a simulation of the model itself.
+        A run states no errors if its data are a simulation of the model itself. ``errors`` are
+        standard errors of this body, such as ``central``.
         """
         return errors.tolist() if self.budget else [None] * len(errors)
 
@@ -365,8 +367,10 @@ class Run:
 
     @property
     def is_fully_known(self) -> bool:
-        """Whether every parameter has a value: of a link always, since the model has a value for
-        those that the data does not determine; of a payload, if the data determines all of them.
+        """Whether every parameter has a value, from the data or from the model.
+
+        That is so of a link always, since the model has values for parameters that the data does
+        not determine; of a payload, if the data determines all of its parameters.
         """
         return bool(self.content["valid"]["all_identified"]) or not self.is_payload
 
@@ -384,8 +388,8 @@ class Run:
         """Return the friction coefficients of each log, if the run had several.
 
         Returns:
-            "joint in LOG", the heading of a table, to joint to friction term to the coefficient and
-            its standard error in that log.
+            "joint in LOG", the heading of a table, to the friction of each joint in that log; {}
+            for a run of a single log.
         """
         tables: dict[str, dict[str, Mapping[str, Quantity]]] = {}
         for joint, entry in self.content["joints"].items():
@@ -470,11 +474,13 @@ def _restore_records(value: Any) -> Any:
 
 
 def _bodies(content: Mapping[str, Any], truth: Array | None) -> list[Body]:
-    """Return the bodies of a run: payload, link without and link with it; or the arm's links, the
-    terminal one first.
+    """Return the bodies of a run.
+
+    They are the payload, the link without it and the link with it; of a run without a payload, the
+    arm's links, the terminal link first.
 
     Args:
-        content: content of params.json, of ``_restore_records``.
+        content: content of params.json, with records as from ``_restore_records``.
         truth: (10,) true parameters of the terminal link, which become its version "truth"; None
             for a real arm or a payload.
     """

@@ -75,8 +75,8 @@ class Form:
         title: heading of the card.
         values: name of a value to its group of numbers in ``_number_groups``; a name of several
             words takes the numbers of the group one by one; a dict is a nested value.
-        text: with a %s for each value, in the order of ``values``; or a function that returns the
-            text, of the body and its inertia (3, 3) about the centre of mass.
+        text: text to copy, with a %s for each value in the order of ``values``; or a function that
+            returns it for a body and the body's inertia (3, 3) about the centre of mass [kg m^2].
         explanation: unit, frame and order of the numbers.
         max_inertia: largest element of an inertia matrix that the target accepts [kg m^2].
     """
@@ -220,7 +220,7 @@ class Card:
         title: heading of the card.
         explanation: unit, frame and order of the numbers.
         values: name in the target to number or numbers, as JSON can hold them.
-        text: to copy into a program or a configuration of the target.
+        text: text to copy into a program or a configuration of the target.
         notes: standard errors, and whether the target would refuse these numbers.
     """
 
@@ -302,7 +302,10 @@ def load_covariance(body: BodyEstimate) -> Array:
 
 
 def load_errors(body: BodyEstimate) -> Array:
-    """Return the standard errors (10,) that ``ERROR_NAMES`` names; infinite where not known."""
+    """Return the standard errors (10,) of mass, centre of mass and inertia about it of a body.
+
+    The order and units are those of ``ERROR_NAMES``. An error that is not known is infinite.
+    """
     return np.sqrt(np.maximum(np.diag(load_covariance(body)), 0.0))
 
 
@@ -336,7 +339,7 @@ def principal_moments(body: BodyEstimate) -> tuple[Array, Array, Array]:
 
 
 def is_inertia_known(body: BodyEstimate) -> bool:
-    """Return whether any principal moment of a body differs from zero by more than its error.
+    """Return whether any principal moment exceeds ``MOMENT_SIGNIFICANCE`` standard errors.
 
     One is enough: the smallest moment of a rod never does, and a wrist that only spins determines
     one moment alone.
@@ -349,7 +352,7 @@ def card_text(cards: Sequence[Card], payload: Payload, model_name: str) -> str:
     """Return the text of payload_card.txt: a heading, then each card with its explanation.
 
     Args:
-        cards: of ``payload_cards``.
+        cards: cards that ``payload_cards`` returned.
         payload: the payload that they state.
         model_name: file name of the arm's model, for the heading.
     """
@@ -369,9 +372,10 @@ def card_text(cards: Sequence[Card], payload: Payload, model_name: str) -> str:
 
 
 def _number_groups(payload: InertialParameters) -> tuple[Array, dict[str, Any]]:
-    """Return the inertia (3, 3) about the centre of mass, and group name to numbers for all forms.
+    """Return (inertia (3, 3) about the centre of mass [kg m^2], group name to number or numbers).
 
-    Raises ExportError where no rigid body has these parameters.
+    Every form takes its numbers from these groups. Raises ExportError where no rigid body has the
+    payload's parameters.
     """
     mass, com, inertia = spatial.com_from_theta(payload.theta)
     moments, axes = spatial.principal_axes(inertia)
@@ -416,14 +420,14 @@ def _number_groups(payload: InertialParameters) -> tuple[Array, dict[str, Any]]:
 
 
 def round_group(values: Sequence[float] | Array) -> list[float]:
-    """Return numbers with the digits of a card; zero where they are rounding beside the largest."""
+    """Return numbers rounded to ``DIGITS`` digits; zero below ``_ROUNDING`` times the largest."""
     smallest = _ROUNDING * float(np.max(np.abs(values)))
     cleared = np.where(np.abs(values) < smallest, 0.0, values)
     return list(map(float, map(plain, cleared)))
 
 
 def plain(value: float) -> str:
-    """Return a number without exponent, which not every controller reads."""
+    """Return a number as text of ``DIGITS`` digits without exponent, which not all targets read."""
     text = np.format_float_positional(value, DIGITS, fractional=False, trim="0")
     return "0.0" if float(text) == 0.0 else text
 

@@ -128,12 +128,13 @@ class BodyEstimate:
     """The ten inertial parameters of one body, estimated, and their errors.
 
     Attributes:
-        name: of the body.
+        name: name of the body.
         inertial: the parameters, in the body's frame; of a payload in the flange frame.
-        covariance: (10, 10) of their error, all causes together; zero where it is not known.
+        covariance: (10, 10) covariance of the parameters' errors, all causes together; zero where
+            it is not known.
         is_determined: (10,) whether data and priors determine a parameter at all.
         noise_errors: (10,) standard errors due to torque noise alone.
-        budget: cause other than noise to the standard errors (10,) due to it alone.
+        budget: cause other than noise to the standard errors (10,) due to that cause alone.
         data_share: (10,) share of each value that comes from the data, 0 to 1; the model gives the
             other share.
         prior: the parameters in the model; None of a payload.
@@ -168,7 +169,7 @@ class JointEstimate:
     """Friction and rotor inertia of one joint, or of a motor that turns with several.
 
     Attributes:
-        friction_model: the names of its terms joined by "-"; "none" where friction is not
+        friction_model: names of the friction terms joined by "-"; "none" where friction is not
             estimated.
         terms: friction term ("coulomb", ...), or speed parameter of one ("stribeck_speed"), to its
             value.
@@ -249,10 +250,10 @@ class RecordingPayload:
     """The payload as one recording alone determines it, against all recordings of the other kind.
 
     Attributes:
-        name: of the recording.
+        name: name of the recording.
         is_loaded: whether it was made with the payload.
-        mass: of the payload [kg].
-        com: (3,) its centre of mass in the flange frame [m].
+        mass: mass of the payload [kg].
+        com: (3,) the payload's centre of mass in the flange frame [m]; NaN where the mass is zero.
         noise_error: standard error of the mass due to noise alone [kg].
         error: standard error of the mass, all causes together [kg].
     """
@@ -305,9 +306,9 @@ class RolloutError:
         horizon: length of a window [s].
         windows: number of windows.
         errors_before: (n,) root mean square errors with the old model [rad or m].
-        errors_after: (n,) with the new model.
+        errors_after: (n,) root mean square errors with the new model [rad or m].
         diverged: number of windows in which the simulation diverged, with the old and the new
-            model; they count with the largest error that is possible.
+            model; such a window counts with the largest error that is possible.
     """
 
     loop: str
@@ -345,7 +346,8 @@ class RolloutTest:
         held_out: description of the pieces.
         servo: description of what holds the model in closed loop.
         errors: one per loop and horizon that could be simulated, the longest horizon last.
-        notes: on horizons that could not be simulated, one sentence each.
+        notes: horizons that could not be simulated, and windows in which a simulation diverged, one
+            sentence each.
     """
 
     joint_names: tuple[str, ...]
@@ -391,16 +393,18 @@ class Result:
         file: the numbers of the written model; None where only the terminal link or the payload is
             written into the original.
         payload: None of the question ``LINK``.
-        validation: of the fit itself, on held-out stretches of its logs first, then on other logs.
+        validation: errors of the fit in predicting torques: of held-out stretches of its logs
+            first, then of other logs.
         friction_model: name of the friction model, or "per joint".
-        delay: by which torque lags position [s]; None where it was not estimated.
-        tilt: angle between the model's gravity and the estimated one [rad]; None likewise.
-        cutoff: of the low-pass [Hz]; None of a simulation and of resting poses.
+        delay: time by which torque lags position [s]; None where it was not estimated.
+        tilt: angle between the model's gravity and the estimated one [rad]; None where it was not
+            estimated.
+        cutoff: cut-off of the low-pass [Hz]; None of a simulation and of resting poses.
         link_scales: "mass", "centre_of_mass" and "inertia" to the factor by which the prior
             standard deviation of the other links was widened.
         wrong_links: links of the model that the recordings contradict.
         conflicts: priors that the data contradicts.
-        notes: for the user, one sentence each.
+        notes: remarks for the user, one sentence each.
         rollout: simulation of the old and the new model; None where the user did not ask for it.
     """
 
@@ -441,7 +445,10 @@ class Result:
 
     @property
     def body(self) -> BodyEstimate:
-        """The payload, or of the question ``LINK`` the terminal link with all bodies below it."""
+        """The payload; without one, the terminal link with all bodies that move with it.
+
+        Where no link was estimated with errors, the link's covariance is zero.
+        """
         if self.payload is not None:
             return self.payload.body
         if self.links:

@@ -48,11 +48,16 @@ _MIN_CAUSE_SHARE = 0.05
 _BLOCK_ROWS = ("CoM moment", "inertia")
 """Starts of the rows of the table whose values stand in the block already."""
 _FIT_GAIN = 0.1
-"""Relative difference of the fit's torque error from the file's up to which it is not reported."""
+"""Relative difference between torque errors of fit and file up to which the fit's is left out."""
 
 
 def result_lines(result: Result, links: bool = False) -> list[str]:
-    """Return the lines that the command line prints of a result without --verbose."""
+    """Return the lines that the command line prints of a result without --verbose.
+
+    Args:
+        result: what to print.
+        links: whether the table shows mass and first moment of every link.
+    """
     lines = (*block_lines(result), *more_lines(result, links), *verdict_lines(result))
     return [line for line in lines if not isinstance(line, Detail)]
 
@@ -114,7 +119,7 @@ def more_lines(result: Result, links: bool = False) -> list[str]:
 
 
 def _decimals_text(values: Array) -> str:
-    """Return numbers with three decimals; where all are small, with two digits of the largest."""
+    """Return numbers with three decimals; if all are below 0.01, with two digits of the largest."""
     largest = float(np.max(np.abs(values)))
     is_small = 0.0 < largest < 0.01
     decimals = 1 - math.floor(math.log10(largest)) if is_small else 3
@@ -122,7 +127,7 @@ def _decimals_text(values: Array) -> str:
 
 
 def _friction_text(value: float) -> str:
-    """Return a number with two decimals; with its first digit where they would show 0.00."""
+    """Return a number with two decimals, or with one significant digit instead of 0.00."""
     # Adding zero turns the -0.00 that rounding leaves into 0.00.
     rounded = round(value, 2) + 0.0
     is_hidden = rounded == 0.0 and abs(value) > _FRICTION_ROUNDING
@@ -130,7 +135,10 @@ def _friction_text(value: float) -> str:
 
 
 def _table_of_result(result: Result, links: bool) -> Iterator[str]:
-    """Yield the table before -> after of the links; none of a payload or a self-test."""
+    """Yield the lines of the table before -> after, ``Detail`` if the block has their numbers.
+
+    It shows the terminal link, or every link with ``links``; nothing for a payload or a self-test.
+    """
     if not result.is_measured or result.payload is not None:
         return
     yield from _mass_lines(result)
@@ -248,7 +256,10 @@ def _sensor_lines(result: Result) -> Iterator[str]:
 
 
 def _validation_lines(result: Result) -> Iterator[str]:
-    """Yield the errors on other logs, of the written file or, where there is none, of the fit."""
+    """Yield lines on torque errors of data that was not fitted.
+
+    They are errors of the written file on other logs; where there is no file, errors of the fit.
+    """
     fits = result.validation
     file = result.file
     if file is None:
@@ -278,7 +289,10 @@ def _fit_error_text(test: Validation) -> str:
 
 
 def _fit_gain_lines(source: str, file: Validation, fit: Validation) -> Iterator[Detail]:
-    """Yield the error of the fit where it differs from that of the file, which has fewer terms."""
+    """Yield a line on the fit's torque error where it differs from that of the file.
+
+    The file has fewer terms than the fit. Both errors are those on the data ``source``.
+    """
     file_error = file.relative_error
     fit_error = fit.relative_error
     if file_error is None or fit_error is None:
@@ -422,8 +436,9 @@ class BeforeAfter:
         after: the identified value.
         error: standard error of ``after``; infinite where it is not determined, None where none is
             stated.
-        unit: of all three.
-        share: share of ``after`` that the data determines, 1 to 0; the model the rest.
+        unit: unit of ``before``, ``after`` and ``error``.
+        share: share of ``after`` that the data determines, 0 to 1; the model determines the other
+            share.
     """
 
     name: str
@@ -553,7 +568,8 @@ def _com_rows(body: BodyEstimate) -> list[BeforeAfter]:
     length = max(spatial.characteristic_length(body.inertial.theta), _MIN_LENGTH)
     prior = None if body.prior is None else body.prior.com
     labels = map("centre of mass {}".format, "xyz")
-    return _number_rows(labels, prior, body.inertial.com, errors, "mmm", length)
+    units = ["m"] * 3
+    return _number_rows(labels, prior, body.inertial.com, errors, units, length)
 
 
 def _inertia_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
@@ -578,6 +594,6 @@ def _friction_rows(result: Result) -> Iterator[BeforeAfter]:
         value = estimate.value(f"{term}[{joint}]")
         if value is not None:
             error = estimate.error(f"{term}[{joint}]") if result.is_measured else None
-            identified = float(without_rounding(np.array(value), 1.0))
+            identified = float(without_rounding(np.array(value), scale=1.0))
             unit = term_unit(term, is_slide)
             yield BeforeAfter(label, model.get(term), identified, error, unit)

@@ -42,10 +42,11 @@ differs by percents only between stretches of hundreds of samples."""
 PRIOR_SHARE = 0.5
 """Share of a value that comes from the data below which the model's prior dominates."""
 SURE = 3.0
-"""Standard errors from zero beyond which a sign is certain: noise exceeds it once in 700 times."""
-_NEGATIVE_DELAY = 2.0
-"""Standard errors below zero beyond which a delay is called negative: noise exceeds it once in 44
+"""Standard errors from zero beyond which a sign is certain: noise alone reaches that once in 700
 times."""
+_NEGATIVE_DELAY = 2.0
+"""Standard errors below zero beyond which a delay is called negative: noise alone reaches that once
+in 44 times."""
 _REMEDIES = {
     **dict.fromkeys(
         ("noise", "delay", "filtering"),
@@ -99,9 +100,10 @@ def verdict_lines(
     """Return one or two lines: whether to use a result, or why not, and what to do next.
 
     Args:
-        result: what to judge.
-        failure: why a result that is usable in itself must not be used, or None.
-        next_step: replaces the second line's own suggestion; "" keeps that.
+        result: result to judge.
+        failure: why a result that is usable in itself must not be used; None where there is no such
+            reason.
+        next_step: what to do next, in place of the step that follows from the result; "" for that.
     """
     failure = refusal(result) or failure
     if failure is not None:
@@ -134,8 +136,8 @@ def plan_verdict(
     Args:
         arm: arguments of the command line that state the model of the arm.
         files: the files that were written.
-        failure: why the motion must not be run, or None.
-        purpose: of the motion, as in ``--for``.
+        failure: why the motion must not be run; None where it may.
+        purpose: purpose of the motion, as in ``--for``.
         limits: arguments of the command line with limits that motors are to keep.
         shortfalls: why the motion does not serve its purpose, though it keeps all limits.
         remedy: the command that plans a motion for the purpose; "" where none is known.
@@ -179,7 +181,7 @@ def command_after_weighing(folder: Path, model: Path, written: Path) -> str:
 def shortfalls_of_plan(
     body_name: str, relative_mass_error: float | None, contact: str | None
 ) -> list[str]:
-    """Return why a motion does not serve its purpose: the mass stays unknown, the start is blocked.
+    """Return why a motion does not serve its purpose: uncertain mass, blocked way to the start.
 
     Args:
         body_name: the body whose mass the motion is to determine.
@@ -216,7 +218,10 @@ def refusal(result: Result) -> str | None:
 
 
 def before_after_text(before: Validation, after: Validation | None) -> str:
-    """Return the relative errors of two models as text, such as "27 % -> 0.3 %"."""
+    """Return the relative errors of two models as text, such as "27 % -> 0.3 %".
+
+    An error that is not known is left out, "not known" stands for both.
+    """
     texts = []
     for test in (before, after):
         if test is not None and test.relative_error is not None:
@@ -379,7 +384,7 @@ def _negative_friction(result: Result) -> Iterator[str]:
 
 
 def _unexplained_residuals(result: Result) -> Iterator[str]:
-    """Yield sentences where residuals are correlated in time, or larger on data not fitted."""
+    """Yield sentences on residuals that are correlated in time, and on larger held-out errors."""
     estimate = result.estimate
     # Joint to its number of independent samples per sample.
     shares = estimate.independent_share.items()
@@ -389,7 +394,7 @@ def _unexplained_residuals(result: Result) -> Iterator[str]:
             f"residuals of {', '.join(correlated)} are correlated in time: slow noise, or "
             "something that the model lacks; the errors allow for it"
         )
-    # Of exact data a fit may leave far less than what counts as its noise.
+    # The residual of exact data may be far below the least noise that a fit assumes.
     joint_noise = list(estimate.noise_per_joint.values()) or [0.0]
     noise = np.sqrt(np.mean(np.square(joint_noise)))
     for test in result.validation:
