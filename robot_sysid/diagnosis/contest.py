@@ -228,7 +228,8 @@ class Contest:
         winners of the previous rounds. The rounds end when no explanation gains ``MARGIN``, or
         after ``_MOST_ROUNDS``.
         """
-        fit = BaseFit(self.posterior, self.signals, is_plausible(self.posterior))
+        trusted = is_plausible(self.posterior)
+        fit = BaseFit(self.posterior, self.signals, trusted)
         offered = []
         for explanation in explanations(fit):
             if not self.is_estimated(explanation):
@@ -437,6 +438,7 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
     winner = rounds[0][0] if rounds else None
     corrections = contest.corrections(divided, winner)
     correction = corrections[0] if corrections else None
+    # An exchange of joints also gives one of them torque that is far too large for it.
     odd_unit = odd_unit_finding(contest.posterior.model.log)
     if odd_unit and not (correction and correction.finding.name == "order"):
         return [odd_unit]

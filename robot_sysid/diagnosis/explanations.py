@@ -484,7 +484,7 @@ def hums(fit: BaseFit) -> Iterator[Explanation]:
         best = int(np.argmax(power[:, joint]))
         # Cosine and sine of the frequency, whose sum has any phase.
         columns = np.stack((waves[best].real, waves[best].imag), axis=1)
-        describe = _norm(text, 1.0, "N m", joint=name, rate=rates[best])
+        describe = _norm(text, factor=1.0, unit="N m", joint=name, rate=rates[best])
         spread = np.full(2, 0.1 * fit.log.typical_torque[joint])
         hum = Explanation("contact", Level.WARN, columns, spread, describe, joint)
         yield replace(hum, choices=len(rates))
@@ -503,7 +503,8 @@ def ripples(fit: BaseFit) -> Iterator[Explanation]:
         best = int(np.argmax(np.abs(fit.residual[:, joint] @ waves)))
         # Cosine and sine of the position, whose sum has any phase.
         columns = np.stack((waves[:, best].real, waves[:, best].imag), axis=1)
-        describe = _norm(text, 1.0, "N m", joint=name, count=RIPPLES[best])
+        count = RIPPLES[best]
+        describe = _norm(text, factor=1.0, unit="N m", joint=name, count=count)
         spread = np.full(2, 0.1 * fit.log.typical_torque[joint])
         ripple = Explanation("ripple", Level.NOTE, columns, spread, describe, joint)
         yield replace(ripple, choices=len(RIPPLES))

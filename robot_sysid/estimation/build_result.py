@@ -119,6 +119,7 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
             findings.append(judgement)
     status, reasons = first(findings, verdict)
     if share > UNEXPLAINED:
+        # A file that clearly predicts better is written all the same, for torques only.
         if status is Verdict.BETTER:
             status = Verdict.TORQUES_ONLY
         else:
