@@ -120,8 +120,8 @@ def _first_coefficient(
 def _norm(text: str, factor: float, unit: str, **fields: Any) -> Description:
     """Return a function that fills the coefficients' Euclidean norm into a text at {value}.
 
-    The largest standard error stands for that of the norm. The arguments are those of
-    ``_first_coefficient``.
+    The largest standard error stands for that of the norm. ``text``, ``factor``, ``unit`` and
+    ``fields`` are as in ``_first_coefficient``.
     """
     describe_number = _first_coefficient(text, factor, unit, **fields)
 

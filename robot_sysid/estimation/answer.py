@@ -399,7 +399,8 @@ def written_payload(answer: Answer) -> tuple[Array, str]:
     """
     theta = answer.fit.values[answer.fit.columns.indices(PAYLOAD_NAMES)]
     mass, com, _ = spatial.com_from_theta(theta)
-    body = answer.body("payload", answer.selection_matrix(PAYLOAD_NAMES), theta, None)
+    combinations = answer.selection_matrix(PAYLOAD_NAMES)
+    body = answer.body("payload", combinations, theta, model_theta=None)
     if mass <= 0.0 or is_inertia_known(body):
         return theta, ""
     moments, errors, _ = principal_moments(body)

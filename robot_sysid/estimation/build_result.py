@@ -306,6 +306,7 @@ def _payload_estimate(
     """Return the record of the payload, and of the terminal link without and with the payload.
 
     Args:
+        answer: the fit with its errors.
         flange: the frame in which the payload is stated.
         values: (p,) values of all parameters, from which the three bodies are taken.
         scatter: the payload according to each recording alone.
@@ -376,7 +377,7 @@ def _payload(answer: Answer, flange: Flange, values: Array) -> BodyEstimate:
     to_flange = np.stack(list(map(flange.to_flange, np.eye(10))), axis=1)
     theta = to_flange @ values[answer.fit.columns.indices(PAYLOAD_NAMES)]
     combinations = to_flange @ answer.selection_matrix(PAYLOAD_NAMES)
-    return answer.body("payload", combinations, theta, None)
+    return answer.body("payload", combinations, theta, model_theta=None)
 
 
 def _link(answer: Answer, values: Array, loaded: bool) -> BodyEstimate:

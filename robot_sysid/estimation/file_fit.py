@@ -286,6 +286,11 @@ def select_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
     would move weight into offsets: offsets that are not significant become zero, the least
     significant first. Sensors of an arm are alike: where one offset is significant, the others get
     a prior standard deviation ``OFFSET``; where none is, all are held at zero.
+
+    Args:
+        fit: a fit of the file.
+        question: what the file may hold and what stays as it is.
+        choice: friction and priors so far.
     """
     deviations = dict(zip(fit.columns.robot.joint_names, OFFSET * fit.evidence.torque))
     unknowns = fit.evidence.unknowns(fit.columns, question, choice)
@@ -347,6 +352,12 @@ def predictive_link_scales(
     held-out error rises; squared errors up to ``AS_GOOD`` times the lowest count as equal. The
     result is meant for a file, which has to predict well; the uncertainty of links is estimated by
     ``priors.average_scales``.
+
+    Args:
+        judge: held-out errors of the recordings.
+        fit: a fit of the file, which gives the equations.
+        question: what the file may hold and what stays as it is.
+        choice: friction and priors so far.
     """
     scores = list[float]()
     choices = []

@@ -204,6 +204,7 @@ def answer_payload(
     """Return the answers for a payload from recordings without and with it.
 
     Args:
+        robot: the arm with its model.
         datasets: filtered recordings, or poses at rest.
         question: may contain the known mass of the payload.
         progress: receives the stages.
@@ -319,6 +320,11 @@ def without_standing(
     turns also have the most information on inertia, so they are left out only where they fit worse
     than all others. Every recording is judged by itself, with a flexible friction model: logs that
     are added up one by one then give the estimate of all logs together.
+
+    Args:
+        robot: the arm with its model.
+        dataset: the recording; one without reversals, or of poses at rest, is returned as it is.
+        options: options of the estimate.
 
     Raises:
         InputError: no joint moves fast enough, or the recording is too short.

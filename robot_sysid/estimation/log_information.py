@@ -353,7 +353,7 @@ def _fit_sum(robot: RobotModel, information: LogInformation) -> Fit:
 def _sample_rows(
     dataset: Dataset, samples: DecimatedSamples, values: Array
 ) -> RowSample:
-    """Return a random sample of a recording's rows, with the residuals at parameters (p,).
+    """Return a random sample of a recording's rows, with the residuals at ``values`` (p,).
 
     The seed is a hash of the recorded signals, so that equal recordings give equal samples. The
     recording must not be one of poses at rest, which has no signals.

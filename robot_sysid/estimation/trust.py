@@ -163,6 +163,7 @@ def unexplained_share(
     """Return the share of all torque that neither model nor noise explains, and a sentence on it.
 
     Args:
+        fit: the fit with its noise.
         independent_share: joint to the share of its residuals that are independent samples, which
             are noise.
     """

@@ -75,7 +75,10 @@ def play(
             # Its content and not this name tells the format.
             path = folder / MODEL_NAMES["mjcf"]
             with atomic_files() as files:
-                write(ModelTarget(files, path, checkpoints, 0.0, mesh_dir))
+                target = ModelTarget(
+                    files, path, checkpoints, rmse=0.0, mesh_dir=mesh_dir
+                )
+                write(target)
             new_robot = load_robot_model(path, joint=robot.terminal_joint)
         return compare(robot, new_robot, pieces, held_out)
     except (ExportError, InputError) as error:

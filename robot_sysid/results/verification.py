@@ -315,7 +315,8 @@ def reads_fullinertia_exactly(theta: Array) -> bool:
     try:
         with captured_warnings():
             probe = mujoco.MjModel.from_xml_string(text)
-        require_theta(probe, 1, theta, theta, AXES_TOLERANCE)
+        # Body 0 is the world.
+        require_theta(probe, 1, theta, theta, tolerance=AXES_TOLERANCE)
     except (ExportError, ValueError):
         return False
     return True

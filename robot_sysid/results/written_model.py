@@ -371,7 +371,7 @@ def _payload_body(
     flange = payload.flange
     rotation, translation = place_in_carrier(robot, flange)
     carrier = body_label(robot.mj_model, flange.carrier)
-    empty_body = SubtreeBody(0, name, np.zeros(10), True)
+    empty_body = SubtreeBody(body_id=0, name=name, theta=np.zeros(10), welded=True)
     theta = plan_write_back(payload.body.inertial.theta, [empty_body]).theta
     comment = f"{text} at {flange.name}"
     return WeldedBody(name, carrier, rotation, translation, theta, comment)
