@@ -413,7 +413,7 @@ def _refine(previous: Posterior, score: Score) -> Score:
     model = previous.model
     while nearby := best.explanation.nearby():
         columns = transform_columns(model, nearby)
-        # With the noise of the best score: with the model's, all gains are nearly equal.
+        # At the noise of the best score: at the model's, similar explanations gain nearly the same.
         gains = screen_gains(model.at_noise(best.posterior.noise), columns)
         k = int(np.argmax(gains))
         candidate = _score(previous, nearby[k], columns[k])
@@ -456,7 +456,7 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
         return [implausible_links(last)]
     if len(named) > MOST_NAMES:
         return [too_many_causes(contest.posterior, named)]
-    # Explanations after the first ``MOST_NAMES`` only fit their residuals.
+    # Explanations of later rounds only fit what the first ``MOST_NAMES`` leave unexplained.
     return name_causes(contest.posterior, rounds[:MOST_NAMES])
 
 

@@ -108,7 +108,10 @@ _RECORD_TIME = "; record the time of each sample"
 
 
 def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
-    """Yield findings on the clock: lost samples, repeated samples, and jumps of the time stamps."""
+    """Yield findings on the clock: lost samples, repeated samples, and jumps of the time stamps.
+
+    Nothing is found in pieces, or a log, of fewer than ``_ENOUGH`` steps.
+    """
     steps = []
     for piece in pieces:
         if len(piece) > _ENOUGH:
@@ -118,6 +121,7 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
     speed, duration = map(np.concatenate, zip(*steps))
     if len(speed) < _ENOUGH:
         return
+    # Speeds and durations are relative to those of the steps around, see ``_steps``.
     is_long = duration > _JUMP
     is_usual = duration < _JUMP
     is_jump = is_long & (speed * duration < _NO_WAY) & (speed > 0.0)
