@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -107,6 +107,7 @@ def test_an_estimate_carries_what_it_was_made_of(seed):
 
 
 @given(SEEDS, st.floats(0.0, 30.0), st.booleans())
+@example(1033080, 0.0, True)
 def test_a_body_that_has_to_be_possible_is_and_a_possible_one_stays(
     seed, noise, terminal
 ):

@@ -263,14 +263,14 @@ def piece_notes(
 
 def _select_pieces(pieces: list[Measurement]) -> list[Measurement]:
     """Return as many pieces of a log as ``MOST_TIME`` allows, evenly spread over those in which a
-    joint moves.
+    joint moves, or over all where none does.
     """
     if sum(map(_duration, pieces)) <= MOST_TIME:
         return pieces
     ranges = np.array([np.ptp(piece.q, axis=0) for piece in pieces])
     largest = np.maximum(np.max(ranges, axis=0), 1e-12)
     moved = np.max(ranges / largest, axis=1)
-    moving = [pieces[k] for k in np.flatnonzero(moved > _MOVING_SHARE)]
+    moving = [pieces[k] for k in np.flatnonzero(moved > _MOVING_SHARE)] or pieces
     total = sum(map(_duration, moving))
     count = max(1, int(len(moving) * min(1.0, MOST_TIME / total)))
     numbers = np.linspace(0, len(moving) - 1, count).round()

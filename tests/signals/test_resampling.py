@@ -194,6 +194,8 @@ def test_a_log_of_hours_keeps_the_minutes_that_move():
         resampling.MOST_TIME, rel=0.1
     )
     assert always[0].time[0] == 0.0 and always[-1].time[-1] == time[-1]
+    still = split_at_gaps(Measurement(time, 0.0 * q, None, q))
+    assert [piece.time[0] for piece in still] == [piece.time[0] for piece in always]
 
 
 @given(st.lists(st.integers(1, 900), max_size=4))

@@ -30,6 +30,7 @@ become (1 + G (T - 1) E) e.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain
@@ -49,12 +50,11 @@ GAMMAS = (0.1, 0.01, 1e-3, 1e-4)
 HARDLY = 3.0
 """Increase of the sum of squared residuals, each of unit variance, that is negligible: fitting is
 expected to decrease this sum by the number of parameters."""
-# Eigenvalues of the pseudo-inertia of an inconsistent usual body are raised to this share of the
-# largest one.
+# Share of the largest eigenvalue to which those of an inconsistent usual body are raised.
 _FLOOR = 1e-6
 # Diagonal of the rows that hold parameters without data at zero, where columns have unit length.
 _RIDGE = 1e-5
-# Gamma at which the path begins: the usual bodies are the minimiser there.
+# Gamma at which the path begins: the usual bodies are about the minimiser there.
 _EASY = 100.0
 # Squared length of a step at convergence, as a multiple of gamma.
 _CONVERGED = 1e-6
@@ -76,6 +76,8 @@ _PIN = 1e3
 _RESOLUTION = 1e-15
 # Rounding error of the squared length of a step, as a share of the sum of squared residuals.
 _SHORTEST = 1e-18
+# Likewise for steps that no longer shrink.
+_STALLED = 1e-16
 
 
 @dataclass(frozen=True)
@@ -207,7 +209,6 @@ class ConsistentLinks:
         # The last solver is this one: the next of its ends is that for the smallest gamma.
         limit = self._squared_residuals(next(ends)) + HARDLY
         paths = [solver.path(GAMMAS[1:]) for solver in solvers]
-        # The last candidate, for the smallest gamma, is within the limit.
         for candidate in chain(candidates, *paths):
             if self._squared_residuals(candidate) <= limit:
                 break
@@ -230,38 +231,35 @@ class ConsistentLinks:
     def path(self, gammas: Sequence[float]) -> Iterator[Array]:
         """Yield the minimiser (p,) for each of several gammas, given largest first; set ``first``.
 
-        Each search begins at the previous minimiser or, where it fails from there, at the usual
-        bodies. A gamma below the rounding error of the squared residuals is raised to that error.
-
-        Raises:
-            SysidError: the method did not converge.
+        Each search begins at the previous minimiser; where it fails from there, at the usual bodies
+        at the gamma ``_EASY``, and then at one that outweighs exact data; SysidError where all
+        fail. A gamma below the rounding error of the squared residuals is raised to that error.
         """
-        end = self.first or self._start or self._beginning()
+        end = self.first or self._start or self._beginning(_EASY)
         for gamma in np.maximum(gammas, _RESOLUTION * self._squared).tolist():
-            try:
-                end = self._follow(*end, gamma)
-            except SysidError:
-                end = self._follow(*self._beginning(), gamma)
+            for start in (end, self._beginning(_EASY)):
+                with suppress(SysidError):
+                    end = self._follow(*start, gamma)
+                    break
+            else:
+                end = self._follow(*self._beginning(self._squared), gamma)
             self.first = self.first or end
             yield self._all(end[1])
 
-    def _beginning(self) -> End:
-        """Return the usual bodies with their duals, the minimiser at the gamma ``_EASY``."""
+    def _beginning(self, gamma: float) -> End:
+        """Return the usual bodies with their duals, the minimiser if gamma outweighs the data."""
         z = np.zeros(len(self._bodies))
         # Roots of Z = gamma K^-1, K = 1.
-        duals = np.repeat(np.sqrt(_EASY) * np.eye(4)[None], len(z) // 10, axis=0)
-        return _EASY, z, duals
+        duals = np.repeat(np.sqrt(gamma) * np.eye(4)[None], len(z) // 10, axis=0)
+        return gamma, z, duals
 
     def _follow(self, t: float, z: Array, duals: Array, gamma: float) -> End:
-        """Return the minimiser at gamma; ``t``, ``z`` and ``duals`` are the ``End`` to start from.
-
-        Raises:
-            SysidError: the method did not converge.
-        """
+        """Return the minimiser at gamma, from the ``End`` (t, z, duals), or raise SysidError."""
         # t is the gamma that a step aims at, length the part of the last step that was taken.
         t = max(t, gamma)
         length = 1.0
         size_limit = max(_CONVERGED * gamma, _SHORTEST * self._squared)
+        previous_size = np.inf
         for _ in range(_MOST_STEPS):
             try:
                 cone = ScaledBodies(z, duals)
@@ -277,8 +275,11 @@ class ConsistentLinks:
                 duals = cone.move_duals(length * step.dual)
             except np.linalg.LinAlgError:
                 break
-            if t == gamma and step.size <= size_limit:
+            # Far from the usual bodies, rounding alone may keep steps above the limit.
+            is_stalled = 0.5 * previous_size <= step.size <= _STALLED * self._squared
+            if t == gamma and (step.size <= size_limit or is_stalled):
                 return gamma, z, duals
+            previous_size = step.size
         raise SysidError(
             "the fit of all links did not converge; check the units of the torques and of the "
             "model's inertias"
@@ -498,8 +499,6 @@ def project_errors(
 ) -> tuple[Uncertainty, dict[str, Array]]:
     """Return the errors of an estimate whose body is made consistent: in total, and by cause.
 
-    The arguments are not changed.
-
     Args:
         uncertainty: errors of the k estimated parameters before the body is made consistent.
         causes: per cause of errors, rows R (m, k) with R^T R the covariance due to this cause.
@@ -508,8 +507,8 @@ def project_errors(
         center: (10,) inertial parameters of a plausible body, the usual body of the fit.
 
     Returns:
-        The new errors and the new causes, with ``BODIES`` as one more cause. Both are as given
-        where the body is not identifiable or needs no change.
+        The new errors and causes, with ``BODIES`` as one more cause; both as given where the body
+        is not identifiable or needs no change.
     """
     of_body = uncertainty.covariance[np.ix_(indices, indices)]
     is_identifiable = np.all(np.isfinite(uncertainty.standard_errors[indices]))
