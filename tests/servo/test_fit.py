@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
 from robot_sysid.servo import fit as servo_fit
-from robot_sysid.servo.windows import make_problem, split_pieces
+from robot_sysid.servo.windows import ServoProblem, make_problem, split_pieces
 from robot_sysid.simulation.playback import (
     STEP,
     ServoParameters,
@@ -114,6 +115,27 @@ def fit_small_arm(kp, true_friction, friction):
         scale,
         replace(servos, frictionloss=friction),
     )
+
+
+def test_commands_in_which_every_rollout_diverges_are_refused(monkeypatch):
+    robot = robot_of(SMALL.replace("KP", "20"))
+    time, command = commanded(8.0)
+    log = Measurement(time, command, None, 0.0 * command, command=command)
+    moves = np.array([True, True])
+    scale = servo_fit.initial_parametrisation(robot, command[::10], 0.02, moves)
+    problem = make_problem(ServoRollouts(robot), [log])
+    play = ServoProblem.positions
+
+    def diverge(self, candidates):
+        """Yield positions that are NaN from an early step on."""
+        for q in play(self, candidates):
+            q[:, len(self.edges) // 4 :] = np.nan
+            yield q
+
+    servo_fit.improve_start(problem, scale)
+    monkeypatch.setattr(ServoProblem, "positions", diverge)
+    with pytest.raises(InputError, match="cannot be played with these commands"):
+        servo_fit.improve_start(problem, scale)
 
 
 def test_friction_behind_a_stiff_servo_is_not_identified_and_its_error_covers_the_truth():
