@@ -263,7 +263,7 @@ def run_command(config: Config, console: Console, preview: PreviewOptions) -> No
 
     Args:
         config: options of the run.
-        console: prints the outcome; its TOML file is kept from being replaced.
+        console: prints the outcome; the TOML file that the options came from is not replaced.
         preview: whether a planned motion is shown or filmed.
 
     Raises:

@@ -223,8 +223,8 @@ class Contest:
     def rounds(self) -> list[list[Score]]:
         """Return per round the scores within ``TIE`` nats of the largest gain, the winner first.
 
-        The winner is the score with the largest gain whose coefficients are possible; where none
-        of these are, the one with the largest gain. Each round starts from the model with the
+        Of these the winner is that with the largest gain whose coefficients are possible, or where
+        none are, with the largest gain. Each round starts from the model with the
         winners of the previous rounds. The rounds end when no explanation gains ``MARGIN``, or
         after ``_MOST_ROUNDS``.
         """

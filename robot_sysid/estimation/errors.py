@@ -81,7 +81,7 @@ class FitErrors:
         total: errors of all causes together, including torque noise that is correlated in time.
         causes: cause of error other than torque noise to the rows A (m, k) of its covariance A^T A.
         common: standard deviation of an error that all torque scales share, as a share of the
-            torque, where neither data nor priors determine it; else zero.
+            torque, from its prior; zero where the estimate determines it.
         conflicts: causes whose errors exceed their priors by more than chance.
     """
 
@@ -282,8 +282,10 @@ def _further_causes(
 ) -> Iterator[tuple[str, Array]]:
     """Yield (cause, rows A (m, k) of its covariance A^T A) of errors that the fit's priors lack.
 
-    A prior that the data contradicts is widened until they agree. A common torque scale in the fit
-    may be zero in truth. A parameter at its bound counts as free: noise may have pushed it there.
+    A prior that the data contradicts is widened until they agree. Torque scales whose common part
+    was estimated may have none. Friction and rotors have the scale error of their joint, which a
+    fit for a model file leaves out. A parameter at its bound counts as free: noise may
+    have pushed it there.
 
     Args:
         fit: the fit.

@@ -438,13 +438,14 @@ def _as_mapping(value: Any) -> Mapping[str, Any]:
 
 
 def _lerobot_titles(names: Any, feature: str, joint_names: Sequence[str]) -> list[str]:
-    """Return titles such as "elbow position [deg]" of a feature's numbers.
+    """Return titles such as "elbow position [deg]" of the columns of a LeRobot feature.
 
     Args:
         names: of the numbers, such as ["elbow.pos"], or a JSON object of such lists; anything else
             makes no titles.
         feature: STATE, ACTION or a key of _FEATURES.
-        joint_names: (n,) of the arm's model; a joint's name that differs in a prefix becomes this.
+        joint_names: (n,) of the arm's model; the data's names that differ from them in
+            a prefix alone are replaced by them.
     """
     groups = names.values() if isinstance(names, dict) else [names]
     joints = []

@@ -468,7 +468,7 @@ class _ColumnFinder:
         return (self._column("time", joint=0, index=times[0], factor=1.0),)
 
     def _missing_error(self, quantity: str) -> InputError:
-        """Return the error for a quantity without a column for each joint, with a hint."""
+        """Return the error for a quantity of which a joint has no column, with a hint."""
         candidates = []
         commands = []
         currents = []

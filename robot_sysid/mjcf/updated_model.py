@@ -43,9 +43,10 @@ class BodyChange:
     """New inertia for a body.
 
     Attributes:
-        label: the body's name, or "#7" for the nameless body with MuJoCo id 7, ``body_id``.
-        plan: its inertia, and which bodies below it are emptied.
-        addition: further text for its comment.
+        label: the body's name, or "#7" for the nameless body with MuJoCo id 7.
+        body_id: MuJoCo's id of the body, by which the written model is verified.
+        plan: the body's inertia, and which bodies below it are emptied.
+        addition: further text for the comment that is written beside the inertia.
     """
 
     label: str

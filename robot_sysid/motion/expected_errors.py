@@ -292,8 +292,8 @@ class ExpectedPosterior:
     suspected_errors: Uncertainty
 
     def errors_of(self, names: Sequence[str]) -> tuple[Array, dict[str, Array]]:
-        """Return the covariance (10, 10) of ten parameters with these names, and a dict from each
-        cause to its share (10, 10) of that covariance.
+        """Return the covariance (10, 10) of ten named parameters, and its parts (10, 10) by cause;
+        a variance is infinite where the parameter is not identifiable.
         """
         indices = self._indices(names)
         block = np.ix_(indices, indices)

@@ -185,17 +185,15 @@ def plan_lines(
     """Yield the lines that ``robot-sysid plan`` prints about a checked motion; a ``Detail`` is
     printed on demand only.
     """
-    yield from limit_lines(problem, plan, check)
+    yield from limit_lines(plan, check)
     yield from _error_lines(prediction)
     yield from _improvement_lines(prediction)
     yield from motion_lines(problem, plan, check)
 
 
-def limit_lines(
-    problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
-) -> Iterator[str]:
-    """Yield lines on whether the motion keeps all limits, on the least distance between bodies, and
-    on the limits that it breaks.
+def limit_lines(plan: MotionPlan, check: LimitCheck) -> Iterator[str]:
+    """Yield a line with the least distance between bodies where the motion keeps all limits, else
+    a line for each limit that it breaks, and one on the reserve for links that are less known.
     """
     if check.holds:
         nearest = check.nearest

@@ -121,7 +121,7 @@ class Tool:
 
     @property
     def tip(self) -> Array:
-        """The point (3,) farthest from the last joint's body origin [m]."""
+        """The tool's point (3,) farthest from the terminal body's origin, in its frame [m]."""
         distance = np.linalg.norm(self.points, axis=1)
         farthest = int(np.argmax(distance + self.radius))
         point = self.points[farthest]

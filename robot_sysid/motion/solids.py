@@ -141,7 +141,7 @@ def _hull_vertices(mj_model: Any, mesh: int) -> Array:
 
 
 class HalfSpaces:
-    """Heights of bodies above the boundaries of half-spaces.
+    """Heights of the lowest points of bodies above the boundaries of half-spaces.
 
     Args:
         mj_model: compiled MuJoCo model.
@@ -152,7 +152,8 @@ class HalfSpaces:
         solids: shapes of the B bodies that some half-space binds.
         normals: (K, 3) unit vectors in the world that point into the half-spaces.
         required: (B, K) height that each body has to keep [m]; minus infinity where a half-space
-            does not bind the body. ``Clearance`` lowers it for bodies near a boundary at rest.
+            does not bind the body. ``Clearance`` lowers it for bodies that are nearer in the start
+            pose.
     """
 
     def __init__(self, mj_model: Any, spaces: Sequence[HalfSpace]) -> None:

@@ -111,7 +111,7 @@ def predict_plan(
         recording = expected_errors.RecordingPlan(rate, config.estimation, poses.target)
         prediction = expected_errors.predict(problem, plan, recording)
         return prediction, [*predictions.plan_lines(problem, plan, check, prediction)]
-    lines = [*predictions.limit_lines(problem, plan, check)]
+    lines = [*predictions.limit_lines(plan, check)]
     if poses.static:
         lines += static.pose_lines(problem, plan)
     else:

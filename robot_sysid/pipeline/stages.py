@@ -167,6 +167,8 @@ def identify(config: Config, robot: RobotModel, progress: Progress) -> Identific
 def write_results(identification: Identification, progress: Progress) -> Outcome:
     """Write all files of an identification and return the outcome of the command.
 
+    The caller has locked the output folder. InputError where a file cannot be written.
+
     Args:
         identification: the result, and the options that name the output folder;
             ``--verify-rollout`` among them adds a simulation of both models to the result.
@@ -211,6 +213,7 @@ def write_results(identification: Identification, progress: Progress) -> Outcome
     progress.note(*outcome.notes)
     models = models_in(outcome.files)
     if models and config.log.measurements:
+        # After a motion that was planned for weighing, the next is planned with this model.
         command = command_after_weighing(folder, config.model.path, models[0])
         verdict = verdict_lines(result, outcome.failure, command)
         outcome = replace(outcome, verdict=verdict)

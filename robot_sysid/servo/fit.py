@@ -283,7 +283,10 @@ def search_servos(
         return np.concatenate((error.ravel(), prior))
 
     def jacobian(unknowns: Array, scale: Array, stage: str) -> Array:
-        """Return the derivative (M n + p, p) of the residuals by the unknowns; show progress."""
+        """Return the derivative (M n + p, p) of the residuals by the p unknowns; show progress.
+
+        Errors of M samples and n joints are divided by ``scale`` (n,); ``stage`` names the search.
+        """
         nonlocal evaluations
         evaluations = min(evaluations + 1.0, MAX_EVALUATIONS - 0.5)
         progress.advance(stage, done=evaluations, total=MAX_EVALUATIONS, text="")

@@ -207,9 +207,9 @@ def split_at_gaps(samples: Measurement) -> tuple[Measurement, ...]:
     """Return the pieces of a log between its gaps, cut to at most ``MOST_PIECE_ROWS`` rows; those
     shorter than ``SHORTEST_PIECE`` are left out.
 
-    Of a log longer than ``MOST_TIME`` it is pieces of about ``PIECE_TIME``, spread evenly, of that
-    total length. A log that is not cut is its only piece, and so is one whose pieces are all too
-    short.
+    A log longer than ``MOST_TIME`` is cut to pieces of about ``PIECE_TIME``; of those in which a
+    joint moves, as many as fit into ``MOST_TIME`` are returned, spread evenly. Pieces are views. A
+    log that is not cut is its only piece, and so is one whose pieces are all too short.
     """
     step = np.diff(samples.time)
     if not len(step):

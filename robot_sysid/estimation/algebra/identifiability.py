@@ -165,7 +165,7 @@ def analyse_identifiability(information: SquareRootInformation) -> Identifiabili
     that which remains after nuisances are eliminated: rank [Y_interest Y_nuisance] - rank
     Y_nuisance. The condition numbers are those of Y_interest alone, so that they are comparable
     between a plan, a simulation and a log, which have different nuisances. All joints' rows weigh
-    alike, without the prior.
+    alike, without the prior. ``identified`` and ``unidentifiable`` cover nuisances, too.
     """
     matrix, _ = information.equations()
     space = visible_space(matrix)
