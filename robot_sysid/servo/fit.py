@@ -221,7 +221,7 @@ def improve_start(problem: ServoProblem, initial: Parametrisation) -> Parametris
     # dominate the squares.
     errors = problem.subset(_GRID_WINDOWS).errors(candidates)
     error = np.mean(np.abs(errors), axis=1)
-    # Errors are pi where a rollout has diverged: here by the best candidate in half of the time.
+    # Errors are pi where a rollout has diverged: here the best candidate's for most of the time.
     if np.min(np.mean(errors == np.pi, axis=(1, 2))) > 0.5:
         raise InputError(
             "the model cannot be played with these commands; check their units"

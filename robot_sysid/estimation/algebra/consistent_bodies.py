@@ -76,8 +76,9 @@ _PIN = 1e3
 _RESOLUTION = 1e-15
 # Rounding error of the squared length of a step, as a share of the sum of squared residuals.
 _SHORTEST = 1e-18
-# Likewise for steps that no longer shrink.
+# Likewise for this many steps in a row that do not shrink.
 _STALLED = 1e-16
+_MOST_STALLED = 3
 
 
 @dataclass(frozen=True)
@@ -193,9 +194,7 @@ class ConsistentLinks:
         fits, by ``HARDLY``. Directions without data then stay at the usual bodies,
         exactly so where the null space can be held there within this limit. Directions with data
         are not biased towards the usual bodies, even of a tool much larger than the model's link.
-
-        Raises:
-            SysidError: the method did not converge.
+        SysidError where a search does not converge.
         """
         candidates = []
         solvers = [*self._hold_null_space(), self]
@@ -242,7 +241,7 @@ class ConsistentLinks:
                     end = self._follow(*start, gamma)
                     break
             else:
-                end = self._follow(*self._beginning(self._squared), gamma)
+                end = self._follow(*self._beginning(max(_EASY, self._squared)), gamma)
             self.first = self.first or end
             yield self._all(end[1])
 
@@ -260,6 +259,7 @@ class ConsistentLinks:
         length = 1.0
         size_limit = max(_CONVERGED * gamma, _SHORTEST * self._squared)
         previous_size = np.inf
+        n_stalled = 0
         for _ in range(_MOST_STEPS):
             try:
                 cone = ScaledBodies(z, duals)
@@ -267,17 +267,17 @@ class ConsistentLinks:
                 newton = _Newton(cone, self._singular, unexplained, self._turn)
                 predictor = newton.step(gamma)
                 remainder = 1.0 - min(1.0, newton.step_limit(predictor))
-                # Where the predictor step is short but the previous step was long, t decreases
-                # nevertheless.
+                # After a long step, t decreases even where the predictor step is short.
                 t = max(gamma, min(remainder**2, 1.0 - _EAGER * length) * t)
                 step, length = newton.best(t, predictor)
                 z = z + length * step.direction
                 duals = cone.move_duals(length * step.dual)
             except np.linalg.LinAlgError:
                 break
-            # Far from the usual bodies, rounding alone may keep steps above the limit.
+            # Rounding may keep steps above the limit; a single step may grow for other reasons.
             is_stalled = 0.5 * previous_size <= step.size <= _STALLED * self._squared
-            if t == gamma and (step.size <= size_limit or is_stalled):
+            n_stalled = n_stalled + 1 if t == gamma and is_stalled else 0
+            if t == gamma and (step.size <= size_limit or n_stalled == _MOST_STALLED):
                 return gamma, z, duals
             previous_size = step.size
         raise SysidError(

@@ -13,6 +13,7 @@ from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra import consistent_bodies
 from robot_sysid.estimation.algebra.consistent_bodies import (
     BODIES,
+    GAMMAS,
     ConsistentLinks,
     LinksProblem,
     ScaledBodies,
@@ -138,6 +139,38 @@ def test_without_weight_the_objective_is_that_of_the_semidefinite_program(seed):
     assert spatial.is_consistent(values[:10])
     squares = np.sum((matrix @ values - right) ** 2)
     assert squares == pytest.approx(sdp_least_squares(matrix, right), rel=1e-8)
+
+
+@pytest.mark.parametrize("seed", [72, 74, 100])
+def test_one_step_that_does_not_shrink_ends_no_search(monkeypatch, seed):
+    """Weights up to those of exact data, at which steps may grow before the last ones."""
+    rng = np.random.default_rng(seed)
+    thetas = []
+    for _ in range(2 * LINKS):
+        gyration = 10.0 ** rng.uniform(-2.0, -0.5, 3)
+        turn = arms.random_rotation(rng)
+        mass = 10.0 ** rng.uniform(-1.0, 1.3)
+        second_moment = mass * turn @ np.diag(gyration**2) @ turn.T
+        inertia = np.trace(second_moment) * np.eye(3) - second_moment
+        center = 0.1 * rng.normal(size=3)
+        thetas.append(spatial.theta_from_com(mass, center, inertia))
+    truth = np.concatenate((*thetas[LINKS:], [0.3, 0.5, 0.1]))
+    count = int(rng.choice([10, 14, 18, 30]))
+    weight = 10.0 ** rng.uniform(1.0, 8.0)
+    matrix = weight * random_rows(rng, count, thetas[LINKS:])
+    noise = rng.choice([0.0, 1.0]) * rng.normal(size=count)
+    if rng.random() < 0.5:
+        truth[4:7] *= -0.3
+    problem = problem_of(thetas[:LINKS])
+
+    def minimisers():
+        """Return the minimiser for a large gamma and for a small one."""
+        solver = ConsistentLinks(matrix, matrix @ truth + noise, problem)
+        return list(solver.path((GAMMAS[0], GAMMAS[-1])))
+
+    values = minimisers()
+    monkeypatch.setattr(consistent_bodies, "_STALLED", 0.0)
+    assert_array_equal(values, minimisers())
 
 
 def fit_last_joint(izz):
