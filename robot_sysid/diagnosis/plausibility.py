@@ -81,7 +81,7 @@ def least_friction_share(posterior: Posterior) -> Array:
 
 
 def misfit_by_joint(posterior: Posterior) -> Array:
-    """Return the unexplained torque (n,) of each joint, as a share of its RMS torque.
+    """Return the unexplained torque (n,) of each joint, as a share of ``typical_torque``.
 
     It is the root mean square residual less white noise, whose power is taken from the upper half
     of the frequencies, in which links make little torque.
