@@ -23,6 +23,7 @@ from robot_sysid.model.chain import (
     body_label,
     chain_to,
     find_terminal_joint,
+    jaw_in_line,
     joint_friction,
     joint_label,
     joint_limits,
@@ -106,7 +107,11 @@ def robot_from_compiled(
         bodies=bodies,
         friction=joint_friction(mj_model, dofs),
         links=arm_links(mj_model, qpos, chain),
-        notes=(*compiled.notes, *_notes(mj_model, keyframe_id, carriers, chain)),
+        notes=(
+            *compiled.notes,
+            *(_jaw_notes(mj_model, terminal) if joint is None else ()),
+            *_notes(mj_model, keyframe_id, carriers, chain),
+        ),
     )
 
 
@@ -144,6 +149,17 @@ def _prior(bodies: Sequence[SubtreeBody]) -> InertialParameters:
             f"{fault}; give it an <inertial> or geoms with mass as a starting value"
         )
     return InertialParameters(theta)
+
+
+def _jaw_notes(mj_model: Any, terminal: int) -> Iterator[str]:
+    """Yield a sentence where the joint behind the terminal one (id) was taken for a jaw."""
+    jaw = jaw_in_line(mj_model, terminal)
+    if jaw is not None:
+        name = joint_label(mj_model, jaw)
+        yield (
+            f"joint {name} is taken for the jaw of a gripper because of its name, and held still; "
+            f"the arm ends at joint {joint_label(mj_model, terminal)} (--joint {name} adds the jaw)"
+        )
 
 
 def _notes(

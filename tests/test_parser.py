@@ -214,3 +214,13 @@ def test_without_the_package_it_is_said_how_to_get_it(monkeypatch, tmp_path):
         load_robot_model("ur5e_mj_description")
     with pytest.raises(InputError, match="is a folder"):
         load_robot_model(tmp_path)
+
+
+def test_a_jaw_that_is_held_is_named_with_the_option_that_adds_it():
+    jaw = '<body><joint name="gripper"/><geom size=".02"/></body>'
+    xml = serial_arm((Z, Y, X, Z), tip=jaw)
+    robot = robot_of(xml)
+    assert robot.joint_names == ("joint0", "joint1", "joint2", "joint3")
+    assert "--joint gripper adds the jaw" in " ".join(robot.notes)
+    assert robot_of(xml, "joint3").notes == ()
+    assert robot_of(xml, "gripper").terminal_joint == "gripper"

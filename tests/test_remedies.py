@@ -102,7 +102,10 @@ NEVER = {
     "log": CHOSEN + USUAL + LIFTED,
     # A page names the joint that the run found.
     "report": symbols_of("model.chain", "_require_end")
-    + (*symbols_of("errors", "AmbiguousJointError"), *symbols_of("parser", "_notes")),
+    + (
+        *symbols_of("errors", "AmbiguousJointError"),
+        *symbols_of("parser", "_notes", "_jaw_notes"),
+    ),
     "example": symbols_of("commands.example", "_record_logs"),  # with files of its own
     **dict.fromkeys(
         [f"motors {word}" for word in ("check", "play", "simulate")], LIFTED

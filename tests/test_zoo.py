@@ -56,6 +56,8 @@ WHOLE_ARMS = [
     ("ufactory_xarm7/xarm7_nohand.xml", "joint7", 7),
     ("trossen/wxai/wxai_follower.xml", "joint_5", 6),
     ("trossen/wxai/scene_wxai_pick_place.xml", "joint_5", 6),
+    ("so101/so101_new_calib.xml", "wrist_roll", 5),
+    ("so101/so101_new_calib.urdf", "wrist_roll", 5),
 ]
 DOUBTFUL = [
     (
@@ -63,18 +65,17 @@ DOUBTFUL = [
         ["openarm_left_joint7", "openarm_right_joint7"],
     ),
     ("aloha/aloha.xml", ["left/wrist_rotate", "right/wrist_rotate"]),
-    ("so101/so101_new_calib.xml", ["wrist_roll", "gripper"]),
-    ("so101/so101_new_calib.urdf", ["wrist_roll", "gripper"]),
+    ("franka_panda/hand.xml", ["finger_joint1", "finger_joint2"]),
 ]
-CHOICES = [(model, None) for model, _, _ in WHOLE_ARMS] + [
-    (model, joint) for model, joints in DOUBTFUL for joint in joints
-]
+JAW = ("so101/so101_new_calib.urdf", "gripper")
+"""The choice of the fast run whose last link is a jaw."""
+CHOICES = [(model, None) for model, _, _ in WHOLE_ARMS]
+CHOICES += [(model, joint) for model, joints in DOUBTFUL[:2] for joint in joints]
+CHOICES += [("so101/so101_new_calib.xml", "gripper"), JAW]
 
 
 QUICK = ("kuka_iiwa_14/iiwa14.xml", "franka_fr3/FrankaFR3_7DoF.urdf")
 """Models of the fast run: an MJCF and a URDF that compile in a moment."""
-JAW = ("so101/so101_new_calib.urdf", "gripper")
-"""The choice of the fast run whose last link is a jaw."""
 
 
 def slow_unless_quick(choices):
@@ -166,7 +167,7 @@ TO_PLAN_FOR = [
     ("franka_fr3/FrankaFR3_7DoF.urdf", None),
     ("universal_robots_ur5e/scene.xml", None),
     ("openarm_v2/openarm_bimanual.xml", "openarm_left_joint7"),
-    ("so101/so101_new_calib.xml", "wrist_roll"),
+    ("so101/so101_new_calib.xml", None),
 ]
 FEW_DRAWS = {"draws": 60, "starts": 1, "rounds": 6, "iterations": 30}
 

@@ -2,8 +2,8 @@
 
 The joints form a tree. A serial run is a path without branches; the arm is the longest serial run
 of hinge and slide joints, and its last joint is the terminal one. Runs that branch off behind it
-are fingers. Where two runs could both be the arm, or the last joint looks like a jaw, the user
-decides.
+are fingers, and joints in line with it that are called like the jaw of a gripper are jaws; both are
+held still. Where two runs could both be the arm, the user decides.
 
 A model lets a base on wheels drive with two slide joints and a hinge. They carry the arm, but no
 motor torque is measured at them and no trajectory should drive them; so they stay where they are.
@@ -32,6 +32,8 @@ _JAW_JOINT = re.compile(r"grip|finger|jaw|claw|knuckle|pinch", re.IGNORECASE)
 """Part of the name of a gripper's joint."""
 _JAW_BODY = re.compile(r"finger|jaw|claw|knuckle", re.IGNORECASE)
 """Part of the name of a gripper's moving body."""
+_WRIST_JOINT = re.compile(r"wrist|roll|rot|yaw|pitch|tilt|turn|swivel", re.IGNORECASE)
+"""Part of the name of a joint that may turn a whole gripper."""
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 """MuJoCo's type of a hinge joint."""
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -118,14 +120,53 @@ def serial_runs(mj_model: Any) -> list[Run]:
     return sorted(runs.values())
 
 
+def _runs_without_jaws(mj_model: Any) -> list[Run]:
+    """Return the serial runs without the joints at their ends that are called like jaws.
+
+    Runs that consist of jaws are left out; where all of them do, all are returned as they are. A
+    joint whose name also says that it turns the whole gripper, such as "gripper_roll", stays.
+    """
+    all_runs = serial_runs(mj_model)
+    runs = []
+    for run in all_runs:
+        end = len(run)
+        while end and _looks_like_jaw(mj_model, run[end - 1]):
+            if _WRIST_JOINT.search(joint_label(mj_model, run[end - 1])):
+                break
+            end -= 1
+        if end:
+            runs.append(run[:end])
+    return runs or all_runs
+
+
+def _looks_like_jaw(mj_model: Any, joint: int) -> bool:
+    """Return whether a joint (id) or the body that it moves is called like a gripper's jaw."""
+    body = body_label(mj_model, int(mj_model.jnt_bodyid[joint]))
+    is_jaw_joint = _JAW_JOINT.search(joint_label(mj_model, joint))
+    return bool(is_jaw_joint or _JAW_BODY.search(body))
+
+
+def jaw_in_line(mj_model: Any, terminal: int) -> int | None:
+    """Return the id of the only joint behind the terminal one if it is called like a jaw."""
+    children = _child_joints(mj_model, terminal)
+    is_jaw = len(children) == 1 and _looks_like_jaw(mj_model, children[0])
+    return children[0] if is_jaw else None
+
+
+def _child_joints(mj_model: Any, joint: int) -> list[int]:
+    """Return the ids of the joints whose next joint towards the world is this one."""
+    is_child = np.array(_parent_joints(mj_model)) == joint
+    return [int(child) for child in np.flatnonzero(is_child)]
+
+
 def find_terminal_joint(mj_model: Any) -> int:
-    """Return the id of the last joint of the longest serial run, the arm.
+    """Return the id of the last joint of the longest serial run, the arm, without its jaws.
 
     AmbiguousJointError where the user has to decide: a run beside the arm (not behind it, nor
     between it and the world) has at least RIVAL_SHARE of its joints, or its last joint may be none
     of the arm's. ModelError where the model has no hinge or slide joints.
     """
-    runs = serial_runs(mj_model)
+    runs = _runs_without_jaws(mj_model)
     if not runs:
         raise ModelError(
             "the model has no hinge or slide joints, so there is no arm to identify"
@@ -163,15 +204,13 @@ def _require_end(mj_model: Any, arm: Run) -> None:
     """
     last = arm[-1]
     joint = joint_label(mj_model, last)
-    is_child = np.array(_parent_joints(mj_model)) == last
-    children = np.flatnonzero(is_child).tolist()
+    children = _child_joints(mj_model, last)
     if len(children) == 1 and not is_hinge_or_slide(mj_model, children[0]):
         raise ModelError(
             f"ball joint {joint_label(mj_model, children[0])} is part of the chain; {_ONLY_THESE}, "
             f"so weld it, or hold it where it is with --joint {joint}"
         )
-    body = body_label(mj_model, int(mj_model.jnt_bodyid[last]))
-    if len(arm) > 1 and (_JAW_JOINT.search(joint) or _JAW_BODY.search(body)):
+    if len(arm) > 1 and _looks_like_jaw(mj_model, last):
         reason = f"the last joint {joint} looks like the jaw of a gripper"
         raise _ambiguity(mj_model, reason, arm[-2:])
     driven = driven_joints(mj_model)

@@ -116,10 +116,42 @@ def test_an_arm_on_a_rail_keeps_the_rail_in_its_chain():
     ]
 
 
-@pytest.mark.parametrize(("body", "joint"), [("end", "Jaw"), ("moving_jaw", "m6")])
-def test_a_single_jaw_in_line_with_the_arm_is_doubt(body, joint):
-    jaw = f'<body name="{body}"><joint name="{joint}" axis="1 0 0"/><geom size=".02"/></body>'
-    assert candidates(serial_arm((Z, Y, X, Z), tip=jaw)) == ["joint3", joint]
+def jaw(joint, body, content=""):
+    """A body that the joint of this name moves."""
+    return f'<body name="{body}">{hinge(joint, X)}<geom size=".02"/>{content}</body>'
+
+
+@pytest.mark.parametrize(
+    "tip",
+    [
+        jaw("Jaw", "end"),
+        jaw("m6", "moving_jaw"),
+        jaw("knuckle", "a", jaw("fingertip", "b")),
+        jaw("gripper", "hand", fingers('axis="1 0 0"')),
+    ],
+)
+def test_a_jaw_in_line_with_the_arm_is_not_its_last_joint(tip):
+    assert terminal_of(serial_arm((Z, Y, X, Z), tip=tip)) == "joint3"
+
+
+def test_a_joint_that_may_turn_the_whole_gripper_is_doubt():
+    tip = jaw("gripper_roll", "hand")
+    assert candidates(serial_arm((Z, Y, X, Z), tip=tip)) == ["joint3", "gripper_roll"]
+
+
+def test_jaws_decide_between_a_hand_and_the_arm_but_not_between_two_arms():
+    hands = HAND.replace("left_palm", "palm").replace("right_palm", "palm2")
+    assert terminal_of(serial_arm((Z, Y), tip=hands)) == "joint1"
+    both = ""
+    for side in ("left_", "right_"):
+        arm = serial_bodies((Z, Y, X), prefix=side)
+        gripper = jaw(f"{side}gripper", f"{side}hand")
+        both += f"<body>{arm.replace('</body>', f'{gripper}</body>', 1)}</body>"
+    assert candidates(world(both)) == ["left_joint2", "right_joint2"]
+
+
+def test_a_hand_alone_is_still_doubt():
+    assert candidates(world(HAND)) == ["left_finger_joint2", "right_finger_joint2"]
 
 
 def motors(*joints):
