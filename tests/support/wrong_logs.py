@@ -41,12 +41,14 @@ class Truth:
     rng: np.random.Generator
 
 
-def truth_of(robot: RobotModel, seed: int, wrong_links: float = 0.02) -> Truth:
+def truth_of(
+    robot: RobotModel, seed: int, wrong_links: float = 0.02, rate: float = RATE
+) -> Truth:
     """A right log of an arm whose links are a little off and that carries something."""
     rng = np.random.default_rng(seed)
     no_torque = lambda motion: np.zeros_like(motion.q)  # noqa: E731
     plan = generate_excitation_trajectory(robot, rng, DURATION, no_torque)[0]
-    time = np.arange(round(RATE * DURATION)) / RATE
+    time = np.arange(round(rate * DURATION)) / rate
     motion = plan.evaluate(time)
     thetas = robot.thetas
     thetas *= 1.0 + wrong_links * rng.normal(size=(len(thetas), 1))
