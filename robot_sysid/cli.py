@@ -12,7 +12,13 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from robot_sysid import __version__
-from robot_sysid.commands import COMMANDS, PROGRAM, make_output_tolerant, print_line
+from robot_sysid.commands import (
+    COMMAND_STARTS,
+    COMMANDS,
+    PROGRAM,
+    make_output_tolerant,
+    print_line,
+)
 from robot_sysid.errors import (
     INTERRUPTED,
     ColumnsError,
@@ -151,17 +157,36 @@ def _report_unexpected(error: BaseException, debug: bool) -> int:
 
 
 def _report_error(message: str, code: int, debug: bool) -> int:
-    """Print an error as one line, with ``debug`` its traceback too; return the exit code."""
+    """Print an error, with ``debug`` its traceback too; return the exit code."""
     if debug:
         import traceback
 
         traceback.print_exc()
-    line = " ".join(message.split())
-    if len(line) > _MESSAGE_START + _MESSAGE_END:
-        line = f"{line[:_MESSAGE_START]} [...] {line[-_MESSAGE_END:]}"
     with contextlib.suppress(InputError):
-        print_line(f"{PROGRAM}: error: {line}", sys.stderr)
+        for line in _message_lines(f"{PROGRAM}: error: {message}"):
+            print_line(line, sys.stderr)
     return code
+
+
+def _message_lines(message: str) -> list[str]:
+    """Return the lines of an error message: its text on one line, each command on its own.
+
+    Text behind a command begins a line again. A very long text is shortened in its middle.
+    """
+    lines = [""]
+    for line in message.splitlines():
+        is_command = line.startswith(COMMAND_STARTS)
+        if is_command or lines[-1].startswith(COMMAND_STARTS):
+            lines.append("")
+        lines[-1] += line if is_command else f" {line}"
+    for index, line in enumerate(lines):
+        if line.startswith(COMMAND_STARTS):
+            continue
+        text = " ".join(line.split())
+        if len(text) > _MESSAGE_START + _MESSAGE_END:
+            text = f"{text[:_MESSAGE_START]} [...] {text[-_MESSAGE_END:]}"
+        lines[index] = text
+    return lines
 
 
 if __name__ == "__main__":

@@ -11,7 +11,8 @@
     ├── ExportError            a written file failed its own check
     └── HardwareAbort          exit code 3: a real (or simulated) arm was stopped
 
-Every message is one line: what is wrong, where, and what to do about it.
+Every message is one line: what is wrong, where, and what to do about it. A command to run for that
+follows alone on a line of its own, after two blanks.
 
 A request to stop is a signal (Ctrl-C, kill, a closed terminal). Python turns it into
 KeyboardInterrupt in the main thread; the context managers at the end say when it has to wait.

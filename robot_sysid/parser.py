@@ -31,6 +31,7 @@ from robot_sysid.model.chain import (
 )
 from robot_sysid.model.compilation import CompiledModel, compile_model
 from robot_sysid.records import InertialParameters, RobotModel, SubtreeBody
+from robot_sysid.records.installation import install_hint
 from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY, PerJoint
 
 
@@ -235,8 +236,10 @@ def _model_file(path: Path) -> Path:
     try:
         package = importlib.import_module(_PACKAGE)
     except ImportError:
-        remedy = "models by name need pip install 'robot-sysid[descriptions]'"
-        raise InputError(f"there is no file {name}; {remedy}") from None
+        remedy = install_hint(_PACKAGE, "descriptions")
+        raise InputError(
+            f"there is no file {name}; a model by that name {remedy}"
+        ) from None
     names = [module.name for module in pkgutil.iter_modules(package.__path__)]
     if name not in names:
         matches = get_close_matches(name, names, n=3)

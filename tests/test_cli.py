@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_sysid.cli import main
+from robot_sysid.cli import _message_lines, main
 from robot_sysid.errors import SysidError
 from robot_sysid.records.file_access import lock_folder
 from tests.support.arms import Y, serial_arm
@@ -270,3 +270,12 @@ def test_a_signal_that_nohup_makes_the_process_ignore_stays_ignored(arm, monkeyp
         assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, old_handler)
+
+
+def test_a_command_in_an_error_stands_alone_on_its_line():
+    """What is around it is one line, whatever ends of lines it has."""
+    message = f"arm.xml:\n bad {3000 * 'x'};\nrun\n  robot-sysid log a b\nor\n  this"
+    first, command, last = _message_lines(message)
+    assert first.startswith("arm.xml: bad xxx") and first.endswith("x; run")
+    assert "[...]" in first and len(first) < 2000
+    assert (command, last) == ("  robot-sysid log a b", "or this")

@@ -27,6 +27,7 @@ from robot_sysid.pipeline.planning import draft_plan
 from robot_sysid.pipeline.stages import write_results
 from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
 from robot_sysid.records.file_access import atomic_files, models_in, temporary_folder
+from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress, with_error
 from robot_sysid.results.result_lines import (
     HEADINGS,
@@ -241,7 +242,7 @@ def _axes(rows: int, columns: int = 1) -> tuple[Any, Any]:
     try:
         from matplotlib.figure import Figure
     except ImportError:
-        raise InputError("plot() needs matplotlib; pip install matplotlib") from None
+        raise InputError(f"plot() {install_hint('matplotlib', 'report')}") from None
     figure = Figure(figsize=(8.0, 1.6 * rows + 0.6), layout="constrained")
     return figure, figure.subplots(rows, columns, sharex=True, squeeze=False)
 

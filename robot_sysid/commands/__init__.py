@@ -43,7 +43,9 @@ _COLOURS = {
     "Next": _BOLD,
 }
 """Beginning of a line to the colour of that beginning on a terminal."""
-_SHELL_LINES = ("robot-sysid ", "Next: robot-sysid ")
+COMMAND_STARTS = ("  robot-sysid ", "  pip install ")
+"""Beginnings of lines that are a command and nothing else, which can be pasted into a shell."""
+_SHELL_LINES = ("robot-sysid ", "Next: robot-sysid ", *COMMAND_STARTS)
 """Beginnings of lines with a command to paste, which are never wrapped."""
 PROGRESS_INTERVAL = 10.0
 """Time between two lines of progress where there is no terminal [s]."""

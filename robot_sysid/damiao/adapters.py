@@ -28,6 +28,7 @@ from typing import Any
 from robot_sysid.damiao.bus import Link, LinkError, SystemClock
 from robot_sysid.damiao.protocol import BusTiming, Frame
 from robot_sysid.errors import InputError, error_text
+from robot_sysid.records.installation import install_hint
 from robot_sysid.records.option_fields import OptionRecord, option
 
 INTERFACES = (
@@ -129,9 +130,8 @@ def import_can() -> Any:
     try:
         import can
     except ImportError:
-        raise InputError(
-            'talking to motors needs python-can: pip install "robot-sysid[can]"'
-        ) from None
+        hint = install_hint("python-can", "can")
+        raise InputError(f"talking to motors {hint}") from None
     return can
 
 

@@ -30,6 +30,7 @@ from robot_sysid.logs import LogOptions
 from robot_sysid.logs.column_map import ColumnChoices, ColumnMap
 from robot_sysid.records import Array, Measurement
 from robot_sysid.records.file_access import refuse_special_file
+from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress
 from robot_sysid.signals.resampling import Thinning
 
@@ -230,8 +231,8 @@ def import_optional(module: str, extra: str, form: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError:
-        remedy = f"{module.split('.')[0]}: pip install 'robot-sysid[{extra}]'"
-        raise InputError(f"reading {form} needs {remedy}") from None
+        hint = install_hint(module.split(".")[0], extra)
+        raise InputError(f"reading {form} {hint}") from None
 
 
 @contextlib.contextmanager

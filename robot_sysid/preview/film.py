@@ -26,6 +26,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
 from robot_sysid.records.file_access import atomic_files, require_writable
+from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress
 from robot_sysid.simulation.playback import interpolate
 
@@ -398,9 +399,7 @@ def require_film(path: Path) -> None:
         libraries.append("imageio_ffmpeg")
     missing = [name for name in libraries if importlib.util.find_spec(name) is None]
     if missing:
-        raise InputError(
-            f'--video needs {", ".join(missing)}; install with: pip install "robot-sysid[report]"'
-        )
+        raise InputError(f"--video {install_hint(', '.join(missing), 'report')}")
     if renderer_library() is None:
         raise InputError(NO_RENDERER)
     require_writable(path.absolute().parent)

@@ -22,6 +22,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
+from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import number_text
 
 MOST_ROWS = 60
@@ -212,10 +213,7 @@ def require_libraries() -> None:
     libraries = ("matplotlib", "jinja2")
     missing = [name for name in libraries if importlib.util.find_spec(name) is None]
     if missing:
-        raise InputError(
-            f"a report needs {' and '.join(missing)}; install with: "
-            'pip install "robot-sysid[report]"'
-        )
+        raise InputError(f"a report {install_hint(' and '.join(missing), 'report')}")
     # Without this, matplotlib warns when it moves its cache to a temporary folder.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:

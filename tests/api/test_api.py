@@ -198,7 +198,9 @@ def test_a_plot_shows_every_joint(result, monkeypatch, tmp_path):
         1,
     ]
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(InputError, match="pip install matplotlib"):
+    with pytest.raises(
+        InputError, match="needs matplotlib; install with:\n  pip install "
+    ):
         result.plot()
 
 
