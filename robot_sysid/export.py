@@ -217,7 +217,7 @@ def save(
         model_files = [file.path for file in read_document(result.robot.path).files]
         notes += remove_earlier(files, folder, written, (*inputs, *model_files))
     lines = (
-        *block_lines(result),
+        *block_lines(result, links),
         f"Results saved to {folder_text(folder)}",
         *more_lines(result, links),
         *clamping_lines(report, result.robot.joint_names),

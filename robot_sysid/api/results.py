@@ -29,12 +29,8 @@ from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
 from robot_sysid.records.file_access import atomic_files, models_in, temporary_folder
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress, with_error
-from robot_sysid.results.result_lines import (
-    HEADINGS,
-    BeforeAfter,
-    parameter_rows,
-    result_lines,
-)
+from robot_sysid.results.parameter_table import HEADINGS, BeforeAfter, parameter_rows
+from robot_sysid.results.result_lines import result_lines
 from robot_sysid.results.written_model import model_in_memory, write_bundle
 from robot_sysid.trajectory import sample_count
 

@@ -24,13 +24,15 @@ _MAX_DECIMALS = 6
 """Decimals up to which a number is written without exponent."""
 _MAX_PERCENT = 1000.0
 """Percentage beyond which only "over 1000 %" is written."""
+_MIN_PERCENT = 0.01
+"""Percentage below which only "under 0.01 %" is written."""
 
 
 def number_text(value: float, error: float | None = None) -> str:
     """Return a number with as many decimals as make two digits of its standard error.
 
-    Four significant digits where the error is None, zero or infinite. "0" for zero only: one that
-    its decimals would hide gets its first digit. "not known" where the number is not finite.
+    What these decimals round to zero has no sign. Four significant digits where the error is None,
+    zero or infinite. "0" for zero itself. "not known" where the number is not finite.
     """
     if not math.isfinite(value):
         return "not known"
@@ -39,10 +41,12 @@ def number_text(value: float, error: float | None = None) -> str:
     if error is None or not 0.0 < error < math.inf:
         return f"{value:.4g}"
     decimals = 1 - math.floor(math.log10(error))
+    # Adding zero takes the sign from the -0.00 that rounding leaves.
+    rounded = round(value, max(decimals, 0)) + 0.0
     if decimals <= _MAX_DECIMALS:
-        text = f"{value:.{max(decimals, 0)}f}"
-        is_hidden = abs(float(text) - value) > 0.5 * abs(value)
-        return f"{value:.1g}" if is_hidden else text
+        return f"{rounded:.{max(decimals, 0)}f}"
+    if rounded == 0.0:
+        return "0"
     # As many significant digits as reach the last of these decimals.
     digits = math.floor(math.log10(abs(value))) + decimals + 1
     return f"{value:.{max(digits, 1)}g}"
@@ -62,11 +66,14 @@ def with_error(value: float, error: float | None, unit: str = "") -> str:
 def percent(share: float) -> str:
     """Return a share in percent with two digits, from 99.5 % on as a whole number.
 
-    "over 1000 %" for a larger share, "not known" for NaN.
+    "over 1000 %" for a larger share, "under 0.01 %" for a smaller one that is not zero, "not known"
+    for NaN.
     """
     size = 100.0 * abs(share)
     if not size <= _MAX_PERCENT:
         return "over 1000 %" if size > _MAX_PERCENT else "not known"
+    if 0.0 < size < _MIN_PERCENT:
+        return f"under {_MIN_PERCENT:g} %"
     return f"{100.0 * share:.2g} %" if size < 99.5 else f"{100.0 * share:.0f} %"
 
 

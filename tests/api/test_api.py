@@ -104,7 +104,7 @@ def test_named_values_fit_together(result):
     assert abs(result.mass - 4.0) < 3.0 * result.standard_errors["m"]
     assert result.failure is None
     assert "mass" in result._repr_html_() and "<td>kg</td>" in result._repr_html_()
-    assert str(result).startswith("Identified parameters:\n  Mass: ")
+    assert str(result).startswith("  Before -> after ")
 
 
 def test_a_result_is_the_same_after_pickling(result, tmp_path):

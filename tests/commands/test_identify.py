@@ -113,7 +113,7 @@ def test_every_link_is_written_and_printed(command, arm_file, logs, plant):
         pair["after"]["relative_error"] < 0.05 < 0.2 < pair["before"]["relative_error"]
     )
     assert f"Torque error of the model on {second}: " in out
-    assert "link1 mass  " in out and "joint0: coulomb " not in out
+    assert "  Mass " in out and "  Friction " in out and "Before -> after" not in out
     assert out.splitlines()[-2].startswith("Usable: torque error on held-out data ")
 
 

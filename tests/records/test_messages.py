@@ -1,4 +1,4 @@
-"""Numbers as text: as many digits as the error deserves, and never zero for what is not."""
+"""Numbers as text: as many digits as the error deserves, without exponents of rounding noise."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from robot_sysid.dynamics.friction import NONLINEAR_TERMS, TERMS
 from robot_sysid.records.messages import (
     number_text,
+    percent,
     position_unit,
     term_unit,
     torque_unit,
@@ -18,12 +19,43 @@ NUMBERS = st.floats(1e-12, 1e6) | st.floats(-1e6, -1e-12)
 
 
 @given(NUMBERS, st.floats(1e-12, 1e6))
-def test_a_number_is_off_by_less_than_its_error_and_never_zero(value, error):
-    """Two digits of the error count: rounding takes at most half of the second one."""
+def test_a_number_is_rounded_at_the_second_digit_of_its_error(value, error):
     text = number_text(value, error)
-    assert float(text) != 0.0
-    rounding = 0.051 * error if abs(value) > error else 0.5 * abs(value)
-    assert abs(float(text) - value) <= rounding + 1e-12 * abs(value)
+    assert abs(float(text) - value) <= 0.051 * error + 1e-12 * abs(value)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (-6e-5, 0.0012, "-0.0001"),
+        (-2e-5, 0.0012, "0.0000"),
+        (1e-15, 1e-5, "0.000000"),
+        (-1e-15, 1e-9, "0"),
+        (3.21e-7, 1.1e-8, "3.21e-07"),
+        (0.0, 0.1, "0"),
+        (1234.5, 130.0, "1234"),
+    ],
+)
+def test_what_is_far_below_its_error_is_a_zero_without_sign(value, error, text):
+    assert number_text(value, error) == text
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [
+        (0.0, "0 %"),
+        (3.1e-7, "under 0.01 %"),
+        (-3.1e-7, "under 0.01 %"),
+        (1e-4, "0.01 %"),
+        (0.0123, "1.2 %"),
+        (-0.65, "-65 %"),
+        (1.05, "105 %"),
+        (11.0, "over 1000 %"),
+        (float("nan"), "not known"),
+    ],
+)
+def test_a_percentage_has_two_digits_and_no_exponent(share, text):
+    assert percent(share) == text
 
 
 @given(NUMBERS)

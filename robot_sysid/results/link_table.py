@@ -1,0 +1,141 @@
+"""Tables with one row per link or joint: every identified number of the arm with its ±."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from robot_sysid.records.messages import (
+    aligned_lines,
+    number_text,
+    term_unit,
+    with_error,
+)
+from robot_sysid.results.parameter_table import (
+    BeforeAfter,
+    com_rows,
+    inertia_rows,
+    table_lines,
+    theta_rows,
+)
+from robot_sysid.results.record import JointEstimate, Result
+from robot_sysid.results.verdict import PRIOR_SHARE
+
+_LINE_WIDTH = 98
+"""Largest number of characters in a line of a table, without its indentation."""
+_UNKNOWN = "unidentifiable"
+"""Cell of a number that the data does not determine."""
+_TERM_HEADINGS = {"coulomb": "Coulomb", "armature": "rotor inertia"}
+"""Friction term to its name in a heading, where that is not the term's own."""
+
+
+def link_lines(result: Result) -> Iterator[str]:
+    """Yield mass, centre of mass and inertia of each link, and friction of each joint, with ±."""
+    mass_rows = []
+    coms = []
+    inertias = []
+    for body in result.links:
+        mass_rows.append(replace(theta_rows(body)[0], name=body.name))
+        coms.append([body.name, *_value_cells(com_rows(body), count=3)])
+        inertias.append([body.name, *_value_cells(inertia_rows(body), count=6)])
+    yield from table_lines(mass_rows, "Mass")
+    yield from _wide_lines(["Centre of mass [m]", "x", "y", "z"], coms)
+    headings = ["Inertia about CoM [kg·m²]", "xx", "xy", "xz", "yy", "yz", "zz"]
+    yield from _wide_lines(headings, inertias)
+    has_prior = any("(" in cell for row in (*coms, *inertias) for cell in row[1:])
+    if has_prior:
+        yield "  (...): more than half of the value comes from the prior, not from the data"
+    yield from joint_lines(result)
+
+
+def joint_lines(result: Result) -> Iterator[str]:
+    """Yield friction and rotor inertia of each joint and of each motor that turns several joints.
+
+    Terms that the model has are stated as model -> identified.
+    """
+    owners = dict(result.joints)
+    for name, motor in result.couplings.items():
+        owners[f"motor that turns with {name}"] = motor
+    terms: dict[str, None] = {}
+    for joint in owners.values():
+        terms.update(dict.fromkeys(joint.terms))
+    if not terms:
+        return
+    slides = result.robot.slides
+    headings = ["Friction"]
+    for term in terms:
+        units = {term_unit(term, name in slides) for name in owners}
+        name = _TERM_HEADINGS.get(term, term)
+        unit = " or ".join(sorted(units))
+        headings.append(f"{name} [{unit}]" if unit else name)
+    rows = []
+    for name, joint in owners.items():
+        rows.append([name, *(_term_cell(term, joint) for term in terms)])
+        if joint.other_day_terms:
+            cells = [_other_day_cell(term, joint) for term in terms]
+            rows.append(["  on another day", *cells])
+    yield from _wide_lines(headings, rows)
+
+
+def _value_cells(rows: Sequence[BeforeAfter], count: int) -> list[str]:
+    """Return "value ± error" of each row, in parentheses where the prior outweighs the data.
+
+    Args:
+        rows: of a centre of mass or an inertia; none where it is not identifiable.
+        count: number of cells where there are no rows.
+    """
+    if not rows:
+        return [_UNKNOWN] * count
+    cells = []
+    for row in rows:
+        text = with_error(row.after, row.error)
+        cells.append(f"({text})" if row.share < PRIOR_SHARE else text)
+    return cells
+
+
+def _term_cell(term: str, joint: JointEstimate) -> str:
+    """Return a friction term of a joint, such as "0.4 -> 0.133 ± 0.004"; "" without the term."""
+    if term not in joint.terms:
+        return ""
+    value, error = joint.terms[term]
+    if math.isinf(error):
+        return _UNKNOWN
+    is_bound = math.isnan(error)
+    text = f"{number_text(value)} (bound)" if is_bound else with_error(value, error)
+    prior = joint.model_terms.get(term)
+    return text if prior is None else f"{number_text(prior)} -> {text}"
+
+
+def _other_day_cell(term: str, joint: JointEstimate) -> str:
+    """Return the error that a friction term has on another day, "" where there is none."""
+    other_day = joint.other_day_terms.get(term)
+    if other_day is None or not math.isfinite(other_day.error):
+        return ""
+    return f"± {number_text(other_day.error, other_day.error)}"
+
+
+def _wide_lines(
+    headings: Sequence[str], rows: Sequence[Sequence[str]]
+) -> Iterator[str]:
+    """Yield a table as lines; columns that do not fit into a line follow in a table below it.
+
+    Args:
+        headings: of the columns; the first column, of names, is in every table.
+        rows: cells, as many per row as headings; a row without entries is left out of a table.
+    """
+    names, *columns = zip(headings, *rows)
+    shown = [names]
+    for column in columns:
+        lines = aligned_lines(zip(*shown, column))
+        if len(shown) > 1 and max(map(len, lines)) > _LINE_WIDTH:
+            yield from _filled_lines(shown)
+            shown = [names]
+        shown.append(column)
+    yield from _filled_lines(shown)
+
+
+def _filled_lines(columns: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Yield a table of columns, headings first, as lines, without rows that have no entries."""
+    rows = [row for row in zip(*columns) if any(row[1:])]
+    yield from map("  {}".format, aligned_lines(rows))

@@ -1,0 +1,79 @@
+"""Tables of all links and joints: each number with its ±, no line wider than a terminal."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+
+from robot_sysid.results.link_table import joint_lines, link_lines
+from robot_sysid.results.record import JointEstimate, Quantity
+from tests.support import results as made
+
+LONG_NAME = "left_arm_shoulder_pitch"
+
+
+def numbers_after(lines, name):
+    """All "value ± error" of the rows of a name, in order."""
+    rows = [line for line in lines if line.split()[0] == name]
+    return re.findall(r"(-?[\d.]+) ± ([\d.]+)", " ".join(rows))
+
+
+def test_every_link_has_its_ten_numbers_with_errors_in_100_columns():
+    body = replace(made.terminal(made.estimate()), name=LONG_NAME)
+    result = made.whole(links=(body, *made.whole().links))
+    lines = list(link_lines(result))
+    assert max(map(len, lines)) <= 100
+    for name in (LONG_NAME, "link5", "link6"):
+        assert len(numbers_after(lines, name)) == 3 + 6
+    mass_row = lines[1].split()
+    assert mass_row == [LONG_NAME, "1.0000", "2.0000", "0.0020", "kg", "+100", "%"]
+    assert not any("(" in line for line in lines if "±" in line and "[" not in line)
+
+
+def test_what_the_prior_determines_stands_in_parentheses_and_is_explained_once():
+    body = made.terminal(made.estimate())
+    prior = replace(body, name="link5", data_share=np.full(10, 0.3))
+    lines = list(link_lines(made.whole(links=(prior, body))))
+    cells = [line for line in lines if line.startswith("  link5") and "(" in line]
+    assert len(cells) >= 2 and all(line.count("±") == line.count("(") for line in cells)
+    assert len([line for line in lines if "comes from the prior" in line]) == 1
+    unknown = replace(body, name="link4", is_determined=np.arange(10) < 1)
+    lines = list(link_lines(made.whole(links=(unknown, body))))
+    rows = " ".join(line for line in lines if line.startswith("  link4"))
+    assert rows.count("unidentifiable") == 9 and "inf" not in rows
+
+
+def test_every_joint_and_shared_motor_has_its_terms_and_units():
+    lines = list(joint_lines(made.whole()))
+    assert "Coulomb [N or N·m]" in lines[0]
+    assert ("0.50000", "0.00050") in numbers_after(lines, "j5")
+    assert "0.3 -> 0.50000 ± 0.00050" in lines[1]
+    assert lines[2].split() == ["on", "another", "day", "±", "0.080"]
+    assert "0.0500 ± 0.0020" in lines[-1] and "turns with j5+j6" in lines[-1]
+
+
+def test_many_friction_terms_go_on_in_a_table_below():
+    terms = {
+        term: Quantity(0.1234, 0.0012) for term in ("coulomb", "viscous", "offset")
+    }
+    further = {term: Quantity(-0.5, 0.012) for term in ("stribeck", "load", "armature")}
+    unknown = {"sqrt": Quantity(0.0, np.inf), "cubic": Quantity(0.0, np.nan)}
+    joints = {
+        LONG_NAME: JointEstimate("many", {**terms, **further, **unknown}),
+        "j6": JointEstimate("few", terms),
+    }
+    lines = list(joint_lines(made.found(joints=joints)))
+    assert max(map(len, lines)) <= 100
+    assert len([line for line in lines if line.startswith("  Friction")]) == 3
+    assert len(numbers_after(lines, LONG_NAME)) == 6
+    # A table in which a joint has no entry leaves it out.
+    assert len([line for line in lines if line.startswith("  j6")]) == 1
+    rows = "".join(line for line in lines if LONG_NAME in line)
+    assert "unidentifiable" in rows and "0 (bound)" in rows
+
+
+def test_without_friction_there_is_no_table():
+    joints = {"j6": JointEstimate("none", {})}
+    assert list(joint_lines(made.found(joints=joints))) == []
