@@ -1,47 +1,92 @@
 """Identify a robot arm's terminal link: inertial parameters and friction from joint torques.
 
-``import robot_sysid as rs``, then ``rs.identify("arm.xml", "log.csv")``; see docs/python.md. The
-functions are loaded when they are first used, so that the import itself takes no time.
+``import robot_sysid as rs``, then ``rs.identify("arm.xml", "log.csv")``; see docs/python.md. All
+names are loaded when they are first used, so that the import itself takes no time.
 """
 
-from __future__ import annotations
-
-import importlib
+from importlib import import_module as _import_module
 
 __version__ = "0.1.0"
-FUNCTIONS = {
-    "identify": "api.calls",
-    "identify_from": "api.calls",
-    "information": "api.calls",
-    "joint_torque_regressor": "api.calls",
-    "load_robot_model": "parser",
-    "payload": "api.calls",
-    "plan": "api.calls",
-    "read_log": "api.calls",
+_NAMES = {
+    "api": ("motors",),
+    "api.calls": (
+        "Frame",
+        "Log",
+        "Regressor",
+        "identify",
+        "identify_from",
+        "information",
+        "joint_torque_regressor",
+        "payload",
+        "plan",
+        "read_log",
+    ),
+    "api.keywords": ("Model",),
+    "api.results": ("Identified", "PlanResult"),
+    "config": ("PayloadConfig", "SysidConfig"),
+    "damiao.player": ("PlayReport",),
+    "errors": (
+        "AmbiguousJointError",
+        "ColumnsError",
+        "ExportError",
+        "HardwareAbort",
+        "InputError",
+        "ModelError",
+        "SimulationError",
+        "SysidError",
+    ),
+    "estimation.log_information": ("LogInformation",),
+    "logs.column_map": ("ColumnMap",),
+    "logs.reader": ("MeasurementLog",),
+    "motion.plan": ("CheckedPlan",),
+    "parser": ("load_robot_model",),
+    "records.arm": (
+        "ArmLink",
+        "InertialParameters",
+        "JointFriction",
+        "JointLimits",
+        "RobotModel",
+        "SubtreeBody",
+    ),
+    "records.data": (
+        "DataOrigin",
+        "Estimate",
+        "Measurement",
+        "Motion",
+        "PriorConflict",
+        "Traces",
+        "Validation",
+        "WrongLink",
+    ),
+    "results.record": (
+        "BaseParameters",
+        "BodyEstimate",
+        "JointEstimate",
+        "ModelFile",
+        "Payload",
+        "Quantity",
+        "Result",
+        "RolloutTest",
+        "Verdict",
+    ),
+    "results.parameter_table": ("BeforeAfter",),
+    "signals.process": ("LogPiece",),
 }
-"""Function for Python programs to the module that defines it; typed in ``__init__.pyi``."""
-ERRORS = (
-    "SysidError",
-    "InputError",
-    "ColumnsError",
-    "ModelError",
-    "AmbiguousJointError",
-    "SimulationError",
-    "ExportError",
-    "HardwareAbort",
-)
-"""Exceptions that the functions raise, in ``robot_sysid.errors``."""
+"""Module to the public names that it defines: functions, the types that they take and return, and
+errors. Typed in ``__init__.pyi``."""
+_MODULES = {name: module for module in _NAMES for name in _NAMES[module]}
+"""Public name to the module that defines it."""
+__all__ = sorted(_MODULES)
 
 
 def __getattr__(name: str) -> object:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = f"robot_sysid.{_MODULES[name]}"
     if name == "motors":
-        return importlib.import_module("robot_sysid.api.motors")
-    if name in FUNCTIONS:
-        return getattr(importlib.import_module(f"robot_sysid.{FUNCTIONS[name]}"), name)
-    if name in ERRORS:
-        return getattr(importlib.import_module("robot_sysid.errors"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return _import_module(f"{module}.{name}")
+    return getattr(_import_module(module), name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *FUNCTIONS, *ERRORS, "motors"})
+    return [*__all__, "__version__"]

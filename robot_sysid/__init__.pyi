@@ -1,4 +1,7 @@
 from robot_sysid.api import motors as motors
+from robot_sysid.api.calls import Frame as Frame
+from robot_sysid.api.calls import Log as Log
+from robot_sysid.api.calls import Regressor as Regressor
 from robot_sysid.api.calls import identify as identify
 from robot_sysid.api.calls import identify_from as identify_from
 from robot_sysid.api.calls import information as information
@@ -6,6 +9,12 @@ from robot_sysid.api.calls import joint_torque_regressor as joint_torque_regress
 from robot_sysid.api.calls import payload as payload
 from robot_sysid.api.calls import plan as plan
 from robot_sysid.api.calls import read_log as read_log
+from robot_sysid.api.keywords import Model as Model
+from robot_sysid.api.results import Identified as Identified
+from robot_sysid.api.results import PlanResult as PlanResult
+from robot_sysid.config import PayloadConfig as PayloadConfig
+from robot_sysid.config import SysidConfig as SysidConfig
+from robot_sysid.damiao.player import PlayReport as PlayReport
 from robot_sysid.errors import AmbiguousJointError as AmbiguousJointError
 from robot_sysid.errors import ColumnsError as ColumnsError
 from robot_sysid.errors import ExportError as ExportError
@@ -14,8 +23,35 @@ from robot_sysid.errors import InputError as InputError
 from robot_sysid.errors import ModelError as ModelError
 from robot_sysid.errors import SimulationError as SimulationError
 from robot_sysid.errors import SysidError as SysidError
+from robot_sysid.estimation.log_information import LogInformation as LogInformation
+from robot_sysid.logs.column_map import ColumnMap as ColumnMap
+from robot_sysid.logs.reader import MeasurementLog as MeasurementLog
+from robot_sysid.motion.plan import CheckedPlan as CheckedPlan
 from robot_sysid.parser import load_robot_model as load_robot_model
+from robot_sysid.records.arm import ArmLink as ArmLink
+from robot_sysid.records.arm import InertialParameters as InertialParameters
+from robot_sysid.records.arm import JointFriction as JointFriction
+from robot_sysid.records.arm import JointLimits as JointLimits
+from robot_sysid.records.arm import RobotModel as RobotModel
+from robot_sysid.records.arm import SubtreeBody as SubtreeBody
+from robot_sysid.records.data import DataOrigin as DataOrigin
+from robot_sysid.records.data import Estimate as Estimate
+from robot_sysid.records.data import Measurement as Measurement
+from robot_sysid.records.data import Motion as Motion
+from robot_sysid.records.data import PriorConflict as PriorConflict
+from robot_sysid.records.data import Traces as Traces
+from robot_sysid.records.data import Validation as Validation
+from robot_sysid.records.data import WrongLink as WrongLink
+from robot_sysid.results.parameter_table import BeforeAfter as BeforeAfter
+from robot_sysid.results.record import BaseParameters as BaseParameters
+from robot_sysid.results.record import BodyEstimate as BodyEstimate
+from robot_sysid.results.record import JointEstimate as JointEstimate
+from robot_sysid.results.record import ModelFile as ModelFile
+from robot_sysid.results.record import Payload as Payload
+from robot_sysid.results.record import Quantity as Quantity
+from robot_sysid.results.record import Result as Result
+from robot_sysid.results.record import RolloutTest as RolloutTest
+from robot_sysid.results.record import Verdict as Verdict
+from robot_sysid.signals.process import LogPiece as LogPiece
 
 __version__: str
-FUNCTIONS: dict[str, str]
-ERRORS: tuple[str, ...]

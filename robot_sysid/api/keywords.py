@@ -1,8 +1,8 @@
 """Arguments of the Python functions: a model, and the commands' options as keywords.
 
-``RECORDS`` says once which function takes which records of options. The signature that ``help``
-and a notebook show, the refusal of other keywords, and the types for checkers (``keyword_types``)
-come from it.
+``RECORDS`` says once which function takes which records of options. The signature and the meaning
+of each keyword that ``help`` and a notebook show, the refusal of other keywords, and the types for
+checkers (``keyword_types``) come from it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ import functools
 import inspect
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_type_hints
@@ -52,6 +53,7 @@ from robot_sysid.records.option_fields import (
     default_of,
     keys_of,
     options_of,
+    value_text,
 )
 from robot_sysid.simulation import SimulatedArmOptions
 
@@ -158,6 +160,8 @@ _USELESS: Mapping[str, Mapping[str, str]] = {
     "hold": {"also": "is a motion; an arm that is held has none"},
 }
 """Function to the options in its ``RECORDS`` that are no keywords of it, each with the reason."""
+_HELP_WIDTH = 88
+"""Largest number of characters in a line of a keyword's help, as a terminal shows it."""
 _NAMED = {"measurements": "log", "validation_measurements": "validation"}
 """Keys of options to arguments that have another name."""
 
@@ -171,8 +175,9 @@ def refused_by(function: str) -> Mapping[str, str]:
 def with_keywords(**defaults: Any) -> Callable[[Function], Function]:
     """Return a decorator that gives a function the options of its ``RECORDS`` as keywords.
 
-    The decorated function shows them in its signature, refuses other keywords before it runs, and
-    raises errors that speak of keywords instead of command-line options.
+    The decorated function shows them in its signature, explains each in its docstring in place of
+    the argument ``options``, refuses other keywords before it runs, and raises errors that speak of
+    keywords instead of command-line options.
 
     Args:
         defaults: defaults that the function has in place of the records'.
@@ -183,11 +188,14 @@ def with_keywords(**defaults: Any) -> Callable[[Function], Function]:
         signature = inspect.signature(function)
         refused = refused_by(function.__name__)
         default_by_key = {}
+        help_by_key = {}
         for record in RECORDS[function.__name__]:
             for field_name, option in options_of(record).items():
                 if option.key not in refused:
                     default = default_of(record, field_name)
-                    default_by_key[option.key] = defaults.get(option.key, default)
+                    default = defaults.get(option.key, default)
+                    default_by_key[option.key] = default
+                    help_by_key[option.key] = _keyword_help(option, default)
         valid_keys = {*default_by_key, *signature.parameters} - {"options"}
 
         @functools.wraps(function)
@@ -212,9 +220,42 @@ def with_keywords(**defaults: Any) -> Callable[[Function], Function]:
                 )
         full_signature = signature.replace(parameters=list(parameters.values()))
         call.__signature__ = full_signature  # type: ignore[attr-defined]
+        call.__doc__ = _with_keyword_help(function.__doc__ or "", help_by_key.values())
         return call  # type: ignore[return-value]
 
     return decorate
+
+
+def _with_keyword_help(docstring: str, helps: Iterable[str]) -> str:
+    """Return a docstring with the help of each keyword in place of the argument ``options``.
+
+    Args:
+        docstring: its last argument is ``options``.
+        helps: one per keyword, as ``_keyword_help`` returns them.
+    """
+    before, _, options = inspect.cleandoc(docstring).partition("\n    options: ")
+    after = options.partition("\n\n")[2]
+    wrapper = textwrap.TextWrapper(
+        width=_HELP_WIDTH,
+        initial_indent=4 * " ",
+        subsequent_indent=8 * " ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return "\n".join([before, *map(wrapper.fill, helps), "", after]).rstrip()
+
+
+def _keyword_help(option: Option, default: Any) -> str:
+    """Return a keyword with the type, unit and default of its value, and its meaning."""
+    default_text = f"default {default}"
+    if option.default_text:
+        default_text = f"default: {option.default_text}"
+    elif isinstance(default, str):
+        default_text = f'default "{default}"'
+    elif default == ():
+        default_text = "default none"
+    meaning = python_words(option.help.replace("; may be repeated", ""))
+    return f"{option.key} ({value_text(option)}; {default_text}): {meaning}."
 
 
 @contextmanager

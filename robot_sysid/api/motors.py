@@ -28,6 +28,13 @@ if TYPE_CHECKING:
     from robot_sysid.api import keyword_types as types
     from robot_sysid.api.results import PlanResult
 
+__all__ = ["Say", "hold", "play"]
+
+
+def __dir__() -> list[str]:
+    return [*__all__]
+
+
 Say = Callable[[str], None]
 """Function that is called with one sentence about each event of a run."""
 

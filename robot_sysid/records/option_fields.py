@@ -508,6 +508,21 @@ _VALUE_TYPES: Mapping[str, tuple[tuple[type, ...], str]] = {
 values and to a description of them for messages."""
 
 
+def value_text(stated: Option) -> str:
+    """Return what an option's value is in Python, such as "a number [s]"."""
+    parser_name = getattr(stated.parse, "__name__", "bool")
+    text = _VALUE_TYPES[parser_name][1]
+    if stated.choices:
+        *quoted, last = (f'"{choice}"' for choice in stated.choices)
+        text = f"{', '.join(quoted)} or {last}"
+    elif isinstance(stated.metavar, tuple):
+        text = f"{len(stated.metavar)} numbers {' '.join(stated.metavar)}"
+    if stated.unit:
+        text += f" [{stated.unit}]"
+    takes_many = stated.repeats or stated.takes_many
+    return f"{text}, or a list of them" if takes_many else text
+
+
 def processor_count() -> int:
     """Return how many processors this process may run on."""
     if hasattr(os, "sched_getaffinity"):

@@ -40,6 +40,28 @@ def test_a_signature_shows_every_keyword_with_its_default(function):
         )
 
 
+@pytest.mark.parametrize("function", RECORDS)
+def test_help_says_what_every_keyword_means(function):
+    """In the words of the options, as keywords, with type, unit and default."""
+    face = rs if hasattr(rs, function) else rs.motors
+    text = getattr(face, function).__doc__
+    assert "options:" not in text and max(map(len, text.splitlines())) <= 100
+    for key in inspect.signature(getattr(face, function)).parameters:
+        assert f"\n    {key}:" in text or f"\n    {key} (" in text, key
+    words = " ".join(text.split())
+    assert "may be repeated" not in words
+    if function == "identify":
+        assert "cutoff (a number [Hz]; default: from the data): cut-off of" in words
+        assert (
+            'keep ("friction", "rotors", "gravity" or "links", or a list of th' in words
+        )
+        assert 'torques ("chain" or "terminal"; default "chain"): use' in words
+        assert words.endswith("or a log cannot be used; says why.")
+    if function == "plan":
+        assert '"optimal"; default "optimal"): random' in words
+        assert 'with for_="payload": resting poses' in words
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -127,6 +149,15 @@ def test_options_are_said_as_keywords(command, python):
 USER = """
 import robot_sysid as rs
 
+
+
+def mass(result: rs.Identified, log: rs.Log, arm: rs.RobotModel) -> rs.Quantity | None:
+    check: rs.MeasurementLog = rs.read_log(log, arm)
+    verdict: rs.Verdict = result.result.verdict
+    print(check.notes, verdict.value, result.result.sensors)
+    return result.result.sensors.get("delay")
+
+
 try:
     result = rs.identify("arm.xml", ["log.csv"], cutoff=8.0, keep="gravity", tilt="auto")
 except rs.InputError as error:
@@ -150,6 +181,7 @@ print(report.cycles, rs.motors.hold("arm.xml", 2.0, others="hold").worst_trackin
         (('"friction"', '"speed"'), 'Argument "for_" to "plan" has incompatible type'),
         (("speed=", "sped="), 'Unexpected keyword argument "sped" for "play"'),
         (("others=", "other="), 'Unexpected keyword argument "other" for "hold"'),
+        (("rs.Quantity", "rs.Quantities"), 'Name "rs.Quantities" is not defined'),
     ],
 )
 def test_a_checker_knows_the_keywords_of_a_users_script(
