@@ -48,7 +48,7 @@ from robot_sysid.model.bodies import find_flange
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.messages import Progress
-from robot_sysid.results.cards import load_errors
+from robot_sysid.results.body_errors import load_errors
 from robot_sysid.results.record import BodyEstimate
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory

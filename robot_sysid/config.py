@@ -17,7 +17,7 @@ from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import ExcitationOptions, LimitOptions, PoseOptions
-from robot_sysid.records import file_access, option_fields
+from robot_sysid.records import controllers, file_access, option_fields
 from robot_sysid.records.option_fields import (
     SCALE,
     Option,
@@ -483,6 +483,12 @@ class PayloadOptions(OptionRecord):
         "write the payload as a welded body of this name instead of merging it into the terminal "
         "link",
         "NAME",
+    )
+    cards: str = option(
+        controllers.AUTO,
+        "whose card of the payload is written: that of this arm's controller, found by the names "
+        "in its model, those of all, or the one that is named",
+        choices=controllers.CHOICES,
     )
     known_mass: float | None = option(
         None,

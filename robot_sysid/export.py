@@ -35,15 +35,10 @@ from robot_sysid.mjcf.inertial import WriteBack
 from robot_sysid.mjcf.updated_model import BodyChange, ModelChange, changed_model_text
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.records import InertialParameters, Motion, Traces, file_access
+from robot_sysid.records.controllers import AUTO
 from robot_sysid.records.messages import Progress
-from robot_sysid.results.cards import (
-    ERROR_NAMES,
-    INERTIA,
-    Card,
-    card_text,
-    load_errors,
-    payload_cards,
-)
+from robot_sysid.results.body_errors import ERROR_NAMES, INERTIA, load_errors
+from robot_sysid.results.cards import Card, card_text, payload_cards
 from robot_sysid.results.record import (
     BodyEstimate,
     JointEstimate,
@@ -156,6 +151,7 @@ def save(
     *,
     mesh_dir: Path | None = None,
     as_body: str | None = None,
+    card_choice: str = AUTO,
     motor_file: MotorFile | None = None,
     refused: str | None = None,
     inputs: Collection[Path] = (),
@@ -171,6 +167,7 @@ def save(
         checkpoints: motion on which the written model must reproduce the predicted torque.
         mesh_dir: the user's mesh folder, if any.
         as_body: name of a new body for the payload; None merges it into the terminal link.
+        card_choice: whose cards of a payload are written, of ``controllers.CHOICES``.
         motor_file: writes the motor trajectory; None for none.
         refused: why no model is to be written although the result may be used, or None.
         inputs: files that this run reads, beside the model; they stay whatever they are called.
@@ -204,7 +201,7 @@ def save(
                 )
             if payload is not None:
                 cards = payload_cards(payload.body, payload.flange)
-                text = card_text(cards, payload, result.robot.path.name)
+                text = card_text(cards, payload, result.robot, card_choice)
                 written.append(folder / file_access.CARD_NAME)
                 files.write(written[-1], text)
         if motor_file is not None:

@@ -19,6 +19,10 @@ Accept = Literal[
     "ripple", "coupling", "crosstalk", "friction", "unexplained", "too-little", "rollout"
 ]  # fmt: skip
 Keep = Literal["friction", "rotors", "gravity", "links"]
+Cards = Literal[
+    "auto", "all", "franka", "ur", "kuka", "kinova", "xarm", "abb", "mecademic", "urdf",
+    "mujoco"
+]  # fmt: skip
 Interface = Literal[
     "socketcan", "slcan", "gs_usb", "pcan", "kvaser", "vector", "ixxat", "canalystii",
     "cantact", "seeedstudio", "damiao", "virtual"
@@ -114,6 +118,7 @@ class PayloadKeywords(
     InformationKeywords, _PayloadIdentify, _PayloadPlan, total=False
 ):  # fmt: skip
     as_body: str | None
+    cards: Cards
     flange: str | None
     known_mass: float | None
     order: str | None

@@ -54,7 +54,7 @@ from robot_sysid.records import (
 )
 from robot_sysid.records.file_access import MODEL_NAMES
 from robot_sysid.records.messages import percent, with_error
-from robot_sysid.results.cards import is_inertia_known, principal_moments
+from robot_sysid.results.body_errors import is_inertia_known, principal_moments
 from robot_sysid.results.record import (
     BaseParameters,
     BodyEstimate,

@@ -37,6 +37,7 @@ from robot_sysid.pipeline.planning import (
     write_plan,
 )
 from robot_sysid.records import DataOrigin, Estimate, MotionPlan, RobotModel, Source
+from robot_sysid.records.controllers import AUTO
 from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import atomic_files, models_in
 from robot_sysid.records.messages import Detail, Progress
@@ -181,10 +182,12 @@ def write_results(identification: Identification, progress: Progress) -> Outcome
     folder = config.output.output_dir
     refused = None
     as_body = None
+    card_choice = AUTO
     motor_file = None
     scale_path = None
     if isinstance(config, PayloadConfig):
         as_body = config.payload.as_body
+        card_choice = config.payload.cards
         scale_path = config.payload.save_torque_scale
     elif isinstance(config, SysidConfig) and identification.plan is not None:
         rate = config.trajectory.sample_rate
@@ -203,6 +206,7 @@ def write_results(identification: Identification, progress: Progress) -> Outcome
         identification.checkpoints,
         mesh_dir=mesh_dir,
         as_body=as_body,
+        card_choice=card_choice,
         motor_file=motor_file,
         refused=refused,
         inputs=[Path(path) for path in config.input_files() if path is not None],

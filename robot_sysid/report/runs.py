@@ -26,7 +26,7 @@ from robot_sysid.export import SCHEMA_VERSION
 from robot_sysid.logs.arrays import npz_arrays
 from robot_sysid.records import SIGNAL_NAMES, Array, Signals, Traces, Validation
 from robot_sysid.records.file_access import PARAMS_NAME, read_json
-from robot_sysid.results.cards import ERROR_NAMES
+from robot_sysid.results.body_errors import ERROR_NAMES
 from robot_sysid.results.record import PAYLOAD, Quantity
 
 DATA_NAME = "report_data.npz"

@@ -20,7 +20,7 @@ from robot_sysid.records.messages import (
     percent,
     term_unit,
 )
-from robot_sysid.results.cards import INERTIA, load_errors
+from robot_sysid.results.body_errors import INERTIA, load_errors
 from robot_sysid.results.record import BodyEstimate, Result
 from robot_sysid.results.verdict import PRIOR_SHARE
 

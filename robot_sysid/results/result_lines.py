@@ -21,7 +21,8 @@ from robot_sysid.records.messages import (
     term_unit,
     with_error,
 )
-from robot_sysid.results.cards import NOT_KNOWN, load_errors
+from robot_sysid.results.body_errors import load_errors
+from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.link_table import joint_lines, link_lines
 from robot_sysid.results.parameter_table import (
     parameter_rows,

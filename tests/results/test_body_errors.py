@@ -1,0 +1,103 @@
+"""Errors of a centre of mass, an inertia about it and principal axes follow from those of theta."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from numpy.testing import assert_allclose
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.results.body_errors import (
+    ERROR_NAMES,
+    is_inertia_known,
+    load_errors,
+    principal_moments,
+)
+from tests.support.arms import SEEDS
+from tests.support.bodies import body_estimate, random_body
+
+
+def random_body_estimate(seed):
+    """A random body with a small covariance (10, 10), and a factor of the covariance."""
+    rng = np.random.default_rng(seed)
+    factor = 1e-7 * rng.normal(size=(10, 10))
+    return body_estimate(*random_body(rng, "any"), factor @ factor.T), factor
+
+
+def propagated_errors(outcome, theta, factor):
+    """Standard errors of outcome(theta), by central differences along columns of the factor."""
+    changes = [outcome(theta + step) - outcome(theta - step) for step in factor.T]
+    return 0.5 * np.linalg.norm(changes, axis=0)
+
+
+@given(SEEDS)
+def test_errors_of_centre_of_mass_and_inertia_follow_from_those_of_theta(seed):
+    body, factor = random_body_estimate(seed)
+
+    def outcome(theta):
+        mass, com, inertia = spatial.com_from_theta(theta)
+        return np.array([mass, *com, *spatial.six_from_symmetric(inertia)])
+
+    errors = load_errors(body)
+    expected = propagated_errors(outcome, body.inertial.theta, factor)
+    assert_allclose(errors, expected, rtol=1e-4)
+    assert ERROR_NAMES[:5] == ("mass", "com_x", "com_y", "com_z", "Ixx_about_com")
+
+
+@pytest.mark.parametrize("mass_error", [0.1, 0.3, 0.5])
+def test_intervals_of_a_centre_of_mass_cover_it_where_the_mass_is_uncertain(mass_error):
+    rng = np.random.default_rng(0)
+    inertia = np.eye(3)
+    com = np.array([0.1, -0.05, 0.2])
+    errors = np.concatenate(([mass_error], np.full(3, 0.005), np.full(6, 1e-6)))
+    is_held = []
+    for mass in 1.0 + mass_error * rng.standard_normal(2000):
+        # Torques show the first moment, whatever the mass is.
+        first_moment = com + errors[1:4] * rng.standard_normal(3)
+        if mass > 0.0:
+            body = body_estimate(mass, first_moment / mass, inertia, np.diag(errors**2))
+            is_held.append(
+                np.abs(body.inertial.com - com) < 1.96 * load_errors(body)[1:4]
+            )
+    assert 0.93 <= np.mean(is_held) <= 0.98
+
+
+@given(SEEDS)
+def test_errors_of_principal_moments_and_axes_follow_from_those_of_theta(seed):
+    body, factor = random_body_estimate(seed)
+    moments, errors, angle_errors = principal_moments(body)
+    eigenvalues, axes = np.linalg.eigh(body.inertial.inertia_com)
+    order = [int(np.argmin(np.abs(eigenvalues - moment))) for moment in moments]
+    assume(np.min(np.diff(eigenvalues)) > 1e-3 * eigenvalues[-1])
+
+    axes = axes[:, order]
+
+    def outcome(theta):
+        """Principal moments, and the small angles [deg] by which their axes have turned."""
+        eigenvalues, vectors = np.linalg.eigh(spatial.com_from_theta(theta)[2])
+        cosines = axes.T @ vectors[:, order]
+        x, y, z = cosines * np.sign(np.diag(cosines))
+        return np.array([*eigenvalues[order], *np.degrees([z[1], x[2], y[0]])])
+
+    expected = propagated_errors(outcome, body.inertial.theta, factor)
+    assert_allclose([*errors, *angle_errors], expected, rtol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("moments", "error", "n_identified", "is_known"),
+    [
+        ((1e-3, 1e-3, 1e-3), 0.39e-3, 10, True),
+        ((1e-3, 1e-3, 1e-3), 0.41e-3, 10, False),
+        ((1e-9, 1e-3, 1e-3), 0.39e-3, 10, True),  # a rod
+        # A rod whose moments are smaller than their standard errors.
+        ((1e-9, 1e-3, 1e-3), 1.2e-3, 10, False),
+        ((1e-3, 1e-3, 1e-3), 1e-9, 4, False),
+    ],
+)
+def test_inertia_is_known_where_one_moment_differs_significantly_from_zero(
+    moments, error, n_identified, is_known
+):
+    covariance = np.diag([0.0] * 4 + [error**2] * 6)
+    body = body_estimate(1.0, np.zeros(3), np.diag(moments), covariance, n_identified)
+    assert is_inertia_known(body) == is_known
