@@ -287,21 +287,15 @@ class SysidConfig(Config):
             return self.trajectory.save
         return self.output.output_dir / file_access.PLAN_NAME
 
-    def command_words(self) -> tuple[list[str], list[str]]:
-        """Return words of a command line that this run suggests to the user.
-
-        Returns:
-            The model file with its options, and the options on limits that motors have too.
-        """
+    def limit_words(self) -> list[str]:
+        """Return the options on limits that motors have too, as words of a command line."""
         from robot_sysid.damiao.trajectory import LIMITS
 
-        model_options = option_fields.command_arguments(vars(self.model), self.model)
         limit_values = {}
         for limit in option_fields.given_options(self.limits):
             if limit.key in LIMITS:
                 limit_values[limit.key] = getattr(self.limits, limit.key)
-        limit_words = option_fields.command_arguments(limit_values, self.limits)
-        return [str(self.model.path), *model_options], limit_words
+        return option_fields.command_arguments(limit_values, self.limits)
 
     def with_seed(self) -> SysidConfig:
         """Return the configuration with a seed, drawn where the run needs one and none is set."""

@@ -7,12 +7,6 @@ about the body ORIGIN in ``inertia_tensor`` and about the centre of mass in ``in
 in the frame of the body; of a payload in the flange frame. The torque that friction takes is the
 sum of all terms' values times ``friction_formulas``, with ``qd`` the joint's speed and ``load`` the
 torque its gear transmits (that of the links alone).
-
-``bam`` holds a joint's numbers under the names of BAM ("better actuator models", Duclusaud,
-Passault, Padois, Ly, "Extended friction models for the physics simulation of servo actuators",
-ICRA 2025), its models m1 to m4. BAM takes the sum of motor and external torque for the load, which
-at rest is twice what the gear transmits, so that its loss per load is half of ours. It also wants
-the name of an actuator, which says how voltage makes torque and is not identified here.
 """
 
 from __future__ import annotations
@@ -36,9 +30,11 @@ from robot_sysid.mjcf.updated_model import BodyChange, ModelChange, changed_mode
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.records import InertialParameters, Motion, Traces, file_access
 from robot_sysid.records.controllers import AUTO
-from robot_sysid.records.messages import Progress
+from robot_sysid.records.messages import NextStep, Progress
+from robot_sysid.results.bam import bam_entry
 from robot_sysid.results.body_errors import ERROR_NAMES, INERTIA, load_errors
 from robot_sysid.results.cards import Card, card_text, payload_cards
+from robot_sysid.results.next_steps import RunWords, last_lines, next_step
 from robot_sysid.results.record import (
     BodyEstimate,
     JointEstimate,
@@ -56,7 +52,7 @@ from robot_sysid.results.result_lines import (
     folder_text,
     more_lines,
 )
-from robot_sysid.results.verdict import PRIOR_SHARE, limitations, refusal, verdict_lines
+from robot_sysid.results.verdict import PRIOR_SHARE, limitations, refusal, verdict_line
 from robot_sysid.results.written_model import versions, write_model
 
 if TYPE_CHECKING:
@@ -84,7 +80,7 @@ class Outcome:
 
     Attributes:
         lines: printed lines, in order.
-        verdict: whether to use the result and the next step, in at most two lines, printed last.
+        verdict: whether to use the result, which file, and the next step; printed last.
         failure: why there is nothing to use, or None.
         files: the written files.
         result: a ``Result``, or identified servos; None of a plan.
@@ -92,6 +88,7 @@ class Outcome:
         traces: computes the torques that a report draws; None of servos and plans.
         result_hash: SHA-256 of the written params.json; "" where none was written.
         checked: the planned motion with its limit check; None where nothing was planned.
+        next_step: the next step that the verdict states; None where nothing is left to do.
     """
 
     lines: tuple[str, ...]
@@ -103,6 +100,7 @@ class Outcome:
     traces: Callable[[], Traces] | None = None
     result_hash: str = ""
     checked: CheckedPlan | None = None
+    next_step: NextStep | None = None
 
 
 @contextlib.contextmanager
@@ -155,7 +153,7 @@ def save(
     motor_file: MotorFile | None = None,
     refused: str | None = None,
     inputs: Collection[Path] = (),
-    links: bool = False,
+    run: RunWords | None = None,
 ) -> Outcome:
     """Write params.json, and where the result may be used the model and a payload's card.
 
@@ -171,7 +169,8 @@ def save(
         motor_file: writes the motor trajectory; None for none.
         refused: why no model is to be written although the result may be used, or None.
         inputs: files that this run reads, beside the model; they stay whatever they are called.
-        links: whether the printed table shows every link.
+        run: what the next step repeats of the run, and whether the printed table shows every link;
+            None for a run of the model file alone.
 
     Returns:
         The outcome, without ``traces``.
@@ -183,6 +182,7 @@ def save(
     payload = result.payload
     is_calibration = payload is not None and payload.known_mass is not None
     failure = refusal(result) or refused
+    run = run or RunWords(str(result.robot.path), folder=folder)
     report = None
     cards: tuple[Card, ...] = ()
     written: list[Path] = []
@@ -200,30 +200,44 @@ def save(
                     f"{error} (the identified numbers are in {file_access.PARAMS_NAME})"
                 )
             if payload is not None:
-                cards = payload_cards(payload.body, payload.flange)
-                text = card_text(cards, payload, result.robot, card_choice)
                 written.append(folder / file_access.CARD_NAME)
-                files.write(written[-1], text)
+                cards = _write_card(files, written[-1], result, payload, card_choice)
         if motor_file is not None:
             written.append(folder / file_access.DAMIAO_NAME)
             with files.open(written[-1]) as file:
                 report = motor_file(file)
-        text = params_json_text(result, cards, notes, failure)
+        step = None if failure else next_step(result, run, written)
+        verdict = last_lines(result, written, step, failure)
+        text = params_json_text(result, cards, notes, verdict, step)
         written.append(folder / file_access.PARAMS_NAME)
         files.write(written[-1], text)
         model_files = [file.path for file in read_document(result.robot.path).files]
         notes += remove_earlier(files, folder, written, (*inputs, *model_files))
     lines = (
-        *block_lines(result, links),
+        *block_lines(result, run.links),
         f"Results saved to {folder_text(folder)}",
-        *more_lines(result, links),
+        *more_lines(result, run.links),
         *clamping_lines(report, result.robot.joint_names),
     )
-    verdict = verdict_lines(result, failure)
     result_hash = hashlib.sha256(text.encode()).hexdigest()
-    return Outcome(
-        lines, verdict, failure, tuple(written), result, notes, result_hash=result_hash
-    )
+    outcome = Outcome(lines, verdict, failure, tuple(written), result, notes)
+    return replace(outcome, result_hash=result_hash, next_step=step)
+
+
+def _write_card(
+    files: file_access.AtomicFiles,
+    path: Path,
+    result: Result,
+    payload: Payload,
+    choice: str,
+) -> tuple[Card, ...]:
+    """Write the card of a payload among files that appear together; return all cards.
+
+    ``choice``: whose cards the file holds, of ``controllers.CHOICES``.
+    """
+    cards = payload_cards(payload.body, payload.flange)
+    files.write(path, card_text(cards, payload, result.robot, choice))
+    return cards
 
 
 def _write_models(
@@ -299,14 +313,6 @@ FORMULAS = {
     "sigmoid": "tanh(qd / sigmoid_speed)",
 }
 """Friction term to its torque per unit of its coefficient."""
-_BAM_NAMES = {
-    "viscous": ("friction_viscous", 1.0),
-    "stribeck": ("friction_stribeck", 1.0),
-    "stribeck_speed": ("dtheta_stribeck", 1.0),
-    "load": ("load_friction_base", 0.5),
-    "armature": ("armature", 1.0),
-}
-"""Friction term to its name in BAM, and the factor from our coefficient to that of BAM."""
 
 
 def export_params_json(result: Result, path: Path, notes: Sequence[str] = ()) -> None:
@@ -318,7 +324,8 @@ def params_json_text(
     result: Result,
     cards: Sequence[Card] = (),
     notes: Sequence[str] = (),
-    failure: str | None = None,
+    verdict: Sequence[str] = (),
+    step: NextStep | None = None,
 ) -> str:
     """Return the text of params.json.
 
@@ -326,7 +333,8 @@ def params_json_text(
         result: of the identification.
         cards: of the payload.
         notes: added to those of the result, one sentence each.
-        failure: why a result that is usable in itself must not be used, or None.
+        verdict: last lines of the console; by default the verdict on the result alone.
+        step: what to do next, or None.
     """
     written = {} if result.file is None else result.file.joints
     joints = {}
@@ -338,7 +346,8 @@ def params_json_text(
     content = {
         "schema_version": SCHEMA_VERSION,
         **_terminal_link_entries(result),
-        "verdict": verdict_lines(result, failure),
+        "verdict": verdict or (verdict_line(result),),
+        "next_step": step,
         "file": _file_entry(result.file),
         "payload": _payload_entry(result.payload, cards),
         "links": [_link_entry(result, body) for body in result.links],
@@ -499,40 +508,8 @@ def _joint_entry(
         "logs": joint.logs,
         "another_day": joint.other_day_terms,
         "torque_noise": joint.noise,
-        "bam": _bam_entry(joint, written_terms),
+        "bam": bam_entry(joint, written_terms),
     }
-
-
-def _bam_entry(
-    joint: JointEstimate, written_terms: Mapping[str, Quantity]
-) -> dict[str, Any] | None:
-    """Return the arguments of BAM's load_model_from_dict, but for the actuator's name.
-
-    None without Coulomb friction. Where BAM lacks a term, Coulomb and viscous friction as written
-    to the model take the place of all terms.
-    """
-    names = set(joint.friction_model.split("-")) - {"none"}
-    terms = joint.terms
-    if names - {"coulomb", "viscous", "offset", "armature", "stribeck", "load"}:
-        names = {"coulomb", "viscous", "armature"}
-        terms = written_terms
-    if "coulomb" not in terms:
-        return None
-    # m1 has Coulomb and viscous friction, m2 the Stribeck term too, m3 that of load, m4 both.
-    number = 1 + ("stribeck" in names) + 2 * ("load" in names)
-    entry: dict[str, Any] = {
-        "model": f"m{number}",
-        "friction_base": terms["coulomb"].value,
-        "friction_viscous": 0.0,
-    }
-    for term, (bam_name, factor) in _BAM_NAMES.items():
-        if term in terms:
-            entry[bam_name] = factor * terms[term].value
-    if "stribeck" in names:
-        entry["alpha"] = 2.0
-    if number == 4:
-        entry["load_friction_stribeck"] = 0.0
-    return entry
 
 
 def _fit_entries(result: Result) -> dict[str, Any]:

@@ -167,11 +167,11 @@ def test_a_model_that_cannot_be_written_keeps_the_numbers(arm, command):
 
 
 def test_a_seed_repeats_a_run_to_the_last_bit_and_none_draws_another(arm, command):
-    for folder in ("a", "b"):
-        command.run(arm, *SHORT, "--output-dir", folder)
-    files = files_in(arm.parent / "a")
-    same_files = files_in(arm.parent / "b")
-    assert files.pop("run.toml") and same_files.pop("run.toml") and files == same_files
+    written = []
+    for _ in range(2):
+        command.run(arm, *SHORT, "--output-dir", "a")
+        written.append(files_in(arm.parent / "a"))
+    assert written[0] == written[1] and "params.json" in written[0]
     seeds = set()
     for _ in range(2):
         printed = command.run(arm, *SHORT[:4], "--json")

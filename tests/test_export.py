@@ -31,7 +31,7 @@ from robot_sysid.export import (
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import InertialParameters
 from robot_sysid.results.cards import load_errors, payload_cards
-from robot_sysid.results.record import JointEstimate, Quantity, Verdict
+from robot_sysid.results.record import Quantity, Verdict
 from tests.results.test_written_model import checkpoints, payload_of, result_of
 from tests.support import results as made
 from tests.support.command_line import files_in
@@ -389,50 +389,6 @@ def test_links_joints_and_the_file_stand_beside_the_models():
     assert_holds(
         content, {"links/0/in_the_file": None, "file/torque_error/after": None}
     )
-
-
-STRIBECK = {"stribeck": 0.5, "stribeck_speed": 0.05}
-BASIC = {"coulomb": 1.3, "viscous": 0.7, "offset": 0.1, "armature": 0.2}
-IN_M1 = "friction_base friction_viscous armature"
-IN_M2 = f"{IN_M1} friction_stribeck dtheta_stribeck alpha"
-IN_M4 = f"{IN_M2} load_friction_base load_friction_stribeck"
-"""What BAM's models m1, m2 and m4 have, beside kt and R of an actuator."""
-
-
-def bam_of(values):
-    """The friction of joint j5 as BAM states it, of the terms' values in params.json."""
-    terms = {term: Quantity(value, 0.01) for term, value in values.items()}
-    model = "-".join(term for term in values if not term.endswith("_speed"))
-    content = content_of(made.whole(joints={"j5": JointEstimate(model, terms)}))
-    return content["joints"]["j5"]["bam"]
-
-
-@pytest.mark.parametrize(
-    ("number", "more_terms", "keys"),
-    [
-        ("m1", {}, IN_M1),
-        ("m2", STRIBECK, IN_M2),
-        ("m3", {"load": 0.06}, f"{IN_M1} load_friction_base"),
-        ("m4", {**STRIBECK, "load": 0.06}, IN_M4),
-    ],
-)
-def test_bam_gets_its_own_model_and_names(number, more_terms, keys):
-    bam = bam_of({**BASIC, **more_terms})
-    assert set(bam) == {"model", *keys.split()}
-    expected = {
-        "model": number,
-        "friction_base": 1.3,
-        "friction_viscous": 0.7,
-        "armature": 0.2,
-    }
-    assert bam == {**bam, **expected}
-    assert bam.get("load_friction_base", 0.03) == approx(0.03)
-
-
-def test_of_a_curve_that_bam_has_not_it_gets_the_friction_of_the_file():
-    expected = {"model": "m1", "friction_base": 0.45, "friction_viscous": 0.25}
-    bam = bam_of({**BASIC, "sqrt": 0.4})
-    assert bam == {**bam, **expected}
 
 
 def test_every_formula_is_the_column_of_its_term():

@@ -40,13 +40,13 @@ _COLOURS = {
     **dict.fromkeys(("Not usable", "robot-sysid: error", "STOP"), _RED),
     **dict.fromkeys(("Usable, but", "Usable (", "Usable for", "note", "warn"), _YELLOW),
     **dict.fromkeys(("Usable", "Self-test passed"), _GREEN),
-    "Next": _BOLD,
+    **dict.fromkeys(("Use this file", "Copy into", "Next"), _BOLD),
 }
 """Beginning of a line to the colour of that beginning on a terminal."""
 COMMAND_STARTS = ("  robot-sysid ", "  pip install ")
 """Beginnings of lines that are a command and nothing else, which can be pasted into a shell."""
-_SHELL_LINES = ("robot-sysid ", "Next: robot-sysid ", *COMMAND_STARTS)
-"""Beginnings of lines with a command to paste, which are never wrapped."""
+_SHELL_LINES = ("robot-sysid ", "  mujoco.", *COMMAND_STARTS)
+"""Beginnings of lines to paste, which are never wrapped."""
 PROGRESS_INTERVAL = 10.0
 """Time between two lines of progress where there is no terminal [s]."""
 

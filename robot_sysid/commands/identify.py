@@ -359,6 +359,7 @@ def _json_answer(outcome: Any) -> Mapping[str, Any] | str:
             return str(path.read_text(encoding="utf-8"))
     return {
         "verdict": outcome.verdict,
+        "next_step": outcome.next_step and vars(outcome.next_step),
         "failure": outcome.failure,
         "prediction": outcome.lines,
         "files": list(map(str, outcome.files)),

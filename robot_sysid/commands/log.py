@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from shlex import quote
 
 from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import Parser, parse_command
@@ -12,7 +11,12 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs import CHECKS, LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.preview import PreviewOptions, require_preview, show_preview
-from robot_sysid.records.option_fields import given_options, record_from
+from robot_sysid.records.messages import NextStep
+from robot_sysid.records.option_fields import (
+    command_arguments,
+    given_options,
+    record_from,
+)
 
 INTERRUPTED = "interrupted; nothing was written"
 """What is said where the user interrupts the command."""
@@ -125,5 +129,7 @@ def _check_log(
     )
     require_acceptable(str(log.path), findings, log_options.accept)
     console.stage("Usable: nothing that stops an identification was found")
-    model_text = quote(str(model_path))
-    console.stage(f"Next: robot-sysid identify {model_text} {quote(str(log.path))}")
+    words = ["robot-sysid", "identify", str(model_path), str(log.path)]
+    words += command_arguments(vars(model_options), ModelOptions)
+    words += command_arguments(vars(log_options), LogOptions)
+    console.stage(*NextStep("Next, identify the arm", tuple(words)).lines())

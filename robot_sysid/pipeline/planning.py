@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -15,10 +14,12 @@ from robot_sysid.config import SysidConfig
 from robot_sysid.export import MotorFile, Outcome
 from robot_sysid.motion import WEIGHT
 from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
+from robot_sysid.pipeline.run_words import words_of_plan
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_files
-from robot_sysid.records.messages import Progress
+from robot_sysid.records.messages import NextStep, Progress
 from robot_sysid.records.option_fields import joint_values
+from robot_sysid.results.next_steps import step_after_plan
 from robot_sysid.results.result_lines import clamping_lines
 from robot_sysid.results.verdict import plan_verdict, shortfalls_of_plan
 from robot_sysid.simulator import ArmTorque
@@ -137,18 +138,19 @@ def write_plan(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> 
     else:
         paths, clamping = _write_motion(config, robot, checked.plan)
         lines += clamping
-    arm_words, limit_words = config.command_words()
-    shortfalls, command = _shortfalls(config, checked, prediction)
-    verdict = plan_verdict(
-        arm_words,
-        paths,
-        failure,
-        config.poses.purpose,
-        limit_words,
-        shortfalls,
-        command,
+    shortfalls, step = _shortfalls(config, checked, prediction)
+    verdict = [plan_verdict(failure, shortfalls)]
+    if failure:
+        step = None
+    elif step is None:
+        run = words_of_plan(config)
+        limit_words = config.limit_words()
+        poses = config.poses
+        step = step_after_plan(run, paths, poses.purpose, limit_words, poses.static)
+    verdict += () if step is None else step.lines()
+    return Outcome(
+        tuple(lines), tuple(verdict), failure, paths, checked=checked, next_step=step
     )
-    return Outcome(tuple(lines), verdict, failure, paths, checked=checked)
 
 
 def _write_motion(
@@ -169,8 +171,8 @@ def _write_motion(
 
 def _shortfalls(
     config: SysidConfig, checked: CheckedPlan, prediction: Prediction | None
-) -> tuple[list[str], str]:
-    """Return what keeps a motion from its purpose, and the command that plans a better one.
+) -> tuple[list[str], NextStep | None]:
+    """Return what keeps a motion from its purpose, and the step that plans a better one.
 
     Args:
         config: the settings with which the motion was planned.
@@ -179,34 +181,34 @@ def _shortfalls(
             purpose.
 
     Returns:
-        One sentence per shortfall; the command, "" where there is no better motion to plan.
+        One sentence per shortfall; the step, None where there is no better motion to plan.
     """
     from robot_sysid.motion.prediction import contact_before
 
     if checked.problem is None or checked.failure:
-        return [], ""
+        return [], None
     contact = contact_before(checked.problem, checked.plan)
     if prediction is None:
         shortfalls = shortfalls_of_plan("", relative_mass_error=None, contact=contact)
-        return shortfalls, ""
+        return shortfalls, None
     is_weighing = config.poses.purpose == WEIGHT
     mass_share = None if is_weighing else prediction.relative_mass_error
     shortfalls = shortfalls_of_plan(prediction.subject, mass_share, contact)
     # Another motion shows more of a mass; it does not clear the way.
     mass_shortfalls = shortfalls_of_plan(prediction.subject, mass_share, contact=None)
     if not mass_shortfalls or config.plan_file is None:
-        return shortfalls, ""
+        return shortfalls, None
     options = prediction.improvement_options()
     if not options:
-        return shortfalls, ""
-    arm_words, limit_words = config.command_words()
-    source = [*arm_words, *limit_words]
+        return shortfalls, None
+    run = words_of_plan(config)
+    source = [run.model, *run.arm, *config.limit_words()]
     # The settings of a motion from a file ask for that motion again.
     if config.trajectory.file is None:
         source = ["--config", str(config.plan_file.with_suffix(".toml"))]
     folder = str(config.output.output_dir / "again")
-    command = ["robot-sysid", "plan", *source, *options, "--output-dir", folder]
-    return shortfalls, shlex.join(command)
+    command = ("robot-sysid", "plan", *source, *options, "--output-dir", folder)
+    return shortfalls, NextStep("Next, plan a motion that determines it", command)
 
 
 def draft_plan(

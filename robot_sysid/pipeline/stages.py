@@ -36,15 +36,15 @@ from robot_sysid.pipeline.planning import (
     require_motors,
     write_plan,
 )
+from robot_sysid.pipeline.run_words import words_of_run
 from robot_sysid.records import DataOrigin, Estimate, MotionPlan, RobotModel, Source
 from robot_sysid.records.controllers import AUTO
 from robot_sysid.records.data import Traces
-from robot_sysid.records.file_access import atomic_files, models_in
+from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import PerJoint, write_torque_scale
 from robot_sysid.results.prediction import rollout_refusal
 from robot_sysid.results.record import LINK, JointEstimate, Result, Verdict
-from robot_sysid.results.verdict import command_after_weighing, verdict_lines
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
@@ -210,17 +210,11 @@ def write_results(identification: Identification, progress: Progress) -> Outcome
         motor_file=motor_file,
         refused=refused,
         inputs=[Path(path) for path in config.input_files() if path is not None],
-        links=config.output.links,
+        run=words_of_run(config, identification),
     )
     if scale_path is not None and outcome.failure is None and result.payload:
         write_torque_scale(scale_path, result.payload.torque_scale)
     progress.note(*outcome.notes)
-    models = models_in(outcome.files)
-    if models and config.log.measurements:
-        # After a motion that was planned for weighing, the next is planned with this model.
-        command = command_after_weighing(folder, config.model.path, models[0])
-        verdict = verdict_lines(result, outcome.failure, command)
-        outcome = replace(outcome, verdict=verdict)
     return replace(outcome, traces=identification.traces)
 
 

@@ -1,9 +1,11 @@
-"""Text for the user: numbers with the digits their errors deserve, units, notes, progress."""
+"""Text for the user: numbers with the digits their errors deserve, units, next steps, progress."""
 
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 PARAMETER_UNITS = ("kg", *["kg·m"] * 3, *["kg·m²"] * 6)
@@ -114,6 +116,25 @@ class Detail(str):
 
     Result files and Python programs have it in any case.
     """
+
+
+@dataclass(frozen=True)
+class NextStep:
+    """What to do after a command, and the command that does it.
+
+    Attributes:
+        sentence: what to do and what for, without an end mark.
+        command: words of the command line that does it; () where no command does.
+    """
+
+    sentence: str
+    command: tuple[str, ...] = ()
+
+    def lines(self) -> tuple[str, ...]:
+        """Return the sentence, and below it the command, quoted for a shell, alone on its line."""
+        if not self.command:
+            return (self.sentence,)
+        return f"{self.sentence}:", f"  {shlex.join(self.command)}"
 
 
 class Progress:

@@ -36,7 +36,7 @@ from robot_sysid.results.record import (
     Result,
     RolloutTest,
 )
-from robot_sysid.results.verdict import before_after_text, limitations, verdict_lines
+from robot_sysid.results.verdict import before_after_text, limitations, verdict_line
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
@@ -61,7 +61,7 @@ def result_lines(result: Result, links: bool = False) -> list[str]:
     lines = (
         *block_lines(result, links),
         *more_lines(result, links),
-        *verdict_lines(result),
+        verdict_line(result),
     )
     return [line for line in lines if not isinstance(line, Detail)]
 

@@ -1,35 +1,23 @@
-"""The verdict on a result in two lines, and its limitations: for console, report and params.json.
+"""The verdict on a result in one line, and its limitations: for console, report and params.json.
 
-The first line says whether to use the result, how much better it is than the model before, and what
-limits it; the second says what to type next.
+The line says whether to use the result, how much better it is than the model before, and what
+limits it. What to do next is in ``next_steps``.
 """
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.motion import WEIGHT
 from robot_sysid.records import DELAY_NAME, Source, Validation
-from robot_sysid.records.file_access import (
-    CARD_NAME,
-    DAMIAO_NAME,
-    MODEL_NAMES,
-    plan_settings,
-)
 from robot_sysid.records.messages import Detail, percent
 from robot_sysid.results.record import BodyEstimate, Result, Verdict
 
 UNKNOWN = 0.5
 """Relative standard error from which on a mass is not known: two such errors reach zero."""
-LARGE = 0.02
-"""Relative standard error of a mass above which the next step is to reduce it: friction and
-sensors allow about that at best."""
 WEAK = 0.1
 """Standard error above which a parameter is weakly identified, relative to the scale of a body of
 this mass and size; docs/measurements.md states it, too."""
@@ -47,24 +35,6 @@ times."""
 _NEGATIVE_DELAY = 2.0
 """Standard errors below zero beyond which a delay is called negative: noise alone reaches that once
 in 44 times."""
-_REMEDIES = {
-    **dict.fromkeys(
-        ("noise", "delay", "filtering"),
-        "robot-sysid plan {model} (a wider, faster motion of all joints shows more)",
-    ),
-    "links": "robot-sysid plan {model} (a wider, faster motion of all joints shows more; after "
-    "one, robot-sysid plan --for payload weighs what is bolted on)",
-    "other links": "record the empty arm as long and as widely as the loaded one",
-    **dict.fromkeys(
-        ("torque scale", "common torque scale"),
-        "robot-sysid payload {model} --empty LOG --loaded LOG --known-mass KG "
-        "--save-torque-scale scale.json (then identify with --torque-scale scale.json)",
-    ),
-    "joint offsets": "calibrate the joints' zero positions",
-    "gravity": "level the base, and say how well with --gravity-uncertainty",
-    "friction model": "warm the arm up before recording",
-}
-"""Cause of error to the command or the measure that reduces it."""
 _USE_TEXTS = {
     Verdict.TORQUES_ONLY: "Only for torques of motions like the log's, not for its numbers",
     Verdict.AS_GOOD: "Usable, but the model was about as good before",
@@ -72,13 +42,6 @@ _USE_TEXTS = {
     Verdict.INERTIA_NOT_KNOWN: "Usable for mass and centre of mass (the inertia is not known)",
 }
 """Verdict to the sentence on the result's use, where that is not "Usable"."""
-_AFTER_RECORDING = "robot-sysid identify {model} LOG (the log that was recorded)"
-"""Command that follows on the recording of a planned motion, unless ``_AFTER_PLAN`` has another."""
-_AFTER_PLAN = {
-    "arm": "robot-sysid identify {model} LOG --links (the log that was recorded)",
-    "payload": "robot-sysid payload {model} --empty LOG --loaded LOG (without and with it)",
-}
-"""Purpose of a plan to the command that follows on the recording of its motion."""
 _CONFLICT_TEXTS = {
     "links": "the model's numbers of other links do not fit this arm",
     "torque scale": "the scale of the torques does not fit the model",
@@ -89,93 +52,40 @@ _CONFLICT_TEXTS = {
 """Cause of a prior that the data contradicts to a sentence that says so."""
 
 
-def two_lines(use: str, next_step: str) -> tuple[str, ...]:
-    """Return the two lines of a verdict: whether to use the outcome, and what to do next."""
-    return use, f"Next: {next_step}"
-
-
-def verdict_lines(
-    result: Result, failure: str | None = None, next_step: str = ""
-) -> tuple[str, ...]:
-    """Return one or two lines: whether to use a result, or why not, and what to do next.
+def verdict_line(result: Result, failure: str | None = None) -> str:
+    """Return one line: whether to use a result, how good it is, and what limits it.
 
     Args:
         result: result to judge.
         failure: why a result that is usable in itself must not be used; None where there is no such
             reason.
-        next_step: what to do next, in place of the step that follows from the result; "" for that.
     """
     failure = refusal(result) or failure
     if failure is not None:
-        return (f"Not usable: {failure}",)
+        return f"Not usable: {failure}"
     unseen = ", ".join(result.estimate.identifiability.unidentifiable)
     if result.data.source is Source.ITSELF:
         use = (
             "Self-test passed: the model's own numbers came back from its own simulation, which "
             "says nothing of the real arm"
         )
-        use += f" (not seen: {unseen})" if unseen else ""
-        command = _fill_command(result, "robot-sysid plan {model}")
-        return two_lines(use, f"{command} (a motion to record)")
+        return use + (f" (not seen: {unseen})" if unseen else "")
     use = _USE_TEXTS.get(result.verdict, "Usable").format(unseen=unseen)
-    findings = "; ".join(_improvements(result))
-    return two_lines(f"{use}: {findings}", next_step or _next_step(result))
+    return f"{use}: {'; '.join(_improvements(result))}"
 
 
-def plan_verdict(
-    arm: Sequence[str],
-    files: Sequence[Path],
-    failure: str | None,
-    purpose: str = "link",
-    limits: Sequence[str] = (),
-    shortfalls: Sequence[str] = (),
-    remedy: str = "",
-) -> tuple[str, ...]:
-    """Return whether to play a planned motion, and what to do next.
+def plan_verdict(failure: str | None, shortfalls: Sequence[str] = ()) -> str:
+    """Return one line: whether to play a planned motion.
 
     Args:
-        arm: arguments of the command line that state the model of the arm.
-        files: the files that were written.
         failure: why the motion must not be run; None where it may.
-        purpose: purpose of the motion, as in ``--for``.
-        limits: arguments of the command line with limits that motors are to keep.
         shortfalls: why the motion does not serve its purpose, though it keeps all limits.
-        remedy: the command that plans a motion for the purpose; "" where none is known.
     """
     if failure is not None:
-        return (f"Not usable: {failure}",)
-    next_step = _AFTER_PLAN.get(purpose, _AFTER_RECORDING).format(model=shlex.join(arm))
-    for path in files:
-        if path.name == DAMIAO_NAME:
-            arguments = (str(path), "--channel", "CHANNEL", "--model", *arm, *limits)
-            next_step = f"robot-sysid motors check {shlex.join(arguments)}"
+        return f"Not usable: {failure}"
     if shortfalls:
-        return two_lines(f"Not ready: {'; '.join(shortfalls)}", remedy or next_step)
-    return two_lines(
-        "Usable: play it on the arm, slowly at first, and record it", next_step
-    )
-
-
-def command_after_weighing(folder: Path, model: Path, written: Path) -> str:
-    """Return the command that plans the next motion, with the model that a weighing log led to.
-
-    Args:
-        folder: holds the settings of the plan whose motion was recorded.
-        model: the model that was identified; the settings of another arm are not used.
-        written: the model that the log has led to.
-
-    Returns:
-        "" where the recorded motion was not planned for weighing this arm.
-    """
-    settings = plan_settings(folder)
-    if settings is None:
-        return ""
-    path, content = settings
-    if content.get("for_") != WEIGHT or content.get("path") != str(model):
-        return ""
-    command = ["robot-sysid", "plan", str(written), "--config", str(path)]
-    command += ["--for", "link", "--output-dir", str(folder / "planned")]
-    return shlex.join(command)
+        return f"Not ready: {'; '.join(shortfalls)}"
+    return "Usable: play it on the arm, slowly at first, and record it"
 
 
 def shortfalls_of_plan(
@@ -255,32 +165,6 @@ def largest_cause(body: BodyEstimate) -> str:
     return max(causes, key=lambda cause: causes[cause])
 
 
-def _next_step(result: Result) -> str:
-    """Return what to do next with a usable result: reduce its error, test it, or load it."""
-    payload = result.payload
-    share = result.relative_mass_error
-    if payload is not None and payload.known_mass is not None:
-        return "give these scales to every later run with --torque-scale"
-    cause = largest_cause(result.body)
-    if cause in _REMEDIES and (share is None or share > LARGE):
-        return _fill_command(result, _REMEDIES[cause])
-    if payload is not None:
-        return f"copy {CARD_NAME} into the controller; it is in the frame of {payload.flange.name}"
-    if result.file is not None and result.file.other_validations:
-        written = " or ".join(MODEL_NAMES.values())
-        return f"load {written} in place of {result.robot.path}"
-    test = "robot-sysid identify {model} {log} --validation-measurements OTHER_LOG"
-    return _fill_command(result, test) + " (another motion tests the written model)"
-
-
-def _fill_command(result: Result, command: str) -> str:
-    """Return a command with {model} and {log} replaced by the paths of a result, quoted."""
-    is_file = len(result.data.files) == 1 and result.data.files != ("-",)
-    log = result.data.detail if is_file else "LOG"
-    model = str(result.robot.path)
-    return command.format(model=shlex.quote(model), log=shlex.quote(log))
-
-
 def limitations(result: Result) -> tuple[str, ...]:
     """Return one sentence per limit of a result's accuracy; none of the model's own simulation.
 
@@ -339,7 +223,7 @@ def _weak_parameters(body: BodyEstimate) -> Iterator[str]:
         yield (
             "weakly seen, in percent of what a body of this mass and size has: "
             f"{', '.join(texts)}; move "
-            "faster, wider or longer (robot-sysid plan designs such a motion)"
+            "faster, wider or longer as a planned motion does"
         )
 
 

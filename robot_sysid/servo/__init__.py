@@ -29,6 +29,7 @@ from robot_sysid.records import (
     file_access,
 )
 from robot_sysid.records.messages import Progress
+from robot_sysid.results.next_steps import use_lines
 from robot_sysid.results.prediction import HORIZONS, LAST_FIFTH, rollout_refusal
 from robot_sysid.results.record import (
     CLOSED,
@@ -39,7 +40,6 @@ from robot_sysid.results.record import (
     rollout_entry,
 )
 from robot_sysid.results.result_lines import folder_text, rollout_lines
-from robot_sysid.results.verdict import two_lines
 from robot_sysid.results.written_model import versions, write_joints
 from robot_sysid.servo import fit as servo_fit
 from robot_sysid.servo.commands import commanded_pieces, is_moving
@@ -483,9 +483,9 @@ def _write_results(
     if failure is None:
         score = result.rollout.score
         times = "not known" if score is None else f"{score:.2g} times those before"
-        verdict = two_lines(
+        verdict = (
             "Usable: position errors of the model, played on what was not fitted, are "
             f"{times}",
-            f"load {target.path.name} in place of {result.robot.path}",
+            *use_lines(target.path),
         )
     return Outcome(lines, verdict, failure, tuple(written), result)

@@ -98,19 +98,14 @@ def test_what_is_said_is_the_result_as_json(capsys, bus, trajectory):
     assert (answer["command"], answer["exit_code"]) == ("check", 0)
     assert (
         answer["lines"] == printed.err.splitlines()
-        and answer["lines"][-2:] == answer["verdict"]
+        and answer["lines"][-3:] == answer["verdict"]
     )
-    command_options = [*CAN0, "--speed", "0.3", "--record", "slow.csv", *limits]
-    following = [
-        "Next:",
-        "robot-sysid",
-        "motors",
-        "play",
-        str(trajectory),
-        *command_options,
-    ]
+    record = str(trajectory.with_name("slow.csv"))
+    command_options = [*CAN0, "--speed", "0.3", "--record", record, *limits]
+    following = ["robot-sysid", "motors", "play", str(trajectory), *command_options]
     assert answer["verdict"][0] == "Usable: ready to play"
-    assert shlex.split(answer["verdict"][1]) == following
+    assert shlex.split(answer["verdict"][2]) == following
+    assert answer["next_step"]["command"] == following
     fault("mode", 0, 2)(bus)
     assert main(["motors", "play", str(trajectory), *CAN0, "--yes", "--json"]) == 3
     answer = json.loads(capsys.readouterr().out)
@@ -606,7 +601,7 @@ def test_terminals_of_a_map_of_two_buses_have_its_names(
     arm = ("--model", model, "--joint-map", two_buses)
     out = succeed(capsys, "simulate", trajectory, *arm, "--for", "0.01")
     command_options = shlex.split(
-        next(line for line in out.splitlines() if line.startswith("robot-sysid"))
+        next(line for line in out.splitlines() if line.startswith("  robot-sysid"))
     )
     channels = [
         word

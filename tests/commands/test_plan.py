@@ -39,7 +39,7 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(
     assert promise[2].startswith("  mass ± ") and promise[3].startswith(
         "  centre of mass ± "
     )
-    assert len(promise) <= 12 and "Peaks (share of limit):" not in printed.out
+    assert len(promise) <= 13 and "Peaks (share of limit):" not in printed.out
     saved = load_trajectory(path.parent / "sysid_output" / "trajectory.json")
     assert isinstance(saved.plan, SineTrajectory)
     assert saved.joint_names == ("joint0", "joint1", "joint2")

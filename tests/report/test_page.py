@@ -91,7 +91,7 @@ def test_every_part_is_there_and_every_figure_has_a_caption_a_unit_and_its_numbe
 def test_the_first_screen_is_the_verdict_with_one_figure_and_the_rest_is_folded(text):
     first_screen, *folds = text.partition("<main>")[2].split('<details class="fold"')
     assert first_screen.count("<figure") == 1
-    assert 'class="headline"' in first_screen and "Next: " in first_screen
+    assert 'class="headline"' in first_screen and "Usable: " in first_screen
     assert len(folds) > 7 and not any(fold.startswith(" open") for fold in folds)
 
 

@@ -1,9 +1,8 @@
-"""The verdict in two lines, and what limits a result."""
+"""The verdict in one line, and what limits a result."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,49 +15,32 @@ from robot_sysid.dynamics.spatial import (
     parameter_scale,
 )
 from robot_sysid.records import PriorConflict
-from robot_sysid.records.file_access import DAMIAO_NAME
 from robot_sysid.records.messages import Detail, percent
 from robot_sysid.results.record import Quantity, Verdict
 from robot_sysid.results.verdict import (
     COLOURED,
     SURE,
     WORSE,
-    command_after_weighing,
     limitations,
     plan_verdict,
     shortfalls_of_plan,
-    verdict_lines,
+    verdict_line,
 )
 from tests.support import results as made
 
-PLAN = (
-    "Next: robot-sysid plan arm.xml (a wider, faster motion of all joints shows more; after one, "
-    "robot-sysid plan --for payload weighs what is bolted on)"
-)
-TEST = (
-    "Next: robot-sysid identify arm.xml LOG --validation-measurements OTHER_LOG (another motion "
-    "tests the written model)"
-)
-CARD = "Next: copy payload_card.txt into the controller; it is in the frame of site 'flange'"
-PURPOSES = ("link", "payload", "friction", "arm")
 BETTER = "Usable: torque error on held-out data 27 % -> 0.25 %; "
 
 
 @pytest.mark.parametrize(
-    ("result", "verdict", "next_step"),
+    ("result", "verdict"),
     [
-        (
-            made.whole(),
-            f"{BETTER}the mass is known to 0.1 %, limited by links",
-            "Next: load updated_model.xml or updated_model.urdf in place of arm.xml",
-        ),
+        (made.whole(), f"{BETTER}the mass is known to 0.1 %, limited by links"),
         (
             made.found(
                 made.with_value("m", 2.0, 1.2),
                 file=made.model_file(other_validations=()),
             ),
             f"{BETTER}the mass alone is not known, limited by links",
-            PLAN,
         ),
         (
             made.found(
@@ -66,48 +48,36 @@ BETTER = "Usable: torque error on held-out data 27 % -> 0.25 %; "
             ),
             "Usable, but the model was about as good before: torque error on held-out data 27 % -> "
             "0.25 %; the mass is known to 0.1 %, limited by links",
-            TEST,
         ),
         (
             made.found(made.without_mass(), verdict=Verdict.PARTLY_FROM_MODEL),
             "Usable (not seen, so kept from the model: mass): the mass alone is not known",
-            TEST,
         ),
         (
             made.payload(),
             "Usable: the mass is known to 0.83 %, limited by torque scale",
-            CARD,
-        ),
-        (
-            made.payload(made.body(0.3)),
-            "Usable: the mass is known to 3.3 %, limited by torque scale",
-            "Next: robot-sysid payload arm.xml --empty LOG --loaded LOG --known-mass KG "
-            "--save-torque-scale scale.json (then identify with --torque-scale scale.json)",
         ),
         (
             made.payload(known_mass=1.2),
             "Usable: torque scales follow from the known mass",
-            "Next: give these scales to every later run with --torque-scale",
         ),
         (
             made.itself(),
             "Self-test passed: the model's own numbers came back from its own simulation, which "
             "says nothing of the real arm",
-            "Next: robot-sysid plan arm.xml (a motion to record)",
         ),
     ],
 )
-def test_the_verdict_states_use_and_limit_and_the_next_step(result, verdict, next_step):
-    assert verdict_lines(result) == (verdict, next_step)
+def test_the_verdict_states_use_and_limit(result, verdict):
+    assert verdict_line(result) == verdict
 
 
 def test_a_file_that_only_predicts_torques_says_for_what_it_may_be_used():
     result = made.found(verdict=Verdict.TORQUES_ONLY, reasons=("because",))
-    verdict, next_step = verdict_lines(result)
-    assert verdict.startswith(
+    assert verdict_line(result).startswith(
         "Only for torques of motions like the log's, not for its numbers: "
     )
-    assert next_step.startswith("Next: ") and result.failure is None
+    assert result.failure is None
 
 
 @pytest.mark.parametrize("verdict", [v for v in Verdict if not v.writes_model])
@@ -116,36 +86,12 @@ def test_a_result_that_is_not_usable_has_one_sentence_with_the_reason(verdict):
         made.found(verdict=verdict, reasons=("because",)),
         made.payload(verdict=verdict),
     ):
-        (sentence,) = verdict_lines(result)
+        sentence = verdict_line(result)
         assert (
             sentence.startswith("Not usable: no model ") and verdict.value in sentence
         )
-    assert verdict_lines(made.found(), "the disk is gone") == (
-        "Not usable: the disk is gone",
-    )
-
-
-def test_the_next_step_after_a_plan_is_the_command_of_its_purpose():
-    next_steps = {
-        purpose: plan_verdict(["an arm.xml"], (), None, purpose)[1]
-        for purpose in PURPOSES
-    }
-    assert next_steps.pop("payload").startswith(
-        "Next: robot-sysid payload 'an arm.xml' --empty LOG "
-    )
-    assert next_steps.pop("arm").startswith(
-        "Next: robot-sysid identify 'an arm.xml' LOG --links "
-    )
-    (next_step,) = set(next_steps.values())
-    assert next_step.startswith("Next: robot-sysid identify 'an arm.xml' LOG (")
-    plane = ["--keep-out", "0", "0", "1", "0"]
-    check = plan_verdict(
-        ["m.xml", "--joint", "j"], [Path(DAMIAO_NAME)], None, "link", plane
-    )[1]
-    options = (
-        f"{DAMIAO_NAME} --channel CHANNEL --model m.xml --joint j --keep-out 0 0 1 0"
-    )
-    assert check == f"Next: robot-sysid motors check {options}"
+    refused = verdict_line(made.found(), "the disk is gone")
+    assert refused == "Not usable: the disk is gone"
 
 
 @pytest.mark.parametrize(
@@ -167,20 +113,9 @@ def test_a_plan_that_misses_its_purpose_is_not_called_usable(share, contact, phr
     shortfalls = shortfalls_of_plan("link6", share, contact)
     assert len(shortfalls) == len(phrases)
     assert all(phrase in sentence for phrase, sentence in zip(phrases, shortfalls))
-    remedy = (
-        "robot-sysid plan --config a/trajectory.toml --duration 60 --output-dir a/again"
-    )
-    verdict, next_step = plan_verdict(
-        ["m.xml"], (), None, "link", (), shortfalls, remedy if phrases else ""
-    )
+    verdict = plan_verdict(None, shortfalls)
     assert verdict.startswith("Not ready: ") is bool(phrases)
     assert verdict.startswith("Usable: play it") is not bool(phrases)
-    assert (next_step == f"Next: {remedy}") is bool(phrases)
-
-
-def test_a_given_next_step_replaces_the_default():
-    next_step = "robot-sysid plan updated_model.xml --config trajectory.toml --for link"
-    assert verdict_lines(made.whole(), None, next_step)[1] == f"Next: {next_step}"
 
 
 def limitations_of(result=None, **changes):
@@ -265,21 +200,3 @@ def test_a_prediction_within_the_noise_is_not_worse_than_an_exact_fit(factor):
     within_noise = made.validation_of(1e-9 * factor)
     assert not limitations_of(fit, validation=(within_noise,))
     assert limitations_of(fit, validation=(made.validation_of(0.05),))
-
-
-@pytest.mark.parametrize(
-    ("content", "is_planned"),
-    [
-        ('path = "arm.xml"\nfor_ = "weight"', True),
-        ('path = "arm.xml"', False),
-        ('path = "other.xml"\nfor_ = "weight"', False),
-        (None, False),
-    ],
-)
-def test_after_weighing_this_arm_the_next_step_is_a_plan(tmp_path, content, is_planned):
-    if content is not None:
-        (tmp_path / "trajectory.toml").write_text(content)
-    model_path = tmp_path / "updated_model.xml"
-    command = command_after_weighing(tmp_path, Path("arm.xml"), model_path)
-    options = f"--config {tmp_path}/trajectory.toml --for link --output-dir {tmp_path}/planned"
-    assert command == (f"robot-sysid plan {model_path} {options}" if is_planned else "")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,6 +17,7 @@ from robot_sysid.commands.motors.mapping import (
     map_joints,
     verify_directions,
 )
+from robot_sysid.commands.motors.next_steps import play_step, step_after_play
 from robot_sysid.commands.motors.session import (
     Session,
     check_lines,
@@ -51,10 +51,9 @@ from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
-from robot_sysid.records.file_access import plan_settings
+from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import (
     OptionRecord,
-    command_arguments,
     option,
     options_of,
     record_from,
@@ -129,10 +128,11 @@ def check(session: Session) -> int:
         session.verdict = (f"Not usable: {faults} to change before playing",)
         return 1
     if plan:
-        session.conclude("Usable: ready to play", session.play_command())
+        session.conclude("Usable: ready to play", play_step(session, plan))
     else:
-        next_command = session.command("check", trajectory="TRAJECTORY")
-        session.conclude("Usable: the motors are in order", next_command)
+        help_words = (PROGRAM, "plan", "--help")
+        step = NextStep("Next, plan a motion with --export-damiao", help_words)
+        session.conclude("Usable: the motors are in order", step)
     return 0
 
 
@@ -156,7 +156,7 @@ def play(session: Session) -> int:
             "play needs --channel, for instance --channel can0 (or --dry-run)"
         )
     session.console.stage(*check_lines(checks))
-    return _conclude_dry_run(checks, session)
+    return _conclude_dry_run(checks, session, plan)
 
 
 def simulate(session: Session) -> int:
@@ -398,6 +398,7 @@ def main(arguments: Sequence[str]) -> int:
         "command": name,
         "exit_code": code,
         "verdict": session.verdict,
+        "next_step": session.step and vars(session.step),
         "lines": session.console.json_lines,
     }
     try:
@@ -457,7 +458,7 @@ def _play_on(
     table = motor_table(inspection, plan.trajectory.joints)
     console.stage(*table, *check_lines(checks))
     if choices.dry_run:
-        return _conclude_dry_run(checks, session)
+        return _conclude_dry_run(checks, session, plan)
     preflight.require_no_stop(checks, "not played")
     session.require_free(plan)
     if not choices.yes:
@@ -503,38 +504,8 @@ def _conclude_run(session: Session, plan: Plan, holds: bool, is_real: bool) -> N
         verdict = f"Usable: {done}; recorded to {record}"
     if holds:
         session.verdict = (verdict,)
-    elif record is None or plan.settings.speed < 1.0:
-        # The option --speed is left out.
-        next_command = session.command("play", "speed", record="measured.csv")
-        reason = " (a recording at full speed, to identify from)"
-        session.conclude(verdict, next_command, reason)
-    else:
-        next_command = _identify_command(session, plan, record, is_real)
-        session.conclude(verdict, next_command)
-
-
-def _identify_command(
-    session: Session, plan: Plan, record: Path, is_real: bool
-) -> list[str]:
-    """Return the command that identifies the arm from a recording of a plan.
-
-    Results go to the folder of the planned motion. The model of a simulated arm plays the real arm,
-    which nobody knows: the model to identify is then the one that the motion was planned with.
-    """
-    arm = session.values
-    model = arm.get("model") or "MODEL"
-    settings = None
-    if not plan.trajectory.has_two_arms:
-        settings = plan_settings(plan.trajectory.path.parent)
-    folder: list[str] = []
-    if settings is not None:
-        path, planned = settings
-        folder = ["--output-dir", str(path.parent)]
-        if not is_real:
-            arm = planned
-            model = arm.get("path", model)
-    arm_options = command_arguments(arm, ModelOptions)
-    return [PROGRAM, "identify", str(model), str(record), *arm_options, *folder]
+        return
+    session.conclude(verdict, step_after_play(session, plan, is_real))
 
 
 def _open_simulated_end(session: Session) -> Link:
@@ -568,20 +539,22 @@ def _open_simulated_end(session: Session) -> Link:
         channel=channels,
         accept_directions=True,
     )
-    session.console.stage(
-        "the simulated arm is parked at the first point until its motors are enabled; Ctrl-C ends "
-        "it. To play on it, in another terminal:",
-        shlex.join(play_command),
+    sentence = (
+        "The simulated arm is parked at the first point until its motors are enabled; Ctrl-C ends "
+        "it. To play on it, in another terminal"
     )
+    session.console.stage(*NextStep(sentence, play_command).lines())
     return link
 
 
-def _conclude_dry_run(checks: Sequence[preflight.Check], session: Session) -> int:
+def _conclude_dry_run(
+    checks: Sequence[preflight.Check], session: Session, plan: Plan
+) -> int:
     """Set the verdict of a dry run, which only checks, and return the exit code 0.
 
     HardwareAbort where a check forbids to play.
     """
     preflight.require_no_stop(checks, "would not be played")
     verdict = "Usable: nothing speaks against playing (nothing was enabled)"
-    session.conclude(verdict, session.play_command())
+    session.conclude(verdict, play_step(session, plan))
     return 0

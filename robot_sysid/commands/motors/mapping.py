@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from robot_sysid.commands.motors.next_steps import play_step
 from robot_sysid.commands.motors.session import Session, ask, confirm
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import GuardedLink, RegisterClient, inspect_bus
@@ -25,6 +26,7 @@ from robot_sysid.damiao.references import TRANSFER_RATE, transfer_rows
 from robot_sysid.damiao.settings import Plan, RecordingOptions
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import Array, RobotModel
+from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import OptionRecord, option, record_from
 
 Positions = Mapping[protocol.Address, float]
@@ -121,10 +123,11 @@ def map_joints(session: Session) -> int:
     with session.open_guarded(protocol.refuse_motion) as link:
         rows = map_by_hand(link, robot)
     write_joint_map(options.output, rows)
-    next_command = session.command(
-        "play", trajectory="TRAJECTORY", joint_map=options.output
+    step = NextStep(
+        "Next, check the motors with it",
+        session.command("check", joint_map=options.output),
     )
-    session.conclude(f"Done: written to {options.output}", next_command)
+    session.conclude(f"Done: written to {options.output}", step)
     return 0
 
 
@@ -273,7 +276,7 @@ def verify_directions(session: Session, link: GuardedLink, plan: Plan) -> int:
     if not unverified:
         session.conclude(
             "Done: gravity shows which way each joint turns, or somebody has verified it",
-            session.play_command(),
+            play_step(session, plan),
         )
         return 0
     movements = _nudge_joints(session, link, plan, unverified)
@@ -298,7 +301,7 @@ def verify_directions(session: Session, link: GuardedLink, plan: Plan) -> int:
     write_joint_map(path, rows)
     session.values = {**session.values, "joint_map": path}
     session.conclude(
-        f"Done: kept in {path}, and all motors are disabled", session.play_command()
+        f"Done: kept in {path}, and all motors are disabled", play_step(session, plan)
     )
     return 0
 

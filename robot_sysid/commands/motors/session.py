@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shlex
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
@@ -32,9 +31,8 @@ from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
-from robot_sysid.records.messages import Detail, aligned_lines
+from robot_sysid.records.messages import Detail, NextStep, aligned_lines
 from robot_sysid.records.option_fields import command_arguments
-from robot_sysid.results.verdict import two_lines
 
 _PRINT_TIMEOUT = 1.0
 """Time that printing one line may take while a driver stalls [s]."""
@@ -86,26 +84,21 @@ class Session(MotorRun):
     Attributes:
         console: as given.
         verdict: last lines of the output, which the command sets.
+        step: what to do next, as the verdict states it; None where nothing is left to do.
     """
 
     def __init__(self, values: Mapping[str, Any], console: Console) -> None:
         super().__init__(values, _report_stall)
         self.console = console
         self.verdict: tuple[str, ...] = ()
+        self.step: NextStep | None = None
 
-    def conclude(
-        self, verdict: str, next_command: Sequence[str], reason: str = ""
-    ) -> None:
-        """Set the verdict: a line, and a line with the next command and the reason for it.
+    def conclude(self, verdict: str, step: NextStep) -> None:
+        """Set the verdict: a line, and what to do next."""
+        self.step = step
+        self.verdict = (verdict, *step.lines())
 
-        Args:
-            verdict: first line.
-            next_command: words of the command.
-            reason: text after the command, such as " (a recording at full speed)".
-        """
-        self.verdict = two_lines(verdict, shlex.join(next_command) + reason)
-
-    def command(self, name: str, *leave_out: str, **changes: Any) -> list[str]:
+    def command(self, name: str, *leave_out: str, **changes: Any) -> tuple[str, ...]:
         """Return the words of the motors command ``name`` with the options of this run.
 
         Args:
@@ -126,16 +119,7 @@ class Session(MotorRun):
                 arguments += [f"--{key.replace('_', '-')}", str(values[key])]
         limits = {key: values[key] for key in LIMITS if key in values}
         arguments += command_arguments(values, *_RUN_RECORDS)
-        return [*arguments, *command_arguments(limits, LimitOptions)]
-
-    def play_command(self) -> list[str]:
-        """Return the words of the command that plays the trajectory of this run.
-
-        Options that were not given get a placeholder as channel, a low speed and a recording.
-        """
-        defaults = {"channel": ("CHANNEL",), "speed": 0.3, "record": "slow.csv"}
-        missing = {k: v for k, v in defaults.items() if k not in self.values}
-        return self.command("play", **missing)
+        return (*arguments, *command_arguments(limits, LimitOptions))
 
 
 # Headings of ``motor_table``, of which ``_motor_row`` makes the rows.

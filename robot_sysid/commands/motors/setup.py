@@ -30,6 +30,7 @@ from robot_sysid.damiao.bus import (
 from robot_sysid.damiao.joints import id_problems
 from robot_sysid.damiao.protocol import refuse_motion
 from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import (
     OptionRecord,
     given_options,
@@ -292,7 +293,8 @@ def _conclude_listing(session: Session, count: int, summary: str = "") -> int:
         session.verdict = (f"Not usable: {SILENT}",)
         return 1
     verdict = f"Done: {summary or f'{count} motors answer'}"
-    session.conclude(verdict, session.command("check"))
+    step = NextStep("Next, check the motors", session.command("check"))
+    session.conclude(verdict, step)
     return 0
 
 

@@ -1,0 +1,145 @@
+"""The words of a run's command line that its next step repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robot_sysid.config import Config, PayloadConfig, SysidConfig
+from robot_sysid.errors import InputError
+from robot_sysid.logs import LogOptions
+from robot_sysid.motion.trajectories import load_trajectory
+from robot_sysid.pipeline import Identification
+from robot_sysid.records import Motion
+from robot_sysid.records.file_access import (
+    MODEL_NAMES,
+    PLAN_NAME,
+    RUN_NAME,
+    plan_settings,
+    read_toml,
+)
+from robot_sysid.records.option_fields import (
+    command_arguments,
+    given_options,
+    immutable_value,
+)
+from robot_sysid.results.next_steps import RunWords
+
+READING = ("columns", "units", "torque_scale", "torque_constants", "topic")
+"""Keys of the options that hold for every log of the same arm."""
+_SAME_RANGE = 0.05
+"""Difference between the range of a recorded and a planned motion, over the range, up to which both
+count as the same motion: more than a controller lags behind."""
+_COMPARED_TIMES = 2000
+"""Number of moments at which a planned motion is compared with a recorded one."""
+
+
+def words_of_run(config: Config, identification: Identification) -> RunWords:
+    """Return what the next step repeats of an identification.
+
+    Args:
+        config: options of the run.
+        identification: its result, whose recorded motion may be a planned one.
+    """
+    log_values = _given_values(config.log, READING)
+    scales = config.log.torque_scale
+    recordings = config.log.measurements
+    empty: tuple[Path, ...] = ()
+    if isinstance(config, PayloadConfig):
+        empty = config.payload.empty
+        recordings = config.payload.loaded
+        if config.payload.known_mass is not None:
+            scales = config.payload.save_torque_scale
+    plan = None
+    purpose = None
+    folders = (recordings[0].parent, config.output.output_dir) if recordings else ()
+    for folder in folders:
+        joint_names = identification.result.robot.joint_names
+        if purpose is None and _is_planned(
+            folder, joint_names, identification.checkpoints
+        ):
+            plan, purpose = _settings_and_purpose(folder)
+    return RunWords(
+        model=str(config.model.path),
+        arm=tuple(command_arguments(vars(config.model), config.model)),
+        log=tuple(command_arguments(log_values, LogOptions)),
+        folder=config.output.output_dir,
+        links=config.output.links,
+        empty=tuple(map(str, empty)),
+        scales=None if scales is None else str(scales),
+        plan=plan,
+        plan_purpose=purpose,
+    )
+
+
+def words_of_plan(config: SysidConfig) -> RunWords:
+    """Return what the next step repeats of a plan.
+
+    A model that an identification has written is followed by logs in the form of those it was
+    identified from, so that their options are taken from the file that repeats that run.
+    """
+    assert config.plan_file is not None
+    model = config.model.path
+    log_values: dict[str, Any] = {}
+    if model.name in MODEL_NAMES.values():
+        log_values = _read_values(model.parent / RUN_NAME)
+    return RunWords(
+        model=str(model),
+        arm=tuple(command_arguments(vars(config.model), config.model)),
+        log=tuple(command_arguments(log_values, LogOptions)),
+        folder=config.plan_file.parent,
+    )
+
+
+def _given_values(record: Any, keys: tuple[str, ...]) -> Mapping[str, Any]:
+    """Return key to value of those options of a record that are given and among the keys."""
+    values = {}
+    for option in given_options(record):
+        if option.key in keys:
+            values[option.key] = getattr(record, option.key)
+    return values
+
+
+def _read_values(settings: Path) -> dict[str, Any]:
+    """Return key to value of the options of ``READING`` in the file of a run; {} without one."""
+    try:
+        content = read_toml(settings) if settings.is_file() else {}
+    except InputError:
+        return {}
+    return {key: immutable_value(content[key]) for key in READING if key in content}
+
+
+def _settings_and_purpose(folder: Path) -> tuple[Path | None, str]:
+    """Return the settings file of the plan in a folder, None without one, and its purpose."""
+    settings = plan_settings(folder)
+    if settings is None:
+        return None, "link"
+    path, content = settings
+    return path, str(content.get("for_", "link"))
+
+
+def _is_planned(folder: Path, joint_names: tuple[str, ...], recorded: Motion) -> bool:
+    """Return whether a recorded motion is the planned one in a folder: the same range per joint.
+
+    False where the folder holds no plan for these joints.
+    """
+    path = folder / PLAN_NAME
+    if not path.is_file():
+        return False
+    try:
+        saved = load_trajectory(path)
+    except InputError:
+        return False
+    if saved.joint_names != joint_names:
+        return False
+    times = np.linspace(0.0, saved.plan.duration, _COMPARED_TIMES)
+    planned = saved.plan.evaluate(times).q
+    tolerance = _SAME_RANGE * np.max(np.ptp(planned, axis=0))
+    differences = [
+        np.max(planned, axis=0) - np.max(recorded.q, axis=0),
+        np.min(planned, axis=0) - np.min(recorded.q, axis=0),
+    ]
+    return bool(np.max(np.abs(differences)) <= tolerance)
