@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
+from robot_sysid.logs.joint_names import find_joint_match
 from robot_sysid.logs.table import (
     BLOCK,
     Block,
@@ -34,7 +35,6 @@ from robot_sysid.logs.table import (
     as_input_errors,
     import_optional,
     memory_limit,
-    model_spelling,
     nanoseconds,
     refuse_bomb,
     refuse_many_arrays,
@@ -458,8 +458,12 @@ def _lerobot_titles(names: Any, feature: str, joint_names: Sequence[str]) -> lis
             if feature == ACTION:
                 quantity = quantity.replace("position", "command")
             quantities.append(quantity)
-    spelling = model_spelling(joints, joint_names)
-    return [f"{spelling[joint]} {name}" for joint, name in zip(joints, quantities)]
+    joint_match = find_joint_match(joints, joint_names)
+    spelling = joint_match.model_names if joint_match else {}
+    titles = []
+    for joint, quantity in zip(joints, quantities):
+        titles.append(f"{spelling.get(joint, joint)} {quantity}")
+    return titles
 
 
 def _read_frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:

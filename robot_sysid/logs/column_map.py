@@ -33,6 +33,7 @@ from itertools import chain
 from pathlib import Path
 
 from robot_sysid.errors import ColumnsError, InputError
+from robot_sysid.logs.joint_names import JointMatch
 from robot_sysid.logs.titles import (
     QUANTITIES,
     REMEDY,
@@ -224,6 +225,7 @@ class ColumnMap:
         titles: of all columns of the log, used or not.
         angle_declared: whether the unit of angles was declared (option or title), not assumed.
         commanded: whether ``torque`` holds commanded positions in place of torques.
+        joint_match: how the log's joints were matched with the model's, where by all names.
     """
 
     time: Column | None
@@ -235,6 +237,7 @@ class ColumnMap:
     titles: Sequence[str]
     angle_declared: bool
     commanded: bool = False
+    joint_match: JointMatch | None = None
 
     def groups(self) -> tuple[tuple[Column, ...], ...]:
         """Return the columns of position, torque, velocity and joint time; () for a missing one."""
@@ -316,6 +319,7 @@ def recognise_columns(
     is_slide: Sequence[bool],
     currents: bool = False,
     commanded: bool = False,
+    other_joints: Sequence[str] = (),
 ) -> ColumnMap:
     """Return the column of each quantity of each joint.
 
@@ -327,6 +331,7 @@ def recognise_columns(
         is_slide: (n,) whether a joint is a slide, whose positions are never angles.
         currents: whether columns of motor currents are read in place of torques.
         commanded: whether columns of commanded positions are read in place of torques.
+        other_joints: the model's joints that are not the chain's.
 
     Raises:
         ColumnsError: a quantity is missing, has two candidates, or contradicts the declared units.
@@ -336,7 +341,7 @@ def recognise_columns(
     driven = "command" if commanded else "torque"
     finder = _ColumnFinder(list(titles), parsed, joint_names, choices, is_slide, driven)
     try:
-        return finder.find_all(first_row)
+        return finder.find_all(first_row, other_joints)
     except InputError as error:
         text = draft(titles, joint_names, driven, finder.recognised)
         # A draft does not suit a user who has declared columns already.
@@ -366,13 +371,19 @@ class _ColumnFinder:
     driven: str
     recognised: dict[str, tuple[Column, ...]] = field(default_factory=dict)
 
-    def find_all(self, first_row: Sequence[str]) -> ColumnMap:
+    def find_all(
+        self, first_row: Sequence[str], other_joints: Sequence[str]
+    ) -> ColumnMap:
         """Return the map, or raise InputError that lists all faults; fills ``recognised``.
 
-        ``first_row``: the cells of the first row as text, which may list joint names.
+        Args:
+            first_row: the cells of the first row as text, which may list joint names.
+            other_joints: the model's joints that are not the chain's.
         """
         # Quantity to a list, per joint, of the indices of the columns that could be it.
-        candidates = match_joints(self._open_titles(), self._joint_names, first_row)
+        candidates, joint_match = match_joints(
+            self._open_titles(), self._joint_names, first_row, other_joints
+        )
         faults = list[str]()
         for quantity in QUANTITIES:
             if quantity in ("torque", "command") and quantity != self.driven:
@@ -399,6 +410,7 @@ class _ColumnFinder:
             titles=self._texts,
             angle_declared=bool(self._choices.angle_unit) or has_unit,
             commanded=self.driven == "command",
+            joint_match=joint_match,
         )
 
     def _open_titles(self) -> list[Title]:

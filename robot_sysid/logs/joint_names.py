@@ -48,7 +48,8 @@ class JointMatch:
         if names == joints:
             return ""
         counted = ", by counting" if self.is_counted else ""
-        text = f"log joints: {join_names(names)} are {join_names(joints)}{counted}"
+        verb = "are" if len(names) > 1 else "is"
+        text = f"log joints: {join_names(names)} {verb} {join_names(joints)}{counted}"
         if self.unused:
             text += f"; not used: {', '.join(self.unused)}"
         return text
@@ -68,14 +69,17 @@ def join_names(names: Sequence[str]) -> str:
 
 
 def match_joint_names(
-    names: Sequence[str], joint_names: Sequence[str], other_joints: Sequence[str] = ()
+    names: Sequence[str],
+    joint_names: Sequence[str],
+    other_joints: Sequence[str] | None = (),
 ) -> JointMatch | None:
     """Return which of a recording's joints are those of a model's arm; None where no set fits.
 
     Args:
         names: of the recording's joints, also repeated.
         joint_names: (n,) of the arm, base to terminal.
-        other_joints: the model's joints that are not the arm's.
+        other_joints: the model's joints that are not the arm's; None not to ask whether the
+            recording's arm has further joints.
 
     Raises:
         InputError: two sets of names fit, or the set belongs to an arm with more or fewer joints.
@@ -92,13 +96,12 @@ def match_joint_names(
     if not complete:
         return _match_counted(names, arm, frames)
     frame = _choose_frame(complete, arm)
-    by_joint = complete[frame]
-    for joint, name in enumerate(joint_names):
-        if len(by_joint[joint]) > 1:
-            listed = " and ".join(by_joint[joint])
-            raise InputError(f"the log's {listed} could both be the joint {name}")
-    chosen = [by_joint[joint][0] for joint in range(len(joint_names))]
-    _refuse_further_joints(names, chosen, frame, arm, other_joints)
+    chosen = list(joint_names)
+    # Equal names come before those that differ in signs only, such as arm-1 and arm_1.
+    if not {*joint_names} <= {*names}:
+        chosen = _single_names(complete[frame], joint_names)
+    if other_joints is not None:
+        _refuse_further_joints(names, chosen, frame, arm, other_joints)
     unused = tuple(name for name in names if name not in chosen)
     return JointMatch(dict(zip(chosen, joint_names)), unused)
 
@@ -108,7 +111,7 @@ def find_joint_match(
 ) -> JointMatch | None:
     """Return ``match_joint_names``, and None also where it refuses the names."""
     try:
-        return match_joint_names(names, joint_names)
+        return match_joint_names(names, joint_names, other_joints=None)
     except InputError:
         return None
 
@@ -201,6 +204,20 @@ def _choose_frame(
         f"the log holds {len(sets)} sets of joints that could be the model's "
         f"{join_names(arm.names)}: {' and '.join(sets)}"
     )
+
+
+def _single_names(
+    by_joint: Mapping[int, Sequence[str]], joint_names: Sequence[str]
+) -> list[str]:
+    """Return the log's name of each joint; InputError where two names could be one joint."""
+    chosen: list[str] = []
+    for joint, joint_name in enumerate(joint_names):
+        candidates = by_joint[joint]
+        if len(candidates) > 1:
+            listed = " and ".join(candidates)
+            raise InputError(f"the log's {listed} could both be the joint {joint_name}")
+        chosen += candidates
+    return chosen
 
 
 def _refuse_further_joints(

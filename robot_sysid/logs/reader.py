@@ -112,7 +112,10 @@ def open_log(
     check_notes = check_log(str(path), rows, robot, columns.angle_declared)
     pieces = tuple(map(LogPiece.of, split_at_gaps(rows.samples)))
     details = map(Detail, (f"log layout: {table.layout}", *columns.describe()))
-    notes = (*details, *check_notes, *piece_notes(rows.samples, pieces))
+    match_note = columns.joint_match.describe() if columns.joint_match else ""
+    joint_notes = (match_note,) if match_note else ()
+    source_notes = (*table.notes, *joint_notes)
+    notes = (*details, *source_notes, *check_notes, *piece_notes(rows.samples, pieces))
     return MeasurementLog(path, columns, rows.samples, pieces, notes, scale)
 
 
@@ -159,6 +162,7 @@ def _map_columns(
             robot.is_slide.tolist(),
             currents=options.torque_constants is not None,
             commanded=options.commanded,
+            other_joints=robot.other_joint_names,
         )
     except ColumnsError as error:
         fault = f"{path}: {error}"

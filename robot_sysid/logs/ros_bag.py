@@ -1,9 +1,9 @@
 """ROS bags: ROS 2 (folder with .db3 or .mcap, or a single .mcap) and ROS 1 (.bag).
 
-Read are sensor_msgs/JointState, control_msgs/DynamicJointState and Franka's FrankaRobotState. A
-joint is identified by its name in each message: the order may change from message to message,
-several publishers may share a topic, and a message may hold a gripper only, or a few of the arm's
-joints. Time is that of the message's header, or where that is empty the time at which the message
+``ros_messages`` says which messages are read, ``ros_topics`` which topic where several fit. A joint
+is identified by its name in each message: the order may change from message to message, several
+publishers may share a topic, and a message may hold a gripper only, or a few of the arm's joints.
+Time is that of the message's header, or where that is empty the time at which the message
 was recorded. A message that comes late is sorted in. Where no message holds all joints of an arm,
 those of one stamp are put together; where stamps differ, each joint keeps its own.
 
@@ -25,8 +25,8 @@ import importlib.util
 import os
 import shutil
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from io import BytesIO
 from itertools import chain, groupby, islice, product
@@ -37,6 +37,17 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
+from robot_sysid.logs.joint_names import find_joint_match
+from robot_sysid.logs.ros_messages import (
+    DEFINITIONS,
+    POSITION,
+    READERS,
+    TORQUE,
+    Key,
+    Sample,
+    read_stamp,
+)
+from robot_sysid.logs.ros_topics import Topic, choose_topic
 from robot_sysid.logs.table import (
     ALWAYS_ALLOWED,
     BLOCK,
@@ -46,35 +57,18 @@ from robot_sysid.logs.table import (
     LogTable,
     as_input_errors,
     import_optional,
-    model_spelling,
 )
+from robot_sysid.records import Array
 from robot_sysid.records.file_access import refuse_special_file
 
 FORM = "a ROS bag"
 """Name of the form in messages."""
-POSITION = ("position",)
-"""Names of positions in messages of a bag."""
-TORQUE = ("effort", "current")
-"""Names, in messages of a bag, of quantities that stand for torque."""
-QUANTITIES = (*POSITION, "velocity", *TORQUE)
-"""Names of all quantities that are read from messages of a bag."""
 _FIRST_MESSAGES = 200
 """Messages of a topic from which its joints are listed: a second or more, in which each publisher
 of the topic has sent one."""
-_STATE = "sensor_msgs/msg/JointState"
-_DYNAMIC = "control_msgs/msg/DynamicJointState"
-_FRANKA = "franka_msgs/msg/FrankaRobotState"
-# control_msgs is not among the types that rosbags defines.
-_DEFINITIONS = {
-    "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values\n",
-    _DYNAMIC: "std_msgs/Header header\nstring[] joint_names\n"
-    "control_msgs/InterfaceValue[] interface_values\n",
-}
+_COMPARED_MESSAGES = 20_000
+"""Messages of topics that are compared: 20 s at 1 kHz."""
 
-Key = tuple[str, str]
-"""Names of a joint and of a quantity."""
-Sample = Mapping[Key, float]
-"""The numbers of a message, in the units of the message."""
 Message = tuple[tuple[int, int], Sample]
 """((time of the header, time of recording) [ns since 1970], sample)."""
 StampedSample = tuple[int, Sample]
@@ -82,61 +76,32 @@ StampedSample = tuple[int, Sample]
 
 
 def bag_table(source: LogSource) -> LogTable:
-    """Return the topic of a bag with the arm's joints: the one of --topic, or the only one.
+    """Return the topic of a bag with the arm's joints: the one of --topic, or the one that fits.
 
-    InputError where no topic or several fit, or where the only one lacks torques.
+    InputError where no topic or those of two arms fit, or where the only one lacks torques.
     """
     path = source.path
-    joints = source.joint_names
-    topic = source.options.topic
+    wanted = source.options.topic
     with _open_bag(path) as bag:
-        # Topic with joint states to the type of its messages.
-        types = {}
-        topics = set()
+        # Names of topics with joints.
+        names = set()
+        described = set()
         for connection in bag.connections:
-            topics.add(f"{connection.topic} ({connection.msgtype})")
-            if connection.msgtype in _READERS:
-                types[connection.topic] = connection.msgtype
-        its_topics = f"its topics: {', '.join(sorted(topics)) or 'none'}"
-        if topic is not None and topic not in types:
-            fault = f"{path} has no joint states in topic {topic!r}"
+            described.add(f"{connection.topic} ({connection.msgtype})")
+            if connection.msgtype in READERS:
+                names.add(connection.topic)
+        its_topics = f"its topics: {', '.join(sorted(described)) or 'none'}"
+        if wanted is not None and wanted not in names:
+            fault = f"{path} has no joint states in topic {wanted!r}"
             raise InputError(f"{fault}; {its_topics}")
-        tables = {}
-        for name in [topic] if topic else sorted(types):
-            table = _topic_table(path, bag, name, joints)
-            if table is not None:
-                tables[name] = table
-    if not tables:
-        raise InputError(f"{path} holds no joint states; {its_topics}")
-    # (whether it has all positions, whether it has all torques).
-    ranks = {}
-    for name, table in tables.items():
-        has_position = _has_all(table, joints, POSITION)
-        ranks[name] = (has_position, _has_all(table, joints, TORQUE))
-    best = max(ranks.values())
-    names = [name for name in tables if ranks[name] == best]
-    if best == (True, False) and len(names) == 1:
-        fault = f"topic {names[0]} has no effort of joint {joints[-1]}"
-        raise InputError(
-            f"{path}: {fault}; let the driver publish effort and record again"
-        )
-    if len(names) > 1:
-        listed = ", ".join(f"{name} ({types[name]})" for name in names)
-        raise InputError(
-            f"{path}: several topics could be the arm: {listed}; choose with --topic"
-        )
-    return tables[names[0]]
-
-
-def _has_all(
-    table: LogTable, joint_names: Sequence[str], quantities: Sequence[str]
-) -> bool:
-    """Return whether a topic's table has a column of one of the quantities for every joint."""
-    for quantity in quantities:
-        titles = {f"{joint} {quantity}" for joint in joint_names}
-        if titles <= {*table.titles}:
-            return True
-    return False
+        topics = []
+        for name in [wanted] if wanted else sorted(names):
+            topic = _read_topic(path, bag, name, source.joint_names)
+            topics += [topic] if topic else []
+        if not topics:
+            raise InputError(f"{path} holds no joint states; {its_topics}")
+        chosen, note = choose_topic(path, topics)
+    return replace(chosen.table, notes=(note,) if note else ())
 
 
 def _connections(bag: Any, topic: str) -> list[Any]:
@@ -144,34 +109,79 @@ def _connections(bag: Any, topic: str) -> list[Any]:
     return [c for c in bag.connections if c.topic == topic]
 
 
-def _topic_table(
-    path: Path, bag: Any, topic: str, joint_names: Sequence[str]
-) -> LogTable | None:
-    """Return a topic as a table with time and a column per joint and quantity.
+def _read_topic(
+    path: Path, bag: Any, name: str, joint_names: Sequence[str]
+) -> Topic | None:
+    """Return a topic with its table, which has time and a column per joint and quantity.
 
     Joints and quantities are those of its first messages; None where these hold none.
     """
-    messages = list(islice(_read_messages(bag, topic), _FIRST_MESSAGES))
+    messages = list(islice(_read_messages(bag, name), _FIRST_MESSAGES))
     # A dictionary keeps the keys in the order in which they come first.
     sent: dict[Key, float] = {}
+    largest_effort = 0.0
     for _, sample in messages:
         sent.update(sample)
     if not sent:
         return None
-    spelling = model_spelling([joint for joint, _ in sent], joint_names)
-    arm_joints = [name for name in spelling if spelling[name] in joint_names]
+    recorded_joints = [joint for joint, _ in sent]
+    joint_match = find_joint_match(recorded_joints, joint_names)
+    # Without a model, all joints count.
+    arm_joints = [] if joint_names else sorted(set(recorded_joints))
+    if joint_match is not None:
+        arm_joints = list(joint_match.model_names)
+    for _, sample in messages:
+        efforts = [abs(sample.get(key, 0.0)) for key in product(arm_joints, TORQUE)]
+        largest_effort = max(largest_effort, *efforts, 0.0)
     pattern = MessagePattern.of(messages, arm_joints)
     keys = (*sent, *pattern.time_keys)
     titles = ["time"]
     for joint, quantity in keys:
-        titles.append(f"{spelling[joint]} {quantity}")
-    message_type = _connections(bag, topic)[0].msgtype
-    layout = f"ROS bag, topic {topic} ({message_type}), joints by name"
+        titles.append(f"{joint} {quantity}")
+    connections = _connections(bag, name)
+    message_type = connections[0].msgtype
+    layout = f"ROS bag, topic {name} ({message_type}), joints by name"
     layout += pattern.description
     if pattern.stamp_index:
         layout += ", headers without time: when it was recorded"
-    blocks = partial(_blocks, path, topic, keys, pattern)
-    return LogTable(path, layout, tuple(titles), blocks, row_noun="message")
+    blocks = partial(_blocks, path, name, keys, pattern)
+    return Topic(
+        name,
+        message_type,
+        LogTable(path, layout, tuple(titles), blocks, row_noun="message"),
+        n_messages=sum(connection.msgcount for connection in connections),
+        has_positions=_has_all(sent, arm_joints, POSITION),
+        has_torques=_has_all(sent, arm_joints, TORQUE),
+        is_zero=largest_effort == 0.0,
+        read_motion=partial(_read_motion, bag, name, arm_joints, pattern.stamp_index),
+    )
+
+
+def _has_all(
+    keys: Container[Key], joints: Sequence[str], quantities: Sequence[str]
+) -> bool:
+    """Return whether one of the quantities is there for every joint, of at least one."""
+    for quantity in quantities:
+        if joints and all((joint, quantity) in keys for joint in joints):
+            return True
+    return False
+
+
+def _read_motion(
+    bag: Any, topic: str, joints: Sequence[str], stamp_index: int
+) -> tuple[Array, Array]:
+    """Return time stamps (K,) [s] and positions (K, n) of a topic's first messages with all joints.
+
+    ``stamp_index``: of the stamp of a ``Message`` in use.
+    """
+    time = []
+    positions = []
+    for stamps, sample in islice(_read_messages(bag, topic), _COMPARED_MESSAGES):
+        row = [sample.get((joint, "position"), np.nan) for joint in joints]
+        if not np.isnan(row).any():
+            time.append(1e-9 * stamps[stamp_index])
+            positions.append(row)
+    return np.array(time), np.array(positions)
 
 
 def _blocks(
@@ -204,40 +214,8 @@ def _read_messages(bag: Any, topic: str) -> Iterator[Message]:
     connections = _connections(bag, topic)
     for connection, received, raw in bag.messages(connections=connections):
         message = bag.deserialize(raw, connection.msgtype)
-        # FrankaRobotState holds a JointState.
-        message = getattr(message, "measured_joint_state", message)
-        stamp = message.header.stamp
-        sampled = int(stamp.sec) * 10**9 + int(stamp.nanosec)
-        yield (sampled, int(received)), _READERS[connection.msgtype](message)
-
-
-def _read_joint_state(message: Any) -> Sample:
-    """Return the numbers of a sensor_msgs/JointState; empty lists were not measured."""
-    sample: dict[Key, float] = {}
-    for quantity in ("position", "velocity", "effort"):
-        numbers = getattr(message, quantity)
-        if len(numbers) == len(message.name):
-            keys = product(message.name, [quantity])
-            sample.update(zip(keys, numbers.tolist()))
-    return sample
-
-
-def _read_dynamic_joint_state(message: Any) -> Sample:
-    """Return the numbers of a control_msgs/DynamicJointState."""
-    sample = {}
-    for joint, values in zip(message.joint_names, message.interface_values):
-        for quantity, value in zip(values.interface_names, values.values):
-            if quantity in QUANTITIES:
-                sample[joint, quantity] = float(value)
-    return sample
-
-
-_READERS = {
-    _STATE: _read_joint_state,
-    _FRANKA: _read_joint_state,
-    _DYNAMIC: _read_dynamic_joint_state,
-}
-"""Message type to the function that returns the numbers of a message."""
+        stamps = (read_stamp(message), int(received))
+        yield stamps, READERS[connection.msgtype](message)
 
 
 @contextlib.contextmanager
@@ -255,7 +233,7 @@ def _open_bag(path: Path) -> Iterator[Any]:
         for file in folder.iterdir() if folder.is_dir() else ():
             refuse_special_file(file, "give a bag whose parts are files")
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-        for name, text in _DEFINITIONS.items():
+        for name, text in DEFINITIONS.items():
             store.register(typesys.get_types_from_msg(text, name))
         with bounded_reader().AnyReader([folder], default_typestore=store) as bag:
             yield bag

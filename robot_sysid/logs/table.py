@@ -75,6 +75,7 @@ class LogTable:
         row_noun: what a row is called in messages: "line", "message" or "row".
         first_row: the cells of the first row as text, where they may hold names; else empty.
         external_links: sentence on numbers that are in other files, and what to do; "" for none.
+        notes: sentences for the user on what was taken from the file.
     """
 
     path: Path
@@ -85,6 +86,7 @@ class LogTable:
     row_noun: str = "row"
     first_row: tuple[str, ...] = ()
     external_links: str = ""
+    notes: tuple[str, ...] = ()
 
     def __fspath__(self) -> str:
         """The path, so that arrays may stand where a file is expected."""
@@ -193,37 +195,6 @@ def memory_limit(more_bytes: float) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
-
-
-def model_spelling(names: Sequence[str], joint_names: Sequence[str]) -> dict[str, str]:
-    """Return a recording's joint names to the model's where these differ in a prefix only.
-
-    ``fr3_joint1`` becomes ``joint1`` where no other name ends in it; upper case and underscores
-    make no difference. Ambiguous names stay: one that fits two joints, two that fit one.
-
-    Args:
-        names: of the recording, also repeated.
-        joint_names: (n,) of the model.
-    """
-    spelling = {}
-    for name in dict.fromkeys(names):
-        joints = [name]
-        if name not in joint_names:
-            joints = [joint for joint in joint_names if _is_suffix(name, joint)]
-        joint = joints[0] if len(joints) == 1 else name
-        rivals = [n for n in set(names) if n == joint or _is_suffix(n, joint)]
-        spelling[name] = joint if len(rivals) == 1 else name
-    return spelling
-
-
-def _is_suffix(first: str, second: str) -> bool:
-    """Return whether one of two names is the end of the other, in words and numbers.
-
-    ``joint1`` is the end of ``fr3_joint1``; a name that begins with a number is the end of none.
-    """
-    tokens = (re.findall(r"[a-z]+|\d+", name.lower()) for name in (first, second))
-    short, long = sorted(tokens, key=len)
-    return bool(short) and long[-len(short) :] == short and not short[0].isdigit()
 
 
 def import_optional(module: str, extra: str, form: str) -> Any:

@@ -7,7 +7,9 @@ quantity.
 
 A column is matched with a joint by the joint's name, or else by its number. Both are tried. Names
 are used for a quantity whose titles carry every joint's name; else the numbers in the titles have
-to be exactly 0..n-1 or 1..n. It is an error if names and numbers give different columns.
+to be exactly 0..n-1 or 1..n. It is an error if names and numbers give different columns. Where
+neither gives the positions, what remains of each title beside its quantity is taken for the joint's
+name, and ``joint_names`` matches all of these with the model's.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from itertools import chain
 from typing import TypeVar
 
 from robot_sysid.errors import InputError
+from robot_sysid.logs.joint_names import JointMatch, match_joint_names
 
 T = TypeVar("T")
 
@@ -263,17 +266,73 @@ Candidates = dict[str, list[list[int]]]
 
 
 def match_joints(
-    titles: Sequence[Title], joint_names: Sequence[str], first_row: Sequence[str] = ()
-) -> Candidates:
-    """Return the candidate columns of each of QUANTITIES; none where a joint has no candidate.
+    titles: Sequence[Title],
+    joint_names: Sequence[str],
+    first_row: Sequence[str] = (),
+    other_joints: Sequence[str] = (),
+) -> tuple[Candidates, JointMatch | None]:
+    """Return the candidate columns of each of QUANTITIES, and how joint names were matched if so.
+
+    The candidates of a quantity are none where a joint has none.
 
     Args:
         titles: of all columns, from left to right.
         joint_names: (n,) of the arm.
         first_row: the cells of the first row as text, which may list joint names.
+        other_joints: the model's joints that are not the arm's.
 
     Raises:
-        InputError: two columns could be one quantity, or name and number of a title disagree.
+        InputError: two columns could be one quantity, or name and number of a title disagree; or
+            the joints' names are those of two arms, or of an arm with another number of joints.
+    """
+    candidates = _match_each_title(titles, joint_names, first_row)
+    columns_by_name = _columns_by_joint_name(titles)
+    names = [*columns_by_name.get("position", {})]
+    if any(candidates["position"]):
+        # Names that are equal to the model's, but go on counting, are those of another arm.
+        if {*joint_names} <= {*names}:
+            match_joint_names(names, joint_names, other_joints)
+        return candidates, None
+    joint_match = match_joint_names(names, joint_names, other_joints)
+    if joint_match is None:
+        return candidates, None
+    for quantity, columns in columns_by_name.items():
+        matches = [columns.get(name, []) for name in joint_match.model_names]
+        if all(matches):
+            candidates[quantity] = matches
+    return candidates, joint_match
+
+
+def _columns_by_joint_name(titles: Sequence[Title]) -> dict[str, dict[str, list[int]]]:
+    """Return quantity to joint name to columns, of titles that have one quantity and other words.
+
+    ``panda_joint1_position [rad]`` is the position of ``panda_joint1``.
+    """
+    not_names = {*QUANTITY_OF_TOKEN, *_UNIT_TOKENS, *_CURRENT, *_COMMANDED}
+    columns: dict[str, dict[str, list[int]]] = {}
+    for column, title in enumerate(titles):
+        quantity = title.override
+        if quantity is None and len(title.quantities) == 1 and not title.is_commanded:
+            quantity = min(title.quantities)
+        if quantity not in QUANTITIES:
+            continue
+        _, unitless = _split_bracketed_unit(title.text)
+        separate = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", unitless)
+        pieces = re.split(r"([^\W\d_]+)", separate)
+        kept = [piece for piece in pieces if piece.lower() not in not_names]
+        name = "".join(kept).strip(" ._/:-")
+        # A bare number is left to counting.
+        if re.search(r"[^\W\d_]", name):
+            columns.setdefault(quantity, {}).setdefault(name, []).append(column)
+    return columns
+
+
+def _match_each_title(
+    titles: Sequence[Title], joint_names: Sequence[str], first_row: Sequence[str]
+) -> Candidates:
+    """Return the candidates among titles that carry a name of the model, or a number.
+
+    InputError where two columns could be one quantity, or name and number of a title disagree.
     """
     order = _order_from_names(titles, joint_names, first_row)
     by_name = _match_names(titles, joint_names)

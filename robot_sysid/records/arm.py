@@ -343,6 +343,12 @@ class RobotModel:
         return np.array(self.mj_model.dof_armature[self.dof_index])
 
     @property
+    def other_joint_names(self) -> tuple[str, ...]:
+        """Names of the model's joints that are not in the chain, such as fingers."""
+        names = [self.mj_model.joint(k).name for k in range(self.mj_model.njnt)]
+        return tuple(name for name in names if name not in self.joint_names)
+
+    @property
     def terminal_joint(self) -> str:
         """Name of the last chain joint."""
         return self.joint_names[-1]

@@ -216,5 +216,8 @@ def test_names_that_differ_in_a_prefix_are_the_models_unless_two_do(tmp_path):
     for time, *row in zip(DATA.time, q, qd, tau):
         wide.append(recorded.joint_state(store.types, time, [*left, *right], *row))
     path = recorded.write_bag2(tmp_path / "bag", [("/js", recorded.STATE, wide)], store)
-    assert_refused("one position column for each", path)
+    assert_refused(
+        "left_base, left_elbow, left_wrist and right_base, right_elbow, right_wrist",
+        path,
+    )
     np.testing.assert_array_equal(read_measurements(path, left).samples.q, DATA.q)

@@ -9,6 +9,7 @@ from robot_sysid.logs.titles import interpret_titles, joint_quantity, read_title
 from tests.support.log_files import assert_refused, motion, read_measurements, write
 
 JOINTS = ("joint0", "joint1", "joint2")
+JOINTS4 = ("joint1", "joint2", "joint3", "joint4")
 
 
 COMMANDS = (
@@ -55,3 +56,30 @@ def test_commands_take_the_place_of_torques(tmp_path, title):
     np.testing.assert_allclose(log.samples.tau, rows[:, 4:] - data.q)
     assert all(piece.command is not None for piece in log.pieces)
     assert_refused("one torque column for each", path)
+
+
+@pytest.mark.parametrize(
+    "title",
+    [
+        "/joint_states/panda_joint{}/{}",
+        "panda_joint{}_{}",
+        "{1} of lbr_A{0}",
+        "ur5e/j{}_link {}",
+    ],
+)
+def test_names_around_numbers_are_matched_as_a_whole_set(tmp_path, title):
+    """Columns of a finger and of another joint are not the arm's."""
+    data = motion()
+    numbers = (3, 1, 2)
+    titles = ["time", title.format("8_finger", "position"), "gripper_position"]
+    columns = [data.time, data.q[:, 0], data.q[:, 0]]
+    for quantity, values in (("position", data.q), ("effort", data.tau)):
+        titles += [title.format(k, quantity) for k in numbers]
+        columns += [values[:, k - 1] for k in numbers]
+    path = write(tmp_path / "log.csv", np.column_stack(columns), titles)
+    log = read_measurements(path, ("joint1", "joint2", "joint3"))
+    np.testing.assert_array_equal(log.samples.q, data.q)
+    np.testing.assert_array_equal(log.samples.tau, data.tau)
+    (note,) = [note for note in log.notes if note.startswith("log joints: ")]
+    assert "are joint1..3; not used: " in note
+    assert_refused("are 3, the model's joint1..4 are 4", path, JOINTS4)

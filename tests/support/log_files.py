@@ -61,7 +61,10 @@ def arm_of(
     slides = np.array(is_slide or [False] * len(names))
     joint_limits = joint_limits or limits(np.inf, len(names))
     return SimpleNamespace(
-        joint_names=tuple(names), limits=joint_limits, is_slide=slides
+        joint_names=tuple(names),
+        limits=joint_limits,
+        is_slide=slides,
+        other_joint_names=(),
     )
 
 

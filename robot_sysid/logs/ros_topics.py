@@ -1,0 +1,154 @@
+"""The topic of a bag from which an arm is read, where several hold its joints.
+
+Drivers publish one arm more than once: ros2_control's broadcaster in /joint_states and
+/dynamic_joint_states, Franka's launch file at 1 kHz and once more, with the fingers, at 30 Hz. The
+topic with torques and with the most samples is read. Topics of two arms, which move differently or
+lie in namespaces of their own, are not chosen from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.logs.ros_messages import READERS
+from robot_sysid.logs.table import LogTable
+from robot_sysid.logs.titles import read_title
+from robot_sysid.records import Array
+
+_MOST_DIFFERENCE = 0.2
+"""Largest difference of two topics' positions over the positions' spread that counts as one motion:
+a topic that is put together from others lags by a sample of its low rate."""
+_LEAST_SPREAD = 1e-3
+"""Least spread of positions [rad or m] by which motions are compared."""
+_LEAST_SAMPLES = 10
+"""Least number of samples that are compared."""
+
+Motion = tuple[Array, Array]
+"""Time stamps (K,) [s] and positions (K, n) of the arm's joints."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic that holds joints.
+
+    Attributes:
+        name: of the topic.
+        message_type: of its messages.
+        table: the topic as a table.
+        n_messages: number of its messages.
+        has_positions: whether it has a position of every joint of the arm.
+        has_torques: whether it has an effort or current of every joint of the arm.
+        is_zero: whether all of its first efforts are zero.
+        read_motion: reads the positions of the arm.
+    """
+
+    name: str
+    message_type: str
+    table: LogTable
+    n_messages: int
+    has_positions: bool
+    has_torques: bool
+    is_zero: bool
+    read_motion: Callable[[], Motion]
+
+    @property
+    def rank(self) -> tuple[bool, bool, bool]:
+        """Whether it has positions, torques, and torques other than zero."""
+        is_measured = self.has_torques and not self.is_zero
+        return self.has_positions, self.has_torques, is_measured
+
+    @property
+    def is_commanded(self) -> bool:
+        """Whether its name marks it as commands or references, as in /desired_joint_states."""
+        return read_title(self.name).is_commanded
+
+
+def choose_topic(path: Path, topics: Sequence[Topic]) -> tuple[Topic, str]:
+    """Return the topic to read, and a sentence on the others that hold the arm; "" for none.
+
+    Raises:
+        InputError: topics of two arms fit, or the only one lacks torques.
+    """
+    best = max(topic.rank for topic in topics)
+    fitting = [topic for topic in topics if topic.rank == best]
+    measured = [topic for topic in fitting if not topic.is_commanded]
+    fitting = measured or fitting
+    if best == (True, False, False) and len(fitting) == 1:
+        raise InputError(
+            f"{path}: topic {fitting[0].name} has no effort of the arm's joints; let the driver "
+            "publish effort and record again"
+        )
+    types = list(READERS)
+    fitting.sort(key=lambda t: (-t.n_messages, types.index(t.message_type), t.name))
+    chosen = fitting[0]
+    rivals = fitting[1:]
+    if not all(_is_one_arm(chosen, rival) for rival in rivals):
+        listed = ", ".join(f"{topic.name} ({topic.message_type})" for topic in fitting)
+        raise InputError(
+            f"{path}: several topics could be the arm: {listed}; choose with --topic"
+        )
+    if rivals:
+        listed = ", ".join(f"{topic.name} ({topic.n_messages})" for topic in rivals)
+        return chosen, (
+            f"log topic: {chosen.name} with {chosen.n_messages} samples is read; the same motion "
+            f"is in {listed}"
+        )
+    without_torque = []
+    for topic in topics:
+        if topic.has_positions and topic is not chosen:
+            without_torque.append(topic.name)
+    if not without_torque:
+        return chosen, ""
+    return chosen, (
+        f"log topic: {chosen.name} is read, as it has measured torques; "
+        f"{', '.join(without_torque)} has none"
+    )
+
+
+def _is_one_arm(first: Topic, second: Topic) -> bool:
+    """Return whether two topics hold the same motion, and their names are not those of two arms."""
+    if not (first.has_positions and second.has_positions):
+        return False
+    has_one_type = first.message_type == second.message_type
+    if has_one_type and _is_of_another_arm(first.name, second.name):
+        return False
+    return _is_same_motion(first.read_motion(), second.read_motion())
+
+
+def _is_of_another_arm(first: str, second: str) -> bool:
+    """Return whether the names of two topics of one message type are alike but for that of the arm.
+
+    So are /left_joint_states and /right_joint_states, and topics of one name in namespaces of which
+    none is in the other. /joint_states is no other arm than /franka/joint_states.
+    """
+    counts = [len(part.split("_")) for part in first.split("/")]
+    other_counts = [len(part.split("_")) for part in second.split("/")]
+    if counts == other_counts:
+        return True
+    namespace, _, name = first.rpartition("/")
+    other_namespace, _, other_name = second.rpartition("/")
+    shorter, longer = sorted((f"{namespace}/", f"{other_namespace}/"), key=len)
+    return name == other_name and not longer.startswith(shorter)
+
+
+def _is_same_motion(first: Motion, second: Motion) -> bool:
+    """Return whether two recordings of positions agree where both are there, and the arm moves."""
+    time, positions = first
+    other_time, other_positions = second
+    if positions.shape[1] != other_positions.shape[1]:
+        return False
+    is_common = (time >= other_time[0]) & (time <= other_time[-1])
+    common = positions[is_common]
+    if len(common) < _LEAST_SAMPLES:
+        return False
+    others = []
+    for joint_positions in other_positions.T:
+        others.append(np.interp(time[is_common], other_time, joint_positions))
+    difference = np.sqrt(np.mean((common - np.column_stack(others)) ** 2))
+    spread = np.sqrt(np.mean((common - np.mean(common, axis=0)) ** 2))
+    return bool(spread > _LEAST_SPREAD and difference < _MOST_DIFFERENCE * spread)

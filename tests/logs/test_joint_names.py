@@ -1,0 +1,101 @@
+"""Joints of a log are matched with the model's by the whole set of names, or are refused."""
+
+from __future__ import annotations
+
+import pytest
+
+from robot_sysid.errors import InputError
+from robot_sysid.logs.joint_names import join_names, match_joint_names
+
+
+def count(name: str, last: int = 7, first: int = 1) -> list[str]:
+    """Return names with a number in the place of ``#``, or at the end."""
+    text = name if "#" in name else f"{name}#"
+    return [text.replace("#", str(k)) for k in range(first, last + 1)]
+
+
+JOINTS = count("joint")
+FINGERS = ["panda_finger_joint1", "panda_finger_joint2"]
+UR = ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"]
+LEFT = count("left_joint")
+RIGHT = count("right_joint")
+
+
+@pytest.mark.parametrize(
+    ("names", "joints"),
+    [
+        (count("panda_joint") + FINGERS, JOINTS),
+        (count("fr3_joint")[::-1], JOINTS),
+        (count("lbr_A"), JOINTS),
+        (count("arm_joint_"), JOINTS),
+        (count("iiwa7_joint_"), JOINTS),
+        (count("robot1/j#_link"), JOINTS),
+        (count("joint_0"), JOINTS),
+        (JOINTS, count("panda_joint")),
+        (JOINTS + LEFT, JOINTS),
+        (sorted(f"{name}_joint" for name in UR), UR),
+        (sorted(UR), [f"ur5e_{name}_joint" for name in UR]),
+        (LEFT + RIGHT, count("openarm_left_joint")),
+        (["panda_joint1"], ["joint1"]),
+        (["joint_link_x", "joint_x"], ["joint", "joint_link"]),
+        (["arm-1", "arm_1", "arm-2"], ["arm_1", "arm-2"]),
+    ],
+)  # fmt: skip
+def test_names_match_whatever_stands_around_them_and_in_any_order(names, joints):
+    match = match_joint_names(names, joints)
+    assert match is not None and list(match.model_names.values()) == list(joints)
+    matched = list(match.model_names)
+    assert sorted([*matched, *match.unused]) == sorted(names)
+    for name, joint in match.model_names.items():
+        assert name[-1] == joint[-1] or joint in name or name in joint or "link" in name
+
+
+@pytest.mark.parametrize(
+    ("names", "joints", "fault"),
+    [
+        (LEFT + RIGHT, JOINTS, "2 sets .* joint1..7: left_joint1..7 and right_joint1..7$"),
+        (count("joint_") + ["joint1"], JOINTS, "joint_1 and joint1 could both"),
+        (count("a_joint") + count("b_joint"), JOINTS, "a_joint1..7 and b_joint1..7"),
+        (["a_joint1", "b_joint1"], ["joint1"], "a_joint1 and b_joint1"),
+        (count("xarm_joint", 6), JOINTS, "xarm_joint1..6 are 6, the model's joint1..7 are 7"),
+        (JOINTS, count("joint", 6), "joint1..7 are 7, .* joint1..6 are 6: give the model"),
+        (count("panda_joint", 8), JOINTS, "are 8, the model's joint1..7 are 7"),
+        (JOINTS, count("joint", 6, 0), "count from 1, the model's joint0..6 from 0"),
+    ],
+)  # fmt: skip
+def test_names_of_two_arms_or_of_another_arm_are_refused(names, joints, fault):
+    with pytest.raises(InputError, match=fault):
+        match_joint_names(names, joints)
+
+
+def test_numbers_of_another_beginning_count_only_behind_other_words():
+    match = match_joint_names(count("lbr_A"), count("joint", 6, 0))
+    assert match is not None and match.is_counted
+    assert match.describe() == "log joints: lbr_A1..7 are joint0..6, by counting"
+
+
+def test_joints_of_the_model_beyond_the_arm_may_be_in_the_log():
+    """The link of joint5 is identified; or the model has fingers that count on."""
+    five = count("joint", 5)
+    for names in (JOINTS, count("panda_joint")):
+        match = match_joint_names(names, five, other_joints=["joint6", "joint7"])
+        assert match is not None and match.unused == tuple(names[5:])
+        with pytest.raises(InputError, match="are 7, the model's joint1..5 are 5"):
+            match_joint_names(names, five)
+
+
+@pytest.mark.parametrize("names", [[], ["x", "y"], count("motor", 3), UR])
+def test_nothing_is_made_of_names_that_are_no_set(names):
+    assert match_joint_names(names, JOINTS) is None
+
+
+def test_what_was_matched_is_one_sentence_and_nothing_where_names_are_equal():
+    match = match_joint_names(count("panda_joint") + FINGERS, JOINTS)
+    assert match is not None and match.describe() == (
+        "log joints: panda_joint1..7 are joint1..7; "
+        "not used: panda_finger_joint1, panda_finger_joint2"
+    )
+    equal = match_joint_names(JOINTS + FINGERS, JOINTS)
+    assert equal is not None and equal.describe() == ""
+    assert join_names(UR) == ", ".join(UR)
+    assert join_names(["j1_link", "j2_link", "j3_link"]) == "j1..3_link"

@@ -1,0 +1,100 @@
+"""Of several topics of a bag, the one with torques and most samples is read, of one arm only."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robot_sysid.errors import InputError
+from robot_sysid.logs.ros_messages import DYNAMIC, STATE
+from robot_sysid.logs.ros_topics import Topic, choose_topic
+from robot_sysid.logs.table import LogTable
+from tests.support.log_files import motion
+
+DATA = motion()
+BAG = Path("run.bag")
+
+
+def topic(name, step=1, late=0.0, q=DATA.q, **changes):
+    """Return a topic with every ``step``-th sample of a motion, which are late [s]."""
+    time = DATA.time[::step] + late
+    made = Topic(
+        name,
+        STATE,
+        LogTable(BAG, name, (), lambda columns: iter(())),
+        len(time),
+        has_positions=True,
+        has_torques=True,
+        is_zero=False,
+        read_motion=lambda: (time, q[::step]),
+    )
+    return replace(made, **changes)
+
+
+def chosen(*topics):
+    picked, note = choose_topic(BAG, topics)
+    return picked.name, note
+
+
+def test_the_topic_with_most_samples_is_read_and_said():
+    name, note = chosen(
+        topic("/joint_states", 8, late=0.03), topic("/franka/joint_states")
+    )
+    assert name == "/franka/joint_states"
+    assert note == (
+        "log topic: /franka/joint_states with 400 samples is read; the same motion is in "
+        "/joint_states (50)"
+    )
+
+
+def test_of_equal_topics_the_plain_joint_states_are_read():
+    dynamic = topic("/dynamic_joint_states", message_type=DYNAMIC)
+    assert chosen(dynamic, topic("/joint_states"))[0] == "/joint_states"
+    assert chosen(topic("/joint_states"))[1] == ""
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        topic("/a/desired_joint_states"),
+        topic("/a/sim", is_zero=True),
+        topic("/a/sim", has_torques=False, is_zero=True),
+    ],
+)
+def test_commands_and_efforts_of_zero_are_left_out(other):
+    name, note = chosen(topic("/a/joint_states", step=2), other)
+    assert name == "/a/joint_states"
+    if not other.is_commanded:
+        assert note.endswith("has measured torques; /a/sim has none")
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        topic("/right/joint_states"),
+        topic("/right_arm/joint_states"),
+        topic("/joint_states", q=DATA.q[::-1]),
+        topic("/joint_states", q=DATA.q[:, :2]),
+        topic("/joint_states", late=5.0),
+    ],
+)
+def test_topics_of_two_arms_are_refused(other):
+    """By their names, by their motions, by their joints, or where no time is common."""
+    with pytest.raises(InputError, match=r"several .* /left/joint_states .*--topic"):
+        choose_topic(BAG, [topic("/left/joint_states"), other])
+
+
+def test_arms_that_stand_still_are_not_taken_for_one():
+    rest = np.zeros_like(DATA.q)
+    topics = [topic("/a/joint_states", q=rest), topic("/joint_states", q=rest)]
+    with pytest.raises(InputError, match="several topics"):
+        choose_topic(BAG, topics)
+
+
+def test_an_arm_without_torque_is_refused():
+    bare = topic("/joint_states", has_torques=False, is_zero=True)
+    with pytest.raises(InputError, match="/joint_states has no effort"):
+        choose_topic(BAG, [bare])
