@@ -59,7 +59,7 @@ def main(arguments: Sequence[str]) -> int:
     values, console = parse_command(build_parser, arguments)
     page = record_from(PageOptions, values)
     mesh_dir = record_from(ModelOptions, values).mesh_dir
-    require_report(OutputOptions(report=True))
+    require_report(OutputOptions(report=True, plots=page.plots))
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.report.page import write_report
     from robot_sysid.report.runs import load_run
@@ -82,7 +82,7 @@ def require_report(output: OutputOptions) -> None:
     if output.report or output.plots:
         from robot_sysid.report.drawing import require_libraries
 
-        require_libraries()
+        require_libraries(output.plots)
 
 
 def write_outcome_report(

@@ -437,6 +437,17 @@ def write_film(
                 progress.advance("Rendering", done=count, total=len(frames), text="")
 
 
+def png_bytes(picture: Picture) -> bytes:
+    """Return the content of a PNG file of a picture; InputError if there is no imageio."""
+    try:
+        import imageio.v2 as imageio
+    except ImportError:
+        hint = install_hint("imageio", "report")
+        raise InputError(f"a picture of the arm {hint}") from None
+    content: bytes = imageio.imwrite("<bytes>", picture, format="png")
+    return content
+
+
 def _draw_panel(preview: Preview) -> tuple[Picture, NDArray[np.int64]]:
     """Return a preview's plots as a picture, and its column of pixels (T,) at each instant.
 

@@ -6,13 +6,11 @@ A body has ten inertial parameters in the order of ``PARAMETER_NAMES``: mass [kg
 
 from __future__ import annotations
 
-import io
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,82 +21,158 @@ from robot_sysid.dynamics.spatial import (
 )
 from robot_sysid.errors import SysidError
 from robot_sysid.parser import load_robot_model
-from robot_sysid.preview.film import Colour, Studio
+from robot_sysid.preview.film import Colour, Studio, png_bytes
 from robot_sysid.records import Array, Flange, RobotModel
-from robot_sysid.records.messages import PARAMETER_UNITS, percent, with_error
-from robot_sysid.report import drawing
-from robot_sysid.report.drawing import AFTER, Figure, Section, Table, draw_figure, table
+from robot_sysid.records.messages import PARAMETER_UNITS, percent, term_unit, with_error
+from robot_sysid.report.drawing import SERIES, Boxes, Panel, Points, draw
 from robot_sysid.report.runs import Body, Run, number
+from robot_sysid.report.sections import (
+    Figure,
+    Section,
+    Table,
+    cells,
+    plus_minus,
+    table,
+    text,
+)
 from robot_sysid.results.cards import NOT_KNOWN
+from robot_sysid.results.parameter_table import (
+    HEADINGS,
+    TERM_LABELS,
+    BeforeAfter,
+    without_rounding,
+)
 from robot_sysid.results.verdict import PRIOR_SHARE
 
 _GROUPS = ((0, 1, "mass"), (1, 4, "first moment"), (4, 10, "inertia about the origin"))
 """(start, end, title) of the parameters (10,) that have one unit and share one panel."""
-_MARKS: dict[str, tuple[float, dict[str, Any]]] = {
-    "before": (0.16, {"marker": "D", "mfc": "none", "mec": drawing.BEFORE}),
-    "in the file": (-0.16, {"marker": "s", "mfc": "none", "mec": drawing.OTHER}),
-    "truth": (-0.16, {"marker": "x", "mew": 1.8, "color": drawing.TRUTH}),
+_MARKS = {
+    "before": (0.16, "before", "diamond"),
+    "in the file": (-0.16, "other", "square"),
+    "truth": (-0.16, "truth", "square"),
 }
 """Version of the parameters, see ``Body.thetas``, to (vertical offset from the identified value in
-rows, style of its marker)."""
+rows, colour and shape of its marker)."""
 _YES_OR_NO = {True: "yes", False: "no"}
 """Text of a truth value in a cell of a table."""
-_LEAST_SPAN = 0.02
-"""Least width of a panel's axis, as a share of its largest value: a narrower one would magnify
-rounding errors."""
+_MIN_SHARE = 0.005
+"""Share of the variance of all parameters below which a cause of errors has no column."""
+
+
+def main_numbers(run: Run) -> Table:
+    """Return the console's table of mass, centre of mass and friction of what was asked for.
+
+    That is the payload, or the terminal link with its joint.
+    """
+    body = run.bodies[0]
+    errors = body.errors_or_none(body.central)
+    labels = ("mass", *map("centre of mass {}".format, "xyz"))
+    prior: Sequence[float | None] = [None] * 4
+    if "before" in body.thetas and not run.is_payload:
+        prior = _mass_and_com(body.thetas["before"])
+    identified = _mass_and_com(body.identified)
+    units = ("kg", "m", "m", "m")
+    rows = list(map(BeforeAfter, labels, prior, identified, errors, units))
+    if not run.is_payload:
+        rows += _friction_rows(run)
+    cells_of_rows = []
+    for row in rows:
+        name, *numbers, unit, change = row.cells
+        cells_of_rows.append((f"{name} [{unit}]", *numbers, change))
+    name_heading, *number_headings, _, change_heading = HEADINGS
+    headings = (name_heading, *number_headings, change_heading)
+    columns = zip(headings, *cells_of_rows)
+    header, *shown_rows = zip(*(column for column in columns if any(column[1:])))
+    return table((body.title, *header[1:]), shown_rows)
+
+
+def _friction_rows(run: Run) -> Iterator[BeforeAfter]:
+    """Yield the friction terms and the rotor inertia of the terminal joint, where estimated."""
+    joint_name = run.content["joint_name"]
+    joint = run.content["joints"].get(joint_name, {"terms": {}})
+    is_slide = run.data is not None and run.data.is_slide[-1]
+    for term, (value, error) in joint["terms"].items():
+        label = TERM_LABELS.get(term, f"friction {term}")
+        source = run.content["parameter_source"].get(f"{term}[{joint_name}]")
+        # params.json has no number for an infinite error.
+        stated = np.inf if source == "from_model" else error
+        unit = term_unit(term, is_slide)
+        yield BeforeAfter(label, joint["model"].get(term), value, stated, unit)
+
+
+def _mass_and_com(theta: Array) -> list[float]:
+    """Return mass [kg] and centre of mass [m] of a body, 0.0 for what rounds to nothing."""
+    mass = max(float(theta[0]), 1e-12)
+    com = without_rounding(theta[1:4] / mass, max(characteristic_length(theta), 1e-9))
+    return [float(theta[0]), *com.tolist()]
 
 
 def parameters(run: Run) -> Section:
     """Return the section with the ten parameters of every body before and after, and their errors.
 
-    A body with an error budget has a second figure, of the causes of its errors.
+    Figures show the body that was asked for, of a payload all three, and the masses of all links.
     """
+    drawn = run.bodies if run.is_payload else run.bodies[:1]
     figures = []
-    for body_index, body in enumerate(run.bodies):
+    for body_index, body in enumerate(drawn):
         figures.append(_parameter_figure(body, f"parameters-{body_index}"))
         if body.budget:
             figures.append(_budget_figure(body, f"errors-{body_index}"))
+    if len(run.bodies) > len(drawn):
+        # From the base to the terminal link, which stands first.
+        figures.append(_mass_figure([*run.bodies[1:], run.bodies[0]]))
     explanation = (
         "m is the mass, h the first moment (mass times centre of mass), I the inertia about the "
-        f"origin of the {'flange' if run.is_payload else 'body'}'s frame. Bars are ± one standard "
-        "error, all causes together; a value without a bar has an error that is not known."
+        f"origin of the {'flange' if run.is_payload else 'body'}'s frame. ± and bars are one "
+        "standard error, all causes together; a value without it has an error that is not known."
     )
-    title = "The numbers" if run.is_payload else "Before and after"
-    return Section("parameters", title, (explanation,), (masses(run.bodies),), figures)
+    title = "The numbers" if run.is_payload else "Links before and after"
+    tables = list(map(_parameter_table, run.bodies))
+    tables += [_budget_table(body) for body in drawn if body.budget]
+    return Section("parameters", title, (explanation,), tables, figures)
 
 
-def masses(bodies: Sequence[Body]) -> Table:
-    """Return a table of mass and centre of mass, one row per body and version of its parameters.
-
-    The versions are those of ``Body.thetas``; a version with zero mass has no row.
-    """
-    header = ("body", "", "mass [kg]", *map("centre {} [m]".format, "xyz"))
+def _parameter_table(body: Body) -> Table:
+    """Return the table of a body's mass, centre of mass, first moment and inertia, with errors."""
+    versions = list(body.thetas.values())
+    coms = [_mass_and_com(theta)[1:] for theta in versions]
+    com_labels = map("centre of mass {}".format, "xyz")
+    labels = (PARAMETER_NAMES[0], *com_labels, *PARAMETER_NAMES[1:])
+    units = (PARAMETER_UNITS[0], *"mmm", *PARAMETER_UNITS[1:])
+    errors = np.concatenate((body.errors[:1], body.central[1:], body.errors[1:]))
+    columns = []
+    for theta, com in zip(versions, coms):
+        columns.append([theta[0], *com, *theta[1:]])
     rows = []
-    for body in bodies:
-        for version, theta in body.thetas.items():
-            if theta[0] != 0.0:
-                is_identified = version == "after"
-                numbers = _mass_and_center(theta, body, is_identified)
-                rows.append((body.title, version, *numbers))
-    return table(header, rows)
+    for label, unit, error, *values in zip(labels, units, errors.tolist(), *columns):
+        texts = [text(float(value), error) for value in values]
+        rows.append((f"{label} [{unit}]", *texts, plus_minus(error)))
+    return table((body.title, *body.thetas, "±"), rows)
 
 
-def _mass_and_center(theta: Array, body: Body, is_identified: bool) -> Iterator[str]:
-    """Yield texts of the mass [kg] and of the three coordinates of the centre of mass [m].
+def _budget_table(body: Body) -> Table:
+    """Return the table of the share of each cause in the variance of each parameter of a body."""
+    shares = _variance_shares(body)
+    shown = {c: share for c, share in shares.items() if np.max(share) >= _MIN_SHARE}
+    rows = []
+    for k, label in enumerate(PARAMETER_NAMES):
+        percentages = [f"{100.0 * share[k]:.0f} %" for share in shown.values()]
+        rows.append((label, *percentages))
+    title = f"{body.title}: what each parameter's error comes from, in shares of its variance"
+    return table(("", *shown), rows, title=title)
 
-    Args:
-        theta: (10,) one version of the body's parameters; its mass is not zero.
-        body: the body, whose standard errors are shown with the identified version only.
-        is_identified: whether ``theta`` is the identified version.
+
+def _variance_shares(body: Body) -> dict[str, Array]:
+    """Return cause to its shares (10,) in the variances of a body's parameters, 0 to 1.
+
+    They are zero for a parameter whose error is not known.
     """
-    errors: list[float | None] = [None] * 4
-    if is_identified:
-        errors = body.errors_or_none(body.central)
-    yield with_error(float(theta[0]), errors[0])
-    # Adding zero turns -0.0 into 0.0.
-    center = (theta[1:4] / theta[0] + 0.0).tolist()
-    for coordinate, error in zip(center, errors[1:]):
-        yield f"{coordinate:.4f}" if error is None else with_error(coordinate, error)
+    errors = np.array(list(body.budget.values()))
+    squares = np.square(np.nan_to_num(errors))
+    squares[:, ~np.isfinite(body.errors)] = 0.0
+    total = np.sum(squares, axis=0)
+    shares = np.divide(squares, total, out=np.zeros_like(squares), where=total > 0.0)
+    return dict(zip(body.budget, shares))
 
 
 def _parameter_figure(body: Body, name: str) -> Figure:
@@ -108,59 +182,52 @@ def _parameter_figure(body: Body, name: str) -> Figure:
         body: the body.
         name: name of the figure's files without suffix, unique on the page.
     """
-    thetas = body.thetas
+    model_text = " against the model's values before" if "before" in body.thetas else ""
+    truth_text = " and the truth of the simulated arm" if "truth" in body.thetas else ""
+    caption = f"{body.title}: identified parameters{model_text}{truth_text}."
     rows = []
-    for k, (label, unit) in enumerate(zip(PARAMETER_NAMES, PARAMETER_UNITS)):
-        error = body.errors[k]
-        values = [drawing.text(float(theta[k]), error) for theta in thetas.values()]
-        rows.append((f"{label} [{unit}]", *values, drawing.plus_minus(error)))
-    numbers = ("parameter", *thetas, "± standard error"), rows
-    model_text = " against the model's values before" if "before" in thetas else ""
-    truth_text = " and the truth of the simulated arm" if "truth" in thetas else ""
-    caption = f"{body.title}: identified parameters{model_text}{truth_text}, ± one standard error."
+    for start, end, title in _GROUPS:
+        indices = slice(start, end)
+        versions = {key: theta[indices] for key, theta in body.thetas.items()}
+        marks = _version_marks(versions, body.errors[indices])
+        label = f"{title} [{PARAMETER_UNITS[start]}]"
+        names = PARAMETER_NAMES[indices]
+        rows.append([Panel(marks, label, height=end - start + 0.4, row_names=names)])
+    return Figure(name, caption, draw(rows, height=380.0))
 
-    def draw(canvas: Any) -> None:
-        """Draw one panel per group of parameters on an empty matplotlib figure."""
-        ratios = [end - start + 0.6 for start, end, _ in _GROUPS]
-        axes = canvas.subplots(3, 1, height_ratios=ratios)
-        errors = np.where(np.isfinite(body.errors), body.errors, 0.0)
-        for (start, end, title), ax in zip(_GROUPS, axes):
-            positions = -np.arange(end - start, dtype=float)
-            indices = slice(start, end)
-            for version, (shift, style) in _MARKS.items():
-                if version in thetas:
-                    ax.plot(
-                        thetas[version][indices],
-                        positions + shift,
-                        label=version,
-                        ls="none",
-                        **style,
-                    )
-            bar: Any = {
-                "fmt": "o",
-                "color": AFTER,
-                "ms": 5,
-                "capsize": 3,
-                "label": "after",
-            }
-            identified = body.identified[indices]
-            ax.errorbar(identified, positions, xerr=errors[indices], **bar)
-            ax.set_yticks(positions, PARAMETER_NAMES[indices])
-            ax.set(
-                ylim=(positions[-1] - 0.6, 0.6),
-                xlabel=f"{title} [{PARAMETER_UNITS[start]}]",
-            )
-            ax.margins(x=0.08)
-            ax.locator_params(axis="x", nbins=6)
-            # Any half width serves where all values are zero.
-            half_span = 0.5 * _LEAST_SPAN * float(np.max(np.abs(identified))) or 5e-7
-            low, high = ax.get_xlim()
-            middle = 0.5 * (low + high)
-            if high - low < 2.0 * half_span:
-                ax.set_xlim(middle - half_span, middle + half_span)
-        drawing.draw_legend(canvas, axes[0], 4)
 
-    return draw_figure(name, caption, numbers, height=4.6, draw=draw)
+def _mass_figure(bodies: Sequence[Body]) -> Figure:
+    """Return the figure of the masses of all links, before and after."""
+    names = [body.title for body in bodies]
+    versions: dict[str, Array] = {}
+    for key in dict.fromkeys(key for body in bodies for key in body.thetas):
+        masses_of_key = [
+            body.thetas[key][0] if key in body.thetas else np.nan for body in bodies
+        ]
+        versions[key] = np.array(masses_of_key)
+    errors = np.array([body.errors[0] for body in bodies])
+    panel = Panel(_version_marks(versions, errors), "mass [kg]", row_names=names)
+    height = 50.0 + 26.0 * len(bodies)
+    return Figure("masses", "Mass of each link.", draw([[panel]], height))
+
+
+def _version_marks(versions: Mapping[str, Array], errors: Array) -> list[Points]:
+    """Return markers of all versions of m values, one row each, the identified one with errors.
+
+    Args:
+        versions: version, see ``Body.thetas``, to its values (m,).
+        errors: (m,) standard errors of the identified values; NaN where they are not known.
+    """
+    rows = -np.arange(len(errors), dtype=float)
+    marks = []
+    for version, (shift, colour, shape) in _MARKS.items():
+        if version in versions:
+            values = versions[version]
+            marks.append(Points(values, rows + shift, colour, version, shape))
+    known = np.where(np.isfinite(errors), errors, 0.0)
+    identified = versions["after"]
+    bars = Points(identified, rows, "after", "after ±", "circle", known, is_filled=True)
+    return [*marks, bars]
 
 
 def _budget_figure(body: Body, name: str) -> Figure:
@@ -170,53 +237,37 @@ def _budget_figure(body: Body, name: str) -> Figure:
         body: a body with an error budget.
         name: name of the figure's files without suffix, unique on the page.
     """
-    causes = list(body.budget)
-    errors = np.array(list(body.budget.values()))
-    # Variances (causes, 10); zero where an error is not known.
-    squares = np.square(np.nan_to_num(errors))
-    squares[:, ~np.isfinite(body.errors)] = 0.0
-    total = np.sum(squares, axis=0)
-    shares = np.divide(squares, total, out=np.zeros_like(squares), where=total > 0.0)
+    shares = _variance_shares(body)
     # Each of the largest causes has its own colour; all others share the last one.
-    n_drawn = len(drawing.SERIES) - 1
-    largest = np.argsort(-np.sum(shares, axis=1), kind="stable")[:n_drawn]
-    drawn_shares = {causes[k]: shares[k] for k in sorted(largest.tolist())}
-    drawn_shares["all others"] = np.sum(np.delete(shares, largest, axis=0), axis=0)
-    rows = []
-    for k, label in enumerate(PARAMETER_NAMES):
-        percentages = map(percent, shares[:, k].tolist())
-        rows.append((label, drawing.plus_minus(body.errors[k]), *percentages))
+    largest = sorted(shares, key=lambda cause: -np.sum(shares[cause]))[
+        : len(SERIES) - 1
+    ]
+    drawn = {cause: share for cause, share in shares.items() if cause in largest}
+    others = [share for cause, share in shares.items() if cause not in largest]
+    drawn["all others"] = np.sum([np.zeros(10), *others], axis=0)
+    rows = -np.arange(10.0)
+    left = np.zeros(10)
+    marks = []
+    for (cause, share), colour in zip(drawn.items(), SERIES):
+        right = left + 100.0 * share
+        # White lines between the boxes separate them without colours, too.
+        marks.append(Boxes(left, right - 0.3, rows - 0.38, rows + 0.38, colour, cause))
+        left = right
     caption = (
-        f"{body.title}: what each parameter's error is made of, in shares of its variance. Where "
-        "noise is small, a longer recording does not help."
+        f"{body.title}: what each parameter's error comes from. Where noise is small, a longer "
+        "recording does not help."
     )
-
-    def draw(canvas: Any) -> None:
-        """Draw one bar of stacked shares per parameter on an empty matplotlib figure."""
-        ax = canvas.subplots()
-        left = np.zeros(10)
-        positions = -np.arange(10.0)
-        for (cause, share), (colour, _), hatch in zip(
-            drawn_shares.items(), drawing.SERIES, drawing.HATCHES
-        ):
-            style = {
-                "facecolor": colour,
-                "edgecolor": drawing.INK,
-                "alpha": 0.75,
-                "hatch": hatch,
-            }
-            ax.barh(positions, 100.0 * share, left=left, label=cause, **style)
-            left = left + 100.0 * share
-        ax.set_yticks(positions, PARAMETER_NAMES)
-        ax.set(xlabel="share of the error's variance [%]", xlim=(0.0, 100.0))
-        drawing.draw_legend(canvas, ax, 2)
-
-    numbers = ("parameter", "± standard error", *causes), rows
-    return draw_figure(name, caption, numbers, height=4.6, draw=draw)
+    panel = Panel(
+        marks,
+        "share of the error's variance [%]",
+        row_names=PARAMETER_NAMES,
+        x_range=(0.0, 100.0),
+    )
+    return Figure(name, caption, draw([[panel]], height=330.0))
 
 
 def visibility(run: Run) -> Section:
-    """Return the section on which parameters come from the data and which from the model.
+    """Return the section on which parameters are identifiable from the data.
 
     Its tables are the source of each parameter of the first body, the base parameters and the
     estimated sensor errors, as far as there are any.
@@ -226,38 +277,44 @@ def visibility(run: Run) -> Section:
     source_rows = []
     for k, name in enumerate(PARAMETER_NAMES):
         source = _source(body, k, run.is_payload)
-        error_text = drawing.plus_minus(body.errors[k])
+        error_text = plus_minus(body.errors[k])
         source_rows.append((name, source, percent(body.share[k]), error_text))
-    tables = [table((body.title, "comes from", "data", "±"), source_rows)]
+    tables = [table((body.title, "source", "share of the data", "±"), source_rows)]
     sentences = []
     base = content["base_parameters"]
     sensors = content["sensors"]
     if base:
         sentences.append(
-            f"The torques show {len(base)} combinations of the links' parameters; any motion of "
-            f"this arm could show {content['structural_rank'] or 'as many'}. Numbers of a "
-            "single link beyond these combinations lean on the model."
+            f"Base parameters: {len(base)} combinations of the links' parameters are identifiable "
+            f"from these torques, of {content['structural_rank'] or 'as many'} that any motion of "
+            "this arm could show. A parameter of a single link that is no base parameter depends "
+            "on the model, too."
         )
-        header = ("combination", "value", "± standard error", "essential")
+        header = ("base parameter, in SI units", "value", "±", "essential")
         base_rows = []
         for base_parameter in base:
             # The keys of each object are written in the order of the table's columns.
             combination, value, error, is_essential = base_parameter.values()
-            value_cells = drawing.cells(number(value), number(error))
+            value_cells = cells(number(value), number(error))
             base_rows.append((combination, *value_cells, _YES_OR_NO[is_essential]))
         tables.append(table(header, base_rows))
     if sensors:
         sensor_rows = zip(sensors, itertools.starmap(with_error, sensors.values()))
-        tables.append(table(("sensor", "found beside them"), sensor_rows))
+        tables.append(
+            table(
+                ("sensor error or nuisance parameter, in SI units", "estimate"),
+                sensor_rows,
+            )
+        )
     hidden = list(content["unidentifiable_combinations"])
     if not run.is_fully_known:
-        hidden.insert(0, "the payload's inertia (its ± does not tell it from zero)")
+        hidden.insert(0, "the payload's inertia (it is smaller than its ±)")
         sentences.append(NOT_KNOWN)
-    every = "All parameters that were asked for show in these torques."
-    sentences.append(
-        f"These torques do not show: {'; '.join(hidden)}." if hidden else every
-    )
-    return Section("visible", "Identified, kept, not visible", sentences, tables)
+    if hidden:
+        sentences.append(f"Not identifiable from these torques: {'; '.join(hidden)}.")
+    else:
+        sentences.append("All parameters that were asked for are identifiable.")
+    return Section("visible", "Identifiability", sentences, tables)
 
 
 def _source(body: Body, k: int, is_payload: bool) -> str:
@@ -269,9 +326,9 @@ def _source(body: Body, k: int, is_payload: bool) -> str:
         is_payload: whether the body is a payload, of which no model exists.
     """
     if body.is_from_model[k]:
-        return "not known" if is_payload else "the model (not visible)"
+        return "not known" if is_payload else "the model: not identifiable"
     if np.isfinite(body.share[k]) and body.share[k] < PRIOR_SHARE:
-        return "more model than data"
+        return "more prior than data"
     return (
         "the data"
         if np.isfinite(body.errors[k]) or not body.budget
@@ -326,9 +383,9 @@ def scatter(run: Run) -> Section | None:
         mass, noise, error = map(
             number, itemgetter("mass", "noise_error", "error")(recording)
         )
-        pair = drawing.cells(mass, noise)
+        pair = cells(mass, noise)
         side = "loaded" if recording["is_loaded"] else "empty"
-        rows.append((recording["name"], side, *pair, drawing.plus_minus(error)))
+        rows.append((recording["name"], side, *pair, plus_minus(error)))
     explanation = (
         "Mass of the payload according to each recording against all of the other kind. If one "
         "recording says something else than the others, it was made with another payload, or "
@@ -394,11 +451,6 @@ def _ellipsoid_section(robot: RobotModel, bodies: Bodies) -> Section:
         robot: the arm, drawn in its reference posture.
         bodies: pairs (MuJoCo id, body) to draw, one of them at the last link.
     """
-    from matplotlib.image import imsave
-
-    # matplotlib's version would make equal pictures differ.
-    metadata: Any = {"Software": None}
-    numbers = masses([body for _, body in bodies])
     figures = []
     last = [body_pair for body_pair in bodies if body_pair[0] == robot.body_id]
     _, last_body = last[0]
@@ -422,12 +474,8 @@ def _ellipsoid_section(robot: RobotModel, bodies: Bodies) -> Section:
             studio.make_transparent(0.35)
             impossible.update(dict.fromkeys(_add_ellipsoids(studio, drawn_bodies)))
             caption = f"Ellipsoids of inertia on {subject}, in its reference posture."
-            pixels = np.ascontiguousarray(studio.render())
-            buffer = io.BytesIO()
-            imsave(buffer, pixels, format="png", metadata=metadata)
-            figures.append(
-                Figure(f"inertia-{name}", caption, numbers, png=buffer.getvalue())
-            )
+            pixels = png_bytes(studio.render())
+            figures.append(Figure(f"inertia-{name}", caption, png=pixels))
     explanation = (
         "Each ellipsoid is the homogeneous body with the mass and inertia of a link; its dot is "
         "the centre of mass. Orange: before. Blue: after."

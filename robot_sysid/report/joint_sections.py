@@ -7,6 +7,7 @@ instants and n joints, its statistics (n, ...). ``Run.content`` is the content o
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -15,15 +16,16 @@ import numpy as np
 
 from robot_sysid.records import Array, Validation
 from robot_sysid.records.messages import (
+    number_text,
     percent,
     position_unit,
     term_unit,
     torque_unit,
     with_error,
 )
-from robot_sysid.report import drawing
-from robot_sysid.report.drawing import Curves, Figure, Panel, Section, Table
+from robot_sysid.report.drawing import Boxes, Line, Panel, Points, draw
 from robot_sysid.report.runs import LONGEST_LAG, Friction, ReportData, Run, number
+from robot_sysid.report.sections import Figure, Section, Table, table, text
 
 _NEAR = 0.5
 """Largest distance of a limit from the recorded values at which it is drawn, as a share of the
@@ -31,21 +33,26 @@ range of these values."""
 
 
 def torques(run: Run) -> Section | None:
-    """Return the section with measured and predicted torque and residual of each joint.
+    """Return the section with measured and predicted torque and residuals of each joint.
 
-    None if the run has no data to draw.
+    Its table has their root mean squares. None if the run has no data to draw.
     """
     reference = "the arm without the payload" if run.is_payload else "the model before"
     explanation = (
-        f"Grey: measured. Blue: predicted by the result. Orange, dashed: predicted by {reference}. "
-        "Below: measured minus predicted by the result. Gaps are samples that were not used, "
-        "mostly because the joint hardly moved."
+        f"Before: predicted by {reference}. After: predicted by the result. The residual is "
+        "measured minus predicted. Gaps are samples that were not used, mostly because a joint "
+        "hardly moved."
     )
     if run.data is not None and run.data.thinning_text:
         explanation += f" Long recording: {run.data.thinning_text}."
-    title = "Measured and predicted torque"
-    figure_of_joint = partial(_torque_figure, reference=reference)
-    return _section_by_joint(run, "torques", title, explanation, figure_of_joint)
+    return _section_by_joint(
+        run,
+        "torques",
+        "Torque and residual of each joint, before and after",
+        explanation,
+        torque_figure,
+        _residual_table,
+    )
 
 
 def _section_by_joint(
@@ -74,73 +81,79 @@ def _section_by_joint(
     return Section(key, title, (explanation,), tables, figures)
 
 
-def _torque_figure(data: ReportData, joint: int, reference: str) -> Figure:
-    """Return the figure of a joint's measured torque, predicted torque and residual over time.
+def torque_figure(data: ReportData, joint: int, name: str = "torque-{}") -> Figure:
+    """Return the figure of a joint's torque, measured and predicted, above both residuals.
 
     Args:
         data: signals to draw.
         joint: index of the joint, from the base.
-        reference: name of the model that made the prior prediction, for the caption.
+        name: name of the figure's files, with {} for the index of the joint.
     """
     unit = torque_unit(data.is_slide[joint])
-    name = data.joints[joint]
     measured = data.measured[:, joint]
-    residual = measured - data.predicted[:, joint]
-    residual_rms = _rms(residual)
-    measured_rms = _rms(measured)
-    prior_rms = _rms(measured - data.prior_prediction[:, joint])
+    prior = data.prior_prediction[:, joint]
+    predicted = data.predicted[:, joint]
+    rms_texts = [
+        f"{_rms(x):.3g} {unit}" for x in (measured - prior, measured - predicted)
+    ]
     caption = (
-        f"{name}: measured torque, predicted after and before, and the residual [{unit}]; "
-        f"root mean square {residual_rms:.3g} {unit} of {measured_rms:.3g} {unit} "
-        f"({reference} leaves {prior_rms:.3g} {unit})."
+        f"{data.joints[joint]}: residual {rms_texts[0]} before, {rms_texts[1]} after (root mean "
+        f"square), of a torque of {_rms(measured):.3g} {unit}."
     )
-    residual_curve: Curves = {
-        f"residual [{unit}]": (residual, {"color": drawing.INK, "lw": 0.7})
-    }
+    torque_lines = (
+        Line(data.time, measured, "measured", "measured", width=3.2),
+        Line(data.time, prior, "before", "before", dash="5 3"),
+        Line(data.time, predicted, "after", "after"),
+    )
+    residual_lines = (
+        Line(data.time, measured - prior, "before", dash="5 3"),
+        Line(data.time, measured - predicted, "after"),
+    )
     panels = (
-        Panel(f"torque [{unit}]", _torque_curves(data, joint), height=2.5),
-        Panel(f"residual [{unit}]", residual_curve),
+        [Panel(torque_lines, y_label=f"torque [{unit}]", height=1.5)],
+        [Panel(residual_lines, "time [s]", f"residual [{unit}]")],
     )
-    across = ("time [s]", data.time)
-    return drawing.curves_figure(f"torque-{joint}", caption, across, panels, height=3.6)
+    return Figure(name.format(joint), caption, draw(panels, height=300.0))
 
 
 def most_changed(run: Run) -> Figure:
-    """Return the figure of measured and predicted torque of the joint that changed most.
+    """Return the figure of the joint whose root mean square residual has changed most.
 
-    That is the joint whose root mean square prediction error differs most between the prior
-    prediction and the result. The run must have data to draw.
+    The run must have data to draw.
     """
     data = run.data
     assert data is not None
-    prior_residual = data.measured - data.prior_prediction
-    residual = data.measured - data.predicted
-    prior_rmses = np.array(list(map(_rms, prior_residual.T)))
-    rmses = np.array(list(map(_rms, residual.T)))
+    prior_rmses = np.array(list(map(_rms, (data.measured - data.prior_prediction).T)))
+    rmses = np.array(list(map(_rms, (data.measured - data.predicted).T)))
     joint = int(np.argmax(np.nan_to_num(np.abs(prior_rmses - rmses))))
-    name = data.joints[joint]
-    unit = torque_unit(data.is_slide[joint])
-    prior_rms = prior_rmses[joint]
-    residual_rms = rmses[joint]
-    caption = (
-        f"Torque of {name}, measured and predicted before and after: the prediction was off by "
-        f"{prior_rms:.3g} {unit}, and is by {residual_rms:.3g} {unit} (root mean square)."
+    return torque_figure(data, joint, "before-after")
+
+
+def _residual_table(data: ReportData) -> Table:
+    """Return the table of root mean square torque and residuals of each joint."""
+    rows = []
+    for joint, name in enumerate(data.joints):
+        measured = data.measured[:, joint]
+        prior_residual = measured - data.prior_prediction[:, joint]
+        residual = measured - data.predicted[:, joint]
+        row = [f"{name} [{torque_unit(data.is_slide[joint])}]"]
+        row += [f"{_rms(x):.3g}" for x in (measured, prior_residual, residual)]
+        # A tenth of what remains is the last digit that matters.
+        row += [text(_mean(x), 0.1 * _rms(x)) for x in (prior_residual, residual)]
+        rows.append(row)
+    header = (
+        "root mean square",
+        "torque",
+        "residual before",
+        "residual after",
+        "its mean before",
+        "its mean after",
     )
-    panel = Panel(f"torque [{unit}]", _torque_curves(data, joint))
-    across = ("time [s]", data.time)
-    return drawing.curves_figure("before-after", caption, across, (panel,), height=3.0)
-
-
-def _torque_curves(data: ReportData, joint: int) -> Curves:
-    """Return curves of a joint's torque: measured, predicted by the prior and by the result."""
-    unit = torque_unit(data.is_slide[joint])
-    measured_style = {"color": drawing.MEASURED, "lw": 2.2, "alpha": 0.8}
-    prior_style = {"color": drawing.BEFORE, "ls": "--", "lw": 0.9}
-    return {
-        f"measured [{unit}]": (data.measured[:, joint], measured_style),
-        f"before [{unit}]": (data.prior_prediction[:, joint], prior_style),
-        f"after [{unit}]": (data.predicted[:, joint], {"color": drawing.AFTER}),
-    }
+    note = (
+        "The torque error of the verdict is that of motion that was not fitted, without each "
+        "joint's mean residual, which the offset of a torque sensor would explain."
+    )
+    return table(header, rows, note)
 
 
 def _rms(values: Array) -> float:
@@ -149,90 +162,66 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
 
 
+def _mean(values: Array) -> float:
+    """Return the mean of all finite numbers in values (K,); NaN if none is finite."""
+    finite = values[np.isfinite(values)]
+    return float(np.mean(finite)) if len(finite) else float("nan")
+
+
 def residuals(run: Run) -> Section | None:
-    """Return the section with each joint's residuals against speed, histogram and autocorrelation.
+    """Return the section with the histogram and the autocorrelation of each joint's residual.
 
     None if the run has no data to draw.
     """
     explanation = (
-        "If only sensor noise is left over, the residual does not depend on speed, its histogram "
-        "is the bell curve of the same width, and its autocorrelation stays within the grey band "
-        "from the first lag on. A slope against speed is friction that the model does not have; a "
-        "long tail in the autocorrelation means that the model, not noise, limits the result."
+        "If only sensor noise is left, the histogram follows the normal distribution of the same "
+        "width, and the autocorrelation stays within the grey band from the first lag on. A long "
+        "tail of the autocorrelation means that the model, not noise, limits the result."
     )
-    title = "What is left over"
+    title = "Residual: noise or model error?"
     return _section_by_joint(run, "residuals", title, explanation, _residual_figure)
 
 
 def _residual_figure(data: ReportData, joint: int) -> Figure:
-    """Return the figure of a joint's residual: against speed, histogram and autocorrelation."""
-    residual_label = f"residual [{torque_unit(data.is_slide[joint])}]"
-    speed_label = f"speed [{position_unit(data.is_slide[joint])}/s]"
-    has_samples = np.isfinite(data.speed[joint])
-    speeds = data.speed[joint, has_samples]
-    mean = data.residual_mean[joint, has_samples]
-    spread = data.residual_spread[joint, has_samples]
-    noise_bound = data.independent[joint]
-    correlation = data.correlation[joint]
-    is_beyond = np.abs(correlation[1:]) > noise_bound
-    share = f"{100.0 * np.mean(is_beyond):.0f} %" if len(is_beyond) else "none"
-    caption = (
-        f"{data.joints[joint]}: residual against speed (dots, with mean and spread), histogram "
-        f"with the bell curve of its width, and autocorrelation up to {LONGEST_LAG:g} s; {share} "
-        "of the lags are outside the band of noise without memory."
-    )
-
-    def draw(canvas: Any) -> None:
-        """Draw the three panels on an empty matplotlib figure."""
-        grid = canvas.add_gridspec(2, 2)
-
-        speed_axes = canvas.add_subplot(
-            grid[0, :], xlabel=speed_label, ylabel=residual_label
-        )
-        residual = (data.measured - data.predicted)[:, joint]
-        drawing.draw_dots(speed_axes, data.qd[:, joint], residual)
-        speed_axes.errorbar(
-            speeds, mean, spread, color=drawing.AFTER, fmt="o-", ms=3, lw=1.0, capsize=2
-        )
-
-        histogram_axes = canvas.add_subplot(
-            grid[1, 0], xlabel=residual_label, ylabel="samples"
-        )
-        _draw_histogram(histogram_axes, data.edges[joint], data.counts[joint])
-
-        lag_axes = canvas.add_subplot(
-            grid[1, 1], xlabel="lag [s]", ylabel="autocorrelation"
-        )
-        lag_axes.axhspan(
-            -noise_bound, noise_bound, color=drawing.MEASURED, alpha=0.35, lw=0
-        )
-        lag_axes.plot(data.lags, correlation, color=drawing.AFTER, marker=".", ms=3)
-        lag_axes.set_ylim(min(-0.3, float(np.min(correlation)) - 0.05), 1.05)
-
-    numbers = (
-        (speed_label, f"mean {residual_label}", f"spread of the {residual_label}"),
-        zip(speeds, mean, spread),
-    )
-    return drawing.draw_figure(
-        f"residual-{joint}", caption, numbers, height=3.9, draw=draw
-    )
-
-
-def _draw_histogram(ax: Any, edges: Array, counts: Array) -> None:
-    """Draw a histogram and the normal distribution of zero mean and equal root mean square.
-
-    Args:
-        ax: matplotlib axes to draw on.
-        edges: (B + 1,) edges of the bins, evenly spaced.
-        counts: (B,) number of samples in each bin.
-    """
-    total = max(float(np.sum(counts)), 1.0)
-    ax.stairs(counts, edges, fill=True, color=drawing.MEASURED, alpha=0.6)
+    """Return the figure of the histogram and the autocorrelation of a joint's residual."""
+    edges = data.edges[joint]
+    counts = data.counts[joint]
     middles = 0.5 * (edges[1:] + edges[:-1])
-    width = float(edges[1] - edges[0])
-    spread = float(np.sqrt(np.sum(counts * middles**2) / total)) or 1.0
-    bell = np.exp(-0.5 * (middles / spread) ** 2) / (spread * np.sqrt(2.0 * np.pi))
-    ax.plot(middles, total * width * bell, color=drawing.AFTER)
+    spread = float(np.sqrt(np.sum(counts * middles**2) / max(np.sum(counts), 1.0)))
+    spread = spread or 1.0
+    height = np.sum(counts) * (edges[1] - edges[0]) / (spread * np.sqrt(2.0 * np.pi))
+    normal = height * np.exp(-0.5 * (middles / spread) ** 2)
+    unit = torque_unit(data.is_slide[joint])
+    histogram = Panel(
+        (
+            Boxes(edges[:-1], edges[1:], 0.0 * counts, counts, "measured", opacity=0.6),
+            Line(middles, normal, "after", "normal distribution"),
+        ),
+        f"residual [{unit}]",
+        "samples",
+    )
+    bound = float(data.independent[joint])
+    correlation = data.correlation[joint]
+    band = Boxes(
+        data.lags[:1],
+        data.lags[-1:],
+        np.array([-bound]),
+        np.array([bound]),
+        "measured",
+        opacity=0.35,
+    )
+    lag_panel = Panel(
+        (band, Line(data.lags, correlation, "after")), "lag [s]", "autocorrelation"
+    )
+    share = (
+        float(np.mean(np.abs(correlation[1:]) > bound)) if len(data.lags) > 1 else 0.0
+    )
+    caption = (
+        f"{data.joints[joint]}: the autocorrelation leaves the band of white noise in "
+        f"{100.0 * share:.0f} % of the lags up to {LONGEST_LAG:g} s; white noise does in 5 %."
+    )
+    drawing = draw([[histogram, lag_panel]], height=170.0)
+    return Figure(f"residual-{joint}", caption, drawing)
 
 
 def friction(run: Run) -> Section:
@@ -255,9 +244,9 @@ def friction(run: Run) -> Section:
         if coefficients:
             tables.append(_coefficient_table(title, coefficients, slides))
     explanation = (
-        "Dots: what is left of the measured torque when all but friction is taken off. Circles: "
-        "their mean in bins of speed. Blue: the identified friction in the same bins, with all its "
-        f"terms ({run.content['friction_model'] or 'as listed'})."
+        "Samples: measured torque without the predicted torque of the links and rotors. Line: the "
+        f"identified friction with all its terms ({run.content['friction_model'] or 'as listed'}). "
+        "Distance of the means from the line: friction that these terms do not describe."
     )
     if not tables or data is None:
         explanation = (
@@ -289,18 +278,30 @@ def _coefficient_table(
     for owner, terms in coefficients.items():
         row = [owner]
         for term in all_terms:
-            row.append(with_error(*terms[term]) if term in terms else "–")
+            row.append(_estimate_text(*terms[term]) if term in terms else "–")
         rows.append(row)
-    note = ""
+    notes = []
+    if any("(held)" in cell for row in rows for cell in row):
+        notes.append(
+            "held: kept at its bound or at the model's value, without an estimate."
+        )
     if has_slide and not all(slides.values()):
-        note = "Units are those of slides; of hinges N·m for N and rad for m."
-    return drawing.table(header, rows, note)
+        notes.append("Units are those of slides; of hinges N·m for N and rad for m.")
+    return table(header, rows, " ".join(notes))
+
+
+def _estimate_text(value: float, error: float) -> str:
+    """Return a number with its standard error; NaN stands for a number that was not estimated."""
+    return (
+        f"{number_text(value)} (held)"
+        if math.isnan(error)
+        else with_error(value, error)
+    )
 
 
 def _friction_figure(data: ReportData, joint: int) -> Figure:
     """Return the figure of a joint's friction torque, measured and identified, against speed."""
     unit = torque_unit(data.is_slide[joint])
-    speed_label = f"speed [{position_unit(data.is_slide[joint])}/s]"
     # Bins of speed with too few samples are NaN.
     has_samples = np.isfinite(data.speed[joint])
     columns = (data.speed, data.friction_measured, data.friction_predicted)
@@ -309,23 +310,15 @@ def _friction_figure(data: ReportData, joint: int) -> Figure:
     # of positive speed keeps the curve from crossing the jump.
     n_negative = np.count_nonzero(bins[0] < 0.0)
     speeds, measured, identified = np.insert(bins, n_negative, np.nan, axis=1)
-    caption = f"{data.joints[joint]}: friction torque [{unit}] against {speed_label}."
-    lines: Curves = {
-        f"measured [{unit}]": (
-            measured,
-            {"ls": "none", "marker": "o", "mfc": "none", "mec": drawing.BEFORE},
-        ),
-        f"identified [{unit}]": (identified, {"color": drawing.AFTER, "lw": 1.8}),
-    }
-    cloud = (
-        data.qd[:, joint],
-        (data.friction + data.measured - data.predicted)[:, joint],
+    samples = (data.friction + data.measured - data.predicted)[:, joint]
+    marks = (
+        Points(data.qd[:, joint], samples, "measured", "samples"),
+        Points(speeds, measured, "ink", "mean of the samples", "circle"),
+        Line(speeds, identified, "after", "identified", width=2.2),
     )
-    panel = Panel(f"friction [{unit}]", lines, cloud=cloud)
-    across = (speed_label, speeds)
-    return drawing.curves_figure(
-        f"friction-{joint}", caption, across, (panel,), height=3.0
-    )
+    speed_label = f"speed [{position_unit(data.is_slide[joint])}/s]"
+    drawing = draw([[Panel(marks, speed_label, f"friction [{unit}]")]], height=220.0)
+    return Figure(f"friction-{joint}", f"Friction of {data.joints[joint]}.", drawing)
 
 
 def excitation(run: Run) -> Section | None:
@@ -334,12 +327,13 @@ def excitation(run: Run) -> Section | None:
     None if the run has no data to draw.
     """
     explanation = (
-        "A motion that uses little of its limits tells little: the larger and faster it is, the "
-        "smaller the errors. Speed limits are those that a motion of this program keeps, where the "
-        "model has none of its own."
+        "Speed against position of each joint, as recorded; dashed: limits, where they are near. "
+        "The larger and faster the motion, the smaller the errors. Where the model has no limit of "
+        "speed, it is that of the motions that robot-sysid plans."
     )
+    title = "Motion and its limits"
     return _section_by_joint(
-        run, "excitation", "Excitation", explanation, _motion_figure, _limit_table
+        run, "excitation", title, explanation, _motion_figure, _limit_table
     )
 
 
@@ -361,52 +355,52 @@ def _limit_table(data: ReportData) -> Table:
         header.append(f"{title} [% of limit]")
         columns.append([f"{s:.0f}" if s > 0.0 else "no limit" for s in shares])
     note = "Over 100 % the recording went beyond what the model allows."
-    return drawing.table(header, zip(*columns), note)
+    return table(header, zip(*columns), note)
 
 
 def _motion_figure(data: ReportData, joint: int) -> Figure:
-    """Return the figure of a joint's position and speed over time, with limits that are near."""
+    """Return the figure of a joint's speed against its position, with limits that are near."""
     unit = position_unit(data.is_slide[joint])
+    q = data.q[:, joint]
+    qd = data.qd[:, joint]
     low = float(data.lower[joint])
     high = float(data.upper[joint])
-    fast = float(data.velocity[joint])
-    limits = (
-        f"{low:.3g} to {high:.3g} {unit}"
-        if np.isfinite(high - low)
-        else "no position limit"
-    )
-    caption = (
-        f"{data.joints[joint]}: position [{unit}] and speed [{unit}/s] as recorded; limits "
-        f"(dashed where near): {limits}, ± {fast:.3g} {unit}/s."
-    )
-    panels = []
-    for label, values, colour, limit_pair in (
-        (f"position [{unit}]", data.q[:, joint], drawing.AFTER, (low, high)),
-        (f"speed [{unit}/s]", data.qd[:, joint], drawing.MEASURED, (-fast, fast)),
-    ):
-        margin = _NEAR * np.ptp(values)
-        lowest_drawn = np.min(values) - margin
-        highest_drawn = np.max(values) + margin
-        drawn_limits = [x for x in limit_pair if lowest_drawn <= x <= highest_drawn]
-        panels.append(Panel(label, {label: (values, {"color": colour})}, drawn_limits))
-    across = ("time [s]", data.time)
-    return drawing.curves_figure(f"motion-{joint}", caption, across, panels, height=3.0)
+    fastest = float(data.velocity[joint])
+    marks = [Line(q, qd, "after", width=1.0)]
+    q_ends = np.array([np.min(q), np.max(q)])
+    qd_ends = np.array([np.min(qd), np.max(qd)])
+    for limit in (low, high):
+        if np.min(np.abs(limit - q_ends)) <= _NEAR * np.ptp(q_ends):
+            marks.append(Line(np.full(2, limit), qd_ends, "other", dash="5 3"))
+    for limit in (-fastest, fastest):
+        if np.min(np.abs(limit - qd_ends)) <= _NEAR * np.ptp(qd_ends):
+            marks.append(Line(q_ends, np.full(2, limit), "other", dash="5 3"))
+    position_limits = "no limit of position"
+    if np.isfinite(high - low):
+        position_limits = f"positions from {low:.3g} to {high:.3g} {unit}"
+    caption = f"{data.joints[joint]}; limits: {position_limits}, speed {fastest:.3g} {unit}/s."
+    panel = Panel(marks, f"position [{unit}]", f"speed [{unit}/s]")
+    return Figure(f"motion-{joint}", caption, draw([[panel]], height=200.0))
 
 
-FITTED = "fitted"
-"""Description of the errors on the data that the result was fitted to."""
+FITTED = "the fitted logs"
+"""Description of the data that the result was fitted to."""
+_MAX_SERIES = 6
+"""Largest number of error sets in the figure; more bars per joint are too thin."""
 
 
 class ErrorSet(NamedTuple):
     """Torque prediction errors of one model on one set of data.
 
     Attributes:
-        description: which model on which data, as "written model: LOG"; ``FITTED`` for the fit.
+        model: which model, such as "written model".
+        data: description of the data; ``FITTED`` for what was fitted.
         test: the errors, over all joints and per joint [N m or N].
         colour: colour of their bars in the figure.
     """
 
-    description: str
+    model: str
+    data: str
     test: Validation
     colour: str
 
@@ -422,48 +416,66 @@ def errors(run: Run) -> Section:
         return Section(
             "errors", title, missing=("the result file holds no errors per joint",)
         )
-    caption = (
-        "Root mean square error of the predicted torque of each joint [N·m, N for slides]: of the "
-        "fit itself on what was fitted and what was not, and of the model and the written one, as "
-        "files, on what was not."
+    sentences = [
+        "The fit has all that was identified; the written model has what its file can hold, "
+        "without sensor offsets, for one. Errors are root mean squares of the residual."
+    ]
+    if all(error_set.data == FITTED for error_set in sets):
+        sentences.append("Nothing was held out: other motion may be predicted worse.")
+    tables = (total_errors(sets), _errors_by_joint(sets))
+    figures = (_error_figure(sets[:_MAX_SERIES]),)
+    return Section("errors", title, sentences, tables, figures)
+
+
+def _error_figure(sets: Sequence[ErrorSet]) -> Figure:
+    """Return the bar chart of each joint's error, one bar per set of errors."""
+    joints = list(sets[0].test.rmse_per_joint)
+    rows = -np.arange(len(joints), dtype=float)
+    width = 0.8 / len(sets)
+    marks = []
+    for index, (model, data, test, colour) in enumerate(sets):
+        lengths = np.array([number(test.rmse_per_joint.get(joint)) for joint in joints])
+        lengths = np.nan_to_num(lengths)
+        top = rows + 0.4 - width * index
+        label = f"{model}: {data}"
+        opacity = 0.9 if index < 3 else 0.55
+        marks.append(
+            Boxes(
+                0.0 * lengths, lengths, top - 0.9 * width, top, colour, label, opacity
+            )
+        )
+    largest = max(float(np.max(mark.right)) for mark in marks)
+    panel = Panel(
+        marks,
+        "error [N·m, N of slides]",
+        row_names=joints,
+        x_range=(0.0, 1.05 * largest or 1.0),
     )
-    if len(sets) > len(drawing.HATCHES):
-        caption += f" The figure shows the first {len(drawing.HATCHES)} of {len(sets)}."
-    header, rows = error_numbers(sets)
-    # The first three columns are no joints.
-    series = []
-    for row, error_set in zip(rows[: len(drawing.HATCHES)], sets):
-        series.append((error_set.description, row[3:], error_set.colour))
-    joints = [name.rpartition(" [")[0] for name in header[3:]]
-    draw = partial(drawing.draw_bars, groups=joints, series=series, label="error [N·m]")
-    height = 1.2 + 0.2 * len(series) + 0.12 * len(series) * len(joints)
-    figures = (drawing.draw_figure("errors", caption, (header, rows), height, draw),)
-    sentences: tuple[str, ...] = ()
-    if all(error_set.description == FITTED for error_set in sets):
-        sentences = ("Nothing was held out: other motion may be predicted worse.",)
-    return Section("errors", title, sentences, figures=figures)
+    height = 50.0 + len(joints) * max(20.0, 9.0 * len(sets))
+    return Figure("errors", "Error of each joint's torque.", draw([[panel]], height))
 
 
-def error_numbers(
-    sets: Sequence[ErrorSet],
-) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
-    """Return header and rows of a table of prediction errors, one row per set of errors.
+def total_errors(sets: Sequence[ErrorSet], title: str = "") -> Table:
+    """Return the table of errors over all joints, one row per set of errors."""
+    rows = []
+    for model, data, test, _ in sets:
+        share = "–" if test.relative_error is None else percent(test.relative_error)
+        rows.append((data, model, number(test.rmse), share))
+    header = ("data", "model", "all joints [N·m]", "of the torque")
+    return table(header, rows, title=title)
 
-    The columns are: description of the data, root mean square error of all joints [N m], its share
-    of the torque, then the root mean square error of each joint [N m or N], NaN where a set has
-    none.
-    """
+
+def _errors_by_joint(sets: Sequence[ErrorSet]) -> Table:
+    """Return the table of errors by joint, one column per set of errors."""
     joints: dict[str, None] = {}
     for error_set in sets:
         joints.update(dict.fromkeys(error_set.test.rmse_per_joint))
-    joint_titles = map("{} [N·m or N]".format, joints)
-    header = ("data", "all joints [N·m]", "of the torque", *joint_titles)
-    rows: list[tuple[Any, ...]] = []
-    for description, test, _ in sets:
-        share = "–" if test.relative_error is None else percent(test.relative_error)
-        joint_errors = map(number, map(test.rmse_per_joint.get, joints))
-        rows.append((description, number(test.rmse), share, *joint_errors))
-    return header, rows
+    header = ["joint [N·m or N]"]
+    columns: list[Sequence[Any]] = [list(joints)]
+    for model, data, test, _ in sets:
+        header.append(f"{model}: {data}")
+        columns.append([number(test.rmse_per_joint.get(joint)) for joint in joints])
+    return table(header, zip(*columns))
 
 
 def error_sets(run: Run) -> Iterator[ErrorSet]:
@@ -479,19 +491,19 @@ def error_sets(run: Run) -> Iterator[ErrorSet]:
     tests = []
     if content["rmse_per_joint"]:
         fitted = Validation("", 0, content["rmse"], None, content["rmse_per_joint"], {})
-        yield ErrorSet(FITTED, fitted, drawing.MEASURED)
+        yield ErrorSet("fit", FITTED, fitted, "measured")
     for fits, colour, pairs in (
-        (content["validation"][:1], drawing.OTHER, [file]),
-        (content["validation"][1:], drawing.TRUTH, file["others"]),
+        (content["validation"][:1], "other", [file]),
+        (content["validation"][1:], "truth", file["others"]),
     ):
         for test in fits:
             tests.append(("fit", test, colour))
         for pair in pairs:
-            tests.append(("model before", pair.get("before"), drawing.BEFORE))
-            tests.append(("written model", pair.get("after"), drawing.AFTER))
-    for description, test, colour in tests:
+            tests.append(("model before", pair.get("before"), "before"))
+            tests.append(("written model", pair.get("after"), "after"))
+    for model, test, colour in tests:
         if test is not None and test.rmse_per_joint:
-            yield ErrorSet(f"{description}: {test.source}", test, colour)
+            yield ErrorSet(model, test.source, test, colour)
 
 
 def rollout(run: Run) -> Section | None:
@@ -515,13 +527,13 @@ def rollout(run: Run) -> Section | None:
         )
     rows = []
     for test in entry["errors"]:
-        cells = [f"{test['loop']}, {drawing.text(test['horizon'])} s"]
+        cells = [f"{test['loop']}, {text(test['horizon'])} s"]
         for error in (test["overall"], *test["joints"].values()):
-            prior_text = drawing.text(error["before"])
-            cells.append(f"{prior_text} -> {drawing.text(error['after'])}")
+            prior_text = text(error["before"])
+            cells.append(f"{prior_text} -> {text(error['after'])}")
         rows.append(cells)
     joints = entry["errors"][0]["joints"] if rows else ()
-    tables = (drawing.table(("played", "all", *joints), rows),) if rows else ()
+    tables = (table(("played", "all", *joints), rows),) if rows else ()
     return Section(
         "rollout", "Played in the simulator", sentences, tables, (), entry["notes"]
     )

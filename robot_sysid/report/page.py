@@ -7,37 +7,46 @@ itself forbids scripts and anything from elsewhere.
 from __future__ import annotations
 
 import base64
+import datetime
 import re
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
 
-import numpy as np
-
 from robot_sysid import __version__
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.errors import InputError
+from robot_sysid.errors import InputError, SysidError
+from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import format_rmse
 from robot_sysid.records.data import Source, Traces
 from robot_sysid.records.file_access import (
     MODEL_NAMES,
+    PARAMS_NAME,
     atomic_files,
     require_writable,
     write_atomically,
 )
-from robot_sysid.records.messages import PARAMETER_UNITS, Progress, percent, with_error
+from robot_sysid.records.messages import (
+    PARAMETER_UNITS,
+    Progress,
+    number_text,
+    with_error,
+)
 from robot_sysid.report import joint_sections
 from robot_sysid.report.body_sections import (
     card,
+    main_numbers,
     parameters,
     picture,
     scatter,
     visibility,
 )
-from robot_sysid.report.drawing import Figure, Section, inline_svg, png, svg, table
-from robot_sysid.report.joint_sections import error_numbers, error_sets, most_changed
-from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, number, report_data
+from robot_sysid.report.drawing import png, svg
+from robot_sysid.report.joint_sections import error_sets, most_changed, total_errors
+from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, report_data
+from robot_sysid.report.sections import Figure, Section, table
+from robot_sysid.results.record import Verdict
 
 _TEMPLATE = Path(__file__).with_name("template.html")
 """Jinja template of the page."""
@@ -101,7 +110,8 @@ def html(title: str, sections: Sequence[Section]) -> str:
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
-    environment.filters.update(prose=_prose, base64=base64.b64encode, inline=inline_svg)
+    environment.filters.update(prose=_prose, base64=base64.b64encode)
+    environment.globals.update(svg=svg)
     template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
     return template.render(title=title, sections=sections, version=__version__) + "\n"
 
@@ -164,25 +174,26 @@ def write_report(
         InputError: a result file has unexpected content, or a file cannot be written.
     """
     require_writable(destination)
-    about = runs[0].name
+    title = title_of(runs[0])
     name = REPORT_NAME
     if len(runs) > 1:
-        about = f"{len(runs)} runs"
+        title = f"{len(runs)} runs compared: {', '.join(run_by_name(runs))}"
         name = COMPARISON_NAME
     sections = sections_of(runs, mesh_dir, progress)
     written = []
     with atomic_files() as files:
         if page:
-            files.write(destination / name, html(f"robot-sysid: {about}", sections))
+            files.write(destination / name, html(title, sections))
             written.append(destination / name)
         figures: list[Figure] = []
         if plots:
             for section in sections:
                 figures += section.figures
         for figure in figures:
-            content_by_suffix = {".png": png(figure)}
+            content_by_suffix = {".png": figure.png}
             if figure.drawing is not None:
-                content_by_suffix[".svg"] = svg(figure).encode()
+                content_by_suffix[".png"] = png(figure.drawing)
+                content_by_suffix[".svg"] = svg(figure.drawing).encode()
             for suffix, content in content_by_suffix.items():
                 path = destination / PLOTS_NAME / (figure.name + suffix)
                 files.write(path, content)
@@ -190,8 +201,23 @@ def write_report(
     return tuple(written)
 
 
+def title_of(run: Run) -> str:
+    """Return the title of a run's page: the robot, the day of the identification, the logs."""
+    path = Path(run.content["model"]["path"])
+    robot = path.stem
+    try:
+        root = read_document(path).root
+        robot = root.get("model") or root.get("name") or robot
+    except SysidError:
+        # The model is not where it was: its file's name has to do.
+        pass
+    written = (run.folder / PARAMS_NAME).stat().st_mtime
+    day = datetime.date.fromtimestamp(written).isoformat()
+    return f"{robot}, {day}: {run.log_names}"
+
+
 def verdict(run: Run) -> Section:
-    """Return the first section of a run's page: verdict, torque error, and what limits the result.
+    """Return the first section of a run's page: verdict, main numbers, one torque, what limits it.
 
     The sentences are those of the console. A figure shows the joint torque whose prediction changed
     most, unless the data are a simulation of the model itself, or cannot be read.
@@ -199,75 +225,43 @@ def verdict(run: Run) -> Section:
     content = run.content
     is_simulation_of_model = str(content["source"]).startswith(Source.ITSELF.value)
     has_figure = run.data is not None and not is_simulation_of_model
-    rating = "good" if run.is_fully_known else "part"
-    if not content["valid"]["trustworthy"]:
+    rating = "good"
+    if content["status"] == Verdict.TORQUES_ONLY.name:
+        rating = "part"
+    # A run may refuse a model whose numbers it trusts, as after a rollout that is no better.
+    is_refused = content["verdict"][0].startswith("Not usable")
+    if is_refused or not content["valid"]["trustworthy"]:
         rating = "bad"
+    numbers = main_numbers(run)
     return Section(
         "verdict",
         "Verdict",
         sentences=content["verdict"],
-        headline=_headline(run),
+        tables=(numbers,) if rating != "bad" else (),
         points=tuple(_other_models(run)),
         figures=(most_changed(run),) if has_figure else (),
         missing=run.missing,
         verdict=rating,
         details=(
-            ("What was identified", (*_masses(run), *_origin(run))),
-            ("What limits it", (*content["reasons"], *content["limitations"])),
-            ("What the run had to say", content["notes"]),
+            ("Arm, model and data", tuple(_origin(run))),
+            ("What limits the result", (*content["reasons"], *content["limitations"])),
+            ("Notes of the run", content["notes"]),
         ),
     )
-
-
-def _headline(run: Run) -> str:
-    """Return the torque error of the models before and after, as "torque error 27 % → 0.3 %".
-
-    The mass stands before it if the run identified a payload. The error is left out if the run
-    wrote no model.
-    """
-    file = run.content["file"]
-    texts = []
-    if run.is_payload:
-        body = run.bodies[0]
-        mass_error = body.errors_or_none(body.errors)[0]
-        mass = with_error(float(body.identified[0]), mass_error, "kg")
-        texts.append(f"payload {mass}")
-    if file is not None:
-        shares = map(percent, map(number, file["torque_error"].values()))
-        texts.append(f"torque error {' → '.join(shares)}")
-    return ", ".join(texts)
-
-
-def _masses(run: Run) -> Iterator[str]:
-    """Yield a sentence on the mass of a body and its standard error, also relative to the mass.
-
-    The body is the terminal link. Of a run that identified a payload, there is a sentence on the
-    payload, on the link without it and on the link with it.
-    """
-    for body in run.bodies if run.is_payload else run.bodies[:1]:
-        mass = float(body.identified[0])
-        error = float(body.errors[0])
-        relative = (
-            f" ({percent(error / mass)})" if np.isfinite(error) and mass > 0.0 else ""
-        )
-        stated = body.errors_or_none(body.errors)[0]
-        yield f"Mass of {body.title}: {with_error(mass, stated, 'kg')}{relative}."
 
 
 def _origin(run: Run) -> Iterator[str]:
     """Yield sentences on what was identified, from which data, and on the residual torque."""
     content = run.content
-    payload = run.content["payload"]
-    question = "the terminal link, with the other links around it"
-    if payload is not None:
-        question = "a payload, from recordings without and with it"
-    yield (
-        f"Identified: {question}, joint {content['joint_name']}. "
-        f"Model: {content['model']['path']}. "
-        f"Data: {content['source']}, {content['duration']:.3g} s."
-    )
+    question = f"the arm's links and joints; {run.bodies[0].title} behind joint"
+    if run.is_payload:
+        question = "a payload, from recordings without and with it, behind joint"
+    yield f"Identified: {question} {content['joint_name']}."
+    yield f"Model: `{content['model']['path']}`."
+    yield f"Data: {content['source']}, {content['duration']:.3g} s."
     if content["rmse"] is not None:
-        yield f"Root mean square of the torque that is left over: {content['rmse']:.3g} N·m."
+        rmse = number_text(content["rmse"])
+        yield f"Root mean square of the residual torque of the fit, all joints: {rmse} N·m."
 
 
 def _other_models(run: Run) -> Iterator[str]:
@@ -350,13 +344,11 @@ def compare_bodies(runs: Sequence[Run]) -> Section:
 
 
 def compare_errors(runs: Sequence[Run]) -> Section:
-    """Return the section with a table of each run's torque errors, in total and per joint."""
-    sets = []
+    """Return the section with one table per run of its torque errors over all joints."""
+    tables = []
     for name, run in run_by_name(runs).items():
-        for error_set in error_sets(run):
-            description = f"{name}: {error_set.description}"
-            sets.append(error_set._replace(description=description))
-    return Section("predicted", "Prediction errors", (), (table(*error_numbers(sets)),))
+        tables.append(total_errors(list(error_sets(run)), title=name))
+    return Section("predicted", "Prediction errors", (), tables, is_open=True)
 
 
 def compare_friction(runs: Sequence[Run]) -> Section:
@@ -372,7 +364,7 @@ def compare_friction(runs: Sequence[Run]) -> Section:
                 row = rows.setdefault((owner, term), [owner, term, *"–" * len(names)])
                 row[column] = with_error(*quantity)
     comparison = table(("joint", "term", *names), list(rows.values()))
-    return Section("friction", "Friction", tables=(comparison,))
+    return Section("friction", "Friction", tables=(comparison,), is_open=True)
 
 
 COMPARISON = verdicts, compare_bodies, compare_friction, compare_errors

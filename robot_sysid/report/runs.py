@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -373,6 +374,15 @@ class Run:
         not determine; of a payload, if the data determines all of its parameters.
         """
         return bool(self.content["valid"]["all_identified"]) or not self.is_payload
+
+    @property
+    def log_names(self) -> str:
+        """File names of the logs, or what the data are a simulation of."""
+        logs = list(self.content["logs"])
+        if self.is_payload:
+            recordings = self.content["payload"]["recordings"].values()
+            logs = list(itertools.chain.from_iterable(recordings))
+        return ", ".join(Path(log).name for log in logs) or self.content["source"]
 
     def friction(self, key: str = "terms") -> Friction:
         """Return joint or coupling to friction term to the term's coefficient and standard error.

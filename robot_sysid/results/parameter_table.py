@@ -30,7 +30,7 @@ LABELS: Mapping[str, str] = {
     **{name: f"inertia {name[1:]}" for name in INERTIA},
 }
 """Parameter name to its label in a table."""
-_TERM_LABELS = {
+TERM_LABELS = {
     "coulomb": "Coulomb friction",
     "viscous": "viscous friction",
     "offset": "friction offset",
@@ -232,7 +232,7 @@ def _friction_rows(result: Result) -> Iterator[BeforeAfter]:
     joint = result.joints.get(joint_name)
     if joint is not None:
         for term, (value, error) in joint.terms.items():
-            label = _TERM_LABELS.get(term, f"friction {term}")
+            label = TERM_LABELS.get(term, f"friction {term}")
             before = joint.model_terms.get(term)
             yield BeforeAfter(label, before, value, error, term_unit(term, is_slide))
         return
@@ -243,4 +243,4 @@ def _friction_rows(result: Result) -> Iterator[BeforeAfter]:
             stated_error = estimate.error(name) if result.is_measured else None
             identified = float(without_rounding(np.array(friction), scale=1.0))
             unit = term_unit(term, is_slide)
-            yield BeforeAfter(_TERM_LABELS[term], None, identified, stated_error, unit)
+            yield BeforeAfter(TERM_LABELS[term], None, identified, stated_error, unit)

@@ -30,13 +30,19 @@ def without(monkeypatch, library):
     monkeypatch.setattr(importlib.util, "find_spec", find_others)
 
 
-@pytest.mark.parametrize("library", ["matplotlib", "jinja2"])
-def test_a_missing_library_is_said_before_the_run(command, arm, monkeypatch, library):
+@pytest.mark.parametrize(
+    ("library", "option"), [("jinja2", "--report"), ("matplotlib", "--plots")]
+)
+def test_a_missing_library_is_said_before_the_run(
+    command, arm, monkeypatch, library, option
+):
     without(monkeypatch, library)
-    printed = command.run(arm, *RUN, "--report", code=2)
+    printed = command.run(arm, *RUN, option, code=2)
     assert f"needs {library}" in printed.err and "pip install" in printed.err
     assert "Loading" not in printed.out
-    assert "pip install" in command.run("report", arm.parent, code=2).err
+    options = ("--plots",) if option == "--plots" else ()
+    printed = command.run("report", arm.parent, *options, code=2)
+    assert "pip install" in printed.err
 
 
 def test_data_of_a_run_never_pass_for_those_of_another(command, arm, monkeypatch):

@@ -197,32 +197,21 @@ def test_the_verdict_and_the_errors_state_the_same_torque_error(folder):
         section.sentences == run.content["verdict"]
         and "27 % -> 0.25 %" in section.sentences[0]
     )
-    assert (
-        section.headline == "torque error 27 % → 0.25 %" and len(section.figures) == 1
-    )
-    (figure,) = errors(run).figures
-    percentages = {row[0]: row[2] for row in figure.table.rows}
-    assert percentages["model before: fifths of arm.csv"] == "27 %"
-    assert percentages["written model: fifths of arm.csv"] == "0.25 %"
-    assert (
-        list(percentages)[0] == "fitted"
-        and list(percentages)[-1] == f"written model: {ODD}"
-    )
+    assert len(section.figures) == 1
+    totals, _ = errors(run).tables
+    percentages = {row[:2]: row[3] for row in totals.rows}
+    assert percentages["fifths of arm.csv", "model before"] == "27 %"
+    assert percentages["fifths of arm.csv", "written model"] == "0.25 %"
+    assert list(percentages)[0] == ("the fitted logs", "fit")
+    assert list(percentages)[-1] == (ODD, "written model")
     played = rollout(run)
     assert "0.5 times" in " ".join(played.sentences)
     (table,) = played.tables
     assert table.rows[0][table.header.index("j5")] == "0.2 -> 0.02"
-    file = json.loads((folder / "params.json").read_text())["file"]
-    file["torque_error"]["after"] = file["after"] = None
-    assert (
-        verdict(run_with_changes(folder, file=file)).headline
-        == "torque error 27 % → not known"
-    )
     held_out = replace(run, content={**run.content, "rmse_per_joint": {}})
-    assert errors(held_out).sentences == ()
+    assert len(errors(held_out).sentences) == 1
     no_file = run_with_changes(folder, file=None, validation=[])
-    assert verdict(no_file).headline == ""
-    assert "Nothing was held out" in errors(no_file).sentences[0]
+    assert "Nothing was held out" in errors(no_file).sentences[1]
 
 
 def test_a_model_of_its_own_simulation_has_one_body(folder):
@@ -233,7 +222,7 @@ def test_a_model_of_its_own_simulation_has_one_body(folder):
     (body,) = run.bodies
     section, *_ = sections_of([run])
     assert "before" not in body.thetas
-    assert (section.headline, section.figures) == ("", ())
+    assert section.figures == ()
 
 
 def test_of_several_models_in_the_folder_the_runs_own_is_to_be_loaded(folder):
@@ -302,22 +291,22 @@ def test_a_payload_has_its_card_unless_it_is_refused(link_run, tmp_path):
     titles = ["payload", "link without payload", "link with payload"]
     assert [body.title for body in run.bodies] == titles
     assert section.tables[0].rows == (("$x^{1}&", "1.100 ± 0.010"),)
-    (_, sentences), *_ = verdict(run).details
-    assert verdict(run).headline.startswith("payload 1.200 ± 0.010 kg")
-    assert sum("Mass of" in sentence for sentence in sentences) == 3
+    (numbers,) = verdict(run).tables
+    assert numbers.rows[0][:3] == ("mass [kg]", "1.200", "0.010")
+    assert verdict(run).verdict == "good"
     run = load_run(saved(tmp_path, payload_result(model, Verdict.SWAPPED)))
     assert verdict(run).verdict == "bad" and "no card" in card(run).missing[0]
 
 
-def test_a_payload_whose_inertia_is_not_known_is_not_all_good(link_run, tmp_path):
+def test_a_payload_whose_inertia_is_not_known_is_usable_and_says_so(link_run, tmp_path):
     result = payload_result(link_run.parent / "arm.xml")
     body = made.body(shown=False)
     result = replace(result, payload=replace(result.payload, body=body))
     run = load_run(saved(tmp_path, result))
     summary = verdict(run)
     section = visibility(run)
-    assert summary.verdict == "part" and NOT_KNOWN in section.sentences
-    assert "do not show: the payload's inertia (its ±" in section.sentences[-1]
+    assert summary.verdict == "good" and NOT_KNOWN in section.sentences
+    assert "torques: the payload's inertia" in section.sentences[-1]
     rows = {row[0]: row[1:] for row in section.tables[0].rows}
     assert rows["Izz"][::2] == ("not known", "not known") and rows["m"][0] == "the data"
 
@@ -325,12 +314,22 @@ def test_a_payload_whose_inertia_is_not_known_is_not_all_good(link_run, tmp_path
 def test_a_comparison_has_the_error_table_of_each_run(link_run):
     run = load_run(link_run)
     runs = [replace(run, folder=run.folder.parent / f"run{k}") for k in range(5)]
-    (table,) = compare_errors(runs).tables
-    single = errors(run).figures[0].table
-    expected = []
-    for k in range(5):
-        expected += [(f"run{k}: {label}", *cells) for label, *cells in single.rows]
-    assert table.header == single.header and list(table.rows) == expected
+    single, _ = errors(run).tables
+    tables = compare_errors(runs).tables
+    assert [table.title for table in tables] == [f"run{k}" for k in range(5)]
+    for table in tables:
+        assert (table.header, table.rows) == (single.header, single.rows)
+
+
+def test_amber_is_the_colour_of_a_caveat_and_red_of_what_is_not_usable(folder):
+    colours = {}
+    for status in ("BETTER", "AS_GOOD", "PARTLY_FROM_MODEL", "TORQUES_ONLY"):
+        run = run_with_changes(folder, status=status)
+        colours[status] = verdict(run).verdict
+    assert list(colours.values()) == ["good", "good", "good", "part"]
+    refused = ["Not usable: no model was written: the rollout is no better"]
+    section = verdict(run_with_changes(folder, verdict=refused))
+    assert section.verdict == "bad" and not section.tables
 
 
 def test_runs_are_compared_in_the_bodies_that_they_share(link_run):

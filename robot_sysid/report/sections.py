@@ -1,0 +1,121 @@
+"""Sections, tables and figures of a report page, and numbers as text of table cells."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from robot_sysid.records.messages import number_text
+from robot_sysid.report.drawing import Drawing
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a page; all cells are text.
+
+    Attributes:
+        header: titles of the C columns.
+        rows: one tuple of C cells per row.
+        note: sentence below the table; "" for none.
+        title: line above the table; "" for none.
+    """
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A drawing or a rendered picture with its caption.
+
+    Attributes:
+        name: file name without suffix, unique on the page.
+        caption: sentence below the drawing.
+        drawing: the drawing; None where ``png`` has a picture.
+        png: content of a PNG file, rendered by the simulator; empty where there is a ``drawing``.
+    """
+
+    name: str
+    caption: str
+    drawing: Drawing | None = None
+    png: bytes = b""
+
+
+@dataclass(frozen=True)
+class Section:
+    """One section of the page.
+
+    Attributes:
+        key: identifier of the section in the page, unique there.
+        title: heading.
+        sentences: paragraphs below the heading.
+        tables: tables in order.
+        figures: figures in order.
+        points: items of a bulleted list.
+        blocks: (title, text) of preformatted text for the reader to copy.
+        missing: one sentence for each table or figure that cannot be shown, with cause and remedy.
+        verdict: of the verdict's section, "good", "bad", or "part" if a caveat limits what the
+            result may be used for; "" in all other sections.
+        details: (title, sentences) of folded paragraphs with further information.
+        is_open: whether the section is unfolded when the page opens.
+    """
+
+    key: str
+    title: str
+    sentences: Sequence[str] = ()
+    tables: Sequence[Table] = ()
+    figures: Sequence[Figure] = ()
+    points: Sequence[str] = ()
+    blocks: Sequence[tuple[str, str]] = ()
+    missing: Sequence[str] = ()
+    verdict: str = ""
+    details: Sequence[tuple[str, Sequence[str]]] = ()
+    is_open: bool = False
+
+
+def text(value: Any, error: float | None = None) -> str:
+    """Return a number as text of a table cell; "–" for None, NaN or infinity.
+
+    Args:
+        value: number, or None.
+        error: standard error of the number, in its unit, which determines the digits shown; None
+            where there is none.
+    """
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return "–"
+    return number_text(float(value), error)
+
+
+def plus_minus(error: float) -> str:
+    """Return a standard error as text of a table cell, with the digits of a standard error."""
+    return number_text(error, error)
+
+
+def cells(value: float, error: float) -> tuple[str, str]:
+    """Return (text of a number, text of its standard error), the texts of two table cells."""
+    return text(value, error), plus_minus(error)
+
+
+def table(
+    header: Sequence[str],
+    rows: Iterable[Sequence[Any]],
+    note: str = "",
+    title: str = "",
+) -> Table:
+    """Return a table with numbers as text.
+
+    Args:
+        header: titles of the columns.
+        rows: texts and numbers, one sequence per row; a number that is None or not finite is "–".
+        note: sentence below the table; "" for none.
+        title: line above the table; "" for none.
+    """
+    texts = []
+    for row in rows:
+        cells_of_row = [cell if isinstance(cell, str) else text(cell) for cell in row]
+        texts.append(tuple(cells_of_row))
+    return Table(tuple(header), tuple(texts), note, title)
