@@ -87,9 +87,16 @@ def bag_table(source: LogSource) -> LogTable:
         names = set()
         described = set()
         for connection in bag.connections:
-            described.add(f"{connection.topic} ({connection.msgtype})")
-            if connection.msgtype in READERS:
+            description = f"{connection.topic} ({connection.msgtype})"
+            # Bags of .db3 before ROS 2 Iron do not define their messages' types.
+            is_defined = connection.msgtype in bag.typestore.fielddefs
+            if connection.msgtype in READERS and is_defined:
                 names.add(connection.topic)
+            elif connection.msgtype in READERS:
+                description += (
+                    " without its definition: record it with ros2 bag record -s mcap"
+                )
+            described.add(description)
         its_topics = f"its topics: {', '.join(sorted(described)) or 'none'}"
         if wanted is not None and wanted not in names:
             fault = f"{path} has no joint states in topic {wanted!r}"

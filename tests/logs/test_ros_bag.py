@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import bz2
+import contextlib
 import os
+import sqlite3
 import sys
 
 import numpy as np
@@ -221,3 +223,31 @@ def test_names_that_differ_in_a_prefix_are_the_models_unless_two_do(tmp_path):
         path,
     )
     np.testing.assert_array_equal(read_measurements(path, left).samples.q, DATA.q)
+
+
+def test_a_topic_whose_type_the_bag_does_not_define_is_left_out(tmp_path):
+    """As Franka's in the .db3 of ROS 2 Humble; alone, it is refused with what to do."""
+    pytest.importorskip("rosbags")
+    store = recorded.typestore()
+    states = list(recorded.shuffled_states(store.types, DATA))
+    frankas = []
+    for state in states:
+        header = state.header
+        frankas.append(store.types[recorded.FRANKA](header, state, state, 0.0))
+    topics = [
+        ("/franka/robot_state", recorded.FRANKA, frankas),
+        ("/joint_states", recorded.STATE, states),
+    ]
+    path = recorded.write_bag2(tmp_path / "bag", topics, store)
+    alone = recorded.write_bag2(tmp_path / "alone", topics[:1], store)
+    for folder in (path, alone):
+        with contextlib.closing(sqlite3.connect(next(folder.glob("*.db3")))) as file:
+            # Releases for Python 3.9 write no definitions at all.
+            with contextlib.suppress(sqlite3.OperationalError):
+                file.execute("delete from message_definitions")
+            file.commit()
+        metadata = folder / "metadata.yaml"
+        metadata.write_text(metadata.read_text().replace("version: 9", "version: 5"))
+    log = read_measurements(path, JOINTS)
+    np.testing.assert_array_equal(log.samples.q, DATA.q)
+    assert_refused("FrankaRobotState. without its definition: .*-s mcap", alone)

@@ -162,11 +162,16 @@ def franka(folder: Path, arm: str, model: str, storage: str) -> Path:
     return write_bag(folder / "franka", topics, storage, store)
 
 
-def franka_joint_states(folder: Path, arm: str, model: str, storage: str) -> Path:
-    """A bag of /joint_states alone, arm and fingers in one message, published at 250 Hz."""
+def franka_joint_states(
+    folder: Path, arm: str, model: str, storage: str, rate: float = 250.0
+) -> Path:
+    """A bag of /joint_states alone, arm and fingers in one message.
+
+    The launch file's rate is 30 Hz; it may be set.
+    """
     store = typestore(storage)
     joints = [*_numbered(f"{arm}_joint"), *_numbered(f"{arm}_finger_joint", 2)]
-    data = with_extra_joints(motion_of(model), 2, 0.035)
+    data = with_extra_joints(motion_of(model, rate), 2, 0.035)
     topics = [("/joint_states", STATE, states(store.types, data, joints))]
     return write_bag(folder / "panda", topics, storage, store)
 
@@ -375,6 +380,13 @@ DRIVER_LOGS = (
         lambda folder: franka_joint_states(folder, "panda", PANDA, "MCAP"),
         _FRANKA_SOURCE,
         250.0,
+    ),
+    DriverLog(
+        "panda bag at 30 Hz",
+        PANDA,
+        lambda folder: franka_joint_states(folder, "panda", PANDA, "MCAP", rate=30.0),
+        _FRANKA_SOURCE,
+        30.0,
     ),
     DriverLog(
         "panda_nohand bag",
