@@ -17,7 +17,8 @@ from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import ExcitationOptions, LimitOptions, PoseOptions
-from robot_sysid.records import controllers, file_access, option_fields
+from robot_sysid.records import file_access, option_fields
+from robot_sysid.records.controllers import AUTO, CHOICES
 from robot_sysid.records.option_fields import (
     SCALE,
     Option,
@@ -489,10 +490,10 @@ class PayloadOptions(OptionRecord):
         "NAME",
     )
     cards: str = option(
-        controllers.AUTO,
+        AUTO,
         "whose card of the payload is written: that of this arm's controller, found by the names "
         "in its model, those of all, or the one that is named",
-        choices=controllers.CHOICES,
+        choices=CHOICES,
     )
     known_mass: float | None = option(
         None,
