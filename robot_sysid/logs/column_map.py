@@ -33,7 +33,8 @@ from itertools import chain
 from pathlib import Path
 
 from robot_sysid.errors import ColumnsError, InputError
-from robot_sysid.logs.joint_names import JointMatch
+from robot_sysid.logs.joint_names import JointMatch, JointSetsError
+from robot_sysid.logs.joint_sets import draft_sets
 from robot_sysid.logs.titles import (
     QUANTITIES,
     REMEDY,
@@ -344,6 +345,8 @@ def recognise_columns(
         return finder.find_all(first_row, other_joints)
     except InputError as error:
         text = draft(titles, joint_names, driven, finder.recognised)
+        if isinstance(error, JointSetsError):
+            text = draft_sets(parsed, error.sets)
         # A draft does not suit a user who has declared columns already.
         is_declared = choices.columns or choices.time or choices.rate
         raise ColumnsError(str(error), "" if is_declared else text) from None
@@ -420,7 +423,8 @@ class _ColumnFinder:
         """
         titles = []
         for title in self._titles:
-            declared = self._choices.columns.get(joint_quantity(title) or "", {})
+            quantity = joint_quantity(title) or " ".join(title.quantities)
+            declared = self._choices.columns.get(quantity, {})
             is_open = len(declared) != len(self._joint_names)
             titles.append(title if is_open else read_title(""))
         return titles

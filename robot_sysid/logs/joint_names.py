@@ -26,6 +26,18 @@ Frame = tuple[Words, Words]
 """Words in front of and behind the part by which a joint is told apart."""
 
 
+class JointSetsError(InputError):
+    """Several sets of a log's joints could be the model's arm.
+
+    Attributes:
+        sets: for each of them the log's names of the arm's joints, base to terminal.
+    """
+
+    def __init__(self, message: str, sets: Sequence[Sequence[str]]) -> None:
+        super().__init__(message)
+        self.sets = tuple(map(tuple, sets))
+
+
 @dataclass(frozen=True)
 class JointMatch:
     """A recording's joints and the joints of the model's arm that they are.
@@ -82,7 +94,9 @@ def match_joint_names(
             recording's arm has further joints.
 
     Raises:
-        InputError: two sets of names fit, or the set belongs to an arm with more or fewer joints.
+        JointSetsError: several sets of names fit.
+        InputError: two names fit one joint, or the set is that of an arm with more or fewer joints,
+            or counts from another number.
     """
     names = list(dict.fromkeys(names))
     if not names or not joint_names:
@@ -181,7 +195,7 @@ def _choose_frame(
 ) -> Frame:
     """Return the only frame, the model's own one, or the only one with words of the model's names.
 
-    InputError where several frames fit alike.
+    JointSetsError where several frames fit alike.
     """
     if arm.frame in complete:
         return arm.frame
@@ -199,10 +213,11 @@ def _choose_frame(
         return fitting[0]
     sets = []
     for by_joint in complete.values():
-        sets.append(join_names([by_joint[k][0] for k in range(len(arm.names))]))
-    raise InputError(
+        sets.append([by_joint[k][0] for k in range(len(arm.names))])
+    raise JointSetsError(
         f"the log holds {len(sets)} sets of joints that could be the model's "
-        f"{join_names(arm.names)}: {' and '.join(sets)}"
+        f"{join_names(arm.names)}: {' and '.join(map(join_names, sets))}",
+        sets,
     )
 
 

@@ -286,7 +286,7 @@ def match_joints(
             the joints' names are those of two arms, or of an arm with another number of joints.
     """
     candidates = _match_each_title(titles, joint_names, first_row)
-    columns_by_name = _columns_by_joint_name(titles)
+    columns_by_name = columns_by_joint_name(titles)
     names = [*columns_by_name.get("position", {})]
     if any(candidates["position"]):
         # Names that are equal to the model's, but go on counting, are those of another arm.
@@ -303,10 +303,11 @@ def match_joints(
     return candidates, joint_match
 
 
-def _columns_by_joint_name(titles: Sequence[Title]) -> dict[str, dict[str, list[int]]]:
-    """Return quantity to joint name to columns, of titles that have one quantity and other words.
+def columns_by_joint_name(titles: Sequence[Title]) -> dict[str, dict[str, list[int]]]:
+    """Return quantity to joint name to indices of columns, of titles with one quantity.
 
-    ``panda_joint1_position [rad]`` is the position of ``panda_joint1``.
+    What else a title has is the name: ``panda_joint1_position [rad]`` is the position of
+    ``panda_joint1``.
     """
     not_names = {*QUANTITY_OF_TOKEN, *_UNIT_TOKENS, *_CURRENT, *_COMMANDED}
     columns: dict[str, dict[str, list[int]]] = {}
