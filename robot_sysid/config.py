@@ -16,9 +16,14 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
-from robot_sysid.motion import ExcitationOptions, LimitOptions, PoseOptions
-from robot_sysid.records import file_access, option_fields
-from robot_sysid.records.controllers import AUTO, CHOICES
+from robot_sysid.motion import (
+    EMPTY,
+    LOADED,
+    ExcitationOptions,
+    LimitOptions,
+    PoseOptions,
+)
+from robot_sysid.records import controllers, file_access, option_fields
 from robot_sysid.records.option_fields import (
     SCALE,
     Option,
@@ -31,10 +36,6 @@ from robot_sysid.records.option_fields import (
 from robot_sysid.simulation import SimulatedArmOptions
 
 AnyConfig = TypeVar("AnyConfig", bound="Config")
-EMPTY = "A"
-"""Letter of ``--order`` for a recording without the payload."""
-LOADED = "B"
-"""Letter of ``--order`` for a recording with the payload."""
 
 
 @dataclass(frozen=True)
@@ -64,11 +65,6 @@ class OutputOptions(OptionRecord):
         False, "also write report.html, a page with figures of the result"
     )
     plots: bool = option(False, "also write the report's figures as PNG and SVG")
-    driver_settings: Path | None = option(
-        None,
-        "also write this settings file of i2rt or openarm_teleop with the identified friction",
-        "FILE",
-    )
 
 
 _ID: dict[str, Any] = {
@@ -220,7 +216,6 @@ class Config:
         scale_files = [path for path in factors if isinstance(path, Path)]
         return (
             self.output.config,
-            self.output.driver_settings,
             self.model.path,
             *log.measurements,
             log.validation_measurements,
@@ -230,18 +225,14 @@ class Config:
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
         """Yield (option that has a file written, path) of each file that might replace an input."""
-        names = [file_access.PARAMS_NAME, file_access.SERVO_NAME]
-        names += file_access.MODEL_NAMES.values()
-        if self.output.driver_settings is not None:
-            names.append(self.output.driver_settings.name)
-        for name in names:
+        names = (file_access.PARAMS_NAME, file_access.SERVO_NAME)
+        for name in (*names, *file_access.MODEL_NAMES.values()):
             yield "--output-dir", self.output.output_dir / name
 
 
 TORQUE_KEYS = (
     "report",
     "plots",
-    "driver_settings",
     "keep",
     "links",
     "torque_scale",
@@ -401,7 +392,7 @@ class SysidConfig(Config):
             self.is_measured,
             "is about measured torques; add --measurements or --plant-model",
             _set_options(self.estimation, leave_out=("torques", "no_friction"))
-            + _set_options(self.output, only=("keep", "links", "driver_settings")),
+            + _set_options(self.output, only=("keep", "links")),
         )
         yield (
             self.estimation.torque_from is None,
@@ -490,10 +481,10 @@ class PayloadOptions(OptionRecord):
         "NAME",
     )
     cards: str = option(
-        AUTO,
+        controllers.AUTO,
         "whose card of the payload is written: that of this arm's controller, found by the names "
         "in its model, those of all, or the one that is named",
-        choices=CHOICES,
+        choices=controllers.CHOICES,
     )
     known_mass: float | None = option(
         None,

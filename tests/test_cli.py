@@ -15,7 +15,7 @@ import pytest
 from robot_sysid.cli import _message_lines, main
 from robot_sysid.errors import SysidError
 from robot_sysid.records.file_access import lock_folder
-from tests.support.arms import TWO_ARMS, Y, serial_arm
+from tests.support.arms import Y, serial_arm
 from tests.support.command_line import files_in
 from tests.support.places import GUESS
 
@@ -87,20 +87,6 @@ def test_bad_options_exit_2_with_one_line_and_nothing_written(arm, command):
         assert phrase in command.refused(arm, *shlex.split(options)), options
 
 
-def commands_in(text):
-    """The commands that are printed alone on a line, as words without the program's name."""
-    lines = [line for line in text.splitlines() if line.startswith("  robot-sysid ")]
-    return [shlex.split(line)[1:] for line in lines]
-
-
-def test_a_doubt_about_the_joint_ends_with_commands_that_run(arm, command):
-    arm.write_text(TWO_ARMS)
-    remedies = commands_in(command.run(arm, *SHORT, "--no-friction", code=2).err)
-    assert [remedy[-1] for remedy in remedies] == ["left_joint3", "right_joint3"]
-    printed = command.run(*remedies[1]).out
-    assert "Identified terminal joint: right_joint3" in printed
-
-
 def test_a_word_that_is_neither_model_nor_command_is_told_what_is_expected(command):
     assert "no command identfy: did you mean identify?" in command.refused(
         "identfy", "a.xml"
@@ -159,7 +145,7 @@ def test_what_is_not_sought_or_not_seen_is_said(arm, command):
     assert "Mass:" in out and "friction:" not in out
     out = command.run(GUESS, *SHORT, "--torques", "terminal").out
     assert "Base parameters: 9" in out and "Mass: 0.789 kg" in out
-    assert "says nothing of the real arm (not identifiable: mass" in out
+    assert "says nothing of the real arm (not seen: mass" in out
     arm.write_text(
         ARM.replace('<joint name="joint1"', '<joint name="joint1" type="slide"')
     )

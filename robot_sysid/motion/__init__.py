@@ -24,6 +24,15 @@ if TYPE_CHECKING:
 EXCITATIONS = ("sines", "optimal")
 WEIGHT = "weight"
 """Purpose of the slow first motion of an arm that may be heavier than its model says."""
+EMPTY = "A"
+"""Letter of ``--order`` for a recording without the payload."""
+RECORDED_FOR_PAYLOAD = "Recorded empty, loaded, loaded, empty"
+"""``PAYLOAD_ORDER`` in words, as a sentence begins."""
+LOADED = "B"
+"""Letter of ``--order`` for a recording with the payload."""
+PAYLOAD_ORDER = "ABBA"
+"""Order in which a motion planned for a payload is recorded: it separates a drift of friction from
+the payload."""
 LONGEST_FADE = 1.5
 """Longest time in which a designed trajectory leaves its start, and in which it returns [s]. To
 leave by 1 rad in this time takes 7.5 / 1.5^2 = 3.3 rad/s^2, a quarter of the acceleration of a

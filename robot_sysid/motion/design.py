@@ -307,9 +307,12 @@ class Design:
 
     def expected_errors(self, x: Array | None) -> str:
         """Return the expected standard errors of the terminal link's mass and centre of mass, in
-        words, for free coefficients x (n, M); "" where x is None or zero.
+        words, for free coefficients x (n, M).
+
+        "" where x is None or zero, and for a payload, most of whose error is no noise.
         """
-        if x is None or not np.any(x):
+        is_payload = self.criterion.target == "payload"
+        if x is None or not np.any(x) or is_payload:
             return ""
         information = self.information_of(self.motion(x)).information
         covariance = self.criterion.covariance(information)

@@ -45,18 +45,16 @@ from robot_sysid.estimation.unknowns import (
     expected_dry_friction,
     scale_spread,
 )
+from robot_sysid.model.bodies import usual_bodies
+from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD
 from robot_sysid.motion.information import (
     JOINT_TERMS,
-    Criterion,
     PriorKnowledge,
     design_criterion,
     mass_and_centre_errors,
     plan_information,
-    random_information,
 )
 from robot_sysid.motion.prediction import (
-    LOOSE_SHARE,
-    PAYLOAD_MASS,
     Improvement,
     Prediction,
     invisible_combinations,
@@ -69,43 +67,32 @@ from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks, sample_count
 
-ALL_SAMPLES = "that is from all samples, but they cannot all be used"
+ALL_SAMPLES = "these are lower bounds from all samples, not all of which can be used"
 """Beginning of the caveat on errors of a motion that cannot be processed like a log."""
 HIGHEST_RATE_HZ = 200.0
 """Highest rate at which a motion is simulated and processed [Hz], far above its band. The noise of
 a sample is scaled to the lower rate."""
 MOST_SAMPLES = 200_000
 """Number of samples beyond which simulating and processing a motion would take too long."""
-LONGER = 4.0
-"""Duration of the longer motion that is suggested, over that of the plan."""
-FASTER = 1.5
-"""Speed of the faster motion that is suggested, over that of the plan."""
-BETTER_LINKS = 0.5
-"""Share of the links' uncertainty that remains in the suggestion to know them better."""
-_NO_NOISE = 1e-4
-"""Torque noise so low that priors make nearly all of the errors [N m]."""
-_WEIGHING = "its mass known, by weighing the part"
-"""Description of the change after which the mass has no error."""
-_PAYLOAD_BY_DIFFERENCE = (
-    "what is bolted to it as a payload by difference (plan --for payload)"
-)
-"""Description of the change to identify the part as a payload instead."""
-_WEIGHED_SHARE = 1.0 - 1e-6
-"""Share of the variance of a mass that weighing removes."""
 _LARGEST_ERROR = 100.0
 """Standard error over the parameter's size beyond which a parameter counts as not identifiable: its
 variance is then rounding."""
 NOISE = "torque noise"
 """Name of the cause of errors that is in every recording."""
 SUSPICION = (
-    "links that are all off alike look like a scale of all torques (--scale-uncertainty says how "
-    "far those may be off at most)"
+    "links that are all too heavy, or all too light, look like a common torque scale "
+    "(--scale-uncertainty states how large that may be)"
 )
 """Why a scale of all torques may be suspected."""
 _SUSPICION_SHARE = 0.05
 """Share of recordings with a suspected scale above which the suspicion is reported."""
-_PAYLOAD = PAYLOAD_MASS * np.eye(10)[0]
-"""Parameters (10,) of a payload at the origin of the last link."""
+TYPICAL_LOAD = 0.025
+"""Mass of a payload before it is known, as a share of the arm's moving mass: about a tenth of what
+arms of this mass are rated for."""
+UNMODELLED_TORQUE = 0.002
+"""Torque that the model of an arm does not explain, such as friction at reversals, over a joint's
+root mean square torque. Where a payload is weighed, all larger errors cancel and it adds to the
+noise. Simulated arms leave 0.15 to 0.25 % (benchmarks.payload_plan)."""
 
 
 @dataclass(frozen=True)
@@ -115,16 +102,21 @@ class RecordingPlan:
     Attributes:
         sample_rate: of the recording, with independent noise in each sample [Hz].
         options: of the identification.
-        target: what is to be identified, see ``PriorKnowledge``.
+        target: what is to be identified, see ``PriorKnowledge``. A motion for a payload is recorded
+            in the order ``PAYLOAD_ORDER``.
+        repetitions: how often the motion is passed in each recording.
+        load: (10,) the payload; None for ``typical_load``.
     """
 
     sample_rate: float
     options: EstimationOptions
     target: str = "link"
+    repetitions: float = 1.0
+    load: Array | None = None
 
     @property
     def is_payload(self) -> bool:
-        """Whether a payload is identified, by the difference of two recordings."""
+        """Whether a payload is identified, by the difference of recordings without and with it."""
         return self.target == "payload"
 
 
@@ -191,10 +183,30 @@ def _initial_choice(problem: ExcitationProblem, options: EstimationOptions) -> C
     return Choice(friction, known_motors, link_scales=EXPECTED)
 
 
+def typical_load(problem: ExcitationProblem) -> Array:
+    """Return the parameters (10,) of the payload that errors are stated for, before it is known.
+
+    It has the shape of the terminal link. Its mass is the one that torque is reserved for
+    (``--payload-reserve``) or, without one, a share ``TYPICAL_LOAD`` of the moving mass.
+    """
+    robot = problem.robot
+    mass = problem.reserve or TYPICAL_LOAD * float(np.sum(robot.thetas[:, 0]))
+    body = usual_bodies(robot)[robot.body_name]
+    return mass / body[0] * body
+
+
+def common_scale_error(problem: ExcitationProblem, options: EstimationOptions) -> float:
+    """Return the standard error that all torque scales share where a payload is weighed, as a share
+    of the torque.
+    """
+    columns = Columns(problem.robot, datasets=(), torques=options.torques)
+    return common_error(scale_spread(columns, options, loaded=True))
+
+
 def predict(
     problem: ExcitationProblem, plan: MotionPlan, recording: RecordingPlan
 ) -> Prediction:
-    """Return the standard errors to expect of an identification from a recording of a motion.
+    """Return the standard errors to expect of an identification from recordings of a motion.
 
     Where the motion cannot be processed like a log, the errors are a lower bound, computed from all
     samples, and ``Prediction.caveat`` states the reason.
@@ -202,15 +214,17 @@ def predict(
     robot = problem.robot
     knowledge = prior_knowledge(problem, recording.options, recording.target)
     criterion = design_criterion(problem, knowledge)
+    names: tuple[str, ...] = PARAMETER_NAMES
+    recordings = "Recorded once"
     subject = robot.body_name
     theta = robot.prior.theta
     size = parameter_sizes(problem)
-    scale_error = 0.0
     if recording.is_payload:
-        subject = f"a payload of {PAYLOAD_MASS:g} kg"
-        theta = _PAYLOAD
-        size = size / robot.prior.mass
-        scale_error = _common_scale_error(problem, recording.options)
+        names = PAYLOAD_NAMES
+        recordings = RECORDED_FOR_PAYLOAD
+        theta = typical_load(problem)
+        subject = f"a load of {theta[0]:.2g} kg"
+        size = theta[0] / robot.prior.mass * size
     caveat = ""
     link_errors = dict[str, float]()
     common_scale = None
@@ -221,13 +235,13 @@ def predict(
         covariance = _bound_from_all_samples(problem, plan, recording, knowledge)
         by_cause = {NOISE: covariance}
     else:
-        names = PAYLOAD_NAMES if recording.is_payload else PARAMETER_NAMES
         covariance, by_cause = posterior.errors_of(names)
         if recording.target == "arm":
             link_errors = _link_mass_errors(problem, posterior)
         if posterior.suspicion > _SUSPICION_SHARE:
             common_scale = posterior.suspicion_case(names, theta)
     return Prediction(
+        recordings=recordings,
         subject=subject,
         theta=theta,
         size=size,
@@ -235,9 +249,7 @@ def predict(
         covariance_by_cause=by_cause,
         link_mass_errors=link_errors,
         invisible=invisible_combinations(problem, criterion),
-        improvements=_improvements(problem, plan, recording, knowledge, criterion),
         caveat=caveat,
-        scale_error=scale_error,
         common_scale=common_scale,
     )
 
@@ -257,20 +269,14 @@ def _bound_from_all_samples(
     criterion = design_criterion(problem, knowledge)
     information = plan_information(problem, plan, recording.sample_rate, knowledge)
     covariance = criterion.covariance(information).copy()
+    if recording.is_payload:
+        common = common_scale_error(problem, recording.options)
+        load = typical_load(problem)
+        covariance += common**2 * np.outer(load, load)
     variance = np.diag(covariance)
     is_known = (variance > 0.0) & (variance < (_LARGEST_ERROR * size) ** 2)
     np.fill_diagonal(covariance, np.where(is_known, variance, np.inf))
     return covariance
-
-
-def _common_scale_error(
-    problem: ExcitationProblem, options: EstimationOptions
-) -> float:
-    """Return the relative standard error of a common scale of all torques, and so of a payload's
-    mass.
-    """
-    columns = Columns(problem.robot, datasets=(), torques=options.torques)
-    return common_error(scale_spread(columns, options, loaded=True))
 
 
 @dataclass(frozen=True)
@@ -327,7 +333,7 @@ class ExpectedPosterior:
 def predict_posterior(
     problem: ExcitationProblem, plan: MotionPlan, recording: RecordingPlan
 ) -> ExpectedPosterior:
-    """Return the errors that an estimate from a recording of a motion will have.
+    """Return the errors that an estimate from recordings of a motion will have.
 
     Args:
         problem: the arm and its torque noise.
@@ -338,36 +344,28 @@ def predict_posterior(
         InputError: the motion cannot be processed as a log.
     """
     options = recording.options
-    rate = min(recording.sample_rate, HIGHEST_RATE_HZ)
-    sigma = problem.sigma * np.sqrt(rate / recording.sample_rate)
+    is_loaded = recording.is_payload
     robot = problem.robot
     choice = _initial_choice(problem, options)
-    is_loaded = recording.is_payload
-    pieces = [Piece("", _simulated_recording(problem, plan, rate))]
-    (dataset,), _ = low_pass_recordings(robot, pieces, options)
-    datasets: Sequence[Dataset] = (dataset,)
-    assert dataset.signals is not None
-    if is_loaded:
-        # The same motion without the payload, recorded before, and with it, recorded after.
-        empty = replace(dataset, order=-1.0)
-        datasets = (empty, replace(dataset, is_loaded=True, order=1.0))
+    dataset = _processed_motion(problem, plan, recording)
+    datasets = _payload_recordings(dataset) if is_loaded else (dataset,)
     # Columns of all parameters that a question may free, linearised at the model's values.
     columns = Columns(robot, datasets, options.torques, choice.couplings)
     torque = rms_torque(datasets)
+    point = columns.start()
+    load = typical_load(problem) if recording.load is None else recording.load
+    if is_loaded:
+        values = point.values.copy()
+        values[columns.indices(PAYLOAD_NAMES)] = load
+        point = replace(point, values=values)
     # The filtered equations in all parameters; ``data.of`` selects the columns of the unknowns.
-    data = evidence_of([columns.samples(columns.start())], torque)
+    data = evidence_of([columns.samples(point)], torque)
     choice = replace(choice, dry_friction=expected_dry_friction(columns, torque))
     question = Question(options, loaded=is_loaded, drifts=is_loaded)
     unknowns = build_unknowns(columns, question, choice, torque, data.nonzero)
     information = data.of(unknowns)
-    # Rows are weighted by the standard deviation of their filtered noise. The regressor's columns
-    # vary slowly along the rows, so the variance of an estimate depends on the density of the noise
-    # at low frequencies, which the filter does not change: sigma^2 over the samples per row.
-    low_pass = dataset.signals.low_pass
-    filtered_sigma = sigma * np.sqrt(np.sum(low_pass.kernel**2))
-    weights = 1.0 / filtered_sigma
-    noise = (weights, sigma / np.sqrt(low_pass.step))
-    triangle = whole_triangle(information, weights)
+    noise = _row_noise(problem, dataset, recording, torque[list(columns.joint_indices)])
+    triangle = whole_triangle(information, noise[0])
     errors_with = partial(_errors_with_priors, information, noise, triangle)
     errors = errors_with(unknowns.groups)
     causes = {}
@@ -382,11 +380,74 @@ def predict_posterior(
         suspicion, suspected_errors = _suspected_scale(
             (unknowns, errors), (scaled, scaled_errors)
         )
-    if not is_loaded:
+    if is_loaded:
+        # An error of all torque scales together changes every parameter of the payload alike.
+        common = common_scale_error(problem, options)
+        row = np.zeros(len(information.names))
+        row[[information.names.index(name) for name in PAYLOAD_NAMES]] = common * load
+        causes[SCALES] = np.vstack((causes.get(SCALES, row[None][:0]), row))
+        errors = errors.with_cause(np.outer(row, row))
+    else:
         indices, body = unknowns.bodies[robot.body_name]
         estimated = np.searchsorted(unknowns.estimated, indices)
         errors, causes = project_errors(errors, causes, estimated, body, body)
     return ExpectedPosterior(unknowns, errors, causes, suspicion, suspected_errors)
+
+
+def _processed_motion(
+    problem: ExcitationProblem, plan: MotionPlan, recording: RecordingPlan
+) -> Dataset:
+    """Return a recording of a motion without noise, processed like a log.
+
+    Raises:
+        InputError: the motion cannot be processed as a log.
+    """
+    rate = min(recording.sample_rate, HIGHEST_RATE_HZ)
+    pieces = [Piece("", _simulated_recording(problem, plan, rate))]
+    (dataset,), _ = low_pass_recordings(problem.robot, pieces, recording.options)
+    return dataset
+
+
+def _payload_recordings(dataset: Dataset) -> tuple[Dataset, ...]:
+    """Return the recordings of one motion without and with a payload, in ``PAYLOAD_ORDER``."""
+    positions = np.linspace(-1.0, 1.0, len(PAYLOAD_ORDER)).tolist()
+    recordings = []
+    for letter, position in zip(PAYLOAD_ORDER, positions):
+        is_loaded = letter == LOADED
+        recordings.append(replace(dataset, is_loaded=is_loaded, order=position))
+    return tuple(recordings)
+
+
+def _row_noise(
+    problem: ExcitationProblem,
+    dataset: Dataset,
+    recording: RecordingPlan,
+    torque: Array,
+) -> tuple[Array, Array]:
+    """Return weights of the filtered rows and the density of their noise, (joints,) each.
+
+    Rows are weighted by the standard deviation of their filtered noise. The regressor's columns
+    vary slowly along the rows, so the variance of an estimate depends on the density of the noise
+    at low frequencies, which the filter does not change: sigma^2 over the samples per row.
+
+    Args:
+        problem: has the torque noise of one sample.
+        dataset: the processed recording.
+        recording: how the motion is recorded.
+        torque: (joints,) root mean square torque [N m].
+
+    Returns:
+        (1 / standard deviation [1/(N m)], standard deviation of the density [N m]).
+    """
+    assert dataset.signals is not None
+    low_pass = dataset.signals.low_pass
+    rate = min(recording.sample_rate, HIGHEST_RATE_HZ)
+    sigma = problem.sigma * np.sqrt(rate / recording.sample_rate)
+    filtered_sigma = sigma * np.sqrt(np.sum(low_pass.kernel**2))
+    density = sigma / np.sqrt(low_pass.step)
+    unmodelled = UNMODELLED_TORQUE * torque if recording.is_payload else 0.0
+    total = np.hypot(density, unmodelled) / np.sqrt(recording.repetitions)
+    return density / (total * filtered_sigma), total
 
 
 def _errors_with_priors(
@@ -489,110 +550,3 @@ def _link_mass_errors(
             error = float(posterior.errors.standard_errors[index])
             mass_errors[name] = error / masses[name]
     return mass_errors
-
-
-def _improvements(
-    problem: ExcitationProblem,
-    plan: MotionPlan,
-    recording: RecordingPlan,
-    knowledge: PriorKnowledge,
-    criterion: Criterion,
-) -> tuple[Improvement, ...]:
-    """Return changes of the motion or the priors with the errors of mass and centre of mass after
-    each, the change with the smallest error of the centre of mass first.
-
-    () for a motion that rests, and where only one joint's torque is used. A payload's mass
-    also has the error of torque scales; the covariance of a link is projected onto physically
-    consistent bodies.
-    """
-    # Nine instants are enough to see whether the arm moves.
-    poses = plan.evaluate(np.linspace(0.0, plan.duration, 9)).q
-    if len(problem.rows) == 1 or np.all(poses == poses[0]):
-        return ()
-    theta = _PAYLOAD if recording.is_payload else problem.robot.prior.theta
-    scale_error = _common_scale_error(problem, recording.options) * theta[0]
-    improvements = []
-    changes = _changes(problem, plan, recording, knowledge, criterion)
-    for description, covariance, is_payload, options in changes:
-        if not is_payload:
-            covariance = projected_covariance(theta, covariance)
-        mass_error, centre_error = mass_and_centre_errors(theta, covariance)
-        if is_payload:
-            mass_error = float(np.hypot(mass_error, scale_error))
-        if description == _WEIGHING:
-            mass_error = 0.0
-        improvement = Improvement(description, mass_error, centre_error, options)
-        improvements.append(improvement)
-    return tuple(sorted(improvements, key=lambda change: change.centre_error))
-
-
-def _changes(
-    problem: ExcitationProblem,
-    plan: MotionPlan,
-    recording: RecordingPlan,
-    knowledge: PriorKnowledge,
-    criterion: Criterion,
-) -> Iterator[tuple[str, Array, bool, tuple[str, ...]]]:
-    """Yield changes that may make the errors smaller: a longer and a faster motion; for a link also
-    a smaller uncertainty of the other links, a mass known by weighing, and a payload by difference.
-
-    Each is a tuple of its description, the covariance (10, 10) after it, whether that is the one of
-    a payload and not of the terminal link, and the command-line options that plan such a motion.
-    """
-    information_of = partial(plan_information, problem, plan, recording.sample_rate)
-    information = information_of(knowledge)
-    is_payload = recording.is_payload
-    description = f"a motion {LONGER:g} times as long"
-    options = ("--duration", f"{LONGER * plan.duration:.3g}")
-    covariance = criterion.covariance(LONGER * information)
-    yield description, covariance, is_payload, options
-    description = f"a motion {FASTER:g} times as fast, over the same time"
-    fast_information = information_of(knowledge, speed_factor=FASTER)
-    yield description, criterion.covariance(fast_information), is_payload, ()
-    if is_payload:
-        return
-    if len(knowledge.link_factor):
-        better = replace(criterion, link_factor=BETTER_LINKS * knowledge.link_factor)
-        percentage = f"{BETTER_LINKS * recording.options.link_uncertainty:g}"
-        description = f"other links known to {percentage} % (--link-uncertainty)"
-        yield description, better.covariance(information), False, ()
-    # The covariance of a Gaussian, given one of its variables.
-    covariance = criterion.covariance(information)
-    mass_column = covariance[0]
-    mass_share = _WEIGHED_SHARE * np.outer(mass_column, mass_column)
-    yield _WEIGHING, covariance - mass_share / covariance[0, 0], False, ()
-    payload = prior_knowledge(problem, recording.options, "payload")
-    covariance = design_criterion(problem, payload).covariance(information_of(payload))
-    yield _PAYLOAD_BY_DIFFERENCE, covariance, True, ("--for", "payload")
-
-
-def identifiability_note(
-    problem: ExcitationProblem, plan: MotionPlan, recording: RecordingPlan
-) -> str:
-    """Return a note that no motion can identify the terminal link's mass well, with suggestions; ""
-    where a motion can, and for payloads.
-
-    The lower bound of the errors is that of a recording without noise, in which only the priors
-    leave errors. The effects of the suggestions are computed along ``plan``, which may be any
-    motion: no designed one exists before the search.
-    """
-    if recording.is_payload:
-        return ""
-    options = recording.options
-    knowledge = prior_knowledge(problem, options, recording.target)
-    prior = problem.robot.prior
-    criterion = design_criterion(problem, knowledge)
-    information = random_information(problem, knowledge, _NO_NOISE)
-    least = projected_covariance(prior.theta, criterion.covariance(information))
-    mass_error, centre_error = mass_and_centre_errors(prior.theta, least)
-    if not mass_error > LOOSE_SHARE * prior.mass:
-        return ""
-    improvements = _improvements(problem, plan, recording, knowledge, criterion)
-    suggestions = [f"{change.description}: {change.figures}" for change in improvements]
-    return (
-        f"no motion of this arm tells the mass of {problem.robot.body_name}, {prior.mass:.2g} kg, "
-        f"better than ± {mass_error:.2g} kg and its centre of mass than "
-        f"± {1e3 * centre_error:.2g} mm: that much may be in the links before it, known to "
-        f"{options.link_uncertainty:g} %. What would help, along a random motion: "
-        f"{'; '.join(suggestions)}"
-    )

@@ -356,20 +356,13 @@ class Criterion:
         change = np.zeros((len(information), n_visible + n_others))
         change[:10, :n_visible] = self.visible
         change[10 : 10 + n_others, n_visible:] = self.link_factor
-        precision = change.T @ (self._share * information) @ change
+        precision = change.T @ information @ change
         prior = range(n_visible, n_visible + n_others)
         precision[prior, prior] += 1.0
         cross = precision[:count, count:]
         best = np.linalg.solve(precision[count:, count:], cross.T)
         directions = change[:, :count] - change[:, count:] @ best
         return directions, precision[:count, :count] - cross @ best
-
-    @property
-    def _share(self) -> float:
-        """Share of a recording's information that counts: 0.5 for a payload, as the difference of
-        two recordings has twice the variance of noise.
-        """
-        return 0.5 if self.target == "payload" else 1.0
 
     def evaluate(self, information: Array) -> tuple[float, Array]:
         """Return (ln det C / 2r, G (10 L, r)) of information (10 L, 10 L); infinite if singular.
@@ -391,7 +384,7 @@ class Criterion:
         values, vectors = np.linalg.eigh(precision / np.outer(root, root))
         if values[0] <= _SINGULAR:
             return singular
-        scale = np.sqrt(0.5 * self._share / count)
+        scale = np.sqrt(0.5 / count)
         factor = scale * (change / root) @ (vectors / np.sqrt(values))
         return -0.5 * float(np.sum(np.log(values * root**2))) / count, factor
 

@@ -6,7 +6,7 @@ The standard errors that are expected of the estimate are numbers (``Prediction`
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,13 +26,11 @@ from robot_sysid.motion.problem import (
 from robot_sysid.motion.solids import swept_space
 from robot_sysid.motion.static import contact_on_the_way
 from robot_sysid.records import Array, MotionPlan
-from robot_sysid.records.messages import PARAMETER_UNITS, Detail, percent
+from robot_sysid.records.messages import PARAMETER_UNITS, Detail, NextStep, percent
 from robot_sysid.trajectory import TORQUE_MARGIN, spread_motion
 
-LOOSE_SHARE = 0.2
-"""Predicted standard error over the parameter's size above which the parameter is called loose."""
-_CAUSE_SHARE = 0.2
-"""Share of the total error from which a cause is listed: 4 % of its square."""
+LARGE_SHARE = 0.2
+"""Predicted standard error over the parameter's size above which the parameter is named."""
 _DIAGONAL = (0, 4, 7, 9)
 """Indices of the parameters whose errors are compared with their own value: mass and moments of
 inertia."""
@@ -43,8 +41,6 @@ _SAME_POSE = 1e-6
 """How near to the model's pose a start counts as that pose [rad or m]."""
 _MOST_POSTURES = 3000
 """Largest number of postures from which the swept box is computed."""
-PAYLOAD_MASS = 1.0
-"""Mass of the payload whose errors are predicted [kg]."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +71,7 @@ class Prediction:
     """Standard errors that are expected of an identification of one recording of a motion.
 
     Attributes:
+        recordings: how the motion is recorded, in words that begin a sentence.
         subject: which body is identified, in words.
         theta: (10,) of that body.
         size: (10,) magnitude that each error is compared with: for the mass and the moments of
@@ -86,11 +83,11 @@ class Prediction:
         invisible: combinations of parameters that no motion of these joints shows, in words.
         improvements: changes that would make the errors smaller, the best first.
         caveat: why the errors are only a lower bound, computed from all samples; "" where not.
-        scale_error: error of a payload's mass by torque scales, relative to the mass.
         common_scale: how often the identification will suspect one wrong scale of all torques, with
             the larger errors that it will then state; None where that is rare.
     """
 
+    recordings: str
     subject: str
     theta: Array
     size: Array
@@ -100,7 +97,6 @@ class Prediction:
     invisible: tuple[str, ...]
     improvements: tuple[Improvement, ...] = ()
     caveat: str = ""
-    scale_error: float = 0.0
     common_scale: Improvement | None = None
 
     @property
@@ -118,14 +114,13 @@ class Prediction:
         """Predicted standard error of the mass over the mass; infinite if not identified."""
         return self.errors_of(self.covariance)[0] / float(self.size[0])
 
-    def improvement_options(self) -> tuple[str, ...]:
-        """Return the command-line options of the improvement with the smallest error of the mass;
-        () where no improvement has options.
+    def combined_error(self, mass_error: float, centre_error: float) -> float:
+        """Return errors of mass [kg] and centre of mass [m] as one number: the root of the sum of
+        squares of both, each over the body's size.
         """
-        planned = [change for change in self.improvements if change.options]
-        if not planned:
-            return ()
-        return min(planned, key=lambda change: change.mass_error).options
+        mass = float(self.size[0])
+        length = float(np.linalg.norm(self.size[1:4])) / mass
+        return float(np.hypot(mass_error / mass, centre_error / length))
 
     def errors_by_cause(self) -> list[tuple[str, float, float]]:
         """Return (cause, its error of the mass [kg], its error of the centre of mass [m]) of all
@@ -182,12 +177,11 @@ def plan_lines(
     check: LimitCheck,
     prediction: Prediction,
 ) -> Iterator[str]:
-    """Yield the lines that ``robot-sysid plan`` prints about a checked motion; a ``Detail`` is
-    printed on demand only.
+    """Yield the lines that ``robot-sysid plan`` prints about a checked motion, but for those on
+    improvements; a ``Detail`` is printed on demand only.
     """
     yield from limit_lines(plan, check)
     yield from _error_lines(prediction)
-    yield from _improvement_lines(prediction)
     yield from motion_lines(problem, plan, check)
 
 
@@ -209,68 +203,74 @@ def limit_lines(plan: MotionPlan, check: LimitCheck) -> Iterator[str]:
 
 
 def _error_lines(prediction: Prediction) -> Iterator[str]:
-    """Yield the errors that an identification will state, and by which causes."""
-    yield f"An identification of one recording will state, of {prediction.subject}:"
+    """Yield the errors that an identification will state, and their largest causes."""
+    yield f"{prediction.recordings}, it determines {prediction.subject} with these errors:"
     if prediction.caveat:
         yield f"  {prediction.caveat}"
     mass, centre = prediction.errors_of(prediction.covariance)
-    causes = []
-    for cause, mass_error, centre_error in prediction.errors_by_cause():
-        if max(mass_error / mass, centre_error / centre) > _CAUSE_SHARE:
-            causes.append((cause, mass_error, 1e3 * centre_error))
+    causes = prediction.errors_by_cause()
     if np.isfinite(mass):
+        cause = max(causes, key=lambda cause: cause[1])[0]
         share = percent(mass / prediction.size[0])
-        if prediction.scale_error:
-            share = f"{share}, and {percent(prediction.scale_error)} for torque scales"
-        listed = ", ".join(f"{cause} {error:.2g}" for cause, error, _ in causes)
-        yield f"  mass ± {mass:.2g} kg ({share}): {listed}"
+        yield f"  mass ± {mass:.2g} kg ({share}), limited by {cause}"
     if np.isfinite(centre):
-        listed = ", ".join(f"{cause} {error:.2g}" for cause, _, error in causes)
-        yield f"  centre of mass ± {1e3 * centre:.2g} mm: {listed}"
-    if prediction.common_scale:
-        doubt = prediction.common_scale
-        yield f"  {doubt.description}: {doubt.figures}"
-    identified = []
-    unidentified = []
-    for name, error in zip(spatial.PARAMETER_NAMES, prediction.relative_errors):
-        if np.isfinite(error):
-            identified.append(f"{name} {percent(error)}")
-        else:
-            unidentified.append(name)
-    if identified:
-        yield f"  {', '.join(identified)}"
-    if unidentified:
-        yield f"  not identified: {', '.join(unidentified)}"
+        cause = max(causes, key=lambda cause: cause[2])[0]
+        yield f"  centre of mass ± {1e3 * centre:.2g} mm, limited by {cause}"
     if prediction.link_mass_errors:
         masses = prediction.link_mass_errors.items()
         listed = ", ".join(f"{name} {percent(error)}" for name, error in masses)
         yield f"  mass of the other links: {listed}"
+    uncertain = []
+    unidentified = []
+    for name, error in zip(spatial.PARAMETER_NAMES[1:], prediction.relative_errors[1:]):
+        if np.isinf(error):
+            unidentified.append(name)
+        elif error > LARGE_SHARE:
+            uncertain.append(f"{name} {percent(error)}")
+    if uncertain:
+        yield f"  above {percent(LARGE_SHARE)} of their size: {', '.join(uncertain)}"
+    if not np.isfinite(mass):
+        unidentified.insert(0, "mass")
+    if unidentified:
+        yield f"  not identified: {', '.join(unidentified)}"
+    for combination in prediction.invisible:
+        yield (
+            f"No motion of these joints identifies {combination}: use --torques chain if only the "
+            "last joint is used now, or mount the base at another angle"
+        )
+    if prediction.common_scale:
+        doubt = prediction.common_scale
+        yield Detail(f"  {doubt.description}: {doubt.figures}")
+    for cause, mass_error, centre_error in causes:
+        figures = (
+            f"mass {mass_error:.2g} kg, centre of mass {1e3 * centre_error:.2g} mm"
+        )
+        yield Detail(f"  by {cause}: {figures}")
     errors = zip(spatial.PARAMETER_NAMES, prediction.standard_errors, PARAMETER_UNITS)
     for name, error, unit in errors:
         if np.isfinite(error):
             yield Detail(f"  {name:3s} ± {error:9.2e} {unit}")
 
 
-def _improvement_lines(prediction: Prediction) -> Iterator[str]:
-    """Yield lines on parameters with large errors or none at all, and on changes that would make
-    the errors smaller.
+def improvement_lines(
+    improvements: Sequence[Improvement],
+    command_of: Callable[[Improvement], tuple[str, ...]],
+) -> Iterator[str]:
+    """Yield lines on the change with the largest gain, and on the best one that a command makes.
+
+    Args:
+        improvements: the one with the largest gain first.
+        command_of: returns the words of the command that plans the changed motion, () without one.
     """
-    for combination in prediction.invisible:
-        yield (
-            f"No motion of these joints shows {combination}: use --torques chain if only the last "
-            "joint is used now, or mount the base at another angle"
-        )
-    loose_parameters = []
-    for name, error in zip(spatial.PARAMETER_NAMES, prediction.relative_errors):
-        if LOOSE_SHARE < error < np.inf:
-            loose_parameters.append(f"{name} {percent(error)}")
-    if loose_parameters:
-        yield f"Stays loose: {', '.join(loose_parameters)}"
-    for number, change in enumerate(prediction.improvements):
-        line = f"{change.description}: {change.figures}"
-        yield (
-            f"What would help first: {line}" if number == 0 else Detail(f"  or {line}")
-        )
+    title = "What helps most is"
+    for change in improvements:
+        command = command_of(change)
+        yield from NextStep(
+            f"{title} {change.description} ({change.figures})", command
+        ).lines()
+        if command:
+            return
+        title = "What helps as well is"
 
 
 def motion_lines(

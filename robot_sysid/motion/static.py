@@ -22,7 +22,7 @@ from itertools import islice
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion import PoseOptions
+from robot_sysid.motion import RECORDED_FOR_PAYLOAD, PoseOptions
 from robot_sysid.motion.limit_check import first_contact, keeps_limits
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.trajectories import (
@@ -33,6 +33,7 @@ from robot_sysid.motion.trajectories import (
     straight_way,
 )
 from robot_sysid.records import Array, Motion, MotionPlan
+from robot_sysid.records.messages import percent
 from robot_sysid.trajectory import TORQUE_MARGIN
 
 N_POSES = 1000
@@ -362,21 +363,30 @@ def _motion_through(
     return LineTrajectory(np.array(points), slower * RESERVE * times, np.array(dwells))
 
 
-def pose_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
-    """Return lines on the poses of a plan, and on the standard error of a payload's mass from the
-    noise of torques in these poses.
+def pose_lines(
+    problem: ExcitationProblem, plan: MotionPlan, mass: float, scale_error: float
+) -> list[str]:
+    """Return lines on the poses of a plan, and on the standard error of a payload's mass.
+
+    Args:
+        problem: the arm, with the noise of the mean torque of a rest.
+        plan: the motion through the poses.
+        mass: of the payload [kg].
+        scale_error: standard error that all torque scales share, as a share of the torque.
     """
     assert isinstance(plan, LineTrajectory)
     # The arm rests in each pose twice, one rest after the other.
     rests = plan.points[plan.dwells > 0.0][::2]
     rows = _gravity_rows(problem, rests).reshape(-1, 4)
-    # The payload is a difference of two recordings, each the mean of two rests.
-    covariance = np.linalg.pinv(rows.T @ rows)
+    # The payload is a difference of two means, each of two recordings with two rests per pose.
+    covariance = 0.5 * np.linalg.pinv(rows.T @ rows)
+    error = float(np.hypot(np.sqrt(covariance[0, 0]), scale_error * mass))
+    noise = float(np.mean(problem.sigma))
     return [
-        f"{len(rests)} poses, each approached from both sides, {plan.duration:.0f} s.",
-        f"Where the mean torque of a rest is known to {float(np.mean(problem.sigma)):.2g} N·m, "
-        f"empty and loaded recordings of them show a payload's mass to "
-        f"{float(np.sqrt(covariance[0, 0])):.2g} kg.",
+        f"{len(rests)} poses, each approached from both sides, {plan.duration:.0f} s",
+        f"{RECORDED_FOR_PAYLOAD}, they determine a load of {mass:.2g} kg with this error:",
+        f"  mass ± {error:.2g} kg ({percent(error / mass)}), if the mean torque of a rest is known "
+        f"to {noise:.2g} N·m",
     ]
 
 

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from robot_sysid.config import LOADED, PayloadConfig, PayloadOptions
+from robot_sysid.config import PayloadConfig, PayloadOptions
 from robot_sysid.diagnosis.log_checks import check_log
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.build_result import payload_of, traces_of
@@ -24,6 +24,7 @@ from robot_sysid.estimation.unknowns import SCALES, Unknowns
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.model.bodies import find_flange
+from robot_sysid.motion import LOADED
 from robot_sysid.pipeline import Identification
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.messages import Progress

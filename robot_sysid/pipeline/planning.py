@@ -18,17 +18,17 @@ from robot_sysid.pipeline.run_words import words_of_plan
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_files
 from robot_sysid.records.messages import NextStep, Progress
-from robot_sysid.records.option_fields import joint_values
+from robot_sysid.records.option_fields import given_arguments, joint_values
 from robot_sysid.results.next_steps import step_after_plan
 from robot_sysid.results.result_lines import clamping_lines
-from robot_sysid.results.verdict import plan_verdict, shortfalls_of_plan
+from robot_sysid.results.verdict import UNKNOWN, plan_verdict, shortfalls_of_plan
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
 
 if TYPE_CHECKING:
     from robot_sysid.config import MotorOptions
     from robot_sysid.damiao.trajectory import MotionChunk
-    from robot_sysid.motion.prediction import Prediction
+    from robot_sysid.motion.prediction import Improvement, Prediction
 
 _SMOOTH_REVERSAL = 0.01
 """Speed at which exported dry friction has reached 76 % of its size [rad/s]. A wider transition is
@@ -75,11 +75,8 @@ def design_motion(
         link_uncertainty=estimation.link_uncertainty,
     )
     if config.excitation.kind == "optimal":
-        from robot_sysid.motion.expected_errors import (
-            RecordingPlan,
-            identifiability_note,
-            prior_knowledge,
-        )
+        from robot_sysid.motion.expected_errors import RecordingPlan, prior_knowledge
+        from robot_sysid.motion.improvements import identifiability_note
 
         target = config.poses.target
         recording = RecordingPlan(config.trajectory.sample_rate, estimation, target)
@@ -101,6 +98,7 @@ def predict_plan(
     """
     from robot_sysid.motion import expected_errors, static
     from robot_sysid.motion import prediction as predictions
+    from robot_sysid.motion.improvements import expected_improvements
 
     problem = checked.problem
     plan = checked.plan
@@ -111,15 +109,42 @@ def predict_plan(
     if not poses.sets_its_time:
         recording = expected_errors.RecordingPlan(rate, config.estimation, poses.target)
         prediction = expected_errors.predict(problem, plan, recording)
-        return prediction, [*predictions.plan_lines(problem, plan, check, prediction)]
+        improvements = expected_improvements(problem, plan, recording, prediction)
+        prediction = replace(prediction, improvements=improvements)
+        lines = [*predictions.plan_lines(problem, plan, check, prediction)]
+        command_of = partial(_command_of_plan, config)
+        lines += predictions.improvement_lines(improvements, command_of)
+        return prediction, lines
     lines = [*predictions.limit_lines(plan, check)]
     if poses.static:
-        lines += static.pose_lines(problem, plan)
+        mass = float(expected_errors.typical_load(problem)[0])
+        scale_error = expected_errors.common_scale_error(problem, config.estimation)
+        lines += static.pose_lines(problem, plan, mass, scale_error)
     else:
         lines += static.sweep_lines(problem, plan)
         lines += expected_errors.friction_lines(problem, plan, rate, config.estimation)
     lines += predictions.motion_lines(problem, plan, check)
     return None, lines
+
+
+def _command_of_plan(config: SysidConfig, change: Improvement) -> tuple[str, ...]:
+    """Return the words of the command that plans a changed motion with the options of this one.
+
+    () where no options make the change, and where no file of the options is written.
+    """
+    if not change.options or config.plan_file is None:
+        return ()
+    # The settings of a motion from a file ask for that motion again.
+    if config.trajectory.file is None:
+        source = ["--config", str(config.plan_file.with_suffix(".toml"))]
+    else:
+        source = [str(config.model.path)]
+        for record in (config.model, config.limits, config.arm, config.estimation):
+            source += given_arguments(record)
+        if "--for" not in change.options:
+            source += given_arguments(config.poses)
+    folder = str(config.output.output_dir / "again")
+    return ("robot-sysid", "plan", *source, *change.options, "--output-dir", folder)
 
 
 def write_plan(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Outcome:
@@ -183,32 +208,31 @@ def _shortfalls(
     Returns:
         One sentence per shortfall; the step, None where there is no better motion to plan.
     """
-    from robot_sysid.motion.prediction import contact_before
+    from robot_sysid.motion.prediction import LARGE_SHARE, contact_before
 
     if checked.problem is None or checked.failure:
         return [], None
     contact = contact_before(checked.problem, checked.plan)
     if prediction is None:
-        shortfalls = shortfalls_of_plan("", relative_mass_error=None, contact=contact)
+        shortfalls = shortfalls_of_plan("", 0.0, contact)
         return shortfalls, None
+    mass_share = prediction.relative_mass_error
     is_weighing = config.poses.purpose == WEIGHT
-    mass_share = None if is_weighing else prediction.relative_mass_error
-    shortfalls = shortfalls_of_plan(prediction.subject, mass_share, contact)
+    # Where no motion determines the mass by these torques, the lines on the plan say so.
+    if is_weighing or (np.isinf(mass_share) and prediction.invisible):
+        mass_share = 0.0
+    largest = LARGE_SHARE if config.poses.target == "payload" else UNKNOWN
+    subject = prediction.subject
     # Another motion shows more of a mass; it does not clear the way.
-    mass_shortfalls = shortfalls_of_plan(prediction.subject, mass_share, contact=None)
-    if not mass_shortfalls or config.plan_file is None:
-        return shortfalls, None
-    options = prediction.improvement_options()
-    if not options:
-        return shortfalls, None
-    run = words_of_plan(config)
-    source = [run.model, *run.arm, *config.limit_words()]
-    # The settings of a motion from a file ask for that motion again.
-    if config.trajectory.file is None:
-        source = ["--config", str(config.plan_file.with_suffix(".toml"))]
-    folder = str(config.output.output_dir / "again")
-    command = ("robot-sysid", "plan", *source, *options, "--output-dir", folder)
-    return shortfalls, NextStep("Next, plan a motion that determines it", command)
+    shortfalls = shortfalls_of_plan(subject, mass_share, None, largest)
+    step = None
+    if shortfalls:
+        by_mass = sorted(prediction.improvements, key=lambda change: change.mass_error)
+        commands = [_command_of_plan(config, change) for change in by_mass]
+        command = next(filter(None, commands), None)
+        if command:
+            step = NextStep("Next, plan a motion that determines it", command)
+    return shortfalls_of_plan(subject, mass_share, contact, largest), step
 
 
 def draft_plan(

@@ -212,6 +212,16 @@ def command_arguments(values: Mapping[str, Any], *records: Any) -> list[str]:
     return arguments
 
 
+def given_arguments(record: Any) -> list[str]:
+    """Return the arguments of a command line that state the given options of a record."""
+    values = {}
+    for name, stated in options_of(record).items():
+        value = getattr(record, name)
+        if value != default_of(record, name):
+            values[stated.key] = value
+    return command_arguments(values, record)
+
+
 def record_from(record_class: type[Record], values: Mapping[str, Any]) -> Record:
     """Return a record of a class, with a value for each option that ``values`` has by its key.
 

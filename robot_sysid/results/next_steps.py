@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from robot_sysid.motion import WEIGHT
+from robot_sysid.motion import PAYLOAD_ORDER, WEIGHT
 from robot_sysid.records import Source
 from robot_sysid.records.file_access import CARD_NAME, DAMIAO_NAME, RUN_NAME, models_in
 from robot_sysid.records.messages import NextStep
@@ -27,6 +27,8 @@ EMPTY_NAME = "empty.csv"
 """Name under which the recording without a payload is expected."""
 LOADED_NAME = "loaded.csv"
 """Name under which the recording with a payload is expected."""
+PAYLOAD_RECORDINGS = (EMPTY_NAME, LOADED_NAME, "loaded_again.csv", "empty_again.csv")
+"""Names of the recordings of a motion for a payload, in the order ``PAYLOAD_ORDER``."""
 _WEIGHT_NAME = "weight.csv"
 """Name under which the recording with a weight of known mass is expected."""
 _SCALE_NAME = "torque_scale.json"
@@ -252,9 +254,11 @@ def step_after_plan(
     loaded = run.folder / LOADED_NAME
     sentence = f"Next, play it, record it as {log}, and identify the arm"
     if purpose == "payload":
+        again = [str(run.folder / name) for name in PAYLOAD_RECORDINGS[2:]]
         sentence = (
-            f"Next, play it without what is bolted on and record it as {empty}, then with it as "
-            f"{loaded}, and weigh the difference"
+            f"Next, play it without what is bolted on and record it as {empty}, then twice with it "
+            f"as {loaded} and {again[0]}, once more without it as {again[1]}, and weigh the "
+            "difference"
         )
     recording = loaded if purpose == "payload" else log
     return step_after_recording(run, recording, purpose, is_static, sentence)
@@ -271,16 +275,18 @@ def step_after_recording(
 
     Args:
         run: what the command repeats; its folder is that of the results.
-        recording: the recording; of a payload the one with it, beside that without.
+        recording: the recording; of a payload one of ``PAYLOAD_RECORDINGS``, beside the others.
         purpose: of the motion, as in ``--for``.
         is_static: whether the motion rests at poses.
         sentence: what to do.
     """
     words = ["robot-sysid", "identify", run.model, str(recording)]
     if purpose == "payload":
-        empty = str(recording.with_name(EMPTY_NAME))
-        words = ["robot-sysid", "payload", run.model, "--empty", empty]
-        words += ["--loaded", str(recording)]
+        words = ["robot-sysid", "payload", run.model]
+        names = PAYLOAD_RECORDINGS
+        first, second, third, last = (str(recording.with_name(n)) for n in names)
+        words += ["--empty", first, last, "--loaded", second, third]
+        words += ["--order", PAYLOAD_ORDER]
         words += ["--static"] if is_static else []
     words += ["--links"] if purpose == "arm" else []
     words += [*run.arm, *run.log, "--output-dir", str(run.folder)]

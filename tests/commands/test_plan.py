@@ -35,7 +35,7 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(
     promise = printed.out[
         printed.out.index("Keeps all limits for 3.0 s; ") :
     ].splitlines()
-    assert promise[1] == "An identification of one recording will state, of link2:"
+    assert promise[1] == "Recorded once, it determines link2 with these errors:"
     assert promise[2].startswith("  mass ± ") and promise[3].startswith(
         "  centre of mass ± "
     )
@@ -61,7 +61,7 @@ def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(
     repeated = command.run("plan", path, "--trajectory plan.json --sample-rate 100 -v")
     # Only the limit on accelerations differs: a design has one of its own.
     promise = printed.out[
-        printed.out.index("Keeps all") : printed.out.index("Stays loose")
+        printed.out.index("Keeps all") : printed.out.index("What helps most")
     ]
     assert promise.splitlines() == [
         path for path in repeated.out.splitlines() if path in promise
@@ -103,7 +103,7 @@ def test_poses_can_be_planned_saved_and_checked_again(command, arm_file):
     printed = command.run("plan", path, *static, "--seed 1")
     assert "12 poses, each approached from both sides" in printed.out
     assert "Keeps all limits for " in printed.out
-    assert " --empty LOG --loaded LOG (without" in printed.out.splitlines()[-1]
+    assert "loaded_again.csv --order ABBA --static" in printed.out.splitlines()[-1]
     saved = path.parent / "sysid_output" / "trajectory.json"
     assert isinstance(load_trajectory(saved).plan, LineTrajectory)
     folder = ("--output-dir again --sample-rate 100",)

@@ -12,7 +12,6 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra import consistent_bodies
 from robot_sysid.estimation.algebra.consistent_bodies import projected_covariance
 from robot_sysid.estimation.answer import estimate_of
@@ -20,13 +19,13 @@ from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordi
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.estimation.unknowns import LINKS, SCALES
 from robot_sysid.motion.expected_errors import (
-    NOISE,
+    TYPICAL_LOAD,
     RecordingPlan,
+    common_scale_error,
     friction_lines,
-    identifiability_note,
     predict,
-    predict_posterior,
     prior_knowledge,
+    typical_load,
 )
 from robot_sysid.motion.information import design_criterion, plan_information
 from robot_sysid.records.messages import Progress
@@ -132,42 +131,29 @@ def test_predicted_friction_errors_equal_reported_errors():
             assert abs(float(error) / errors[f"{term}[{joint}]"] - 1.0) < 0.4
 
 
-def test_payload_errors_come_from_the_difference_of_two_recordings():
-    """Errors of the links cancel, and the noise of both recordings counts."""
+def test_payload_errors_come_from_the_difference_of_recordings():
+    """Errors of the links cancel; noise and the error that all torque scales share count."""
     expected = predict_errors(target="payload")
     link_error = predict_errors().standard_errors[0]
     assert 0.0 < expected.standard_errors[0] < 0.3 * link_error
-    assert expected.covariance_by_cause[NOISE][0, 0] > 0.5 * expected.covariance[0, 0]
-    assert 0.01 < expected.scale_error < 0.03
+    common = common_scale_error(PROBLEM, USUAL) * expected.theta[0]
+    scales = np.sqrt(expected.covariance_by_cause[SCALES][0, 0])
+    assert 0.01 < common / expected.theta[0] < 0.03
+    assert common <= scales < expected.standard_errors[0]
+    total = np.sum(list(expected.covariance_by_cause.values()), axis=0)
+    assert_allclose(total, expected.covariance, atol=1e-9 * np.max(total))
 
 
 def test_different_torque_scales_are_averaged_by_their_weights():
     options = EstimationOptions(scale_uncertainty=(1.0, 2.0, 4.0, 8.0))
-    scale_error = predict_errors(options, "payload").scale_error
+    scale_error = common_scale_error(PROBLEM, options)
     assert scale_error == pytest.approx(0.01 / np.linalg.norm([1.0, 0.5, 0.25, 0.125]))
 
 
-def test_the_payload_mass_is_as_uncertain_as_the_torque_scale():
-    improvements = predict_errors(EstimationOptions(scale_uncertainty=6.0)).improvements
-    (payload,) = (x for x in improvements if "by difference" in x.description)
-    relative_error = payload.mass_error / robot(ARM).prior.mass
-    assert 0.06 / np.sqrt(robot(ARM).n_joints) < relative_error < 0.1
-
-
-def test_a_mass_that_no_motion_determines_is_reported_in_advance():
-    """The note states the smallest possible error and the measurement that helps."""
-    tip = '<inertial pos=".02 .03 .06" mass=".08" diaginertia=".0005 .0006 .0003"/>'
-    light = ARM.replace(arms.TIP, tip)
-    problem = make_problem(light, noise_torque=SIGMA)
-    recording = RecordingPlan(RATE, USUAL)
-    note = identifiability_note(problem, PLAN, recording)
-    floor = float(re.search(r"better than ± ([\d.]+) kg", note).group(1))
-    assert floor > 0.2 * problem.robot.prior.mass and "payload by difference" in note
-    surer = RecordingPlan(RATE, EstimationOptions(link_uncertainty=0.5))
-    assert identifiability_note(problem, PLAN, surer) == ""
-    posterior = predict_posterior(problem, PLAN, recording)
-    covariance, _ = posterior.errors_of(PARAMETER_NAMES)
-    assert np.sqrt(covariance[0, 0]) > 0.99 * floor
+def test_the_load_is_the_one_that_torque_is_reserved_for():
+    moving_mass = np.sum(robot(ARM).thetas[:, 0])
+    assert typical_load(PROBLEM)[0] == pytest.approx(TYPICAL_LOAD * moving_mass)
+    assert typical_load(make_problem(ARM, payload_reserve=0.7))[0] == pytest.approx(0.7)
 
 
 @pytest.mark.parametrize(

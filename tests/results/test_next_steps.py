@@ -9,6 +9,7 @@ import pytest
 
 from robot_sysid.records.messages import NextStep
 from robot_sysid.results.next_steps import (
+    PAYLOAD_RECORDINGS,
     RunWords,
     last_lines,
     next_step,
@@ -167,7 +168,8 @@ def test_a_path_with_quotes_is_python_too():
         ("arm", "identify 'an arm.xml' out/log.csv --links"),
         (
             "payload",
-            "payload 'an arm.xml' --empty out/empty.csv --loaded out/loaded.csv",
+            "payload 'an arm.xml' --empty out/empty.csv out/empty_again.csv "
+            "--loaded out/loaded.csv out/loaded_again.csv --order ABBA",
         ),
     ],
 )
@@ -176,7 +178,7 @@ def test_after_a_plan_its_recording_is_identified(purpose, command):
     options = "--joint j6 --units deg --output-dir out"
     assert line == f"  robot-sysid {command} {options}"
     names = (
-        ("out/empty.csv", "out/loaded.csv")
+        tuple(f"out/{name}" for name in PAYLOAD_RECORDINGS)
         if purpose == "payload"
         else ("out/log.csv",)
     )
@@ -190,4 +192,4 @@ def test_a_motion_for_motors_is_rehearsed_first():
     rehearsal = f"motors simulate {file} --model 'an arm.xml' --joint j6"
     assert line == f"  robot-sysid {rehearsal} --keep-out 0 0 1 0 --play"
     static = step_after_plan(RUN, [], "payload", is_static=True).lines()[1]
-    assert "--loaded out/loaded.csv --static " in static
+    assert "--order ABBA --static " in static

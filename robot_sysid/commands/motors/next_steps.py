@@ -14,7 +14,7 @@ from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import command_arguments
 from robot_sysid.results.next_steps import (
     EMPTY_NAME,
-    LOADED_NAME,
+    PAYLOAD_RECORDINGS,
     RunWords,
     step_after_recording,
 )
@@ -23,6 +23,13 @@ USUAL_CHANNEL = "can0"
 """CAN interface in a printed command where the user has named none."""
 _FIRST_SPEED = 0.3
 """Share of its speed with which a motion is played for the first time."""
+
+_BETWEEN = (
+    "Next, bolt on what is to be weighed, and play it again",
+    "Next, play it once more like this",
+    "Next, take off again what is to be weighed, and play it",
+)
+"""What to do after each of the recordings of a payload but the last one."""
 
 
 def play_step(session: Session, plan: Plan) -> NextStep:
@@ -68,9 +75,10 @@ def step_after_play(session: Session, plan: Plan, is_real: bool) -> NextStep:
         if is_weighing:
             sentence = "Next, without what is bolted on, play it at full speed"
         return NextStep(sentence, words)
-    if is_weighing and record.name == EMPTY_NAME:
-        words = session.command("play", record=record.with_name(LOADED_NAME))
-        return NextStep("Next, bolt on what is to be weighed, and play it again", words)
+    if is_weighing and record.name in PAYLOAD_RECORDINGS[:-1]:
+        number = PAYLOAD_RECORDINGS.index(record.name)
+        following = record.with_name(PAYLOAD_RECORDINGS[number + 1])
+        return NextStep(_BETWEEN[number], session.command("play", record=following))
     run = _planned_run(session, record, planned)
     purpose = str(planned.get("for_", "link"))
     is_static = bool(planned.get("static", False))
