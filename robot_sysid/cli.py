@@ -17,7 +17,9 @@ from robot_sysid.commands import (
     COMMANDS,
     PROGRAM,
     make_output_tolerant,
+    overview,
     print_line,
+    print_text,
 )
 from robot_sysid.errors import (
     INTERRUPTED,
@@ -54,7 +56,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             if arguments == ["--version"]:  # It takes no options.
                 print_line(f"{PROGRAM} {__version__}", sys.stdout)
                 return 0
-            if not name and arguments and not arguments[0].startswith("-"):
+            if not name and not arguments:
+                # Not 0: a script whose variable for the model is empty has run nothing.
+                print_text("\n".join([*overview(), ""]), sys.stdout)
+                return InputError.exit_code
+            if not name and not arguments[0].startswith("-"):
                 _refuse_misspelt_command(arguments[0])
             module_name = COMMANDS.get(name, COMMANDS["identify"])
             module = importlib.import_module(f"robot_sysid.commands.{module_name}")

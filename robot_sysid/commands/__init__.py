@@ -19,10 +19,27 @@ from robot_sysid.records.option_fields import OptionRecord, option
 
 PROGRAM = "robot-sysid"
 COMMANDS = {
-    **dict.fromkeys(("plan", "identify", "payload"), "identify"),
-    **{name: name for name in ("log", "report", "motors", "example")},
+    "log": "log",
+    "identify": "identify",
+    "report": "report",
+    "plan": "identify",
+    "payload": "identify",
+    "motors": "motors",
+    "example": "example",
 }
 """Subcommand to its module; any other first word is a model file, for the module identify."""
+_USES = {
+    "log LOG MODEL": "look for what is wrong with a log of the arm",
+    "identify MODEL LOG": "correct the model: links, friction, rotor inertia",
+    "report DIR": "draw the result of a run as a page",
+    "plan MODEL": "plan a motion to record, where the log shows too little",
+    "payload MODEL --empty LOG --loaded LOG": "weigh what is bolted on, by difference",
+    "motors simulate|check|play FILE": "rehearse and play a planned motion on Damiao motors",
+    "motors setup|map|monitor|hold": "set Damiao motors up, and watch or hold them",
+    "MODEL": "test the identification on the model's own simulation",
+    "example kinova": "copy an example with two logs, to try all this",
+}
+"""Words behind the program's name to what they are for, in the order in which one needs them."""
 # What a title or a path from a file could do to a terminal; the last two ranges are line ends and
 # marks by which text runs from right to left.
 _CONTROL_CODES = (
@@ -49,6 +66,14 @@ _SHELL_LINES = ("robot-sysid ", "  mujoco.", *COMMAND_STARTS)
 """Beginnings of lines to paste, which are never wrapped."""
 PROGRESS_INTERVAL = 10.0
 """Time between two lines of progress where there is no terminal [s]."""
+
+
+def overview() -> list[str]:
+    """Return one line per command with its use, under a heading."""
+    width = max(map(len, _USES))
+    lines = [f"{PROGRAM} COMMAND ..., in the order in which you need them:"]
+    lines += [f"  {words:{width}}  {use}" for words, use in _USES.items()]
+    return [*lines, "Each COMMAND has its own --help."]
 
 
 def print_line(message: str, stream: Any) -> None:

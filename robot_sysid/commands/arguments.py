@@ -44,8 +44,8 @@ class Parser(argparse.ArgumentParser):
         example: a complete command line.
         description: what the command does.
         main: keys of the options in the help; None for all. The others work as well.
-        epilog: end of the help, before the exit codes.
         codes: exit codes that the command may have.
+        overview: lines between the example and the usage.
     """
 
     def __init__(
@@ -54,24 +54,28 @@ class Parser(argparse.ArgumentParser):
         example: str,
         description: str,
         main: Collection[str] | None = None,
-        epilog: str = "",
         codes: Sequence[int] = (0, 1, 2, 130),
+        overview: Sequence[str] = (),
     ) -> None:
         meanings = ", ".join(f"{code} {EXIT_CODES[code]}" for code in codes)
         super().__init__(
             prog=f"{PROGRAM} {command}".strip(),
             description=description,
-            epilog=f"{epilog} Exit codes: {meanings}.".strip(),
+            epilog=f"Exit codes: {meanings}.",
             formatter_class=_Formatter,
             allow_abbrev=False,
             add_help=False,
         )
         self._example = example
+        self._overview = overview
         self._main = main
 
     def format_help(self) -> str:
-        """Return the example, then the usage and all options."""
-        return f"example: {self._example}\n\n{super().format_help()}"
+        """Return the example, then the overview if there is one, the usage and all options."""
+        paragraphs = [f"example: {self._example}"]
+        if self._overview:
+            paragraphs.append("\n".join(self._overview))
+        return "\n\n".join([*paragraphs, super().format_help()])
 
     def error(self, message: str) -> NoReturn:
         """Raise InputError instead of printing the usage."""

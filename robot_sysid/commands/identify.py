@@ -12,7 +12,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any, NamedTuple
 
-from robot_sysid.commands import PROGRAM, Console
+from robot_sysid.commands import PROGRAM, Console, overview
 from robot_sysid.commands.arguments import Parser, parse_command
 from robot_sysid.commands.report import require_report, write_outcome_report
 from robot_sysid.config import (
@@ -54,7 +54,7 @@ class CommandSpec(NamedTuple):
         only: heading to keys of the only options that are added of the group; default all.
         leave_out: keys of options of the groups that the command does not have.
         defaults: by key, defaults in place of the records'.
-        epilog: end of the help.
+        overview: lines of the help before the usage.
     """
 
     config: Any
@@ -65,14 +65,15 @@ class CommandSpec(NamedTuple):
     only: Mapping[str, Collection[str]] = {}
     leave_out: Collection[str] = ()
     defaults: Mapping[str, Any] = {}
-    epilog: str = ""
+    overview: Sequence[str] = ()
 
 
 ALONE = CommandSpec(
     SysidConfig.of,
-    "robot-sysid examples/kinova/model/kinova_fullinertia_guess.xml",
-    "Identify mass, centre of mass, inertia and friction of a robot arm's terminal "
-    "link, and write a corrected model.",
+    "robot-sysid identify arm.xml log.csv",
+    "With a model alone: simulate it along a random motion and identify its terminal link from "
+    "that, as a test of the program. A model file that is called like a command is reached as "
+    "./plan.",
     (
         "mesh_dir",
         "duration",
@@ -83,8 +84,6 @@ ALONE = CommandSpec(
         "motor_type",
         "seed",
         "joint",
-        "torques",
-        "measurements",
         "verbose",
         "quiet",
     ),
@@ -99,9 +98,7 @@ ALONE = CommandSpec(
         "Damiao motors": (MotorOptions,),
     },
     only={"excitation": ("excitation", "excitation_time_budget")},
-    epilog="Commands: robot-sysid plan, identify, payload, log, report, motors and "
-    "example; each has its own --help. A model file that is called like a command is "
-    "reached as ./plan.",
+    overview=overview(),
 )
 PLAN = CommandSpec(
     SysidConfig.of_plan,
@@ -217,7 +214,9 @@ def build_parser(command: str = "", full: bool = True) -> Parser:
     """Return the parser of a command; without ``full``, its help has the main options only."""
     spec = SPECS[command]
     main = None if full else spec.main
-    parser = Parser(command, spec.example, spec.description, main, spec.epilog)
+    parser = Parser(
+        command, spec.example, spec.description, main, overview=spec.overview
+    )
     parser.add_argument(
         "path", metavar="MODEL", type=Path, help="MuJoCo XML (MJCF) or URDF file"
     )

@@ -224,7 +224,7 @@ def test_a_terminal_that_takes_nothing_does_not_keep_it_from_ending(monkeypatch)
 @pytest.mark.parametrize(
     ("arguments", "command_options"),
     [
-        (["fly"], "unknown command 'fly'; valid: check, play, simulate, hold, setup"),
+        (["fly"], "unknown command 'fly'; valid: simulate, check, play, hold, setup"),
         (["check"], "check needs --channel"),
         (["play", "T"], "play needs --channel"),
         (["play", *CAN0], "the following arguments are required: TRAJECTORY"),

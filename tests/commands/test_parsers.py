@@ -14,7 +14,7 @@ import pytest
 
 from robot_sysid import __version__
 from robot_sysid.cli import main
-from robot_sysid.commands import identify, log
+from robot_sysid.commands import COMMANDS, identify, log
 from robot_sysid.commands.arguments import PYTHON_ONLY, parse_command
 from robot_sysid.config import PayloadConfig, SysidConfig
 from tests.support import option_samples
@@ -85,7 +85,7 @@ def test_help_is_an_example_and_the_main_options_and_the_full_help_has_all(
     name, capsys
 ):
     lines = help_lines([*name.split(), "--help"], capsys)
-    assert lines[0].startswith(f"example: robot-sysid {name}".rstrip())
+    assert lines[0].startswith(f"example: robot-sysid {name or 'identify'}")
     full = help_lines([*name.split(), "--help-all"], capsys)
     assert max(map(len, (*lines, *full))) <= 100
     assert name == "log" or len(lines) <= 50
@@ -99,6 +99,21 @@ def test_help_is_an_example_and_the_main_options_and_the_full_help_has_all(
     ]
     main_options = identify.SPECS[name].main if name in identify.SPECS else ()
     assert set(main_options) <= {action.dest for action in visible}
+
+
+def test_without_arguments_the_commands_are_printed_in_the_order_of_their_use(capsys):
+    assert main([]) == 2
+    printed = capsys.readouterr()
+    heading, *lines, end = printed.out.splitlines()
+    assert printed.err == "" and "order in which you need them" in heading
+    names = [line.split()[0] for line in lines]
+    assert list(dict.fromkeys(names)) == [
+        *("log", "identify", "report", "plan", "payload", "motors", "MODEL", "example")
+    ]
+    assert set(COMMANDS) == {*names} - {"MODEL"} and "--help" in end
+    full_help = help_lines(["--help"], capsys)
+    assert full_help[2:4] == [heading, lines[0]]
+    assert "usage: robot-sysid MODEL [options]" in full_help
 
 
 def test_the_version_is_printed(capsys):

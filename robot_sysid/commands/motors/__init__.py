@@ -225,6 +225,18 @@ _MOTION = {"motion and limits": (PlaySettings,), "what to allow": (Permissions,)
 _ASKING = {"asking": (PlayChoices,)}
 # Commands that take a trajectory, and all commands, by name.
 _PLAYED = {
+    "simulate": MotorCommand(
+        simulate,
+        "damiao_trajectory.csv --model arm.xml --play --record measured.csv",
+        "Simulate the arm of a model with Damiao motors. Without --play it sits behind a "
+        "pseudo-terminal that acts as a serial CAN adapter, or on the bus of --interface and "
+        "--channel; the line to give to 'play' is printed.",
+        {
+            "simulated motors": (SimulatedMotorOptions,),
+            **_MOTION,
+            "recording": (RecordingOptions,),
+        },
+    ),
     "check": MotorCommand(
         check,
         "damiao_trajectory.csv --channel can0",
@@ -242,18 +254,6 @@ _PLAYED = {
             **_MOTION,
             "recording": (RecordingOptions,),
             "asking": (PlayChoices, DirectionChoices),
-        },
-    ),
-    "simulate": MotorCommand(
-        simulate,
-        "damiao_trajectory.csv --model arm.xml --play --record measured.csv",
-        "Simulate the arm of a model with Damiao motors. Without --play it sits behind a "
-        "pseudo-terminal that acts as a serial CAN adapter, or on the bus of --interface and "
-        "--channel; the line to give to 'play' is printed.",
-        {
-            "simulated motors": (SimulatedMotorOptions,),
-            **_MOTION,
-            "recording": (RecordingOptions,),
         },
     ),
 }

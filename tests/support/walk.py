@@ -1,0 +1,149 @@
+"""A person who follows every printed command, beside a simulated arm that plays what is asked.
+
+The walk begins with one command. Each line of the output that is a command is run as it is printed,
+in the same folder, and so on until nothing is printed any more. Recordings that a command names and
+that do not exist yet are made beforehand: the true arm plays the planned motion of that folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.cli import main
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
+from robot_sysid.logs.text import write_measurement_csv
+from robot_sysid.motion.trajectories import load_trajectory
+from robot_sysid.records import Measurement, MotionPlan, RobotModel
+from robot_sysid.trajectory import generate_excitation_trajectory
+
+MOST_STEPS = 8
+"""Number of commands within which a walk has to end."""
+RATE = 200.0
+KNOWN_MASS = 1.0
+"""Mass of the weight that the program asks to bolt on [kg]."""
+_PUNCTUATION = set("();<>|&")
+"""Characters that mean something to a shell where they are not quoted."""
+
+
+class TrueArm:
+    """A robot whose links differ from its model, with friction, and with a tool bolted on.
+
+    Args:
+        robot: what the model says.
+        seed: draws what differs.
+        tool: mass of the tool over the mass of all links.
+    """
+
+    def __init__(self, robot: RobotModel, seed: int = 1, tool: float = 0.05) -> None:
+        rng = np.random.default_rng(seed)
+        self.robot = robot
+        self._thetas = robot.thetas * rng.uniform(0.9, 1.1, (robot.n_joints, 1))
+        self._dynamics = LinkDynamics(robot)
+        self._rng = rng
+        self._reach = max(0.05 * robot.length, 0.01)
+        self.tool_mass = tool * float(np.sum(robot.thetas[:, 0]))
+        no_torque = lambda motion: np.zeros_like(motion.q)  # noqa: E731
+        self.first_plan = generate_excitation_trajectory(robot, rng, 12.0, no_torque)[0]
+        motion = self.first_plan.evaluate(np.linspace(0.0, 12.0, 500))
+        torque = self._dynamics.motion(motion.q, motion.qd, motion.qdd).torque(
+            self._thetas
+        )
+        typical = np.sqrt(np.mean(torque**2, axis=0))
+        self._typical = np.maximum(typical, 0.03 * np.max(typical))
+        self._coulomb = self._typical * rng.uniform(0.03, 0.1, robot.n_joints)
+
+    def record(self, path: Path, plan: MotionPlan, load: float) -> None:
+        """Write the log of a motion with a load of this mass on the terminal link [kg]."""
+        time = np.arange(round(RATE * plan.duration)) / RATE
+        motion = plan.evaluate(time)
+        thetas = self._thetas.copy()
+        offset = self._reach * np.array([0.3, -0.2, 1.0])
+        moments = (0.5 * self._reach) ** 2 * np.diag([0.5, 0.6, 0.4])
+        thetas[-1] += spatial.theta_from_com(load, offset, load * moments)
+        rigid = self._dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
+        friction = self._coulomb * (np.sign(motion.qd) + motion.qd)
+        noise = 0.01 * self._typical * self._rng.standard_normal(rigid.shape)
+        tau = rigid + self.robot.armature * motion.qdd + friction + noise
+        step = 2.0 * np.pi / 2**17
+        q = np.round(motion.q / step) * step
+        samples = Measurement(time, q, motion.qd, tau)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_measurement_csv(path, self.robot.joint_names, [samples])
+
+
+@dataclass(frozen=True)
+class Step:
+    """A command that was run: the line that was printed, its exit code, and its output."""
+
+    line: str
+    code: int
+    output: str
+
+
+def run_here(line: str) -> tuple[int, str]:
+    """Run a command line in this process; return its exit code and all that it printed.
+
+    The code is 127, as of a shell, where the line is none that a shell takes for one command.
+    """
+    lexer = shlex.shlex(line, posix=True, punctuation_chars=True)
+    lexer.whitespace_split = True
+    if any(word and set(word) <= _PUNCTUATION for word in lexer):
+        return 127, "syntax error"
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+        code = main(shlex.split(line)[1:])
+    return code, output.getvalue()
+
+
+def commands_in(output: str) -> list[str]:
+    """Return the lines of an output that are commands."""
+    lines = [line.strip() for line in output.splitlines()]
+    return [line for line in lines if line.startswith("robot-sysid ")]
+
+
+class Walk:
+    """Runs a command and every command that follows from it.
+
+    Args:
+        arm: the arm that is recorded.
+        run: runs a command line; returns its exit code and its output.
+    """
+
+    def __init__(
+        self, arm: TrueArm, run: Callable[[str], tuple[int, str]] = run_here
+    ) -> None:
+        self.arm = arm
+        self._run = run
+        self._plan: MotionPlan = arm.first_plan
+        self.steps: list[Step] = []
+
+    def follow(self, line: str) -> Sequence[Step]:
+        """Run a command line, and what follows from it, at most ``MOST_STEPS`` of them."""
+        waiting = [line]
+        while waiting and len(self.steps) < MOST_STEPS:
+            line = waiting.pop(0)
+            self._record_missing(line)
+            self.steps.append(Step(line, *self._run(line)))
+            waiting += commands_in(self.steps[-1].output)
+        self.steps += [Step(line, 125, "not reached") for line in waiting]
+        return self.steps
+
+    def _record_missing(self, line: str) -> None:
+        """Make the recordings that a command line names and that do not exist."""
+        loads = {"empty.csv": 0.0, "weight.csv": KNOWN_MASS}
+        for word in shlex.split(line):
+            path = Path(word)
+            if path.suffix != ".csv" or path.exists():
+                continue
+            saved = path.with_name("trajectory.json")
+            if saved.exists():
+                self._plan = load_trajectory(saved).plan
+            self.arm.record(path, self._plan, loads.get(path.name, self.arm.tool_mass))
