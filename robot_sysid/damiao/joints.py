@@ -245,6 +245,7 @@ def damiao_joints(
         ("--motor-type", types, ", base to terminal"),
         ("--can-id", can_ids, " or not at all"),
         ("--master-id", master_ids, " or not at all"),
+        ("a joint's name", names or types, " or not at all"),
     ):
         if len(values) != n_joints:
             times = "once" if len(values) == 1 else f"{len(values)} times"
@@ -256,8 +257,7 @@ def damiao_joints(
         raise InputError(problem)
     joint_names = ["_".join(name.split()) for name in names] or [""] * n_joints
     # The first four fields of a joint: type, CAN id, master id and name.
-    rows = zip(types, can_ids, master_ids, joint_names)
-    return tuple(DamiaoJoint(*row) for row in rows)
+    return tuple(map(DamiaoJoint, types, can_ids, master_ids, joint_names))
 
 
 def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:

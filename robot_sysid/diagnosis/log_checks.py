@@ -486,6 +486,11 @@ def check_log(
         log_findings = check_against_model(
             robot, log.pieces, options, links_known, log.torque_scale
         )
+    if options is not None and (options.cutoff or 0.0) > CUTOFF_HZ:
+        progress.note(
+            f"{log.path} is checked for faults below {CUTOFF_HZ:g} Hz only; the estimate has the "
+            f"cut-off of {options.cutoff:g} Hz"
+        )
     for finding in log_findings:
         is_accepted = finding.level is Level.WARN and finding.name in accepted
         # All other findings forbid an estimate, and become the error below.

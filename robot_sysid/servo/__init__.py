@@ -444,7 +444,7 @@ def play_servos(
                 settling_time=0.0,
             )
         except InputError:  # the only reason: no window fits into a piece with commands
-            notes.append(f"no held-out piece is as long as {horizon:g} s")
+            notes.append(f"no held-out piece has commands for {horizon:g} s")
             continue
         # Root mean square error (n,) of each joint [rad].
         old, new = np.sqrt(np.mean(problem.errors(pair) ** 2, axis=1))

@@ -131,7 +131,7 @@ def make_problem(
             windows.append((window, piece.time[counts] - start, piece.q[counts]))
     if not windows:
         raise InputError(
-            f"no piece of the log is as long as {length:g} s; record longer"
+            f"no piece of the log has commands for {length:g} s; record longer"
         )
     edges = np.linspace(0.0, length, max(1, round(length / STEP)) + 1)
     return ServoProblem(rollouts, tuple(windows), edges).subset(max_windows)

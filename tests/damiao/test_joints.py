@@ -72,6 +72,13 @@ def test_motor_types_have_to_match_the_chain(names, message):
         damiao_joints(names, 7)
 
 
+def test_every_joint_gets_its_name():
+    with pytest.raises(InputError, match="name was given 2 times but the chain has 3"):
+        damiao_joints(["DM4340"] * 3, 3, names=("a", "b"))
+    named = damiao_joints(["DM4340"] * 2, 2, names=("a 1", "b"))
+    assert [joint.name for joint in named] == ["a_1", "b"]
+
+
 WAYS = st.sampled_from([-1, 1])
 NUMBERS = st.floats(-10.0, 10.0)
 

@@ -192,6 +192,23 @@ def test_a_note_is_printed_without_a_second_prefix(four_joints, monkeypatch):
     assert notes == ["it lags [delay]"] and finding.line() == "note: it lags [delay]"
 
 
+def test_a_cut_off_that_is_lowered_for_the_checks_is_said(four_joints, monkeypatch):
+    notes = []
+    progress = Progress()
+    monkeypatch.setattr(progress, "note", notes.append)
+    log = SimpleNamespace(
+        path="log.csv", pieces=(four_joints.log,), notes=(), torque_scale=None
+    )
+    monkeypatch.setattr(
+        "robot_sysid.diagnosis.log_checks.check_against_model", lambda *_: ()
+    )
+    for cutoff in (None, 8.0, 20.0):
+        options = EstimationOptions(cutoff=cutoff)
+        check_log(four_joints.robot, log, (), progress, options)
+    (note,) = notes
+    assert "below 8 Hz only" in note and "cut-off of 20 Hz" in note
+
+
 def test_a_log_that_cannot_be_checked_is_named(four_joints):
     log = SimpleNamespace(
         path="log.csv", pieces=(four_joints.log,), notes=(), torque_scale=None

@@ -200,3 +200,12 @@ def test_a_joint_that_stands_still_is_no_fault():
     command = np.column_stack((COMMAND[:, 0], standing))
     pieces = commanded_pieces([log(q, command)], NAMES)
     assert is_moving(pieces).tolist() == [True, False]
+
+
+def test_pieces_without_commands_are_not_played_and_not_called_short():
+    time = np.arange(0.0, 60.0, 0.1)
+    piece = Measurement(time, np.zeros((len(time), 1)), None, None)
+    rollouts = SimpleNamespace(robot=SimpleNamespace(joint_names=("a",)))
+    played = servo.play_servos(rollouts, [piece], (), "the last fifth")
+    assert played.errors == ()
+    assert "no held-out piece has commands for 1 s" in played.notes
