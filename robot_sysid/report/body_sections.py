@@ -23,10 +23,12 @@ from robot_sysid.errors import SysidError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.preview.film import Colour, Studio, png_bytes
 from robot_sysid.records import Array, Flange, RobotModel
+from robot_sysid.records.file_access import CARD_NAME
 from robot_sysid.records.messages import PARAMETER_UNITS, percent, term_unit, with_error
 from robot_sysid.report.drawing import SERIES, Boxes, Panel, Points, draw
 from robot_sysid.report.runs import Body, Run, number
 from robot_sysid.report.sections import (
+    Block,
     Figure,
     Section,
     Table,
@@ -358,13 +360,25 @@ def card(run: Run) -> Section | None:
         f"In the frame of the flange {flange['name']} on body {flange['in_body']}. Check that the "
         "controller means the same frame."
     )
-    blocks = []
-    for entry in payload["cards"].values():
-        lines = filter(None, (entry["explanation"], *entry["notes"]))
-        comment = "\n".join(map("# {}".format, lines))
-        blocks.append((entry["title"], f"{comment}\n{entry['text']}"))
+    # The run wrote the card of this arm's controller to the file.
+    path = run.folder / CARD_NAME
+    written = path.read_text("utf-8") if path.is_file() else ""
+    blocks: list[Block] = []
+    other_blocks: list[Block] = []
+    for index, entry in enumerate(payload["cards"].values()):
+        remarks = " ".join(filter(None, (entry["explanation"], *entry["notes"])))
+        block = (entry["title"], remarks, entry["text"])
+        # The first one states the numbers for no particular controller.
+        is_shown = index == 0 or f"== {entry['title']} ==" in written
+        (blocks if is_shown else other_blocks).append(block)
     return Section(
-        "card", "Payload card", (explanation,), tables, blocks=blocks, is_open=True
+        "card",
+        "Payload card",
+        (explanation,),
+        tables,
+        blocks=blocks,
+        folded_blocks=("Other controllers and formats", other_blocks),
+        is_open=True,
     )
 
 

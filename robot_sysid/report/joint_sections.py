@@ -278,7 +278,7 @@ def _coefficient_table(
     for owner, terms in coefficients.items():
         row = [owner]
         for term in all_terms:
-            row.append(_estimate_text(*terms[term]) if term in terms else "–")
+            row.append(estimate_text(*terms[term]) if term in terms else "–")
         rows.append(row)
     notes = []
     if any("(held)" in cell for row in rows for cell in row):
@@ -290,7 +290,7 @@ def _coefficient_table(
     return table(header, rows, " ".join(notes))
 
 
-def _estimate_text(value: float, error: float) -> str:
+def estimate_text(value: float, error: float) -> str:
     """Return a number with its standard error; NaN stands for a number that was not estimated."""
     return (
         f"{number_text(value)} (held)"
@@ -460,7 +460,7 @@ def total_errors(sets: Sequence[ErrorSet], title: str = "") -> Table:
     rows = []
     for model, data, test, _ in sets:
         share = "–" if test.relative_error is None else percent(test.relative_error)
-        rows.append((data, model, number(test.rmse), share))
+        rows.append((data, model, f"{test.rmse:.3g}", share))
     header = ("data", "model", "all joints [N·m]", "of the torque")
     return table(header, rows, title=title)
 
@@ -474,7 +474,8 @@ def _errors_by_joint(sets: Sequence[ErrorSet]) -> Table:
     columns: list[Sequence[Any]] = [list(joints)]
     for model, data, test, _ in sets:
         header.append(f"{model}: {data}")
-        columns.append([number(test.rmse_per_joint.get(joint)) for joint in joints])
+        joint_errors = map(test.rmse_per_joint.get, joints)
+        columns.append(["–" if e is None else f"{e:.3g}" for e in joint_errors])
     return table(header, zip(*columns))
 
 

@@ -31,6 +31,7 @@ from robot_sysid.records.messages import (
     PARAMETER_UNITS,
     Progress,
     number_text,
+    term_unit,
     with_error,
 )
 from robot_sysid.report import joint_sections
@@ -43,7 +44,12 @@ from robot_sysid.report.body_sections import (
     visibility,
 )
 from robot_sysid.report.drawing import png, svg
-from robot_sysid.report.joint_sections import error_sets, most_changed, total_errors
+from robot_sysid.report.joint_sections import (
+    error_sets,
+    estimate_text,
+    most_changed,
+    total_errors,
+)
 from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, report_data
 from robot_sysid.report.sections import Figure, Section, table
 from robot_sysid.results.record import Verdict
@@ -119,12 +125,13 @@ def html(title: str, sections: Sequence[Section]) -> str:
 def _prose(text: str) -> str:
     """Return a sentence as escaped HTML, with text between backticks as <code> elements.
 
-    Spaces around ± and before % become non-breaking ones. The page's template (Jinja) marks the
-    result as ``safe``, so that it is not escaped twice.
+    Spaces around ± and before % become non-breaking ones, "->" an arrow. The page's template
+    (Jinja) marks the result as ``safe``, so that it is not escaped twice.
     """
     from markupsafe import escape
 
-    unbroken = re.sub(" (?=[±%])|(?<=±) ", "\u00a0", str(escape(text)))
+    with_arrows = str(escape(text)).replace(" -&gt; ", "\u00a0→\u00a0")
+    unbroken = re.sub(" (?=[±%])|(?<=±) ", "\u00a0", with_arrows)
     return re.sub("`([^`]*)`", r"<code>\1</code>", unbroken)
 
 
@@ -290,7 +297,7 @@ def verdicts(runs: Sequence[Run]) -> Section:
             (name, content["question"], content["verdict"][0], content["model"]["path"])
         )
         missing_lines += [f"{name}: {line}" for line in run.missing]
-    header = ("run", "what", "verdict", "model")
+    header = ("run", "question", "verdict", "model")
     models = {run.content["model"]["sha256"] for run in runs}
     warnings = ("The runs are of different model files.",) if len(models) > 1 else ()
     tables = (table(header, rows),)
@@ -359,10 +366,15 @@ def compare_friction(runs: Sequence[Run]) -> Section:
     names = run_by_name(runs)
     rows: dict[tuple[str, str], list[str]] = {}
     for column, run in enumerate(names.values(), start=2):
+        slides = (
+            {} if run.data is None else dict(zip(run.data.joints, run.data.is_slide))
+        )
         for owner, terms in run.friction().items():
             for term, quantity in terms.items():
-                row = rows.setdefault((owner, term), [owner, term, *"–" * len(names)])
-                row[column] = with_error(*quantity)
+                unit = term_unit(term, slides.get(owner, False)) or "1"
+                cells = [owner, f"{term} [{unit}]", *"–" * len(names)]
+                row = rows.setdefault((owner, term), cells)
+                row[column] = estimate_text(*quantity)
     comparison = table(("joint", "term", *names), list(rows.values()))
     return Section("friction", "Friction", tables=(comparison,), is_open=True)
 

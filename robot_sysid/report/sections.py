@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from robot_sysid.records.messages import number_text
 from robot_sysid.report.drawing import Drawing
+
+Block = tuple[str, str, str]
+"""Title, explanation and preformatted text for the reader to copy."""
+_NUMBER = re.compile(
+    r"[-+–(]?\d|–$|$|no limit|not known|within|at its|not ident|none|prior"
+)
+"""Start of a cell of numbers; other cells are text."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +34,12 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     note: str = ""
     title: str = ""
+
+    @property
+    def is_text(self) -> list[bool]:
+        """Whether each of the C columns holds text, not numbers."""
+        columns = list(zip(*self.rows)) or [()] * len(self.header)
+        return [not all(map(_NUMBER.match, column)) for column in columns]
 
 
 @dataclass(frozen=True)
@@ -56,7 +70,8 @@ class Section:
         tables: tables in order.
         figures: figures in order.
         points: items of a bulleted list.
-        blocks: (title, text) of preformatted text for the reader to copy.
+        blocks: (title, explanation, text) of preformatted text for the reader to copy.
+        folded_blocks: (title of a fold, its blocks); the fold is closed when the page opens.
         missing: one sentence for each table or figure that cannot be shown, with cause and remedy.
         verdict: of the verdict's section, "good", "bad", or "part" if a caveat limits what the
             result may be used for; "" in all other sections.
@@ -70,7 +85,8 @@ class Section:
     tables: Sequence[Table] = ()
     figures: Sequence[Figure] = ()
     points: Sequence[str] = ()
-    blocks: Sequence[tuple[str, str]] = ()
+    blocks: Sequence[Block] = ()
+    folded_blocks: tuple[str, Sequence[Block]] = ("", ())
     missing: Sequence[str] = ()
     verdict: str = ""
     details: Sequence[tuple[str, Sequence[str]]] = ()

@@ -90,7 +90,7 @@ def test_the_first_screen_is_the_verdict_with_one_figure_and_the_rest_is_folded(
     first_screen, *folds = text.partition("<main>")[2].split('<details class="fold"')
     assert first_screen.count("<figure") == 1
     # The torque error is stated once, by the sentence of the console.
-    assert len(re.findall("27\u00a0% -&gt; 0.25\u00a0%", first_screen)) == 1
+    assert len(re.findall("27\u00a0%\u00a0→\u00a00.25\u00a0%", first_screen)) == 1
     assert len(folds) > 7 and not any(fold.startswith(" open") for fold in folds)
 
 
