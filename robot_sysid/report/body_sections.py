@@ -57,6 +57,20 @@ _MARKS = {
 rows, colour and shape of its marker)."""
 _YES_OR_NO = {True: "yes", False: "no"}
 """Text of a truth value in a cell of a table."""
+_CAUSE_TEXTS = {
+    "noise": "noise of the recorded torques",
+    "links": "uncertainty of the other links' numbers, which start from the model's",
+    "torque scale": "scale of each joint's torque",
+    "common torque scale": "scale of all torques",
+    "joint offsets": "zero positions of the joints",
+    "delay": "delay of torque behind position",
+    "gravity": "tilt of the base",
+    "friction model": "friction that its terms do not describe",
+    "friction at its bound": "friction terms that would be negative and were held at zero",
+    "filtering": "what the low-pass removes from the motion",
+    "physical consistency": "the move to numbers that a rigid body can have",
+}
+"""Cause of errors to an explanation."""
 _MIN_SHARE = 0.005
 """Share of the variance of all parameters below which a cause of errors has no column."""
 
@@ -161,7 +175,8 @@ def _budget_table(body: Body) -> Table:
         percentages = [f"{100.0 * share[k]:.0f} %" for share in shown.values()]
         rows.append((label, *percentages))
     title = f"{body.title}: what each parameter's error comes from, in shares of its variance"
-    return table(("", *shown), rows, title=title)
+    explanations = [f"{c}: {_CAUSE_TEXTS[c]}" for c in shown if c in _CAUSE_TEXTS]
+    return table(("", *shown), rows, f"{'; '.join(explanations)}.", title)
 
 
 def _variance_shares(body: Body) -> dict[str, Array]:
@@ -290,7 +305,8 @@ def visibility(run: Run) -> Section:
             f"Base parameters: {len(base)} combinations of the links' parameters are identifiable "
             f"from these torques, of {content['structural_rank'] or 'as many'} that any motion of "
             "this arm could show. A parameter of a single link that is no base parameter depends "
-            "on the model, too."
+            "on the model, too. Parameters without a link in parentheses are those of "
+            f"{body.title}; essential: kept by backward elimination."
         )
         header = ("base parameter, in SI units", "value", "±", "essential")
         base_rows = []

@@ -27,6 +27,8 @@ from robot_sysid.report.drawing import Boxes, Line, Panel, Points, draw
 from robot_sysid.report.runs import LONGEST_LAG, Friction, ReportData, Run, number
 from robot_sysid.report.sections import Figure, Section, Table, table, text
 
+_LARGE_OFFSET = 0.5
+"""Share of a residual's root mean square from which on its mean is stated."""
 _NEAR = 0.5
 """Largest distance of a limit from the recorded values at which it is drawn, as a share of the
 range of these values."""
@@ -100,6 +102,12 @@ def torque_figure(data: ReportData, joint: int, name: str = "torque-{}") -> Figu
         f"{data.joints[joint]}: residual {rms_texts[0]} before, {rms_texts[1]} after (root mean "
         f"square), of a torque of {_rms(measured):.3g} {unit}."
     )
+    offset = _mean(measured - prior)
+    if abs(offset) > _LARGE_OFFSET * _rms(measured - prior):
+        caption += (
+            f" The residual before has a mean of {offset:.3g} {unit}, which the torque error of "
+            "the verdict leaves out: a torque sensor's offset would explain it."
+        )
     torque_lines = (
         Line(data.time, measured, "measured", "measured", width=3.2),
         Line(data.time, prior, "before", "before", dash="5 3"),
@@ -150,8 +158,8 @@ def _residual_table(data: ReportData) -> Table:
         "its mean after",
     )
     note = (
-        "The torque error of the verdict is that of motion that was not fitted, without each "
-        "joint's mean residual, which the offset of a torque sensor would explain."
+        "The torque error of the verdict is that of motion that was not fitted. It leaves out "
+        "each joint's mean residual, which the offset of a torque sensor would explain."
     )
     return table(header, rows, note)
 

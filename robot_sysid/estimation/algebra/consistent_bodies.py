@@ -483,7 +483,7 @@ _BASIS[range(10), _COLUMNS, _ROWS] = _BASIS[range(10), _ROWS, _COLUMNS]
 _THETAS = np.array([spatial.theta_from_pseudo_inertia(matrix) for matrix in _BASIS])
 # Trace (10,) of each matrix of the basis.
 _TRACES = np.trace(_BASIS, axis1=1, axis2=2)
-BODIES = "possible bodies"
+BODIES = "physical consistency"
 """Name, in results, of the error that is left by making an inconsistent body consistent."""
 # Number of random errors, half of them the negatives of the others. For a UR5e's last link, 60 and
 # 1000 give standard errors of the mass that agree to 7 %.
