@@ -90,7 +90,8 @@ def choose_topic(path: Path, topics: Sequence[Topic]) -> tuple[Topic, str]:
     if not all(_is_one_arm(chosen, rival) for rival in rivals):
         listed = ", ".join(f"{topic.name} ({topic.message_type})" for topic in fitting)
         raise InputError(
-            f"{path}: several topics could be the arm: {listed}; choose with --topic"
+            f"{path}: several topics could be the arm: {listed}; choose with --topic",
+            options=[("--topic", topic.name) for topic in fitting],
         )
     if rivals:
         listed = ", ".join(f"{topic.name} ({topic.n_messages})" for topic in rivals)

@@ -83,8 +83,11 @@ def test_commands_and_efforts_of_zero_are_left_out(other):
 )
 def test_topics_of_two_arms_are_refused(other):
     """By their names, by their motions, by their joints, or where no time is common."""
-    with pytest.raises(InputError, match=r"several .* /left/joint_states .*--topic"):
+    fault = r"several .* /left/joint_states .*--topic"
+    with pytest.raises(InputError, match=fault) as caught:
         choose_topic(BAG, [topic("/left/joint_states"), other])
+    names = {"/left/joint_states", other.name}
+    assert {*caught.value.options} == {("--topic", name) for name in names}
 
 
 def test_arms_that_stand_still_are_not_taken_for_one():
