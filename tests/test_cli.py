@@ -145,7 +145,7 @@ def test_what_is_not_sought_or_not_seen_is_said(arm, command):
     assert "Mass:" in out and "friction:" not in out
     out = command.run(GUESS, *SHORT, "--torques", "terminal").out
     assert "Base parameters: 9" in out and "Mass: 0.789 kg" in out
-    assert "says nothing of the real arm (not seen: mass" in out
+    assert "says nothing of the real arm (not identifiable: mass" in out
     arm.write_text(
         ARM.replace('<joint name="joint1"', '<joint name="joint1" type="slide"')
     )

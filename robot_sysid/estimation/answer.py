@@ -302,8 +302,8 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
             joints[owner] = terms
         elif owner in robot.joint_names and FILE_FRICTION not in unchanged_parts:
             notes.append(
-                f"{owner} does not move fast enough in these logs: nothing is learnt of its "
-                "friction and rotor inertia, the model's own stay"
+                f"{owner} does not move fast enough in these logs: its friction and rotor inertia "
+                "are not identifiable, the model's values are kept"
             )
     notes += _offset_notes(file)
     # None, where gravity was not estimated or has not changed, keeps the file's own.
@@ -405,9 +405,12 @@ def written_payload(answer: Answer) -> tuple[Array, str]:
         return theta, ""
     moments, errors, _ = principal_moments(body)
     listed = ", ".join(map(with_error, moments.tolist(), errors.tolist()))
-    reason = f"the payload's principal moments of inertia, {listed} kg·m², are not told from zero"
+    reason = (
+        f"the payload's principal moments of inertia, {listed} kg·m², do not differ significantly "
+        "from zero"
+    )
     if not np.all(np.isfinite(errors)):
-        reason = "these torques do not show the payload's inertia"
+        reason = "the payload's inertia is not identifiable from these torques"
     return spatial.aluminium_ball(mass, com), reason
 
 

@@ -148,8 +148,9 @@ def _wrong_link_line(link: WrongLink) -> str:
     """Return a sentence for the user on a link of the model that the recordings contradict."""
     moment = with_error(link.first_moment, link.error, "kg m")
     return (
-        f"{link.name} of your model is probably wrong: mass x distance of its centre of mass "
-        f"{link.first_moment_of_model:.3g} -> {moment}; which of the two is off is not told apart"
+        f"{link.name} of the model is probably wrong: its mass times the distance of its centre of "
+        f"mass is {moment}, in the model {link.first_moment_of_model:.3g}; the torques do not "
+        "separate mass and distance"
     )
 
 
@@ -218,8 +219,9 @@ def _result_notes(answer: Answer, file: ModelFile | None) -> Iterator[str]:
     if abs(common_scale) > LEAST_SCALE:
         yield (
             f"all torques read about {1.0 + common_scale:.3g} times what the model takes: either "
-            "the torque scale is off (--torque-scale), or all of the model's links are off alike; "
-            "the log does not tell which, and the errors allow for both"
+            "the torque scale is off (--torque-scale), or the masses of all links in the model "
+            "have a common scale error; one log cannot separate these two, and the stated errors "
+            "include both"
         )
     is_given = answer.fit.question.options.coupling is not None
     for motor in answer.fit.choice.couplings:
@@ -230,8 +232,8 @@ def _result_notes(answer: Answer, file: ModelFile | None) -> Iterator[str]:
     for group in answer.fit.unknowns.groups:
         if group.may_widen and group.widened > WIDER:
             yield (
-                f"the recordings ask for errors by {group.cause} {group.widened:.1f} times as "
-                "large as was thought; those that are printed allow for it"
+                f"the data contradicts the prior on {group.cause}: its standard deviation was "
+                f"raised {group.widened:.1f} times, and the stated errors include this"
             )
     for name, quantity in sensors.items():
         large = abs(quantity.value) > max(_CLEAR * quantity.error, _SMALL_ZERO)

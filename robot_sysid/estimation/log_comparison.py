@@ -52,7 +52,7 @@ from robot_sysid.estimation.held_out import HeldOut, is_informative_test
 from robot_sysid.estimation.unknowns import Unknowns, restrict_samples
 from robot_sysid.records import Array, SquareRootInformation, Validation
 from robot_sysid.records.data import validation_of
-from robot_sysid.records.messages import percent
+from robot_sysid.records.messages import percent, with_error
 from robot_sysid.results.record import Quantity
 
 DISAGREE = 2.0
@@ -380,9 +380,9 @@ def _agreement(
     identified = {name: pair for name, pair in masses.items() if 0.0 < pair[1] < np.inf}
     phrases = []
     for name, (mass, error) in masses.items():
-        phrase = f"{name} does not tell the mass"
+        phrase = f"{name} does not determine the mass"
         if name in identified:
-            phrase = f"{name} {mass:.4g} \u00b1 {error:.2g} kg"
+            phrase = f"{name} {with_error(mass, error, 'kg')}"
         phrases.append(phrase)
     yield f"mass of each log alone: {'; '.join(phrases)}"
     if len(identified) < 2:

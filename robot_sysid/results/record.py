@@ -34,8 +34,8 @@ class Verdict(Enum):
 
     OK = "all requested parameters are identified from the data"
     PARTLY_FROM_MODEL = (
-        "some parameter combinations do not show in these torques and keep the model's values; "
-        "use --torques chain, or a longer or wider motion, to see more"
+        "some parameter combinations are not identifiable from these torques and keep the model's "
+        "values; use --torques chain, or a longer or wider motion, to identify more"
     )
     INERTIA_NOT_KNOWN = (
         "mass and centre of mass are identified; the inertia is not known, a ball of aluminium of "
@@ -52,8 +52,8 @@ class Verdict(Enum):
         "and so does the written one"
     )
     TOO_WEAK = (
-        "the data does not tell the link's mass from zero (it is less than two standard errors); "
-        "move faster, wider or longer (--excitation optimal)"
+        "the link's mass does not differ significantly from zero (it is less than two standard "
+        "errors); move faster, wider or longer (--excitation optimal)"
     )
     NO_BETTER = (
         "torques that were not fitted are predicted no better than the model does already; check "
@@ -72,8 +72,8 @@ class Verdict(Enum):
         "exchange them"
     )
     NOT_SEEN = (
-        "the recordings do not tell the payload's mass: move joints that lift it, faster, wider or "
-        "longer, or check that the loaded recordings were made with the payload"
+        "the payload's mass does not differ significantly from zero: move joints that lift it, "
+        "faster, wider or longer, or check that the loaded recordings were made with the payload"
     )
     DISAGREE = (
         "the recordings contradict each other about the payload: one of them was made with "

@@ -36,7 +36,12 @@ from robot_sysid.results.record import (
     Result,
     RolloutTest,
 )
-from robot_sysid.results.verdict import before_after_text, limitations, verdict_line
+from robot_sysid.results.verdict import (
+    before_after_text,
+    cause_text,
+    limitations,
+    verdict_line,
+)
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
@@ -177,7 +182,7 @@ def _mass_lines(result: Result) -> Iterator[str]:
     if len(names) > _MAX_BODY_NAMES + 1:
         listed = names[:_MAX_BODY_NAMES]
         listed.append(f"{len(names) - _MAX_BODY_NAMES} more")
-    line = f"The mass is that of {' + '.join(listed)}"
+    line = f"The mass is that of {' + '.join(listed)} together"
     theta = result.estimate.inertial.theta
     if result.file is not None:
         theta = result.file.thetas[-1]
@@ -187,8 +192,8 @@ def _mass_lines(result: Result) -> Iterator[str]:
         yield line
         return
     bodies_text = " + ".join([names[0], *(body.name for body in plan.emptied)])
-    written = f"{bodies_text} {'together' if plan.emptied else 'alone'}"
-    yield f"{line}; {written}, as written in the file: {plan.theta[0]:.4g} kg"
+    mass = number_text(plan.theta[0], float(result.body.errors[0]))
+    yield f"{line}; of it, the written model has {mass} kg in {bodies_text}"
 
 
 def _payload_lines(payload: Payload) -> Iterator[str]:
@@ -283,7 +288,7 @@ def _detail_lines(result: Result) -> Iterator[str]:
     large = [c for c in causes if causes[c] > _MIN_CAUSE_SHARE * mass_error]
     if np.isfinite(mass_error) and large:
         large.sort(key=lambda cause: -causes[cause])
-        listed = ", ".join(f"{cause} {causes[cause]:.2g}" for cause in large)
+        listed = ", ".join(f"{cause_text(c)} {causes[c]:.2g}" for c in large)
         yield f"Error of the mass by cause, kg: {listed}"
     estimate = result.estimate
     scaled = estimate.identifiability.scaled_condition_number

@@ -38,10 +38,17 @@ in 44 times."""
 _USE_TEXTS = {
     Verdict.TORQUES_ONLY: "Only for torques of motions like the log's, not for its numbers",
     Verdict.AS_GOOD: "Usable, but the model was about as good before",
-    Verdict.PARTLY_FROM_MODEL: "Usable (not seen, so kept from the model: {unseen})",
+    Verdict.PARTLY_FROM_MODEL: "Usable (not identifiable, model's values kept: {unseen})",
     Verdict.INERTIA_NOT_KNOWN: "Usable for mass and centre of mass (the inertia is not known)",
 }
 """Verdict to the sentence on the result's use, where that is not "Usable"."""
+_CAUSE_TEXTS = {
+    "links": "the other links' parameters",
+    "torque scale": "the torque scales",
+    "common torque scale": "the common scale of torques and masses",
+    "possible bodies": "physical consistency",
+}
+"""Cause of error, as in params.json, to its name in a sentence, where that is another one."""
 _CONFLICT_TEXTS = {
     "links": "the model's numbers of other links do not fit this arm",
     "torque scale": "the scale of the torques does not fit the model",
@@ -69,7 +76,7 @@ def verdict_line(result: Result, failure: str | None = None) -> str:
             "Self-test passed: the model's own numbers came back from its own simulation, which "
             "says nothing of the real arm"
         )
-        return use + (f" (not seen: {unseen})" if unseen else "")
+        return use + (f" (not identifiable: {unseen})" if unseen else "")
     use = _USE_TEXTS.get(result.verdict, "Usable").format(unseen=unseen)
     return f"{use}: {'; '.join(_improvements(result))}"
 
@@ -155,11 +162,18 @@ def _improvements(result: Result) -> Iterator[str]:
         yield "torque scales follow from the known mass"
         return
     share = result.relative_mass_error
-    mass = "the mass alone is not known"
-    if share is not None and share < UNKNOWN:
+    mass = "the mass is not identifiable by itself"
+    if share is not None:
         mass = f"the mass is known to {percent(share)}"
+        if share >= UNKNOWN:
+            mass = f"the mass is not known (± {percent(share)})"
     cause = largest_cause(result.body)
-    yield f"{mass}, limited by {cause}" if cause else mass
+    yield f"{mass}, limited by {cause_text(cause)}" if cause else mass
+
+
+def cause_text(cause: str) -> str:
+    """Return the name of a cause of error as it stands in a sentence."""
+    return _CAUSE_TEXTS.get(cause, cause)
 
 
 def largest_cause(body: BodyEstimate) -> str:
@@ -185,23 +199,21 @@ def _limitation_sentences(result: Result) -> Iterator[str]:
     if estimate.identifiability.unidentifiable:
         combinations = "; ".join(estimate.identifiability.unidentifiable)
         yield Detail(
-            f"not visible in these torques, kept from the model: {combinations}"
+            f"not identifiable from these torques, model's values kept: {combinations}"
         )
     yield from map(Detail, _weak_parameters(body))
     is_mostly_prior = body.is_determined & (body.data_share < PRIOR_SHARE)
     if np.any(is_mostly_prior):
         names = ", ".join(np.array(PARAMETER_NAMES)[is_mostly_prior])
-        yield Detail(
-            f"more model than data in {names}: the prior outweighs the torques there"
-        )
+        yield Detail(f"determined more by the prior than by the data: {names}")
     yield from _prior_conflicts(result)
     yield from _negative_delay(result)
     yield from _negative_friction(result)
     yield from _unexplained_residuals(result)
     if estimate.constrained:
         yield Detail(
-            "the plain estimate was no possible rigid body, so the best possible one was taken; "
-            "the errors allow for that"
+            "the unconstrained estimate was not physically consistent, so the best consistent one "
+            "was taken; the stated errors include this"
         )
 
 
@@ -226,9 +238,8 @@ def _weak_parameters(body: BodyEstimate) -> Iterator[str]:
             texts.append(f"{PARAMETER_NAMES[k]} (± {percent(relative_errors[k])})")
     if texts:
         yield (
-            "weakly seen, in percent of what a body of this mass and size has: "
-            f"{', '.join(texts)}; move "
-            "faster, wider or longer as a planned motion does"
+            "weakly identifiable, with errors in percent of what a body of this mass and size "
+            f"has: {', '.join(texts)}; a faster, wider or longer motion shows more"
         )
 
 
@@ -240,16 +251,16 @@ def _prior_conflicts(result: Result) -> Iterator[str]:
     """
     for conflict in result.conflicts:
         text = _CONFLICT_TEXTS.get(
-            conflict.cause, f"{conflict.cause}: not as was thought"
+            conflict.cause, f"the data contradicts the prior on {conflict.cause}"
         )
         text += f" (most: {', '.join(conflict.members[:3])})"
         if conflict.scale > 1.0:
             yield (
-                f"{text}: they are {conflict.deviation:.2g} times as far off as was allowed, and "
-                "the errors were widened for it"
+                f"{text}: they are off by {conflict.deviation:.2g} times the standard deviation "
+                "of the prior, which was widened"
             )
         else:
-            yield Detail(f"{text}; the errors allow for that")
+            yield Detail(f"{text}; the stated errors include this")
 
 
 def _negative_friction(result: Result) -> Iterator[str]:
@@ -280,8 +291,8 @@ def _unexplained_residuals(result: Result) -> Iterator[str]:
     correlated = [joint for joint, share in shares if share < COLOURED]
     if correlated:
         yield Detail(
-            f"residuals of {', '.join(correlated)} are correlated in time: slow noise, or "
-            "something that the model lacks; the errors allow for it"
+            f"residuals of {', '.join(correlated)} are correlated in time: slow noise, or an "
+            "effect that the model lacks; the stated errors include this"
         )
     # The residual of exact data may be far below the least noise that a fit assumes.
     joint_noise = list(estimate.noise_per_joint.values()) or [0.0]
@@ -291,8 +302,8 @@ def _unexplained_residuals(result: Result) -> Iterator[str]:
             reason = "the model misses something that motion shows"
             if not test.is_informative:
                 reason = (
-                    "no worse than expected of motion that the fitted logs tell too little of, "
-                    "as of joints that hardly move in them; fit a log that moves like that"
+                    "as expected, because the fitted logs hold too little of this motion (some "
+                    "joints hardly move in them); fit a log that moves like it"
                 )
             yield (
                 f"torques of {test.source} are predicted {test.rmse / estimate.rmse:.1f} "

@@ -233,7 +233,7 @@ def _number_text(name: str, number: dict[str, Any]) -> str:
     model_value, value, error, source = (number[key] for key in _KEYS)
     in_model = source == "from_model"
     old = "" if np.isnan(model_value) or in_model else f"{model_value:.3g} -> "
-    doubt = " (not seen: as in the model)" if in_model else ""
+    doubt = " (not identifiable: the model's value)" if in_model else ""
     return f"{name} {old}{value:.3g} ± {error:.1g} {UNITS[name]}{doubt}"
 
 
@@ -296,7 +296,7 @@ def _joint_notes(result: ServoIdentification, k: int) -> Iterator[str]:
     if not result.has_servo[k]:
         yield (
             f"the model has no position actuator on {joint}: its gain of {gain['value']:.4g} "
-            "N·m/rad is told, not written"
+            "N·m/rad is printed, but not written"
         )
 
 

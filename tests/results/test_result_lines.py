@@ -66,7 +66,10 @@ def test_measured_data_gets_a_table_validation_and_limits():
         "  Base parameters: 12",
     ]
     assert [line for line in lines if line in quality] == quality
-    assert "Error of the mass by cause, kg: links 0.0016, noise 0.0012" in lines
+    assert (
+        "Error of the mass by cause, kg: the other links' parameters 0.0016, noise 0.0012"
+        in lines
+    )
     (row,) = (line for line in lines if line.startswith("  j6  "))
     assert "0.2 -> 0.40000 ± 0.00040" in row and "0 -> 0.10000 ± 0.00010" in row
 
@@ -133,18 +136,19 @@ def test_the_mass_of_a_link_of_several_bodies_is_explained():
     bodies = (link, subtree_body("hand", 0.3), finger, subtree_body("eye", 0.0))
     robot = robot_with(*bodies)
     assert line_starting(block_lines(made.found(robot=robot)), start) == (
-        f"{start} of link7 + hand + finger; link7 alone, as written in the file: 1.5 kg"
+        f"{start} of link7 + hand + finger together; of it, the written model has 1.5000 kg in "
+        "link7"
     )
     # The file's own terminal link weighs 1.8 kg.
     mass_line = line_starting(block_lines(made.whole(robot=robot)), start)
-    assert mass_line.endswith("in the file: 1.3 kg")
+    assert mass_line.endswith("the written model has 1.3000 kg in link7")
     lines = block_lines(made.found(robot=robot_with(link)))
     assert not any(start in line for line in lines)
     pads = [subtree_body(f"pad{k}", 0.01) for k in range(6)]
     mass_line = line_starting(
         block_lines(made.found(robot=robot_with(*bodies, *pads))), start
     )
-    assert "link7 + hand + finger + 6 more; link7" in mass_line
+    assert "link7 + hand + finger + 6 more together; of it" in mass_line
 
 
 def test_a_payloads_block():
@@ -159,7 +163,9 @@ def test_a_payloads_block():
     assert (
         table[5][:2] == ["inertia xx about CoM", "0.00600"] and table[5][3] == "kg·m²"
     )
-    assert "Error of the mass by cause, kg: torque scale 0.008, noise 0.006" in lines
+    assert (
+        "Error of the mass by cause, kg: the torque scales 0.008, noise 0.006" in lines
+    )
     assert line_starting(lines, "Terminal link without it") == (
         "Terminal link without it: 0.800 ± 0.010 kg, centre of mass "
         "[0.0300 ± 0.0013, -0.0200 ± 0.0013, 0.0800 ± 0.0016] m"

@@ -34,28 +34,32 @@ BETTER = "Usable: torque error on held-out data 27 % -> 0.25 %; "
 @pytest.mark.parametrize(
     ("result", "verdict"),
     [
-        (made.whole(), f"{BETTER}the mass is known to 0.1 %, limited by links"),
+        (
+            made.whole(),
+            f"{BETTER}the mass is known to 0.1 %, limited by the other links' parameters",
+        ),
         (
             made.found(
                 made.with_value("m", 2.0, 1.2),
                 file=made.model_file(other_validations=()),
             ),
-            f"{BETTER}the mass alone is not known, limited by links",
+            f"{BETTER}the mass is not known (± 60 %), limited by the other links' parameters",
         ),
         (
             made.found(
                 verdict=Verdict.AS_GOOD, file=made.model_file(other_validations=())
             ),
             "Usable, but the model was about as good before: torque error on held-out data 27 % -> "
-            "0.25 %; the mass is known to 0.1 %, limited by links",
+            "0.25 %; the mass is known to 0.1 %, limited by the other links' parameters",
         ),
         (
             made.found(made.without_mass(), verdict=Verdict.PARTLY_FROM_MODEL),
-            "Usable (not seen, so kept from the model: mass): the mass alone is not known",
+            "Usable (not identifiable, model's values kept: mass): the mass is not identifiable by "
+            "itself",
         ),
         (
             made.payload(),
-            "Usable: the mass is known to 0.83 %, limited by torque scale",
+            "Usable: the mass is known to 0.83 %, limited by the torque scales",
         ),
         (
             made.payload(known_mass=1.2),
@@ -150,7 +154,7 @@ def test_parameters_with_more_prior_than_data_are_named():
     share[[4, 9]] = 0.3, 0.49
     link = replace(made.terminal(made.estimate()), data_share=share)
     (sentence,) = limitations_of(links=(link,))
-    assert "more model than data in Ixx, Izz" in sentence
+    assert "determined more by the prior than by the data: Ixx, Izz" in sentence
 
 
 @pytest.mark.parametrize("delay", [-0.003, -0.0019, 0.003])

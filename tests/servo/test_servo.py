@@ -107,7 +107,7 @@ def test_a_number_that_is_not_identified_is_the_models_with_a_stated_error(robot
     )
     result = replace(result, fit=fit)
     for line in servo.servo_lines(result)[3:5]:
-        assert "frictionloss 0.3 ± 0.01 N·m (not seen" in line
+        assert "frictionloss 0.3 ± 0.01 N·m (not identifiable" in line
     notes = "".join(servo.servo_notes(result, 0.02))
     assert notes.count("hides its frictionloss:") == 2
     for name, number in result.joint_numbers["joint1"].items():
