@@ -134,7 +134,7 @@ PLAN = CommandSpec(
         "preview": (PreviewOptions,),
     },
     only={"prediction": PREDICTED},
-    leave_out=("keep", "links", "bundle", "report", "plots"),
+    leave_out=("keep", "links", "bundle", "report", "plots", "driver_settings"),
     defaults=PLANNED,
 )
 IDENTIFY = CommandSpec(
@@ -204,7 +204,13 @@ PAYLOAD = CommandSpec(
             "delay_uncertainty",
         )
     },
-    leave_out=("links", "measurements", "validation_measurements", "verify_rollout"),
+    leave_out=(
+        "links",
+        "driver_settings",
+        "measurements",
+        "validation_measurements",
+        "verify_rollout",
+    ),
 )
 SPECS = {"": ALONE, "plan": PLAN, "identify": IDENTIFY, "payload": PAYLOAD}
 """Name of the command to its specification; "" is the program with a model alone."""

@@ -134,6 +134,9 @@ def make_models(folder: Path) -> None:
     model = arms.serial_arm(AXES, **MODEL)
     names = ("my_arm.xml", "arm.xml", "guess.xml", "MODEL.xml")
     texts.update(dict.fromkeys(names, model))
+    five = "[0.1, 0.1, 0.1, 0.1, 0.2]"
+    texts["yam.yml"] = f"gravity_comp_factor: {five}\ncoulomb_friction: {five}\n"
+    texts["follower.yaml"] = f"FollowerArmParam:\n  Fc: {five}\n  Fv: {five}\n"
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
 
