@@ -23,7 +23,8 @@ from robot_sysid.motion import (
     LimitOptions,
     PoseOptions,
 )
-from robot_sysid.records import controllers, file_access, option_fields
+from robot_sysid.records import file_access, option_fields
+from robot_sysid.records.controllers import AUTO, CHOICES
 from robot_sysid.records.option_fields import (
     SCALE,
     Option,
@@ -491,10 +492,10 @@ class PayloadOptions(OptionRecord):
         "NAME",
     )
     cards: str = option(
-        controllers.AUTO,
+        AUTO,
         "whose card of the payload is written: that of this arm's controller, found by the names "
         "in its model, those of all, or the one that is named",
-        choices=controllers.CHOICES,
+        choices=CHOICES,
     )
     known_mass: float | None = option(
         None,
