@@ -70,6 +70,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return int(module.main(arguments))
         except SysidError as error:
             message = f"{error}{_write_columns_draft(error)}"
+            for command in _remedies(error, name, arguments):
+                message += f"\n  {command}"
             return _report_error(message, error.exit_code, debug)
         except MemoryError:
             remedy = "use a shorter log or motion, or a lower rate"
@@ -96,6 +98,24 @@ def _write_columns_draft(error: SysidError) -> str:
         return ""
     name = shlex.quote(error.name)
     return f"; complete {name}, which was written for it, and add --columns {name}"
+
+
+def _remedies(error: SysidError, name: str, arguments: Sequence[str]) -> Iterator[str]:
+    """Yield the commands that remedy an error, complete and quoted for a shell.
+
+    Args:
+        error: what stopped the command.
+        name: of the command; "" for a model file alone.
+        arguments: words behind the command's name.
+    """
+    if not isinstance(error, InputError):
+        return
+    for words in error.command_lines:
+        yield shlex.join([PROGRAM, *words])
+    if not error.command_lines and error.command in ("", name):
+        typed = [name, *arguments] if name else arguments
+        for option in error.options:
+            yield shlex.join([PROGRAM, *typed, *option])
 
 
 def _refuse_misspelt_command(word: str) -> None:

@@ -54,9 +54,24 @@ class SysidError(Exception):
 
 
 class InputError(SysidError):
-    """Bad input or usage; the user has to change something."""
+    """Bad input or usage; the user has to change something.
+
+    Attributes:
+        options: options that remedy it, each with its value as words of a command line: added to
+            the command that failed, one of them lets it go on. Empty where options do not help.
+        command: name of the only command that has these options; "" where every one has them.
+        command_lines: complete commands that remedy it, each as words.
+    """
 
     exit_code = 2
+
+    def __init__(
+        self, message: str, options: Sequence[tuple[str, ...]] = (), command: str = ""
+    ) -> None:
+        super().__init__(message)
+        self.options = tuple(options)
+        self.command = command
+        self.command_lines: Sequence[Sequence[str]] = ()
 
 
 @contextlib.contextmanager
@@ -68,7 +83,8 @@ def prefix_input_errors(recording: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(f"{recording}: {error}" if recording else str(error)) from None
+        message = f"{recording}: {error}" if recording else str(error)
+        raise InputError(message, error.options, error.command) from None
 
 
 class ColumnsError(InputError):
@@ -103,7 +119,8 @@ class AmbiguousJointError(ModelError):
         self.candidates = tuple(candidates)
         joints = ", ".join(f"{joint} (body {body})" for joint, body in self.candidates)
         super().__init__(
-            f"{reason}; choose one with --joint NAME. Candidates: {joints}"
+            f"{reason}; choose one with --joint NAME. Candidates: {joints}",
+            options=[("--joint", joint) for joint, _ in self.candidates],
         )
 
 

@@ -15,7 +15,7 @@ import pytest
 from robot_sysid.cli import _message_lines, main
 from robot_sysid.errors import SysidError
 from robot_sysid.records.file_access import lock_folder
-from tests.support.arms import Y, serial_arm
+from tests.support.arms import TWO_ARMS, Y, serial_arm
 from tests.support.command_line import files_in
 from tests.support.places import GUESS
 
@@ -85,6 +85,20 @@ BAD_OPTIONS = [
 def test_bad_options_exit_2_with_one_line_and_nothing_written(arm, command):
     for options, phrase in BAD_OPTIONS:
         assert phrase in command.refused(arm, *shlex.split(options)), options
+
+
+def commands_in(text):
+    """The commands that are printed alone on a line, as words without the program's name."""
+    lines = [line for line in text.splitlines() if line.startswith("  robot-sysid ")]
+    return [shlex.split(line)[1:] for line in lines]
+
+
+def test_a_doubt_about_the_joint_ends_with_commands_that_run(arm, command):
+    arm.write_text(TWO_ARMS)
+    remedies = commands_in(command.run(arm, *SHORT, "--no-friction", code=2).err)
+    assert [remedy[-1] for remedy in remedies] == ["left_joint3", "right_joint3"]
+    printed = command.run(*remedies[1]).out
+    assert "Identified terminal joint: right_joint3" in printed
 
 
 def test_a_word_that_is_neither_model_nor_command_is_told_what_is_expected(command):

@@ -57,9 +57,16 @@ def main(arguments: Sequence[str]) -> int:
     require_preview(preview_options)
     model_path = values.get("path")
     if model_path is not None:
-        _check_log(
-            path, model_path, log_options, model_options, preview_options, console
-        )
+        try:
+            _check_log(
+                path, model_path, log_options, model_options, preview_options, console
+            )
+        except InputError as error:
+            if error.command == "identify":  # only that command has these options
+                given = command_arguments(values, ModelOptions, LogOptions)
+                words = ["identify", str(model_path), str(path), *given]
+                error.command_lines = [[*words, *option] for option in error.options]
+            raise
         return 0
     for record in (preview_options, log_options, model_options):
         for option in given_options(record):

@@ -400,11 +400,7 @@ def lerobot_table(source: LogSource) -> LogTable:
         titles[feature] = _lerobot_titles(names, feature, source.joint_names)
     text = " ".join(chain.from_iterable(titles.values()))
     if not commanded and "torque" not in text and "current" not in text:
-        raise InputError(
-            f"{path} holds no torque ({STATE}: {', '.join(titles[STATE]) or 'nothing'}); record it "
-            "too: for OpenArm use_velocity_and_torque=true of the robot's configuration, for other "
-            "robots an observation whose names end in .torque"
-        )
+        raise _no_torque_error(path, titles[STATE], has_actions=ACTION in descriptions)
     features = [feature for feature in titles if titles[feature]]
     frames = _read_frames(path, ["timestamp", "episode_index", *features])
     episode_index = frames.pop("episode_index").astype(int)
@@ -430,6 +426,30 @@ def lerobot_table(source: LogSource) -> LogTable:
         fault = f"names {len(columns) - 1} numbers of a frame in meta/info.json, not {width - 1}"
         raise InputError(f"{path} {fault}; {_DOWNLOAD}")
     return recordings_table(path, layout, columns, recordings)
+
+
+def _no_torque_error(
+    path: Path, state_titles: Sequence[str], has_actions: bool
+) -> InputError:
+    """Return the error for a data set without torque or current.
+
+    Args:
+        path: of the data set.
+        state_titles: of the columns of the feature STATE.
+        has_actions: whether it holds what was commanded, which can stand in for the torque.
+    """
+    fault = f"{path} holds no torque ({STATE}: {', '.join(state_titles) or 'nothing'})"
+    if has_actions:
+        return InputError(
+            f"{fault}; identify --torque-from position-error needs none: it takes the torque from "
+            f"the servos' position errors, {ACTION} minus {STATE}",
+            options=[("--torque-from", "position-error")],
+            command="identify",
+        )
+    return InputError(
+        f"{fault}; record it too: for OpenArm use_velocity_and_torque=true of the robot's "
+        "configuration, for other robots an observation whose names end in .torque"
+    )
 
 
 def _as_mapping(value: Any) -> Mapping[str, Any]:

@@ -9,7 +9,7 @@ import pytest
 
 from robot_sysid.diagnosis import log_checks
 from robot_sysid.logs.text import write_measurement_csv
-from tests.support import arms
+from tests.support import arms, recorded
 from tests.support.command_line import CommandLine
 from tests.support.wrong_logs import truth_of
 
@@ -91,3 +91,18 @@ def test_a_warning_stops_unless_it_is_accepted(command, monkeypatch):
 
 def test_titles_cannot_steer_the_terminal(command):
     assert "\x1b" not in command.run("log odd.csv").out
+
+
+def test_a_data_set_without_torque_ends_with_the_command_that_needs_none(
+    command, folder, truth
+):
+    names = truth.robot.joint_names
+    path = recorded.lerobot("v3.0")(folder, truth.log)
+    info = path / "meta" / "info.json"
+    feature = {"names": [f"{joint}.pos" for joint in names]}
+    features = {"observation.state": feature, "action": feature}
+    info.write_text(json.dumps({"features": features}))
+    message = command.run("log set arm.xml --episode 0", code=2).err
+    assert message.splitlines()[-1] == (
+        "  robot-sysid identify arm.xml set --episode 0 --torque-from position-error"
+    )

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions, arrays, table
 from robot_sysid.logs.reader import content_lines, open_table
 from robot_sysid.records.messages import Progress
@@ -415,6 +416,16 @@ def test_an_odd_description_is_refused(tmp_path, features, fault):
     path = recorded.FORMS["LeRobot"](tmp_path, DATA)
     describe_features(path, features)
     assert_refused(fault, path)
+
+
+def test_a_data_set_of_actions_without_torque_names_the_option_that_uses_them(tmp_path):
+    path = recorded.FORMS["LeRobot"](tmp_path, DATA)
+    goal = {"names": [f"{joint}.pos" for joint in JOINTS]}
+    describe_features(path, {"observation.state": goal, "action": goal})
+    with pytest.raises(InputError, match="torque-from position-error") as caught:
+        read_measurements(path, JOINTS)
+    assert caught.value.options == (("--torque-from", "position-error"),)
+    assert caught.value.command == "identify"
 
 
 def test_actions_are_commands(tmp_path):
