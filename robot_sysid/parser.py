@@ -16,6 +16,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import InputError, ModelError, error_text
 from robot_sysid.model.bodies import arm_links, subtree_bodies
 from robot_sysid.model.chain import (
@@ -90,6 +91,7 @@ def robot_from_compiled(
     dofs = mj_model.jnt_dofadr[list(chain)].astype(np.int64)
     names = tuple(joint_label(mj_model, j) for j in chain)
     bodies = subtree_bodies(mj_model, qpos, body)
+    mending_notes = _mending_notes(compiled, path, chain)
     speeds = [compiled.velocity_limits.get(name) for name in names]
     return RobotModel(
         path=path,
@@ -110,6 +112,7 @@ def robot_from_compiled(
         links=arm_links(mj_model, qpos, chain),
         notes=(
             *compiled.notes,
+            *mending_notes,
             *(_jaw_notes(mj_model, terminal) if joint is None else ()),
             *_notes(mj_model, keyframe_id, carriers, chain),
         ),
@@ -150,6 +153,44 @@ def _prior(bodies: Sequence[SubtreeBody]) -> InertialParameters:
             f"{fault}; give it an <inertial> or geoms with mass as a starting value"
         )
     return InertialParameters(theta)
+
+
+def _mending_notes(
+    compiled: CompiledModel, path: Path, chain: tuple[int, ...]
+) -> tuple[str, ...]:
+    """Return a sentence on links whose impossible moments of inertia were raised, if any.
+
+    Args:
+        compiled: the model; its ``inertia_increases`` names the links.
+        path: of the model file, for the error.
+        chain: ids of the arm's joints, base to terminal.
+
+    Raises:
+        ModelError: a joint of the arm moves such a link, so that its inertia counts.
+    """
+    mj_model = compiled.mj_model
+    moved_by_arm = subtree(mj_model, int(mj_model.jnt_bodyid[chain[0]]))
+    names = {body_label(mj_model, body) for body in moved_by_arm}
+    remedies = []
+    mended_links = []
+    for name, increase in compiled.inertia_increases.items():
+        if name in names:
+            remedies.append(f"add {increase:g} to ixx, iyy and izz of link '{name}'")
+        else:
+            mended_links.append(f"'{name}'")
+    if remedies:
+        raise ModelError(
+            f"{path}: no body has the moments of inertia that links of the arm have here, and "
+            f"MuJoCo refuses them; correct their <inertia>, or {', '.join(remedies)} [kg m^2], "
+            "which is the nearest possible"
+        )
+    if not mended_links:
+        return ()
+    return (
+        f"no body has the moments of inertia of link {', '.join(mended_links)}, and MuJoCo refuses "
+        "them; the arm moves none of these links, so the nearest possible ones are used, in a "
+        "written model too",
+    )
 
 
 def _jaw_notes(mj_model: Any, terminal: int) -> Iterator[str]:

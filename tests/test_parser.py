@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 
 import mujoco
@@ -12,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.parser import load_robot_model
-from tests.support import arms
+from tests.support import arms, urdf
 from tests.support.arms import (
     X,
     Y,
@@ -224,3 +225,40 @@ def test_a_jaw_that_is_held_is_named_with_the_option_that_adds_it():
     assert "--joint gripper adds the jaw" in " ".join(robot.notes)
     assert robot_of(xml, "joint3").notes == ()
     assert robot_of(xml, "gripper").terminal_joint == "gripper"
+
+
+NO_BODY = urdf.inertial(inertia="0.01 0.02 0.035", rpy="0.3 0.2 0.1")
+
+
+def vendor_arm(inertials, beside=NO_BODY):
+    """A URDF of an arm with an antenna on its base that has an inertia of no body."""
+    antenna = urdf.link("antenna", beside) + urdf.joint("base", "antenna", "fixed")
+    return urdf.robot(urdf.serial(inertials), antenna)
+
+
+def test_an_impossible_inertia_beside_the_arm_is_mended_with_a_note(arm_file):
+    links = {f"l{k}": urdf.inertial() for k in range(3)}
+    robot = load_robot_model(arm_file(vendor_arm(links), "m.urdf"))
+    expected = load_robot_model(arm_file(urdf.robot(urdf.serial(links)), "n.urdf"))
+    assert_array_equal(robot.links[0].theta, expected.links[0].theta)
+    (note,) = robot.notes
+    assert "'antenna'" in note and "in a written model too" in note
+
+
+def test_an_impossible_inertia_of_the_arm_is_refused_with_a_remedy_that_helps(arm_file):
+    """The finger is moved by the arm, so that its inertia counts."""
+    links = {"l0": urdf.inertial(), "l1": NO_BODY, "finger": NO_BODY}
+    text = vendor_arm(links)
+    with pytest.raises(ModelError) as caught:
+        load_robot_model(arm_file(text, "m.urdf"), joint="l0_l1")
+    message = str(caught.value)
+    assert "'antenna'" not in message and "'finger'" in message
+    increase = float(
+        re.search("add (.*?) to ixx, iyy and izz of link 'l1'", message)[1]
+    )
+    assert increase == pytest.approx(0.005, rel=0.05)
+    raised = " ".join(str(moment + increase) for moment in (0.01, 0.02, 0.035))
+    body = urdf.inertial(inertia=raised, rpy="0.3 0.2 0.1")
+    mended = vendor_arm({**links, "l1": body, "finger": body})
+    robot = load_robot_model(arm_file(mended, "m.urdf"), joint="l0_l1")
+    assert robot.n_joints == 2

@@ -34,7 +34,7 @@ from robot_sysid.mjcf.inertial import (
     mjcf_inertial,
     urdf_inertial_about_com,
 )
-from robot_sysid.mjcf.urdf import give_minimum
+from robot_sysid.mjcf.urdf import give_minimum, raise_inertias
 from robot_sysid.records import Array
 
 
@@ -192,8 +192,9 @@ def changed_model_text(
     if change.gravity is not None:
         _write_gravity(edits, change.gravity, change.rmse)
     if edits.document.is_urdf:
-        # MuJoCo has to load the text by itself, so massless links get what compilation gave them.
+        # MuJoCo has to load the text by itself, so links get what compilation gave them.
         give_minimum(edits, excluded=written)
+        raise_inertias(edits, excluded=written)
     else:
         let_inertials_count(edits, written)
     return relocated_text(edits, folder, mesh_dir)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,11 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import Asset, find_assets, urdf_shapes
 from robot_sysid.mjcf.documents import Edits, ModelDocument, Node
-from robot_sysid.mjcf.inertial import URDF_MOMENTS, urdf_inertial_about_com
+from robot_sysid.mjcf.inertial import (
+    URDF_MOMENTS,
+    format_number,
+    urdf_inertial_about_com,
+)
 from robot_sysid.records import Array
 
 _READABLE_MESHES = (".stl", ".obj", ".msh")
@@ -27,18 +31,27 @@ _MINIMUM_MASS = 1e-6
 """Mass that a moving link without mass gets [kg]: MuJoCo refuses less than 1e-15."""
 _MINIMUM_INERTIA = 1e-9
 """Moments of inertia that such a link gets [kg m^2]."""
+_SMALLEST_MOMENT = 1e-14
+"""Principal moment of inertia below which MuJoCo takes it for none [kg m^2]."""
+_LEAST_SHARE = 1e-6
+"""Smallest principal moment that a mended inertia gets, as a share of its largest."""
 LARGEST = 1e12
 """Largest size of any number of an arm in SI units; squares of far larger ones overflow."""
 
 
 def compilable_urdf(
-    document: ModelDocument, mesh_dir: Path | None = None, with_minimum: bool = False
+    document: ModelDocument,
+    mesh_dir: Path | None = None,
+    with_minimum: bool = False,
+    increases: Mapping[str, float] = {},
 ) -> tuple[bytes, tuple[str, ...]]:
     """Return (text that MuJoCo can compile, notes on what was changed).
 
     Args:
         mesh_dir: folder of the meshes; default as the file says.
         with_minimum: whether moving links without mass get a minimum of mass and inertia.
+        increases: link name to what its moments of inertia are raised by [kg m^2], see
+            ``inertia_increases``; without a note, as only the arm tells whether it matters.
 
     Raises:
         ModelError: a mesh that decides a link's inertia is missing.
@@ -53,9 +66,13 @@ def compilable_urdf(
     for link in document.root_children("link"):
         inertial = link.child("inertial")
         angles = _floats(link.child_attribute("inertial", "origin", "rpy"))
-        if inertial and np.any(angles) and not _lacks_inertia(link):
-            # MuJoCo 3.3 ignores the rpy of an inertial.
-            text = urdf_inertial_about_com(*inertias[str(link.get("name"))])
+        # MuJoCo 3.3 ignores the rpy of an inertial.
+        is_turned = inertial and np.any(angles) and not _lacks_inertia(link)
+        increase = increases.get(str(link.get("name")), 0.0)
+        if inertial and (is_turned or increase):
+            mass, com, inertia = inertias[str(link.get("name"))]
+            raised = inertia + increase * np.eye(3)
+            text = urdf_inertial_about_com(mass, com, raised)
             edits.replace(inertial, text, keep_lines=True)
     names = give_minimum(edits) if with_minimum else []
     if names:
@@ -158,6 +175,45 @@ def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Arra
             )
         inertias[str(link.get("name"))] = (_mass(link), com, inertia)
     return inertias
+
+
+def inertia_increases(document: ModelDocument) -> dict[str, float]:
+    """Return link name to what has to be added to its ixx, iyy and izz so that MuJoCo takes them.
+
+    Only links with an inertia that no body has: a principal moment is not positive, or, unless
+    ``balanceinertia`` mends that, larger than the sum of the other two. The increase has two
+    digits [kg m^2]. ValueError where a number cannot be read.
+    """
+    settings = document.settings("compiler")
+    is_balanced = any(node.get("balanceinertia") == "true" for node in settings)
+    increases = {}
+    for name, (_, _, inertia) in link_inertias(document).items():
+        if not np.any(inertia):
+            continue  # of a massless link, which gets a minimum where MuJoCo needs one
+        smallest, middle, largest = np.linalg.eigvalsh(inertia).tolist()
+        excess = 0.0 if is_balanced else largest - middle - smallest
+        least = max(_LEAST_SHARE * max(largest, -smallest), 2.0 * _SMALLEST_MOMENT)
+        if smallest <= _SMALLEST_MOMENT:
+            excess = max(excess, least - smallest)
+        if excess > 0.0:
+            excess *= 1.001  # rounding must not leave it on the edge
+            digit = 10.0 ** (math.floor(math.log10(excess)) - 1)
+            rounded_up = (math.floor(excess / digit) + 1) * digit
+            increases[name] = float(f"{rounded_up:.2g}")
+    return increases
+
+
+def raise_inertias(edits: Edits, excluded: Collection[Node] = ()) -> None:
+    """Add the increases of ``inertia_increases`` to the file's links, but for the excluded ones."""
+    increases = inertia_increases(edits.document)
+    for link in edits.document.root_children("link"):
+        increase = increases.get(str(link.get("name")), 0.0)
+        node = link.child("inertial", "inertia")
+        if node is None or not increase or link in excluded:
+            continue
+        for name in ("ixx", "iyy", "izz"):
+            moment = float(node.get(name) or 0.0) + increase
+            edits.set(node, name, format_number(moment))
 
 
 def velocity_limits(document: ModelDocument) -> dict[str, float]:

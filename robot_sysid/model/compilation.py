@@ -30,6 +30,7 @@ from robot_sysid.mjcf.documents import Edits, ModelDocument, read_document
 from robot_sysid.mjcf.urdf import (
     LARGEST,
     compilable_urdf,
+    inertia_increases,
     link_inertias,
     velocity_limits,
 )
@@ -71,6 +72,8 @@ class CompiledModel:
         sha256: hash of all bytes of its files, includes too; "" without files.
         kind: language of the file, "mjcf" or "urdf".
         velocity_limits: joint name to the speed limit that a URDF states [rad/s or m/s].
+        inertia_increases: link name to what was added to the three moments of inertia that a URDF
+            states [kg m^2], because no body has those.
     """
 
     mj_model: Any
@@ -78,6 +81,7 @@ class CompiledModel:
     sha256: str
     kind: str
     velocity_limits: Mapping[str, float] = field(default_factory=dict)
+    inertia_increases: Mapping[str, float] = field(default_factory=dict)
 
 
 @contextmanager
@@ -125,9 +129,10 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
     refuse_hazards(document, mesh_dir)
     notes: tuple[str, ...] = ()
     speeds = {}
+    increases: Mapping[str, float] = {}
     with captured_warnings() as warnings:
         if document.is_urdf:
-            mj_model, notes = _compile_urdf(document, mesh_dir)
+            mj_model, notes, increases = _compile_urdf(document, mesh_dir)
             speeds = velocity_limits(document)
         else:
             mj_model = _compile_mjcf(document, mesh_dir)
@@ -137,7 +142,7 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
     _check_values(mj_model, document)
     notes += tuple(f"MuJoCo warns: {text}" for text in dict.fromkeys(warnings))
     language = "urdf" if document.is_urdf else "mjcf"
-    return CompiledModel(mj_model, notes, document.sha256, language, speeds)
+    return CompiledModel(mj_model, notes, document.sha256, language, speeds, increases)
 
 
 _CACHE = mujoco.mj_getCache() if hasattr(mujoco, "mj_getCache") else None
@@ -176,14 +181,17 @@ def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
 
 def _compile_urdf(
     document: ModelDocument, mesh_dir: Path | None
-) -> tuple[Any, tuple[str, ...]]:
-    """Return (MjModel, notes) of a URDF document, or raise ModelError.
+) -> tuple[Any, tuple[str, ...], Mapping[str, float]]:
+    """Return (MjModel, notes, inertia increases) of a URDF document, or raise ModelError.
 
-    Where MuJoCo refuses moving links without mass, these get a minimum. Inertias are exact.
+    Where MuJoCo refuses moving links without mass, these get a minimum; where it refuses moments of
+    inertia, those are raised that no body has. Other inertias are exact.
     """
-    for with_minimum in (False, True):
+    with_minimum = False
+    increases: dict[str, float] = {}
+    while True:
         try:
-            text, notes = compilable_urdf(document, mesh_dir, with_minimum)
+            text, notes = compilable_urdf(document, mesh_dir, with_minimum, increases)
         except (ValueError, TypeError) as error:
             raise ModelError(
                 f"{document.path}: a number cannot be read: {error}"
@@ -193,15 +201,22 @@ def _compile_urdf(
             break
         except FAILURES as error:
             # A link without mass is told by MuJoCo's constant for the smallest one.
-            if with_minimum or "mjMINVAL" not in str(error):
+            lacks_minimum = "mjMINVAL" in str(error) and not with_minimum
+            new_increases = {} if increases else inertia_increases(document)
+            if lacks_minimum:
+                with_minimum = True
+            elif new_increases:
+                increases = new_increases
+            else:
                 raise ModelError(_compiler_message(document, error)) from None
     restore_exact_inertias(mj_model, link_inertias(document))
-    return mj_model, notes
+    return mj_model, notes, increases
 
 
+_IMPOSSIBLE = ": no body has such moments of inertia; correct them"
 _BALANCE = (
-    ": no body has such moments of inertia; correct them, or let MuJoCo do it with "
-    '<compiler balanceinertia="true"/> in <mujoco> (in a URDF, a <mujoco> in its <robot>)'
+    f"{_IMPOSSIBLE}, or let MuJoCo do it with "
+    '<compiler balanceinertia="true"/> in <mujoco>'
 )
 
 
@@ -217,7 +232,11 @@ def _compiler_message(document: ModelDocument, error: BaseException) -> str:
     if line and line[1] != "0":
         location.append(f"line {line[1]}")
     where = f" ({', '.join(location)})" if location else ""
-    remedy = _BALANCE if "balanceinertia" in first else ""
+    remedy = ""
+    if "balanceinertia" in first:
+        remedy = _BALANCE
+    elif "eigenvalues" in first:
+        remedy = _IMPOSSIBLE
     return f"MuJoCo cannot compile {document.path}: {first}{where}{remedy}"
 
 

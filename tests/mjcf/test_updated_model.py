@@ -203,6 +203,20 @@ def test_a_link_that_weighs_nothing_does_not_keep_the_written_urdf_from_loading(
     assert mujoco.MjModel.from_xml_path(str(target)).njnt == 2
 
 
+def test_a_link_with_impossible_inertia_does_not_keep_the_written_urdf_from_loading(
+    tmp_path,
+):
+    links = urdf.serial({"l1": urdf.inertial(), "l2": urdf.inertial()})
+    inertial = urdf.inertial(inertia="-0.001 0.02 0.02", rpy="0.3 0 0")
+    antenna = urdf.link("antenna", inertial) + urdf.joint("base", "antenna", "fixed")
+    source = write_files(tmp_path, {"m.urdf": urdf.robot(links, antenna)})
+    target = tmp_path / "out" / "u.urdf"
+    with pytest.raises(ValueError, match="positive eigenvalues"):
+        mujoco.MjModel.from_xml_path(str(source))
+    write(source, "l2", WriteBack(random_theta(np.random.default_rng(1))), target)
+    assert mujoco.MjModel.from_xml_path(str(target)).njnt == 2
+
+
 TURNED = (0.1 + 0.2, -1.5, -9.6)
 CHANGE = ModelChange((), 1.23e-4, gravity=TURNED)
 WRITTEN = 'gravity="0.30000000000000004 -1.5 -9.6"'

@@ -7,7 +7,7 @@ import pytest
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import find_assets, relocated_text
 from robot_sysid.mjcf.documents import Edits
-from robot_sysid.mjcf.urdf import compilable_urdf
+from robot_sysid.mjcf.urdf import compilable_urdf, inertia_increases
 from tests.support import urdf
 from tests.support.model_files import document_of, write_files
 
@@ -128,3 +128,28 @@ def test_a_mesh_folder_of_the_file_goes_when_the_names_say_it_all(tmp_path):
     link = urdf.link("l", urdf.mesh("collision", "a.stl"))
     text = relocated_text(Edits(document(tmp_path, setting, link)), tmp_path / "out")
     assert b'<compiler strippath="false"/>' in text and b'"../robots/m/a.stl"' in text
+
+
+@pytest.mark.parametrize(
+    ("inertia", "increase"),
+    [
+        ("0.01 0.02 0.025", None),
+        ("0.01 0.02 0.03001", pytest.approx(1.1e-5, rel=0.1)),
+        ("-1e-4 0.02 0.0199", 2.1e-4),
+        ("0 0.02 0.02", pytest.approx(2.1e-8)),
+        ("-1 -1 -1", 1.1),
+        ("0 0 0", None),
+    ],
+)
+def test_moments_that_no_body_has_lack_what_makes_them_possible(
+    tmp_path, inertia, increase
+):
+    document = arm(tmp_path, urdf.inertial(inertia=inertia))
+    assert inertia_increases(document).get("l1") == increase
+
+
+def test_balanceinertia_mends_all_but_moments_that_are_not_positive(tmp_path):
+    setting = '<mujoco><compiler balanceinertia="true"/></mujoco>'
+    for inertia, is_mended in (("0.01 0.02 0.1", False), ("-0.1 0.02 0.02", True)):
+        document = arm(tmp_path, urdf.inertial(inertia=inertia), setting)
+        assert bool(inertia_increases(document)) == is_mended

@@ -62,8 +62,16 @@ def test_an_mjcf_file_compiles_to_what_mujoco_makes_of_it(tmp_path):
             "joint parent or child missing",
         ),
         (
-            URDF.replace('ixx="0.01"', 'ixx="0.5"'),
-            r"A \+ B >= C.*no body has such moments.*in a URDF, a <mujoco> in its <robot>",
+            world(BODY.format("<inertial pos='0 0 0' mass='1' diaginertia='1 1 3'/>")),
+            r"A \+ B >= C.*'b'.*no body has such moments.*balanceinertia",
+        ),
+        (
+            world(
+                BODY.format(
+                    "<inertial pos='0 0 0' mass='1' fullinertia='-1 1 3 0 0 0'/>"
+                )
+            ),
+            r"positive eigenvalues.*'b'.*no body has such moments.*correct them",
         ),
         (URDF.replace('ixx="0.01"', 'ixx="much"'), "a number cannot be read: .*much"),
         (
