@@ -457,7 +457,7 @@ def png(drawing: Drawing) -> bytes:
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0.0, WIDTH))
         axes.set(ylim=(drawing.height, 0.0))
         axes.set_axis_off()
-        for shape in drawing.shapes:
+        for order, shape in enumerate(drawing.shapes):
             if isinstance(shape, Text):
                 anchor = {"start": "left", "middle": "center", "end": "right"}
                 style: dict[str, Any] = {"ha": anchor[shape.anchor]}
@@ -467,23 +467,22 @@ def png(drawing: Drawing) -> bytes:
                     shape.x, shape.y, shape.text, rotation=turn, size=10.5, **style
                 )
                 continue
-            _plot_path(axes, shape)
+            _plot_path(axes, shape, order)
         # matplotlib's version would make equal drawings differ.
         figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
     return buffer.getvalue()
 
 
-def _plot_path(axes: Any, path: Path) -> None:
-    """Draw a path on matplotlib's axes."""
-    style: dict[str, Any] = {"alpha": path.opacity, "lw": path.width}
+def _plot_path(axes: Any, path: Path, order: int) -> None:
+    """Draw a path on matplotlib's axes, above what has a smaller ``order``."""
+    style: dict[str, Any] = {"alpha": path.opacity, "lw": path.width, "zorder": order}
     dash = tuple(map(float, path.dash.split()))
+    line_style = {"ls": (0.0, dash) if dash else "-", "solid_capstyle": "round"}
     for corners in _pieces(path.corners):
         if path.fill:
             axes.fill(*corners.T, color=COLOURS[path.fill], **style)
         if path.stroke:
-            style["ls"] = (0.0, dash) if dash else "-"
-            style["solid_capstyle"] = "round"
-            axes.plot(*corners.T, color=COLOURS[path.stroke], **style)
+            axes.plot(*corners.T, color=COLOURS[path.stroke], **style, **line_style)
 
 
 def _pieces(corners: Array) -> Iterator[Array]:

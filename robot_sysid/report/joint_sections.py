@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -431,7 +432,9 @@ def errors(run: Run) -> Section:
     if all(error_set.data == FITTED for error_set in sets):
         sentences.append("Nothing was held out: other motion may be predicted worse.")
     tables = (total_errors(sets), _errors_by_joint(sets))
-    figures = (_error_figure(sets[:_MAX_SERIES]),)
+    # What the models predict as files counts; the fit is drawn where there are none.
+    drawn = [s for s in sets if s.model != "fit" or s.data == FITTED]
+    figures = (_error_figure(drawn[:_MAX_SERIES]),)
     return Section("errors", title, sentences, tables, figures)
 
 
@@ -445,7 +448,8 @@ def _error_figure(sets: Sequence[ErrorSet]) -> Figure:
         lengths = np.array([number(test.rmse_per_joint.get(joint)) for joint in joints])
         lengths = np.nan_to_num(lengths)
         top = rows + 0.4 - width * index
-        label = f"{model}: {data}"
+        # Folders of a log make its name too long for a legend.
+        label = re.sub(r"(?<=: )\S*/", "", f"{model}: {data}")
         opacity = 0.9 if index < 3 else 0.55
         marks.append(
             Boxes(
