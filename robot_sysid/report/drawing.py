@@ -52,6 +52,8 @@ _MARGIN = 0.04
 """Empty margin of an axis on each side, as a share of the range of its values."""
 _TICK_ROOM = (64.0, 24.0)
 """Least distance of ticks on a horizontal and on a vertical axis [px]."""
+_MAX_TICKS = 12
+"""Number of ticks on a vertical axis that the width of its labels allows for."""
 _MAX_DOTS = 400
 """Number of dots to which a longer scatter plot is thinned; fewer than twice as many remain. More
 dots would overlap."""
@@ -203,7 +205,7 @@ def _draw_legend(drawing: Drawing, marks: Iterable[Mark]) -> float:
     x = _GAP
     y = 0.7 * _LINE
     for label, mark in reversed(list(labelled.items())):
-        text = shorten(label, 58)
+        text = shorten(label, 62)
         width = 30.0 + _LETTER * len(text) + 2.0 * _GAP
         if x > _GAP and x + width > WIDTH:
             x = _GAP
@@ -226,7 +228,9 @@ def _label_width(panel: Panel) -> float:
     """Return the width of the labels left of a panel [px]."""
     names = list(map(shorten, panel.row_names))
     if not names:
-        names = [text for _, text in ticks(*_ends(panel)[1], largest_count=5)]
+        # The height of the panel, and with it the number of ticks, is not known yet.
+        for count in range(2, _MAX_TICKS):
+            names += [label for _, label in ticks(*_ends(panel)[1], count)]
     title_width = 1.6 * _LINE if panel.y_label else 0.5 * _LINE
     return title_width + _GAP + _LETTER * max(map(len, names), default=0)
 

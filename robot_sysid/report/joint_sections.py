@@ -106,8 +106,8 @@ def torque_figure(data: ReportData, joint: int, name: str = "torque-{}") -> Figu
     offset = _mean(measured - prior)
     if abs(offset) > _LARGE_OFFSET * _rms(measured - prior):
         caption += (
-            f" The residual before has a mean of {offset:.3g} {unit}, which the torque error of "
-            "the verdict leaves out: a torque sensor's offset would explain it."
+            f" The residual before has a mean of {offset:.3g} {unit}. The torque error of the "
+            "verdict leaves it out, because a torque sensor's offset would look the same."
         )
     torque_lines = (
         Line(data.time, measured, "measured", "measured", width=3.2),
@@ -160,7 +160,7 @@ def _residual_table(data: ReportData) -> Table:
     )
     note = (
         "The torque error of the verdict is that of motion that was not fitted. It leaves out "
-        "each joint's mean residual, which the offset of a torque sensor would explain."
+        "each joint's mean residual, because a torque sensor's offset would look the same."
     )
     return table(header, rows, note)
 

@@ -104,6 +104,15 @@ def test_a_row_of_names_is_drawn_in_order_from_the_top():
     assert heights == sorted(heights)
 
 
+@pytest.mark.parametrize("height", [90.0, 150.0, 220.0, 400.0])
+def test_labels_of_ticks_stay_right_of_the_label_of_their_axis(height):
+    line = Line(X, np.linspace(-0.7, 3.2, len(X)), "after")
+    text = svg(draw([[Panel((line,), "speed [rad/s]", "friction [N·m]")]], height))
+    (title,) = re.findall(r"translate\(([\d.]+)", text)
+    for x, label in re.findall(r'x="([\d.]+)"[^>]*anchor="end"[^>]*>([^<]+)<', text):
+        assert float(x) - 7.0 * len(label) > float(title)
+
+
 @pytest.mark.slow
 def test_a_png_has_a_white_ground_and_the_colours_of_its_marks():
     pytest.importorskip("matplotlib")
