@@ -68,7 +68,10 @@ def test_motor_currents_are_named_and_never_fitted(tmp_path, monkeypatch, capsys
     pytest.importorskip("rosbags")
     monkeypatch.chdir(tmp_path)
     model = str(MODELS / log.model)
-    assert main(["identify", model, str(log.write(tmp_path))]) == 2
+    path = log.write(tmp_path)
+    assert main(["identify", model, str(path)]) == 2
     error = capsys.readouterr().err
     assert "motor currents" in error and "--torque-constants" in error
+    if path.suffix != ".csv":
+        assert f"\n  robot-sysid payload {model} --empty {path} --loaded " in error
     assert not (tmp_path / "sysid_output" / "updated_model.xml").exists()

@@ -25,7 +25,7 @@ from robot_sysid.config import (
     PayloadOptions,
     SysidConfig,
 )
-from robot_sysid.errors import SysidError
+from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
@@ -276,6 +276,7 @@ def run_command(config: Config, console: Console, preview: PreviewOptions) -> No
     """
     require_report(config.output)
     # Imported here so that --help and usage errors do not wait for MuJoCo.
+    from robot_sysid.pipeline.run_words import add_weighing_commands
     from robot_sysid.pipeline.stages import run
 
     config = replace(config, output=replace(config.output, config=console.config))
@@ -283,7 +284,13 @@ def run_command(config: Config, console: Console, preview: PreviewOptions) -> No
         config = config.with_seed()
     output = config.output
     with warnings_as_notes(console):
-        outcome = run(config, console)
+        try:
+            outcome = run(config, console)
+        except InputError as error:
+            for log in config.log.measurements[:1]:
+                model = config.model
+                add_weighing_commands(error, model.path, model, config.log, log)
+            raise
     show_plan(outcome.checked, preview, console)
     console.stage(*outcome.lines)
     for path in outcome.files if outcome.checked else ():

@@ -66,6 +66,12 @@ def main(arguments: Sequence[str]) -> int:
                 given = command_arguments(values, ModelOptions, LogOptions)
                 words = ["identify", str(model_path), str(path), *given]
                 error.command_lines = [[*words, *option] for option in error.options]
+            elif error.command == "payload":
+                from robot_sysid.pipeline.run_words import add_weighing_commands
+
+                add_weighing_commands(
+                    error, model_path, model_options, log_options, path
+                )
             raise
         return 0
     for record in (preview_options, log_options, model_options):

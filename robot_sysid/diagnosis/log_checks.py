@@ -520,19 +520,24 @@ def require_acceptable(
     """
     refused = []
     warned = []
+    options = []
     for finding in findings:
         if finding.level is Level.REFUSE:
             refused.append(finding.text)
+            if finding.torque_scale:
+                options.append(("--torque-scale", finding.torque_scale))
         elif finding.level is Level.WARN and finding.name not in accepted:
             warned.append(finding)
     if refused:
-        raise InputError(f"{log}: {'; '.join(refused)}")
+        # Scales may be weighed, unless something else is wrong as well.
+        remedies = options if len(options) == len(refused) == 1 else []
+        raise InputError(f"{log}: {'; '.join(refused)}", remedies, command="payload")
     if warned:
         texts = "; ".join(finding.text for finding in warned)
         # Each name once, in the order of the findings.
         names = dict.fromkeys(finding.name for finding in warned)
-        options = " ".join(f"--accept {name}" for name in names)
-        advice = f"nothing was written (to go on all the same: {options})"
+        accepting = " ".join(f"--accept {name}" for name in names)
+        advice = f"nothing was written (to go on all the same: {accepting})"
         raise SysidError(f"{log}: {texts}; {advice}")
 
 

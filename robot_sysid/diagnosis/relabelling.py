@@ -442,7 +442,11 @@ def find_wrong_scales(
     off = float(np.max(np.abs(np.log(scale[scales.identified]))))
     level = Level.WARN if off > np.log(WARNED) else Level.NOTE
     level = Level.REFUSE if off > np.log(REFUSED) else level
-    return [Correction(Finding("torque-scale", level, text), gain, posterior)]
+    is_per_joint = scales.spread > _SAME
+    start = (scale * divided).tolist() if is_per_joint else []
+    torque_scale = ",".join(format(value, ".4g") for value in start)
+    finding = Finding("torque-scale", level, text, torque_scale)
+    return [Correction(finding, gain, posterior)]
 
 
 def typical_scale(log: LogRows) -> float:
@@ -561,8 +565,9 @@ def _meaning(typical: float, spread: float, error: float, divided: Array) -> str
         factors = "a factor of its own for every joint, as "
         if typical < 0.5:
             return (
-                f"{factors}motor currents in amperes have (give the torque per ampere with "
-                "--torque-constants), or the model of another arm"
+                f"{factors}motor currents in amperes have, or the model of another arm; give the "
+                "torque per ampere with --torque-constants, or determine it with a weight: bolt on "
+                "1 kg (of another mass, state it), record a motion called weight, and compare"
             )
         for_joints = (
             "per joint" if np.all(divided == 1.0) else "per joint, times the one given"

@@ -11,6 +11,7 @@ import numpy as np
 from robot_sysid.config import Config, PayloadConfig, SysidConfig
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
+from robot_sysid.model import ModelOptions
 from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.pipeline import Identification
 from robot_sysid.records import Motion
@@ -26,7 +27,7 @@ from robot_sysid.records.option_fields import (
     given_options,
     immutable_value,
 )
-from robot_sysid.results.next_steps import RunWords
+from robot_sysid.results.next_steps import RunWords, weighing_words
 
 READING = ("columns", "units", "torque_scale", "torque_constants", "topic")
 """Keys of the options that hold for every log of the same arm."""
@@ -92,6 +93,31 @@ def words_of_plan(config: SysidConfig) -> RunWords:
         log=tuple(command_arguments(log_values, LogOptions)),
         folder=config.plan_file.parent,
     )
+
+
+def add_weighing_commands(
+    error: InputError, model: Path, arm: ModelOptions, options: LogOptions, log: Path
+) -> None:
+    """Add the command that weighs torque scales to an error whose options are for ``payload``.
+
+    Args:
+        error: what stopped the reading of a log; one with options for other commands is left.
+        model: model file of the run.
+        arm: which arm in the model.
+        options: how the log was read.
+        log: the log, of the arm without a weight.
+    """
+    if error.command != "payload":
+        return
+    # The remedy has the torque scales that the run was given.
+    reading = [key for key in READING if key != "torque_scale"]
+    values = _given_values(options, tuple(reading))
+    run = RunWords(
+        model=str(model),
+        arm=tuple(command_arguments(vars(arm), arm)),
+        log=tuple(command_arguments(values, LogOptions)),
+    )
+    error.command_lines = [weighing_words(run, log, option) for option in error.options]
 
 
 def _given_values(record: Any, keys: tuple[str, ...]) -> Mapping[str, Any]:

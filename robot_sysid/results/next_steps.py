@@ -184,6 +184,20 @@ def _calibration_step(run: RunWords) -> NextStep:
     return NextStep(sentence, (*words, "--output-dir", str(folder)))
 
 
+def weighing_words(run: RunWords, log: Path, scales: Sequence[str]) -> list[str]:
+    """Return the words, behind the program's name, of the command that weighs torque scales.
+
+    Args:
+        run: the run that read the log.
+        log: recording of the arm without the weight; that with it has its form and folder.
+        scales: option and value of the scales to begin with.
+    """
+    recording = log.with_name(f"weight{log.suffix}")
+    words = ["payload", run.model, *run.arm, *run.log, "--empty", str(log)]
+    words += ["--loaded", str(recording), "--known-mass", "1", *scales]
+    return [*words, "--save-torque-scale", _SCALE_NAME]
+
+
 def _step_after_calibration(run: RunWords) -> NextStep | None:
     """Return the step that uses the torque scales which a known mass has determined.
 

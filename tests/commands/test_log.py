@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from robot_sysid.diagnosis import log_checks
+from robot_sysid.dynamics.spatial import theta_from_com
 from robot_sysid.logs.text import write_measurement_csv
+from robot_sysid.records import Measurement
 from tests.support import arms, recorded
 from tests.support.command_line import CommandLine
+from tests.support.payload_logs import TrueArm, wide_motion
 from tests.support.wrong_logs import truth_of
 
 ARM = arms.serial_arm(arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
+
+ONE_KG = theta_from_com(1.0, np.array([0.05, 0.03, 0.1]), 2e-3 * np.eye(3))
+PER_NM = np.array([0.08, 0.08, 0.1, 0.13])
+"""Motor current per torque at each joint [A/(N m)]."""
 
 
 @pytest.fixture(scope="module")
@@ -106,3 +115,26 @@ def test_a_data_set_without_torque_ends_with_the_command_that_needs_none(
     assert message.splitlines()[-1] == (
         "  robot-sysid identify arm.xml set --episode 0 --torque-from position-error"
     )
+
+
+@pytest.mark.slow
+def test_motor_currents_end_with_the_command_that_weighs_their_constants(
+    command, folder
+):
+    """It runs as printed when the log with the weight is there, and its file is the truth's."""
+    arm = TrueArm(arms.robot_of(ARM), 1, model_error=0.05, payload=ONE_KG)
+    for seed, name in enumerate(("ampere", "weight")):
+        motion = wide_motion(seed, joints=4, duration=15.0, rate=250.0)
+        torque = arm.torque(motion, is_loaded=name == "weight")
+        torque += np.random.default_rng(seed).normal(0.0, 0.02, torque.shape)
+        log = Measurement(motion.time, motion.q, motion.qd, PER_NM * torque)
+        write_measurement_csv(folder / f"{name}.csv", arm.robot.joint_names, [log])
+    for words in ("log ampere.csv arm.xml", "identify arm.xml ampere.csv"):
+        message, remedy = command.run(words, code=2).err.splitlines()[-2:]
+        assert "as motor currents in amperes have" in message
+    words = shlex.split(remedy)
+    assert words[:4] == ["robot-sysid", "payload", "arm.xml", "--empty"]
+    command.run(" ".join(words[1:]))
+    content = json.loads((folder / "torque_scale.json").read_text())["torque_scale"]
+    scales = [entry["value"] for entry in content.values()]
+    np.testing.assert_allclose(scales, PER_NM, rtol=0.05)
