@@ -112,13 +112,20 @@ def choose_topic(path: Path, topics: Sequence[Topic]) -> tuple[Topic, str]:
 
 
 def _is_one_arm(first: Topic, second: Topic) -> bool:
-    """Return whether two topics hold the same motion, and their names are not those of two arms."""
+    """Return whether two topics hold the same motion, and their names are not those of two arms.
+
+    Whatever the names are, two arms never read equal positions at all equal times.
+    """
     if not (first.has_positions and second.has_positions):
         return False
+    motion = first.read_motion()
+    other_motion = second.read_motion()
+    is_equal = all(map(np.array_equal, motion, other_motion))
     has_one_type = first.message_type == second.message_type
-    if has_one_type and _is_of_another_arm(first.name, second.name):
+    has_other_name = has_one_type and _is_of_another_arm(first.name, second.name)
+    if has_other_name and not is_equal:
         return False
-    return _is_same_motion(first.read_motion(), second.read_motion())
+    return _is_same_motion(motion, other_motion)
 
 
 def _is_of_another_arm(first: str, second: str) -> bool:

@@ -74,8 +74,8 @@ def test_commands_and_efforts_of_zero_are_left_out(other):
 @pytest.mark.parametrize(
     "other",
     [
-        topic("/right/joint_states"),
-        topic("/right_arm/joint_states"),
+        topic("/right/joint_states", late=0.001),
+        topic("/right_arm/joint_states", q=1.001 * DATA.q),
         topic("/joint_states", q=DATA.q[::-1]),
         topic("/joint_states", q=DATA.q[:, :2]),
         topic("/joint_states", late=5.0),
@@ -88,6 +88,11 @@ def test_topics_of_two_arms_are_refused(other):
         choose_topic(BAG, [topic("/left/joint_states"), other])
     names = {"/left/joint_states", other.name}
     assert {*caught.value.options} == {("--topic", name) for name in names}
+
+
+def test_topics_with_equal_numbers_are_one_arm_whatever_their_names():
+    names = ["/joint_states_single", "/joint_states_feedback"]
+    assert chosen(*map(topic, names))[0] == names[1]
 
 
 def test_arms_that_stand_still_are_not_taken_for_one():
