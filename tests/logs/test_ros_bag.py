@@ -7,6 +7,7 @@ import contextlib
 import os
 import sqlite3
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -202,7 +203,8 @@ def test_several_topics_need_a_choice_but_not_one_without_the_arm_or_effort(tmp_
     assert "topic /joint_states" in read_measurements(path, JOINTS).notes[0]
     assert_refused("topic /desired has no effort", path, topic="/desired")
     assert_refused("no joint states in topic '/up'; its topics", path, topic="/up")
-    both = [("/left", recorded.STATE, measured), ("/right", recorded.STATE, measured)]
+    mirrored = list(recorded.shuffled_states(types, replace(DATA, q=-DATA.q)))
+    both = [("/left", recorded.STATE, measured), ("/right", recorded.STATE, mirrored)]
     path = recorded.write_bag2(tmp_path / "both", both, store)
     assert_refused(r"/left .*/right .*--topic", path)
     assert len(read_measurements(path, JOINTS, topic="/right").samples) == len(DATA)
