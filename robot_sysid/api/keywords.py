@@ -11,6 +11,7 @@ import functools
 import inspect
 import os
 import re
+import shlex
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -289,13 +290,60 @@ _FLAG = re.compile(
     r"robot-sysid motors \w+ --[a-z-]+|(--[a-z][a-z-]*[a-z])(?: ([\w.,·/#\"'-]*\w))?"
 )
 """A motor command with its option, or an option with the word behind it, in a sentence."""
+_NUMBER = re.compile(r"-?\d+(\.\d*)?(e-?\d+)?")
 _UNITS = re.compile(r"(deg|rad|s|ms|us|ns)(,(deg|rad|s|ms|us|ns))?")
 """Value of the option --units: one unit of angle or time, or two between a comma."""
 
 
+_COMMAND_LINE = "  robot-sysid "
+"""Beginning of a line that is a command and nothing else."""
+_CALLS = {
+    "plan": ("plan", "rs.plan(model"),
+    "identify": ("identify", "rs.identify(model, log"),
+    "payload": ("payload", "rs.payload(model, empty, loaded"),
+    "log": ("read_log", "rs.read_log(log, model"),
+}
+"""Command to the function that does the same, and to the beginning of its call."""
+
+
 def python_words(text: str) -> str:
-    """Return a sentence with keywords in place of options: ``units="deg"`` for --units deg."""
-    return _FLAG.sub(_keyword, text).replace("robot-sysid plan", "robot_sysid.plan")
+    """Return a message with keywords in place of options: ``units="deg"`` for --units deg.
+
+    A command on a line of its own becomes the call of a function.
+    """
+    lines = []
+    for line in text.split("\n"):
+        if line.startswith(_COMMAND_LINE):
+            lines.append(_call(line))
+        else:
+            sentence = _FLAG.sub(_keyword, line)
+            lines.append(sentence.replace("robot-sysid plan", "robot_sysid.plan"))
+    return "\n".join(lines)
+
+
+def _call(line: str) -> str:
+    """Return the call that does what a command line does; the line itself where there is none.
+
+    Model and logs are named as such, as those of a program may be in no file. Options that the
+    function does not take, such as --output-dir, are left out.
+    """
+    words = shlex.split(line)
+    if words[1] not in _CALLS:
+        return line
+    function, call = _CALLS[words[1]]
+    taken = keys_of(*RECORDS[function]) - set(refused_by(function))
+    values_by_key: dict[str, list[str]] = {}
+    for word, next_word in zip(words, [*words[1:], ""]):
+        option = _option_by_flag().get(word)
+        if option is not None and option.key in taken:
+            is_bare = option.parse is None or bool(_NUMBER.fullmatch(next_word))
+            value = next_word if is_bare else f'"{next_word}"'
+            value = "True" if option.parse is None else value
+            values_by_key.setdefault(option.key, []).append(value)
+    for key, values in values_by_key.items():
+        text = values[0] if len(values) == 1 else f"[{', '.join(values)}]"
+        call += f", {key}={text}"
+    return f"  {call})"
 
 
 def _keyword(match: re.Match[str]) -> str:

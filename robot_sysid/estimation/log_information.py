@@ -71,7 +71,7 @@ MOST_NOTES = 20
 """Largest number of notes that a record keeps."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CommonSettings:
     """Settings that are equal in all records that are added.
 
@@ -136,6 +136,11 @@ class LogInformation:
     logs: int
     acceleration_error: float
     notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        logs = "1 log" if self.logs == 1 else f"{self.logs} logs"
+        rows = f"{self.samples} samples of joints up to {self.settled.joint}"
+        return f"<LogInformation of {logs}: {rows} in {self.duration:g} s>"
 
     def __add__(self, other: LogInformation) -> LogInformation:
         """Return the information of both records together.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -113,6 +114,10 @@ def test_what_cannot_be_used_is_one_clear_error(model, logs, options, message):
 
 def test_a_first_round_is_no_result(model, logs):
     first = rs.information(model, logs[0], cutoff=CUTOFF)
+    assert re.fullmatch(
+        r"<LogInformation of 1 log: \d+ samples of joints up to \w+ in [\d.]+ s>",
+        repr(first),
+    )
     with pytest.raises(InputError, match="does not know its errors"):
         rs.identify_from(model, first)
     with pytest.raises(InputError, match="unknown option 'cutoff'"):

@@ -140,6 +140,11 @@ def test_what_cannot_be_used_is_said_in_the_words_of_python(call, message):
         ("--also needs --also-joint and --joint-map", "also needs also_joint and joint_map"),
         ("see robot-sysid motors map --model", "see robot-sysid motors map --model"),
         ("an --option of another tool", "an --option of another tool"),
+        ("weigh it:\n  robot-sysid plan --config out/run.toml --for payload --output-dir out/two",
+         'weigh it:\n  rs.plan(model, for_="payload")'),
+        ("  robot-sysid identify a.xml 'b c.csv' --links --cutoff 8 --keep links --keep rotors",
+         '  rs.identify(model, log, links=True, cutoff=8, keep=["links", "rotors"])'),
+        ("  robot-sysid motors map --model a.xml", "  robot-sysid motors map --model a.xml"),
     ],
 )  # fmt: skip
 def test_options_are_said_as_keywords(command, python):
