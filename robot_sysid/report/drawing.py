@@ -15,7 +15,7 @@ import io
 import logging
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Union
 
 import numpy as np
@@ -159,12 +159,15 @@ class Text:
     is_upright: bool = False
 
 
-@dataclass
+Shape = Union[Path, Text]
+
+
+@dataclass(frozen=True)
 class Drawing:
     """Shapes on an area of ``WIDTH`` times ``height`` [px], in the order of drawing."""
 
     height: float
-    shapes: list[Path | Text] = field(default_factory=list)
+    shapes: Sequence[Shape]
 
 
 def draw(panels: Sequence[Sequence[Panel]], height: float) -> Drawing:
@@ -175,11 +178,11 @@ def draw(panels: Sequence[Sequence[Panel]], height: float) -> Drawing:
             height of the first.
         height: height of all panels with their labels, without the legend [px].
     """
-    drawing = Drawing(height)
+    shapes: list[Shape] = []
     top = _draw_legend(
-        drawing, [mark for row in panels for p in row for mark in p.marks]
+        shapes, [mark for row in panels for p in row for mark in p.marks]
     )
-    drawing.height = top + height
+    height_of_all = top + height
     below = [
         sum(p.x_label != "" for p in row[:1]) * 2.4 * _LINE + _GAP for row in panels
     ]
@@ -193,13 +196,13 @@ def draw(panels: Sequence[Sequence[Panel]], height: float) -> Drawing:
         x = left
         for panel, label_width in zip(row, widths):
             x += label_width
-            _draw_panel(drawing, panel, (x, x + width - 2.0 * _GAP, bottom, top + _GAP))
+            _draw_panel(shapes, panel, (x, x + width - 2.0 * _GAP, bottom, top + _GAP))
             x += width
         top = bottom + room_below
-    return drawing
+    return Drawing(height_of_all, shapes)
 
 
-def _draw_legend(drawing: Drawing, marks: Iterable[Mark]) -> float:
+def _draw_legend(shapes: list[Shape], marks: Iterable[Mark]) -> float:
     """Draw the legend of marks with a label in rows at the top, and return its lower edge [px]."""
     labelled = {mark.label: mark for mark in reversed(list(marks)) if mark.label}
     x = _GAP
@@ -212,14 +215,14 @@ def _draw_legend(drawing: Drawing, marks: Iterable[Mark]) -> float:
             y += _LINE
         ends = np.array([[x, y], [x + 22.0, y]])
         if isinstance(mark, Line):
-            drawing.shapes.append(Path(ends, mark.colour, "", mark.width, mark.dash))
+            shapes.append(Path(ends, mark.colour, "", mark.width, mark.dash))
         elif isinstance(mark, Points):
-            _draw_markers(drawing, mark, np.mean(ends, axis=0)[None])
+            _draw_markers(shapes, mark, np.mean(ends, axis=0)[None])
         else:
             edges = [np.array([edge]) for edge in (x, x + 22.0, y + 5.0, y - 5.0)]
             box = _boxes_path(*edges)
-            drawing.shapes.append(Path(box, "", mark.colour, opacity=mark.opacity))
-        drawing.shapes.append(Text(x + 28.0, y, text, "start"))
+            shapes.append(Path(box, "", mark.colour, opacity=mark.opacity))
+        shapes.append(Text(x + 28.0, y, text, "start"))
         x += width
     return y + _LINE if labelled else 0.0
 
@@ -292,7 +295,7 @@ def ticks(low: float, high: float, largest_count: int) -> list[tuple[float, str]
 
 
 def _draw_panel(
-    drawing: Drawing, panel: Panel, area: tuple[float, float, float, float]
+    shapes: list[Shape], panel: Panel, area: tuple[float, float, float, float]
 ) -> None:
     """Draw axes, labels and marks of a panel into an area: left, right, bottom, top [px]."""
     left, right, bottom, top = area
@@ -312,20 +315,20 @@ def _draw_panel(
         y_ticks = [(-float(k), name) for k, name in enumerate(names)]
     for value, label in x_ticks:
         x = float(place(np.array([value]), np.array([y_low]))[0, 0])
-        drawing.shapes.append(Path(np.array([[x, bottom], [x, top]]), "grid"))
+        shapes.append(Path(np.array([[x, bottom], [x, top]]), "grid"))
         if panel.x_label:
-            drawing.shapes.append(Text(x, bottom + 0.8 * _LINE, label))
+            shapes.append(Text(x, bottom + 0.8 * _LINE, label))
     for value, label in y_ticks:
         y = float(place(np.array([x_low]), np.array([value]))[0, 1])
-        drawing.shapes.append(Path(np.array([[left, y], [right, y]]), "grid"))
-        drawing.shapes.append(Text(left - _GAP, y, label, "end"))
+        shapes.append(Path(np.array([[left, y], [right, y]]), "grid"))
+        shapes.append(Text(left - _GAP, y, label, "end"))
     for mark in panel.marks:
-        _draw_mark(drawing, mark, place)
+        _draw_mark(shapes, mark, place)
     frame = np.array([[left, top], [left, bottom], [right, bottom]])
-    drawing.shapes.append(Path(frame, "ink"))
+    shapes.append(Path(frame, "ink"))
     middle = 0.5 * (left + right)
-    drawing.shapes.append(Text(middle, bottom + 1.9 * _LINE, panel.x_label))
-    drawing.shapes.append(
+    shapes.append(Text(middle, bottom + 1.9 * _LINE, panel.x_label))
+    shapes.append(
         Text(
             0.7 * _LINE if left < 0.5 * WIDTH else left - _label_width(panel) + _LINE,
             0.5 * (bottom + top),
@@ -336,17 +339,17 @@ def _draw_panel(
 
 
 def _draw_mark(
-    drawing: Drawing, mark: Mark, place: Callable[[Array, Array], Array]
+    shapes: list[Shape], mark: Mark, place: Callable[[Array, Array], Array]
 ) -> None:
     """Draw a mark of a panel; ``place`` returns the places (K, 2) [px] of points."""
     if isinstance(mark, Line):
         path = Path(place(mark.x, mark.y), mark.colour, "", mark.width, mark.dash)
-        drawing.shapes.append(path)
+        shapes.append(path)
     elif isinstance(mark, Boxes):
         left, bottom = place(mark.left, mark.bottom).T
         right, top = place(mark.right, mark.top).T
         corners = _boxes_path(left, right, bottom, top)
-        drawing.shapes.append(Path(corners, "", mark.colour, opacity=mark.opacity))
+        shapes.append(Path(corners, "", mark.colour, opacity=mark.opacity))
     else:
         used = np.flatnonzero(np.isfinite(mark.x) & np.isfinite(mark.y))
         if mark.shape == "dot":
@@ -358,8 +361,8 @@ def _draw_mark(
             gap = np.full(len(x), np.nan)
             ends = np.column_stack((x - errors, x + errors, gap)).ravel()
             bars = place(ends, np.repeat(y, 3))
-            drawing.shapes.append(Path(bars, mark.colour, "", 1.4))
-        _draw_markers(drawing, mark, place(x, y))
+            shapes.append(Path(bars, mark.colour, "", 1.4))
+        _draw_markers(shapes, mark, place(x, y))
 
 
 def _boxes_path(left: Array, right: Array, bottom: Array, top: Array) -> Array:
@@ -370,13 +373,13 @@ def _boxes_path(left: Array, right: Array, bottom: Array, top: Array) -> Array:
     return np.column_stack((x, y))
 
 
-def _draw_markers(drawing: Drawing, points: Points, places: Array) -> None:
+def _draw_markers(shapes: list[Shape], points: Points, places: Array) -> None:
     """Draw markers at places (K, 2) [px]."""
     if points.shape == "dot":
         # A line without length and with round ends is a dot.
         places = np.repeat(places, 3, axis=0)
         places[2::3] = np.nan
-        drawing.shapes.append(Path(places, points.colour, "", 2.4, opacity=0.7))
+        shapes.append(Path(places, points.colour, "", 2.4, opacity=0.7))
         return
     count = _CORNERS[points.shape]
     turn = 0.25 * np.pi if points.shape == "square" else 0.0
@@ -384,7 +387,7 @@ def _draw_markers(drawing: Drawing, points: Points, places: Array) -> None:
     outline = 4.0 * np.column_stack((np.cos(angles), np.sin(angles)))
     corners = (places[:, None] + outline).reshape(-1, 2)
     fill = points.colour if points.is_filled else ""
-    drawing.shapes.append(Path(corners, points.colour, fill, 1.4))
+    shapes.append(Path(corners, points.colour, fill, 1.4))
 
 
 def shorten(name: str, max_length: int = 22) -> str:

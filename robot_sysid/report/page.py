@@ -37,9 +37,9 @@ from robot_sysid.records.messages import (
 from robot_sysid.report import joint_sections
 from robot_sysid.report.body_sections import (
     card,
+    largest_cause_text,
     main_numbers,
     parameters,
-    picture,
     scatter,
     visibility,
 )
@@ -50,6 +50,7 @@ from robot_sysid.report.joint_sections import (
     most_changed,
     total_errors,
 )
+from robot_sysid.report.pictures import picture
 from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, report_data
 from robot_sysid.report.sections import Figure, Section, table
 from robot_sysid.results.record import Verdict
@@ -218,9 +219,13 @@ def title_of(run: Run) -> str:
     except SysidError:
         # The model is not where it was: its file's name has to do.
         pass
+    return f"{robot}, {_day(run)}: {run.log_names}"
+
+
+def _day(run: Run) -> str:
+    """Return the day on which the run wrote its result, as "2026-11-24"."""
     written = (run.folder / PARAMS_NAME).stat().st_mtime
-    day = datetime.date.fromtimestamp(written).isoformat()
-    return f"{robot}, {day}: {run.log_names}"
+    return datetime.date.fromtimestamp(written).isoformat()
 
 
 def verdict(run: Run) -> Section:
@@ -251,21 +256,37 @@ def verdict(run: Run) -> Section:
         verdict=rating,
         details=(
             ("Arm, model and data", tuple(_origin(run))),
-            ("What limits the result", (*content["reasons"], *content["limitations"])),
+            ("What limits the result", tuple(_limits(run))),
             ("Notes of the run", content["notes"]),
         ),
     )
 
 
+def _limits(run: Run) -> Iterator[str]:
+    """Yield sentences on why the result is not usable, or on what limits its accuracy."""
+    yield from run.content["reasons"]
+    cause = largest_cause_text(run.bodies[0])
+    if cause:
+        yield f"most of the mass's error comes from {cause}"
+    yield from run.content["limitations"]
+
+
 def _origin(run: Run) -> Iterator[str]:
     """Yield sentences on what was identified, from which data, and on the residual torque."""
     content = run.content
-    question = f"the arm's links and joints; {run.bodies[0].title} behind joint"
+    joint_name = content["joint_name"]
+    question = (
+        f"the arm's links and joints. {run.bodies[0].title} is the terminal link with all that "
+        f"is bolted to it, behind joint {joint_name}"
+    )
     if run.is_payload:
-        question = "a payload, from recordings without and with it, behind joint"
-    yield f"Identified: {question} {content['joint_name']}."
+        question = (
+            f"a payload behind joint {joint_name}, from recordings without and with it"
+        )
+    yield f"Identified on {_day(run)}: {question}."
     yield f"Model: `{content['model']['path']}`."
     yield f"Data: {content['source']}, {content['duration']:.3g} s."
+    yield "Paths are those of the computer and the folder in which robot-sysid ran."
     if content["rmse"] is not None:
         rmse = number_text(content["rmse"])
         yield f"Root mean square of the residual torque of the fit, all joints: {rmse} N·m."

@@ -53,7 +53,7 @@ def test_a_missing_display_is_reported_before_the_search(command, arm, monkeypat
 
 
 def test_no_renderer_means_no_pictures_but_a_page(monkeypatch, link_run):
-    from robot_sysid.report.body_sections import picture
+    from robot_sysid.report.pictures import picture
     from robot_sysid.report.runs import load_run
 
     monkeypatch.setattr(film, "renderer_library", lambda: None)

@@ -327,6 +327,19 @@ def test_a_comparison_has_the_error_table_of_each_run(link_run):
         assert (table.header, table.rows) == (single.header, single.rows)
 
 
+def test_the_limits_explain_the_largest_cause_of_the_error_of_the_mass(folder):
+    run = run_with_changes(folder, limitations=["friction changes from day to day"])
+    body = replace(
+        run.bodies[0], budget={"noise": np.ones(10), "links": 2.0 * np.ones(10)}
+    )
+    _, (_, sentences), _ = verdict(replace(run, bodies=[body])).details
+    assert "comes from links: uncertainty of the other links" in sentences[-2]
+    assert sentences[-1] == "friction changes from day to day"
+    unknown = replace(body, budget={})
+    _, (_, sentences), _ = verdict(replace(run, bodies=[unknown])).details
+    assert not any("comes from" in sentence for sentence in sentences)
+
+
 def test_amber_is_the_colour_of_a_caveat_and_red_of_what_is_not_usable(folder):
     colours = {}
     for status in ("BETTER", "AS_GOOD", "PARTLY_FROM_MODEL", "TORQUES_ONLY"):
