@@ -319,9 +319,9 @@ class Observer:
         the last cycles, the newest first, each joint's reported and commanded torque differed.
         """
         agreed_before = bool(self._has_agreed[joint])
-        commanded_torque, reported = self._pairs[:, differs[:, joint], joint]
-        is_made = np.abs(commanded_torque) > 1e-9
-        shares = reported / np.where(is_made, commanded_torque, 1e-9)
+        commanded, reported = self._pairs[:, differs[:, joint], joint]
+        is_made = np.abs(commanded) > 1e-9
+        shares = reported / np.where(is_made, commanded, 1e-9)
         share = float(np.median(shares))
         is_steady = bool(np.all(np.abs(shares - share) < 0.2 * max(abs(share), 0.5)))
         often = np.count_nonzero(differs, axis=0) >= _ENOUGH - 1
@@ -329,21 +329,21 @@ class Observer:
             return "reports -1 times the torque that it was commanded to make: its sign is reversed"
         is_weaker = (0.0 <= share < 1.0 and agreed_before) or abs(share) < _NO_SCALE
         if is_steady and is_weaker:
-            labels = [self._joints[j].label for j in np.flatnonzero(often).tolist()]
-            if len(labels) > 1:
+            often[joint] = False
+            others = [self._joints[j].label for j in np.flatnonzero(often).tolist()]
+            if others:
                 return (
                     f"makes {share:.2f} times its commanded torque, and so do others "
-                    f"({', '.join(labels)}): the supply sags"
+                    f"({', '.join(others)}): the supply sags"
                 )
             return f"makes {share:.2f} times its commanded torque: it is weak, or its supply sags"
         if is_steady and not agreed_before:
             return _TORQUE_SCALE.format(share)
         if self._still[joint] >= _STILL_CYCLES:
             return "reports one and the same position while its torque changes: it is frozen"
-        torques = f"{reported[0]:.1f} for {commanded_torque[0]:.1f} N m"
         return (
-            f"does not do what it is commanded ({torques}): another "
-            "program commands it, or its position or velocity is another than it reports"
+            f"does not do what it is commanded ({reported[0]:.1f} for {commanded[0]:.1f} N m): "
+            "another program commands it, or its position or velocity is another than it reports"
         )
 
     def _check_scales(self) -> None:

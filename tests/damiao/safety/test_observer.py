@@ -352,3 +352,21 @@ def test_answers_of_two_motors_are_no_fault_of_one():
     for _ in range(3):
         watched.update(sample(status=0))
     assert not watched.failed.any()
+
+
+def test_a_sagging_supply_names_the_other_joints_and_not_the_joint_itself():
+    watched = observer(max_torque_error=(25.0,))
+    for k, (replies, command) in enumerate(motion(BEGIN + 20)):
+        command = command._replace(torque=np.full(2, 9.0))
+        share = 0.4 if k >= BEGIN else 1.0
+        replies.feedback.torque[:] = share * command.motor_torque(
+            replies.feedback.position, replies.feedback.velocity
+        )
+        watched.update(replies)
+        try:
+            watched.check(replies, command)
+        except HardwareAbort as stopped:
+            assert "motor 1 makes 0.40 times" in str(stopped)
+            assert "so do others (motor 2): the supply sags" in str(stopped)
+            return
+    pytest.fail("nothing stopped the run")
