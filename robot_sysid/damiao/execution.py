@@ -150,7 +150,7 @@ class MotorRun:
                 problem = "does not tell its state"
             if motor is None or problem:
                 finding = f"{joint.label} {problem}"
-                raise HardwareAbort(f"{finding}; see robot-sysid motors check")
+                raise HardwareAbort(f"{finding}; motors check says more")
             master_id = joint.master_id or motor.master_id
             joints.append(replace(joint, motor_type=types[0], master_id=master_id))
             motor_positions.append(motor.position)

@@ -448,7 +448,7 @@ def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
 def _planning_remedy(
     remedy: str, folder: str, trajectory: DamiaoTrajectory, robot: RobotModel
 ) -> str:
-    """Return a remedy followed by the command that plans the motion of a file again for a robot.
+    """Return a remedy, and on a line below it the command that plans a file's motion again.
 
     The command writes into ``folder`` beside the file. For the file of two arms there is no
     command, and the remedy is returned as it is.
@@ -457,21 +457,21 @@ def _planning_remedy(
     if not command:
         return remedy
     command += ["--output-dir", str(trajectory.path.parent / folder)]
-    return f"{remedy}: {shlex.join(command)}"
+    return f"{remedy}:\n  {shlex.join(command)}"
 
 
 def weighing_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
     """Return the remedy for an arm that needs more torque than its motors make, with a command."""
     command = _plan_command(trajectory, robot)
     if not command:
-        return "plan a smaller motion for that arm with robot-sysid plan --for weight"
+        return "plan a smaller motion for that arm with plan --for weight"
     folder = trajectory.path.parent
     if _is_weighing(trajectory):
         # Weighing uses half of the limits, so the next motion takes half of this one's torques.
         peaks = np.abs(trajectory.tau).max(axis=0)
         command += ["--max-torque", ",".join(f"{peak:.3g}" for peak in peaks)]
     command += ["--for", WEIGHT, "--output-dir", str(folder / "weighing")]
-    return f"weigh the arm with a smaller motion first: {shlex.join(command)}"
+    return f"weigh the arm with a smaller motion first:\n  {shlex.join(command)}"
 
 
 def _plan_command(

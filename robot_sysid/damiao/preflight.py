@@ -438,8 +438,8 @@ def _id_register_checks(
         answers = ", ".join(f"{reply_id:#x}" for reply_id in reply_ids)
         yield _stop(
             f"{name} answers on {answers} (MST_ID {master_id:#x}) but the trajectory expects "
-            f"{joint.master_id:#x}; set it (robot-sysid motors setup --new-master-id), or export "
-            "again (robot-sysid plan --export-damiao --master-id)"
+            f"{joint.master_id:#x}; set it with motors setup --new-master-id, or export "
+            "again with plan --export-damiao --master-id"
         )
 
 
@@ -576,8 +576,8 @@ def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
         yield _note(f"{finding}: mirrored or swapped, they would be played like that")
         return
     yield _stop(
-        f"{finding}; move them by hand once (robot-sysid motors map --model), or let each move a "
-        "little (robot-sysid motors play --verify), and give the --joint-map; --accept-directions "
+        f"{finding}; move them by hand once with motors map --model, or let each move a "
+        "little with motors play --verify, and give the --joint-map; --accept-directions "
         "plays without"
     )
 

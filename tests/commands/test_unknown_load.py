@@ -19,11 +19,11 @@ PEAK = 27.0
 TRUE_MASS = 1.51714643
 
 
-def words_after(text, mark):
-    """Return the command that follows a mark on its line, up to the end of the line."""
-    command = re.search(rf"{re.escape(mark)}robot-sysid (.*)$", text, re.MULTILINE)
-    assert command is not None, text
-    return shlex.split(command[1])
+def last_command(text):
+    """Return the words of the last command that a text holds, alone on its line."""
+    commands = re.findall(r"^  robot-sysid (.*)$", text, re.MULTILINE)
+    assert commands, text
+    return shlex.split(commands[-1])
 
 
 def play(command, folder, code=0):
@@ -31,6 +31,11 @@ def play(command, folder, code=0):
     log = ("--play --record", folder / "log.csv")
     file = folder / "damiao_trajectory.csv"
     return command.run("motors simulate", file, "--model", TRUTH, *log, code=code)
+
+
+def identify(command, folder, model):
+    """Identify the arm from the recording in a folder and return what was printed."""
+    return command.run("identify", model, folder / "log.csv", "--output-dir", folder)
 
 
 @pytest.mark.slow
@@ -44,29 +49,28 @@ def test_the_way_from_a_refused_motion_to_one_that_is_played_is_printed_step_by_
     refused = play(command, Path("first"), code=3)
     assert "joint1): the motion needs " in refused.err
 
-    weigh = words_after(refused.err, "with a smaller motion first: ")
-    printed = command.run(*weigh, "--seed 1")
-    assert words_after(printed.out, "Next: ")[:3] == [
-        "motors",
-        "check",
-        "first/weighing/damiao_trajectory.csv",
-    ]
+    assert "with a smaller motion first:\n" in refused.err
+    printed = command.run(*last_command(refused.err), "--seed 1")
+    rehearsal = last_command(printed.out)
+    file = "first/weighing/damiao_trajectory.csv"
+    assert rehearsal == ["motors", "simulate", file, "--model", str(GUESS), "--play"]
+    printed = command.run(*rehearsal)
+    words = ["motors", "check", file, "--channel", "can0", "--model", str(GUESS)]
+    assert last_command(printed.out) == words
     slow = read_damiao_trajectory("first/weighing/damiao_trajectory.csv")
     assert np.max(np.abs(slow.tau)) < 0.5 * PEAK and np.max(np.abs(slow.qd)) <= 0.6
 
-    played = play(command, Path("first/weighing"))
-    identify = words_after(played.out, "Next: ")
-    assert identify[:2] == ["identify", str(GUESS)]
-    printed = command.run(*identify)
+    play(command, Path("first/weighing"))
+    printed = identify(command, Path("first/weighing"), GUESS)
     assert "Usable: " in printed.out
 
-    plan = words_after(printed.out, "Next: ")
+    plan = last_command(printed.out)
     assert plan[:2] == ["plan", "first/weighing/updated_model.xml"]
     printed = command.run(*plan, "--seed 1")
     assert "Usable: play it on the arm" in printed.out
-    played = play(command, Path("first/weighing/planned"))
-
-    command.run(*words_after(played.out, "Next: "))
+    planned = Path("first/weighing/planned")
+    play(command, planned)
+    identify(command, planned, Path("first/weighing/updated_model.xml"))
     written = Path("first/weighing/planned/updated_model.xml").read_text()
     masses = re.findall(r'<body name="link6".*?mass="([0-9.]+)"', written, re.DOTALL)
     assert float(masses[0]) == pytest.approx(TRUE_MASS, abs=0.15)

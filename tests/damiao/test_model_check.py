@@ -144,7 +144,7 @@ def test_a_message_tells_joint_limit_value_and_moment(arm, folder):
     assert check.severity == STOP
     assert check.text.startswith(
         "joint joint0: position -0.98 rad is beyond the model's limit -0.3, at 1.00 s; export a "
-        "smaller trajectory for this arm: robot-sysid plan inline.xml --joint joint2 "
+        "smaller trajectory for this arm:\n  robot-sysid plan inline.xml --joint joint2 "
     )
 
 
@@ -332,7 +332,7 @@ def test_an_arm_that_needs_more_than_its_motors_make_is_to_be_weighed_first(
     arm, tmp_path
 ):
     first = refusals(tmp_path, arm, heavy_motion(arm))[0]
-    command = first.partition("with a smaller motion first: ")[2]
+    command = first.partition("with a smaller motion first:\n  ")[2]
     assert command.startswith(
         "robot-sysid plan inline.xml --joint joint2 --export-damiao "
     )
@@ -357,10 +357,15 @@ HEAVY = arms.THREE.replace('mass=".8"', 'mass="8"')
             "link",
             1.0,
             STOP,
-            "weigh the arm with a smaller motion first: robot-sysid plan ",
+            "weigh the arm with a smaller motion first:\n  robot-sysid plan ",
         ),
         ("weight", 1.0, NOTE, "the file is as its model has it, and weighs this arm"),
-        ("weight", -1.0, STOP, "export the file again for this arm: robot-sysid plan "),
+        (
+            "weight",
+            -1.0,
+            STOP,
+            "export the file again for this arm:\n  robot-sysid plan ",
+        ),
     ],
 )
 def test_a_load_that_the_plan_did_not_know_is_told_from_a_wrong_file(

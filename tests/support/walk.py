@@ -1,19 +1,22 @@
 """A person who follows every printed command, beside a simulated arm that plays what is asked.
 
-The walk begins with one command. Each line of the output that is a command is run as it is printed,
-in the same folder, and so on until nothing is printed any more. Recordings that a command names and
-that do not exist yet are made beforehand: the true arm plays the planned motion of that folder.
+The walk begins with one command. The command of the next step is run as it is printed, in the same
+folder, and so on until there is no next step. Recordings that a command names and that do not exist
+yet are made beforehand: the true arm plays the planned motion of that folder.
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
+import json
+import re
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import mujoco
 import numpy as np
 
 from robot_sysid.cli import main
@@ -103,10 +106,18 @@ def run_here(line: str) -> tuple[int, str]:
     return code, output.getvalue()
 
 
-def commands_in(output: str) -> list[str]:
-    """Return the lines of an output that are commands."""
-    lines = [line.strip() for line in output.splitlines()]
-    return [line for line in lines if line.startswith("robot-sysid ")]
+def commands_in(output: str) -> tuple[list[str], list[str]]:
+    """Return the commands of an output: those of the next step, and those of other remedies."""
+    next_commands = []
+    remedies = []
+    before = ""
+    for line in output.splitlines():
+        if line.startswith("  robot-sysid ") and before.startswith("Next"):
+            next_commands.append(line.strip())
+        elif line.startswith("  robot-sysid "):
+            remedies.append(line.strip())
+        before = line
+    return next_commands, remedies
 
 
 class Walk:
@@ -114,31 +125,50 @@ class Walk:
 
     Args:
         arm: the arm that is recorded.
+        runs_remedies: whether commands that are no next step are run, too.
         run: runs a command line; returns its exit code and its output.
+
+    Attributes:
+        steps: the commands of the path that were run.
+        remedies: the other commands that were run.
     """
 
     def __init__(
-        self, arm: TrueArm, run: Callable[[str], tuple[int, str]] = run_here
+        self,
+        arm: TrueArm,
+        runs_remedies: bool = True,
+        run: Callable[[str], tuple[int, str]] = run_here,
     ) -> None:
         self.arm = arm
+        self._runs_remedies = runs_remedies
         self._run = run
         self._plan: MotionPlan = arm.first_plan
         self.steps: list[Step] = []
+        self.remedies: list[Step] = []
 
     def follow(self, line: str) -> Sequence[Step]:
-        """Run a command line, and what follows from it, at most ``MOST_STEPS`` of them."""
+        """Run a command line and each next step, at most ``MOST_STEPS``; return what was run.
+
+        Other commands that are printed on the way are run, too, and lead nowhere.
+        """
         waiting = [line]
         while waiting and len(self.steps) < MOST_STEPS:
             line = waiting.pop(0)
             self._record_missing(line)
             self.steps.append(Step(line, *self._run(line)))
-            waiting += commands_in(self.steps[-1].output)
+            output = self.steps[-1].output
+            for path in re.findall(r"^  mujoco\.\S+\((.*)\)$", output, re.MULTILINE):
+                mujoco.MjModel.from_xml_path(json.loads(path))
+            next_commands, remedies = commands_in(output)
+            waiting += next_commands
+            for remedy in remedies if self._runs_remedies else ():
+                self.remedies.append(Step(remedy, *self._run(remedy)))
         self.steps += [Step(line, 125, "not reached") for line in waiting]
         return self.steps
 
     def _record_missing(self, line: str) -> None:
         """Make the recordings that a command line names and that do not exist."""
-        loads = {"empty.csv": 0.0, "weight.csv": KNOWN_MASS}
+        loads = {"empty": 0.0, "empty_again": 0.0, "weight": KNOWN_MASS}
         for word in shlex.split(line):
             path = Path(word)
             if path.suffix != ".csv" or path.exists():
@@ -146,4 +176,4 @@ class Walk:
             saved = path.with_name("trajectory.json")
             if saved.exists():
                 self._plan = load_trajectory(saved).plan
-            self.arm.record(path, self._plan, loads.get(path.name, self.arm.tool_mass))
+            self.arm.record(path, self._plan, loads.get(path.stem, self.arm.tool_mass))

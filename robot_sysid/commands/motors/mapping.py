@@ -286,7 +286,7 @@ def verify_directions(session: Session, link: GuardedLink, plan: Plan) -> int:
         ):
             raise InputError(
                 f"{joint.label} is not verified and nothing was written; a motor turns the other "
-                "way than its joint, or sits at another one: see robot-sysid motors map"
+                "way than its joint, or sits at another one: motors map finds it"
             )
     # Rows of a joint map may lack what the trajectory's joints have; id and name identify them.
     addresses = {joint.address for joint in unverified}
@@ -332,9 +332,7 @@ def _nudge_joints(
     q = plan.joint_positions(inspection)
     for joint, position in zip(plan.trajectory.joints, q):
         if not np.isfinite(position):
-            raise InputError(
-                f"{joint.label} does not answer; see robot-sysid motors check"
-            )
+            raise InputError(f"{joint.label} does not answer; motors check says more")
     indices = [plan.trajectory.joints.index(joint) for joint in unverified]
     limits = session.robot.limits
     signs = np.where(limits.upper - q < q - limits.lower, -1.0, 1.0)

@@ -165,13 +165,16 @@ def state_table(states: Iterable[tuple[InspectedMotor, Feedback | None]]) -> lis
 
 
 def check_lines(checks: Sequence[Check]) -> Iterator[str]:
-    """Yield one line per check, then a line with the number of passed ones.
+    """Yield one line per check and the command in its text, then the number of passed ones.
 
     Lines of passed checks are a ``Detail``, which is only printed with --verbose.
     """
     for check in checks:
-        line = f"[{_MARKS[check.severity]}] {check.text}"
+        # A command stands on a line of its own, below the text that it remedies.
+        text, *commands = check.text.split("\n")
+        line = f"[{_MARKS[check.severity]}] {text}"
         yield Detail(line) if check.severity == OK else line
+        yield from commands
     yield f"[ok  ] {sum(check.severity == OK for check in checks)} points (--verbose lists them)"
 
 
