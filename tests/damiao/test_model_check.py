@@ -341,7 +341,8 @@ def test_an_arm_that_needs_more_than_its_motors_make_is_to_be_weighed_first(
     settings_file(tmp_path, "guess.xml")
     first = refusals(tmp_path, arm, heavy_motion(arm))[0]
     message = f"--config {tmp_path / 'trajectory.toml'} --for weight --output-dir"
-    assert first.endswith(f" first: robot-sysid plan {message} {tmp_path / 'weighing'}")
+    line = f"  robot-sysid plan {message} {tmp_path / 'weighing'}"
+    assert first.endswith(f" first:\n{line}")
     settings_file(tmp_path, "guess.xml", for_="weight")
     assert " --max-torque " in refusals(tmp_path, arm, heavy_motion(arm))[0]
 
