@@ -84,20 +84,26 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _write_columns_draft(error: SysidError) -> str:
-    """Write the columns file that an error suggests, unless the file exists.
+    """Write the columns file that an error suggests; one that exists is not replaced.
 
     Returns:
-        The end of the message, which says how to use the file; "" where none was written.
+        The end of the message, which says what the file is; "" where there is none.
     """
     if not isinstance(error, ColumnsError) or not error.draft:
         return ""
+    text = "holds a guess which column is what: read it, and accept it with"
+    if not error.is_complete:
+        text = "holds what could be guessed: complete its lines with ?, then run"
     try:
         with open(error.name, "x", encoding="utf-8") as file:
             file.write(error.draft)
+    except FileExistsError:
+        text = "was there already and is not replaced; to use it, run"
     except OSError:
+        error.options = ()
+        error.command_lines = ()
         return ""
-    name = shlex.quote(error.name)
-    return f"; complete {name}, which was written for it, and add --columns {name}"
+    return f". {error.name} {text}:"
 
 
 def _remedies(error: SysidError, name: str, arguments: Sequence[str]) -> Iterator[str]:

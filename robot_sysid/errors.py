@@ -98,9 +98,17 @@ class ColumnsError(InputError):
     def __init__(
         self, message: str, draft: str = "", name: str = "columns.txt"
     ) -> None:
-        super().__init__(message)
+        super().__init__(message, options=[("--columns", name)] if draft else ())
         self.draft = draft
         self.name = name
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the draft leaves no ``?`` to the user."""
+        lines = self.draft.split("\n")
+        return not any(
+            "?" in line.partition("  # ")[0] for line in lines if line[:1] != "#"
+        )
 
 
 class ModelError(InputError):

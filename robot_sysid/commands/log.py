@@ -7,7 +7,7 @@ from pathlib import Path
 
 from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import Parser, parse_command
-from robot_sysid.errors import InputError
+from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs import CHECKS, LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.preview import PreviewOptions, require_preview, show_preview
@@ -62,7 +62,8 @@ def main(arguments: Sequence[str]) -> int:
                 path, model_path, log_options, model_options, preview_options, console
             )
         except InputError as error:
-            if error.command == "identify":  # only that command has these options
+            # Only that command has these options, or who accepts guessed columns goes on to it.
+            if error.command == "identify" or isinstance(error, ColumnsError):
                 given = command_arguments(values, ModelOptions, LogOptions)
                 words = ["identify", str(model_path), str(path), *given]
                 error.command_lines = [[*words, *option] for option in error.options]
@@ -142,7 +143,7 @@ def _check_log(
     )
     require_acceptable(str(log.path), findings, log_options.accept)
     console.stage("Usable: nothing that stops an identification was found")
-    words = ["robot-sysid", "identify", str(model_path), str(log.path)]
+    words = ["robot-sysid", "identify", str(model_path), str(path)]
     words += command_arguments(vars(model_options), ModelOptions)
     words += command_arguments(vars(log_options), LogOptions)
     console.stage(*NextStep("Next, identify the arm", tuple(words)).lines())

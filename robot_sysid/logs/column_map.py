@@ -33,11 +33,11 @@ from itertools import chain
 from pathlib import Path
 
 from robot_sysid.errors import ColumnsError, InputError
+from robot_sysid.logs.column_draft import BLANK
 from robot_sysid.logs.joint_names import JointMatch, JointSetsError
 from robot_sysid.logs.joint_sets import draft_sets
 from robot_sysid.logs.titles import (
     QUANTITIES,
-    REMEDY,
     UNITS,
     Title,
     ambiguity_error,
@@ -61,8 +61,6 @@ _TIME_UNITS = ("s", "ms", "us", "ns")
 """Units of time that a user may declare."""
 _LONGEST = 1_000_000
 """Largest number of characters of a columns file that are read: 10 000 long lines."""
-_BLANK = "?"
-"""Placeholder in a draft for a column that the user has to name."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +129,7 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
             raise InputError(
                 f"{path} line {number}: expected one 'key = value' per key: {line!r}"
             )
-        if _BLANK in re.split(r"[,\s]+", value):
+        if BLANK in re.split(r"[,\s]+", value):
             raise InputError(
                 f"{path} line {number}: put the log's columns in the place of ?"
             )
@@ -276,42 +274,6 @@ class ColumnMap:
         return used, f"log columns not used: {', '.join(unused)}"
 
 
-def draft(
-    titles: Sequence[str],
-    joint_names: Sequence[str],
-    driven: str = "torque",
-    recognised: Mapping[str, Sequence[Column]] = {},
-) -> str:
-    """Return a columns file for the user to complete, with ? for columns that were not recognised.
-
-    Args:
-        titles: of all columns of the log.
-        joint_names: (n,) of the chain, base to terminal.
-        driven: the quantity that is needed beside positions, "torque" or "command".
-        recognised: quantity to its columns, one per joint; without those that were not recognised.
-    """
-    # Titles on one line, by their numbers.
-    numbered = (f"#{k} {' '.join(title.split())}" for k, title in enumerate(titles, 1))
-    lines = [
-        "# Which column is what. Complete the lines with ?, then give this file with --columns.",
-        f"# The log's columns: {', '.join(numbered)}",
-        f"# One column for each of the joints {', '.join(joint_names)}; #2-{1 + len(joint_names)} "
-        "are columns one after the other.",
-    ]
-    for quantity in ("time", "position", "velocity", driven):
-        columns = recognised.get(quantity, ())
-        count = 1 if quantity == "time" else len(joint_names)
-        numbers = [f"#{column.index + 1}" for column in columns] or [_BLANK] * count
-        if columns or quantity != "velocity":
-            lines.append(f"{quantity} = {', '.join(numbers)}")
-    lines += [
-        "# rate = 200: samples per second, in place of time, of evenly spaced rows",
-        "# units = deg, ms: where they are not rad and s",
-        "",
-    ]
-    return "\n".join(lines)
-
-
 def recognise_columns(
     titles: Sequence[str],
     joint_names: Sequence[str],
@@ -321,6 +283,7 @@ def recognise_columns(
     currents: bool = False,
     commanded: bool = False,
     other_joints: Sequence[str] = (),
+    recognised: dict[str, tuple[Column, ...]] | None = None,
 ) -> ColumnMap:
     """Return the column of each quantity of each joint.
 
@@ -333,23 +296,23 @@ def recognise_columns(
         currents: whether columns of motor currents are read in place of torques.
         commanded: whether columns of commanded positions are read in place of torques.
         other_joints: the model's joints that are not the chain's.
+        recognised: receives quantity to its columns, also where an error is raised for others.
 
     Raises:
-        ColumnsError: a quantity is missing, has two candidates, or contradicts the declared units.
+        InputError: a quantity is missing, has two candidates, or contradicts the declared units.
+        ColumnsError: several sets of joints could be the arm; its draft chooses one.
     """
     plain = list(map(read_title, titles))
     parsed = interpret_titles(plain, joint_names, currents, commanded)
     driven = "command" if commanded else "torque"
-    finder = _ColumnFinder(list(titles), parsed, joint_names, choices, is_slide, driven)
+    recognised = {} if recognised is None else recognised
+    finder = _ColumnFinder(
+        list(titles), parsed, joint_names, choices, is_slide, driven, recognised
+    )
     try:
         return finder.find_all(first_row, other_joints)
-    except InputError as error:
-        text = draft(titles, joint_names, driven, finder.recognised)
-        if isinstance(error, JointSetsError):
-            text = draft_sets(parsed, error.sets)
-        # A draft does not suit a user who has declared columns already.
-        is_declared = choices.columns or choices.time or choices.rate
-        raise ColumnsError(str(error), "" if is_declared else text) from None
+    except JointSetsError as error:
+        raise ColumnsError(str(error), draft_sets(parsed, error.sets)) from None
 
 
 @dataclass(frozen=True)
@@ -364,6 +327,7 @@ class _ColumnFinder:
         _is_slide: (n,) whether a joint is a slide, whose positions are never angles.
         driven: the quantity that is needed beside positions, "torque" or "command".
         recognised: quantity to its columns, () for none; filled by ``find_all``.
+        missing: quantities of which a joint has no column; filled by ``find_all``.
     """
 
     _texts: list[str]
@@ -372,7 +336,8 @@ class _ColumnFinder:
     _choices: ColumnChoices
     _is_slide: Sequence[bool]
     driven: str
-    recognised: dict[str, tuple[Column, ...]] = field(default_factory=dict)
+    recognised: dict[str, tuple[Column, ...]]
+    missing: list[str] = field(default_factory=list)
 
     def find_all(
         self, first_row: Sequence[str], other_joints: Sequence[str]
@@ -397,11 +362,13 @@ class _ColumnFinder:
         with collect_errors(faults):
             self.recognised["time"] = self._find_time(candidates["joint_time"])
         if faults:
+            if self.missing:
+                faults.insert(0, self._needs_text())
             raise InputError(f"{'; '.join(faults)}. Columns: {', '.join(self._texts)}")
         position = self.recognised["position"]
         torque = self.recognised[self.driven]
         if not position or not torque:
-            raise InputError(f"position and {self.driven} cannot be left out; {REMEDY}")
+            raise InputError(f"position and {self.driven} cannot be left out")
         has_unit = all(self._titles[column.index].unit for column in position)
         return ColumnMap(
             time=next(iter(self.recognised["time"]), None),
@@ -452,6 +419,7 @@ class _ColumnFinder:
         if len(columns) == len(self._joint_names):
             return tuple(columns)
         if declared or quantity in ("position", self.driven):
+            self.missing.append(quantity)
             raise self._missing_error(quantity)
         return ()
 
@@ -478,8 +446,7 @@ class _ColumnFinder:
             raise ambiguity_error("time", "", self._titles, times)
         if not times:
             raise InputError(
-                f"the log has no time column; {REMEDY} ('time = TITLE', or 'rate = HZ' for "
-                "evenly spaced rows)"
+                "the log has no time column (evenly spaced rows may have rate = HZ in its place)"
             )
         return (self._column("time", joint=0, index=times[0], factor=1.0),)
 
@@ -507,9 +474,15 @@ class _ColumnFinder:
             hint += f"; {currents[0]}, ... are motor currents: give --torque-constants to use them"
         elif quantity == "torque" and not candidates:
             hint += "; with commanded positions, identify --torque-from position-error needs none"
-        return InputError(
-            f"the log needs one {quantity} column for each of the {len(self._joint_names)} chain "
-            f"joints ({', '.join(self._joint_names)}), found {listed}{hint}; {REMEDY}"
+        return InputError(f"{quantity}: found {listed}{hint}")
+
+    def _needs_text(self) -> str:
+        """Return the beginning of a message on missing columns: what the log needs."""
+        columns = " and ".join(f"one {quantity} column" for quantity in self.missing)
+        names = ", ".join(self._joint_names)
+        return (
+            f"the log needs {columns} for each of the "
+            f"{len(self._joint_names)} chain joints ({names})"
         )
 
     def _look_up(self, text: str) -> tuple[int, float]:
@@ -551,7 +524,7 @@ class _ColumnFinder:
         units = UNITS["time" if quantity == "joint_time" else quantity]
         declared = units.get(declared_unit or "")
         to_si = units.get(title.unit) if title.unit else declared
-        if to_si is None and title.unit:
+        if to_si is None and title.unit and abs(factor) == 1.0:
             fault = f"unit {title.unit!r} of column {title.text!r} is unknown for a {quantity}"
             raise InputError(
                 f"{fault}; rename the column, or scale it with --columns FILE"

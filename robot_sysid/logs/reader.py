@@ -26,11 +26,11 @@ from robot_sysid.logs.checks import check_log
 from robot_sysid.logs.column_map import (
     ColumnChoices,
     ColumnMap,
-    draft,
     parse_units,
     read_columns_file,
     recognise_columns,
 )
+from robot_sysid.logs.guess import guess_columns
 from robot_sysid.logs.hdf5 import hdf5_table
 from robot_sysid.logs.ros_bag import bag_table
 from robot_sysid.logs.table import LogSource, LogTable, read_blocks, read_rows
@@ -141,34 +141,40 @@ def _map_columns(
     """
     names = robot.joint_names
     choices = parse_units(options.units) if options.units else ColumnChoices()
-    draft_name = f"{path.stem}_columns.txt"
     if options.columns:
         declared = read_columns_file(Path(options.columns), names)
         choices = choices.over(declared)
-    elif table.titles[:1] == ("#1",):  # numbers in the place of missing titles
-        driven = "command" if options.commanded else "torque"
-        raise ColumnsError(
-            f"{table.path} has no column titles; say which of its {len(table.titles)} columns is "
-            "what with --columns FILE, for instance 'time = #1' and 'position = #2-8'",
-            draft(table.titles, names, driven),
-            draft_name,
-        )
+    choices = choices.over(table.choices)
+    is_declared = bool(choices.columns or choices.time or choices.rate)
+    currents = options.torque_constants is not None
     try:
+        if table.titles[:1] == ("#1",) and not is_declared:
+            # Numbers in the place of missing titles.
+            raise InputError(
+                f"no column titles say which of the {len(table.titles)} columns is what"
+            )
         return recognise_columns(
             table.titles,
             names,
-            choices.over(table.choices),
+            choices,
             table.first_row,
             robot.is_slide.tolist(),
-            currents=options.torque_constants is not None,
+            currents=currents,
             commanded=options.commanded,
             other_joints=robot.other_joint_names,
         )
-    except ColumnsError as error:
+    except InputError as error:
         fault = f"{path}: {error}"
         if table.external_links:
             raise InputError(f"{fault}; {table.external_links}") from None
-        raise ColumnsError(fault, error.draft, draft_name) from None
+        # A draft does not suit a user who has declared columns already.
+        text = ""
+        if isinstance(error, ColumnsError) and not is_declared:
+            text = error.draft
+        elif not is_declared:
+            text = guess_columns(table, robot, choices, currents, options.commanded)
+        name = f"{path.stem}_columns.txt"
+        raise ColumnsError(f"{fault}; {_REMEDY}", text, name) from None
 
 
 def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
@@ -200,6 +206,8 @@ _READERS = {
 """First bytes of a file to the reader of its form; any other file is a text table."""
 _FOLDER_READERS = {"metadata.yaml": bag_table, "meta/info.json": arrays.lerobot_table}
 """A file in a folder to the reader of the folder's form."""
+_REMEDY = "say which column is what with --columns FILE"
+"""What to do where columns are not recognised."""
 _FORM_OPTIONS = {
     "topic": ("a ROS bag", bag_table),
     "episode": ("a LeRobot data set", arrays.lerobot_table),

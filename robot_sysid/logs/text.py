@@ -2,13 +2,14 @@
 
 Recognised without being declared: comma, semicolon, tab, bar or blanks between cells, a decimal
 comma where the separator is another character, comment lines (``#`` or ``%``), a byte-order mark,
-UTF-16, Windows line ends, quoted cells, a header that is itself the last comment line (as
+UTF-16, Latin-1, Windows line ends, quoted cells, a header that is itself the last comment line (as
 ``numpy.savetxt`` writes it), and times such as 2024-05-01T12:00:00.005Z or 12:00:00.005. NumPy
 reads the rows; only a block with a row that NumPy refuses is read cell by cell.
 """
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import csv
 import functools
@@ -44,6 +45,19 @@ _CONTROL = bytes({*range(32)} - {*b"\t\n\v\f\r"})
 _BINARY = 0.05
 """Share of control characters at the beginning of a file beyond which it is no text; fewer may be
 a serial port's noise."""
+
+_LATIN = frozenset(b"\xb0\xb2\xb3\xb5\xb7") | frozenset(range(0xC0, 0x100))
+"""Signs of units and letters with accents in Latin-1, which titles hold; noise holds others too."""
+
+
+def _is_utf8(text: bytes) -> bool:
+    """Return whether bytes are UTF-8; a character that is cut off at their end is none."""
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    try:
+        decoder.decode(text)
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 @dataclass(frozen=True)
@@ -115,6 +129,9 @@ def read_dialect(path: Path, first_bytes: bytes) -> Dialect:
     """
     is_utf16 = first_bytes[:2] in (b"\xff\xfe", b"\xfe\xff")
     encoding = "utf-16" if is_utf16 else "utf-8-sig"
+    others = {byte for byte in first_bytes if byte > 127}
+    if others and others <= _LATIN and not is_utf16 and not _is_utf8(first_bytes):
+        encoding = "cp1252"
     control = len(first_bytes) - len(first_bytes.translate(None, _CONTROL))
     if not is_utf16 and control > _BINARY * len(first_bytes):
         raise InputError(

@@ -259,8 +259,6 @@ def collect_errors(faults: list[str]) -> Iterator[None]:
 
 QUANTITIES = ("position", "velocity", "torque", "joint_time", "command")
 """Quantities with a column per joint; ``joint_time`` is a joint's own time stamp."""
-REMEDY = "name the columns with --columns FILE"
-"""Remedy for columns that are not recognised."""
 Candidates = dict[str, list[list[int]]]
 """Quantity to the indices of the columns that could be it: a list per joint, base to terminal."""
 
@@ -355,7 +353,7 @@ def _match_each_title(
             if disputed and all(numbered) and not all(named):
                 raise InputError(
                     f"column {titles[min(disputed)].text!r} carries the name of joint "
-                    f"{joint_name}, but by counting it belongs to another joint; {REMEDY}"
+                    f"{joint_name}, but by counting it belongs to another joint"
                 )
         matches = named if all(named) else numbered
         candidates[quantity] = matches if all(matches) else [[]] * len(joint_names)
@@ -382,9 +380,7 @@ def ambiguity_error(
     """
     listed = " and ".join(repr(titles[column].text) for column in columns)
     of_joint = f" of joint {joint}" if joint else ""
-    return InputError(
-        f"{listed} could both be the {quantity}{of_joint}; {REMEDY} to choose one"
-    )
+    return InputError(f"{listed} could both be the {quantity}{of_joint}")
 
 
 def _match_names(titles: Sequence[Title], joint_names: Sequence[str]) -> Candidates:

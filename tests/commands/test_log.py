@@ -138,3 +138,25 @@ def test_motor_currents_end_with_the_command_that_weighs_their_constants(
     content = json.loads((folder / "torque_scale.json").read_text())["torque_scale"]
     scales = [entry["value"] for entry in content.values()]
     np.testing.assert_allclose(scales, PER_NM, rtol=0.05)
+
+
+def test_a_guess_is_accepted_with_the_command_that_is_named(folder, command):
+    titles, rows = (folder / "log.csv").read_text().split("\n", 1)
+    titles = titles.replace("time", "Zeit").replace("joint", "Gelenk ")
+    titles = titles.replace("_position", " Winkel").replace("_torque", " Drehmoment")
+    (folder / "bare.csv").write_text(f"{titles}\n{rows}")
+    refused = command.run("log bare.csv arm.xml --accept friction", code=2)
+    line = refused.err.splitlines()[-1]
+    assert line == (
+        "  robot-sysid identify arm.xml bare.csv --accept friction "
+        "--columns bare_columns.txt"
+    )
+    draft = (folder / "bare_columns.txt").read_text()
+    assert "position = #2-5" in draft and "torque = #10-13" in draft
+    printed = command.run(
+        "log bare.csv arm.xml --accept friction --columns bare_columns.txt"
+    )
+    assert printed.out.endswith(
+        "  robot-sysid identify arm.xml bare.csv --columns bare_columns.txt "
+        "--accept friction\n"
+    )

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao.trajectory import trajectory_columns
-from robot_sysid.errors import ColumnsError, InputError
+from robot_sysid.errors import InputError
 from robot_sysid.logs import column_map
 
 JOINTS = ("joint0", "joint1", "joint2")
@@ -165,7 +165,7 @@ def test_declared_degrees_leave_slides_alone():
         ("time,timestamp,q1,q2,q3,tau1,tau2,tau3", ["'time' and 'timestamp'"]),
         (
             "t,joint0_pos,joint1_pos,joint2_pos,q1,q2,q3,tau1,tau2,tau3",
-            ["'joint0_pos' and 'q1'", "--columns"],
+            ["'joint0_pos' and 'q1'"],
         ),
         (
             "t,q1,q2,q3,q4,tau1,tau2,tau3,tau4",
@@ -212,6 +212,13 @@ def test_a_columns_file_names_flips_and_scales(tmp_path):
     assert columns.time is not None and columns.time.factor == 1e-3
 
 
+def test_a_number_stands_in_for_a_unit_that_is_not_known(tmp_path):
+    text = "position = 0.5 * #2, 0.5 * #3, 0.5 * #4\n"
+    titles = "t,q1 [furlong],q2 [furlong],q3 [furlong],tau1,tau2,tau3"
+    columns = recognise(titles, choices=read_choices(tmp_path, text))
+    assert factors(columns.position) == [0.5, 0.5, 0.5]
+
+
 def test_a_columns_file_counts_columns_and_keeps_quantities_out(tmp_path):
     text = "rate = 100\nposition = #1, #2, #3\ntorque = #4, #5, #6\nvelocity = none\n"
     columns = recognise("q1,q2,q3,qd1,qd2,qd3", choices=read_choices(tmp_path, text))
@@ -219,22 +226,19 @@ def test_a_columns_file_counts_columns_and_keeps_quantities_out(tmp_path):
     assert columns.velocity is None and columns.time is None and columns.rate == 100.0
 
 
-def test_a_draft_says_what_was_recognised_and_works_once_completed(tmp_path):
-    titles = "when,q1 [deg],q2 [deg],q3 [deg],A,B,C"
-    with pytest.raises(ColumnsError) as caught:
-        recognise(titles)
-    drafted = caught.value.draft
-    assert "time = ?\nposition = #2, #3, #4\ntorque = ?, ?, ?\n" in drafted
+def test_a_line_with_a_question_mark_has_to_be_completed(tmp_path):
     with pytest.raises(
-        InputError, match="line 4: put the log's columns in the place of ?"
+        InputError, match="line 2: put the log's columns in the place of ?"
     ):
-        read_choices(tmp_path, drafted)
-    completed = drafted.replace("time = ?", "time = when").replace("?, ?, ?", "#5-7")
-    columns = recognise(titles, choices=read_choices(tmp_path, completed))
-    assert where(columns) == ([1, 2, 3], [4, 5, 6]) and columns.time.title == "when"
-    with pytest.raises(ColumnsError) as caught:
-        recognise(titles, choices=read_choices(tmp_path, "time = when"))
-    assert caught.value.draft == ""
+        read_choices(tmp_path, "time = #1  # by its title\ntorque = #2, ?, #4\n")
+
+
+def test_what_a_log_needs_is_said_once():
+    with pytest.raises(InputError) as caught:
+        recognise("when,A,B,C")
+    message = str(caught.value)
+    assert message.count("joint0, joint1, joint2") == 1
+    assert "one position column and one torque column for each of the 3" in message
 
 
 @pytest.mark.parametrize(

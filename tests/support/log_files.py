@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ import pytest
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
-from robot_sysid.records import JointLimits, Measurement
+from robot_sysid.records import JointLimits, Measurement, RobotModel
+from tests.support import arms
 
 JOINTS = ("base", "elbow", "wrist")
 TITLES = ("time", "q1", "q2", "q3", "tau1", "tau2", "tau3")
@@ -56,16 +58,21 @@ def arm_of(
     names: Sequence[str],
     joint_limits: JointLimits | None = None,
     is_slide: Sequence[bool] = (),
-) -> Any:
-    """What a log asks of an arm; hinges without limits where nothing else is said."""
-    slides = np.array(is_slide or [False] * len(names))
-    joint_limits = joint_limits or limits(np.inf, len(names))
-    return SimpleNamespace(
+) -> RobotModel:
+    """An arm with such joints; hinges without limits where nothing else is said."""
+    count = len(names)
+    return replace(
+        _serial_robot(count),
         joint_names=tuple(names),
-        limits=joint_limits,
-        is_slide=slides,
-        other_joint_names=(),
+        limits=joint_limits or limits(np.inf, count),
+        is_slide=np.array(is_slide or [False] * count),
     )
+
+
+@cache
+def _serial_robot(count: int) -> RobotModel:
+    """An arm of as many joints."""
+    return arms.robot_of(arms.serial_arm((arms.Y,) * count))
 
 
 def _text(cell: object) -> str:

@@ -1,0 +1,236 @@
+"""What the numbers in a log's columns show: time, motion, and the torque that the model expects.
+
+The rows are averaged to some 40 per second. For a motion (N, n) that columns are taken to hold, the
+model's torque m_j of joint j is compared with every column y. Friction, rotor inertia and an offset
+are taken out of both first, by least squares on [1, direction, qd_j, qdd_j]. The scale of a column
+is the factor of m_j that fits it best. Its misfit is the rms that a scale from ``LEAST_SCALE`` to
+``LARGEST_SCALE`` leaves of y, over that of y. A torque column of that joint has a scale of about
+one and a small misfit wherever the links load the joint.
+
+Throughout, N is the number of rows, C that of columns, n that of joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
+from robot_sysid.logs.table import LogTable, read_blocks
+from robot_sysid.records import Array, RobotModel
+from robot_sysid.records.messages import Progress
+
+LEAST_SCALE = 0.5
+"""Least ratio of a torque to the model's; beyond, it has another unit or another cause."""
+LARGEST_SCALE = 2.0
+"""Largest ratio of a torque to the model's."""
+_MOST_ROWS = 60_000
+"""Number of rows that are read at most."""
+_MOST_SAMPLES = 1_500
+"""Number of averaged rows that are used at most."""
+_MOST_FITTED = 400
+"""Number of these at which torques are compared at most."""
+_RATE = 40.0
+"""Rows per second that a log is averaged to [Hz]."""
+_LOADED = 0.15
+"""Model torque of a joint over that of the most loaded one from which on links load it."""
+# Largest step between two rows in each unit of time, at 5 Hz; smaller units are tried later.
+_LARGEST_STEP = {"s": 0.2, "ms": 200.0, "us": 2e5, "ns": 2e8}
+_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+@dataclass(frozen=True)
+class Clock:
+    """A column that may be the time.
+
+    Attributes:
+        column: its index.
+        unit: "s", "ms", "us" or "ns", by which rows come at 5 to 5000 Hz.
+        period: median time between two rows [s].
+        counts: whether it grows by one from row to row, as a row number does.
+    """
+
+    column: int
+    unit: str
+    period: float
+    counts: bool
+
+
+def read_numbers(table: LogTable, is_number: Sequence[bool]) -> Array:
+    """Return the first rows (N, C) of a log; columns that are no numbers are NaN.
+
+    Rows in which a column that is mostly filled is empty are left out.
+
+    Args:
+        table: the log.
+        is_number: (C,) whether a column holds numbers, by its first row.
+    """
+    columns = np.flatnonzero(is_number)
+    blocks = []
+    count = 0
+    for block in read_blocks(table, columns.tolist(), Progress()):
+        if block.recording:
+            break
+        blocks.append(block.cells)
+        count += len(block.cells)
+        if count >= _MOST_ROWS:
+            break
+    cells = np.concatenate(blocks) if blocks else np.empty((0, len(columns)))
+    is_finite = np.isfinite(cells)
+    is_filled = (
+        np.mean(is_finite, axis=0) > 0.5 if count else np.zeros(len(columns), bool)
+    )
+    rows = np.full((len(cells), len(is_number)), np.nan)
+    rows[:, columns[is_filled]] = cells[:, is_filled]
+    return rows[np.all(is_finite[:, is_filled], axis=1)]
+
+
+def clocks(rows: Array) -> list[Clock]:
+    """Return the columns of rows (N, C) that grow evenly, as a time does."""
+    found = []
+    for column, values in enumerate(rows.T):
+        steps = np.diff(values)
+        if len(steps) < 10 or not np.all(steps >= 0.0) or np.mean(steps > 0.0) < 0.98:
+            continue
+        step = float(np.median(steps))
+        is_even = float(np.quantile(steps, 0.9)) < 3.0 * step
+        unit = next((u for u, largest in _LARGEST_STEP.items() if step <= largest), "")
+        if is_even and unit:
+            counts = bool(np.all(steps == 1.0))
+            found.append(Clock(column, unit, step * _SECONDS[unit], counts))
+    return found
+
+
+def average_rows(rows: Array, period: float) -> tuple[Array, float]:
+    """Return rows (N, C) averaged to ``_RATE``, and the time between two averages [s].
+
+    They are the middle ``_MOST_SAMPLES`` of a longer log. ``period``: time between two rows [s].
+    """
+    every = max(1, min(round(1.0 / (_RATE * period)), len(rows) // 20))
+    count = len(rows) // every
+    averaged = rows[: count * every].reshape(count, every, -1).mean(axis=1)
+    start = max(0, (count - _MOST_SAMPLES) // 2)
+    return averaged[start : start + _MOST_SAMPLES], every * period
+
+
+@dataclass(frozen=True)
+class TorqueFit:
+    """How well each column of a log is the torque of each joint, for one assumed motion.
+
+    Attributes:
+        scale: (n, C) ratio of a column to the model's torque.
+        misfit: (n, C) rms that the model's torque leaves of a column beside friction, over what
+            friction alone leaves; 1 where the model explains nothing.
+        any_scale_misfit: (n, C) the same with the scale that fits best, however large.
+        residual: (n, C) rms that both leave, in the column's unit.
+        direction: (n, C) factor of the direction of motion, the dry friction, over the rms of the
+            column: positive where the column brakes as a joint's own torque does.
+        loaded: (n,) whether links load a joint.
+    """
+
+    scale: Array
+    misfit: Array
+    any_scale_misfit: Array
+    residual: Array
+    direction: Array
+    loaded: NDArray[np.bool_]
+
+    def of_columns(self, values: Array, columns: Sequence[int]) -> Array:
+        """Return the values (n, C) of n torque columns at the joints that links load."""
+        joints = np.flatnonzero(self.loaded)
+        return np.asarray(values[joints, np.array(columns)[joints]])
+
+
+def fit_torques(
+    robot: RobotModel, q: Array, columns: Array, period: float | None
+) -> TorqueFit:
+    """Return how well columns (N, C) are the torques of a motion q (N, n) [rad or m].
+
+    ``period``: time between two rows [s]; None where it is not known: then the model's torque is
+    that of gravity alone.
+    """
+    qd = np.gradient(q, period or 1.0, axis=0)
+    qdd = np.gradient(qd, period or 1.0, axis=0)
+    every = max(1, len(q) // _MOST_FITTED)
+    q, qd, qdd, columns = (values[::every] for values in (q, qd, qdd, columns))
+    moves = float(period is not None)
+    motion = LinkDynamics(robot).motion(q, moves * qd, moves * qdd)
+    model_torque = motion.torque(robot.thetas)
+    n = q.shape[1]
+    scale = np.zeros((n, columns.shape[1]))
+    misfit = np.ones_like(scale)
+    any_scale_misfit = np.ones_like(scale)
+    residual = np.ones_like(scale)
+    direction = np.zeros_like(scale)
+    load = np.zeros(n)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        size = np.std(columns, axis=0)
+        for joint in range(n):
+            fastest = np.max(np.abs(qd[:, joint]))
+            if fastest == 0.0:
+                # A joint that stands has no friction, and one column to leave out.
+                friction = np.ones((len(q), 1))
+                sign = np.zeros(len(q))
+            else:
+                sign = np.tanh(qd[:, joint] / (0.02 * fastest))
+                friction = np.stack(
+                    (np.ones(len(q)), qd[:, joint], qdd[:, joint]), axis=1
+                )
+            with_sign = np.column_stack((friction, sign))
+            torque = _without(with_sign, model_torque[:, [joint]])[:, 0]
+            others = _without(with_sign, columns)
+            load[joint] = np.std(torque)
+            factor = torque @ others / (torque @ torque)
+            bounded = np.sign(factor) * np.clip(
+                np.abs(factor), LEAST_SCALE, LARGEST_SCALE
+            )
+            left = others - np.outer(torque, bounded)
+            scale[joint] = factor
+            residual[joint] = np.sqrt(np.mean(left**2, axis=0))
+            spread = np.sqrt(np.mean(others**2, axis=0))
+            misfit[joint] = residual[joint] / spread
+            left = others - np.outer(torque, factor)
+            any_scale_misfit[joint] = np.sqrt(np.mean(left**2, axis=0)) / spread
+            base = np.column_stack((friction, model_torque[:, joint]))
+            dry = _without(base, sign[:, None])[:, 0]
+            direction[joint] = dry @ _without(base, columns) / (dry @ dry) / size
+    return TorqueFit(
+        scale=np.nan_to_num(scale),
+        misfit=np.nan_to_num(misfit, nan=1.0, posinf=1.0),
+        any_scale_misfit=np.nan_to_num(any_scale_misfit, nan=1.0, posinf=1.0),
+        residual=np.nan_to_num(residual),
+        direction=np.nan_to_num(direction),
+        loaded=_find_loaded(load),
+    )
+
+
+def _find_loaded(load: Array) -> NDArray[np.bool_]:
+    """Return (n,) which joints links load, at least two of several.
+
+    ``load``: (n,) rms of the model's torque of each joint beside friction [N m].
+    """
+    # One joint alone may match a foreign column by chance.
+    count = min(2, len(load))
+    second = float(np.sort(load)[-count])
+    return load >= max(min(_LOADED * float(np.max(load)), second), 1e-9)
+
+
+def _without(regressors: Array, values: Array) -> Array:
+    """Return what a least-squares fit of regressors (N, r) leaves of values (N, c)."""
+    size = np.maximum(np.max(np.abs(regressors), axis=0), 1e-300)
+    scaled = regressors / size
+    coefficients, *_ = np.linalg.lstsq(scaled, values, rcond=1e-9)
+    return np.asarray(values - scaled @ coefficients)
+
+
+def slope(values: Array, reference: Array) -> tuple[float, float]:
+    """Return (factor, correlation) of values (N,) with a reference (N,); zeros where one stands."""
+    a = values - np.mean(values)
+    b = reference - np.mean(reference)
+    norms = float(np.linalg.norm(a) * np.linalg.norm(b))
+    if norms == 0.0:
+        return 0.0, 0.0
+    return float(a @ b / (b @ b)), float(a @ b) / norms

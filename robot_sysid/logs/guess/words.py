@@ -1,0 +1,88 @@
+"""Words of column titles in other languages, and abbreviations, as the English words of ``titles``.
+
+``Gelenk 1 Winkel [Grad]`` becomes ``joint 1 position [deg]``. Only guesses use this: a title that
+is recognised without it is never translated.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from functools import cache
+
+# English word to the beginnings or parts of words that stand for it; accents are left out.
+_PARTS = {
+    "time": "zeitstempel zeit horodatage tiempo 时间 時間 时刻 時刻",
+    "position": "gelenkwinkel winkel stellung posizione posicion posicao angulo angolo 位置 角度 "
+    "关节角",
+    "velocity": "winkelgeschwindigkeit geschwindigkeit drehzahl vitesse velocidad velocita "
+    "velocite velocidade 角速度 速度 转速",
+    "acceleration": "winkelbeschleunigung beschleunigung aceleracion accelerazione aceleracao "
+    "角加速度 加速度",
+    "torque": "drehmoment momento moment couple coppia 力矩 扭矩 转矩 トルク",
+    "current": "strom courant corriente corrente 电流 電流",
+    "command": "sollwert soll vorgabe consigne consigna riferimento referencia kommando 指令 目标 "
+    "目標 期望 给定",
+    "measured": "istwert gemessen mesure medid misurat 实际 实测 測定 反馈",
+    "joint": "gelenk achse achs articulation articulaire articulacion articolare giunto 关节 関節 "
+    "轴 軸",
+    "motor": "moteur motore 电机 モータ",
+    "temperature": "temperatur 温度",
+    "voltage": "spannung tension 电压 電圧",
+    "error": "abweichung fehler erreur errore 误差 誤差",
+    "deg": "grad",
+}
+# English word to whole words that are too short to be looked for inside others.
+_WORDS = {
+    "time": "temps tempo zt sekunden segundos secondes secondi",
+    "position": "ang angl lage phi theta",
+    "velocity": "geschw vit omega w",
+    "torque": "par mom drehm trq torq tor",
+    "joint": "axe eje asse gel jt ach",
+    "measured": "ist mes mis med",
+    "command": "cons",
+}
+_BRACKET = re.compile(r"[\[({][^\])}]*[\])}]")
+_DEGREES = re.compile(r"\b(grados|gradi|grad|degres)\b")
+
+
+@cache
+def _english() -> tuple[re.Pattern[str], dict[str, str]]:
+    """Return a pattern of all foreign words, the longest first, and their English words."""
+    meanings = {}
+    for english, listed in _PARTS.items():
+        meanings.update(dict.fromkeys(listed.split(), english))
+    parts = sorted(meanings, key=len, reverse=True)
+    words = {}
+    for english, listed in _WORDS.items():
+        words.update(dict.fromkeys(listed.split(), english))
+    whole = "|".join(sorted(words, key=len, reverse=True))
+    # "ist" in front of a word of the title is the German "measured", as in Istposition.
+    pattern = rf"{'|'.join(parts)}|\bist(?=[a-z]{{3}})|(?<![a-z])(?:{whole})(?![a-z])"
+    return re.compile(pattern), {**words, **meanings}
+
+
+def translate(title: str) -> str:
+    """Return a title with its foreign words in English, in lower case and without accents.
+
+    Units in brackets stay as they are, but for degrees that are written out.
+    """
+    separate = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", title)
+    decomposed = unicodedata.normalize("NFKD", separate.lower())
+    plain = "".join(mark for mark in decomposed if not unicodedata.combining(mark))
+    plain = plain.replace("μ", "µ")
+    pattern, meanings = _english()
+
+    def replace_word(match: re.Match[str]) -> str:
+        """Return the English word between blanks."""
+        return f" {meanings[match[0]]} "
+
+    # The text between brackets; brackets with a unit are put back.
+    pieces = []
+    end = 0
+    for bracket in _BRACKET.finditer(plain):
+        pieces.append(pattern.sub(replace_word, plain[end : bracket.start()]))
+        pieces.append(_DEGREES.sub("deg", bracket[0]))
+        end = bracket.end()
+    pieces.append(pattern.sub(replace_word, plain[end:]))
+    return "".join(pieces)
