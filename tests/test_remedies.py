@@ -68,6 +68,7 @@ LIFTED = symbols_of(
 EXPORT = symbols_of("damiao.joints", "damiao_joints")
 QUESTIONS = set(symbols_of("commands.identify", "ALONE", "PLAN", "IDENTIFY", "PAYLOAD"))
 SHOWN = symbols_of("preview", "require_preview", "show_plan")
+CARDS = symbols_of("export", "_write_card")
 
 
 def other_questions(name: str, *preview: Symbol) -> tuple[Symbol, ...]:
@@ -77,7 +78,8 @@ def other_questions(name: str, *preview: Symbol) -> tuple[Symbol, ...]:
 
 NEVER = {
     "run": symbols_of("pipeline.payload", "identify_payload")
-    + (*symbols_of("motion.static", "design_poses"), *other_questions("ALONE", *SHOWN)),
+    + (*symbols_of("motion.static", "design_poses"), *other_questions("ALONE", *SHOWN))
+    + CARDS,
     "plan": (
         *ONLY["identify"],
         *CHOSEN,
@@ -86,7 +88,7 @@ NEVER = {
     + other_questions("PLAN"),
     "identify": symbols_of("pipeline.stages", "identify")
     + symbols_of("pipeline.planning", "design_motion", "motor_writer")
-    + (*OF_PLANS, *USUAL, *EXPORT, *other_questions("IDENTIFY", *SHOWN)),
+    + (*OF_PLANS, *USUAL, *EXPORT, *CARDS, *other_questions("IDENTIFY", *SHOWN)),
     "payload": (
         *symbols_of("pipeline.stages", "identify"),
         *symbols_of("pipeline.stages", "run_self_test"),
@@ -100,8 +102,9 @@ NEVER = {
         *symbols_of("results.record", "Verdict.PARTLY_FROM_MODEL"),
     ),
     "log": CHOSEN + USUAL + LIFTED,
-    # A page names the joint that the run found.
+    # A page names the joint that the run found, and says a verdict in the words of the run.
     "report": symbols_of("model.chain", "_require_end")
+    + symbols_of("results.record", "Verdict.PARTLY_FROM_MODEL")
     + (
         *symbols_of("errors", "AmbiguousJointError"),
         *symbols_of("parser", "_notes", "_jaw_notes"),

@@ -156,9 +156,7 @@ def _decimals_text(values: Array) -> str:
     largest = float(np.max(np.abs(values)))
     is_small = 0.0 < largest < 0.01
     decimals = 1 - math.floor(math.log10(largest)) if is_small else 3
-    # Adding zero turns the -0.000 that rounding leaves into 0.000.
-    rounded = np.round(values, decimals) + 0.0
-    return ", ".join(f"{value:.{decimals}f}" for value in rounded.tolist())
+    return ", ".join(f"{value:.{decimals}f}" for value in values.tolist())
 
 
 def _friction_text(value: float) -> str:

@@ -141,6 +141,6 @@ def test_what_cannot_be_held_is_said(model, arm, monkeypatch):
         lambda frame, time: None if asks(frame) else answer(frame, time),
     )
     with pytest.raises(
-        rs.HardwareAbort, match="motor 2 .* does not tell its state; see"
+        rs.HardwareAbort, match="motor 2 .* does not tell its state; motors check"
     ):
         rs.motors.hold(model, 0.5, **HELD)

@@ -34,14 +34,6 @@ def test_the_readmes_block_line_by_line():
     ]
 
 
-def test_rounding_leaves_no_minus_before_a_zero():
-    offset = np.array([0.0, -1e-5, 0.02, 0.2, 0.03, -1e-5, 0.0, 0.032, -0.002, 0.005])
-    values = np.concatenate(([2.0], offset[1:], made.VALUES[10:]))
-    lines = block_lines(made.itself(made.estimate(values=values)))
-    assert lines[2] == "  CoM moment: [0.000, 0.020, 0.200] kg·m"
-    assert lines[3] == "  Inertia: [0.030, 0.000, 0.000, 0.032, -0.002, 0.005] kg·m²"
-
-
 def brief_lines(lines):
     """The lines that are printed without --verbose."""
     return [line for line in lines if not isinstance(line, Detail)]
