@@ -195,6 +195,14 @@ def typical_load(problem: ExcitationProblem) -> Array:
     return mass / body[0] * body
 
 
+def _load_reason(problem: ExcitationProblem) -> str:
+    """Return, in words, why ``typical_load`` has its mass."""
+    if problem.reserve:
+        return "of --payload-reserve"
+    share = percent(TYPICAL_LOAD)
+    return f"{share} of the arm's moving mass; --payload-reserve states another one"
+
+
 def common_scale_error(problem: ExcitationProblem, options: EstimationOptions) -> float:
     """Return the standard error that all torque scales share where a payload is weighed, as a share
     of the torque.
@@ -223,7 +231,7 @@ def predict(
         names = PAYLOAD_NAMES
         recordings = RECORDED_FOR_PAYLOAD
         theta = typical_load(problem)
-        subject = f"a load of {theta[0]:.2g} kg"
+        subject = f"a load of {theta[0]:.2g} kg ({_load_reason(problem)})"
         size = theta[0] / robot.prior.mass * size
     caveat = ""
     link_errors = dict[str, float]()

@@ -277,11 +277,11 @@ def motion_lines(
     problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
 ) -> Iterator[str]:
     """Yield, mostly as details, how a motion uses its limits, its space and the torque, and where
-    it starts.
+    it starts; assumed limits are no detail.
     """
     yield Detail("Peaks (share of limit):")
     yield from map(Detail, _joint_lines(problem, check))
-    yield from map(Detail, _origin_lines(problem))
+    yield from _origin_lines(problem)
     yield from map(Detail, _space_lines(problem, plan, check))
     yield from map(Detail, _load_lines(problem, plan))
     yield from _start_lines(problem, plan)
@@ -312,16 +312,19 @@ def _share_text(peak: float, limit: float) -> str:
 
 
 def _origin_lines(problem: ExcitationProblem) -> Iterator[str]:
-    """Yield which limits are the model's, which were asked for, and which are assumed."""
+    """Yield which limits are the model's and which were asked for, as details, and which are
+    assumed: a real arm may allow less than that.
+    """
     for origin, title in (
         (MODEL, "Limits of the model"),
         (ASKED, "Limits that were asked for"),
-        (ASSUMED, "Limits assumed, not the model's"),
+        (ASSUMED, "Limits assumed, as the model states none (check them)"),
     ):
         families = [_limits_with_origin(problem, name, origin) for name in LIMIT_NAMES]
         listed = "; ".join(filter(None, families))
+        line = f"{title}: {listed}"
         if listed:
-            yield f"{title}: {listed}"
+            yield line if origin == ASSUMED else Detail(line)
 
 
 def _limits_with_origin(problem: ExcitationProblem, family: str, origin: str) -> str:

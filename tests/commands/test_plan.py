@@ -39,7 +39,8 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(
     assert promise[2].startswith("  mass ± ") and promise[3].startswith(
         "  centre of mass ± "
     )
-    assert len(promise) <= 13 and "Peaks (share of limit):" not in printed.out
+    assert any(line.startswith("Limits assumed, as the model ") for line in promise)
+    assert len(promise) <= 14 and "Peaks (share of limit):" not in printed.out
     saved = load_trajectory(path.parent / "sysid_output" / "trajectory.json")
     assert isinstance(saved.plan, SineTrajectory)
     assert saved.joint_names == ("joint0", "joint1", "joint2")

@@ -43,6 +43,9 @@ class TrueArm:
         robot: what the model says.
         seed: draws what differs.
         tool: mass of the tool over the mass of all links.
+
+    Attributes:
+        noise: (n,) standard deviation of the torque noise [N m].
     """
 
     def __init__(self, robot: RobotModel, seed: int = 1, tool: float = 0.05) -> None:
@@ -61,6 +64,7 @@ class TrueArm:
         )
         typical = np.sqrt(np.mean(torque**2, axis=0))
         self._typical = np.maximum(typical, 0.03 * np.max(typical))
+        self.noise = 0.01 * self._typical
         self._coulomb = self._typical * rng.uniform(0.03, 0.1, robot.n_joints)
 
     def record(self, path: Path, plan: MotionPlan, load: float) -> None:
@@ -73,7 +77,7 @@ class TrueArm:
         thetas[-1] += spatial.theta_from_com(load, offset, load * moments)
         rigid = self._dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
         friction = self._coulomb * (np.sign(motion.qd) + motion.qd)
-        noise = 0.01 * self._typical * self._rng.standard_normal(rigid.shape)
+        noise = self.noise * self._rng.standard_normal(rigid.shape)
         tau = rigid + self.robot.armature * motion.qdd + friction + noise
         step = 2.0 * np.pi / 2**17
         q = np.round(motion.q / step) * step
