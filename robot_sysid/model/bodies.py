@@ -179,8 +179,15 @@ def link_bodies(
     return subtree_bodies(mj_model, qpos, body_id, excluded)
 
 
-# Names by which models call the frame that a tool is bolted to, the surest first.
-_NAMES = ("attachment", "(?:tool_?)?flange", "tool0", "eef?|end_?effector")
+# Names by which models call the frame that a tool is bolted to, the surest first. Franka's own
+# descriptions call the flange link8.
+_NAMES = (
+    "attachment",
+    "(?:tool_?)?flange",
+    "tool0",
+    "(?:panda|fer|fr3|fp3)_link8",
+    "eef?|end_?effector",
+)
 _PATTERNS = tuple(
     re.compile(rf"(?:.*[/_.:-])?(?:{name})(?:[_-](?:site|frame|link))?", re.IGNORECASE)
     for name in _NAMES

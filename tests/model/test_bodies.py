@@ -109,6 +109,8 @@ def test_numbers_are_metres_and_degrees_about_fixed_axes(seed):
         ("attachment_site", "site 'attachment_site'"),
         ("tool_flange", "site 'tool_flange'"),
         ("tool0", "site 'tool0'"),
+        ("left_fr3_link8", "site 'left_fr3_link8'"),
+        ("link8", "body 'link2'"),
         ("ee", "site 'ee'"),
         ("pinch_site", "body 'link2'"),
         ("tcp", "body 'link2'"),
