@@ -15,15 +15,20 @@ from __future__ import annotations
 import os
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, combinations
 
 from robot_sysid.errors import InputError
 
-Words = tuple[str, ...]
+NamePieces = tuple[str, ...]
 """Words and numbers of a name, in lower case; numbers without leading zeros."""
-Frame = tuple[Words, Words]
-"""Words in front of and behind the part by which a joint is told apart."""
+Frame = tuple[NamePieces, NamePieces]
+"""Pieces in front of and behind the core, the part by which a joint is told apart."""
+NamesByCore = dict[NamePieces, list[str]]
+"""Core to the names that have it in one frame."""
+_OPPOSITE_SIDES = (("left", "right"), ("right", "left"), ("l", "r"), ("r", "l"))
+"""Words of names by which two arms of a robot are told apart."""
 
 
 class JointSetsError(InputError):
@@ -53,6 +58,12 @@ class JointMatch:
     unused: tuple[str, ...]
     is_counted: bool = False
 
+    @property
+    def has_equal_words(self) -> bool:
+        """Whether the names differ from the model's in signs and capitals only."""
+        pairs = self.model_names.items()
+        return all(_split_name(name) == _split_name(joint) for name, joint in pairs)
+
     def describe(self) -> str:
         """Return one sentence that says which joints were matched; "" where all names are equal."""
         names = list(self.model_names)
@@ -69,15 +80,14 @@ class JointMatch:
 
 def join_names(names: Sequence[str]) -> str:
     """Return names with commas, or shortly those that count: ``panda_joint1..7``."""
-    parts = [re.fullmatch(r"(.*?)(\d+)(\D*)", name) for name in names]
-    first = parts[0] if parts else None
-    if first is None or len(names) < 3:
-        return ", ".join(names)
-    start = int(first[2])
-    counted = [f"{first[1]}{start + k}{first[3]}" for k in range(len(names))]
-    if counted != list(names):
-        return ", ".join(names)
-    return f"{first[1]}{start}..{start + len(names) - 1}{first[3]}"
+    first = re.fullmatch(r"(.*?)(\d+)(\D*)", names[0]) if len(names) > 2 else None
+    if first is not None:
+        front, number, back = first.groups()
+        last = int(number) + len(names) - 1
+        numbers = range(int(number), last + 1)
+        if list(names) == [f"{front}{k}{back}" for k in numbers]:
+            return f"{front}{number}..{last}{back}"
+    return ", ".join(names)
 
 
 def match_joint_names(
@@ -103,21 +113,22 @@ def match_joint_names(
         return None
     arm = _NameSet.of(joint_names)
     frames = arm.frames_in(names)
-    complete = {}
-    for frame, by_joint in frames.items():
-        if len(by_joint) == len(joint_names):
-            complete[frame] = by_joint
+    complete = {f: cores for f, cores in frames.items() if {*arm.cores} <= {*cores}}
+    is_counted = not complete
+    if is_counted:
+        complete = _renumbered_frames(frames, arm)
     if not complete:
-        return _match_counted(names, arm, frames)
+        return None
     frame = _choose_frame(complete, arm)
-    chosen = list(joint_names)
+    arm_joints = list(joint_names)
     # Equal names come before those that differ in signs only, such as arm-1 and arm_1.
     if not {*joint_names} <= {*names}:
-        chosen = _single_names(complete[frame], joint_names)
-    if other_joints is not None:
-        _refuse_further_joints(names, chosen, frame, arm, other_joints)
-    unused = tuple(name for name in names if name not in chosen)
-    return JointMatch(dict(zip(chosen, joint_names)), unused)
+        arm_joints = _single_names(complete[frame], arm)
+    _refuse_contradiction(arm_joints, frame, arm, is_counted)
+    if other_joints is not None and not is_counted:
+        _refuse_further_joints(arm_joints, frames[frame], arm, other_joints)
+    unused = tuple(name for name in names if name not in arm_joints)
+    return JointMatch(dict(zip(arm_joints, joint_names)), unused, is_counted)
 
 
 def find_joint_match(
@@ -130,70 +141,101 @@ def find_joint_match(
         return None
 
 
+def name_numbers(joint_names: Sequence[str]) -> list[int]:
+    """Return the numbers that tell joints apart, such as 1 to 7; [] where words do."""
+    return _NameSet.of(joint_names).numbers
+
+
 @dataclass(frozen=True)
 class _NameSet:
     """The names of a model's arm.
 
     Attributes:
         names: (n,) as the model has them.
-        frame: words that all of them begin and end with.
-        cores: (n,) the words between these, by which each joint is told apart.
+        frame: pieces that all of them begin and end with.
+        cores: (n,) the pieces between these, by which each joint is told apart.
     """
 
     names: tuple[str, ...]
     frame: Frame
-    cores: tuple[Words, ...]
+    cores: tuple[NamePieces, ...]
 
     @classmethod
     def of(cls, names: Sequence[str]) -> _NameSet:
-        """Return the names with the words that they share taken off."""
-        words = list(map(_words, names))
-        front = tuple(os.path.commonprefix(words))
-        reversed_rests = [name_words[len(front) :][::-1] for name_words in words]
-        back = tuple(os.path.commonprefix(reversed_rests))[::-1]
-        cores = tuple(_core_of(name_words, (front, back)) for name_words in words)
-        if len(names) == 1 or not all(cores):
+        """Return the names with the pieces that they share taken off."""
+        cores = list(map(_split_name, names))
+        front = tuple(os.path.commonprefix(cores))
+        reversed_ends = [pieces[len(front) :][::-1] for pieces in cores]
+        back = tuple(os.path.commonprefix(reversed_ends))[::-1]
+        short_cores = [tuple(end[len(back) :])[::-1] for end in reversed_ends]
+        if len(names) == 1 or not all(short_cores):
             # Of one name, or where one is all that the others share, whole names count.
-            return cls(tuple(names), ((), ()), tuple(words))
-        return cls(tuple(names), (front, back), cores)
+            return cls(tuple(names), ((), ()), tuple(cores))
+        return cls(tuple(names), (front, back), tuple(short_cores))
 
     @property
     def numbers(self) -> list[int]:
         """The numbers that tell the joints apart; [] where words do."""
-        if not all(len(core) == 1 and core[0].isdigit() for core in self.cores):
+        if not all(map(_is_number, self.cores)):
             return []
         return [int(core[0]) for core in self.cores]
 
-    def frames_in(self, names: Sequence[str]) -> dict[Frame, dict[int, list[str]]]:
-        """Return the words around each core in names: frame to joint index to names."""
-        frames: dict[Frame, dict[int, list[str]]] = defaultdict(
-            lambda: defaultdict(list)
-        )
+    def frames_in(self, names: Sequence[str]) -> dict[Frame, NamesByCore]:
+        """Return the frame of each core in names; where cores are numbers, of each number."""
+        is_numbered = bool(self.numbers)
+        frames: dict[Frame, NamesByCore] = defaultdict(lambda: defaultdict(list))
         for name in names:
-            for joint, core in enumerate(self.cores):
-                for frame in _frames(_words(name), core):
-                    frames[frame][joint].append(name)
-        return {frame: dict(by_joint) for frame, by_joint in frames.items()}
+            pieces = _split_name(name)
+            for start, end in combinations(range(len(pieces) + 1), 2):
+                core = pieces[start:end]
+                if core in self.cores or (is_numbered and _is_number(core)):
+                    frames[pieces[:start], pieces[end:]][core].append(name)
+        return frames
 
 
-def _words(name: str) -> Words:
+def _split_name(name: str) -> NamePieces:
     """Return the words and numbers of a name; camelCase is two words."""
     separate = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
     pieces = re.findall(r"[^\W\d_]+|\d+", separate.lower())
     return tuple(str(int(piece)) if piece.isdigit() else piece for piece in pieces)
 
 
-def _frames(words: Words, core: Words) -> Iterator[Frame]:
-    """Yield the words in front of and behind each place of a core in a name's words."""
-    for start in range(len(words) - len(core) + 1):
-        if words[start : start + len(core)] == core:
-            yield words[:start], words[start + len(core) :]
+def _is_number(core: NamePieces) -> bool:
+    """Return whether a core is a number alone."""
+    return len(core) == 1 and core[0].isdigit()
 
 
-def _choose_frame(
-    complete: Mapping[Frame, Mapping[int, Sequence[str]]], arm: _NameSet
-) -> Frame:
-    """Return the only frame, the model's own one, or the only one with words of the model's names.
+def _renumbered_frames(
+    frames: Mapping[Frame, NamesByCore], arm: _NameSet
+) -> dict[Frame, NamesByCore]:
+    """Return the frames whose numbers count the joints from another beginning, by the arm's cores.
+
+    That is from 1 with a model that counts from 0, or the reverse. InputError where numbers count
+    joints, but more or fewer than the arm has.
+    """
+    n_joints = len(arm.names)
+    if arm.numbers not in (list(range(n_joints)), list(range(1, n_joints + 1))):
+        return {}
+    renumbered = {}
+    other_counts = []
+    for frame, by_core in frames.items():
+        cores = sorted(by_core, key=lambda core: int(core[0]))
+        first = int(cores[0][0])
+        numbers = [int(core[0]) for core in cores]
+        if first > 1 or numbers != list(range(first, first + len(numbers))):
+            continue
+        if len(cores) == n_joints:
+            named = [by_core[core] for core in cores]
+            renumbered[frame] = dict(zip(arm.cores, named))
+        elif 2 * len(cores) > n_joints:
+            other_counts.append([by_core[core][0] for core in cores])
+    if other_counts and not renumbered:
+        raise _count_error(other_counts[0], arm)
+    return renumbered
+
+
+def _choose_frame(complete: Mapping[Frame, NamesByCore], arm: _NameSet) -> Frame:
+    """Return the only frame, the model's own one, or the only one with words of the model's frame.
 
     JointSetsError where several frames fit alike.
     """
@@ -201,19 +243,19 @@ def _choose_frame(
         return arm.frame
     if len(complete) == 1:
         return next(iter(complete))
-    model_words = {word for name in arm.names for word in _words(name)}
-    words_of = {frame: {*frame[0], *frame[1]} for frame in complete}
-    shared_words = set.intersection(*words_of.values())
+    arm_pieces = {*chain(*arm.frame)}
+    pieces_of = {frame: {*chain(*frame)} for frame in complete}
+    shared_pieces = set.intersection(*pieces_of.values())
     fitting = []
-    for frame, words in words_of.items():
-        own_words = words - shared_words
-        if own_words and own_words <= model_words:
+    for frame, pieces in pieces_of.items():
+        distinctive = pieces - shared_pieces
+        if distinctive and distinctive <= arm_pieces:
             fitting.append(frame)
     if len(fitting) == 1:
         return fitting[0]
     sets = []
-    for by_joint in complete.values():
-        sets.append([by_joint[k][0] for k in range(len(arm.names))])
+    for by_core in complete.values():
+        sets.append([by_core[core][0] for core in arm.cores])
     raise JointSetsError(
         f"the log holds {len(sets)} sets of joints that could be the model's "
         f"{join_names(arm.names)}: {' and '.join(map(join_names, sets))}",
@@ -221,95 +263,65 @@ def _choose_frame(
     )
 
 
-def _single_names(
-    by_joint: Mapping[int, Sequence[str]], joint_names: Sequence[str]
-) -> list[str]:
+def _single_names(by_core: NamesByCore, arm: _NameSet) -> list[str]:
     """Return the log's name of each joint; InputError where two names could be one joint."""
-    chosen: list[str] = []
-    for joint, joint_name in enumerate(joint_names):
-        candidates = by_joint[joint]
+    names: list[str] = []
+    for core, joint_name in zip(arm.cores, arm.names):
+        candidates = by_core[core]
         if len(candidates) > 1:
             listed = " and ".join(candidates)
             raise InputError(f"the log's {listed} could both be the joint {joint_name}")
-        chosen += candidates
-    return chosen
+        names += candidates
+    return names
+
+
+def _refuse_contradiction(
+    names: Sequence[str], frame: Frame, arm: _NameSet, is_counted: bool
+) -> None:
+    """Raise InputError where words say that names (n,) are another arm's, or other joints'.
+
+    Args:
+        names: the recording's, of each joint of the arm.
+        frame: pieces around their cores.
+        arm: the model's names.
+        is_counted: whether they count from another number than the model's. Where words are equal,
+            so are the numbers' meanings, and these joints are others.
+    """
+    pieces = {*chain(*frame)}
+    arm_pieces = {*chain(*arm.frame)}
+    log_text = f"the log's joints {join_names(names)}"
+    for side, other_side in _OPPOSITE_SIDES:
+        if side in pieces - arm_pieces and other_side in arm_pieces - pieces:
+            raise InputError(
+                f"{log_text} are those of another arm than the model's {join_names(arm.names)}: "
+                "give the model of the arm that was recorded"
+            )
+    if is_counted and pieces & arm_pieces:
+        first = 1 - arm.numbers[0]
+        raise InputError(
+            f"{log_text} count from {first}, the model's {join_names(arm.names)} from "
+            f"{arm.numbers[0]}"
+        )
 
 
 def _refuse_further_joints(
-    names: Sequence[str],
-    chosen: Sequence[str],
-    frame: Frame,
+    arm_joints: Sequence[str],
+    by_core: NamesByCore,
     arm: _NameSet,
     other_joints: Sequence[str],
 ) -> None:
-    """Raise InputError where names beside the chosen ones go on counting: another arm's.
+    """Raise InputError where names beside the arm's go on counting: another arm's.
 
     Args:
-        names: all of the recording's.
-        chosen: (n,) those of the arm.
-        frame: words around the numbers of the chosen names.
+        arm_joints: (n,) the log's names of the arm's joints.
+        by_core: the log's names in the frame of these.
         arm: the model's names.
         other_joints: the model's joints that are not the arm's; the log may have them.
     """
-    if not arm.numbers:
-        return
-    model_numbers = {*arm.numbers, *_numbered_names(other_joints, arm.frame)}
-    numbered = _numbered_names(names, frame)
-    further = [numbered[number] for number in numbered if number not in model_numbers]
+    model_cores = {*arm.cores, *arm.frames_in(other_joints).get(arm.frame, {})}
+    further = [by_core[core][0] for core in by_core if core not in model_cores]
     if further:
-        raise _count_error([*chosen, *further], arm)
-
-
-def _match_counted(
-    names: Sequence[str], arm: _NameSet, frames: Iterable[Frame]
-) -> JointMatch | None:
-    """Return the match of names that count from 1 with a model that counts from 0, or the reverse.
-
-    ``frames``: words around at least one of the model's numbers. None where nothing counts so.
-
-    Raises:
-        InputError: the names have a word of the model's names, so that their numbers contradict
-            the model's; or there are fewer names than joints.
-    """
-    n_joints = len(arm.names)
-    if arm.numbers not in (list(range(n_joints)), list(range(1, n_joints + 1))):
-        return None
-    for frame in frames:
-        numbered = _numbered_names(names, frame)
-        first = min(numbered)
-        chosen = [numbered[number] for number in sorted(numbered)]
-        is_counted = sorted(numbered) == list(range(first, first + len(numbered)))
-        if not is_counted or first > 1 or 2 * len(chosen) <= n_joints:
-            continue
-        if len(chosen) != n_joints:
-            raise _count_error(chosen, arm)
-        if {*frame[0], *frame[1]} & {*arm.frame[0], *arm.frame[1]}:
-            raise InputError(
-                f"the log's joints {join_names(chosen)} count from {first}, the model's "
-                f"{join_names(arm.names)} from {arm.numbers[0]}"
-            )
-        unused = tuple(name for name in names if name not in chosen)
-        return JointMatch(dict(zip(chosen, arm.names)), unused, is_counted=True)
-    return None
-
-
-def _numbered_names(names: Sequence[str], frame: Frame) -> dict[int, str]:
-    """Return the names that consist of a number between the words of a frame, by their number."""
-    numbered = {}
-    for name in names:
-        core = _core_of(_words(name), frame)
-        if len(core) == 1 and core[0].isdigit():
-            numbered[int(core[0])] = name
-    return numbered
-
-
-def _core_of(words: Words, frame: Frame) -> Words:
-    """Return the words between those of a frame; () where these are not around them."""
-    front, back = frame
-    end = len(words) - len(back)
-    if words[: len(front)] != front or words[end:] != back:
-        return ()
-    return words[len(front) : end]
+        raise _count_error([*arm_joints, *further], arm)
 
 
 def _count_error(names: Sequence[str], arm: _NameSet) -> InputError:

@@ -26,7 +26,13 @@ from itertools import chain
 from typing import TypeVar
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.joint_names import JointMatch, match_joint_names
+from robot_sysid.logs.joint_names import (
+    JointMatch,
+    find_joint_match,
+    join_names,
+    match_joint_names,
+    name_numbers,
+)
 
 T = TypeVar("T")
 
@@ -283,14 +289,18 @@ def match_joints(
         InputError: two columns could be one quantity, or name and number of a title disagree; or
             the joints' names are those of two arms, or of an arm with another number of joints.
     """
-    candidates = _match_each_title(titles, joint_names, first_row)
+    listed_joints, joint_match = _match_listed_names(
+        titles, joint_names, first_row, other_joints
+    )
+    candidates = _match_each_title(titles, joint_names, listed_joints)
     columns_by_name = columns_by_joint_name(titles)
     names = [*columns_by_name.get("position", {})]
     if any(candidates["position"]):
-        # Names that are equal to the model's, but go on counting, are those of another arm.
-        if {*joint_names} <= {*names}:
+        # Names that have the model's words, but go on counting, are those of another arm.
+        by_name = find_joint_match(names, joint_names)
+        if by_name is not None and by_name.has_equal_words:
             match_joint_names(names, joint_names, other_joints)
-        return candidates, None
+        return candidates, joint_match
     joint_match = match_joint_names(names, joint_names, other_joints)
     if joint_match is None:
         return candidates, None
@@ -327,17 +337,17 @@ def columns_by_joint_name(titles: Sequence[Title]) -> dict[str, dict[str, list[i
 
 
 def _match_each_title(
-    titles: Sequence[Title], joint_names: Sequence[str], first_row: Sequence[str]
+    titles: Sequence[Title], joint_names: Sequence[str], listed_joints: Sequence[int]
 ) -> Candidates:
     """Return the candidates among titles that carry a name of the model, or a number.
 
-    InputError where two columns could be one quantity, or name and number of a title disagree.
+    ``listed_joints`` are those of ``_match_listed_names``. InputError where two columns could be
+    one quantity, or name and number of a title disagree.
     """
-    order = _order_from_names(titles, joint_names, first_row)
     by_name = _match_names(titles, joint_names)
-    by_number = _match_numbers(titles, joint_names, order, set())
+    by_number = _match_numbers(titles, joint_names, listed_joints, set())
     named_columns = set(chain(*chain(*by_name.values())))
-    unnamed = _match_numbers(titles, joint_names, order, named_columns)
+    unnamed = _match_numbers(titles, joint_names, listed_joints, named_columns)
     candidates: Candidates = {}
     for quantity in QUANTITIES:
         named = by_name[quantity]
@@ -446,7 +456,7 @@ def _aliases(joint_names: tuple[str, ...]) -> list[tuple[int, str]]:
 def _match_numbers(
     titles: Sequence[Title],
     joint_names: Sequence[str],
-    order: Mapping[int, int],
+    listed_joints: Sequence[int],
     excluded: set[int],
 ) -> Candidates:
     """Return the candidates among titles with one number; none for other quantities.
@@ -454,10 +464,15 @@ def _match_numbers(
     Args:
         titles: of all columns, from left to right.
         joint_names: (n,) of the arm; of a single joint, titles without a number count too.
-        order: number to joint index, by the log's own list of names. Where it is empty, the numbers
-            of a quantity have to be 0 to n - 1 or 1 to n.
+        listed_joints: of ``_match_listed_names``; the numbers of a quantity have to count them from
+            0 or 1. Where there are none, the joints of the model in its order, or the numbers have
+            to be those of the model's names.
         excluded: indices of columns that are left out.
     """
+    joint_numbers = name_numbers(joint_names)
+    # Where the model's names are numbered in another order, counting contradicts them.
+    is_ordered = joint_numbers == sorted(joint_numbers)
+    counted = listed_joints or (range(len(joint_names)) if is_ordered else ())
     # Quantity to number in the title to indices of columns.
     numbered: dict[str, dict[int, list[int]]] = defaultdict(lambda: defaultdict(list))
     for column, title in enumerate(titles):
@@ -470,30 +485,52 @@ def _match_numbers(
             numbered[quantity][numbers[0]].append(column)
     candidates: Candidates = defaultdict(lambda: [[] for _ in joint_names])
     for quantity, columns in numbered.items():
-        joint_of_number = order
-        first = min(columns)
-        counted = dict(enumerate(range(len(joint_names)), first))
-        if not order and first < 2 and sorted(columns) == list(counted):
-            joint_of_number = counted
+        column_numbers = sorted(columns)
+        first = column_numbers[0]
+        joint_of_number: dict[int, int] = {}
+        if first < 2 and column_numbers == [*range(first, first + len(counted))]:
+            joint_of_number = dict(zip(column_numbers, counted))
+        elif not listed_joints and column_numbers == sorted(joint_numbers):
+            joint_of_number = {number: k for k, number in enumerate(joint_numbers)}
         for number, joint in joint_of_number.items():
-            if number in columns:
+            if joint >= 0:
                 candidates[quantity][joint] = columns[number]
     return candidates
 
 
-def _order_from_names(
-    titles: Sequence[Title], joint_names: Sequence[str], first_row: Sequence[str]
-) -> dict[int, int]:
-    """Return number in a title to joint index, by a log's own list of names; {} where it has none.
+def _match_listed_names(
+    titles: Sequence[Title],
+    joint_names: Sequence[str],
+    first_row: Sequence[str],
+    other_joints: Sequence[str],
+) -> tuple[Sequence[int], JointMatch | None]:
+    """Return the joints in the order of a log's own list of names, and how that was matched.
 
-    ROS lists them in any order, such as that of the alphabet: in a column "name" with all names in
+    ROS lists names in any order, such as that of the alphabet: in a column "name" with all names in
     its first row, or in columns "name[0]", "name[1]", ... with one each.
+
+    Returns:
+        Indices of joints, -1 for one that is not the arm's. The match. Without a list, () and None.
+
+    Raises:
+        InputError: the listed names are not those of the arm.
     """
-    names: dict[int, str] = {}
+    name_of_number: dict[int, str] = {}
     for title, cell in zip(titles, first_row):
         if title.tokens and title.tokens[-1] in ("name", "names"):
             start = title.numbers[0] if title.numbers else 0
-            listed = re.findall(r"[^\s,'\"\[\]()]+", cell)
-            names.update(enumerate(listed, start))
-    pairs = names.items()
-    return {k: joint_names.index(n) for k, n in pairs if n in joint_names}
+            cell_names = re.findall(r"[^\s,'\"\[\]()]+", cell)
+            name_of_number.update(enumerate(cell_names, start))
+    names = [name_of_number[number] for number in sorted(name_of_number)]
+    if len(names) < max(2, len(joint_names)):
+        # No list, or the name of something else, such as the robot.
+        return (), None
+    joint_match = match_joint_names(names, joint_names, other_joints)
+    if joint_match is None:
+        raise InputError(
+            f"the log lists the joints {join_names(names)}, which are not the model's "
+            f"{join_names(joint_names)}: give the model of the arm that was recorded"
+        )
+    arm_joints = [*joint_match.model_names]
+    joints = [arm_joints.index(n) if n in arm_joints else -1 for n in names]
+    return joints, joint_match

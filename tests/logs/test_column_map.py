@@ -99,6 +99,58 @@ def test_a_unit_within_a_joints_name_is_no_unit(names):
     assert set(factors(columns.position + columns.torque)) == {1.0}
 
 
+ROS_NAMES = ["gripper", "elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint"]
+
+
+@pytest.mark.parametrize("prefix", ["", "ur5e_"])
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("is_one_cell", [False, True])
+def test_a_log_that_lists_its_joints_in_another_order_is_never_counted(
+    prefix, first, is_one_cell
+):
+    """Whatever the model's names begin with, and whether numbers begin with 0 or 1."""
+    numbers = range(first, first + 4)
+    name_titles = ["name"] if is_one_cell else [f"name[{k}]" for k in numbers]
+    cells = [str(ROS_NAMES)] if is_one_cell else ROS_NAMES
+    titles = ["time", *name_titles]
+    titles += [f"{q}[{k}]" for q, k in product(("position", "effort"), numbers)]
+    joints = [f"{prefix}{name}" for name in UR]
+    row = ["0", *cells, *["0"] * 8]
+    columns = recognise(",".join(titles), joints, first_row=row)
+    start = len(name_titles) + 1
+    assert where(columns) == (
+        [start + 3, start + 2, start + 1],
+        [start + 7, start + 6, start + 5],
+    )
+    assert columns.joint_match is not None
+    text = columns.joint_match.describe()
+    assert text.startswith("log joints: shoulder_pan_joint" if prefix else "")
+    with pytest.raises(
+        InputError, match="the log lists the joints gripper, elbow_join"
+    ):
+        recognise(",".join(titles), ("pan", "lift", "elbow"), first_row=row)
+
+
+def test_numbers_are_those_of_the_models_names_where_these_are_not_in_order():
+    titles = "time,q1,q2,q3,tau1,tau2,tau3"
+    joints = ("arm_joint3", "arm_joint1", "arm_joint2")
+    assert where(recognise(titles, joints)) == ([3, 1, 2], [6, 4, 5])
+    from_zero = "time,q0,q1,q2,tau0,tau1,tau2"
+    with pytest.raises(InputError, match="one position column and one torque column"):
+        recognise(from_zero, joints)
+
+
+def test_names_in_other_signs_that_go_on_counting_are_another_arms():
+    quantities = ("position", "effort")
+    titles = ["time"]
+    titles += [f"joint{k}_{q}" for q, k in product(quantities, range(1, 5))]
+    joints = ("joint_1", "joint_2", "joint_3")
+    with pytest.raises(
+        InputError, match="joint1..4 are 4, the model's joint_1..3 are 3"
+    ):
+        recognise(",".join(titles), joints)
+
+
 def test_ros_names_in_the_first_row_outrank_counting_and_its_header_the_receipt():
     titles = (
         "%time,field.name0,field.name1,field.name2,field.position0,field.position1,"

@@ -36,6 +36,7 @@ RIGHT = count("right_joint")
         (sorted(f"{name}_joint" for name in UR), UR),
         (sorted(UR), [f"ur5e_{name}_joint" for name in UR]),
         (LEFT + RIGHT, count("openarm_left_joint")),
+        (count("robot1_j") + count("robot2_j"), count("robot2_joint")),
         (["panda_joint1"], ["joint1"]),
         (["joint_link_x", "joint_x"], ["joint", "joint_link"]),
         (["arm-1", "arm_1", "arm-2"], ["arm_1", "arm-2"]),
@@ -57,6 +58,11 @@ def test_names_match_whatever_stands_around_them_and_in_any_order(names, joints)
         (count("joint_") + ["joint1"], JOINTS, "joint_1 and joint1 could both"),
         (count("a_joint") + count("b_joint"), JOINTS, "a_joint1..7 and b_joint1..7"),
         (["a_joint1", "b_joint1"], ["joint1"], "a_joint1 and b_joint1"),
+        (count("arm1_joint") + count("arm9_joint"), JOINTS, "arm1_joint1..7 and arm9_joint1..7"),
+        (count("a_A", 6, 0) + count("b_A", 6, 0), JOINTS, "a_A0..6 and b_A0..6"),
+        (LEFT, RIGHT, "left_joint1..7 are those of another arm than .* right_joint1..7: give"),
+        (count("r_A", 6, 0), count("l_joint"), "r_A0..6 are those of another arm"),
+        ([f"left_{n}" for n in UR], [f"right_{n}" for n in UR], "those of another arm"),
         (count("xarm_joint", 6), JOINTS, "xarm_joint1..6 are 6, the model's joint1..7 are 7"),
         (JOINTS, count("joint", 6), "joint1..7 are 7, .* joint1..6 are 6: give the model"),
         (count("panda_joint", 8), JOINTS, "are 8, the model's joint1..7 are 7"),
@@ -72,6 +78,8 @@ def test_numbers_of_another_beginning_count_only_behind_other_words():
     match = match_joint_names(count("lbr_A"), count("joint", 6, 0))
     assert match is not None and match.is_counted
     assert match.describe() == "log joints: lbr_A1..7 are joint0..6, by counting"
+    match = match_joint_names(count("finger", 3, 0) + count("A", 6, 0), JOINTS)
+    assert match is not None and list(match.model_names) == count("A", 6, 0)
 
 
 def test_joints_of_the_model_beyond_the_arm_may_be_in_the_log():
