@@ -33,9 +33,8 @@ from itertools import chain
 from pathlib import Path
 
 from robot_sysid.errors import ColumnsError, InputError
-from robot_sysid.logs.column_draft import BLANK
+from robot_sysid.logs.column_draft import BLANK, draft_sets
 from robot_sysid.logs.joint_names import JointMatch, JointSetsError
-from robot_sysid.logs.joint_sets import draft_sets
 from robot_sysid.logs.titles import (
     QUANTITIES,
     UNITS,
@@ -47,7 +46,7 @@ from robot_sysid.logs.titles import (
     match_joints,
     read_title,
 )
-from robot_sysid.records import Array
+from robot_sysid.records import Array, RobotModel
 
 _KEYS = ("time", *QUANTITIES, "acceleration", "units", "rate")
 """Keys of a columns file; those of quantities may be followed by ".joint"."""
@@ -116,6 +115,20 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
             text = stream.read(_LONGEST)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read the columns file {path}: {error}") from error
+    return parse_columns(text, path, joint_names)
+
+
+def parse_columns(text: str, path: Path, joint_names: Sequence[str]) -> ColumnChoices:
+    """Return the declarations in the text of a columns file.
+
+    Args:
+        text: of the file.
+        path: of the file, for messages.
+        joint_names: (n,) of the chain, base to terminal.
+
+    Raises:
+        InputError: a key, joint, unit or number in it is unknown.
+    """
     values = {}
     columns: dict[str, dict[str, str]] = {}
     # Not splitlines: titles may hold other line ends.
@@ -276,26 +289,22 @@ class ColumnMap:
 
 def recognise_columns(
     titles: Sequence[str],
-    joint_names: Sequence[str],
+    robot: RobotModel,
     choices: ColumnChoices,
     first_row: Sequence[str],
-    is_slide: Sequence[bool],
     currents: bool = False,
     commanded: bool = False,
-    other_joints: Sequence[str] = (),
     recognised: dict[str, tuple[Column, ...]] | None = None,
 ) -> ColumnMap:
     """Return the column of each quantity of each joint.
 
     Args:
         titles: header cells; "#1", "#2", ... where the file has no header.
-        joint_names: (n,) of the chain, base to terminal.
+        robot: the arm, whose joints the columns are for.
         choices: declarations, which outrank the titles.
         first_row: the first row of data (it may hold joint names, as ROS logs do).
-        is_slide: (n,) whether a joint is a slide, whose positions are never angles.
         currents: whether columns of motor currents are read in place of torques.
         commanded: whether columns of commanded positions are read in place of torques.
-        other_joints: the model's joints that are not the chain's.
         recognised: receives quantity to its columns, also where an error is raised for others.
 
     Raises:
@@ -303,14 +312,12 @@ def recognise_columns(
         ColumnsError: several sets of joints could be the arm; its draft chooses one.
     """
     plain = list(map(read_title, titles))
-    parsed = interpret_titles(plain, joint_names, currents, commanded)
+    parsed = interpret_titles(plain, robot.joint_names, currents, commanded)
     driven = "command" if commanded else "torque"
     recognised = {} if recognised is None else recognised
-    finder = _ColumnFinder(
-        list(titles), parsed, joint_names, choices, is_slide, driven, recognised
-    )
+    finder = _ColumnFinder(list(titles), parsed, robot, choices, driven, recognised)
     try:
-        return finder.find_all(first_row, other_joints)
+        return finder.find_all(first_row)
     except JointSetsError as error:
         raise ColumnsError(str(error), draft_sets(parsed, error.sets)) from None
 
@@ -322,9 +329,8 @@ class _ColumnFinder:
     Attributes:
         _texts: titles of the columns as the file has them.
         _titles: these titles, cut into tokens, numbers and unit.
-        _joint_names: (n,) of the chain, base to terminal.
+        _robot: the arm, whose joints the columns are for.
         _choices: declarations, which outrank the titles.
-        _is_slide: (n,) whether a joint is a slide, whose positions are never angles.
         driven: the quantity that is needed beside positions, "torque" or "command".
         recognised: quantity to its columns, () for none; filled by ``find_all``.
         missing: quantities of which a joint has no column; filled by ``find_all``.
@@ -332,25 +338,20 @@ class _ColumnFinder:
 
     _texts: list[str]
     _titles: Sequence[Title]
-    _joint_names: Sequence[str]
+    _robot: RobotModel
     _choices: ColumnChoices
-    _is_slide: Sequence[bool]
     driven: str
     recognised: dict[str, tuple[Column, ...]]
     missing: list[str] = field(default_factory=list)
 
-    def find_all(
-        self, first_row: Sequence[str], other_joints: Sequence[str]
-    ) -> ColumnMap:
+    def find_all(self, first_row: Sequence[str]) -> ColumnMap:
         """Return the map, or raise InputError that lists all faults; fills ``recognised``.
 
-        Args:
-            first_row: the cells of the first row as text, which may list joint names.
-            other_joints: the model's joints that are not the chain's.
+        ``first_row``: the cells of the first row as text, which may list joint names.
         """
         # Quantity to a list, per joint, of the indices of the columns that could be it.
         candidates, joint_match = match_joints(
-            self._open_titles(), self._joint_names, first_row, other_joints
+            self._open_titles(), self._robot, first_row
         )
         faults = list[str]()
         for quantity in QUANTITIES:
@@ -392,7 +393,7 @@ class _ColumnFinder:
         for title in self._titles:
             quantity = joint_quantity(title) or " ".join(title.quantities)
             declared = self._choices.columns.get(quantity, {})
-            is_open = len(declared) != len(self._joint_names)
+            is_open = len(declared) != len(self._robot.joint_names)
             titles.append(title if is_open else read_title(""))
         return titles
 
@@ -407,7 +408,7 @@ class _ColumnFinder:
         if set(declared.values()) == {"none"}:
             return ()
         columns = []
-        for joint, name in enumerate(self._joint_names):
+        for joint, name in enumerate(self._robot.joint_names):
             indices = candidates[joint]
             if len(indices) > 1 and name not in declared:
                 raise ambiguity_error(quantity, name, self._titles, indices)
@@ -416,7 +417,7 @@ class _ColumnFinder:
                 columns.append(self._column(quantity, joint, index, factor))
             elif indices:
                 columns.append(self._column(quantity, joint, indices[0], factor=1.0))
-        if len(columns) == len(self._joint_names):
+        if len(columns) == len(self._robot.joint_names):
             return tuple(columns)
         if declared or quantity in ("position", self.driven):
             self.missing.append(quantity)
@@ -479,10 +480,10 @@ class _ColumnFinder:
     def _needs_text(self) -> str:
         """Return the beginning of a message on missing columns: what the log needs."""
         columns = " and ".join(f"one {quantity} column" for quantity in self.missing)
-        names = ", ".join(self._joint_names)
+        names = ", ".join(self._robot.joint_names)
         return (
             f"the log needs {columns} for each of the "
-            f"{len(self._joint_names)} chain joints ({names})"
+            f"{len(self._robot.joint_names)} chain joints ({names})"
         )
 
     def _look_up(self, text: str) -> tuple[int, float]:
@@ -519,7 +520,7 @@ class _ColumnFinder:
         declared_unit = None
         if quantity in ("time", "joint_time"):
             declared_unit = self._choices.time_unit
-        elif quantity != "torque" and not self._is_slide[joint]:
+        elif quantity != "torque" and not self._robot.is_slide[joint]:
             declared_unit = self._choices.angle_unit
         units = UNITS["time" if quantity == "joint_time" else quantity]
         declared = units.get(declared_unit or "")

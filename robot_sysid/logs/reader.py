@@ -139,10 +139,9 @@ def _map_columns(
 
     ``path`` is the log's, for messages. ColumnsError with a draft where columns are missing.
     """
-    names = robot.joint_names
     choices = parse_units(options.units) if options.units else ColumnChoices()
     if options.columns:
-        declared = read_columns_file(Path(options.columns), names)
+        declared = read_columns_file(Path(options.columns), robot.joint_names)
         choices = choices.over(declared)
     choices = choices.over(table.choices)
     is_declared = bool(choices.columns or choices.time or choices.rate)
@@ -154,14 +153,7 @@ def _map_columns(
                 f"no column titles say which of the {len(table.titles)} columns is what"
             )
         return recognise_columns(
-            table.titles,
-            names,
-            choices,
-            table.first_row,
-            robot.is_slide.tolist(),
-            currents=currents,
-            commanded=options.commanded,
-            other_joints=robot.other_joint_names,
+            table.titles, robot, choices, table.first_row, currents, options.commanded
         )
     except InputError as error:
         fault = f"{path}: {error}"

@@ -33,6 +33,7 @@ from robot_sysid.logs.joint_names import (
     match_joint_names,
     name_numbers,
 )
+from robot_sysid.records import RobotModel
 
 T = TypeVar("T")
 
@@ -270,10 +271,7 @@ Candidates = dict[str, list[list[int]]]
 
 
 def match_joints(
-    titles: Sequence[Title],
-    joint_names: Sequence[str],
-    first_row: Sequence[str] = (),
-    other_joints: Sequence[str] = (),
+    titles: Sequence[Title], robot: RobotModel, first_row: Sequence[str]
 ) -> tuple[Candidates, JointMatch | None]:
     """Return the candidate columns of each of QUANTITIES, and how joint names were matched if so.
 
@@ -281,17 +279,16 @@ def match_joints(
 
     Args:
         titles: of all columns, from left to right.
-        joint_names: (n,) of the arm.
+        robot: the arm.
         first_row: the cells of the first row as text, which may list joint names.
-        other_joints: the model's joints that are not the arm's.
 
     Raises:
         InputError: two columns could be one quantity, or name and number of a title disagree; or
             the joints' names are those of two arms, or of an arm with another number of joints.
     """
-    listed_joints, joint_match = _match_listed_names(
-        titles, joint_names, first_row, other_joints
-    )
+    joint_names = robot.joint_names
+    other_joints = robot.other_joint_names
+    listed_joints, joint_match = _match_listed_names(titles, robot, first_row)
     candidates = _match_each_title(titles, joint_names, listed_joints)
     columns_by_name = columns_by_joint_name(titles)
     names = [*columns_by_name.get("position", {})]
@@ -499,10 +496,7 @@ def _match_numbers(
 
 
 def _match_listed_names(
-    titles: Sequence[Title],
-    joint_names: Sequence[str],
-    first_row: Sequence[str],
-    other_joints: Sequence[str],
+    titles: Sequence[Title], robot: RobotModel, first_row: Sequence[str]
 ) -> tuple[Sequence[int], JointMatch | None]:
     """Return the joints in the order of a log's own list of names, and how that was matched.
 
@@ -522,14 +516,14 @@ def _match_listed_names(
             cell_names = re.findall(r"[^\s,'\"\[\]()]+", cell)
             name_of_number.update(enumerate(cell_names, start))
     names = [name_of_number[number] for number in sorted(name_of_number)]
-    if len(names) < max(2, len(joint_names)):
+    if len(names) < max(2, robot.n_joints):
         # No list, or the name of something else, such as the robot.
         return (), None
-    joint_match = match_joint_names(names, joint_names, other_joints)
+    joint_match = match_joint_names(names, robot.joint_names, robot.other_joint_names)
     if joint_match is None:
         raise InputError(
             f"the log lists the joints {join_names(names)}, which are not the model's "
-            f"{join_names(joint_names)}: give the model of the arm that was recorded"
+            f"{join_names(robot.joint_names)}: give the model of the arm that was recorded"
         )
     arm_joints = [*joint_match.model_names]
     joints = [arm_joints.index(n) if n in arm_joints else -1 for n in names]

@@ -13,18 +13,18 @@ from hypothesis import strategies as st
 from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import InputError
 from robot_sysid.logs import column_map
+from tests.support.log_files import arm_of
 
 JOINTS = ("joint0", "joint1", "joint2")
 UR = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 
 
 def recognise(
-    titles: str, joints=JOINTS, choices=None, first_row=(), is_slide=(False,) * 3
+    titles: str, joints=JOINTS, choices=None, first_row=(), is_slide=()
 ) -> column_map.ColumnMap:
     choices = choices or column_map.ColumnChoices()
-    return column_map.recognise_columns(
-        titles.split(","), joints, choices, first_row, is_slide
-    )
+    robot = arm_of(joints, is_slide=is_slide)
+    return column_map.recognise_columns(titles.split(","), robot, choices, first_row)
 
 
 def where(columns: column_map.ColumnMap) -> tuple[list[int], list[int]]:
@@ -92,7 +92,7 @@ def test_a_unit_within_a_joints_name_is_no_unit(names):
     positions = [f"{name}_position" for name in names]
     torques = [f"{name}_torque" for name in names]
     header = ",".join(["time", *positions, *torques])
-    columns = recognise(header, tuple(names), is_slide=[False] * len(names))
+    columns = recognise(header, tuple(names))
     title_of = attrgetter("title")
     assert list(map(title_of, columns.position)) == positions
     assert list(map(title_of, columns.torque)) == torques

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from itertools import chain
+from operator import itemgetter
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from robot_sysid.logs.column_draft import BLANK, DraftLine, draft, join_ranges
 from robot_sysid.logs.column_map import (
     Column,
     ColumnChoices,
-    parse_units,
+    parse_columns,
     recognise_columns,
 )
 from robot_sysid.logs.guess.candidates import Candidate, ColumnCandidates, Group
@@ -55,12 +55,10 @@ def guess_columns(
     """
     recognise = partial(
         recognise_columns,
-        joint_names=robot.joint_names,
+        robot=robot,
         first_row=table.first_row,
-        is_slide=robot.is_slide.tolist(),
         currents=currents,
         commanded=commanded,
-        other_joints=robot.other_joint_names,
     )
     # Numbers stand in the place of missing titles.
     has_titles = table.titles[:1] != ("#1",)
@@ -70,47 +68,32 @@ def guess_columns(
         by_title: dict[str, tuple[Column, ...]] = {}
         with contextlib.suppress(InputError):
             recognise(texts, choices=choices, recognised=by_title)
-        recognised.update(
-            {name: columns for name, columns in by_title.items() if columns}
-        )
+        recognised.update(filter(itemgetter(1), by_title.items()))
     cells = table.first_row or ("0",) * len(table.titles)
     rows = np.empty((0, len(cells)))
     with contextlib.suppress(InputError):
         rows = read_numbers(table, list(map(is_number, cells)))
-    titles = [read_title(text) for text in english]
-    understood = {"", *chain.from_iterable(UNITS.values())}
+    titles = list(map(read_title, english))
     odd_units = []
-    for index, text in enumerate(table.titles):
-        unit = read_title(text).unit
-        is_odd = unit == "" or unit not in understood
-        if is_odd and titles[index].unit != unit:
+    for index, (text, title) in enumerate(zip(table.titles, titles)):
+        if read_title(text).unit != title.unit:
             odd_units.append(index)
     candidates = ColumnCandidates(robot, titles, recognised, choices, rows)
     driven = "command" if commanded else "torque"
     lines = _Guesser(candidates, driven, odd_units).lines()
-    if not any(BLANK in line.values for line in lines):
-        try:
-            guessed = _choices_of(lines, robot.joint_names)
-            recognise(table.titles, choices=choices.over(guessed))
-        except InputError:
-            # Velocities are not needed; several may be ambiguous, or of an unknown unit.
-            lines = [line for line in lines if line.key != "velocity"]
-            reason = "not needed, and its titles are not understood"
-            lines.append(DraftLine("velocity", ("none",), reason))
-    return draft(table.titles, robot.joint_names, lines)
-
-
-def _choices_of(
-    lines: Sequence[DraftLine], joint_names: Sequence[str]
-) -> ColumnChoices:
-    """Return the declarations that complete lines of a draft make; ``joint_names`` is (n,)."""
-    values = {line.key: line.values for line in lines}
-    units = ColumnChoices()
-    if "units" in values:
-        units = parse_units(",".join(values.pop("units")))
-    (time,) = values.pop("time")
-    columns = {key: dict(zip(joint_names, listed)) for key, listed in values.items()}
-    return replace(units, time=time, columns=columns)
+    guess = draft(table.titles, robot.joint_names, lines)
+    if any(line.is_open for line in lines):
+        return guess
+    try:
+        guessed = parse_columns(guess, table.path, robot.joint_names)
+        recognise(table.titles, choices=choices.over(guessed))
+    except InputError:
+        # Velocities are not needed; several may be ambiguous, or of an unknown unit.
+        lines = [line for line in lines if line.key != "velocity"]
+        reason = "not needed, and its titles are not understood"
+        lines.append(DraftLine("velocity", ("none",), reason))
+        guess = draft(table.titles, robot.joint_names, lines)
+    return guess
 
 
 @dataclass(frozen=True)
@@ -135,7 +118,7 @@ class _Guesser:
         lines = [self._time_line(), self._position_line(best, clear)]
         if "velocity" in self._recognised:
             lines.append(self._line_of_titles("velocity"))
-        elif best and BLANK not in lines[-1].values:
+        elif best and not lines[-1].is_open:
             lines += self._velocity_lines(best)
         if self.driven in self._recognised:
             lines.append(self._line_of_titles(self.driven))
