@@ -16,12 +16,10 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import chain
 from typing import TypeVar
 
@@ -291,12 +289,19 @@ def match_joints(
     listed_joints, joint_match = _match_listed_names(titles, robot, first_row)
     candidates = _match_each_title(titles, joint_names, listed_joints)
     columns_by_name = columns_by_joint_name(titles)
-    names = [*columns_by_name.get("position", {})]
+    named_positions = columns_by_name.get("position", {})
+    names = [*named_positions]
     if any(candidates["position"]):
-        # Names that have the model's words, but go on counting, are those of another arm.
         by_name = find_joint_match(names, joint_names)
+        # Names that have the model's words, but go on counting, are those of another arm.
         if by_name is not None and by_name.has_equal_words:
             match_joint_names(names, joint_names, other_joints)
+        first_position = candidates["position"][0][0]
+        is_named = first_position in chain(*named_positions.values())
+        if by_name is not None and not is_named and not name_numbers(joint_names):
+            first_name = next(iter(by_name.model_names))
+            rivals = [first_position, *named_positions[first_name]]
+            raise ambiguity_error("position", joint_names[0], titles, rivals)
         return candidates, joint_match
     joint_match = match_joint_names(names, joint_names, other_joints)
     if joint_match is None:
@@ -412,7 +417,8 @@ def _strip_joint_names(
     """
     text = title.text.strip()
     # The name as it is written.
-    for joint, name in sorted(enumerate(joint_names), key=lambda pair: -len(pair[1])):
+    by_length = sorted(enumerate(joint_names), key=lambda pair: -len(pair[1]))
+    for joint, name in by_length:
         suffix = text[len(name) :]
         prefix = text[: -len(name)]
         if text.startswith(name) and suffix and not suffix[0].isalnum():
@@ -422,32 +428,11 @@ def _strip_joint_names(
     # The name's letters and numbers, between blanks.
     unit, unitless = _split_bracketed_unit(text.lstrip("%#"))
     phrase = f" {' '.join(_pieces(unitless))} "
-    for joint, name in _aliases(tuple(joint_names)):
+    for joint, name in by_length:
         prefix, alias, suffix = phrase.partition(f" {' '.join(_pieces(name))} ")
         if alias.strip():
             stripped = read_title(f"{prefix} {suffix}")
             yield joint, replace(stripped, text=title.text, unit=unit or stripped.unit)
-
-
-@lru_cache
-def _aliases(joint_names: tuple[str, ...]) -> list[tuple[int, str]]:
-    """Return (joint index, spelling), those of most words first; the list is cached and shared.
-
-    Spellings are the joints' names, and the names without the words with which all names begin or
-    end: "elbow" for "left_elbow_joint".
-    """
-    spellings = list(enumerate(joint_names))
-    pieces = list(map(_pieces, joint_names))
-    reversed_pieces = [words[::-1] for words in pieces]
-    n_first = len(os.path.commonprefix(pieces))
-    n_last = len(os.path.commonprefix(reversed_pieces))
-    short = [" ".join(words[n_first : len(words) - n_last]) for words in pieces]
-    # A bare number is left to counting, where the base (0 or 1) is checked.
-    has_number = any(map(str.isdigit, short))
-    is_distinct = len(set(short)) == len(short) > 1
-    if is_distinct and all(short) and not has_number:
-        spellings += enumerate(short)
-    return sorted(spellings, key=lambda pair: -len(_pieces(pair[1])))
 
 
 def _match_numbers(

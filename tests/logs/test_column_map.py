@@ -78,6 +78,16 @@ def test_named_titles_go_to_their_joint_whatever_the_order(titles):
     assert where(recognise(titles, UR)) == ([3, 2, 1], [6, 5, 4])
 
 
+def test_a_joints_word_and_a_number_are_two_claims():
+    named = "shoulder_pan_pos,shoulder_lift_pos,elbow_pos"
+    header = f"t,q1,q2,q3,{named},tau1,tau2,tau3"
+    with pytest.raises(
+        InputError, match="'q1' and 'shoulder_pan_pos' could both be the"
+    ):
+        recognise(header, UR)
+    assert where(recognise(header, ("base", "elbow_2", "wrist")))[0] == [1, 2, 3]
+
+
 UNITS = ("s", "m", "ms", "deg", "rad", "nm")
 NAME_PIECES = (*UNITS, "j2s7s300", "right", "s0", "e1", "7", "arm")
 
