@@ -116,8 +116,8 @@ def _remedies(error: SysidError, name: str, arguments: Sequence[str]) -> Iterato
     """
     if not isinstance(error, InputError):
         return
-    for words in error.command_lines:
-        yield shlex.join([PROGRAM, *words])
+    for arguments in error.command_lines:
+        yield shlex.join([PROGRAM, *arguments])
     if not error.command_lines and error.command in ("", name):
         typed = [name, *arguments] if name else arguments
         for option in error.options:

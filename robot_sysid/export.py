@@ -417,13 +417,16 @@ def _file_entry(file: ModelFile | None) -> dict[str, Any] | None:
     """Return the errors of the written model and the parts that it keeps."""
     if file is None:
         return None
-    before = file.validation_before
-    after = file.validation_after
-    errors = {"before": before.relative_error, "after": after and after.relative_error}
+    model_test = file.validation_before
+    file_test = file.validation_after
+    errors = {
+        "before": model_test.relative_error,
+        "after": file_test and file_test.relative_error,
+    }
     return {
         "torque_error": errors,
-        "before": before,
-        "after": after,
+        "before": model_test,
+        "after": file_test,
         "others": [{"before": b, "after": a} for b, a in file.other_validations],
         "gravity": file.gravity,
         "kept": file.unchanged,

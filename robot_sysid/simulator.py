@@ -54,9 +54,9 @@ def simulate_inverse(
     torque = ArmTorque(robot)
     for motion in motions:
         tau = torque(motion)
-        bad = np.argwhere(~np.isfinite(tau))
-        if len(bad):
-            sample, joint = bad[0].tolist()
+        invalid = np.argwhere(~np.isfinite(tau))
+        if len(invalid):
+            sample, joint = invalid[0].tolist()
             raise SimulationError(
                 f"the torque of joint {robot.joint_names[joint]} is not finite at "
                 f"{motion.time[sample]:.3f} s: the likely cause is a link with an impossible mass "

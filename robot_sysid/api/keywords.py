@@ -236,8 +236,8 @@ def _with_keyword_help(docstring: str, helps: Iterable[str]) -> str:
         docstring: its last argument is ``options``.
         helps: one per keyword, as ``_keyword_help`` returns them.
     """
-    before, _, options = inspect.cleandoc(docstring).partition("\n    options: ")
-    after = options.partition("\n\n")[2]
+    summary, _, options = inspect.cleandoc(docstring).partition("\n    options: ")
+    sections = options.partition("\n\n")[2]
     wrapper = textwrap.TextWrapper(
         width=_HELP_WIDTH,
         initial_indent=4 * " ",
@@ -245,7 +245,7 @@ def _with_keyword_help(docstring: str, helps: Iterable[str]) -> str:
         break_long_words=False,
         break_on_hyphens=False,
     )
-    return "\n".join([before, *map(wrapper.fill, helps), "", after]).rstrip()
+    return "\n".join([summary, *map(wrapper.fill, helps), "", sections]).rstrip()
 
 
 def _keyword_help(option: Option, default: Any) -> str:
@@ -327,15 +327,15 @@ def _call(line: str) -> str:
     Model and logs are named as such, as those of a program may be in no file. Options that the
     function does not take, such as --output-dir, are left out.
     """
-    words = shlex.split(line)
-    if words[1] not in _CALLS:
+    arguments = shlex.split(line)
+    if arguments[1] not in _CALLS:
         return line
-    function, call = _CALLS[words[1]]
-    taken = keys_of(*RECORDS[function]) - set(refused_by(function))
+    function, call = _CALLS[arguments[1]]
+    valid_keys = keys_of(*RECORDS[function]) - set(refused_by(function))
     values_by_key: dict[str, list[str]] = {}
-    for word, next_word in zip(words, [*words[1:], ""]):
+    for word, next_word in zip(arguments, [*arguments[1:], ""]):
         option = _option_by_flag().get(word)
-        if option is not None and option.key in taken:
+        if option is not None and option.key in valid_keys:
             is_bare = option.parse is None or bool(_NUMBER.fullmatch(next_word))
             value = next_word if is_bare else f'"{next_word}"'
             value = "True" if option.parse is None else value

@@ -72,7 +72,7 @@ def overview() -> list[str]:
     """Return one line per command with its use, under a heading."""
     width = max(map(len, _USES))
     lines = [f"{PROGRAM} COMMAND ..., in the order in which you need them:"]
-    lines += [f"  {words:{width}}  {use}" for words, use in _USES.items()]
+    lines += [f"  {command:{width}}  {use}" for command, use in _USES.items()]
     return [*lines, "Each COMMAND has its own --help."]
 
 

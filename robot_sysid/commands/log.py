@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from robot_sysid.commands import Console
+from robot_sysid.commands import PROGRAM, Console
 from robot_sysid.commands.arguments import Parser, parse_command
 from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs import CHECKS, LogOptions
@@ -64,9 +65,8 @@ def main(arguments: Sequence[str]) -> int:
         except InputError as error:
             # Only that command has these options, or who accepts guessed columns goes on to it.
             if error.command == "identify" or isinstance(error, ColumnsError):
-                given = command_arguments(values, ModelOptions, LogOptions)
-                words = ["identify", str(model_path), str(path), *given]
-                error.command_lines = [[*words, *option] for option in error.options]
+                command = _identify_command(model_path, path, values)
+                error.command_lines = [[*command, *o] for o in error.options]
             elif error.command == "payload":
                 from robot_sysid.pipeline.run_words import add_weighing_commands
 
@@ -143,7 +143,17 @@ def _check_log(
     )
     require_acceptable(str(log.path), findings, log_options.accept)
     console.stage("Usable: nothing that stops an identification was found")
-    words = ["robot-sysid", "identify", str(model_path), str(path)]
-    words += command_arguments(vars(model_options), ModelOptions)
-    words += command_arguments(vars(log_options), LogOptions)
-    console.stage(*NextStep("Next, identify the arm", tuple(words)).lines())
+    options = {**vars(model_options), **vars(log_options)}
+    command = (PROGRAM, *_identify_command(model_path, path, options))
+    console.stage(*NextStep("Next, identify the arm", command).lines())
+
+
+def _identify_command(
+    model_path: Path, path: Path, options: Mapping[str, Any]
+) -> list[str]:
+    """Return the command line, behind the program's name, that identifies an arm from a log.
+
+    ``options``: key to value, of which those of the model and the log are used.
+    """
+    arguments = command_arguments(options, ModelOptions, LogOptions)
+    return ["identify", str(model_path), str(path), *arguments]

@@ -81,7 +81,7 @@ def bag_table(source: LogSource) -> LogTable:
     InputError where no topic or those of two arms fit, or where the only one lacks torques.
     """
     path = source.path
-    wanted = source.options.topic
+    topic_option = source.options.topic
     with _open_bag(path) as bag:
         # Names of topics with joints.
         names = set()
@@ -98,17 +98,17 @@ def bag_table(source: LogSource) -> LogTable:
                 )
             described.add(description)
         its_topics = f"its topics: {', '.join(sorted(described)) or 'none'}"
-        if wanted is not None and wanted not in names:
-            fault = f"{path} has no joint states in topic {wanted!r}"
+        if topic_option is not None and topic_option not in names:
+            fault = f"{path} has no joint states in topic {topic_option!r}"
             raise InputError(f"{fault}; {its_topics}")
         topics = []
-        for name in [wanted] if wanted else sorted(names):
+        for name in [topic_option] if topic_option else sorted(names):
             topic = _read_topic(path, bag, name, source.joint_names)
             topics += [topic] if topic else []
         if not topics:
             raise InputError(f"{path} holds no joint states; {its_topics}")
-        chosen, note = choose_topic(path, topics)
-    return replace(chosen.table, notes=(note,) if note else ())
+        topic, note = choose_topic(path, topics)
+    return replace(topic.table, notes=(note,) if note else ())
 
 
 def _connections(bag: Any, topic: str) -> list[Any]:

@@ -85,9 +85,9 @@ def choose_topic(path: Path, topics: Sequence[Topic]) -> tuple[Topic, str]:
         )
     types = list(READERS)
     fitting.sort(key=lambda t: (-t.n_messages, types.index(t.message_type), t.name))
-    chosen = fitting[0]
+    topic_read = fitting[0]
     rivals = fitting[1:]
-    if not all(_is_one_arm(chosen, rival) for rival in rivals):
+    if not all(_is_one_arm(topic_read, rival) for rival in rivals):
         listed = ", ".join(f"{topic.name} ({topic.message_type})" for topic in fitting)
         raise InputError(
             f"{path}: several topics could be the arm: {listed}; choose with --topic",
@@ -95,18 +95,18 @@ def choose_topic(path: Path, topics: Sequence[Topic]) -> tuple[Topic, str]:
         )
     if rivals:
         listed = ", ".join(f"{topic.name} ({topic.n_messages})" for topic in rivals)
-        return chosen, (
-            f"log topic: {chosen.name} with {chosen.n_messages} samples is read; the same motion "
-            f"is in {listed}"
+        return topic_read, (
+            f"log topic: {topic_read.name} with {topic_read.n_messages} samples is read; the same "
+            f"motion is in {listed}"
         )
     without_torque = []
     for topic in topics:
-        if topic.has_positions and topic is not chosen:
+        if topic.has_positions and topic is not topic_read:
             without_torque.append(topic.name)
     if not without_torque:
-        return chosen, ""
-    return chosen, (
-        f"log topic: {chosen.name} is read, as it has measured torques; "
+        return topic_read, ""
+    return topic_read, (
+        f"log topic: {topic_read.name} is read, as it has measured torques; "
         f"{', '.join(without_torque)} has none"
     )
 
@@ -134,8 +134,8 @@ def _is_of_another_arm(first: str, second: str) -> bool:
     So are /left_joint_states and /right_joint_states, and topics of one name in namespaces of which
     none is in the other. /joint_states is no other arm than /franka/joint_states.
     """
-    counts = [len(part.split("_")) for part in first.split("/")]
-    other_counts = [len(part.split("_")) for part in second.split("/")]
+    counts = [len(level.split("_")) for level in first.split("/")]
+    other_counts = [len(level.split("_")) for level in second.split("/")]
     if counts == other_counts:
         return True
     namespace, _, name = first.rpartition("/")

@@ -330,8 +330,8 @@ def columns_by_joint_name(titles: Sequence[Title]) -> dict[str, dict[str, list[i
         _, unitless = _split_bracketed_unit(title.text)
         separate = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", unitless)
         pieces = re.split(r"([^\W\d_]+)", separate)
-        kept = [piece for piece in pieces if piece.lower() not in not_names]
-        name = "".join(kept).strip(" ._/:-")
+        name_pieces = [piece for piece in pieces if piece.lower() not in not_names]
+        name = "".join(name_pieces).strip(" ._/:-")
         # A bare number is left to counting.
         if re.search(r"[^\W\d_]", name):
             columns.setdefault(quantity, {}).setdefault(name, []).append(column)

@@ -437,9 +437,9 @@ class ContactFinder:
         if last - first > _MAX_JOINTS_BETWEEN or first_root != second_root:
             return False
         lowest, highest = joint_ranges(self._robot)
-        tried = np.linspace(lowest[first:last], highest[first:last], _POSITIONS)
+        grid = np.linspace(lowest[first:last], highest[first:last], _POSITIONS)
         q = self._robot.reference.copy()
-        for positions in product(*tried.T):
+        for positions in product(*grid.T):
             q[first:last] = positions
             self._data.qpos[self._robot.qpos_index] = q
             if pair not in self._touching():

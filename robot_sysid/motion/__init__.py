@@ -278,13 +278,13 @@ class ExcitationOptions(OptionRecord):
         share = min(1.0, (USUAL_JOINTS / count) ** 2)
         if share == 1.0 or self.time_budget is not None:
             return self
-        usual = round(share * USUAL_EVALUATIONS)
+        evaluations = round(share * USUAL_EVALUATIONS)
         return replace(
             self,
             draws=max(min(FEWEST_DRAWS, self.draws), round(share * self.draws)),
             starts=max(1, round(share * self.starts)),
             rounds=max(min(2, self.rounds), round(share * self.rounds)),
-            evaluations=min(self.evaluations, max(FEWEST_EVALUATIONS, usual)),
+            evaluations=min(self.evaluations, max(FEWEST_EVALUATIONS, evaluations)),
         )
 
     @property

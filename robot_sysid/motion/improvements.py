@@ -140,7 +140,7 @@ def _other_recordings(
                 ("--for", "payload"),
             )
         )
-    for description, changed_plan, changed, words in changes:
+    for description, changed_plan, changed, arguments in changes:
         try:
             posterior = predict_posterior(problem, changed_plan, changed)
         except InputError:
@@ -148,7 +148,7 @@ def _other_recordings(
         names = PAYLOAD_NAMES if changed.is_payload else PARAMETER_NAMES
         covariance, _ = posterior.errors_of(names)
         errors = prediction.errors_of(covariance)
-        yield Improvement(description, *errors, words)
+        yield Improvement(description, *errors, arguments)
 
 
 def _known_masses(
@@ -163,8 +163,8 @@ def _known_masses(
     if not recording.is_payload:
         # The covariance of a Gaussian, given one of its variables.
         column = covariance[0]
-        known = covariance - np.outer(column, column) / column[0]
-        _, centre_error = prediction.errors_of(known)
+        conditional = covariance - np.outer(column, column) / column[0]
+        _, centre_error = prediction.errors_of(conditional)
         description = "its mass known, by weighing the part"
         yield Improvement(description, 0.0, centre_error)
         return
@@ -173,9 +173,9 @@ def _known_masses(
     # The scales are as uncertain as the weight's mass in recordings of this motion.
     theta = prediction.theta
     scale_error = np.sqrt(max(without_scales[0, 0], 0.0)) / KNOWN_MASS
-    after = without_scales + scale_error**2 * np.outer(theta, theta)
+    with_scales = without_scales + scale_error**2 * np.outer(theta, theta)
     description = f"torque scales from a weight of {KNOWN_MASS:g} kg"
-    yield Improvement(description, *prediction.errors_of(after))
+    yield Improvement(description, *prediction.errors_of(with_scales))
 
 
 def identifiability_note(

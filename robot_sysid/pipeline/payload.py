@@ -268,9 +268,9 @@ def is_drift_identifiable(recordings: Sequence[RawRecording], positions: Array) 
     """Return whether the order (k,) of empty and loaded recordings separates drift and payload."""
     is_loaded = np.array([recording.is_loaded for recording in recordings])
     within = 0.0
-    for kind in (False, True):
-        kind_positions = positions[is_loaded == kind]
-        within += np.sum((kind_positions - np.mean(kind_positions)) ** 2)
+    for loaded in (False, True):
+        side_positions = positions[is_loaded == loaded]
+        within += np.sum((side_positions - np.mean(side_positions)) ** 2)
     total = np.sum((positions - np.mean(positions)) ** 2)
     return bool(within >= LEAST_WITHIN * total > 0.0)
 

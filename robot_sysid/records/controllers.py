@@ -53,16 +53,18 @@ def makers_of(robot: RobotModel) -> tuple[str, ...]:
     where a name fits several makers.
     """
     for name in _names(robot):
-        words = "_".join(re.findall(r"[a-z0-9]+", name.lower()))
-        keys = [key for key, maker in MAKERS.items() if _has_word(words, maker.pattern)]
+        joined = "_".join(re.findall(r"[a-z0-9]+", name.lower()))
+        keys = [
+            key for key, maker in MAKERS.items() if _has_word(joined, maker.pattern)
+        ]
         if keys:
             return tuple(keys)
     return ()
 
 
-def _has_word(words: str, pattern: str) -> bool:
+def _has_word(text: str, pattern: str) -> bool:
     """Return whether words joined by "_" have one, or several in a row, that fit a pattern."""
-    return re.search(rf"(?:^|_)(?:{pattern})(?:_|$)", words) is not None
+    return re.search(rf"(?:^|_)(?:{pattern})(?:_|$)", text) is not None
 
 
 def _names(robot: RobotModel) -> Iterator[str]:

@@ -357,8 +357,8 @@ def _plain_card(groups: Mapping[str, Any], flange: Flange, body: BodyEstimate) -
     is_point = not any(groups["six"])
     is_inertia_known = bool(np.all(np.isfinite(errors[4:])))
     names = [name[1:] for name in INERTIA]
-    for part, start in enumerate(("inertia        ", "               ")):
-        elements = slice(3 * part, 3 * part + 3)
+    for half, start in enumerate(("inertia        ", "               ")):
+        elements = slice(3 * half, 3 * half + 3)
         listed = _numbers_with_errors(
             groups["upper"][elements], errors[4:][elements], names[elements]
         )

@@ -125,14 +125,14 @@ def _wide_lines(
         rows: cells, as many per row as headings; a row without entries is left out of a table.
     """
     names, *columns = zip(headings, *rows)
-    shown = [names]
+    table_columns = [names]
     for column in columns:
-        lines = aligned_lines(zip(*shown, column))
-        if len(shown) > 1 and max(map(len, lines)) > _LINE_WIDTH:
-            yield from _filled_lines(shown)
-            shown = [names]
-        shown.append(column)
-    yield from _filled_lines(shown)
+        lines = aligned_lines(zip(*table_columns, column))
+        if len(table_columns) > 1 and max(map(len, lines)) > _LINE_WIDTH:
+            yield from _filled_lines(table_columns)
+            table_columns = [names]
+        table_columns.append(column)
+    yield from _filled_lines(table_columns)
 
 
 def _filled_lines(columns: Sequence[Sequence[str]]) -> Iterator[str]:

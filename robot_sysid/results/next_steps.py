@@ -180,10 +180,10 @@ def _calibration_step(run: RunWords) -> NextStep:
         "Next, to know the torque scales, bolt a weight of 1 kg on instead (of another one, state "
         f"its mass), record the same motion as {recording}, and compare"
     )
-    words = ["robot-sysid", "payload", run.model, *run.arm, *run.log]
-    words += ["--empty", *run.empty, "--loaded", str(recording), "--known-mass", "1"]
-    words += ["--save-torque-scale", str(folder / _SCALE_NAME)]
-    return NextStep(sentence, (*words, "--output-dir", str(folder)))
+    command = ["robot-sysid", "payload", run.model, *run.arm, *run.log]
+    command += ["--empty", *run.empty, "--loaded", str(recording), "--known-mass", "1"]
+    command += ["--save-torque-scale", str(folder / _SCALE_NAME)]
+    return NextStep(sentence, (*command, "--output-dir", str(folder)))
 
 
 def weighing_words(run: RunWords, log: Path, scales: Sequence[str]) -> list[str]:
@@ -195,9 +195,9 @@ def weighing_words(run: RunWords, log: Path, scales: Sequence[str]) -> list[str]
         scales: option and value of the scales to begin with.
     """
     recording = log.with_name(f"weight{log.suffix}")
-    words = ["payload", run.model, *run.arm, *run.log, "--empty", str(log)]
-    words += ["--loaded", str(recording), "--known-mass", "1", *scales]
-    return [*words, "--save-torque-scale", _SCALE_NAME]
+    command = ["payload", run.model, *run.arm, *run.log, "--empty", str(log)]
+    command += ["--loaded", str(recording), "--known-mass", "1", *scales]
+    return [*command, "--save-torque-scale", _SCALE_NAME]
 
 
 def _step_after_calibration(run: RunWords) -> NextStep | None:
@@ -210,9 +210,9 @@ def _step_after_calibration(run: RunWords) -> NextStep | None:
     settings = run.folder.parent / RUN_NAME
     if not settings.is_file():
         return NextStep(f"Give every later run --torque-scale {run.scales}")
-    words = ["robot-sysid", "payload", "--config", str(settings)]
+    command = ["robot-sysid", "payload", "--config", str(settings)]
     sentence = "Next, weigh the payload again with these torque scales"
-    return NextStep(sentence, (*words, "--torque-scale", run.scales))
+    return NextStep(sentence, (*command, "--torque-scale", run.scales))
 
 
 def _plan_step(
@@ -228,13 +228,13 @@ def _plan_step(
         model: the model file to plan with.
         purpose: of the motion, as in ``--for``.
     """
-    words = ["robot-sysid", "plan", model, *run.arm]
+    command = ["robot-sysid", "plan", model, *run.arm]
     if run.plan is not None:
-        words += ["--config", str(run.plan)]
+        command += ["--config", str(run.plan)]
     if run.plan is not None or purpose != "link":
-        words += ["--for", purpose]
+        command += ["--for", purpose]
     folder = run.folder / ("weighing" if purpose == "payload" else "planned")
-    return NextStep(sentence, (*words, "--output-dir", str(folder)))
+    return NextStep(sentence, (*command, "--output-dir", str(folder)))
 
 
 def step_after_plan(
@@ -255,7 +255,7 @@ def step_after_plan(
     """
     for path in files:
         if path.name == DAMIAO_NAME:
-            words = [
+            command = [
                 "robot-sysid",
                 "motors",
                 "simulate",
@@ -264,17 +264,17 @@ def step_after_plan(
                 run.model,
             ]
             sentence = "Next, rehearse the motion on simulated motors"
-            return NextStep(sentence, (*words, *run.arm, *limits, "--play"))
+            return NextStep(sentence, (*command, *run.arm, *limits, "--play"))
     log = run.folder / LOG_NAME
     empty = run.folder / EMPTY_NAME
     loaded = run.folder / LOADED_NAME
     sentence = f"Next, play it, record it as {log}, and identify the arm"
     if purpose == "payload":
-        again = [str(run.folder / name) for name in PAYLOAD_RECORDINGS[2:]]
+        later_logs = [str(run.folder / name) for name in PAYLOAD_RECORDINGS[2:]]
         sentence = (
             f"Next, play it without what is bolted on and record it as {empty}, then twice with it "
-            f"as {loaded} and {again[0]}, once more without it as {again[1]}, and weigh the "
-            "difference"
+            f"as {loaded} and {later_logs[0]}, once more without it as {later_logs[1]}, and weigh "
+            "the difference"
         )
     recording = loaded if purpose == "payload" else log
     return step_after_recording(run, recording, purpose, is_static, sentence)
@@ -296,14 +296,14 @@ def step_after_recording(
         is_static: whether the motion rests at poses.
         sentence: what to do.
     """
-    words = ["robot-sysid", "identify", run.model, str(recording)]
+    command = ["robot-sysid", "identify", run.model, str(recording)]
     if purpose == "payload":
-        words = ["robot-sysid", "payload", run.model]
+        command = ["robot-sysid", "payload", run.model]
         names = PAYLOAD_RECORDINGS
         first, second, third, last = (str(recording.with_name(n)) for n in names)
-        words += ["--empty", first, last, "--loaded", second, third]
-        words += ["--order", PAYLOAD_ORDER]
-        words += ["--static"] if is_static else []
-    words += ["--links"] if purpose == "arm" else []
-    words += [*run.arm, *run.log, "--output-dir", str(run.folder)]
-    return NextStep(sentence, tuple(words))
+        command += ["--empty", first, last, "--loaded", second, third]
+        command += ["--order", PAYLOAD_ORDER]
+        command += ["--static"] if is_static else []
+    command += ["--links"] if purpose == "arm" else []
+    command += [*run.arm, *run.log, "--output-dir", str(run.folder)]
+    return NextStep(sentence, tuple(command))

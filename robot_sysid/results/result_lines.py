@@ -245,13 +245,13 @@ def _validation_lines(result: Result) -> Iterator[str]:
     if file.validation_after is not None and fits:
         # The verdict states this error of the file.
         yield from _fit_gain_lines("held-out data", file.validation_after, fits[0])
-    for before, after in file.other_validations:
-        source = before.source
-        shares = before_after_text(before, after)
+    for model_test, file_test in file.other_validations:
+        source = model_test.source
+        shares = before_after_text(model_test, file_test)
         yield f"Torque error of the model on {source}: {shares}"
         if source in fit_by_source:
-            yield from _fit_gain_lines(source, after, fit_by_source[source])
-    file_sources = [before.source for before, _ in file.other_validations]
+            yield from _fit_gain_lines(source, file_test, fit_by_source[source])
+    file_sources = [test.source for test, _ in file.other_validations]
     for test in fits[1:]:
         if test.source not in file_sources:
             yield _fit_error_text(test)

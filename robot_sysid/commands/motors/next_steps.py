@@ -61,20 +61,20 @@ def step_after_play(session: Session, plan: Plan, is_real: bool) -> NextStep:
     if not is_real:
         # The rehearsal's model stands for the arm; the motion was planned with another one.
         missing = {} if "channel" in session.values else {"channel": (USUAL_CHANNEL,)}
-        words = session.command("check", "speed", "record", **missing)
+        command = session.command("check", "speed", "record", **missing)
         sentence = "Next, with the arm connected, check its motors"
         if missing:
             sentence += f" (at {USUAL_CHANNEL}; change --channel for another)"
-        return NextStep(sentence, words)
+        return NextStep(sentence, command)
     is_weighing = planned.get("for_") == "payload"
     if record is None or plan.settings.speed < 1.0:
         # The option --speed is left out.
         name = EMPTY_NAME if is_weighing else "measured.csv"
-        words = session.command("play", "speed", record=folder / name)
+        command = session.command("play", "speed", record=folder / name)
         sentence = "Next, play it at full speed and record it, to identify from"
         if is_weighing:
             sentence = "Next, without what is bolted on, play it at full speed"
-        return NextStep(sentence, words)
+        return NextStep(sentence, command)
     if is_weighing and record.name in PAYLOAD_RECORDINGS[:-1]:
         number = PAYLOAD_RECORDINGS.index(record.name)
         following = record.with_name(PAYLOAD_RECORDINGS[number + 1])

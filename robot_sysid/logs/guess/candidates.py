@@ -185,13 +185,13 @@ class ColumnCandidates:
         """Return the runs of n columns that may hold a quantity of each joint."""
         if quantity in self.recognised:
             return [tuple(column.index for column in self.recognised[quantity])]
-        taken = {clock.column for clock in self.clocks}
+        known_columns = {clock.column for clock in self.clocks}
         for columns in self.recognised.values():
-            taken.update(column.index for column in columns)
+            known_columns.update(column.index for column in columns)
         named = []
         possible = []
         for k, name in enumerate(self.quantities):
-            if k in taken or np.isnan(self.rows[:, k]).any():
+            if k in known_columns or np.isnan(self.rows[:, k]).any():
                 continue
             if name == quantity:
                 named.append(k)
@@ -299,10 +299,9 @@ def quantity_of(title: Title) -> str:
 
     Words that are not known are passed over. "other" is a quantity that is not looked for.
     """
-    words = {*title.tokens}
     quantities = title.quantities - {"acceleration"}
     is_acceleration = "acceleration" in title.quantities
-    if words & _OTHER or is_acceleration or len(quantities) > 1:
+    if _OTHER & {*title.tokens} or is_acceleration or len(quantities) > 1:
         return "other"
     if title.is_commanded:
         return "command" if quantities <= {"position"} else "other"

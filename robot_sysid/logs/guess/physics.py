@@ -90,7 +90,7 @@ def read_numbers(table: LogTable, is_number: Sequence[bool]) -> Array:
 
 def clocks(rows: Array) -> list[Clock]:
     """Return the columns of rows (N, C) that grow evenly, as a time does."""
-    found = []
+    clock_columns = []
     for column, values in enumerate(rows.T):
         steps = np.diff(values)
         if len(steps) < 10 or not np.all(steps >= 0.0) or np.mean(steps > 0.0) < 0.98:
@@ -100,8 +100,8 @@ def clocks(rows: Array) -> list[Clock]:
         unit = next((u for u, largest in _LARGEST_STEP.items() if step <= largest), "")
         if is_even and unit:
             counts = bool(np.all(steps == 1.0))
-            found.append(Clock(column, unit, step * _SECONDS[unit], counts))
-    return found
+            clock_columns.append(Clock(column, unit, step * _SECONDS[unit], counts))
+    return clock_columns
 
 
 def average_rows(rows: Array, period: float) -> tuple[Array, float]:

@@ -52,14 +52,16 @@ def _english() -> tuple[re.Pattern[str], dict[str, str]]:
     meanings = {}
     for english, listed in _PARTS.items():
         meanings.update(dict.fromkeys(listed.split(), english))
-    parts = sorted(meanings, key=len, reverse=True)
-    words = {}
+    stems = sorted(meanings, key=len, reverse=True)
+    whole_words = {}
     for english, listed in _WORDS.items():
-        words.update(dict.fromkeys(listed.split(), english))
-    whole = "|".join(sorted(words, key=len, reverse=True))
+        whole_words.update(dict.fromkeys(listed.split(), english))
+    alternatives = "|".join(sorted(whole_words, key=len, reverse=True))
     # "ist" in front of a word of the title is the German "measured", as in Istposition.
-    pattern = rf"{'|'.join(parts)}|\bist(?=[a-z]{{3}})|(?<![a-z])(?:{whole})(?![a-z])"
-    return re.compile(pattern), {**words, **meanings}
+    pattern = (
+        rf"{'|'.join(stems)}|\bist(?=[a-z]{{3}})|(?<![a-z])(?:{alternatives})(?![a-z])"
+    )
+    return re.compile(pattern), {**whole_words, **meanings}
 
 
 def translate(title: str) -> str:
