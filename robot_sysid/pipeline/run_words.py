@@ -84,15 +84,24 @@ def words_of_plan(config: SysidConfig) -> RunWords:
     """
     assert config.plan_file is not None
     model = config.model.path
-    log_values: dict[str, Any] = {}
+    settings: Mapping[str, Any] = {}
     if model.name in MODEL_NAMES.values():
-        log_values = _read_values(model.parent / RUN_NAME)
+        settings = _read_settings(model.parent / RUN_NAME)
+    log_values = {key: settings[key] for key in READING if key in settings}
     return RunWords(
         model=str(model),
         arm=tuple(command_arguments(vars(config.model), config.model)),
         log=tuple(command_arguments(log_values, LogOptions)),
         folder=config.plan_file.parent,
+        origin=_origin_of(settings),
     )
+
+
+def _origin_of(settings: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return model and logs of an identification by its settings; () where a file is not there."""
+    logs = settings.get("measurements", ())
+    files = (str(settings.get("path", "")), *map(str, logs))
+    return files if logs and all(Path(file).exists() for file in files) else ()
 
 
 def add_weighing_commands(
@@ -129,13 +138,13 @@ def _given_values(record: Any, keys: tuple[str, ...]) -> Mapping[str, Any]:
     return values
 
 
-def _read_values(settings: Path) -> dict[str, Any]:
-    """Return key to value of the options of ``READING`` in the file of a run; {} without one."""
+def _read_settings(path: Path) -> dict[str, Any]:
+    """Return key to value of the options in the file of a run; {} where it cannot be read."""
     try:
-        content = read_toml(settings) if settings.is_file() else {}
+        content = read_toml(path) if path.is_file() else {}
     except InputError:
         return {}
-    return {key: immutable_value(content[key]) for key in READING if key in content}
+    return {key: immutable_value(value) for key, value in content.items()}
 
 
 def _settings_and_purpose(folder: Path) -> tuple[Path | None, str]:

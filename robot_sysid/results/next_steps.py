@@ -34,7 +34,7 @@ _WEIGHT_NAME = "weight.csv"
 _SCALE_NAME = "torque_scale.json"
 """Name of the file of torque scales that weighing a known mass writes."""
 _SCALES = ("torque scale", "common torque scale")
-_MOTION = ("noise", "delay", "filtering", "links")
+_MOTION = ("noise", "delay", "filtering")
 """Causes of a mass's error that a wider, faster motion reduces."""
 _MEASURES = {
     "other links": "record the empty arm as long and as widely as the loaded one",
@@ -55,6 +55,7 @@ class RunWords:
         log: options on how logs are read.
         folder: folder of the results.
         links: whether every link was asked for.
+        origin: model and logs that an identification wrote ``model`` from; () where none did.
         empty: of a payload, the recordings without it.
         scales: file of torque scales that the run wrote, or what it was given for them; None for
             neither.
@@ -69,6 +70,7 @@ class RunWords:
     log: tuple[str, ...] = ()
     folder: Path = Path()
     links: bool = False
+    origin: tuple[str, ...] = ()
     empty: tuple[str, ...] = ()
     scales: str | None = None
     plan: Path | None = None
@@ -138,15 +140,15 @@ def _step_after_link(result: Result, run: RunWords, model: str) -> NextStep | No
     share = result.relative_mass_error
     cause = largest_cause(result.body)
     is_unknown = share is None or share >= UNKNOWN
-    is_asked = run.links and not is_unknown and share is not None and share > LARGE
+    is_uncertain = share is None or share > LARGE
+    is_asked = run.links and is_uncertain and cause in _MOTION
     purpose = "to know the mass better"
     if is_unknown:
         purpose = "to know the mass, which this log does not determine"
-    if run.plan_purpose is None and (is_unknown or (is_asked and cause in _MOTION)):
+    if run.plan_purpose is None and (is_unknown or is_asked):
         sentence = f"Next, {purpose}, plan a wider and faster motion of all joints"
         return _plan_step(sentence, run, model, "arm" if run.links else "link")
-    is_limited_by_links = cause == "links" and share is not None and share > LARGE
-    if is_unknown or is_limited_by_links:
+    if is_unknown or (is_uncertain and cause == "links"):
         sentence = f"Next, {purpose}, weigh what is bolted on by difference"
         return _plan_step(sentence, run, model, "payload")
     return None
@@ -289,6 +291,9 @@ def step_after_recording(
 ) -> NextStep:
     """Return the step that identifies from the recording of a planned motion.
 
+    An identification begins with the model that an earlier one began with, and takes that one's
+    logs as well: a written model is no independent prior, as its errors would count as known.
+
     Args:
         run: what the command repeats; its folder is that of the results.
         recording: the recording; of a payload one of ``PAYLOAD_RECORDINGS``, beside the others.
@@ -296,7 +301,7 @@ def step_after_recording(
         is_static: whether the motion rests at poses.
         sentence: what to do.
     """
-    command = ["robot-sysid", "identify", run.model, str(recording)]
+    command = ["robot-sysid", "identify", *(run.origin or [run.model]), str(recording)]
     if purpose == "payload":
         command = ["robot-sysid", "payload", run.model]
         names = PAYLOAD_RECORDINGS

@@ -67,6 +67,7 @@ def command_after(result, run, files=FILES):
         ),
         # Every mass was asked for.
         (link_with(0.3, "noise"), LINKS, f"{PLAN} --for arm --output-dir out/planned"),
+        (link_with(0.095), LINKS, f"{PLAN} --for payload --output-dir out/weighing"),
         (link_with(0.3, "noise"), replace(LINKS, plan_purpose="arm"), ""),
         # A slow first motion leads to the one that identifies.
         (
@@ -183,6 +184,14 @@ def test_after_a_plan_its_recording_is_identified(purpose, command):
         else ("out/log.csv",)
     )
     assert all(name in sentence for name in names)
+
+
+def test_a_written_model_is_no_prior_of_the_next_identification():
+    run = replace(RUN, model="out/updated_model.xml", origin=("arm.xml", "first.csv"))
+    line = step_after_plan(run, []).lines()[1]
+    assert line.startswith("  robot-sysid identify arm.xml first.csv out/log.csv ")
+    weighing = step_after_plan(run, [], "payload").lines()[1]
+    assert weighing.startswith("  robot-sysid payload out/updated_model.xml --empty ")
 
 
 def test_a_motion_for_motors_is_rehearsed_first():
