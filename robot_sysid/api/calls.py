@@ -173,6 +173,8 @@ def identify(
     values: dict[str, Any] = {**options}
     if log is not None:
         values["measurements"] = _log_sources(log)
+        if not values["measurements"]:
+            raise InputError("the list of logs is empty; give at least one log")
     if validation is not None:
         values["validation_measurements"] = _log_source(validation)
     return _run_quietly(SysidConfig.of(path_of(model), **values))

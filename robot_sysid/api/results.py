@@ -142,7 +142,7 @@ class Identified(Identification):
         return dict(json.loads(params_json_text(self.result)))
 
     def save(self, folder: str | Path, *, bundle: bool = False) -> tuple[Path, ...]:
-        """Write the files of the command: params.json and, where trusted, the updated model.
+        """Write params.json, the data of a later report and, where trusted, the updated model.
 
         Args:
             folder: for the files; created where it is missing.
@@ -154,9 +154,14 @@ class Identified(Identification):
         Raises:
             InputError: the folder cannot be written to.
         """
+        from robot_sysid.report.page import save_data
+
         with in_python(), one_thread():
             with locked_folder(Path(folder), Progress()):
-                files = self._write(Path(folder)).files
+                outcome = self._write(Path(folder))
+                files = outcome.files
+                if outcome.traces is not None and self.result.is_measured:
+                    save_data(Path(folder), outcome.traces(), outcome.result_hash)
             models = models_in(files)[:1] if bundle else []
             return (*files, *(write_bundle(model, Path(folder)) for model in models))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,14 +50,14 @@ def words_of_run(config: Config, identification: Identification) -> RunWords:
     recordings = config.log.measurements
     empty: tuple[Path, ...] = ()
     if isinstance(config, PayloadConfig):
-        empty = config.payload.empty
+        empty = _files(config.payload.empty)
         recordings = config.payload.loaded
         if config.payload.known_mass is not None:
             scales = config.payload.save_torque_scale
     plan = None
     purpose = None
-    folders = (recordings[0].parent, config.output.output_dir) if recordings else ()
-    for folder in folders:
+    folders = [file.parent for file in _files(recordings)[:1]]
+    for folder in (*folders, config.output.output_dir):
         joint_names = identification.result.robot.joint_names
         if purpose is None and _is_planned(
             folder, joint_names, identification.checkpoints
@@ -127,6 +127,11 @@ def add_weighing_commands(
         log=tuple(command_arguments(values, LogOptions)),
     )
     error.command_lines = [weighing_words(run, log, option) for option in error.options]
+
+
+def _files(logs: Sequence[Any]) -> tuple[Path, ...]:
+    """Return those logs that are files; from Python, logs may be arrays in memory."""
+    return tuple(log for log in logs if isinstance(log, Path))
 
 
 def _given_values(record: Any, keys: tuple[str, ...]) -> Mapping[str, Any]:

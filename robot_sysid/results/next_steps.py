@@ -164,7 +164,7 @@ def _step_after_payload(
     cause = largest_cause(result.body)
     if share is None or share <= LARGE:
         return None
-    if cause in _SCALES and run.scales is None:
+    if cause in _SCALES and run.scales is None and run.empty:
         return _calibration_step(run)
     if cause in _MOTION and run.plan_purpose is None:
         sentence = "Next, to know the mass better, plan a wider and faster motion"

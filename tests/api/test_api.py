@@ -14,6 +14,7 @@ import robot_sysid as rs
 from robot_sysid.api import calls
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.records import Measurement
+from robot_sysid.report.runs import load_run
 from robot_sysid.results.record import Verdict
 from tests.support import arms, pages
 
@@ -146,6 +147,16 @@ def test_a_saved_result_is_that_of_the_command(workshop, result, tmp_path):
     )
 
 
+def test_a_result_of_arrays_is_saved_with_the_data_of_its_report(
+    workshop, result, tmp_path
+):
+    log = rs.read_log(workshop / "log.csv", workshop / "arm.xml")
+    in_memory = replace(result.config.log, measurements=(log,))
+    of_arrays = replace(result, config=replace(result.config, log=in_memory))
+    of_arrays.save(tmp_path / "out")
+    assert load_run(tmp_path / "out").data is not None
+
+
 def test_a_spec_has_the_result_in_it(result):
     pytest.importorskip("mujoco", minversion="3.2.5")
     compiled = result.spec().compile()
@@ -275,6 +286,7 @@ def test_a_plan_gives_arrays_to_play(workshop, tmp_path, monkeypatch):
     ("call", "message"),
     [
         (lambda m: rs.identify(m, 5), "a log is a path, arrays by name"),
+        (lambda m: rs.identify(m, []), "list of logs is empty"),
         (lambda m: rs.identify(m, {"time": [1.0, 2.0]}), "tau|torque|position"),
         (
             lambda m: rs.identify(m, {"time": np.zeros((3, 2, 2))}),
