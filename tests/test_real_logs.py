@@ -1,4 +1,4 @@
-"""Logs of real arms, where they are at hand: a KUKA LWR4+ and a Staubli TX40.
+"""Logs of real arms, where they are at hand: a KUKA LWR4+, a Staubli TX40, and a TIAGo.
 
 What is judged is the written file: compiled, asked by inverse dynamics alone, on another log.
 """
@@ -6,7 +6,9 @@ What is judged is the written file: compiled, asked by inverse dynamics alone, o
 from __future__ import annotations
 
 import json
+import re
 import runpy
+import shlex
 
 import pytest
 
@@ -16,6 +18,7 @@ from tests.support.places import DATA, ROOT
 
 KUKA = DATA / "kuka_lwr4"
 TX40 = DATA / "tx40"
+TIAGO = DATA / "tiago"
 
 pytestmark = pytest.mark.skipif(
     not DATA.exists(), reason="the logs of real arms are not here"
@@ -141,3 +144,39 @@ def test_tx40s_file_is_better_on_held_out_stretches_and_its_flange_weighs_nothin
     errors = params["file"]["torque_error"]
     assert code == 0 and errors["after"] < 0.2 * errors["before"]
     assert (tmp_path / "updated_model.urdf").exists()
+
+
+def mended_tiago(folder):
+    """The path of TIAGo's URDF, whose inertia of one link is made one that a body may have."""
+    text = (TIAGO / "tiago.urdf").read_text()
+    head, name, tail = text.partition('<link name="arm_1_link"')
+    link, end, others = tail.partition("</link>")
+
+    def add_inertia(match):
+        return f'{match[1]}="{float(match[2]) + 0.00025}"'
+
+    link = re.sub(r'\b(ixx|iyy|izz)="([^"]+)"', add_inertia, link)
+    path = folder / "tiago.urdf"
+    path.write_text(f"{head}{name}{link}{end}{others}")
+    return path
+
+
+@pytest.mark.slow
+def test_tiagos_efforts_are_named_with_the_command_that_weighs_their_constants(
+    tmp_path, monkeypatch, capsys
+):
+    """Its maker's driver states 13.6, -8.7 and -8.7 N m per unit of joints 2 to 4."""
+    monkeypatch.chdir(tmp_path)
+    model = mended_tiago(tmp_path)
+    log = TIAGO / "tiago_100Hz.csv"
+    assert main(["log", str(log), str(model)]) == 2
+    message, command = capsys.readouterr().err.splitlines()
+    assert "the torques are not in N·m at the joint: they are 7.77 to 197" in message
+    assert "motor currents or torques before the gear" in message
+    assert "torque.arm_3_joint = -TITLE, torque.arm_4_joint = -TITLE;" in message
+    words = shlex.split(command)
+    assert words[:5] == ["robot-sysid", "payload", str(model), "--empty", str(log)]
+    assert words[words.index("--columns") + 1] == "columns.txt"
+    scales = words[words.index("--torque-scale") + 1].split(",")
+    for joint, constant in ((2, 13.6), (3, 8.7), (4, 8.7)):
+        assert 0.7 < float(scales[joint]) * constant < 1.4

@@ -287,7 +287,11 @@ def run_command(config: Config, console: Console, preview: PreviewOptions) -> No
         try:
             outcome = run(config, console)
         except InputError as error:
-            for log in config.log.measurements[:1]:
+            logs = config.log.measurements
+            # A payload of known mass has all that the weighing needs, but for the first scales.
+            if isinstance(config, PayloadConfig) and config.payload.known_mass is None:
+                logs = config.payload.empty
+            for log in logs[:1]:
                 model = config.model
                 add_weighing_commands(error, model.path, model, config.log, log)
             raise

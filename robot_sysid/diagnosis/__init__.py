@@ -22,14 +22,14 @@ class Finding:
         name: name of the check that made the finding, a key of ``logs.CHECKS``.
         level: severity.
         text: the fault and what to do, for the user.
-        torque_scale: value of --torque-scale from which a weight of known mass determines each
-            joint's scale; "" where that is no remedy.
+        payload_options: options of ``payload``, with their values, with which a weight of known
+            mass determines each joint's torque scale; () where that is no remedy.
     """
 
     name: str
     level: Level
     text: str
-    torque_scale: str = ""
+    payload_options: tuple[str, ...] = ()
 
     def line(self) -> str:
         """Return the finding as one line of text: "level: text [name]"."""

@@ -38,9 +38,8 @@ from robot_sysid.diagnosis.relabelling import (
     find_wrong_columns,
     find_wrong_scales,
     find_wrong_torques,
-    odd_unit_finding,
-    typical_scale,
 )
+from robot_sysid.diagnosis.torque_units import odd_unit_finding, typical_scale
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import percent, with_error

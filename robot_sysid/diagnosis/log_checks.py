@@ -21,6 +21,7 @@ from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.contest import Contest, findings
 from robot_sysid.diagnosis.log_rows import WINDOW, rms
 from robot_sysid.diagnosis.plausibility import least_friction_share
+from robot_sysid.diagnosis.torque_units import foreign_unit_finding
 from robot_sysid.errors import InputError, SysidError, prefix_input_errors
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs.reader import MeasurementLog
@@ -440,6 +441,7 @@ def check_against_model(
     if any(finding.level is Level.REFUSE for finding in raw):
         return tuple(raw)
     signals = low_pass(pieces, options.cutoff)
+    foreign_unit = None
     model_findings = [*enough_findings(pieces, signals[0].cutoff)]
     if not model_findings:
         contest = Contest(robot, signals, options)
@@ -451,10 +453,20 @@ def check_against_model(
         model_findings = _computed_findings(contest)
         model_findings = model_findings or findings(contest, scales)
         model_findings = model_findings or [*slow_findings(qd)]
-    for finding in model_findings:
-        is_of_links = finding.name in OF_LINKS and not links_known
-        raw.append(replace(finding, level=Level.NOTE) if is_of_links else finding)
-    return tuple(raw)
+        foreign_unit = foreign_unit_finding(contest.posterior.model.log, scales)
+    of_links = set() if links_known else set(OF_LINKS)
+    if foreign_unit:
+        # No links make all torques several times smaller or larger.
+        of_links.discard("torque-scale")
+    for k, finding in enumerate(model_findings):
+        if finding.name in of_links:
+            model_findings[k] = replace(finding, level=Level.NOTE)
+    if foreign_unit and all(
+        cause.level is not Level.REFUSE for cause in model_findings
+    ):
+        # Other causes only explain torques in a wrong unit.
+        model_findings = [foreign_unit]
+    return (*raw, *model_findings)
 
 
 def check_log(
@@ -524,8 +536,8 @@ def require_acceptable(
     for finding in findings:
         if finding.level is Level.REFUSE:
             refused.append(finding.text)
-            if finding.torque_scale:
-                options.append(("--torque-scale", finding.torque_scale))
+            if finding.payload_options:
+                options.append(finding.payload_options)
         elif finding.level is Level.WARN and finding.name not in accepted:
             warned.append(finding)
     if refused:

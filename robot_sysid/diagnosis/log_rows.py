@@ -87,6 +87,13 @@ class LogRows:
         links = LinkDynamics(self.robot).motion(motion.q, motion.qd, motion.qdd)
         return rms(links.torque(self.robot.thetas))
 
+    @cached_property
+    def model_weight(self) -> Array:
+        """Torque (K, n) that the weight of the model's links makes along the log [N m]."""
+        zero = np.zeros_like(self.motion.q)
+        links = LinkDynamics(self.robot).motion(self.motion.q, zero, zero)
+        return links.torque(self.robot.thetas)
+
     def with_torque(self, torque: Array) -> LogRows:
         """Return the equations with the measured torques replaced by others (K, n) [N m]."""
         right_sides = self.right_sides + torque - self.torque

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.log_model import LogModel, Posterior
 from robot_sysid.diagnosis.log_rows import LEAST_TORQUE, LogRows, log_rows, rms
+from robot_sysid.diagnosis.torque_units import LOADED, SMALL, WEIGHING, typical_scale
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import Array, Motion, RobotModel
@@ -45,12 +46,6 @@ UNITS = {
     1e-3: "kN·m",
 }
 """One newton metre in other units of torque, to the unit's name."""
-SMALL = 0.6
-"""Ratio of measured torque to the model's below which gravity may be missing from the measured
-torque."""
-ODD_UNIT = 20.0
-"""Ratio of one joint's torque to the model's, over that of the other joints, above which the joint
-has a unit of its own."""
 SHORT = 6.0
 """Length of the stretch of a log on which relabelled motions are tried first [s]."""
 # Ratio between the largest and smallest torque scale below which they have one common cause.
@@ -73,10 +68,6 @@ _LEAST = 1e-4
 _MOST = 1e5
 # Relative standard error from which a joint's scale is not identified.
 _KNOWN = 0.3
-# Least model torque of a joint whose torque ratio is a scale, over that of the strongest joint.
-_LOADED = 0.1
-# Model torque below which a joint's torque is mostly friction, over that of the strongest joint.
-_LEAST_LOAD = 0.03
 # Largest factor between a scale and the torque ratio of a joint that links load.
 _FARTHEST = 3.0
 # Largest factor between a scale and the torque ratio of a joint whose torque is mostly friction.
@@ -442,41 +433,10 @@ def find_wrong_scales(
     off = float(np.max(np.abs(np.log(scale[scales.identified]))))
     level = Level.WARN if off > np.log(WARNED) else Level.NOTE
     level = Level.REFUSE if off > np.log(REFUSED) else level
-    is_per_joint = scales.spread > _SAME
-    start = (scale * divided).tolist() if is_per_joint else []
-    torque_scale = ",".join(format(value, ".4g") for value in start)
-    finding = Finding("torque-scale", level, text, torque_scale)
+    start = ",".join(format(value, ".4g") for value in scale * divided)
+    payload_options = ("--torque-scale", start) if scales.spread > _SAME else ()
+    finding = Finding("torque-scale", level, text, payload_options)
     return [Correction(finding, gain, posterior)]
-
-
-def typical_scale(log: LogRows) -> float:
-    """Return the median ratio of rms measured to modelled torque, over joints that links load."""
-    model = log.model_torque
-    is_loaded = model > _LOADED * float(np.max(model))
-    ratio = rms(log.torque) / np.maximum(model, 1e-12)
-    return float(np.median(ratio[is_loaded]))
-
-
-def odd_unit_finding(log: LogRows) -> Finding | None:
-    """Return the finding that one joint's torque has another unit than that of the other joints.
-
-    None where no joint has, with fewer than three joints, and where gravity may be missing.
-    """
-    model = log.model_torque
-    ratio = rms(log.torque) / np.maximum(model, _LEAST_LOAD * float(np.max(model)))
-    joint = int(np.argmax(ratio))
-    if len(ratio) < 3:
-        return None
-    factor = float(ratio[joint] / np.median(np.delete(ratio, joint)))
-    # A torque without gravity has a share of the model's at joints that carry weight.
-    if factor < ODD_UNIT or typical_scale(log) < SMALL:
-        return None
-    name = log.robot.joint_names[joint]
-    text = (
-        f"torque of joint {name} alone reads {factor:.2g} times too much, or more: as in mN·m or "
-        f"N·cm; put it right with --columns FILE: torque.{name} = 0.001 * TITLE"
-    )
-    return Finding("torque-scale", Level.REFUSE, text)
 
 
 def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
@@ -493,7 +453,7 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
     """
     model = log.model_torque
     largest = float(np.max(model))
-    is_loaded = model > _LOADED * largest
+    is_loaded = model > LOADED * largest
     ratio = rms(log.torque) / np.maximum(model, 1e-6 * largest)
     ratio = np.clip(ratio, _LEAST, _MOST)
     typical_ratio = float(np.median(ratio[is_loaded]))
@@ -565,9 +525,8 @@ def _meaning(typical: float, spread: float, error: float, divided: Array) -> str
         factors = "a factor of its own for every joint, as "
         if typical < 0.5:
             return (
-                f"{factors}motor currents in amperes have, or the model of another arm; give the "
-                "torque per ampere with --torque-constants, or determine it with a weight: bolt on "
-                "1 kg (of another mass, state it), record a motion called weight, and compare"
+                f"{factors}motor currents in amperes have, or the model of another arm; "
+                f"{WEIGHING}"
             )
         for_joints = (
             "per joint" if np.all(divided == 1.0) else "per joint, times the one given"

@@ -18,6 +18,7 @@ from robot_sysid.records.option_fields import (
 
 CHECKS = {
     "torque-scale": "torque in another unit, on the motor's side of the gear, or scaled",
+    "torque-unit": "torque that is not in N·m, each joint's by another factor",
     "gravity": "torque without gravity, or external torque only",
     "computed": "torque that was computed, not measured",
     "sign": "sign of a position or torque",

@@ -118,8 +118,11 @@ def add_weighing_commands(
     """
     if error.command != "payload":
         return
-    # The remedy has the torque scales that the run was given.
-    reading = [key for key in READING if key != "torque_scale"]
+    # The remedy's own options, such as the torque scales, replace those of the run.
+    remedy_words = {word for option in error.options for word in option}
+    reading = [
+        key for key in READING if f"--{key.replace('_', '-')}" not in remedy_words
+    ]
     values = _given_values(options, tuple(reading))
     run = RunWords(
         model=str(model),

@@ -129,9 +129,21 @@ def test_motor_currents_end_with_the_command_that_weighs_their_constants(
         torque += np.random.default_rng(seed).normal(0.0, 0.02, torque.shape)
         log = Measurement(motion.time, motion.q, motion.qd, PER_NM * torque)
         write_measurement_csv(folder / f"{name}.csv", arm.robot.joint_names, [log])
-    for words in ("log ampere.csv arm.xml", "identify arm.xml ampere.csv"):
+    payload = "payload arm.xml --empty ampere.csv --loaded"
+    runs = (
+        "log ampere.csv arm.xml",
+        "identify arm.xml ampere.csv",
+        f"{payload} weight.csv",
+    )
+    remedies = set()
+    for words in runs:
         message, remedy = command.run(words, code=2).err.splitlines()[-2:]
         assert "as motor currents in amperes have" in message
+        remedies.add(remedy)
+    assert len(remedies) == 1
+    known = f"{payload} weight.csv --known-mass 1"
+    remedy_of_known = command.run(known, code=2).err.splitlines()[-1]
+    assert remedy_of_known.startswith(f"  robot-sysid {known} --torque-scale ")
     words = shlex.split(remedy)
     assert words[:4] == ["robot-sysid", "payload", "arm.xml", "--empty"]
     command.run(" ".join(words[1:]))
