@@ -155,8 +155,6 @@ def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Arra
     Units are kg, m and kg m^2; links without an <inertia> are left out. ValueError where a number
     cannot be read or is larger than ``LARGEST``.
     """
-    from scipy.spatial.transform import Rotation
-
     inertias = {}
     for link in document.root_children("link"):
         node = link.child("inertial", "inertia")
@@ -164,8 +162,7 @@ def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Arra
             continue
         com = _floats(link.child_attribute("inertial", "origin", "xyz"))
         angles = _floats(link.child_attribute("inertial", "origin", "rpy"))
-        # Rz(yaw) Ry(pitch) Rx(roll): about the fixed axes, x first.
-        rotation = Rotation.from_euler("xyz", angles).as_matrix()
+        rotation = spatial.rotation_of_angles(angles)
         moments = [float(node.get(name) or 0.0) for name in URDF_MOMENTS]
         inertia = spatial.symmetric_from_six(np.array(moments))
         inertia = rotation @ inertia @ rotation.T

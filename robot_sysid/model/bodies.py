@@ -316,8 +316,6 @@ def _guess_flange(robot: RobotModel, sites: _Frames, bodies: _Frames) -> Flange:
 
 def _parse_flange(robot: RobotModel, text: str) -> Flange:
     """Return the frame of "x,y,z" or "x,y,z,roll,pitch,yaw", or raise ModelError."""
-    from scipy.spatial.transform import Rotation
-
     numbers = []
     with contextlib.suppress(ValueError):
         numbers = list(map(float, text.split(",")))
@@ -330,9 +328,8 @@ def _parse_flange(robot: RobotModel, text: str) -> Flange:
         raise ModelError(
             f"flange {text}: {fault}; the numbers are metres, not millimetres"
         )
-    # Rz(yaw) Ry(pitch) Rx(roll), as in a URDF.
-    angles = numbers[3:] or [0.0] * 3
-    rotation = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
+    angles = np.radians(numbers[3:] or [0.0] * 3)
+    rotation = spatial.rotation_of_angles(angles)
     name = text.replace(" ", "")
     return Flange(name, rotation, translation, robot.body_name, robot.body_id)
 

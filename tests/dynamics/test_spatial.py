@@ -171,6 +171,8 @@ def test_angles_and_quaternions_turn_back_into_the_rotation(seed, family):
     roll, pitch, yaw = spatial.roll_pitch_yaw(rotation)
     back = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
     assert_close(back, rotation, atol=3e-14)
+    angles = np.array([roll, pitch, yaw])
+    assert_close(spatial.rotation_of_angles(angles), back, atol=1e-14)
     w, *xyz = spatial.quaternion(rotation)
     assert np.linalg.norm([w, *xyz]) == pytest.approx(1.0, abs=1e-14)
     assert_close(Rotation.from_quat([*xyz, w]).as_matrix(), rotation, atol=1e-14)
