@@ -45,12 +45,17 @@ _WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
 """Colour of the background."""
 _BONE: Colour = (0.55, 0.58, 0.62, 1.0)
 """Colour of the lines between joints of an arm without shapes."""
-_PROBE = (
-    "import importlib, sys; "
-    "c = importlib.import_module('mujoco.' + sys.argv[1]).GLContext(64, 64); "
-    "c.make_current(); c.free()"
-)
-"""Program that opens a graphics context of the library that it is given, and may crash."""
+_PROBE = """
+import importlib, importlib.util, sys, types
+package = types.ModuleType("mujoco")
+package.__path__ = importlib.util.find_spec("mujoco").submodule_search_locations
+sys.modules["mujoco"] = package
+context = importlib.import_module("mujoco." + sys.argv[1]).GLContext(64, 64)
+context.make_current()
+context.free()
+"""
+"""Program that opens a graphics context of the library that it is given, and may crash. It loads
+that part of MuJoCo without the rest, which takes three times as long."""
 RATE = 20.0
 """Pictures per second of a film."""
 _MAX_CLEARANCE = 0.3
