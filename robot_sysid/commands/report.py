@@ -82,7 +82,7 @@ def require_report(output: OutputOptions) -> None:
     if output.report or output.plots:
         from robot_sysid.report.drawing import require_libraries
 
-        require_libraries(output.plots)
+        require_libraries()
 
 
 def write_outcome_report(

@@ -16,7 +16,7 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length
 from robot_sysid.records import Array
 from robot_sysid.records.file_access import CARD_NAME
 from robot_sysid.records.messages import PARAMETER_UNITS, percent, term_unit, with_error
-from robot_sysid.report.drawing import SERIES, Boxes, Panel, Points, draw
+from robot_sysid.report.drawing import SERIES, Boxes, Drawing, Panel, Points
 from robot_sysid.report.runs import Body, Run, number
 from robot_sysid.report.sections import (
     Block,
@@ -40,12 +40,12 @@ from robot_sysid.results.verdict import PRIOR_SHARE
 _GROUPS = ((0, 1, "mass"), (1, 4, "first moment"), (4, 10, "inertia about the origin"))
 """(start, end, title) of the parameters (10,) that have one unit and share one panel."""
 _MARKS = {
-    "before": (0.16, "before", "diamond"),
-    "in the file": (-0.16, "other", "square"),
-    "truth": (-0.16, "truth", "square"),
+    "before": (0.16, "before", "D"),
+    "in the file": (-0.16, "other", "s"),
+    "truth": (-0.16, "truth", "s"),
 }
 """Version of the parameters, see ``Body.thetas``, to (vertical offset from the identified value in
-rows, colour and shape of its marker)."""
+rows, colour and marker)."""
 _YES_OR_NO = {True: "yes", False: "no"}
 """Text of a truth value in a cell of a table."""
 _CAUSE_TEXTS = {
@@ -209,15 +209,15 @@ def _parameter_figure(body: Body, name: str) -> Figure:
     model_text = " against the model's values before" if "before" in body.thetas else ""
     truth_text = " and the truth of the simulated arm" if "truth" in body.thetas else ""
     caption = f"{body.title}: identified parameters{model_text}{truth_text}."
-    rows = []
+    panels = []
     for start, end, title in _GROUPS:
         indices = slice(start, end)
         versions = {key: theta[indices] for key, theta in body.thetas.items()}
         marks = _version_marks(versions, body.errors[indices])
         label = f"{title} [{PARAMETER_UNITS[start]}]"
         names = PARAMETER_NAMES[indices]
-        rows.append([Panel(marks, label, height=end - start + 0.4, row_names=names)])
-    return Figure(name, caption, draw(rows, height=380.0))
+        panels.append(Panel(marks, label, height=end - start + 0.4, row_names=names))
+    return Figure(name, caption, Drawing(panels, height=380.0))
 
 
 def _mass_figure(bodies: Sequence[Body]) -> Figure:
@@ -232,7 +232,7 @@ def _mass_figure(bodies: Sequence[Body]) -> Figure:
     errors = np.array([body.errors[0] for body in bodies])
     panel = Panel(_version_marks(versions, errors), "mass [kg]", row_names=names)
     height = 50.0 + 26.0 * len(bodies)
-    return Figure("masses", "Mass of each link.", draw([[panel]], height))
+    return Figure("masses", "Mass of each link.", Drawing([panel], height))
 
 
 def _version_marks(versions: Mapping[str, Array], errors: Array) -> list[Points]:
@@ -250,7 +250,7 @@ def _version_marks(versions: Mapping[str, Array], errors: Array) -> list[Points]
             marks.append(Points(values, rows + shift, colour, version, shape))
     known = np.where(np.isfinite(errors), errors, 0.0)
     identified = versions["after"]
-    bars = Points(identified, rows, "after", "after ±", "circle", known, is_filled=True)
+    bars = Points(identified, rows, "after", "after ±", "o", known, is_filled=True)
     return [*marks, bars]
 
 
@@ -287,7 +287,7 @@ def _budget_figure(body: Body, name: str) -> Figure:
         row_names=PARAMETER_NAMES,
         x_range=(0.0, 100.0),
     )
-    return Figure(name, caption, draw([[panel]], height=330.0))
+    return Figure(name, caption, Drawing([panel], height=330.0))
 
 
 def visibility(run: Run) -> Section:

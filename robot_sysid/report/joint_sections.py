@@ -24,7 +24,7 @@ from robot_sysid.records.messages import (
     torque_unit,
     with_error,
 )
-from robot_sysid.report.drawing import Boxes, Line, Panel, Points, draw
+from robot_sysid.report.drawing import Boxes, Drawing, Line, Panel, Points
 from robot_sysid.report.runs import LONGEST_LAG, Friction, ReportData, Run, number
 from robot_sysid.report.sections import Figure, Section, Table, table, text
 
@@ -111,18 +111,18 @@ def torque_figure(data: ReportData, joint: int, name: str = "torque-{}") -> Figu
         )
     torque_lines = (
         Line(data.time, measured, "measured", "measured", width=3.2),
-        Line(data.time, prior, "before", "before", dash="5 3"),
+        Line(data.time, prior, "before", "before", style="--"),
         Line(data.time, predicted, "after", "after"),
     )
     residual_lines = (
-        Line(data.time, measured - prior, "before", dash="5 3"),
+        Line(data.time, measured - prior, "before", style="--"),
         Line(data.time, measured - predicted, "after"),
     )
     panels = (
-        [Panel(torque_lines, y_label=f"torque [{unit}]", height=1.5)],
-        [Panel(residual_lines, "time [s]", f"residual [{unit}]")],
+        Panel(torque_lines, y_label=f"torque [{unit}]", height=1.5),
+        Panel(residual_lines, "time [s]", f"residual [{unit}]"),
     )
-    return Figure(name.format(joint), caption, draw(panels, height=300.0))
+    return Figure(name.format(joint), caption, Drawing(panels, height=300.0))
 
 
 def most_changed(run: Run) -> Figure:
@@ -229,7 +229,7 @@ def _residual_figure(data: ReportData, joint: int) -> Figure:
         f"{data.joints[joint]}: the autocorrelation leaves the band of white noise in "
         f"{100.0 * share:.0f} % of the lags up to {LONGEST_LAG:g} s; white noise does in 5 %."
     )
-    drawing = draw([[histogram, lag_panel]], height=170.0)
+    drawing = Drawing([histogram, lag_panel], height=170.0, n_columns=2)
     return Figure(f"residual-{joint}", caption, drawing)
 
 
@@ -322,11 +322,11 @@ def _friction_figure(data: ReportData, joint: int) -> Figure:
     samples = (data.friction + data.measured - data.predicted)[:, joint]
     marks = (
         Points(data.qd[:, joint], samples, "measured", "samples"),
-        Points(speeds, measured, "ink", "mean of the samples", "circle"),
+        Points(speeds, measured, "ink", "mean of the samples", "o"),
         Line(speeds, identified, "after", "identified", width=2.2),
     )
     speed_label = f"speed [{position_unit(data.is_slide[joint])}/s]"
-    drawing = draw([[Panel(marks, speed_label, f"friction [{unit}]")]], height=220.0)
+    drawing = Drawing([Panel(marks, speed_label, f"friction [{unit}]")], height=220.0)
     return Figure(f"friction-{joint}", f"Friction of {data.joints[joint]}.", drawing)
 
 
@@ -380,16 +380,16 @@ def _motion_figure(data: ReportData, joint: int) -> Figure:
     qd_ends = np.array([np.min(qd), np.max(qd)])
     for limit in (low, high):
         if np.min(np.abs(limit - q_ends)) <= _NEAR * np.ptp(q_ends):
-            marks.append(Line(np.full(2, limit), qd_ends, "other", dash="5 3"))
+            marks.append(Line(np.full(2, limit), qd_ends, "other", style="--"))
     for limit in (-fastest, fastest):
         if np.min(np.abs(limit - qd_ends)) <= _NEAR * np.ptp(qd_ends):
-            marks.append(Line(q_ends, np.full(2, limit), "other", dash="5 3"))
+            marks.append(Line(q_ends, np.full(2, limit), "other", style="--"))
     position_limits = "no limit of position"
     if np.isfinite(high - low):
         position_limits = f"positions from {low:.3g} to {high:.3g} {unit}"
     caption = f"{data.joints[joint]}; limits: {position_limits}, speed {fastest:.3g} {unit}/s."
     panel = Panel(marks, f"position [{unit}]", f"speed [{unit}/s]")
-    return Figure(f"motion-{joint}", caption, draw([[panel]], height=200.0))
+    return Figure(f"motion-{joint}", caption, Drawing([panel], height=200.0))
 
 
 FITTED = "the fitted logs"
@@ -464,7 +464,7 @@ def _error_figure(sets: Sequence[ErrorSet]) -> Figure:
         x_range=(0.0, 1.05 * largest or 1.0),
     )
     height = 50.0 + len(joints) * max(20.0, 9.0 * len(sets))
-    return Figure("errors", "Error of each joint's torque.", draw([[panel]], height))
+    return Figure("errors", "Error of each joint's torque.", Drawing([panel], height))
 
 
 def total_errors(sets: Sequence[ErrorSet], title: str = "") -> Table:

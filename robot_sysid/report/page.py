@@ -201,7 +201,7 @@ def write_report(
             content_by_suffix = {".png": figure.png}
             if figure.drawing is not None:
                 content_by_suffix[".png"] = png(figure.drawing)
-                content_by_suffix[".svg"] = svg(figure.drawing).encode()
+                content_by_suffix[".svg"] = svg(figure.drawing, figure.name).encode()
             for suffix, content in content_by_suffix.items():
                 path = destination / PLOTS_NAME / (figure.name + suffix)
                 files.write(path, content)
