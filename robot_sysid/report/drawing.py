@@ -56,7 +56,7 @@ _TICK_ROOM = (60.0, 30.0)
 """Least distance of ticks on a horizontal and on a vertical axis [px]."""
 _NARROWEST = 0.02
 """Least length of an axis as a share of its largest number; less would magnify rounding errors."""
-_MAX_DOTS = 250
+_MAX_DOTS = 150
 """Number of dots to which a longer scatter plot is thinned; fewer than twice as many remain. More
 dots would overlap."""
 _STYLE: dict[str, Any] = {
@@ -94,10 +94,10 @@ _STYLE: dict[str, Any] = {
 }
 """matplotlib's settings for all drawings."""
 _NOT_INLINE = re.compile(
-    r' id="[\w.]+_\d+"| transform="rotate\(-0 [^"]*"|\bfont[\w-]*:[^;"]*;? ?'
+    r'\s*\n| id="[\w.]+_\d+"| transform="rotate\(-0 [^"]*"|\bfont[\w-]*:[^;"]*;? ?'
 )
-"""What a page needs not of matplotlib's SVG: names of groups, which figures share; turns by zero;
-fonts, which are those of the page."""
+"""What a page needs not of tags of matplotlib's SVG: ends of lines; names of groups, which figures
+share; turns by zero; fonts, which are those of the page."""
 
 
 @dataclass(frozen=True)
@@ -303,7 +303,7 @@ def _draw_marks(axes: Any, panel: Panel) -> None:
         elif mark.marker == ".":
             used = np.flatnonzero(np.isfinite(mark.x) & np.isfinite(mark.y))
             dots = used[:: max(1, len(used) // _MAX_DOTS)]
-            style = {**style, "ls": "", "mew": 0.0, "ms": 5.0, "alpha": 0.7}
+            style = {**style, "ls": "", "mec": "none", "ms": 5.0, "alpha": 0.7}
             axes.plot(mark.x[dots], mark.y[dots], marker=".", **style)
         else:
             style["mfc"] = style["color"] if mark.is_filled else "none"
@@ -334,7 +334,7 @@ def _set_ticks(axes: Any, panel: Panel, width: float, height: float) -> float:
 
     sizes = (0.75 * width, height)
     for axis, size, room in zip((axes.xaxis, axes.yaxis), sizes, _TICK_ROOM):
-        locator = MaxNLocator(max(2, round(size / room)), steps=(1, 2, 5, 10))
+        locator = MaxNLocator(max(2, round(size / room)), steps=(1, 2, 2.5, 5, 10))
         low, high = axis.get_view_interval()
         values = locator.tick_values(low, high)
         # Ticks outside would be made and not be drawn.
@@ -371,19 +371,17 @@ def svg(drawing: Drawing, name: str, is_inline: bool = False) -> str:
     text = buffer.getvalue()
     if not is_inline:
         return text
-    _, _, body = text.partition("</metadata>")
+    # The first definitions are a style, which would be that of the whole page.
+    _, _, body = text.partition("</defs>")
     height = f"{72.0 * figure.get_figheight():.0f}"
     opening = f'<svg aria-hidden="true" viewBox="0 0 {WIDTH:g} {height}" font-size="{_FONT:g}">'
-    return opening + re.sub("<[^>]*>", _inline_tag, body).replace("\n\n", "\n")
+    return opening + re.sub(" *(<[^>]*>)", _inline_tag, body)
 
 
 def _inline_tag(tag: re.Match[str]) -> str:
-    """Return a tag of matplotlib's SVG as a page needs it: numbers rounded, colours as variables.
-
-    Names of groups, which all drawings share, and fonts, which are those of the page, are left out.
-    """
-    text = _NOT_INLINE.sub("", tag[0])
-    text = re.sub(r"(\.\d\d)\d+", r"\1", text)
+    """Return a tag of matplotlib's SVG with rounded numbers and with colours as CSS variables."""
+    text = _NOT_INLINE.sub("", tag[1])
+    text = re.sub(r"(\.\d)\d{2,}", r"\1", text)
     for name, colour in COLOURS.items():
         text = text.replace(colour, f"var(--{name})")
     return text
