@@ -160,7 +160,9 @@ def _parameter_table(body: Body) -> Table:
     rows = []
     for label, unit, error, *values in zip(labels, units, errors.tolist(), *columns):
         texts = [text(float(value), error) for value in values]
-        rows.append((f"{label} [{unit}]", *texts, plus_minus(error)))
+        # Without a budget, the run is a simulation of the model itself: rounding, no error.
+        error_text = plus_minus(error) if body.budget else "–"
+        rows.append((f"{label} [{unit}]", *texts, error_text))
     return table((body.title, *body.thetas, "±"), rows)
 
 
@@ -301,7 +303,7 @@ def visibility(run: Run) -> Section:
     source_rows = []
     for k, name in enumerate(PARAMETER_NAMES):
         source = _source(body, k, run.is_payload)
-        error_text = plus_minus(body.errors[k])
+        error_text = "–" if run.is_self_test else plus_minus(body.errors[k])
         source_rows.append((name, source, percent(body.share[k]), error_text))
     tables = [table((body.title, "source", "share of the data", "±"), source_rows)]
     sentences = []

@@ -27,6 +27,7 @@ from robot_sysid.records.messages import (
 from robot_sysid.report.drawing import Boxes, Drawing, Line, Panel, Points
 from robot_sysid.report.runs import LONGEST_LAG, Friction, ReportData, Run, number
 from robot_sysid.report.sections import Figure, Section, Table, table, text
+from robot_sysid.results.parameter_table import without_rounding
 
 _LARGE_OFFSET = 0.5
 """Share of a residual's root mean square from which on its mean is stated."""
@@ -96,15 +97,14 @@ def torque_figure(data: ReportData, joint: int, name: str = "torque-{}") -> Figu
     measured = data.measured[:, joint]
     prior = data.prior_prediction[:, joint]
     predicted = data.predicted[:, joint]
-    rms_texts = [
-        f"{_rms(x):.3g} {unit}" for x in (measured - prior, measured - predicted)
-    ]
+    prior_residual, residual = _residuals(data, joint)
+    rms_texts = [f"{_rms(x):.3g} {unit}" for x in (prior_residual, residual)]
     caption = (
         f"{data.joints[joint]}: residual {rms_texts[0]} before, {rms_texts[1]} after (root mean "
         f"square), of a torque of {_rms(measured):.3g} {unit}."
     )
-    offset = _mean(measured - prior)
-    if abs(offset) > _LARGE_OFFSET * _rms(measured - prior):
+    offset = _mean(prior_residual)
+    if abs(offset) > _LARGE_OFFSET * _rms(prior_residual):
         caption += (
             f" The residual before has a mean of {offset:.3g} {unit}. The torque error of the "
             "verdict leaves it out, because a torque sensor's offset would look the same."
@@ -115,14 +115,21 @@ def torque_figure(data: ReportData, joint: int, name: str = "torque-{}") -> Figu
         Line(data.time, predicted, "after", "after"),
     )
     residual_lines = (
-        Line(data.time, measured - prior, "before", style="--"),
-        Line(data.time, measured - predicted, "after"),
+        Line(data.time, prior_residual, "before", style="--"),
+        Line(data.time, residual, "after"),
     )
     panels = (
         Panel(torque_lines, y_label=f"torque [{unit}]", height=1.5),
         Panel(residual_lines, "time [s]", f"residual [{unit}]"),
     )
     return Figure(name.format(joint), caption, Drawing(panels, height=300.0))
+
+
+def _residuals(data: ReportData, joint: int) -> list[Array]:
+    """Return a joint's residuals (K,) before and after, zero where they are rounding errors."""
+    measured = data.measured[:, joint]
+    predictions = (data.prior_prediction[:, joint], data.predicted[:, joint])
+    return [without_rounding(measured - tau, _rms(measured)) for tau in predictions]
 
 
 def most_changed(run: Run) -> Figure:
@@ -143,8 +150,7 @@ def _residual_table(data: ReportData) -> Table:
     rows = []
     for joint, name in enumerate(data.joints):
         measured = data.measured[:, joint]
-        prior_residual = measured - data.prior_prediction[:, joint]
-        residual = measured - data.predicted[:, joint]
+        prior_residual, residual = _residuals(data, joint)
         row = [f"{name} [{torque_unit(data.is_slide[joint])}]"]
         row += [f"{_rms(x):.3g}" for x in (measured, prior_residual, residual)]
         # A tenth of what remains is the last digit that matters.
@@ -472,9 +478,14 @@ def total_errors(sets: Sequence[ErrorSet], title: str = "") -> Table:
     rows = []
     for model, data, test, _ in sets:
         share = "–" if test.relative_error is None else percent(test.relative_error)
-        rows.append((data, model, f"{test.rmse:.3g}", share))
+        rows.append((data, model, _error_text(test.rmse), share))
     header = ("data", "model", "all joints [N·m]", "of the torque")
     return table(header, rows, title=title)
+
+
+def _error_text(error: float) -> str:
+    """Return a torque error [N m or N] as text of a cell; "0" for one of rounding."""
+    return f"{without_rounding(np.array(error), 1.0):.3g}"
 
 
 def _errors_by_joint(sets: Sequence[ErrorSet]) -> Table:
@@ -487,7 +498,7 @@ def _errors_by_joint(sets: Sequence[ErrorSet]) -> Table:
     for model, data, test, _ in sets:
         header.append(f"{model}: {data}")
         joint_errors = map(test.rmse_per_joint.get, joints)
-        columns.append(["–" if e is None else f"{e:.3g}" for e in joint_errors])
+        columns.append(["–" if e is None else _error_text(e) for e in joint_errors])
     return table(header, zip(*columns))
 
 

@@ -19,7 +19,7 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import format_rmse
-from robot_sysid.records.data import Source, Traces
+from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import (
     MODEL_NAMES,
     PARAMS_NAME,
@@ -235,8 +235,7 @@ def verdict(run: Run) -> Section:
     most, unless the data are a simulation of the model itself, or cannot be read.
     """
     content = run.content
-    is_simulation_of_model = str(content["source"]).startswith(Source.ITSELF.value)
-    has_figure = run.data is not None and not is_simulation_of_model
+    has_figure = run.data is not None and not run.is_self_test
     rating = "good"
     if content["status"] == Verdict.TORQUES_ONLY.name:
         rating = "part"
@@ -287,7 +286,7 @@ def _origin(run: Run) -> Iterator[str]:
     yield f"Model: `{content['model']['path']}`."
     yield f"Data: {content['source']}, {content['duration']:.3g} s."
     yield "Paths are those of the computer and the folder in which robot-sysid ran."
-    if content["rmse"] is not None:
+    if content["rmse"] is not None and not run.is_self_test:
         rmse = number_text(content["rmse"])
         yield f"Root mean square of the residual torque of the fit, all joints: {rmse} N·m."
 

@@ -25,7 +25,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.uncertainty import autocovariance
 from robot_sysid.export import SCHEMA_VERSION
 from robot_sysid.logs.arrays import npz_arrays
-from robot_sysid.records import SIGNAL_NAMES, Array, Signals, Traces, Validation
+from robot_sysid.records import SIGNAL_NAMES, Array, Signals, Source, Traces, Validation
 from robot_sysid.records.file_access import PARAMS_NAME, read_json
 from robot_sysid.results.body_errors import ERROR_NAMES
 from robot_sysid.results.record import PAYLOAD, Quantity
@@ -365,6 +365,11 @@ class Run:
     def is_payload(self) -> bool:
         """Whether the run identified a payload and not the arm's links."""
         return bool(self.content["question"] == PAYLOAD)
+
+    @property
+    def is_self_test(self) -> bool:
+        """Whether the data are a simulation of the model itself: all errors are of rounding."""
+        return str(self.content["source"]).startswith(Source.ITSELF.value)
 
     @property
     def is_fully_known(self) -> bool:

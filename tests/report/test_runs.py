@@ -19,8 +19,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from robot_sysid.errors import InputError
 from robot_sysid.records import JointLimits
 from robot_sysid.records.data import Traces
-from robot_sysid.report.body_sections import card, visibility
-from robot_sysid.report.joint_sections import errors, rollout
+from robot_sysid.report.body_sections import card, parameters, visibility
+from robot_sysid.report.joint_sections import errors, rollout, torque_figure
 from robot_sysid.report.page import compare_bodies, compare_errors, sections_of, verdict
 from robot_sysid.report.runs import (
     DATA_NAME,
@@ -223,6 +223,22 @@ def test_a_model_of_its_own_simulation_has_one_body(folder):
     section, *_ = sections_of([run])
     assert "before" not in body.thetas
     assert section.figures == ()
+    # Its errors are those of rounding, and are not stated.
+    numbers, *_ = parameters(run).tables
+    sources, *_ = visibility(run).tables
+    assert {row[-1] for row in (*numbers.rows, *sources.rows)} == {"–"}
+    _, (_, origin), *_ = (("", ()), *section.details)
+    assert not any("Root mean square" in sentence for sentence in origin)
+
+
+def test_residuals_and_errors_of_rounding_are_zero(folder):
+    run = load_run(folder)
+    data = replace(run.data, predicted=run.data.measured * (1.0 + 1e-15))
+    caption = torque_figure(data, 0).caption
+    assert "0 N·m after" in caption and "e-" not in caption
+    tiny = {"rmse": 2e-14, "rmse_per_joint": {"j5": 3e-15}}
+    totals, by_joint = errors(replace(run, content={**run.content, **tiny})).tables
+    assert totals.rows[0][2] == by_joint.rows[0][1] == "0"
 
 
 def test_of_several_models_in_the_folder_the_runs_own_is_to_be_loaded(folder):
