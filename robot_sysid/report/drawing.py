@@ -280,7 +280,7 @@ def _axes_figure(ratios: tuple[float, ...], n_columns: int, has_names: bool) -> 
 
 def _legend_text(label: str) -> str:
     """Return a label, shortened so that it fits into a legend."""
-    return shorten(label, 50)
+    return shorten(label, 62)
 
 
 def _draw_marks(axes: Any, panel: Panel) -> None:

@@ -31,7 +31,8 @@ def without(monkeypatch, library):
 
 
 @pytest.mark.parametrize(
-    ("library", "option"), [("jinja2", "--report"), ("matplotlib", "--plots")]
+    ("library", "option"),
+    [("jinja2", "--report"), ("matplotlib", "--report"), ("matplotlib", "--plots")],
 )
 def test_a_missing_library_is_said_before_the_run(
     command, arm, monkeypatch, library, option
