@@ -304,11 +304,7 @@ class SysidConfig(Config):
         """Return the options on limits that motors have too, as words of a command line."""
         from robot_sysid.damiao.trajectory import LIMITS
 
-        limit_values = {}
-        for limit in option_fields.given_options(self.limits):
-            if limit.key in LIMITS:
-                limit_values[limit.key] = getattr(self.limits, limit.key)
-        return option_fields.command_arguments(limit_values, self.limits)
+        return option_fields.given_arguments(self.limits, LIMITS)
 
     def with_seed(self) -> SysidConfig:
         """Return the configuration with a seed, drawn where the run needs one and none is set."""

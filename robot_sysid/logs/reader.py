@@ -39,7 +39,7 @@ from robot_sysid.logs.titles import joint_quantity, read_title
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.messages import Detail, Progress
-from robot_sysid.records.option_fields import CONSTANTS, SCALE, Factors, joint_factors
+from robot_sysid.records.option_fields import CONSTANTS, SCALE, joint_factors
 from robot_sysid.signals.process import LogPiece
 from robot_sysid.signals.resampling import piece_notes, split_at_gaps
 
@@ -105,8 +105,8 @@ def open_log(
     names = robot.joint_names
     table = source if isinstance(source, LogTable) else open_table(path, names, options)
     columns = _map_columns(table, path, robot, options)
-    constants = _torque_factors(options.torque_constants, names, CONSTANTS)
-    scale = _torque_factors(options.torque_scale, names, SCALE)
+    constants = joint_factors(options.torque_constants, names, CONSTANTS)[0]
+    scale = joint_factors(options.torque_scale, names, SCALE)[0]
     columns = columns.with_torque_factor(constants / scale)
     rows = read_rows(table, columns, robot.is_slide.tolist(), progress)
     check_notes = check_log(str(path), rows, robot, columns.angle_declared)
@@ -117,19 +117,6 @@ def open_log(
     source_notes = (*table.notes, *joint_notes)
     notes = (*details, *source_notes, *check_notes, *piece_notes(rows.samples, pieces))
     return MeasurementLog(path, columns, rows.samples, pieces, notes, scale)
-
-
-def _torque_factors(
-    factors: Factors | None, joint_names: Sequence[str], table: str
-) -> Array:
-    """Return one factor per joint (n,), from an option or the file that it names; ones for None.
-
-    ``table`` is the name of the factors' table in such a file.
-    """
-    if factors is None:
-        return np.ones(len(joint_names))
-    values, _ = joint_factors(factors, joint_names, table)  # and standard errors
-    return values
 
 
 def _map_columns(

@@ -214,25 +214,23 @@ def _shortfalls(
         return [], None
     contact = contact_before(checked.problem, checked.plan)
     if prediction is None:
-        shortfalls = shortfalls_of_plan("", 0.0, contact)
-        return shortfalls, None
+        return shortfalls_of_plan("", 0.0, contact), None
     mass_share = prediction.relative_mass_error
     is_weighing = config.poses.purpose == WEIGHT
     # Where no motion determines the mass by these torques, the lines on the plan say so.
     if is_weighing or (np.isinf(mass_share) and prediction.invisible):
         mass_share = 0.0
     largest = LARGE_SHARE if config.poses.target == "payload" else UNKNOWN
-    subject = prediction.subject
-    # Another motion shows more of a mass; it does not clear the way.
-    shortfalls = shortfalls_of_plan(subject, mass_share, None, largest)
+    shortfalls = shortfalls_of_plan(prediction.subject, mass_share, contact, largest)
     step = None
-    if shortfalls:
+    # Another motion shows more of a mass; it does not clear the way.
+    if mass_share > largest:
         by_mass = sorted(prediction.improvements, key=lambda change: change.mass_error)
         commands = [_command_of_plan(config, change) for change in by_mass]
         command = next(filter(None, commands), None)
         if command:
             step = NextStep("Next, plan a motion that determines it", command)
-    return shortfalls_of_plan(subject, mass_share, contact, largest), step
+    return shortfalls, step
 
 
 def draft_plan(

@@ -24,7 +24,7 @@ from robot_sysid.records.file_access import (
 )
 from robot_sysid.records.option_fields import (
     command_arguments,
-    given_options,
+    given_arguments,
     immutable_value,
 )
 from robot_sysid.results.next_steps import RunWords, weighing_words
@@ -45,7 +45,6 @@ def words_of_run(config: Config, identification: Identification) -> RunWords:
         config: options of the run.
         identification: its result, whose recorded motion may be a planned one.
     """
-    log_values = _given_values(config.log, READING)
     scales = config.log.torque_scale
     recordings = config.log.measurements
     empty: tuple[Path, ...] = ()
@@ -56,17 +55,16 @@ def words_of_run(config: Config, identification: Identification) -> RunWords:
             scales = config.payload.save_torque_scale
     plan = None
     purpose = None
+    joint_names = identification.result.robot.joint_names
     folders = [file.parent for file in _files(recordings)[:1]]
     for folder in (*folders, config.output.output_dir):
-        joint_names = identification.result.robot.joint_names
-        if purpose is None and _is_planned(
-            folder, joint_names, identification.checkpoints
-        ):
+        if _is_planned(folder, joint_names, identification.checkpoints):
             plan, purpose = _settings_and_purpose(folder)
+            break
     return RunWords(
         model=str(config.model.path),
-        arm=tuple(command_arguments(vars(config.model), config.model)),
-        log=tuple(command_arguments(log_values, LogOptions)),
+        arm=tuple(given_arguments(config.model)),
+        log=tuple(given_arguments(config.log, READING)),
         folder=config.output.output_dir,
         links=config.output.links,
         empty=tuple(map(str, empty)),
@@ -90,7 +88,7 @@ def words_of_plan(config: SysidConfig) -> RunWords:
     log_values = {key: settings[key] for key in READING if key in settings}
     return RunWords(
         model=str(model),
-        arm=tuple(command_arguments(vars(config.model), config.model)),
+        arm=tuple(given_arguments(config.model)),
         log=tuple(command_arguments(log_values, LogOptions)),
         folder=config.plan_file.parent,
         origin=_origin_of(settings),
@@ -123,11 +121,10 @@ def add_weighing_commands(
     reading = [
         key for key in READING if f"--{key.replace('_', '-')}" not in remedy_words
     ]
-    values = _given_values(options, tuple(reading))
     run = RunWords(
         model=str(model),
-        arm=tuple(command_arguments(vars(arm), arm)),
-        log=tuple(command_arguments(values, LogOptions)),
+        arm=tuple(given_arguments(arm)),
+        log=tuple(given_arguments(options, reading)),
     )
     error.command_lines = [weighing_words(run, log, option) for option in error.options]
 
@@ -135,15 +132,6 @@ def add_weighing_commands(
 def _files(logs: Sequence[Any]) -> tuple[Path, ...]:
     """Return those logs that are files; from Python, logs may be arrays in memory."""
     return tuple(log for log in logs if isinstance(log, Path))
-
-
-def _given_values(record: Any, keys: tuple[str, ...]) -> Mapping[str, Any]:
-    """Return key to value of those options of a record that are given and among the keys."""
-    values = {}
-    for option in given_options(record):
-        if option.key in keys:
-            values[option.key] = getattr(record, option.key)
-    return values
 
 
 def _read_settings(path: Path) -> dict[str, Any]:

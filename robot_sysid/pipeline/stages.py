@@ -242,9 +242,7 @@ def _write_driver_settings(config: Config, result: Result) -> Path:
     source = config.output.driver_settings
     assert source is not None
     names = result.robot.joint_names
-    scales = [1.0] * len(names)
-    if config.log.torque_scale is not None:
-        scales = joint_factors(config.log.torque_scale, names, SCALE)[0].tolist()
+    scales = joint_factors(config.log.torque_scale, names, SCALE)[0]
     text = updated_settings(source.read_text(encoding="utf-8"), result, scales)
     path = config.output.output_dir / source.name
     write_atomically(path, text)

@@ -212,12 +212,12 @@ def command_arguments(values: Mapping[str, Any], *records: Any) -> list[str]:
     return arguments
 
 
-def given_arguments(record: Any) -> list[str]:
-    """Return the arguments of a command line that state the given options of a record."""
+def given_arguments(record: Any, keys: Collection[str] | None = None) -> list[str]:
+    """Return the arguments of a command line that state a record's given options, of some keys."""
     values = {}
     for name, stated in options_of(record).items():
         value = getattr(record, name)
-        if value != default_of(record, name):
+        if value != default_of(record, name) and (keys is None or stated.key in keys):
             values[stated.key] = value
     return command_arguments(values, record)
 
@@ -392,11 +392,13 @@ def check_factor(value: float | Path) -> str | None:
     return f"must be positive (got {value:g}); turn a sign round in the columns file"
 
 
-def joint_factors(factors: Factors, joint_names: Sequence[str], table: str) -> Array:
+def joint_factors(
+    factors: Factors | None, joint_names: Sequence[str], table: str
+) -> Array:
     """Return (2, n): the factor of each joint, and its standard error or NaN where none is stated.
 
     Args:
-        factors: numbers, or the file to read them from.
+        factors: numbers, or the file to read them from; None for ones.
         joint_names: the n joints, in the order of the columns that are returned.
         table: ``SCALE`` or ``CONSTANTS``, the key in the file and the name of the option.
 
@@ -407,7 +409,7 @@ def joint_factors(factors: Factors, joint_names: Sequence[str], table: str) -> A
 
     if not isinstance(factors, Path):
         flag = "--" + table.replace("_", "-")
-        values = joint_values(factors, len(joint_names), flag)
+        values = joint_values(factors or 1.0, len(joint_names), flag)
         return np.array([values, np.full(len(values), np.nan)])
     by_joint = read_factors(factors, table)
     for name in joint_names:
@@ -535,9 +537,8 @@ def value_text(stated: Option) -> str:
 
 def processor_count() -> int:
     """Return how many processors this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    has_affinity = hasattr(os, "sched_getaffinity")
+    return len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,14 @@ may follow: ``coulomb_friction: [0.3, 0.3, 0.06]``. Only the numbers of identifi
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_sysid.errors import InputError
 
 if TYPE_CHECKING:
+    from robot_sysid.records import Array
     from robot_sysid.results.record import Result
 
 FIELDS: Mapping[str, str] = {
@@ -57,7 +58,7 @@ def require_driver_settings(path: Path, n_joints: int) -> None:
             )
 
 
-def updated_settings(text: str, result: Result, scales: Sequence[float]) -> str:
+def updated_settings(text: str, result: Result, scales: Array) -> str:
     """Return the text of a settings file with the identified numbers.
 
     A driver commands what the log's torque column reads: friction is multiplied by the torque
@@ -80,9 +81,7 @@ def updated_settings(text: str, result: Result, scales: Sequence[float]) -> str:
     return _FIELD.sub(replace_numbers, text)
 
 
-def _joint_values(
-    result: Result, quantity: str, scales: Sequence[float]
-) -> Iterator[float]:
+def _joint_values(result: Result, quantity: str, scales: Array) -> Iterator[float]:
     """Yield a value per joint: its torque scale, or a friction term of the written model."""
     robot = result.robot
     written = result.file.joints if result.file is not None else {}

@@ -7,7 +7,7 @@ standard error.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -141,16 +141,12 @@ def parameter_rows(result: Result) -> list[BeforeAfter]:
 def theta_rows(body: BodyEstimate) -> list[BeforeAfter]:
     """Return the rows of the ten inertial parameters; an error of zero counts as not stated."""
     prior = None if body.prior is None else body.prior.theta
-    rows = _number_rows(
-        LABELS.values(),
-        prior,
-        body.inertial.theta,
-        body.errors,
-        PARAMETER_UNITS,
-        body.inertial.scale,
-    )
-    shares = body.data_share.tolist()
-    return [replace(row, share=share) for row, share in zip(rows, shares)]
+    theta = body.inertial.theta
+    scale = body.inertial.scale
+    labels = LABELS.values()
+    errors = body.errors
+    shares = body.data_share
+    return _number_rows(labels, prior, theta, errors, PARAMETER_UNITS, scale, shares)
 
 
 def com_rows(body: BodyEstimate) -> list[BeforeAfter]:
@@ -164,10 +160,9 @@ def com_rows(body: BodyEstimate) -> list[BeforeAfter]:
     length = max(spatial.characteristic_length(body.inertial.theta), _MIN_LENGTH)
     prior = None if body.prior is None else body.prior.com
     labels = map("centre of mass {}".format, "xyz")
-    units = ["m"] * 3
-    rows = _number_rows(labels, prior, body.inertial.com, errors, units, length)
-    shares = np.minimum(body.data_share[0], body.data_share[1:4]).tolist()
-    return [replace(row, share=share) for row, share in zip(rows, shares)]
+    com = body.inertial.com
+    shares = np.minimum(body.data_share[0], body.data_share[1:4])
+    return _number_rows(labels, prior, com, errors, ["m"] * 3, length, shares)
 
 
 def inertia_rows(body: BodyEstimate) -> list[BeforeAfter]:
@@ -182,9 +177,8 @@ def inertia_rows(body: BodyEstimate) -> list[BeforeAfter]:
     labels = [f"inertia {name[1:]} about CoM" for name in INERTIA]
     units = ["kg·m²"] * 6
     scale = body.inertial.scale[4:]
-    rows = _number_rows(labels, prior, inertia, errors, units, scale)
-    shares = body.data_share[4:].tolist()
-    return [replace(row, share=share) for row, share in zip(rows, shares)]
+    shares = body.data_share[4:]
+    return _number_rows(labels, prior, inertia, errors, units, scale, shares)
 
 
 def _number_rows(
@@ -194,6 +188,7 @@ def _number_rows(
     errors: Array,
     units: Iterable[str],
     scale: Array | float,
+    shares: Array,
 ) -> list[BeforeAfter]:
     """Return the rows of m numbers before and after an identification.
 
@@ -204,6 +199,7 @@ def _number_rows(
         errors: (m,) their standard errors; one of zero counts as not stated.
         units: (m,) their units.
         scale: sizes (m,) of large values, or one size; far below it, a number is shown as zero.
+        shares: (m,) shares of the identified values that the data determines.
     """
     values_before: list[float | None] = [None] * len(identified)
     if prior is not None:
@@ -211,7 +207,7 @@ def _number_rows(
     values_after = without_rounding(identified, scale).tolist()
     stated_errors = [error or None for error in errors.tolist()]
     columns = (labels, values_before, values_after, stated_errors, units)
-    return list(map(BeforeAfter, *columns))
+    return list(map(BeforeAfter, *columns, shares.tolist()))
 
 
 def without_rounding(values: Array, scale: Array | float) -> Array:
