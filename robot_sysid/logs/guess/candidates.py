@@ -59,8 +59,10 @@ _OTHER_TEXT = (
 _OTHER = frozenset(_OTHER_TEXT.split())
 """Words of titles of other quantities, also of such that are computed and not measured."""
 _QUANTITY_OF_UNIT = {
-    **dict.fromkeys(("rad", "rads1", "deg", "degree", "degrees", "°"), "position"),
-    **dict.fromkeys(("radsec", "rads", "degs", "dps", "°s", "rpm"), "velocity"),
+    **dict.fromkeys(("rad", "deg", "degree", "degrees", "°"), "position"),
+    **dict.fromkeys(
+        ("radsec", "rads", "rads1", "degs", "dps", "°s", "rpm"), "velocity"
+    ),
     **dict.fromkeys(("nm", "mnm", "ncm", "knm"), "torque"),
     **dict.fromkeys(("s", "ms", "us", "ns", "sec"), "time"),
     **dict.fromkeys(("a", "ma", "v", "c", "°c", "k", "w", "hz", "rads2"), "other"),
@@ -103,17 +105,19 @@ class Candidate:
     @property
     def is_clear(self) -> bool:
         """Whether the torques follow the model's at all joints that links load."""
-        largest = float(np.max(self.fit.of_columns(self.fit.misfit, self.torque)))
-        if self.score > np.log(_CLEAR) or largest > _POOR:
-            return False
         # Columns of another quantity fit at few joints by chance, and have signs by chance.
-        return 3 * len(self.torque_faults) <= len(self.torque)
+        has_few_faults = 3 * len(self.torque_faults) <= len(self.torque)
+        return has_few_faults and self._is_small(self.fit.misfit)
 
     @property
     def has_other_scale(self) -> bool:
         """Whether the torques would follow the model's if their unit were another one."""
-        misfit = self.fit.of_columns(self.fit.any_scale_misfit, self.torque)
-        return self.any_scale_score < np.log(_CLEAR) and float(np.max(misfit)) < _POOR
+        return self._is_small(self.fit.any_scale_misfit)
+
+    def _is_small(self, misfit: Array) -> bool:
+        """Return whether a misfit (n, C) is small at all joints that links load."""
+        largest = float(np.max(self.fit.of_columns(misfit, self.torque)))
+        return self._mean_logarithm(misfit) <= np.log(_CLEAR) and largest <= _POOR
 
     @cached_property
     def torque_faults(self) -> dict[int, str]:
@@ -204,10 +208,8 @@ class ColumnCandidates:
     def pairs(self) -> list[Candidate]:
         """Positions and torques that may belong together, the torque in any unit."""
         samples, period = self.samples
-        if (
-            len(samples) < _FEWEST_SAMPLES
-            or len(self.groups("position")) > _MOST_GROUPS
-        ):
+        is_chance = len(self.groups("position")) > _MOST_GROUPS
+        if is_chance or len(samples) < _FEWEST_SAMPLES:
             return []
         torques = self.groups("torque")
         units = [UNITS["torque"].get(title.unit, 1.0) for title in self.titles]

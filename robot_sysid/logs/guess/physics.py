@@ -167,36 +167,25 @@ def fit_torques(
     direction = np.zeros_like(scale)
     load = np.zeros(n)
     with np.errstate(divide="ignore", invalid="ignore"):
-        size = np.std(columns, axis=0)
+        column_size = np.std(columns, axis=0)
         for joint in range(n):
             fastest = np.max(np.abs(qd[:, joint]))
-            if fastest == 0.0:
-                # A joint that stands has no friction, and one column to leave out.
-                friction = np.ones((len(q), 1))
-                sign = np.zeros(len(q))
-            else:
-                sign = np.tanh(qd[:, joint] / (0.02 * fastest))
-                friction = np.stack(
-                    (np.ones(len(q)), qd[:, joint], qdd[:, joint]), axis=1
-                )
+            sign = np.tanh(qd[:, joint] / (0.02 * fastest or 1.0))
+            friction = np.column_stack((np.ones(len(q)), qd[:, joint], qdd[:, joint]))
             with_sign = np.column_stack((friction, sign))
             torque = _without(with_sign, model_torque[:, [joint]])[:, 0]
             others = _without(with_sign, columns)
+            spread = _rms(others)
             load[joint] = np.std(torque)
             factor = torque @ others / (torque @ torque)
-            bounded = np.sign(factor) * np.clip(
-                np.abs(factor), LEAST_SCALE, LARGEST_SCALE
-            )
-            left = others - np.outer(torque, bounded)
+            size = np.clip(np.abs(factor), LEAST_SCALE, LARGEST_SCALE)
             scale[joint] = factor
-            residual[joint] = np.sqrt(np.mean(left**2, axis=0))
-            spread = np.sqrt(np.mean(others**2, axis=0))
+            residual[joint] = _rms(others - np.outer(torque, np.sign(factor) * size))
             misfit[joint] = residual[joint] / spread
-            left = others - np.outer(torque, factor)
-            any_scale_misfit[joint] = np.sqrt(np.mean(left**2, axis=0)) / spread
+            any_scale_misfit[joint] = _rms(others - np.outer(torque, factor)) / spread
             base = np.column_stack((friction, model_torque[:, joint]))
             dry = _without(base, sign[:, None])[:, 0]
-            direction[joint] = dry @ _without(base, columns) / (dry @ dry) / size
+            direction[joint] = dry @ _without(base, columns) / (dry @ dry) / column_size
     return TorqueFit(
         scale=np.nan_to_num(scale),
         misfit=np.nan_to_num(misfit, nan=1.0, posinf=1.0),
@@ -216,6 +205,11 @@ def _find_loaded(load: Array) -> NDArray[np.bool_]:
     count = min(2, len(load))
     second = float(np.sort(load)[-count])
     return load >= max(min(_LOADED * float(np.max(load)), second), 1e-9)
+
+
+def _rms(values: Array) -> Array:
+    """Return the root mean square of each column of values (N, C)."""
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
 def _without(regressors: Array, values: Array) -> Array:
