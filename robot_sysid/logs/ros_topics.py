@@ -28,6 +28,8 @@ _LEAST_SPREAD = 1e-3
 _LEAST_SAMPLES = 10
 """Least number of samples that are compared."""
 
+_LEADERS = frozenset({"leader", "master"})
+"""Words in the names of topics of an arm by which another one is led."""
 Motion = tuple[Array, Array]
 """Time stamps (K,) [s] and positions (K, n) of the arm's joints."""
 
@@ -64,8 +66,12 @@ class Topic:
 
     @property
     def is_commanded(self) -> bool:
-        """Whether its name marks it as commands or references, as in /desired_joint_states."""
-        return read_title(self.name).is_commanded
+        """Whether its name marks it as commands or references, as in /desired_joint_states.
+
+        So does the name of an arm that leads the other one, which moves almost alike.
+        """
+        title = read_title(self.name)
+        return title.is_commanded or bool(_LEADERS & {*title.tokens})
 
 
 def choose_topic(path: Path, topics: Sequence[Topic]) -> tuple[Topic, str]:

@@ -60,6 +60,7 @@ def test_of_equal_topics_the_plain_joint_states_are_read():
     "other",
     [
         topic("/a/desired_joint_states"),
+        topic("/a/leader/joint_states", q=1.001 * DATA.q),
         topic("/a/sim", is_zero=True),
         topic("/a/sim", has_torques=False, is_zero=True),
     ],
