@@ -197,12 +197,12 @@ def _split_name(name: str) -> NamePieces:
     """Return the words and numbers of a name; camelCase is two words."""
     separate = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
     pieces = re.findall(r"[^\W\d_]+|\d+", separate.lower())
-    return tuple(str(int(piece)) if piece.isdigit() else piece for piece in pieces)
+    return tuple(str(int(piece)) if piece.isdecimal() else piece for piece in pieces)
 
 
 def _is_number(core: NamePieces) -> bool:
     """Return whether a core is a number alone."""
-    return len(core) == 1 and core[0].isdigit()
+    return len(core) == 1 and core[0].isdecimal()
 
 
 def _renumbered_frames(

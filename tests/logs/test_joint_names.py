@@ -92,7 +92,9 @@ def test_joints_of_the_model_beyond_the_arm_may_be_in_the_log():
             match_joint_names(names, five)
 
 
-@pytest.mark.parametrize("names", [[], ["x", "y"], count("motor", 3), UR])
+@pytest.mark.parametrize(
+    "names", [[], ["x", "y"], count("motor", 3), UR, ["joint_²", "joint_①"]]
+)
 def test_nothing_is_made_of_names_that_are_no_set(names):
     assert match_joint_names(names, JOINTS) is None
 
