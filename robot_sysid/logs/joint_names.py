@@ -6,8 +6,8 @@ by 1 to 7. The recording's names match where these are found once each between w
 same in all of the names: panda, joint in front and nothing behind. Fingers and other joints of the
 recording are left over, and the order of the names does not matter.
 
-Two sets of names that fit, such as those of a left and a right arm, and a set that has further
-numbers, as an arm with more joints has, are refused.
+Two sets of names that fit, such as those of a left and a right arm, a set that has further
+numbers, as an arm with more joints has, and one of the other side than the model's are refused.
 """
 
 from __future__ import annotations

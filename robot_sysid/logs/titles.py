@@ -7,7 +7,8 @@ quantity.
 
 A column is matched with a joint by the joint's name, or else by its number. Both are tried. Names
 are used for a quantity whose titles carry every joint's name; else the numbers in the titles have
-to be exactly 0..n-1 or 1..n. It is an error if names and numbers give different columns. Where
+to be exactly 0..n-1 or 1..n, or those of the model's names. They count the joints in the order of
+the log's own list of names, if it has one. Names and numbers must not give different columns. Where
 neither gives the positions, what remains of each title beside its quantity is taken for the joint's
 name, and ``joint_names`` matches all of these with the model's.
 """
