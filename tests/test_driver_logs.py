@@ -1,4 +1,4 @@
-"""Recordings as the makers' drivers write them are read and identified without any option.
+"""Recordings as the makers' drivers write them are read without any option.
 
 Skipped where the public models are not beside the checkout.
 """
@@ -51,18 +51,6 @@ def test_positions_and_torques_of_each_joint_are_those_of_the_arm(tmp_path, log)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("log", DRIVER_LOGS, ids=lambda log: log.name)
-def test_each_drivers_log_is_checked_and_identified(tmp_path, monkeypatch, capsys, log):
-    pytest.importorskip("rosbags")
-    monkeypatch.chdir(tmp_path)
-    path = str(log.write(tmp_path))
-    model = str(MODELS / log.model)
-    assert main(["log", path, model]) == 0
-    assert main(["identify", model, path]) == 0
-    assert "Usable: " in capsys.readouterr().out
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("log", UNWEIGHED_LOGS, ids=lambda log: log.name)
 def test_motor_currents_are_named_and_never_fitted(tmp_path, monkeypatch, capsys, log):
     pytest.importorskip("rosbags")
@@ -72,6 +60,8 @@ def test_motor_currents_are_named_and_never_fitted(tmp_path, monkeypatch, capsys
     assert main(["identify", model, str(path)]) == 2
     error = capsys.readouterr().err
     assert "motor currents" in error and "--torque-constants" in error
-    if path.suffix != ".csv":
-        assert f"\n  robot-sysid payload {model} --empty {path} --loaded " in error
+    command = f"payload {model} --empty {path} --loaded "
+    if path.suffix == ".csv":
+        command = f"identify {model} {path} --torque-constants 1\n"
+    assert f"\n  robot-sysid {command}" in error
     assert not (tmp_path / "sysid_output" / "updated_model.xml").exists()

@@ -363,6 +363,9 @@ class _ColumnFinder:
         with collect_errors(faults):
             self.recognised["time"] = self._find_time(candidates["joint_time"])
         if faults:
+            if self.missing == ["torque"] and self._are_currents_complete:
+                # With constants, the columns are complete: no columns file is needed.
+                raise InputError("; ".join(faults), [("--torque-constants", "1")])
             if self.missing:
                 faults.insert(0, self._needs_text())
             raise InputError(f"{'; '.join(faults)}. Columns: {', '.join(self._texts)}")
@@ -451,18 +454,29 @@ class _ColumnFinder:
             )
         return (self._column("time", joint=0, index=times[0], factor=1.0),)
 
+    @property
+    def _currents(self) -> list[str]:
+        """Titles of the columns of motor currents that are not declared as something else."""
+        currents = []
+        for title in self._titles:
+            if title.is_current and title.override is None:
+                currents.append(title.text)
+        return currents
+
+    @property
+    def _are_currents_complete(self) -> bool:
+        """Whether there is a column of motor currents for each joint."""
+        return len(self._currents) >= len(self._joint_names)
+
     def _missing_error(self, quantity: str) -> InputError:
         """Return the error for a quantity of which a joint has no column, with a hint."""
         candidates = []
         commands = []
-        currents = []
         for title in self._titles:
             if joint_quantity(title) == quantity:
                 candidates.append(title.text)
             if title.is_commanded and title.override != "command":
                 commands.append(title.text)
-            if title.is_current and title.override is None:
-                currents.append(title.text)
         listed = "none"
         if candidates:
             listed = f"{len(candidates)} ({', '.join(candidates)})"
@@ -471,8 +485,11 @@ class _ColumnFinder:
             hint = f"; commanded columns are not measurements: {commands[0]}, ..."
         if quantity == "command":
             hint = " (titles such as action, command, q_des or goal_position)"
-        elif quantity == "torque" and currents:
-            hint += f"; {currents[0]}, ... are motor currents: give --torque-constants to use them"
+        elif quantity == "torque" and self._currents:
+            hint += (
+                f"; {self._currents[0]}, ... are motor currents: give --torque-constants; where "
+                "they are not known, begin with 1 N·m/A, and a weight of known mass shows them"
+            )
         elif quantity == "torque" and not candidates:
             hint += "; with commanded positions, identify --torque-from position-error needs none"
         return InputError(f"{quantity}: found {listed}{hint}")

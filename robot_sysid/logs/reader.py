@@ -144,6 +144,8 @@ def _map_columns(
         )
     except InputError as error:
         fault = f"{path}: {error}"
+        if error.options and not isinstance(error, ColumnsError):
+            raise InputError(fault, error.options, error.command) from None
         if table.external_links:
             raise InputError(f"{fault}; {table.external_links}") from None
         # A draft does not suit a user who has declared columns already.

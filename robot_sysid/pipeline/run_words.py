@@ -45,6 +45,7 @@ def words_of_run(config: Config, identification: Identification) -> RunWords:
         config: options of the run.
         identification: its result, whose recorded motion may be a planned one.
     """
+    reading = list(READING)
     scales = config.log.torque_scale
     recordings = config.log.measurements
     empty: tuple[Path, ...] = ()
@@ -53,6 +54,8 @@ def words_of_run(config: Config, identification: Identification) -> RunWords:
         recordings = config.payload.loaded
         if config.payload.known_mass is not None:
             scales = config.payload.save_torque_scale
+            # The scales that the run began with are in those that it writes.
+            reading.remove("torque_scale")
     plan = None
     purpose = None
     joint_names = identification.result.robot.joint_names
@@ -64,7 +67,7 @@ def words_of_run(config: Config, identification: Identification) -> RunWords:
     return RunWords(
         model=str(config.model.path),
         arm=tuple(given_arguments(config.model)),
-        log=tuple(given_arguments(config.log, READING)),
+        log=tuple(given_arguments(config.log, reading)),
         folder=config.output.output_dir,
         links=config.output.links,
         empty=tuple(map(str, empty)),

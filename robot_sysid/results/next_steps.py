@@ -205,13 +205,18 @@ def weighing_words(run: RunWords, log: Path, scales: Sequence[str]) -> list[str]
 def _step_after_calibration(run: RunWords) -> NextStep | None:
     """Return the step that uses the torque scales which a known mass has determined.
 
-    It repeats the run whose folder the scales lie in; without such a run, the scales are for any.
+    It repeats the run whose folder the scales lie in. Without such a run, it identifies the arm
+    from the recordings without the weight.
     """
     if run.scales is None:
         return None
     settings = run.folder.parent / RUN_NAME
     if not settings.is_file():
-        return NextStep(f"Give every later run --torque-scale {run.scales}")
+        command = ["robot-sysid", "identify", run.model, *run.empty, *run.arm, *run.log]
+        sentence = (
+            "Next, identify the arm with these torque scales, as in every later run"
+        )
+        return NextStep(sentence, (*command, "--torque-scale", run.scales))
     command = ["robot-sysid", "payload", "--config", str(settings)]
     sentence = "Next, weigh the payload again with these torque scales"
     return NextStep(sentence, (*command, "--torque-scale", run.scales))

@@ -123,15 +123,16 @@ def test_after_a_payload_comes_what_limits_its_mass(result, run, line):
     assert command_after(result, run) == line
 
 
-def test_scales_from_a_known_mass_repeat_the_run_that_they_are_for(tmp_path):
+def test_scales_from_a_known_mass_repeat_the_run_or_identify_the_arm(tmp_path):
     calibration = made.payload(known_mass=1.0)
     scales = str(tmp_path / "scale" / "s.json")
     run = replace(RUN, folder=tmp_path / "scale", scales=scales)
-    step = next_step(calibration, run, [])
-    assert step == NextStep(f"Give every later run --torque-scale {scales}")
+    scale_words = f"--torque-scale {scales}"
+    identify = "robot-sysid identify 'an arm.xml' a.csv --joint j6 --units deg"
+    assert command_after(calibration, run) == f"{identify} {scale_words}"
     (tmp_path / "run.toml").write_text("")
     command = command_after(calibration, run, [])
-    settings = f"--config {tmp_path}/run.toml --torque-scale {scales}"
+    settings = f"--config {tmp_path}/run.toml {scale_words}"
     assert command == f"robot-sysid payload {settings}"
     assert next_step(calibration, replace(run, scales=None), []) is None
 
