@@ -16,6 +16,13 @@ from robot_sysid.estimation.algebra import consistent_bodies
 from robot_sysid.motion import ExcitationOptions
 from robot_sysid.parser import load_robot_model
 from tests.support import arms
+from tests.support.driver_logs import (
+    DRIVER_LOGS,
+    UNWEIGHED_LOGS,
+    UR_CONSTANTS,
+    model_of,
+)
+from tests.support.lab_arm_logs import LAB_ARM_LOGS, OPENARM, SO101, so101_data_set
 from tests.support.places import MODELS
 from tests.support.walk import MOST_STEPS, TrueArm, Walk
 
@@ -59,6 +66,8 @@ def require_done(walk, wanted):
     """Every command has run, and the path ended with what was wanted."""
     steps = walk.steps
     for step in (*steps, *walk.remedies):
+        if step in walk.refused:
+            continue
         assert step.code == 0, (step.line, step.output[-2000:])
     assert len(steps) <= MOST_STEPS
     assert any(wanted in step.output for step in steps), steps[-1].output
@@ -84,6 +93,14 @@ def walk_from_gripper(path, arm, options=()):
     return walk.steps
 
 
+def walk_from_recording(path, model, arm, record_again=None):
+    """Look at a recording without any option and do what is printed next; return the walk."""
+    walk = Walk(arm, runs_remedies=False, record_again=record_again)
+    walk.follow(shlex.join(["robot-sysid", "log", str(path), str(model)]))
+    require_done(walk, "Use this file: ")
+    return walk
+
+
 def small_arm(tool=0.05):
     """A small arm, whose model is in a file with a quote in its name."""
     path = Path("it's.xml")
@@ -107,9 +124,66 @@ def test_from_a_gripper_to_its_card(short_search):
 @pytest.mark.timeout(900)
 @pytest.mark.skipif(not MODELS.is_dir(), reason="the public models are not here")
 @pytest.mark.parametrize(("model", "joint"), ZOO)
-def test_public_arms_are_led_to_the_file_and_to_the_card(model, joint):
+def test_public_arms_are_led_to_the_file_and_to_the_card(short_search, model, joint):
     path = MODELS / model
     options = () if joint is None else ("--joint", joint)
     arm = TrueArm(load_robot_model(path, joint=joint))
     walk_from_log(path, arm, options)
     walk_from_gripper(path, arm, options)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.skipif(not MODELS.is_dir(), reason="the public models are not here")
+@pytest.mark.parametrize("log", DRIVER_LOGS, ids=lambda log: log.name)
+def test_a_drivers_recording_leads_to_the_file(short_search, log):
+    pytest.importorskip("rosbags")
+    arm = TrueArm(model_of(log.model))
+    walk = walk_from_recording(log.write(Path()), MODELS / log.model, arm)
+    assert not walk.refused
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.skipif(not MODELS.is_dir(), reason="the public models are not here")
+@pytest.mark.parametrize("log", UNWEIGHED_LOGS, ids=lambda log: log.name)
+def test_motor_currents_lead_over_a_known_mass_to_the_file(short_search, log):
+    """Nothing is fitted to currents before a known mass has shown what an ampere is worth."""
+    pytest.importorskip("rosbags")
+
+    def record_again(path, load):
+        folder = Path("with a weight")
+        folder.mkdir()
+        log.write(folder, load=load).rename(path)
+
+    arm = TrueArm(model_of(log.model), constants=UR_CONSTANTS)
+    model = MODELS / log.model
+    walk = walk_from_recording(log.write(Path()), model, arm, record_again)
+    assert walk.refused
+    weighing = walk.steps[len(walk.refused)]
+    assert "--known-mass 1" in weighing.line and weighing.code == 0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("log", LAB_ARM_LOGS, ids=lambda log: log.name)
+def test_a_laboratory_arms_recording_leads_to_the_file(short_search, log):
+    for library in ("rosbags", "pyarrow"):
+        pytest.importorskip(library)
+    if log.name.startswith("OpenArm") and not OPENARM.exists():
+        pytest.skip("the public models are not here")
+    robot = log.robot(Path())
+    walk = walk_from_recording(log.write(Path()), robot.path, TrueArm(robot))
+    # A model of two arms needs to be told which.
+    assert len(walk.refused) == log.name.startswith("OpenArm")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.skipif(not SO101.exists(), reason="the public models are not here")
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_positions_and_goals_of_a_servo_arm_lead_to_the_file(short_search, version):
+    pytest.importorskip("pyarrow")
+    arm = TrueArm(load_robot_model(SO101))
+    walk = walk_from_recording(so101_data_set(Path(), version), SO101, arm)
+    assert walk.refused == walk.steps[:1]

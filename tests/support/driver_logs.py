@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -58,9 +58,12 @@ def model_of(path: str) -> RobotModel:
 
 
 @cache
-def motion_of(path: str, rate: float = 250.0, seed: int = 3) -> Measurement:
-    """Return 12 s of a motion of a public model whose links are a little off, with sensor noise."""
-    return truth_of(model_of(path), seed, rate=rate).log
+def motion_of(path: str, rate: float = 250.0, load: float = 0.0) -> Measurement:
+    """Return 12 s of a motion of a public model whose links are a little off, with sensor noise.
+
+    ``load`` is the mass of a weight on the terminal link [kg]; the motion is the same with it.
+    """
+    return truth_of(model_of(path), 3, rate=rate, load=load).log
 
 
 def every(data: Measurement, step: int) -> Measurement:
@@ -194,7 +197,9 @@ def in_amperes(data: Measurement) -> Measurement:
     return replace(data, tau=data.tau / UR_CONSTANTS)
 
 
-def universal_robots(folder: Path, storage: str, is_current: bool) -> Path:
+def universal_robots(
+    folder: Path, storage: str, is_current: bool, load: float = 0.0
+) -> Path:
     """A bag of the UR driver: joints by the alphabet, 500 Hz; effort is current before PolyScope
     5.23, and by default.
 
@@ -202,7 +207,7 @@ def universal_robots(folder: Path, storage: str, is_current: bool) -> Path:
     """
     store = typestore(storage)
     types = store.types
-    data = motion_of(UR5E, rate=500.0)
+    data = motion_of(UR5E, 500.0, load)
     data = in_amperes(data) if is_current else data
     order = np.argsort(UR_JOINTS)
     topics = [("/joint_states", STATE, states(types, data, UR_JOINTS, order))]
@@ -223,9 +228,9 @@ def dynamic_states(types: Any, data: Measurement, names: Sequence[str]):
         yield time, types[recorded.DYNAMIC](header, list(names), values)
 
 
-def rtde(folder: Path, torque: str) -> Path:
+def rtde(folder: Path, torque: str, load: float = 0.0) -> Path:
     """What record.py of the RTDE client writes: blanks between cells, a column per element."""
-    data = motion_of(UR5E, rate=500.0)
+    data = motion_of(UR5E, 500.0, load)
     is_current = torque == "actual_current"
     measured = in_amperes(data).tau if is_current else data.tau
     groups = ("actual_q", "actual_qd", torque, "target_moment")
@@ -345,7 +350,7 @@ class DriverLog:
 
     name: str
     model: str
-    write: Callable[[Path], Path]
+    write: Callable[..., Path]
     source: str
     rate: float
 
@@ -493,16 +498,17 @@ UNWEIGHED_LOGS = (
     DriverLog(
         "UR current as effort",
         UR5E,
-        lambda folder: universal_robots(folder, "MCAP", is_current=True),
+        partial(universal_robots, storage="MCAP", is_current=True),
         _UR_SOURCE,
         500.0,
     ),
     DriverLog(
         "UR RTDE current",
         UR5E,
-        lambda folder: rtde(folder, "actual_current"),
+        partial(rtde, torque="actual_current"),
         _RTDE_SOURCE,
         500.0,
     ),
 )
-"""Recordings whose efforts are no torques."""
+"""Recordings whose efforts are no torques. Their ``write`` takes ``load``, the mass of a weight on
+the terminal link [kg]."""

@@ -1,8 +1,9 @@
 """A person who follows every printed command, beside a simulated arm that plays what is asked.
 
 The walk begins with one command. The command of the next step is run as it is printed, in the same
-folder, and so on until there is no next step. Recordings that a command names and that do not exist
-yet are made beforehand: the true arm plays the planned motion of that folder.
+folder, and so on until there is no next step. A command that is refused names the one to run in its
+place. Recordings that a command names and that do not exist yet are made beforehand: the true arm
+plays the planned motion of that folder.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.motion.trajectories import load_trajectory
-from robot_sysid.records import Measurement, MotionPlan, RobotModel
+from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
 from robot_sysid.trajectory import generate_excitation_trajectory
 
 MOST_STEPS = 8
@@ -32,6 +33,8 @@ MOST_STEPS = 8
 RATE = 200.0
 KNOWN_MASS = 1.0
 """Mass of the weight that the program asks to bolt on [kg]."""
+REFUSED = 2
+"""Exit code of a command that was refused because of its input."""
 _PUNCTUATION = set("();<>|&")
 """Characters that mean something to a shell where they are not quoted."""
 
@@ -43,14 +46,22 @@ class TrueArm:
         robot: what the model says.
         seed: draws what differs.
         tool: mass of the tool over the mass of all links.
+        constants: torque per recorded ampere [N m/A]; 1 records torques.
 
     Attributes:
         noise: (n,) standard deviation of the torque noise [N m].
     """
 
-    def __init__(self, robot: RobotModel, seed: int = 1, tool: float = 0.05) -> None:
+    def __init__(
+        self,
+        robot: RobotModel,
+        seed: int = 1,
+        tool: float = 0.05,
+        constants: Array | float = 1.0,
+    ) -> None:
         rng = np.random.default_rng(seed)
         self.robot = robot
+        self._constants = constants
         self._thetas = robot.thetas * rng.uniform(0.9, 1.1, (robot.n_joints, 1))
         self._dynamics = LinkDynamics(robot)
         self._rng = rng
@@ -81,7 +92,7 @@ class TrueArm:
         tau = rigid + self.robot.armature * motion.qdd + friction + noise
         step = 2.0 * np.pi / 2**17
         q = np.round(motion.q / step) * step
-        samples = Measurement(time, q, motion.qd, tau)
+        samples = Measurement(time, q, motion.qd, tau / self._constants)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_measurement_csv(path, self.robot.joint_names, [samples])
 
@@ -131,9 +142,12 @@ class Walk:
         arm: the arm that is recorded.
         runs_remedies: whether commands that are no next step are run, too.
         run: runs a command line; returns its exit code and its output.
+        record_again: writes the recording of the first log's motion, in its form, with a load of
+            this mass on the terminal link [kg].
 
     Attributes:
         steps: the commands of the path that were run.
+        refused: those of them that were refused and printed the command to run in their place.
         remedies: the other commands that were run.
     """
 
@@ -142,12 +156,15 @@ class Walk:
         arm: TrueArm,
         runs_remedies: bool = True,
         run: Callable[[str], tuple[int, str]] = run_here,
+        record_again: Callable[[Path, float], None] | None = None,
     ) -> None:
         self.arm = arm
+        self._record_again = record_again
         self._runs_remedies = runs_remedies
         self._run = run
         self._plan: MotionPlan = arm.first_plan
         self.steps: list[Step] = []
+        self.refused: list[Step] = []
         self.remedies: list[Step] = []
 
     def follow(self, line: str) -> Sequence[Step]:
@@ -164,6 +181,11 @@ class Walk:
             for path in re.findall(r"^  mujoco\.\S+\((.*)\)$", output, re.MULTILINE):
                 mujoco.MjModel.from_xml_path(json.loads(path))
             next_commands, remedies = commands_in(output)
+            if self.steps[-1].code == REFUSED and remedies:
+                # Of several commands, the first: each is for another arm or topic.
+                self.refused.append(self.steps[-1])
+                next_commands = remedies[:1]
+                remedies = []
             waiting += next_commands
             for remedy in remedies if self._runs_remedies else ():
                 self.remedies.append(Step(remedy, *self._run(remedy)))
@@ -175,9 +197,14 @@ class Walk:
         loads = {"empty": 0.0, "empty_again": 0.0, "weight": KNOWN_MASS}
         for word in shlex.split(line):
             path = Path(word)
-            if path.suffix != ".csv" or path.exists():
-                continue
             saved = path.with_name("trajectory.json")
+            if path.exists():
+                continue
+            if self._record_again and path.stem == "weight" and not saved.exists():
+                self._record_again(path, KNOWN_MASS)
+                continue
+            if path.suffix != ".csv":
+                continue
             if saved.exists():
                 self._plan = load_trajectory(saved).plan
             self.arm.record(path, self._plan, loads.get(path.stem, self.arm.tool_mass))

@@ -42,9 +42,16 @@ class Truth:
 
 
 def truth_of(
-    robot: RobotModel, seed: int, wrong_links: float = 0.02, rate: float = RATE
+    robot: RobotModel,
+    seed: int,
+    wrong_links: float = 0.02,
+    rate: float = RATE,
+    load: float = 0.0,
 ) -> Truth:
-    """A right log of an arm whose links are a little off and that carries something."""
+    """A right log of an arm whose links are a little off and that carries something.
+
+    ``load`` is the mass of a weight that is bolted on beside it [kg].
+    """
     rng = np.random.default_rng(seed)
     no_torque = lambda motion: np.zeros_like(motion.q)  # noqa: E731
     plan = generate_excitation_trajectory(robot, rng, DURATION, no_torque)[0]
@@ -58,9 +65,9 @@ def truth_of(
     com = rng.normal(size=3) * 0.3 * reach
     radius = 0.3 * reach * np.diag(rng.uniform(0.5, 1.0, 3))
     second = mass * radius @ radius
-    thetas[-1] = spatial.theta_from_com(
-        mass, com, np.trace(second) * np.eye(3) - second
-    )
+    moments = np.trace(second) * np.eye(3) - second
+    thetas[-1] = spatial.theta_from_com(mass, com, moments)
+    thetas[-1] += spatial.theta_from_com(load, com, load / mass * moments)
     dynamics = LinkDynamics(robot)
     rigid = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
     rigid = rigid + robot.armature * motion.qdd
