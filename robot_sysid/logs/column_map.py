@@ -363,7 +363,7 @@ class _ColumnFinder:
         with collect_errors(faults):
             self.recognised["time"] = self._find_time(candidates["joint_time"])
         if faults:
-            if self.missing == ["torque"] and self._are_currents_complete:
+            if self.missing == ["torque"] and self._has_currents:
                 # With constants, the columns are complete: no columns file is needed.
                 raise InputError("; ".join(faults), [("--torque-constants", "1")])
             if self.missing:
@@ -464,7 +464,7 @@ class _ColumnFinder:
         return currents
 
     @property
-    def _are_currents_complete(self) -> bool:
+    def _has_currents(self) -> bool:
         """Whether there is a column of motor currents for each joint."""
         return len(self._currents) >= len(self._joint_names)
 
