@@ -466,7 +466,7 @@ class _ColumnFinder:
     @property
     def _has_currents(self) -> bool:
         """Whether there is a column of motor currents for each joint."""
-        return len(self._currents) >= len(self._joint_names)
+        return len(self._currents) >= len(self._robot.joint_names)
 
     def _missing_error(self, quantity: str) -> InputError:
         """Return the error for a quantity of which a joint has no column, with a hint."""

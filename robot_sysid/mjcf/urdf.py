@@ -162,14 +162,14 @@ def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Arra
             continue
         com = _floats(link.child_attribute("inertial", "origin", "xyz"))
         angles = _floats(link.child_attribute("inertial", "origin", "rpy"))
-        rotation = spatial.rotation_of_angles(angles)
         moments = [float(node.get(name) or 0.0) for name in URDF_MOMENTS]
-        inertia = spatial.symmetric_from_six(np.array(moments))
-        inertia = rotation @ inertia @ rotation.T
-        if not np.all(np.abs([*inertia.ravel(), *com]) <= LARGEST):
+        if not np.all(np.abs([*moments, *com, *angles]) <= LARGEST):
             raise ValueError(
                 f"the inertial of link {link.get('name')} is none that an arm has"
             )
+        rotation = spatial.rotation_of_angles(angles)
+        inertia = spatial.symmetric_from_six(np.array(moments))
+        inertia = rotation @ inertia @ rotation.T
         inertias[str(link.get("name"))] = (_mass(link), com, inertia)
     return inertias
 

@@ -197,9 +197,11 @@ def weighing_words(run: RunWords, log: Path, scales: Sequence[str]) -> list[str]
         scales: option and value of the scales to begin with.
     """
     recording = log.with_name(f"weight{log.suffix}")
+    folder = Path("torque_scale")
     command = ["payload", run.model, *run.arm, *run.log, "--empty", str(log)]
     command += ["--loaded", str(recording), "--known-mass", "1", *scales]
-    return [*command, "--save-torque-scale", _SCALE_NAME]
+    command += ["--save-torque-scale", str(folder / _SCALE_NAME)]
+    return [*command, "--output-dir", str(folder)]
 
 
 def _step_after_calibration(run: RunWords) -> NextStep | None:
@@ -208,9 +210,9 @@ def _step_after_calibration(run: RunWords) -> NextStep | None:
     It repeats the run whose folder the scales lie in. Without such a run, it identifies the arm
     from the recordings without the weight.
     """
-    if run.scales is None:
-        return None
     settings = run.folder.parent / RUN_NAME
+    if run.scales is None or not (run.empty or settings.is_file()):
+        return None
     if not settings.is_file():
         command = ["robot-sysid", "identify", run.model, *run.empty, *run.arm, *run.log]
         sentence = (

@@ -147,7 +147,9 @@ def test_motor_currents_end_with_the_command_that_weighs_their_constants(
     words = shlex.split(remedy)
     assert words[:4] == ["robot-sysid", "payload", "arm.xml", "--empty"]
     command.run(" ".join(words[1:]))
-    content = json.loads((folder / "torque_scale.json").read_text())["torque_scale"]
+    content = json.loads((folder / "torque_scale" / "torque_scale.json").read_text())[
+        "torque_scale"
+    ]
     scales = [entry["value"] for entry in content.values()]
     np.testing.assert_allclose(scales, PER_NM, rtol=0.05)
 
