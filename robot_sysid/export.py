@@ -257,8 +257,8 @@ def _write_models(
     notes: tuple[str, ...] = ()
     try:
         for model_result in results:
-            name = file_access.MODEL_NAMES[model_result.model_kind]
-            model_target = replace(target, path=target.path / name)
+            path = target.path / model_result.model_name
+            model_target = replace(target, path=path)
             notes += write_model(model_result, model_target, as_body)
             written.append(model_target.path)
     except ExportError:

@@ -308,7 +308,8 @@ def run_command(config: Config, console: Console, preview: PreviewOptions) -> No
     if output.bundle:
         from robot_sysid.results.written_model import write_bundle
 
-        for path in file_access.models_in(outcome.files):
+        # The first one is the file to use; a URDF beside it would replace its bundle.
+        for path in file_access.models_in(outcome.files)[:1]:
             bundle = write_bundle(path, output.output_dir)
             console.stage(f"Bundle saved to {bundle}")
     console.stage(*outcome.verdict)

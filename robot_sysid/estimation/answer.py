@@ -316,15 +316,23 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
     urdf = None
     if file.file is not None:
         urdf, _ = model_file(replace(answer, file=file.file))
+        motors = [motor.name for motor in fit.choice.couplings]
+        omissions = [f"the motor that turns with {motor}" for motor in motors]
+        rotors = [n for n in robot.joint_names if "armature" in joints.get(n, {})]
+        if rotors:
+            is_all = len(rotors) == robot.n_joints
+            owners = "all joints" if is_all else ", ".join(rotors)
+            omissions.append(f"the rotor inertia of {owners}")
+        urdf = replace(urdf, omissions=tuple(omissions))
         shares = []
         for validation in (file.validation, file.file.validation):
             error = validation.relative_error
-            shares.append("" if error is None else percent(error))
-        motors = ", ".join(motor.name for motor in fit.choice.couplings)
+            shares.append("not known" if error is None else percent(error))
         notes.append(
-            f"a URDF cannot hold the motor that turns with {motors}, or rotor inertia: "
-            f"{MODEL_NAMES['mjcf']} holds both (torque error on held-out data {shares[0]}), "
-            f"{MODEL_NAMES['urdf']} beside it lacks them ({shares[1]})"
+            f"{MODEL_NAMES['urdf']} lacks {' and '.join(omissions)}, which no URDF can hold; its "
+            "links take up the torque of what it lacks, so that their masses differ from the "
+            f"identified ones; {MODEL_NAMES['mjcf']} holds everything (torque error on held-out "
+            f"data {shares[0]}, of the URDF {shares[1]})"
         )
     written_file = ModelFile(
         thetas,

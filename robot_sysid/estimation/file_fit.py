@@ -49,9 +49,9 @@ def fit_file(
 ) -> Answer:
     """Return the fit of the model file that predicts held-out torques best.
 
-    Motors that turn several joints are fixed tendons, which only an MJCF has. For a URDF of an arm
-    with such motors, the answer is the fit of an MJCF, and its own ``file`` that of the URDF
-    beside it, without the motors.
+    A URDF can hold neither rotor inertia nor motors that turn several joints, which are fixed
+    tendons. For a URDF of an arm that has either, the answer is the fit of an MJCF, and its own
+    ``file`` that of the URDF beside it, without them.
 
     Args:
         fitter: fits the recordings; its cached rows are replaced.
@@ -75,9 +75,11 @@ def fit_file(
         unchanged_parts=unchanged_parts,
         carried=carried,
     )
-    if not motors or robot.kind == "mjcf":
-        return _fit_kind(fitter, question, motors, estimate, pull)
     mjcf_question = replace(question, file_kind="mjcf")
+    # A URDF states no rotor inertia: one that differs from the model's is not zero.
+    has_rotors = _holds_rotors(mjcf_question) and any(select_rotors(estimate).values())
+    if robot.kind == "mjcf" or not (motors or has_rotors):
+        return _fit_kind(fitter, question, motors, estimate, pull)
     best = _fit_kind(fitter, mjcf_question, motors, estimate, pull)
     return replace(best, file=_fit_kind(fitter, question, (), estimate, pull))
 

@@ -61,6 +61,17 @@ class WriteBack:
         """Return theta (10,) of the whole link as written, from the identified ``composite``."""
         return composite + self.inflation * _UNIT_SPHERE
 
+    def masses(self, bodies: Sequence[SubtreeBody]) -> list[float]:
+        """Return the masses of bodies of the link as written, the terminal body first [kg]."""
+        emptied = {body.name for body in self.emptied}
+        lightened = {body.name for body in self.lightened}
+        masses = [float(self.theta[0])]
+        for body in bodies[1:]:
+            scale = self.scale if body.name in lightened else 1.0
+            scale = 0.0 if body.name in emptied else scale
+            masses.append(scale * float(body.theta[0]))
+        return masses
+
 
 def plan_write_back(
     composite: Array,

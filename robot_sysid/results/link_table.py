@@ -26,8 +26,27 @@ _LINE_WIDTH = 98
 """Largest number of characters in a line of a table, without its indentation."""
 _UNKNOWN = "unidentifiable"
 """Cell of a number that the data does not determine."""
+FILE_REASON = "{} has the numbers that predict held-out torques best"
+"""Why masses in the written file differ from the table, with the name of that file."""
 _TERM_HEADINGS = {"coulomb": "Coulomb", "armature": "rotor inertia"}
 """Friction term to its name in a heading, where that is not the term's own."""
+
+
+def file_masses(result: Result) -> dict[str, str]:
+    """Return link to its mass in the written file as text [kg], where it is not the table's.
+
+    Both are compared as they are printed. Empty where no file is fitted or written.
+    """
+    masses: dict[str, str] = {}
+    if result.file is None or not result.verdict.writes_model:
+        return masses
+    written = dict(zip(result.robot.joint_names, result.file.thetas[:, 0].tolist()))
+    for body in result.links:
+        error = float(body.errors[0])
+        text = number_text(written[str(body.joint)], error)
+        if text != number_text(body.inertial.mass, error):
+            masses[body.name] = text
+    return masses
 
 
 def link_lines(result: Result) -> Iterator[str]:
@@ -39,7 +58,13 @@ def link_lines(result: Result) -> Iterator[str]:
         mass_rows.append(replace(theta_rows(body)[0], name=body.name))
         coms.append([body.name, *_value_cells(com_rows(body), count=3)])
         inertias.append([body.name, *_value_cells(inertia_rows(body), count=6)])
-    yield from table_lines(mass_rows, "Mass")
+    mass_lines = table_lines(mass_rows, "Mass")
+    masses = file_masses(result)
+    if masses:
+        cells = ["in the file", *(masses.get(row.name, "") for row in mass_rows)]
+        mass_lines = aligned_lines(zip(mass_lines, cells), cells[:1])
+        mass_lines.append(f"  in the file: {FILE_REASON.format(result.model_name)}")
+    yield from mass_lines
     yield from _wide_lines(["Centre of mass [m]", "x", "y", "z"], coms)
     headings = ["Inertia about CoM [kg·m²]", "xx", "xy", "xz", "yy", "yz", "zz"]
     yield from _wide_lines(headings, inertias)

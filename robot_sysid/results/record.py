@@ -21,7 +21,7 @@ from robot_sysid import records
 from robot_sysid.dynamics.friction import Coupling
 from robot_sysid.records import Array, InertialParameters, Motion, Validation
 from robot_sysid.records.arm import check_arrays
-from robot_sysid.records.file_access import AtomicFiles
+from robot_sysid.records.file_access import MODEL_NAMES, AtomicFiles
 
 LINK = "link"
 """Question for the inertia of the terminal link, and of every other link with it."""
@@ -229,8 +229,9 @@ class ModelFile:
         other_validations: (before, after) on each of the other logs, held out as a whole.
         unchanged: names of what the file keeps ("friction", "gravity", "other links").
         motors: those that turn several joints; only an MJCF can hold them.
-        urdf_file: of a URDF's arm with such motors, the numbers of the URDF that is written beside
-            this MJCF, without them.
+        urdf_file: of a URDF's arm with rotor inertia or such motors, the numbers of the URDF that
+            is written beside this MJCF, without them.
+        omissions: of a URDF beside an MJCF, what the MJCF alone holds, as phrases for the user.
     """
 
     thetas: Array
@@ -243,6 +244,7 @@ class ModelFile:
     unchanged: tuple[str, ...] = ()
     motors: tuple[Coupling, ...] = ()
     urdf_file: ModelFile | None = None
+    omissions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -436,7 +438,13 @@ class Result:
     @property
     def model_kind(self) -> str:
         """Format of the written model, "mjcf" or "urdf"."""
-        return "mjcf" if self.file is not None and self.file.motors else self.robot.kind
+        is_mjcf = self.file is not None and self.file.urdf_file is not None
+        return "mjcf" if is_mjcf else self.robot.kind
+
+    @property
+    def model_name(self) -> str:
+        """Name of the written model file."""
+        return MODEL_NAMES[self.model_kind]
 
     @property
     def is_measured(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -23,7 +24,12 @@ from robot_sysid.records.messages import (
 )
 from robot_sysid.results.body_errors import load_errors
 from robot_sysid.results.cards import NOT_KNOWN
-from robot_sysid.results.link_table import joint_lines, link_lines
+from robot_sysid.results.link_table import (
+    FILE_REASON,
+    file_masses,
+    joint_lines,
+    link_lines,
+)
 from robot_sysid.results.parameter_table import (
     parameter_rows,
     table_lines,
@@ -90,7 +96,8 @@ def block_lines(result: Result, links: bool = False) -> list[str]:
     if links and result.links:
         return [*_mass_lines(result), *link_lines(result)]
     rows = parameter_rows(result)
-    return [*_mass_lines(result), *table_lines(rows, "Before -> after")]
+    table = table_lines(rows, "Before -> after")
+    return [*_mass_lines(result), *table, *_file_mass_lines(result)]
 
 
 def _self_test_lines(result: Result) -> list[str]:
@@ -170,28 +177,38 @@ def _friction_text(value: float) -> str:
 def _mass_lines(result: Result) -> Iterator[str]:
     """Yield a line on the bodies that share the mass of the terminal link, where there are several.
 
-    It says how much of the mass is written to the terminal body of the file.
+    It says how much of the mass is in which body of the written file.
     """
     bodies = result.robot.bodies
-    names = [body.name for body in bodies if body.theta[0] > 0.0]
-    if len(names) < 2 or bodies[0].name not in names:
+    heavy = [body for body in bodies if body.theta[0] > 0.0]
+    if len(heavy) < 2 or not bodies[0].theta[0] > 0.0:
         return
-    listed = names
-    if len(names) > _MAX_BODY_NAMES + 1:
-        listed = names[:_MAX_BODY_NAMES]
-        listed.append(f"{len(names) - _MAX_BODY_NAMES} more")
-    line = f"The mass is that of {' + '.join(listed)} together"
+    names = [body.name for body in heavy]
     theta = result.estimate.inertial.theta
     if result.file is not None:
         theta = result.file.thetas[-1]
-    try:
-        plan = plan_write_back(theta, bodies)
-    except ExportError:
-        yield line
-        return
-    bodies_text = " + ".join([names[0], *(body.name for body in plan.emptied)])
-    mass = number_text(plan.theta[0], float(result.body.errors[0]))
-    yield f"{line}; of it, the written model has {mass} kg in {bodies_text}"
+    plan = None
+    if result.verdict.writes_model:
+        with contextlib.suppress(ExportError):
+            plan = plan_write_back(theta, bodies)
+    masses = [] if plan is None else plan.masses(heavy)
+    if len(names) > _MAX_BODY_NAMES + 1:
+        names[_MAX_BODY_NAMES:] = [f"{len(names) - _MAX_BODY_NAMES} more"]
+        masses[_MAX_BODY_NAMES:] = [sum(masses[_MAX_BODY_NAMES:])]
+    line = f"The mass is that of {' + '.join(names)} together"
+    if plan is not None:
+        error = float(result.body.errors[0])
+        texts = [f"{number_text(m, error)} kg in {n}" for m, n in zip(masses, names)]
+        line = f"{line}; {result.model_name} has {', '.join(texts)}"
+    yield line
+
+
+def _file_mass_lines(result: Result) -> Iterator[str]:
+    """Yield a line on the terminal link's mass in the written file where it is not the table's."""
+    mass = file_masses(result).get(result.body.name)
+    if mass is not None:
+        reason = FILE_REASON.format(result.model_name)
+        yield f"  {reason}; its mass of {result.body.name} is {mass} kg"
 
 
 def _payload_lines(payload: Payload) -> Iterator[str]:

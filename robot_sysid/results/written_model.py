@@ -110,11 +110,9 @@ def write_model(
             thetas[-1] += theta
             errors[-1] = payload.total.errors
             comments.append(f"with {text} in it")
-    if result.model_kind == "urdf" and result.couplings:
-        motors = ", ".join(result.couplings)
-        comments.append(
-            f"without the motor that turns with {motors}, which no URDF can hold"
-        )
+    if result.file is not None and result.file.omissions:
+        omissions = " and ".join(result.file.omissions)
+        comments.append(f"without {omissions}, which no URDF can hold")
     bodies, written_thetas = _body_changes(
         robot, thetas, errors, joints, "; ".join(comments)
     )

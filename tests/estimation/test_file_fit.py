@@ -175,11 +175,22 @@ def test_a_kept_part_stays(robot, recording, kept):
     assert "offset[joint1]" in fit.unknowns.estimated_names
 
 
-def test_a_urdf_gets_no_rotors(robot, recording):
-    """It cannot hold them: beside links it has friction only, and rotors count as links."""
-    fit = fit_file_of(replace(robot, kind="urdf"), *recording).fit
+def test_rotors_of_a_urdfs_arm_are_in_the_mjcf_beside_it(robot, recording):
+    """A URDF cannot hold them: beside links it has friction only, and rotors count as links."""
+    model = replace(without_rotors(robot), kind="urdf")
+    file = fit_file_of(model, *recording)
+    assert file.fit.question.file_kind == "mjcf"
+    assert joint_values(file.fit, "armature") == pytest.approx([0.05] * 3, abs=0.01)
+    fit = file.file.fit
     assert not any("armature[" in name for name in fit.unknowns.estimated_names)
     assert joint_values(fit, "armature") == [0.0] * 3
+    error = file.validation.relative_error
+    assert file.file.validation.relative_error > 1.5 * error
+
+    # The URDF alone where rotors are to stay as they are, or none is seen.
+    for kept, friction in (((ROTORS,), BASIC), ((), "coulomb-viscous-offset")):
+        alone = fit_file_of(model, *recording, kept, friction=friction)
+        assert alone.file is None and alone.fit.question.file_kind == "urdf"
 
 
 @pytest.mark.skipif(

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.results.link_table import joint_lines, link_lines
-from robot_sysid.results.record import JointEstimate, Quantity
+from robot_sysid.results.link_table import FILE_REASON, joint_lines, link_lines
+from robot_sysid.results.record import JointEstimate, Quantity, Verdict
 from tests.support import results as made
 
 LONG_NAME = "left_arm_shoulder_pitch"
@@ -28,8 +28,32 @@ def test_every_link_has_its_ten_numbers_with_errors_in_100_columns():
     for name in (LONG_NAME, "link5", "link6"):
         assert len(numbers_after(lines, name)) == 3 + 6
     mass_row = lines[1].split()
-    assert mass_row == [LONG_NAME, "1.0000", "2.0000", "0.0020", "kg", "+100", "%"]
+    numbers = [LONG_NAME, "1.0000", "2.0000", "0.0020", "kg", "+100", "%"]
+    assert mass_row[:7] == numbers
     assert not any("(" in line for line in lines if "±" in line and "[" not in line)
+
+
+def test_masses_of_the_file_stand_beside_those_of_the_table_where_they_differ():
+    """The file's links weigh 3 and 1.8 kg, those of the table 2 kg with an error of 2 g."""
+    file = made.model_file()
+    lines = list(link_lines(made.whole(file=file)))
+    assert lines[0].endswith("change  in the file")
+    assert [line.split()[-1] for line in lines[1:3]] == ["3.0000", "1.8000"]
+    assert lines[3] == f"  in the file: {FILE_REASON.format('updated_model.xml')}"
+
+    # What the printed digits hide is no difference.
+    for mass, text in {2.00004: "%", 2.0001: "2.0001"}.items():
+        thetas = file.thetas.copy()
+        thetas[:, 0] = [mass, 1.8]
+        lines = list(link_lines(made.whole(file=replace(file, thetas=thetas))))
+        assert [line.split()[-1] for line in lines[1:3]] == [text, "1.8000"]
+    thetas[:, 0] = 2.0
+    for changes in (
+        {"file": replace(file, thetas=thetas)},
+        {"file": None},
+        {"verdict": Verdict.UNEXPLAINED},
+    ):
+        assert "in the file" not in " ".join(link_lines(made.whole(**changes)))
 
 
 def test_what_the_prior_determines_stands_in_parentheses_and_is_explained_once():

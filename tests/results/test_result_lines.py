@@ -10,6 +10,7 @@ import numpy as np
 from robot_sysid.records import SubtreeBody
 from robot_sysid.records.messages import Detail
 from robot_sysid.results import result_lines
+from robot_sysid.results.record import Verdict
 from robot_sysid.results.result_lines import block_lines, more_lines
 from tests.support import results as made
 
@@ -128,19 +129,37 @@ def test_the_mass_of_a_link_of_several_bodies_is_explained():
     bodies = (link, subtree_body("hand", 0.3), finger, subtree_body("eye", 0.0))
     robot = robot_with(*bodies)
     assert line_starting(block_lines(made.found(robot=robot)), start) == (
-        f"{start} of link7 + hand + finger together; of it, the written model has 1.5000 kg in "
-        "link7"
+        f"{start} of link7 + hand + finger together; updated_model.xml has 1.5000 kg in link7, "
+        "0.3000 kg in hand, 0.2000 kg in finger"
     )
     # The file's own terminal link weighs 1.8 kg.
     mass_line = line_starting(block_lines(made.whole(robot=robot)), start)
-    assert mass_line.endswith("the written model has 1.3000 kg in link7")
+    assert "updated_model.xml has 1.3000 kg in link7, 0.3000 kg in hand" in mass_line
+    refused = made.whole(robot=robot, verdict=Verdict.UNEXPLAINED)
+    assert line_starting(block_lines(refused), start).endswith("finger together")
     lines = block_lines(made.found(robot=robot_with(link)))
     assert not any(start in line for line in lines)
     pads = [subtree_body(f"pad{k}", 0.01) for k in range(6)]
     mass_line = line_starting(
         block_lines(made.found(robot=robot_with(*bodies, *pads))), start
     )
-    assert "link7 + hand + finger + 6 more together; of it" in mass_line
+    assert "link7 + hand + finger + 6 more together; " in mass_line
+    assert mass_line.endswith("0.2000 kg in finger, 0.0600 kg in 6 more")
+
+
+def test_a_body_that_the_written_link_leaves_no_room_for_is_empty():
+    """The hand is said to weigh more than the whole link: its mass goes to the terminal body."""
+    robot = robot_with(subtree_body("link7", 0.7), subtree_body("hand", 3.0))
+    mass_line = line_starting(block_lines(made.found(robot=robot)), "The mass is that")
+    assert mass_line.endswith("2.0000 kg in link7, 0 kg in hand")
+
+
+def test_a_mass_that_the_file_has_otherwise_stands_below_the_table():
+    start = "  updated_model.xml has the numbers that predict held-out torques best"
+    lines = block_lines(made.whole())
+    assert lines[-1] == f"{start}; its mass of link6 is 1.8000 kg"
+    for result in (made.found(), made.whole(verdict=Verdict.UNEXPLAINED)):
+        assert not any(line.startswith(start) for line in block_lines(result))
 
 
 def test_a_payloads_block():

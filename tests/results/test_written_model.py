@@ -392,7 +392,7 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
 
 
 @since(3, 3)
-def test_with_a_motor_that_turns_two_joints_a_urdf_becomes_an_mjcf(tmp_path):
+def test_what_no_urdf_can_hold_is_in_an_mjcf_beside_it(tmp_path):
     links = {"l1": urdf.inertial(), "l2": HEAVY, "l3": LIGHT}
     robot = load_robot_model(
         write_files(tmp_path, {"arm.urdf": urdf.robot(urdf.serial(links))})
@@ -403,22 +403,29 @@ def test_with_a_motor_that_turns_two_joints_a_urdf_becomes_an_mjcf(tmp_path):
         "armature": record.Quantity(0.02, 0.01),
     }
     links_file = file_of(robot, new_links(robot, np.random.default_rng(0)), {})
-    file = replace(links_file, joints={motor.name: terms}, motors=(motor,))
-    result = result_of(
-        robot, file=file, couplings={motor.name: record.JointEstimate("c", terms)}
+    omission = f"the motor that turns with {motor.name}"
+    urdf_file = replace(links_file, omissions=(omission, "the rotor inertia of l1_l2"))
+    rotor = {"armature": record.Quantity(0.1, 0.01)}
+    file = replace(
+        links_file,
+        joints={motor.name: terms, "l1_l2": rotor},
+        motors=(motor,),
+        urdf_file=urdf_file,
     )
-    assert result.model_kind == "mjcf"
+    result = result_of(robot, file=file)
+    assert result.model_name == "updated_model.xml"
     reloaded = load_robot_model(write_and_compile(robot, result).path)
     assert reloaded.kind == "mjcf" and reloaded.joint_names == robot.joint_names
     assert reloaded.mj_model.tendon_frictionloss.tolist() == [0.5]
+    assert reloaded.armature.tolist() == [0.0, 0.1, 0.0]
     for theta, link in zip(file.thetas, reloaded.links):
         assert_same_theta(link.theta, theta)
 
-    text = write_and_compile(robot, replace(result, file=links_file)).path.read_text()
-    assert (
-        f"without the motor that turns with {motor.name}, which no URDF can hold"
-        in text
-    )
+    beside = replace(result, file=urdf_file)
+    assert beside.model_name == "updated_model.urdf"
+    text = write_and_compile(robot, beside).path.read_text()
+    lacking = " and ".join(urdf_file.omissions)
+    assert f"without {lacking}, which no URDF can hold" in text
 
 
 @since(3, 3)
