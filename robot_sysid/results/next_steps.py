@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from robot_sysid.motion import PAYLOAD_ORDER, WEIGHT
 from robot_sysid.records import Source
 from robot_sysid.records.file_access import CARD_NAME, DAMIAO_NAME, RUN_NAME, models_in
 from robot_sysid.records.messages import NextStep
+from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY
 from robot_sysid.results.record import Payload, Result
 from robot_sysid.results.verdict import UNKNOWN, largest_cause, verdict_line
 
@@ -63,6 +64,7 @@ class RunWords:
             planned, or its settings are not known.
         plan_purpose: what that motion was planned for, as in ``--for``; None where the recorded
             motion was not planned.
+        speeds: options with speed limits that the model to plan with does not state.
     """
 
     model: str
@@ -75,6 +77,7 @@ class RunWords:
     scales: str | None = None
     plan: Path | None = None
     plan_purpose: str | None = None
+    speeds: tuple[str, ...] = ()
 
 
 def use_lines(path: Path) -> tuple[str, ...]:
@@ -125,6 +128,11 @@ def next_step(result: Result, run: RunWords, files: Sequence[Path]) -> NextStep 
         return _step_after_payload(result, result.payload, run)
     models = models_in(files)
     model = str(models[0]) if models else run.model
+    speeds = result.robot.limits.velocity
+    # An MJCF that was written for a URDF's arm states no speed limits.
+    if result.model_kind != result.robot.kind and min(speeds) < DEFAULT_MAX_VELOCITY:
+        listed = ",".join(map("{:.4g}".format, speeds))
+        run = replace(run, speeds=("--max-velocity", listed))
     if run.plan_purpose == WEIGHT:
         sentence = "Next, plan a motion with this model, whose weight fits the arm"
         return _plan_step(sentence, run, model)
@@ -237,7 +245,7 @@ def _plan_step(
         model: the model file to plan with.
         purpose: of the motion, as in ``--for``.
     """
-    command = ["robot-sysid", "plan", model, *run.arm]
+    command = ["robot-sysid", "plan", model, *run.arm, *run.speeds]
     if run.plan is not None:
         command += ["--config", str(run.plan)]
     if run.plan is not None or purpose != "link":

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from robot_sysid.records.messages import NextStep
@@ -46,6 +47,19 @@ def command_after(result, run, files=FILES):
     """The next command on one line; "" where nothing is left to do."""
     step = next_step(result, run, files)
     return "" if step is None else step.lines()[-1].strip()
+
+
+def test_a_plan_with_the_mjcf_of_a_urdfs_arm_keeps_the_speed_limits_of_the_urdf():
+    """An MJCF cannot state them; without the option, every joint could turn at 2 rad/s."""
+    file = made.model_file()
+    mjcf_file = replace(file, urdf_file=file)
+    for speeds, option in {(1.5, 3.0): "--max-velocity 1.5,3 ", (2.0, 2.0): ""}.items():
+        limits = replace(made.ARM.limits, velocity=np.array(speeds))
+        robot = replace(made.ARM, kind="urdf", limits=limits)
+        result = replace(link_with(3.37), robot=robot, file=mjcf_file)
+        command = f"{PLAN} {option}--output-dir out/planned"
+        assert command_after(result, RUN) == command
+        assert "--max-velocity" not in command_after(replace(result, file=file), RUN)
 
 
 @pytest.mark.parametrize(
