@@ -149,12 +149,15 @@ def _map_columns(
         if table.external_links:
             raise InputError(f"{fault}; {table.external_links}") from None
         # A draft does not suit a user who has declared columns already.
+        name = f"{path.stem}_columns.txt"
         text = ""
         if isinstance(error, ColumnsError) and not is_declared:
             text = error.draft
         elif not is_declared:
             text = guess_columns(table, robot, choices, currents, options.commanded)
-        name = f"{path.stem}_columns.txt"
+            guess = ColumnsError(f"{path}: {_UNTITLED}; {_REMEDY}", text, name)
+            if guess.is_complete:
+                raise guess from None
         raise ColumnsError(f"{fault}; {_REMEDY}", text, name) from None
 
 
@@ -187,6 +190,8 @@ _READERS = {
 """First bytes of a file to the reader of its form; any other file is a text table."""
 _FOLDER_READERS = {"metadata.yaml": bag_table, "meta/info.json": arrays.lerobot_table}
 """A file in a folder to the reader of the folder's form."""
+_UNTITLED = "its titles do not say for sure which column is what"
+"""What is wrong with a log whose columns were all guessed."""
 _REMEDY = "say which column is what with --columns FILE"
 """What to do where columns are not recognised."""
 _FORM_OPTIONS = {

@@ -307,6 +307,8 @@ def quantity_of(title: Title) -> str:
         return "other"
     if title.is_commanded:
         return "command" if quantities <= {"position"} else "other"
+    if quantities == {"time"} and title.numbers and title.unit == "":
+        return ""  # t0, t1, ... may be torques
     if quantities:
         return min(quantities)
     return _QUANTITY_OF_UNIT.get(title.unit, "")

@@ -92,6 +92,14 @@ def guess(tmp_path, table, robot=ROBOT, choices=None, **options):
     return text, read_columns_file(path, robot.joint_names)
 
 
+def test_a_numbered_t_may_be_a_torque(tmp_path):
+    titles = {"time": "t", "position": "p{}", "torque": "t{}"}
+    table, numbers = table_of(blocks(), tuple(titles), titles)
+    _, declared = guess(tmp_path, table)
+    assert declared == guess(tmp_path, table_of(blocks(), tuple(titles))[0])[1]
+    assert numbers["torque"] == ["#6", "#7", "#8", "#9"]
+
+
 EXTRAS = ("velocity", "current", "temperature", "command")
 
 
