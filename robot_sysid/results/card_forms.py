@@ -128,7 +128,8 @@ FORMS = (
         "{M %s, CM {X %s, Y %s, Z %s, A %s, B %s, C %s}, J {X %s, Y %s, Z %s}}",
         "M kg; CM X, Y, Z centre of mass in the FLANGE coordinate system, mm; CM A, B, C turn of "
         "the principal axes, degrees: A about Z, then B about the new Y, then C about the new X; J "
-        f"X, Y, Z principal moments about those axes, kg m^2. {_EVERYTHING}",
+        f"X, Y, Z principal moments about those axes, kg m^2. {_EVERYTHING} An LBR iiwa is "
+        "programmed without KRL: enter the numbers as the load data of its tool.",
     ),
     Form(
         "abb_loaddata",
