@@ -172,8 +172,6 @@ def test_a_laboratory_arms_recording_leads_to_the_file(short_search, log):
         pytest.importorskip(library)
     if log.name.startswith("OpenArm") and not OPENARM.exists():
         pytest.skip("the public models are not here")
-    if log.name.startswith("OpenArm data set"):
-        pytest.xfail("two joints of these six seconds are taken for exchanged")
     robot = log.robot(Path())
     walk = walk_from_recording(log.write(Path()), robot.path, TrueArm(robot))
     # A model of two arms needs to be told which.

@@ -5,11 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from robot_sysid.diagnosis.contest import Contest, findings
-from robot_sysid.diagnosis.log_checks import low_pass
+from robot_sysid.diagnosis.log_checks import check_against_model, low_pass
 from robot_sysid.diagnosis.plausibility import is_plausible, last_mass, misfit
 from robot_sysid.estimation.question import EstimationOptions
+from tests.diagnosis.conftest import FOUR_AXES
+from tests.support import arms
+from tests.support.wrong_logs import truth_of
 
 
 def test_a_correct_log_fits_shows_the_link_and_has_no_explanation(truth, contest):
@@ -37,3 +41,16 @@ def test_deviations_that_the_prior_allows_are_not_named(truth):
     for options, is_named in ((EstimationOptions(), True), (declared, False)):
         contest = Contest(truth.robot, signals, options)
         assert bool(findings(contest, np.ones(5))) is is_named
+
+
+@pytest.mark.parametrize("damping", [5.0, 50.0])
+def test_friction_that_a_model_overstates_hides_and_feigns_no_fault(damping):
+    """Public models state the damping that steadies a simulation, here far above the arm's."""
+    joint = f'range="-2.5 2.5" armature=".02" damping="{damping}"'
+    robot = arms.robot_of(arms.serial_arm(FOUR_AXES, joint=joint))
+    log = truth_of(robot, seed=3).log
+    assert check_against_model(robot, [log]) == ()
+    exchanged = [0, 2, 1, 3]
+    wrong = replace(log, q=log.q[:, exchanged], qd=log.qd[:, exchanged])
+    (finding,) = check_against_model(robot, [wrong])
+    assert finding.text.startswith("joints joint1 and joint2 are exchanged in the pos")
