@@ -94,6 +94,8 @@ def _write_columns_draft(error: SysidError) -> str:
     text = "holds a guess which column is what: read it, and accept it with"
     if not error.is_complete:
         text = "holds what could be guessed: complete its lines with ?, then run"
+    if error.is_correction:
+        text = "has the columns put right: read it, and go on with it"
     try:
         with open(error.name, "x", encoding="utf-8") as file:
             file.write(error.draft)

@@ -88,19 +88,25 @@ def prefix_input_errors(recording: str) -> Iterator[None]:
 
 
 class ColumnsError(InputError):
-    """The columns of a log cannot be told from their titles.
+    """The columns of a log cannot be told from their titles, or are wrong.
 
     Attributes:
         draft: text of a columns file for the user to complete; "" where there is none.
         name: file name to write the draft to.
+        is_correction: whether the draft puts columns right that contradict the model.
     """
 
     def __init__(
-        self, message: str, draft: str = "", name: str = "columns.txt"
+        self,
+        message: str,
+        draft: str = "",
+        name: str = "columns.txt",
+        is_correction: bool = False,
     ) -> None:
         super().__init__(message, options=[("--columns", name)] if draft else ())
         self.draft = draft
         self.name = name
+        self.is_correction = is_correction
 
     @property
     def is_complete(self) -> bool:

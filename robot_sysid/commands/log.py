@@ -65,7 +65,11 @@ def main(arguments: Sequence[str]) -> int:
         except InputError as error:
             # Only that command has these options, or who accepts guessed columns goes on to it.
             if error.command == "identify" or isinstance(error, ColumnsError):
-                command = _identify_command(model_path, path, values)
+                # A columns file that the error suggests replaces the one in use.
+                options = values
+                if isinstance(error, ColumnsError):
+                    options = {**values, "columns": None}
+                command = _identify_command(model_path, path, options)
                 error.command_lines = [[*command, *o] for o in error.options]
             elif error.command == "payload":
                 from robot_sysid.pipeline.run_words import add_weighing_commands
@@ -141,7 +145,7 @@ def _check_log(
             "findings": entries,
         }
     )
-    require_acceptable(str(log.path), findings, log_options.accept)
+    require_acceptable(log, findings, log_options.accept)
     console.stage("Usable: nothing that stops an identification was found")
     options = {**vars(model_options), **vars(log_options)}
     command = (PROGRAM, *_identify_command(model_path, path, options))

@@ -4,6 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from robot_sysid.records import Array
+
+COLUMNS_ADVICE = "; put the columns right with --columns FILE"
+"""End of the text of a finding on wrong columns."""
 
 
 class Level(Enum):
@@ -12,6 +20,26 @@ class Level(Enum):
     REFUSE = "refuse"
     WARN = "warn"
     NOTE = "note"
+
+
+class ColumnCorrection(NamedTuple):
+    """Columns that joints have to be given in place of theirs.
+
+    Attributes:
+        quantities: whose columns are wrong: "position", "torque" or both.
+        joint_names: (n,) of the chain, base to terminal.
+        order: (n,) for each joint, the index of the joint that has its columns.
+        factors: (n,) by which each joint's right column has to be multiplied.
+    """
+
+    quantities: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    order: tuple[int, ...]
+    factors: tuple[float, ...]
+
+    def apply(self, values: Array) -> Array:
+        """Return recorded values (N, n) with the columns put right."""
+        return values[:, self.order] * np.array(self.factors)
 
 
 @dataclass(frozen=True)
@@ -24,12 +52,16 @@ class Finding:
         text: the fault and what to do, for the user.
         payload_options: options of ``payload``, with their values, with which a weight of known
             mass determines each joint's torque scale; () where that is no remedy.
+        options: options of every command, with their values, that put the log right; () for none.
+        correction: columns that put the log right; None for none.
     """
 
     name: str
     level: Level
     text: str
     payload_options: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
+    correction: ColumnCorrection | None = None
 
     def line(self) -> str:
         """Return the finding as one line of text: "level: text [name]"."""

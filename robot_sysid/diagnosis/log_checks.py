@@ -12,13 +12,14 @@ positions ``q`` [rad], velocities ``qd`` [rad/s] or None, and torques ``tau`` [N
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.contest import Contest, findings
+from robot_sysid.diagnosis.log_refusal import refuse_for
 from robot_sysid.diagnosis.log_rows import WINDOW, rms
 from robot_sysid.diagnosis.plausibility import least_friction_share
 from robot_sysid.diagnosis.torque_units import foreign_unit_finding
@@ -509,7 +510,7 @@ def check_log(
         if finding.level is Level.NOTE or is_accepted:
             progress.note(finding.line().removeprefix("note: "))
     try:
-        require_acceptable(str(log.path), log_findings, accepted)
+        require_acceptable(log, log_findings, accepted)
     except SysidError:
         for note in log.notes:
             progress.note(note)
@@ -517,40 +518,37 @@ def check_log(
 
 
 def require_acceptable(
-    log: str, findings: Iterable[Finding], accepted: Collection[str] = ()
+    log: MeasurementLog, findings: Sequence[Finding], accepted: Collection[str] = ()
 ) -> None:
     """Raise an error where a finding refuses the log or is a warning that is not accepted.
 
     Args:
-        log: the log's name for messages.
+        log: the log that was read.
         findings: the findings of all checks.
         accepted: names of checks whose warnings are accepted.
 
     Raises:
+        ColumnsError: a finding refuses the log, and other columns put it right.
         InputError: a finding refuses the log.
         SysidError: there is a warning that is not accepted.
     """
-    refused = []
+    refused = [finding for finding in findings if finding.level is Level.REFUSE]
     warned = []
-    options = []
     for finding in findings:
-        if finding.level is Level.REFUSE:
-            refused.append(finding.text)
-            if finding.payload_options:
-                options.append(finding.payload_options)
-        elif finding.level is Level.WARN and finding.name not in accepted:
+        if finding.level is Level.WARN and finding.name not in accepted:
             warned.append(finding)
     if refused:
-        # Scales may be weighed, unless something else is wrong as well.
-        remedies = options if len(options) == len(refused) == 1 else []
-        raise InputError(f"{log}: {'; '.join(refused)}", remedies, command="payload")
+        # A remedy is none where something else is wrong as well.
+        if len(refused) == 1:
+            raise refuse_for(log, refused[0], findings)
+        raise InputError(f"{log.path}: {'; '.join(f.text for f in refused)}")
     if warned:
         texts = "; ".join(finding.text for finding in warned)
         # Each name once, in the order of the findings.
         names = dict.fromkeys(finding.name for finding in warned)
         accepting = " ".join(f"--accept {name}" for name in names)
         advice = f"nothing was written (to go on all the same: {accepting})"
-        raise SysidError(f"{log}: {texts}; {advice}")
+        raise SysidError(f"{log.path}: {texts}; {advice}")
 
 
 def _computed_findings(contest: Contest) -> list[Finding]:

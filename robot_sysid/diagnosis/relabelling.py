@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from heapq import nlargest
 from itertools import combinations
 from operator import itemgetter
@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.diagnosis import Finding, Level
+from robot_sysid.diagnosis import COLUMNS_ADVICE, ColumnCorrection, Finding, Level
 from robot_sysid.diagnosis.log_model import LogModel, Posterior
 from robot_sysid.diagnosis.log_rows import LEAST_TORQUE, LogRows, log_rows, rms
 from robot_sysid.diagnosis.torque_units import LOADED, SMALL, WEIGHING, typical_scale
@@ -87,12 +87,16 @@ class Relabelling:
             corrected ones; None where they are right.
         torque: function of recorded torques (N, n) that returns the corrected ones; None where
             they are right.
+        options: options of every command, with their values, that put the log right.
+        columns: columns that put the log right; None where that is no remedy.
     """
 
     name: str
     text: str
     motion: Callable[[Array], Array] | None = None
     torque: Callable[[Array], Array] | None = None
+    options: tuple[str, ...] = ()
+    columns: ColumnCorrection | None = None
 
     def correct(self, signals: Sequence[ProcessedSignals]) -> list[ProcessedSignals]:
         """Return the signals of all pieces with the mistake corrected."""
@@ -118,25 +122,26 @@ def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
     for quantities in (("torque",), ("position",), ("position", "torque")):
         mistakes = [*_sign_mistakes(names, quantities)]
         mistakes += _order_mistakes(names, quantities)
-        for name, text, correct in mistakes:
-            motion = correct if "position" in quantities else None
-            torque = correct if "torque" in quantities else None
-            yield Relabelling(name, text, motion, torque)
+        for name, text, columns in mistakes:
+            motion = columns.apply if "position" in quantities else None
+            torque = columns.apply if "torque" in quantities else None
+            yield Relabelling(name, text, motion, torque, columns=columns)
     # The method __mul__ of an array (n,) multiplies values (N, n) by the array.
     to_radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
     text = "positions look like degrees; pass --units deg"
-    yield Relabelling("angle-unit", text, to_radians.__mul__)
+    options = ("--units", "deg")
+    yield Relabelling("angle-unit", text, to_radians.__mul__, options=options)
     text = "positions look like radians that were taken for degrees; say rad where degrees are "
     text += "said: in --units, the file of --columns, a column's title or the recorder"
     yield Relabelling("angle-unit", text, (1.0 / to_radians).__mul__)
 
 
-_Mistake = tuple[str, str, Callable[[Array], Array]]
-"""(check, text, correction) of a mistake; the correction turns values (N, n) into right ones."""
+_Mistake = tuple[str, str, ColumnCorrection]
+"""(check, text, correction) of a mistake."""
 
 
 def _sign_mistakes(
-    names: Sequence[str], quantities: Sequence[str]
+    names: Sequence[str], quantities: tuple[str, ...]
 ) -> Iterator[_Mistake]:
     """Yield for each joint the mistake that its sign is wrong in all given quantities.
 
@@ -144,17 +149,20 @@ def _sign_mistakes(
         names: names of the n joints.
         quantities: "position", "torque" or both.
     """
+    order = tuple(range(len(names)))
     for joint, name in enumerate(names):
         sign = np.ones(len(names))
         sign[joint] = -1.0
-        columns = " and ".join(f"{quantity}.{name} = -TITLE" for quantity in quantities)
-        text = f"the {' and '.join(quantities)} of joint {name} has the opposite sign of the "
-        text += f"model's; flip it in the file of --columns: {columns}"
-        yield "sign", text, sign.__mul__
+        subject = " and ".join(quantities)
+        verb = "has" if len(quantities) == 1 else "have"
+        text = f"the {subject} of joint {name} {verb} the opposite sign of the model's"
+        signs = tuple(sign.tolist())
+        columns = ColumnCorrection(quantities, tuple(names), order, signs)
+        yield "sign", f"{text}{COLUMNS_ADVICE}", columns
 
 
 def _order_mistakes(
-    names: Sequence[str], quantities: Sequence[str]
+    names: Sequence[str], quantities: tuple[str, ...]
 ) -> Iterator[_Mistake]:
     """Yield each exchange of two joints, then the reverse order, in all given quantities.
 
@@ -163,22 +171,21 @@ def _order_mistakes(
         quantities: "position", "torque" or both.
     """
     scope = "" if len(quantities) == 2 else f" in the {quantities[0]}s"
-    advice = f"{scope}; put the columns right with --columns FILE"
+    advice = f"{scope}{COLUMNS_ADVICE}"
+    factors = (1.0,) * len(names)
     right_order = list(range(len(names)))
     for first, second in combinations(right_order, 2):
         order = right_order.copy()
         order[first] = second
         order[second] = first
         text = f"joints {names[first]} and {names[second]} are exchanged{advice}"
-        yield "order", text, partial(_arrange, order)
+        columns = ColumnCorrection(quantities, tuple(names), tuple(order), factors)
+        yield "order", text, columns
     if len(names) > 2:
         text = f"the order of the joints is reversed{advice}"
-        yield "order", text, partial(_arrange, right_order[::-1])
-
-
-def _arrange(order: list[int], values: Array) -> Array:
-    """Return values (N, n) whose columns are those with the indices ``order`` (n,)."""
-    return values[:, order]
+        reverse_order = tuple(right_order[::-1])
+        columns = ColumnCorrection(quantities, tuple(names), reverse_order, factors)
+        yield "order", text, columns
 
 
 @dataclass(frozen=True)
@@ -207,7 +214,13 @@ def _correction(
         base: posterior of the base model of the log as it is.
     """
     gain = posterior.log_evidence - base.log_evidence
-    finding = Finding(mistake.name, Level.REFUSE, mistake.text)
+    finding = Finding(
+        mistake.name,
+        Level.REFUSE,
+        mistake.text,
+        options=mistake.options,
+        correction=mistake.columns,
+    )
     return Correction(finding, float(gain), posterior)
 
 
@@ -414,8 +427,12 @@ def find_wrong_scales(
         return []
     typical, common_error = scales.common
     scale = scales.scale
+    scale_option: tuple[str, ...] = ()
     if scales.spread < _SAME:
-        scale = np.full(len(scale), _unit_near(typical, common_error) or typical)
+        unit = _unit_near(typical, common_error)
+        scale = np.full(len(scale), unit or typical)
+        if unit is not None:
+            scale_option = ("--torque-scale", _scale_text(unit, divided))
     undone = log.with_torque(log.torque / scale)
     posterior = LogModel(undone, options).posterior()
     # The density of recorded torques is that of the divided ones over the scale of each row.
@@ -435,7 +452,7 @@ def find_wrong_scales(
     level = Level.REFUSE if off > np.log(REFUSED) else level
     start = ",".join(format(value, ".4g") for value in scale * divided)
     payload_options = ("--torque-scale", start) if scales.spread > _SAME else ()
-    finding = Finding("torque-scale", level, text, payload_options)
+    finding = Finding("torque-scale", level, text, payload_options, scale_option)
     return [Correction(finding, gain, posterior)]
 
 
@@ -514,13 +531,6 @@ def _meaning(typical: float, spread: float, error: float, divided: Array) -> str
         divided: (n,) torque scales by which the torques were divided already.
     """
     remedy = "if the model is this arm's, pass --torque-scale"
-    # One number where all joints have the same.
-    scales = divided[:1] if np.ptp(divided) == 0.0 else divided
-
-    def in_all(scale: float, digits: str = ".4g") -> str:
-        """Return the value of --torque-scale: a further scale times those in use already."""
-        return ",".join(format(value, digits) for value in (scale * scales).tolist())
-
     if spread > _SAME:
         factors = "a factor of its own for every joint, as "
         if typical < 0.5:
@@ -537,14 +547,22 @@ def _meaning(typical: float, spread: float, error: float, divided: Array) -> str
         )
     nearest = _unit_near(typical, error)
     if nearest is not None:
-        return f"as in {UNITS[nearest]}; {remedy} {in_all(nearest)}"
+        return f"as in {UNITS[nearest]}; {remedy} {_scale_text(nearest, divided)}"
     if _PER_AMPERE[0] < 1.0 / typical < _PER_AMPERE[1]:
         return "as motor currents in amperes have; give N·m per ampere with --torque-constants"
     if 1.0 / 200.0 < typical < 1.0 / _PER_AMPERE[1]:
         return (
             f"as on the motor's side of a gear of 1:{1.0 / typical:.0f}, or in amperes; give the "
-            f"ratio as --torque-scale {in_all(typical)}, or --torque-constants"
+            f"ratio as --torque-scale {_scale_text(typical, divided)}, or --torque-constants"
         )
-    return (
-        f"another scale, or the model of another arm; {remedy} {in_all(typical, '.3g')}"
-    )
+    value = _scale_text(typical, divided, ".3g")
+    return f"another scale, or the model of another arm; {remedy} {value}"
+
+
+def _scale_text(scale: float, divided: Array, digits: str = ".4g") -> str:
+    """Return the value of --torque-scale: a further scale times those in use already.
+
+    ``divided`` (n,) are the scales in use; the value is one number where all joints have the same.
+    """
+    scales = divided[:1] if np.ptp(divided) == 0.0 else divided
+    return ",".join(format(value, digits) for value in (scale * scales).tolist())

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.diagnosis import Finding, Level
+from robot_sysid.diagnosis import COLUMNS_ADVICE, ColumnCorrection, Finding, Level
 from robot_sysid.diagnosis.log_rows import LogRows, rms
 from robot_sysid.records import Array
 
@@ -38,6 +38,10 @@ WEIGHING = (
     "1 kg (of another mass, state it), record a motion called weight, and compare"
 )
 """What to do where torques are motor currents; the command that compares follows the message."""
+_SINGLE_UNITS = {1000.0: "mN·m", 100.0: "N·cm"}
+"""Units of torque that one joint alone has, by their number in a newton metre."""
+_CLOSE = 2.0
+"""Largest ratio between a joint's odd factor and the unit that explains it: friction adds to it."""
 _COLUMNS_NAME = "columns.txt"
 """Name of the columns file that is to turn signs round."""
 # Model torque below which a joint's torque is mostly friction, over that of the strongest joint.
@@ -68,12 +72,24 @@ def odd_unit_finding(log: LogRows) -> Finding | None:
     # A torque without gravity has a share of the model's at joints that carry weight.
     if factor < ODD_UNIT or typical_scale(log) < SMALL:
         return None
-    name = log.robot.joint_names[joint]
-    text = (
-        f"torque of joint {name} alone reads {factor:.2g} times too much, or more: as in mN·m or "
-        f"N·cm; put it right with --columns FILE: torque.{name} = 0.001 * TITLE"
+    joint_names = tuple(log.robot.joint_names)
+    name = joint_names[joint]
+    text = f"torque of joint {name} alone reads {factor:.2g} times too much, or more"
+    unit = min(_SINGLE_UNITS, key=lambda number: abs(np.log(factor / number)))
+    # Of a joint that the links hardly load, the factor is only a lower bound.
+    is_loaded = model[joint] > _LEAST_LOAD * float(np.max(model))
+    if not is_loaded or abs(np.log(factor / unit)) > np.log(_CLOSE):
+        text += ": as in mN·m or N·cm; put it right with --columns FILE: "
+        text += f"torque.{name} = 0.001 * TITLE"
+        return Finding("torque-scale", Level.REFUSE, text)
+    order = tuple(range(len(ratio)))
+    factors = np.ones(len(ratio))
+    factors[joint] = 1.0 / unit
+    correction = ColumnCorrection(
+        ("torque",), joint_names, order, tuple(factors.tolist())
     )
-    return Finding("torque-scale", Level.REFUSE, text)
+    text += f": as in {_SINGLE_UNITS[unit]}{COLUMNS_ADVICE}"
+    return Finding("torque-scale", Level.REFUSE, text, correction=correction)
 
 
 def foreign_unit_finding(log: LogRows, divided: Array) -> Finding | None:

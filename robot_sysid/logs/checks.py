@@ -29,7 +29,6 @@ from robot_sysid.logs.table import (
     LogRows,
     Mask,
 )
-from robot_sysid.logs.titles import collect_errors
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import Detail, position_unit
 from robot_sysid.signals.resampling import GAP_STEPS, sampling_period
@@ -96,6 +95,8 @@ _OFTEN = 0.01
 """Share of steps faster than _FAST above which positions are not in radians."""
 _TURN = 2.0 * np.pi
 """A full turn [rad]."""
+_ANGLE_OPTIONS = (("--units", "deg"), ("--units", "rad"))
+"""Options, one of which lets positions pass that look like degrees."""
 _MAX_TURNS = 3.0
 """Largest number of full turns from the model's zero that a multi-turn encoder shows; a choice."""
 _WINDOW = 0.1
@@ -135,14 +136,16 @@ def check_log(
         InputError: lists all faults, but not those that only follow from another one.
     """
     notes = list[str]()
-    faults = list[str]()
+    faults = list[InputError]()
 
     def passes(check: Check) -> bool:
         """Run a check, add its notes or its fault to the lists, and return whether it passed."""
-        count = len(faults)
-        with collect_errors(faults):
+        try:
             notes.extend(check(rows, robot) or ())
-        return len(faults) == count
+        except InputError as error:
+            faults.append(error)
+            return False
+        return True
 
     is_tolerable = {}
     for anomaly in _TOLERANCES:
@@ -158,9 +161,11 @@ def check_log(
         passes(require_torque)
         passes(require_one_clock)
     elif not faults:
-        faults.append(_too_few_rows(rows, robot))
+        faults.append(InputError(_too_few_rows(rows, robot)))
     if faults:
-        raise InputError(f"{name}: {'; '.join(faults)}")
+        # No option is enough where something else is wrong as well.
+        options = faults[0].options if len(faults) == 1 else ()
+        raise InputError(f"{name}: {'; '.join(map(str, faults))}", options)
     return tuple(notes)
 
 
@@ -311,18 +316,20 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
             plural = "s" if turns[joint] > 1 else ""
             raise InputError(
                 f"{subject} rad, {turns[joint]:g} full turn{plural} from the model's zero; "
-                "pass --units rad if it counts turns, which change nothing, or --units deg if not"
+                "pass --units rad if it counts turns, which change nothing, or --units deg if not",
+                _ANGLE_OPTIONS,
             )
         or_turns = ""
         if limit[joint] == np.inf:
             or_turns = f", or like {largest[joint] / _TURN:.3g} turns"
         raise InputError(
             f"positions look like degrees{or_turns} ({subject}); pass --units deg, or --units rad "
-            "if they are radians"
+            "if they are radians",
+            _ANGLE_OPTIONS,
         )
     if np.any(is_fast):
         name = robot.joint_names[int(np.argmax(is_fast))]
-        raise InputError(_explain_speed(time, q, name, is_fast))
+        raise _speed_error(time, q, name, is_fast)
 
 
 def _offset_turns(q: Array, limit: Array, is_far: Mask) -> Array:
@@ -352,8 +359,8 @@ def _are_often_fast(q: Array, step: Array) -> Mask:
     return np.asarray(np.mean(is_fast, axis=0) > _OFTEN)
 
 
-def _explain_speed(time: Array, q: Array, name: str, is_fast: Mask) -> str:
-    """Return the probable reason for implausible speeds, and a remedy.
+def _speed_error(time: Array, q: Array, name: str, is_fast: Mask) -> InputError:
+    """Return the error that states the probable reason for implausible speeds, and a remedy.
 
     Args:
         time: (N,) [s].
@@ -366,11 +373,13 @@ def _explain_speed(time: Array, q: Array, name: str, is_fast: Mask) -> str:
     symptom = f"joint {name} would often exceed {_FAST:g} rad/s"
     remedy = _longer_unit_remedy(period)
     if period < _DENSE:
-        return f"time steps of {period:.3g} s are so short that {symptom}{remedy}"
+        return InputError(
+            f"time steps of {period:.3g} s are so short that {symptom}{remedy}"
+        )
     # Are speeds plausible once no step is shorter than the usual one?
     if not np.any(is_fast & _are_often_fast(q, np.maximum(step, np.median(step)))):
         mean = float(np.mean(step))
-        return (
+        return InputError(
             f"time stamps are uneven ({np.mean(step < 0.5 * mean):.0%} of the steps are below half "
             f"of the mean of {1e3 * mean:.3g} ms), so that {symptom}: they say when rows arrived "
             "or were written; record when they were measured, or write "
@@ -380,13 +389,14 @@ def _explain_speed(time: Array, q: Array, name: str, is_fast: Mask) -> str:
     n_rows = max(2, int(np.ceil(_WINDOW / period)))
     if not np.any(is_fast & _are_often_fast(q, time[n_rows:] - time[:-n_rows])):
         noise = np.median(np.abs(np.diff(q, axis=0)[:, int(np.argmax(is_fast))]))
-        return (
+        return InputError(
             f"the position of joint {name} goes to and fro by {noise:.2g} rad from row to row; "
             "check its encoder, its unit and the order of the rows"
         )
-    return (
+    return InputError(
         f"positions look like degrees ({symptom}); pass --units deg, or --units rad if they are "
-        f"radians{remedy}"
+        f"radians{remedy}",
+        _ANGLE_OPTIONS,
     )
 
 

@@ -218,11 +218,13 @@ class Column:
         index: of the column, from 0.
         title: as the file has it.
         factor: by which the column's numbers are multiplied to be in SI units.
+        declared_factor: the part of this factor that the line of a columns file states.
     """
 
     index: int
     title: str
     factor: float
+    declared_factor: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -550,7 +552,7 @@ class _ColumnFinder:
         if declared is not None and to_si != declared:
             fault = f"column {title.text!r} names a unit that contradicts the declared units"
             raise InputError(f"{fault}; declare what the column holds, or rename it")
-        return Column(index, title.text, factor * (to_si or 1.0))
+        return Column(index, title.text, factor * (to_si or 1.0), factor)
 
 
 def _quote(columns: Sequence[Column]) -> str:

@@ -55,6 +55,7 @@ class MeasurementLog:
         pieces: the stretches between gaps that are long enough to be used.
         notes: sentences for the user on columns, rows left out and corrections.
         torque_scale: (n,) factors that torques were divided by, as the user gave them.
+        columns_file: the file that declares columns; None for none.
     """
 
     path: Path
@@ -63,6 +64,7 @@ class MeasurementLog:
     pieces: tuple[LogPiece, ...]
     notes: tuple[str, ...]
     torque_scale: Array
+    columns_file: Path | None = None
 
     def __fspath__(self) -> str:
         """The path, so that a log that was read may stand where its file is expected."""
@@ -116,7 +118,10 @@ def open_log(
     joint_notes = (match_note,) if match_note else ()
     source_notes = (*table.notes, *joint_notes)
     notes = (*details, *source_notes, *check_notes, *piece_notes(rows.samples, pieces))
-    return MeasurementLog(path, columns, rows.samples, pieces, notes, scale)
+    columns_file = Path(options.columns) if options.columns else None
+    return MeasurementLog(
+        path, columns, rows.samples, pieces, notes, scale, columns_file
+    )
 
 
 def _map_columns(

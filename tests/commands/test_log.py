@@ -42,7 +42,9 @@ def folder(truth, tmp_path_factory):
     folder = tmp_path_factory.mktemp("log")
     log = truth.log
     (folder / "arm.xml").write_text(ARM)
+    turned = replace(log, tau=log.tau * np.array([1.0, -1.0, 1.0, 1.0]))
     logs = {"log": log, "wrong": replace(log, tau=1e3 * log.tau), "late": late(log)}
+    logs["turned"] = turned
     for name, finding in logs.items():
         write_measurement_csv(
             folder / f"{name}.csv", truth.robot.joint_names, [finding]
@@ -69,11 +71,28 @@ def test_without_a_model_it_lists_the_columns(command):
 
 
 def test_a_wrong_log_is_refused_and_right_with_the_scale_that_was_named(command):
-    message = command.refused("log wrong.csv arm.xml")
-    assert "as in mN·m" in message and "--torque-scale 1000" in message
+    refused = command.run("log wrong.csv arm.xml", code=2).err
+    assert "as in mN·m" in refused
+    assert refused.endswith(
+        "\n  robot-sysid log wrong.csv arm.xml --torque-scale 1000\n"
+    )
     scaled = command.run("log wrong.csv arm.xml --torque-scale 1000")
     assert "nothing that stops an identification was found" in scaled.out
     right = command.run("log log.csv arm.xml")
+    assert "nothing that stops an identification was found" in right.out
+
+
+def test_a_turned_sign_is_put_right_with_the_command_that_is_named(folder, command):
+    refused = command.run("log turned.csv arm.xml", code=2).err
+    message, line = refused.splitlines()
+    assert message.endswith(
+        "turned_columns.txt has the columns put right: read it, and go on with it:"
+    )
+    words = "--columns turned_columns.txt"
+    assert line == f"  robot-sysid identify arm.xml turned.csv {words}"
+    lines = (folder / "turned_columns.txt").read_text().splitlines()
+    assert lines[1:] == ["torque.joint1 = -joint1_torque"]
+    right = command.run(f"log turned.csv arm.xml {words}")
     assert "nothing that stops an identification was found" in right.out
 
 

@@ -1,0 +1,128 @@
+"""The error that refuses a log for one finding, with what puts the log right.
+
+That are options, or a columns file: the lines of the file that the user gave, if any, and one line
+for each column that changes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from itertools import count
+from pathlib import Path
+
+from robot_sysid.diagnosis import COLUMNS_ADVICE, ColumnCorrection, Finding
+from robot_sysid.errors import ColumnsError, InputError
+from robot_sysid.logs.column_map import Column, ColumnMap
+from robot_sysid.logs.reader import MeasurementLog
+
+_PLAIN_TITLE = re.compile(r"(?!none$)[^\W\d]([^#,=?\n]*[^\s#,=?])?")
+"""Titles that no columns file takes for a number, a factor, a key or a comment."""
+
+
+def refuse_for(
+    log: MeasurementLog, finding: Finding, findings: Sequence[Finding]
+) -> InputError:
+    """Return the error that refuses a log for a finding; ColumnsError where columns are wrong.
+
+    ``findings`` are all of the log.
+    """
+    text = f"{log.path}: {finding.text}"
+    if finding.payload_options:
+        return InputError(text, [finding.payload_options], command="payload")
+    if finding.correction is not None:
+        # Recorded velocities that are not how positions change have other columns than these.
+        same_checks = [other for other in findings if other.name == finding.name]
+        lines = _corrected_lines(
+            log.columns, finding.correction, with_velocity=len(same_checks) == 1
+        )
+        if lines:
+            reason = text.removesuffix(COLUMNS_ADVICE)
+            draft = _add_lines(log.columns_file, lines, reason)
+            name = _free_name(f"{log.path.stem}_columns", draft)
+            return ColumnsError(text, draft, name, is_correction=True)
+    # A unit in a title outranks the option.
+    is_declared = finding.name == "angle-unit" and log.columns.angle_declared
+    if not finding.options or is_declared:
+        return InputError(text)
+    return InputError(text, [finding.options])
+
+
+def _corrected_lines(
+    columns: ColumnMap, correction: ColumnCorrection, with_velocity: bool
+) -> dict[str, str]:
+    """Return key to value of the lines of a columns file that put columns right.
+
+    It is empty where a torque is no column, or joints have time stamps that a new order separates
+    from their positions.
+
+    Args:
+        columns: the columns that the log was read with.
+        correction: of these columns.
+        with_velocity: whether velocities, where they are recorded, are corrected like positions.
+    """
+    if columns.commanded or columns.joint_time:
+        return {}
+    groups = {"position": columns.position, "torque": columns.torque}
+    if with_velocity and columns.velocity:
+        groups["velocity"] = columns.velocity
+    lines = {}
+    for quantity, group in groups.items():
+        source = "position" if quantity == "velocity" else quantity
+        if source not in correction.quantities:
+            continue
+        joints = zip(correction.joint_names, correction.order, correction.factors)
+        for joint, (name, source_joint, factor) in enumerate(joints):
+            if source_joint != joint or factor != 1.0:
+                column = group[source_joint]
+                value = _column_text(columns.titles, column, factor)
+                lines[f"{quantity}.{name}"] = value
+    return lines
+
+
+def _column_text(titles: Sequence[str], column: Column, factor: float) -> str:
+    """Return a column as a columns file states it: "title", "-title" or "0.5 * title".
+
+    A title that occurs twice, or that the file could not hold, is replaced by the column's number.
+
+    Args:
+        titles: of all columns of the log.
+        column: the column as it was read.
+        factor: by which its numbers are to be multiplied in addition.
+    """
+    title = column.title
+    if titles.count(title) > 1 or not _PLAIN_TITLE.fullmatch(title):
+        title = f"#{column.index + 1}"
+    total = factor * column.declared_factor
+    signs = {1.0: "", -1.0: "-"}
+    return f"{signs[total]}{title}" if total in signs else f"{total:.12g} * {title}"
+
+
+def _add_lines(path: Path | None, lines: dict[str, str], reason: str) -> str:
+    """Return the text of a columns file with lines added to it, or replaced in it.
+
+    Args:
+        path: of the file that is in use; None for none.
+        lines: key to value of the lines.
+        reason: for the comment above the lines.
+    """
+    text = path.read_text(encoding="utf-8-sig") if path else ""
+    unchanged = []
+    for line in text.rstrip("\n").split("\n"):
+        key = line.partition("=")[0].strip()
+        if line and key not in lines:
+            unchanged.append(line)
+    changed = [f"{key} = {value}" for key, value in lines.items()]
+    return "\n".join([*unchanged, f"# {' '.join(reason.split())}", *changed, ""])
+
+
+def _free_name(stem: str, text: str) -> str:
+    """Return the first of STEM.txt, STEM_2.txt, ... that is no file of another text."""
+    for number in count(1):
+        path = Path(f"{stem}_{number}.txt" if number > 1 else f"{stem}.txt")
+        if (
+            not path.exists()
+            or path.read_text(encoding="utf-8", errors="replace") == text
+        ):
+            return str(path)
+    raise AssertionError("count never ends")

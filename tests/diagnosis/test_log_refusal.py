@@ -1,0 +1,124 @@
+"""What a refused log is put right with: options, or the lines of a columns file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from robot_sysid.diagnosis import ColumnCorrection, Finding, Level
+from robot_sysid.diagnosis.log_refusal import refuse_for
+from robot_sysid.diagnosis.relabelling import relabellings
+from robot_sysid.errors import ColumnsError
+from robot_sysid.logs.column_map import ColumnChoices, parse_columns, recognise_columns
+from tests.support import arms
+
+ROBOT = arms.robot_of(arms.serial_arm(arms.SEVEN_AXES[:3]))
+NAMES = tuple(ROBOT.joint_names)
+QUANTITIES = ("position", "velocity", "torque")
+PLAIN = [f"{name} {quantity}" for quantity in QUANTITIES for name in NAMES]
+ODD = ["q [deg]", "none", "-x", "2 * y", "k = v", "w # z", "a, b", "tau?", "tau?"]
+"""Titles that a columns file cannot state as they are, one with a unit, one that occurs twice."""
+NUMBERS = [f"#{number}" for number in range(2, 11)]
+FILE = (
+    "# mine\ntime = #1\nposition = #2-4\nvelocity = #5-7\n"
+    "torque = #8-10\ntorque.joint1 = 0.5 * #9\n"
+)
+CORRECTIONS = [m.columns for m in relabellings(ROBOT) if m.columns is not None]
+
+
+def columns_of(titles, text):
+    choices = parse_columns(text, Path("columns.txt"), NAMES) if text else None
+    return recognise_columns(
+        ["time", *titles], ROBOT, choices or ColumnChoices(), first_row=()
+    )
+
+
+def refusal(titles, correction, folder, text="", others=(), **attributes):
+    """Return the error that refuses a log which was read with a columns file of this text."""
+    path = folder / "mine.txt"
+    path.write_text(text)
+    columns = SimpleNamespace(**{**vars(columns_of(titles, text)), **attributes})
+    log = SimpleNamespace(
+        path=Path("run.csv"), columns=columns, columns_file=path if text else None
+    )
+    finding = Finding("order", Level.REFUSE, "it is wrong", correction=correction)
+    return refuse_for(log, finding, [finding, *others])
+
+
+def signals(columns, quantity):
+    """Return what joints would get of a log whose column k holds the number k."""
+    return [column.factor * column.index for column in getattr(columns, quantity)]
+
+
+@pytest.mark.parametrize(
+    ("titles", "text"), [(PLAIN, ""), (PLAIN, FILE), (ODD, FILE), (NUMBERS, FILE)]
+)
+@pytest.mark.parametrize("correction", CORRECTIONS)
+def test_the_file_corrects_what_was_read(
+    titles, text, correction, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    error = refusal(titles, correction, tmp_path, text)
+    assert isinstance(error, ColumnsError) and error.is_complete
+    assert error.options == (("--columns", "run_columns.txt"),)
+    before = columns_of(titles, text)
+    after = columns_of(titles, error.draft)
+    for quantity in QUANTITIES:
+        source = "position" if quantity == "velocity" else quantity
+        expected = np.array([signals(before, quantity)])
+        if source in correction.quantities:
+            expected = correction.apply(expected)
+        np.testing.assert_allclose([signals(after, quantity)], expected)
+
+
+def test_a_title_is_named_and_another_one_is_numbered(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    correction = ColumnCorrection(("torque",), NAMES, (0, 1, 2), (1.0, -1.0, 0.001))
+    plain = refusal(PLAIN, correction, tmp_path).draft.splitlines()
+    assert plain[1:] == [
+        "torque.joint1 = -joint1 torque",
+        "torque.joint2 = 0.001 * joint2 torque",
+    ]
+    numbered = refusal(NUMBERS, correction, tmp_path, FILE).draft.splitlines()
+    assert numbered[-2:] == ["torque.joint1 = -0.5 * #9", "torque.joint2 = 0.001 * #10"]
+    assert "torque.joint1 = 0.5 * #9" not in numbered
+    assert numbered[:2] == ["# mine", "time = #1"]
+
+
+def test_velocities_that_contradict_the_positions_stay_as_they_are(
+    tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    other = Finding("order", Level.NOTE, "velocities are of another motion")
+    correction = ColumnCorrection(("position",), NAMES, (1, 0, 2), (1.0, 1.0, 1.0))
+    draft = refusal(PLAIN, correction, tmp_path, others=[other]).draft
+    assert "position.joint0" in draft and "velocity" not in draft
+
+
+def test_a_file_of_another_text_is_not_suggested(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("run_columns.txt").write_text("torque = a, b, c\n")
+    error = refusal(PLAIN, CORRECTIONS[0], tmp_path)
+    assert error.name == "run_columns_2.txt"
+    Path(error.name).write_text(error.draft)
+    assert refusal(PLAIN, CORRECTIONS[0], tmp_path).name == error.name
+
+
+@pytest.mark.parametrize("attribute", ["commanded", "joint_time"])
+def test_no_file_is_suggested_that_would_not_put_the_log_right(attribute, tmp_path):
+    error = refusal(PLAIN, CORRECTIONS[0], tmp_path, **{attribute: True})
+    assert not isinstance(error, ColumnsError) and error.options == ()
+
+
+@pytest.mark.parametrize("is_declared", [False, True])
+def test_an_option_is_suggested_that_no_title_contradicts(is_declared):
+    log = SimpleNamespace(
+        path="run.csv", columns=SimpleNamespace(angle_declared=is_declared)
+    )
+    option = ("--units", "deg")
+    finding = Finding("angle-unit", Level.REFUSE, "degrees", options=option)
+    error = refuse_for(log, finding, [finding])
+    assert error.options == (() if is_declared else (option,))
