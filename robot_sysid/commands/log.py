@@ -66,9 +66,9 @@ def main(arguments: Sequence[str]) -> int:
             # Only that command has these options, or who accepts guessed columns goes on to it.
             if error.command == "identify" or isinstance(error, ColumnsError):
                 # A columns file that the error suggests replaces the one in use.
-                options = values
-                if isinstance(error, ColumnsError):
-                    options = {**values, "columns": None}
+                is_replaced = isinstance(error, ColumnsError)
+                columns = None if is_replaced else values.get("columns")
+                options = {**values, "columns": columns}
                 command = _identify_command(model_path, path, options)
                 error.command_lines = [[*command, *o] for o in error.options]
             elif error.command == "payload":

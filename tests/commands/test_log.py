@@ -45,6 +45,7 @@ def folder(truth, tmp_path_factory):
     turned = replace(log, tau=log.tau * np.array([1.0, -1.0, 1.0, 1.0]))
     logs = {"log": log, "wrong": replace(log, tau=1e3 * log.tau), "late": late(log)}
     logs["turned"] = turned
+    logs["degrees"] = replace(log, q=np.degrees(log.q))
     for name, finding in logs.items():
         write_measurement_csv(
             folder / f"{name}.csv", truth.robot.joint_names, [finding]
@@ -79,6 +80,16 @@ def test_a_wrong_log_is_refused_and_right_with_the_scale_that_was_named(command)
     scaled = command.run("log wrong.csv arm.xml --torque-scale 1000")
     assert "nothing that stops an identification was found" in scaled.out
     right = command.run("log log.csv arm.xml")
+    assert "nothing that stops an identification was found" in right.out
+
+
+def test_degrees_end_with_the_commands_that_declare_the_unit(command):
+    lines = command.run("log degrees.csv arm.xml", code=2).err.splitlines()
+    assert lines[1:] == [
+        "  robot-sysid log degrees.csv arm.xml --units deg",
+        "  robot-sysid log degrees.csv arm.xml --units rad",
+    ]
+    right = command.run("log degrees.csv arm.xml --units deg")
     assert "nothing that stops an identification was found" in right.out
 
 
