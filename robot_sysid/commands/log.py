@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -134,7 +135,9 @@ def _check_log(
 
         preview = log_preview(robot, log.samples)
         show_preview(robot, preview, preview_options, console)
-    entries = [{**vars(finding), "level": finding.level.value} for finding in findings]
+    entries = [
+        {**asdict(finding), "level": finding.level.value} for finding in findings
+    ]
     console.result(
         {
             "log": str(log.path),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +21,8 @@ class Level(Enum):
     NOTE = "note"
 
 
-class ColumnCorrection(NamedTuple):
+@dataclass(frozen=True)
+class ColumnCorrection:
     """Columns that joints have to be given in place of theirs.
 
     Attributes:
