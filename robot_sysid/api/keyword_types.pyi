@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 File = str | os.PathLike[str]
 Numbers = Sequence[float] | NDArray[Any]
 Accept = Literal[
-    "torque-scale", "gravity", "computed", "sign", "order", "angle-unit", "zero", "model",
-    "tilt", "clock", "delay", "saturated", "held", "contact", "force", "payload-step",
-    "ripple", "coupling", "crosstalk", "friction", "unexplained", "too-little", "rollout"
+    "torque-scale", "torque-unit", "gravity", "computed", "sign", "order", "angle-unit",
+    "zero", "model", "tilt", "clock", "delay", "saturated", "held", "contact", "force",
+    "payload-step", "ripple", "coupling", "crosstalk", "friction", "unexplained",
+    "too-little", "rollout"
 ]  # fmt: skip
 Keep = Literal["friction", "rotors", "gravity", "links"]
 Cards = Literal[

@@ -297,4 +297,6 @@ def test_what_cannot_be_used_is_said_in_one_line(
     one = servo_logs.write(tmp_path / "one.csv", time, q, command_positions)
     one.write_text(one.read_text().replace("action joint1.pos", "remark"))
     message = command.run("identify", path, one, *SERVOS, code=2).err
-    assert "one command column for each" in message and "joint1" in message
+    # The numbers of that column say that it is the command.
+    assert "its titles do not say for sure which column is what" in message
+    assert message.endswith("--torque-from position-error --columns one_columns.txt\n")

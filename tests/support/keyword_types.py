@@ -61,7 +61,9 @@ def _has_alias(option: Option) -> bool:
 
 
 def _alias(option: Option) -> str:
-    words = textwrap.fill(", ".join(map(_quoted, option.choices)), 90)
+    words = textwrap.fill(
+        ", ".join(map(_quoted, option.choices)), 90, break_on_hyphens=False
+    )
     if "\n" not in words:
         return f"{option.key.capitalize()} = Literal[{words}]\n"
     listed = textwrap.indent(words, "    ")
