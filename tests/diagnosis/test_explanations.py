@@ -160,25 +160,27 @@ def number_after(phrase, text):
     return float(re.search(re.escape(phrase) + " ([0-9.e-]+)", text)[1])
 
 
-def flip_signs(log, text):
-    """Return a log with the signs of torques that the text names flipped."""
-    flipped = [f"torque.joint{joint} = -TITLE" in text for joint in range(4)]
-    return replace(log, tau=np.where(flipped, -log.tau, log.tau))
+def correct_torques(log, finding):
+    """Return a log with its torques corrected as the finding says."""
+    assert finding.correction.quantities == ("torque",)
+    return replace(log, tau=finding.correction.apply(log.tau))
 
 
 REMEDIES = {
-    CLOCK: lambda log, text: replace(log, time=number_after("time =", text) * log.time),
-    "sign": flip_signs,
+    CLOCK: lambda log, finding: replace(
+        log, time=number_after("time =", finding.text) * log.time
+    ),
+    "sign": correct_torques,
     "angle-unit": lambda log, _: replace(
         log, q=np.radians(log.q), qd=np.radians(log.qd)
     ),
-    "torque-scale: pass --torque-scale 200": lambda log, text: replace(
-        log, tau=log.tau / number_after("reads", text)
+    "torque-scale: pass --torque-scale 200": lambda log, finding: replace(
+        log, tau=log.tau / number_after("reads", finding.text)
     ),
     "tilt": lambda log, _: log,
     "delay": lambda log, _: log,
 }
-"""Fault to the log that the message of its check advises."""
+"""Fault to the log that its finding advises."""
 OPTIONS = {
     "tilt": EstimationOptions(tilt="auto"),
     "delay": EstimationOptions(delay="auto"),
@@ -190,8 +192,8 @@ OPTIONS = {
 def test_the_advised_remedy_puts_the_log_right(check, four_joints, fault):
     log, findings = check(fault)
     name = fault.partition(":")[0]
-    (text, *_) = [finding.text for finding in findings if finding.name == name]
-    remedied = REMEDIES[fault](log, text)
+    (named, *_) = [finding for finding in findings if finding.name == name]
+    remedied = REMEDIES[fault](log, named)
     options = OPTIONS.get(fault)
     assert check_against_model(four_joints.robot, [remedied], options) == ()
 
