@@ -37,6 +37,7 @@ from robot_sysid.logs.column_draft import BLANK, draft_sets
 from robot_sysid.logs.joint_names import JointMatch, JointSetsError
 from robot_sysid.logs.titles import (
     QUANTITIES,
+    TIME_UNITS,
     UNITS,
     Title,
     ambiguity_error,
@@ -56,8 +57,6 @@ _SCALED = re.compile(
 )
 _ANGLE_UNITS = ("rad", "deg")
 """Units of angles that a user may declare."""
-_TIME_UNITS = ("s", "ms", "us", "ns")
-"""Units of time that a user may declare."""
 _LONGEST = 1_000_000
 """Largest number of characters of a columns file that are read: 10 000 long lines."""
 
@@ -98,10 +97,10 @@ def parse_units(text: str) -> ColumnChoices:
     """Return the units of a list with commas or blanks such as "deg,ms", or raise InputError."""
     units = re.findall(r"[^,\s]+", text)
     angle_unit = next((unit for unit in units if unit in _ANGLE_UNITS), None)
-    time_unit = next((unit for unit in units if unit in _TIME_UNITS), None)
+    time_unit = next((unit for unit in units if unit in TIME_UNITS), None)
     recognised = [unit for unit in (angle_unit, time_unit) if unit]
     if not units or len(units) > len(recognised):
-        valid = f"one of {', '.join(_ANGLE_UNITS)} and one of {', '.join(_TIME_UNITS)}"
+        valid = f"one of {', '.join(_ANGLE_UNITS)} and one of {', '.join(TIME_UNITS)}"
         raise InputError(
             f"units {text!r} are not understood; give at most {valid}, as in 'deg,ms'"
         )
@@ -296,7 +295,6 @@ def recognise_columns(
     first_row: Sequence[str],
     currents: bool = False,
     commanded: bool = False,
-    recognised: dict[str, tuple[Column, ...]] | None = None,
 ) -> ColumnMap:
     """Return the column of each quantity of each joint.
 
@@ -307,44 +305,57 @@ def recognise_columns(
         first_row: the first row of data (it may hold joint names, as ROS logs do).
         currents: whether columns of motor currents are read in place of torques.
         commanded: whether columns of commanded positions are read in place of torques.
-        recognised: receives quantity to its columns, also where an error is raised for others.
 
     Raises:
         InputError: a quantity is missing, has two candidates, or contradicts the declared units.
         ColumnsError: several sets of joints could be the arm; its draft chooses one.
     """
-    plain = list(map(read_title, titles))
-    parsed = interpret_titles(plain, robot.joint_names, currents, commanded)
-    driven = "command" if commanded else "torque"
-    recognised = {} if recognised is None else recognised
-    finder = _ColumnFinder(list(titles), parsed, robot, choices, driven, recognised)
+    finder = ColumnFinder.of(titles, robot, choices, currents, commanded)
     try:
         return finder.find_all(first_row)
     except JointSetsError as error:
-        raise ColumnsError(str(error), draft_sets(parsed, error.sets)) from None
+        draft = draft_sets(finder.titles, error.sets)
+        raise ColumnsError(str(error), draft) from None
 
 
 @dataclass(frozen=True)
-class _ColumnFinder:
+class ColumnFinder:
     """Finds the columns of each quantity of one log.
 
     Attributes:
-        _texts: titles of the columns as the file has them.
-        _titles: these titles, cut into tokens, numbers and unit.
-        _robot: the arm, whose joints the columns are for.
-        _choices: declarations, which outrank the titles.
+        titles: of the columns, cut into tokens, numbers and unit.
+        robot: the arm, whose joints the columns are for.
+        choices: declarations, which outrank the titles.
         driven: the quantity that is needed beside positions, "torque" or "command".
         recognised: quantity to its columns, () for none; filled by ``find_all``.
         missing: quantities of which a joint has no column; filled by ``find_all``.
     """
 
-    _texts: list[str]
-    _titles: Sequence[Title]
-    _robot: RobotModel
-    _choices: ColumnChoices
+    titles: Sequence[Title]
+    robot: RobotModel
+    choices: ColumnChoices
     driven: str
-    recognised: dict[str, tuple[Column, ...]]
+    recognised: dict[str, tuple[Column, ...]] = field(default_factory=dict)
     missing: list[str] = field(default_factory=list)
+
+    @classmethod
+    def of(
+        cls,
+        titles: Sequence[str],
+        robot: RobotModel,
+        choices: ColumnChoices,
+        currents: bool,
+        commanded: bool,
+    ) -> ColumnFinder:
+        """Return the finder for a log; the arguments are those of ``recognise_columns``."""
+        plain = list(map(read_title, titles))
+        interpreted = interpret_titles(plain, robot.joint_names, currents, commanded)
+        return cls(interpreted, robot, choices, "command" if commanded else "torque")
+
+    @property
+    def _texts(self) -> list[str]:
+        """The titles as the file has them."""
+        return [title.text for title in self.titles]
 
     def find_all(self, first_row: Sequence[str]) -> ColumnMap:
         """Return the map, or raise InputError that lists all faults; fills ``recognised``.
@@ -353,7 +364,7 @@ class _ColumnFinder:
         """
         # Quantity to a list, per joint, of the indices of the columns that could be it.
         candidates, joint_match = match_joints(
-            self._open_titles(), self._robot, first_row
+            self._open_titles(), self.robot, first_row
         )
         faults = list[str]()
         for quantity in QUANTITIES:
@@ -365,7 +376,8 @@ class _ColumnFinder:
         with collect_errors(faults):
             self.recognised["time"] = self._find_time(candidates["joint_time"])
         if faults:
-            if self.missing == ["torque"] and self._has_currents:
+            n_joints = self.robot.n_joints
+            if self.missing == ["torque"] and len(self._currents) >= n_joints:
                 # With constants, the columns are complete: no columns file is needed.
                 raise InputError("; ".join(faults), [("--torque-constants", "1")])
             if self.missing:
@@ -375,16 +387,16 @@ class _ColumnFinder:
         torque = self.recognised[self.driven]
         if not position or not torque:
             raise InputError(f"position and {self.driven} cannot be left out")
-        has_unit = all(self._titles[column.index].unit for column in position)
+        has_unit = all(self.titles[column.index].unit for column in position)
         return ColumnMap(
             time=next(iter(self.recognised["time"]), None),
-            rate=self._choices.rate,
+            rate=self.choices.rate,
             position=position,
             torque=torque,
             velocity=self.recognised["velocity"] or None,
             joint_time=self.recognised["joint_time"] or None,
             titles=self._texts,
-            angle_declared=bool(self._choices.angle_unit) or has_unit,
+            angle_declared=bool(self.choices.angle_unit) or has_unit,
             commanded=self.driven == "command",
             joint_match=joint_match,
         )
@@ -395,10 +407,10 @@ class _ColumnFinder:
         These need not be recognised, and cannot be ambiguous.
         """
         titles = []
-        for title in self._titles:
+        for title in self.titles:
             quantity = joint_quantity(title) or " ".join(title.quantities)
-            declared = self._choices.columns.get(quantity, {})
-            is_open = len(declared) != len(self._robot.joint_names)
+            declared = self.choices.columns.get(quantity, {})
+            is_open = len(declared) != len(self.robot.joint_names)
             titles.append(title if is_open else read_title(""))
         return titles
 
@@ -409,20 +421,20 @@ class _ColumnFinder:
 
         ``candidates``: indices of the columns that could be it, for each joint.
         """
-        declared = self._choices.columns.get(quantity, {})
+        declared = self.choices.columns.get(quantity, {})
         if set(declared.values()) == {"none"}:
             return ()
         columns = []
-        for joint, name in enumerate(self._robot.joint_names):
+        for joint, name in enumerate(self.robot.joint_names):
             indices = candidates[joint]
             if len(indices) > 1 and name not in declared:
-                raise ambiguity_error(quantity, name, self._titles, indices)
+                raise ambiguity_error(quantity, name, self.titles, indices)
             if name in declared:
                 index, factor = self._look_up(declared[name])
                 columns.append(self._column(quantity, joint, index, factor))
             elif indices:
                 columns.append(self._column(quantity, joint, indices[0], factor=1.0))
-        if len(columns) == len(self._robot.joint_names):
+        if len(columns) == len(self.robot.joint_names):
             return tuple(columns)
         if declared or quantity in ("position", self.driven):
             self.missing.append(quantity)
@@ -434,22 +446,22 @@ class _ColumnFinder:
 
         ``joint_times``: indices of the columns of each joint's own time stamps.
         """
-        if self._choices.time is not None:
-            index, factor = self._look_up(self._choices.time)
+        if self.choices.time is not None:
+            index, factor = self._look_up(self.choices.time)
             return (self._column("time", joint=0, index=index, factor=factor),)
-        if self._choices.rate is not None:
+        if self.choices.rate is not None:
             return ()
         excluded = set(chain(*joint_times))
         times = []
-        for index, title in enumerate(self._titles):
+        for index, title in enumerate(self.titles):
             is_time = title.measured_quantity == "time" and not title.numbers
             if is_time and index not in excluded:
                 times.append(index)
         # ROS: the stamp in the message header is when it was sampled, the other one when received.
-        stamped = [k for k in times if "header" in self._titles[k].tokens]
+        stamped = [k for k in times if "header" in self.titles[k].tokens]
         times = stamped if len(stamped) == 1 else times
         if len(times) > 1:
-            raise ambiguity_error("time", "", self._titles, times)
+            raise ambiguity_error("time", "", self.titles, times)
         if not times:
             raise InputError(
                 "the log has no time column (evenly spaced rows may have rate = HZ in its place)"
@@ -460,21 +472,16 @@ class _ColumnFinder:
     def _currents(self) -> list[str]:
         """Titles of the columns of motor currents that are not declared as something else."""
         currents = []
-        for title in self._titles:
+        for title in self.titles:
             if title.is_current and title.override is None:
                 currents.append(title.text)
         return currents
-
-    @property
-    def _has_currents(self) -> bool:
-        """Whether there is a column of motor currents for each joint."""
-        return len(self._currents) >= len(self._robot.joint_names)
 
     def _missing_error(self, quantity: str) -> InputError:
         """Return the error for a quantity of which a joint has no column, with a hint."""
         candidates = []
         commands = []
-        for title in self._titles:
+        for title in self.titles:
             if joint_quantity(title) == quantity:
                 candidates.append(title.text)
             if title.is_commanded and title.override != "command":
@@ -499,10 +506,10 @@ class _ColumnFinder:
     def _needs_text(self) -> str:
         """Return the beginning of a message on missing columns: what the log needs."""
         columns = " and ".join(f"one {quantity} column" for quantity in self.missing)
-        names = ", ".join(self._robot.joint_names)
+        names = ", ".join(self.robot.joint_names)
         return (
             f"the log needs {columns} for each of the "
-            f"{len(self._robot.joint_names)} chain joints ({names})"
+            f"{len(self.robot.joint_names)} chain joints ({names})"
         )
 
     def _look_up(self, text: str) -> tuple[int, float]:
@@ -535,12 +542,12 @@ class _ColumnFinder:
             index: of the column.
             factor: by which the column's numbers are to be multiplied beside the unit.
         """
-        title = self._titles[index]
+        title = self.titles[index]
         declared_unit = None
         if quantity in ("time", "joint_time"):
-            declared_unit = self._choices.time_unit
-        elif quantity != "torque" and not self._robot.is_slide[joint]:
-            declared_unit = self._choices.angle_unit
+            declared_unit = self.choices.time_unit
+        elif quantity != "torque" and not self.robot.is_slide[joint]:
+            declared_unit = self.choices.angle_unit
         units = UNITS["time" if quantity == "joint_time" else quantity]
         declared = units.get(declared_unit or "")
         to_si = units.get(title.unit) if title.unit else declared

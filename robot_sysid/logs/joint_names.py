@@ -193,10 +193,14 @@ class _NameSet:
         return frames
 
 
+def split_camel_case(text: str) -> str:
+    """Return a text with a blank in front of each capital behind a small letter."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
+
+
 def _split_name(name: str) -> NamePieces:
     """Return the words and numbers of a name; camelCase is two words."""
-    separate = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
-    pieces = re.findall(r"[^\W\d_]+|\d+", separate.lower())
+    pieces = re.findall(r"[^\W\d_]+|\d+", split_camel_case(name).lower())
     return tuple(str(int(piece)) if piece.isdecimal() else piece for piece in pieces)
 
 

@@ -31,18 +31,19 @@ from robot_sysid.logs.joint_names import (
     join_names,
     match_joint_names,
     name_numbers,
+    split_camel_case,
 )
 from robot_sysid.records import RobotModel
 
 T = TypeVar("T")
 
 
-def _token_set(text: str) -> frozenset[str]:
-    """Return the tokens of a text, separated by blanks."""
+def token_set(text: str) -> frozenset[str]:
+    """Return the tokens of a text, which are separated by blanks."""
     return frozenset(text.split())
 
 
-def _by_token(vocabulary: Mapping[T, str]) -> dict[str, T]:
+def by_token(vocabulary: Mapping[T, str]) -> dict[str, T]:
     """Return token to meaning, from a table of meaning to tokens that are separated by blanks."""
     meanings = {}
     for meaning, tokens in vocabulary.items():
@@ -50,7 +51,7 @@ def _by_token(vocabulary: Mapping[T, str]) -> dict[str, T]:
     return meanings
 
 
-QUANTITY_OF_TOKEN = _by_token(
+QUANTITY_OF_TOKEN = by_token(
     {
         "time": "time t timestamp timestamps stamp stamps clock",
         "position": "q pos position positions angle angles qpos jpos",
@@ -62,14 +63,14 @@ QUANTITY_OF_TOKEN = _by_token(
 """Token of a title to the quantity that it stands for."""
 
 # Tokens that mark a command or a reference.
-_COMMANDED = _token_set(
+_COMMANDED = token_set(
     "cmd command commanded commands des desired ref reference target setpoint sp goal planned "
     "plan ff feedforward d action actions"
 )
-_FEED_FORWARD = _token_set("ff feedforward")
+_FEED_FORWARD = token_set("ff feedforward")
 """Tokens of commands that do not stand for commanded positions."""
 # Tokens that may be in a title without changing its quantity.
-_NEUTRAL = _token_set(
+_NEUTRAL = token_set(
     "j jnt joint joints axis ax a m motor motors dof arm robot field state states js jointstate "
     "jointstates header meas measured measurement act actual fb feedback msr present current "
     "sensor data values value currents as"
@@ -77,7 +78,7 @@ _NEUTRAL = _token_set(
 # Tokens of a motor's current; "current" may mean "present" as well.
 _CURRENT = frozenset({"current", "currents"})
 # Units of a motor's current.
-_AMPERES = _token_set("a amp amps ampere amperes")
+_AMPERES = token_set("a amp amps ampere amperes")
 # Sequences of tokens to the single token that they stand for.
 _JOINED = {
     " q dot ": " qd ",
@@ -86,34 +87,37 @@ _JOINED = {
     " ddot q ": " qdd ",
 }
 
-_DEGREE = math.pi / 180
-_RPM = math.pi / 30
-_TIME_UNITS = {
-    1.0: "s sec secs second seconds",
-    1e-3: "ms msec millis",
-    1e-6: "us usec µs micros",
-    1e-9: "ns nsec nanos",
-}
+DEGREE = math.pi / 180
+TIME_UNITS = ("s", "ms", "us", "ns")
+"""Units of time that a user may declare, the longest first."""
 _POSITION_UNITS = {
     1.0: "rad rads radians m",
-    _DEGREE: "deg degree degrees °",
+    DEGREE: "deg degree degrees °",
     1e-3: "mm",
 }
-_VELOCITY_UNITS = {
-    1.0: "rads radsec rad rads1 ms",
-    _DEGREE: "degs deg dps degsec °s",
-    _RPM: "rpm",
-    1e-3: "mms",
-}
 UNITS = {
-    "time": _by_token(_TIME_UNITS),
-    "position": _by_token(_POSITION_UNITS),
-    "velocity": _by_token(_VELOCITY_UNITS),
-    "torque": _by_token({1.0: "nm n", 1e-3: "mnm", 1e-2: "ncm", 1e3: "knm"}),
-    "command": _by_token(_POSITION_UNITS),
+    "time": by_token(
+        {
+            1.0: "s sec secs second seconds",
+            1e-3: "ms msec millis",
+            1e-6: "us usec µs micros",
+            1e-9: "ns nsec nanos",
+        }
+    ),
+    "position": by_token(_POSITION_UNITS),
+    "velocity": by_token(
+        {
+            1.0: "rads radsec rad rads1 ms",
+            DEGREE: "degs deg dps degsec °s",
+            math.pi / 30: "rpm",
+            1e-3: "mms",
+        }
+    ),
+    "torque": by_token({1.0: "nm n", 1e-3: "mnm", 1e-2: "ncm", 1e3: "knm"}),
+    "command": by_token(_POSITION_UNITS),
 }
 """Quantity to unit, in letters and digits alone ("degs" for deg/s), to its value in SI units."""
-_UNIT_TOKENS = _token_set(
+_UNIT_TOKENS = token_set(
     "s sec secs second seconds ms msec millis us usec µs micros ns nsec nanos rad rads radians deg "
     "degs degree degrees ° dps rpm mm nm mnm ncm knm s2"
 )
@@ -200,10 +204,8 @@ def interpret_titles(
     interpreted = []
     for title in titles:
         # Of several joints' names in a title, the one that takes most of it is left out.
-        nameless = title
-        for _, stripped in _strip_joint_names(title, joint_names):
-            if nameless is title or len(stripped.tokens) < len(nameless.tokens):
-                nameless = stripped
+        stripped_titles = [t for _, t in _strip_joint_names(title, joint_names)]
+        nameless = min(stripped_titles, key=lambda t: len(t.tokens), default=title)
         unit = nameless.unit
         is_command = commanded and nameless.is_commanded_position
         override = "command" if is_command else None
@@ -250,8 +252,7 @@ def _split_bracketed_unit(text: str) -> tuple[str, str]:
 def _pieces(text: str) -> list[str]:
     """Return the runs of letters, in lower case, and of digits; camelCase is two runs, Nm one."""
     with_units = re.sub(r"(?<![a-zA-Z])[mk]?Nm(?![a-z])", lambda m: m[0].lower(), text)
-    separate = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", with_units)
-    return re.findall(r"[a-zA-Z°µ]+|\d+", separate.lower())
+    return re.findall(r"[a-zA-Z°µ]+|\d+", split_camel_case(with_units).lower())
 
 
 @contextlib.contextmanager
@@ -329,8 +330,7 @@ def columns_by_joint_name(titles: Sequence[Title]) -> dict[str, dict[str, list[i
         if quantity not in QUANTITIES:
             continue
         _, unitless = _split_bracketed_unit(title.text)
-        separate = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", unitless)
-        pieces = re.split(r"([^\W\d_]+)", separate)
+        pieces = re.split(r"([^\W\d_]+)", split_camel_case(unitless))
         name_pieces = [piece for piece in pieces if piece.lower() not in not_names]
         name = "".join(name_pieces).strip(" ._/:-")
         # A bare number is left to counting.

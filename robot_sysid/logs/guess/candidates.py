@@ -22,12 +22,10 @@ from robot_sysid.logs.guess.physics import (
     average_rows,
     clocks,
     fit_torques,
-    slope,
 )
-from robot_sysid.logs.titles import UNITS, Title
+from robot_sysid.logs.titles import DEGREE, UNITS, Title, by_token, token_set
 from robot_sysid.records import Array, RobotModel
 
-_DEGREE = np.pi / 180.0
 _CLEAR = 0.45
 """Geometric mean of the misfits of the loaded joints below which columns are the torques."""
 _POOR = 0.6
@@ -52,21 +50,20 @@ _MOST_GROUPS = 200
 """Number of runs of columns above which positions are not guessed: one would fit by chance."""
 _FEWEST_SAMPLES = 20
 """Number of averaged rows below which nothing is compared with the model."""
-_OTHER_TEXT = (
+_OTHER = token_set(
     "temperature temp voltage volt error err std status mode id ext external gravity grav coriolis "
     "model est estimated computed current"
 )
-_OTHER = frozenset(_OTHER_TEXT.split())
 """Words of titles of other quantities, also of such that are computed and not measured."""
-_QUANTITY_OF_UNIT = {
-    **dict.fromkeys(("rad", "deg", "degree", "degrees", "°"), "position"),
-    **dict.fromkeys(
-        ("radsec", "rads", "rads1", "degs", "dps", "°s", "rpm"), "velocity"
-    ),
-    **dict.fromkeys(("nm", "mnm", "ncm", "knm"), "torque"),
-    **dict.fromkeys(("s", "ms", "us", "ns", "sec"), "time"),
-    **dict.fromkeys(("a", "ma", "v", "c", "°c", "k", "w", "hz", "rads2"), "other"),
-}
+_QUANTITY_OF_UNIT = by_token(
+    {
+        "position": "rad deg degree degrees °",
+        "velocity": "radsec rads rads1 degs dps °s rpm",
+        "torque": "nm mnm ncm knm",
+        "time": "s ms us ns sec",
+        "other": "a ma v c °c k w hz rads2",
+    }
+)
 """Unit in a title to the quantity that it is a unit of."""
 Group = tuple[int, ...]
 """Indices of n columns, one per joint, base to terminal."""
@@ -237,14 +234,16 @@ class ColumnCandidates:
     def units_of(self, position: Group) -> dict[str, Array]:
         """Return the units that positions may have, each with its factors (n,) to SI units.
 
-        The unit is "" where the titles state it.
+        The unit is "" where the titles state it. Without rows, there are none.
         """
-        slides = self.robot.is_slide
-        factors = {"rad": np.ones(len(slides)), "deg": np.where(slides, 1.0, _DEGREE)}
+        if not len(self.rows):
+            return {}
         stated = [self.titles[k].unit for k in position]
         if any(stated):
             units = UNITS["position"]
             return {"": np.array([units.get(unit, 1.0) for unit in stated])}
+        slides = self.robot.is_slide
+        factors = {"rad": np.ones(len(slides)), "deg": np.where(slides, 1.0, DEGREE)}
         if self.choices.angle_unit:
             return {self.choices.angle_unit: factors[self.choices.angle_unit]}
         limits = self.robot.limits
@@ -290,7 +289,7 @@ class ColumnCandidates:
         samples, period = self.samples
         qd = np.gradient(q, period or 1.0, axis=0)
         values = samples[:, columns]
-        for si_values in (values, values * _DEGREE):
+        for si_values in (values, values * DEGREE):
             if _follow(si_values, q, 0.99) or _follow(si_values, qd, 0.9):
                 return True
         return False
@@ -319,12 +318,13 @@ def _follow(values: Array, reference: Array, least: float) -> bool:
 
     ``least``: correlation from which on they are.
     """
-    moving = np.flatnonzero(np.ptp(reference, axis=0) > _STANDS)
-    for joint in moving:
-        ratio, correlation = slope(values[:, joint], reference[:, joint])
-        if correlation < least or abs(ratio - 1.0) > 0.1:
-            return False
-    return len(moving) > 0
+    is_moving = np.ptp(reference, axis=0) > _STANDS
+    a = (values - np.mean(values, axis=0))[:, is_moving]
+    b = (reference - np.mean(reference, axis=0))[:, is_moving]
+    product = np.sum(a * b, axis=0)
+    norms = np.linalg.norm(a, axis=0) * np.linalg.norm(b, axis=0)
+    is_equal = np.abs(product / np.sum(b**2, axis=0) - 1.0) <= 0.1
+    return bool(np.any(is_moving) and np.all(is_equal & (product >= least * norms)))
 
 
 def _runs(columns: Sequence[int], titles: Sequence[Title], n: int) -> Iterator[Group]:

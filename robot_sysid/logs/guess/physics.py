@@ -16,10 +16,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
-from robot_sysid.logs.table import LogTable, read_blocks
+from robot_sysid.logs.table import LogTable, Mask, read_blocks
+from robot_sysid.logs.text import is_number
+from robot_sysid.logs.titles import TIME_UNITS, UNITS
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import Progress
 
@@ -37,9 +38,8 @@ _RATE = 40.0
 """Rows per second that a log is averaged to [Hz]."""
 _LOADED = 0.15
 """Model torque of a joint over that of the most loaded one from which on links load it."""
-# Largest step between two rows in each unit of time, at 5 Hz; smaller units are tried later.
-_LARGEST_STEP = {"s": 0.2, "ms": 200.0, "us": 2e5, "ns": 2e8}
-_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_LONGEST_STEP = 0.2
+"""Largest time between two rows [s]."""
 
 
 @dataclass(frozen=True)
@@ -59,31 +59,21 @@ class Clock:
     counts: bool
 
 
-def read_numbers(table: LogTable, is_number: Sequence[bool]) -> Array:
+def read_numbers(table: LogTable) -> Array:
     """Return the first rows (N, C) of a log; columns that are no numbers are NaN.
 
     Rows in which a column that is mostly filled is empty are left out.
-
-    Args:
-        table: the log.
-        is_number: (C,) whether a column holds numbers, by its first row.
     """
-    columns = np.flatnonzero(is_number)
-    blocks = []
-    count = 0
+    first_row = table.first_row or ("0",) * len(table.titles)
+    columns = np.flatnonzero(list(map(is_number, first_row)))
+    cells = np.empty((0, len(columns)))
     for block in read_blocks(table, columns.tolist(), Progress()):
-        if block.recording:
+        if block.recording or len(cells) >= _MOST_ROWS:
             break
-        blocks.append(block.cells)
-        count += len(block.cells)
-        if count >= _MOST_ROWS:
-            break
-    cells = np.concatenate(blocks) if blocks else np.empty((0, len(columns)))
+        cells = np.concatenate((cells, block.cells))
     is_finite = np.isfinite(cells)
-    is_filled = (
-        np.mean(is_finite, axis=0) > 0.5 if count else np.zeros(len(columns), bool)
-    )
-    rows = np.full((len(cells), len(is_number)), np.nan)
+    is_filled = 2 * np.count_nonzero(is_finite, axis=0) > len(cells)
+    rows = np.full((len(cells), len(first_row)), np.nan)
     rows[:, columns[is_filled]] = cells[:, is_filled]
     return rows[np.all(is_finite[:, is_filled], axis=1)]
 
@@ -97,10 +87,12 @@ def clocks(rows: Array) -> list[Clock]:
             continue
         step = float(np.median(steps))
         is_even = float(np.quantile(steps, 0.9)) < 3.0 * step
-        unit = next((u for u, largest in _LARGEST_STEP.items() if step <= largest), "")
+        periods = {unit: step * UNITS["time"][unit] for unit in TIME_UNITS}
+        # The first unit that is not too long.
+        unit = next((u for u in TIME_UNITS if periods[u] <= _LONGEST_STEP), "")
         if is_even and unit:
             counts = bool(np.all(steps == 1.0))
-            clock_columns.append(Clock(column, unit, step * _SECONDS[unit], counts))
+            clock_columns.append(Clock(column, unit, periods[unit], counts))
     return clock_columns
 
 
@@ -111,7 +103,7 @@ def average_rows(rows: Array, period: float) -> tuple[Array, float]:
     """
     every = max(1, min(round(1.0 / (_RATE * period)), len(rows) // 20))
     count = len(rows) // every
-    averaged = rows[: count * every].reshape(count, every, -1).mean(axis=1)
+    averaged = rows[: count * every].reshape(count, every, rows.shape[1]).mean(axis=1)
     start = max(0, (count - _MOST_SAMPLES) // 2)
     return averaged[start : start + _MOST_SAMPLES], every * period
 
@@ -136,7 +128,7 @@ class TorqueFit:
     any_scale_misfit: Array
     residual: Array
     direction: Array
-    loaded: NDArray[np.bool_]
+    loaded: Mask
 
     def of_columns(self, values: Array, columns: Sequence[int]) -> Array:
         """Return the values (n, C) of n torque columns at the joints that links load."""
@@ -159,16 +151,11 @@ def fit_torques(
     moves = float(period is not None)
     motion = LinkDynamics(robot).motion(q, moves * qd, moves * qdd)
     model_torque = motion.torque(robot.thetas)
-    n = q.shape[1]
-    scale = np.zeros((n, columns.shape[1]))
-    misfit = np.ones_like(scale)
-    any_scale_misfit = np.ones_like(scale)
-    residual = np.ones_like(scale)
-    direction = np.zeros_like(scale)
-    load = np.zeros(n)
+    load = []
+    fits = []
     with np.errstate(divide="ignore", invalid="ignore"):
         column_size = np.std(columns, axis=0)
-        for joint in range(n):
+        for joint in range(q.shape[1]):
             fastest = np.max(np.abs(qd[:, joint]))
             sign = np.tanh(qd[:, joint] / (0.02 * fastest or 1.0))
             friction = np.column_stack((np.ones(len(q)), qd[:, joint], qdd[:, joint]))
@@ -176,27 +163,36 @@ def fit_torques(
             torque = _without(with_sign, model_torque[:, [joint]])[:, 0]
             others = _without(with_sign, columns)
             spread = _rms(others)
-            load[joint] = np.std(torque)
             factor = torque @ others / (torque @ torque)
             size = np.clip(np.abs(factor), LEAST_SCALE, LARGEST_SCALE)
-            scale[joint] = factor
-            residual[joint] = _rms(others - np.outer(torque, np.sign(factor) * size))
-            misfit[joint] = residual[joint] / spread
-            any_scale_misfit[joint] = _rms(others - np.outer(torque, factor)) / spread
+            residual = _rms(others - np.outer(torque, np.sign(factor) * size))
+            any_scale_residual = _rms(others - np.outer(torque, factor))
             base = np.column_stack((friction, model_torque[:, joint]))
             dry = _without(base, sign[:, None])[:, 0]
-            direction[joint] = dry @ _without(base, columns) / (dry @ dry) / column_size
+            dry_factor = dry @ _without(base, columns) / (dry @ dry) / column_size
+            load.append(np.std(torque))
+            fits.append(
+                (
+                    factor,
+                    residual / spread,
+                    any_scale_residual / spread,
+                    residual,
+                    dry_factor,
+                )
+            )
+    # (n, C) each.
+    scale, misfit, any_scale_misfit, residual, direction = np.stack(fits, axis=1)
     return TorqueFit(
         scale=np.nan_to_num(scale),
         misfit=np.nan_to_num(misfit, nan=1.0, posinf=1.0),
         any_scale_misfit=np.nan_to_num(any_scale_misfit, nan=1.0, posinf=1.0),
         residual=np.nan_to_num(residual),
         direction=np.nan_to_num(direction),
-        loaded=_find_loaded(load),
+        loaded=_find_loaded(np.array(load)),
     )
 
 
-def _find_loaded(load: Array) -> NDArray[np.bool_]:
+def _find_loaded(load: Array) -> Mask:
     """Return (n,) which joints links load, at least two of several.
 
     ``load``: (n,) rms of the model's torque of each joint beside friction [N m].
@@ -218,13 +214,3 @@ def _without(regressors: Array, values: Array) -> Array:
     scaled = regressors / size
     coefficients, *_ = np.linalg.lstsq(scaled, values, rcond=1e-9)
     return np.asarray(values - scaled @ coefficients)
-
-
-def slope(values: Array, reference: Array) -> tuple[float, float]:
-    """Return (factor, correlation) of values (N,) with a reference (N,); zeros where one stands."""
-    a = values - np.mean(values)
-    b = reference - np.mean(reference)
-    norms = float(np.linalg.norm(a) * np.linalg.norm(b))
-    if norms == 0.0:
-        return 0.0, 0.0
-    return float(a @ b / (b @ b)), float(a @ b) / norms

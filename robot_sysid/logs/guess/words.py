@@ -10,6 +10,9 @@ import re
 import unicodedata
 from functools import cache
 
+from robot_sysid.logs.joint_names import split_camel_case
+from robot_sysid.logs.titles import by_token
+
 # English word to the beginnings or parts of words that stand for it; accents are left out.
 _PARTS = {
     "time": "zeitstempel zeit horodatage tiempo 时间 時間 时刻 時刻",
@@ -42,26 +45,23 @@ _WORDS = {
     "measured": "ist mes mis med",
     "command": "cons",
 }
-_BRACKET = re.compile(r"[\[({][^\])}]*[\])}]")
+_BRACKET = r"[\[({][^\])}]*[\])}]"
 _DEGREES = re.compile(r"\b(grados|gradi|grad|degres)\b")
 
 
 @cache
 def _english() -> tuple[re.Pattern[str], dict[str, str]]:
-    """Return a pattern of all foreign words, the longest first, and their English words."""
-    meanings = {}
-    for english, listed in _PARTS.items():
-        meanings.update(dict.fromkeys(listed.split(), english))
-    stems = sorted(meanings, key=len, reverse=True)
-    whole_words = {}
-    for english, listed in _WORDS.items():
-        whole_words.update(dict.fromkeys(listed.split(), english))
-    alternatives = "|".join(sorted(whole_words, key=len, reverse=True))
+    """Return a pattern of brackets and of all foreign words, and the words' English ones."""
+    parts = by_token(_PARTS)
+    words = by_token(_WORDS)
+    # The longest first, as some begin like others.
+    any_part = "|".join(sorted(parts, key=len, reverse=True))
+    any_word = "|".join(sorted(words, key=len, reverse=True))
     # "ist" in front of a word of the title is the German "measured", as in Istposition.
     pattern = (
-        rf"{'|'.join(stems)}|\bist(?=[a-z]{{3}})|(?<![a-z])(?:{alternatives})(?![a-z])"
+        rf"{_BRACKET}|{any_part}|\bist(?=[a-z]{{3}})|(?<![a-z])(?:{any_word})(?![a-z])"
     )
-    return re.compile(pattern), {**whole_words, **meanings}
+    return re.compile(pattern), {**words, **parts}
 
 
 def translate(title: str) -> str:
@@ -69,22 +69,14 @@ def translate(title: str) -> str:
 
     Units in brackets stay as they are, but for degrees that are written out.
     """
-    separate = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", title)
-    decomposed = unicodedata.normalize("NFKD", separate.lower())
+    decomposed = unicodedata.normalize("NFKD", split_camel_case(title).lower())
     plain = "".join(mark for mark in decomposed if not unicodedata.combining(mark))
-    plain = plain.replace("μ", "µ")
     pattern, meanings = _english()
 
-    def replace_word(match: re.Match[str]) -> str:
-        """Return the English word between blanks."""
-        return f" {meanings[match[0]]} "
+    def replace_match(match: re.Match[str]) -> str:
+        """Return the English word between blanks, or a bracket with the unit in it."""
+        if match[0] in meanings:
+            return f" {meanings[match[0]]} "
+        return _DEGREES.sub("deg", match[0])
 
-    # The text between brackets; brackets with a unit are put back.
-    pieces = []
-    end = 0
-    for bracket in _BRACKET.finditer(plain):
-        pieces.append(pattern.sub(replace_word, plain[end : bracket.start()]))
-        pieces.append(_DEGREES.sub("deg", bracket[0]))
-        end = bracket.end()
-    pieces.append(pattern.sub(replace_word, plain[end:]))
-    return "".join(pieces)
+    return pattern.sub(replace_match, plain.replace("μ", "µ"))
