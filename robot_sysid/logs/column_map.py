@@ -51,9 +51,9 @@ from robot_sysid.records import Array, RobotModel
 
 _KEYS = ("time", *QUANTITIES, "acceleration", "units", "rate")
 """Keys of a columns file; those of quantities may be followed by ".joint"."""
-# A factor and a title: "0.95 * I3".
+# A factor and a title: "0.95 * I3", or a title with a minus: "-M2".
 _SCALED = re.compile(
-    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*\s*(.+)", re.ASCII
+    r"(?:([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*|-)\s*(.+)", re.ASCII
 )
 _ANGLE_UNITS = ("rad", "deg")
 """Units of angles that a user may declare."""
@@ -427,11 +427,11 @@ class ColumnFinder:
         columns = []
         for joint, name in enumerate(self.robot.joint_names):
             indices = candidates[joint]
-            if len(indices) > 1 and name not in declared:
-                raise ambiguity_error(quantity, name, self.titles, indices)
             if name in declared:
                 index, factor = self._look_up(declared[name])
                 columns.append(self._column(quantity, joint, index, factor))
+            elif len(indices) > 1:
+                raise ambiguity_error(quantity, name, self.titles, indices)
             elif indices:
                 columns.append(self._column(quantity, joint, indices[0], factor=1.0))
         if len(columns) == len(self.robot.joint_names):
@@ -471,21 +471,14 @@ class ColumnFinder:
     @property
     def _currents(self) -> list[str]:
         """Titles of the columns of motor currents that are not declared as something else."""
-        currents = []
-        for title in self.titles:
-            if title.is_current and title.override is None:
-                currents.append(title.text)
-        return currents
+        titles = [title for title in self.titles if title.override is None]
+        return [title.text for title in titles if title.is_current]
 
     def _missing_error(self, quantity: str) -> InputError:
         """Return the error for a quantity of which a joint has no column, with a hint."""
-        candidates = []
-        commands = []
-        for title in self.titles:
-            if joint_quantity(title) == quantity:
-                candidates.append(title.text)
-            if title.is_commanded and title.override != "command":
-                commands.append(title.text)
+        candidates = [t.text for t in self.titles if joint_quantity(t) == quantity]
+        measured = [title for title in self.titles if title.override != "command"]
+        commands = [title.text for title in measured if title.is_commanded]
         listed = "none"
         if candidates:
             listed = f"{len(candidates)} ({', '.join(candidates)})"
@@ -514,16 +507,13 @@ class ColumnFinder:
 
     def _look_up(self, text: str) -> tuple[int, float]:
         """Return (column index, factor) of "title", "-title" or "0.5 * title"."""
+        texts = self._texts
         title = text
         factor = 1.0
         scaled = _SCALED.fullmatch(text)
-        if text not in self._texts and scaled:
-            title = scaled.group(2).strip()
-            factor = float(scaled.group(1))
-        elif text not in self._texts and text.startswith("-"):
-            title = text[1:].strip()
-            factor = -1.0
-        texts = self._texts
+        if text not in texts and scaled:
+            title = scaled[2]
+            factor = float(scaled[1] or -1.0)
         if re.fullmatch(r"#\d+", title) and title not in texts:
             # The columns by their numbers, from 1.
             texts = list(map("#{}".format, range(1, len(texts) + 1)))
@@ -564,15 +554,13 @@ class ColumnFinder:
 
 def _quote(columns: Sequence[Column]) -> str:
     """Return titles in quotes, with their factors; a factor that all share is given once."""
-    common = columns[0].factor
     titles = []
     scaled_titles = []
-    is_common = len(columns) > 1
     for column in columns:
         scale = "" if column.factor == 1.0 else f" x {column.factor:.6g}"
         titles.append(f"'{column.title}'")
         scaled_titles.append(f"'{column.title}'{scale}")
-        is_common &= column.factor == common
-    if not is_common or common == 1.0:
+    factors = {column.factor for column in columns}
+    if len(columns) == 1 or len(factors) > 1 or factors == {1.0}:
         return ", ".join(scaled_titles)
-    return f"{', '.join(titles)} (each x {common:.6g})"
+    return f"{', '.join(titles)} (each x {factors.pop():.6g})"

@@ -114,9 +114,8 @@ def open_log(
     check_notes = check_log(str(path), rows, robot, columns.angle_declared)
     pieces = tuple(map(LogPiece.of, split_at_gaps(rows.samples)))
     details = map(Detail, (f"log layout: {table.layout}", *columns.describe()))
-    match_note = columns.joint_match.describe() if columns.joint_match else ""
-    joint_notes = (match_note,) if match_note else ()
-    source_notes = (*table.notes, *joint_notes)
+    joint_note = columns.joint_match.describe() if columns.joint_match else ""
+    source_notes = filter(None, (*table.notes, joint_note))
     notes = (*details, *source_notes, *check_notes, *piece_notes(rows.samples, pieces))
     columns_file = Path(options.columns) if options.columns else None
     return MeasurementLog(
@@ -154,16 +153,21 @@ def _map_columns(
         if table.external_links:
             raise InputError(f"{fault}; {table.external_links}") from None
         # A draft does not suit a user who has declared columns already.
-        name = f"{path.stem}_columns.txt"
-        text = ""
+        draft = ""
         if isinstance(error, ColumnsError) and not is_declared:
-            text = error.draft
+            draft = error.draft
         elif not is_declared:
-            text = guess_columns(table, robot, choices, currents, options.commanded)
-            guess = ColumnsError(f"{path}: {_UNTITLED}; {_REMEDY}", text, name)
-            if guess.is_complete:
-                raise guess from None
-        raise ColumnsError(f"{fault}; {_REMEDY}", text, name) from None
+            draft = guess_columns(table, robot, choices, currents, options.commanded)
+            if ColumnsError(fault, draft).is_complete:
+                fault = f"{path}: {_UNTITLED}"
+        name = columns_file_name(path)
+        raise ColumnsError(f"{fault}; {_REMEDY}", draft, name) from None
+
+
+def columns_file_name(path: Path) -> str:
+    """Return the name of the columns file that is suggested for a log."""
+    stem = "log" if path == STANDARD_INPUT else path.stem
+    return f"{stem}_columns.txt"
 
 
 def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:

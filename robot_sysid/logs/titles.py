@@ -182,9 +182,8 @@ class Title:
         # A bare d is too short to stand for a command without a position beside it.
         if not marks or (marks == {"d"} and self.quantities != {"position"}):
             return False
-        is_current = bool(_CURRENT & {*self.tokens})
-        has_other_quantity = bool(self.quantities - {"position"})
-        return not (self.is_foreign or is_current or has_other_quantity)
+        has_other_quantity = self.quantities - {"position"} or _CURRENT & {*self.tokens}
+        return not (self.is_foreign or has_other_quantity)
 
 
 def interpret_titles(

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.errors import InputError
+from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs import reader
 from tests.support import recorded
 from tests.support.log_files import (
@@ -79,6 +79,9 @@ def test_a_log_is_read_from_a_pipe(tmp_path, monkeypatch):
                 piped = read_measurements("-", JOINTS)
                 assert_samples(piped.samples, expected.samples)
             assert reader.origin_of([expected, piped]).files == (str(path), "-")
+            with pytest.raises(ColumnsError) as caught:
+                read_measurements("-", ("a", "b"))
+            assert caught.value.name == "log_columns.txt"
 
 
 POSITIVE = st.lists(st.floats(1e-2, 1e2), min_size=3, max_size=3).map(tuple)

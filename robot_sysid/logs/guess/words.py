@@ -69,6 +69,8 @@ def translate(title: str) -> str:
 
     Units in brackets stay as they are, but for degrees that are written out.
     """
+    # A capital D behind a blank is the name of a joint, no mark of a command as in q_d.
+    title = re.sub(r" D\b", " ", title)
     decomposed = unicodedata.normalize("NFKD", split_camel_case(title).lower())
     plain = "".join(mark for mark in decomposed if not unicodedata.combining(mark))
     pattern, meanings = _english()

@@ -146,6 +146,23 @@ def test_titles_in_another_language_are_enough_and_odd_units_are_factors(tmp_pat
     assert "# by the titles" in text
 
 
+@pytest.mark.parametrize("name", ["Achse {}", "{}"])
+def test_joints_with_letters_are_taken_from_a_to_d(tmp_path, name):
+    columns = blocks()
+    titles = {
+        "time": "Zeit",
+        "position": f"Winkel {name}",
+        "torque": f"Moment [Nm] {name}",
+    }
+    table, numbers = table_of(columns, list(titles), titles)
+    letters = dict(zip("1234", "ABCD"))
+    texts = [text[:-1] + letters.get(text[-1], text[-1]) for text in table.titles]
+    _, choices = guess(tmp_path, replace(table, titles=tuple(texts)))
+    assert choices is not None
+    for quantity in ("position", "torque"):
+        assert list(choices.columns[quantity].values()) == numbers[quantity]
+
+
 def test_a_commanded_position_is_taken_by_its_title(tmp_path):
     columns = blocks()
     titles = {"time": "t", "position": "q{}", "command": "Vorgabe {} Rest"}
@@ -163,6 +180,13 @@ def changed(name, change):
 
 def flip_second(tau):
     return tau * [1.0, -1.0, 1.0, 1.0]
+
+
+def test_a_log_without_a_complete_row_is_guessed_by_its_titles(tmp_path):
+    table, _ = table_of(blocks(), ("time", "position", "torque"))
+    text, choices = guess(tmp_path, replace(table, blocks=lambda indices: iter(())))
+    assert choices is None
+    assert "position = ?, ?, ?, ?" in text
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from robot_sysid.logs.titles import read_title
         ("AchsIstmoment3", "torque", (3,), ""),
         ("Zeit [s]", "time", (), "s"),
         ("Moment [Nm]", "torque", (), "nm"),
+        ("Moment [Nm] D", "torque", (), "nm"),
         ("Couple axe 3 (N.m)", "torque", (3,), "nm"),
         ("Temps (s)", "time", (), "s"),
         ("Posición 1 [°]", "position", (1,), "°"),
