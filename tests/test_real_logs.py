@@ -9,6 +9,7 @@ import json
 import re
 import runpy
 import shlex
+from pathlib import Path
 
 import pytest
 
@@ -173,10 +174,15 @@ def test_tiagos_efforts_are_named_with_the_command_that_weighs_their_constants(
     message, command = capsys.readouterr().err.splitlines()
     assert "the torques are not in N·m at the joint: they are 7.77 to 197" in message
     assert "motor currents or torques before the gear" in message
-    assert "torque.arm_3_joint = -TITLE, torque.arm_4_joint = -TITLE;" in message
+    assert "of arm_3_joint, arm_4_joint they have the opposite sign" in message
     words = shlex.split(command)
     assert words[:5] == ["robot-sysid", "payload", str(model), "--empty", str(log)]
-    assert words[words.index("--columns") + 1] == "columns.txt"
+    columns = words[words.index("--columns") + 1]
+    lines = Path(columns).read_text().splitlines()
+    assert lines[1:] == [
+        "torque.arm_3_joint = -arm_3_joint_torque",
+        "torque.arm_4_joint = -arm_4_joint_torque",
+    ]
     scales = words[words.index("--torque-scale") + 1].split(",")
     for joint, constant in ((2, 13.6), (3, 8.7), (4, 8.7)):
         assert 0.7 < float(scales[joint]) * constant < 1.4

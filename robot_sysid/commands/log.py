@@ -64,20 +64,20 @@ def main(arguments: Sequence[str]) -> int:
                 path, model_path, log_options, model_options, preview_options, console
             )
         except InputError as error:
+            if error.command == "payload":
+                from robot_sysid.pipeline.run_words import add_weighing_commands
+
+                add_weighing_commands(
+                    error, model_path, model_options, log_options, path
+                )
             # Only that command has these options, or who accepts guessed columns goes on to it.
-            if error.command == "identify" or isinstance(error, ColumnsError):
+            elif error.command == "identify" or isinstance(error, ColumnsError):
                 # A columns file that the error suggests replaces the one in use.
                 is_replaced = isinstance(error, ColumnsError)
                 columns = None if is_replaced else values.get("columns")
                 options = {**values, "columns": columns}
                 command = _identify_command(model_path, path, options)
                 error.command_lines = [[*command, *o] for o in error.options]
-            elif error.command == "payload":
-                from robot_sysid.pipeline.run_words import add_weighing_commands
-
-                add_weighing_commands(
-                    error, model_path, model_options, log_options, path
-                )
             raise
         return 0
     for record in (preview_options, log_options, model_options):

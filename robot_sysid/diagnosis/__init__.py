@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -36,6 +37,14 @@ class ColumnCorrection:
     joint_names: tuple[str, ...]
     order: tuple[int, ...]
     factors: tuple[float, ...]
+
+    @classmethod
+    def of_factors(
+        cls, quantities: tuple[str, ...], joint_names: Sequence[str], factors: Array
+    ) -> ColumnCorrection:
+        """Return the correction that multiplies each joint's own column by a factor (n,)."""
+        order = tuple(range(len(joint_names)))
+        return cls(quantities, tuple(joint_names), order, tuple(factors.tolist()))
 
     def apply(self, values: Array) -> Array:
         """Return recorded values (N, n) with the columns put right."""

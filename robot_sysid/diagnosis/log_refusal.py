@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from itertools import count
 from pathlib import Path
 
 from robot_sysid.diagnosis import COLUMNS_ADVICE, ColumnCorrection, Finding
 from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs.column_map import Column, ColumnMap
-from robot_sysid.logs.reader import MeasurementLog
+from robot_sysid.logs.reader import MeasurementLog, columns_file_name
 
 _PLAIN_TITLE = re.compile(r"(?!none$)[^\W\d]([^#,=?\n]*[^\s#,=?])?")
 """Titles that no columns file takes for a number, a factor, a key or a comment."""
@@ -28,8 +27,7 @@ def refuse_for(
     ``findings`` are all of the log.
     """
     text = f"{log.path}: {finding.text}"
-    if finding.payload_options:
-        return InputError(text, [finding.payload_options], command="payload")
+    payload_options = finding.payload_options
     if finding.correction is not None:
         # Recorded velocities that are not how positions change have other columns than these.
         same_checks = [other for other in findings if other.name == finding.name]
@@ -39,8 +37,14 @@ def refuse_for(
         if lines:
             reason = text.removesuffix(COLUMNS_ADVICE)
             draft = _add_lines(log.columns_file, lines, reason)
-            name = _free_name(f"{log.path.stem}_columns", draft)
-            return ColumnsError(text, draft, name, is_correction=True)
+            name = _free_name(log.path, draft)
+            error = ColumnsError(text, draft, name, is_correction=True)
+            if payload_options:
+                error.options = ((*payload_options, "--columns", name),)
+                error.command = "payload"
+            return error
+    if payload_options:
+        return InputError(text, [payload_options], command="payload")
     # A unit in a title outranks the option.
     is_declared = finding.name == "angle-unit" and log.columns.angle_declared
     if not finding.options or is_declared:
@@ -63,19 +67,15 @@ def _corrected_lines(
     """
     if columns.commanded or columns.joint_time:
         return {}
-    groups = {"position": columns.position, "torque": columns.torque}
-    if with_velocity and columns.velocity:
+    groups = {name: getattr(columns, name) for name in correction.quantities}
+    if "position" in groups and with_velocity and columns.velocity:
         groups["velocity"] = columns.velocity
     lines = {}
     for quantity, group in groups.items():
-        source = "position" if quantity == "velocity" else quantity
-        if source not in correction.quantities:
-            continue
         joints = zip(correction.joint_names, correction.order, correction.factors)
-        for joint, (name, source_joint, factor) in enumerate(joints):
-            if source_joint != joint or factor != 1.0:
-                column = group[source_joint]
-                value = _column_text(columns.titles, column, factor)
+        for joint, (name, source, factor) in enumerate(joints):
+            if source != joint or factor != 1.0:
+                value = _column_text(columns.titles, group[source], factor)
                 lines[f"{quantity}.{name}"] = value
     return lines
 
@@ -116,13 +116,12 @@ def _add_lines(path: Path | None, lines: dict[str, str], reason: str) -> str:
     return "\n".join([*unchanged, f"# {' '.join(reason.split())}", *changed, ""])
 
 
-def _free_name(stem: str, text: str) -> str:
-    """Return the first of STEM.txt, STEM_2.txt, ... that is no file of another text."""
-    for number in count(1):
-        path = Path(f"{stem}_{number}.txt" if number > 1 else f"{stem}.txt")
-        if (
-            not path.exists()
-            or path.read_text(encoding="utf-8", errors="replace") == text
-        ):
-            return str(path)
-    raise AssertionError("count never ends")
+def _free_name(log: Path, text: str) -> str:
+    """Return the name of a columns file for a log, numbered where a file of another text has it."""
+    name = columns_file_name(log)
+    path = Path(name)
+    number = 1
+    while path.exists() and path.read_text("utf-8", errors="replace") != text:
+        number += 1
+        path = Path(f"{Path(name).stem}_{number}.txt")
+    return str(path)

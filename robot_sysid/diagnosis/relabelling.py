@@ -120,12 +120,8 @@ def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
     """
     names = robot.joint_names
     for quantities in (("torque",), ("position",), ("position", "torque")):
-        mistakes = [*_sign_mistakes(names, quantities)]
-        mistakes += _order_mistakes(names, quantities)
-        for name, text, columns in mistakes:
-            motion = columns.apply if "position" in quantities else None
-            torque = columns.apply if "torque" in quantities else None
-            yield Relabelling(name, text, motion, torque, columns=columns)
+        yield from _sign_mistakes(names, quantities)
+        yield from _order_mistakes(names, quantities)
     # The method __mul__ of an array (n,) multiplies values (N, n) by the array.
     to_radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
     text = "positions look like degrees; pass --units deg"
@@ -136,34 +132,41 @@ def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
     yield Relabelling("angle-unit", text, (1.0 / to_radians).__mul__)
 
 
-_Mistake = tuple[str, str, ColumnCorrection]
-"""(check, text, correction) of a mistake."""
+def _column_mistake(name: str, text: str, columns: ColumnCorrection) -> Relabelling:
+    """Return the mistake that columns are wrong.
+
+    Args:
+        name: name of the check that reports it.
+        text: the mistake.
+        columns: its correction.
+    """
+    motion = columns.apply if "position" in columns.quantities else None
+    torque = columns.apply if "torque" in columns.quantities else None
+    return Relabelling(name, f"{text}{COLUMNS_ADVICE}", motion, torque, columns=columns)
 
 
 def _sign_mistakes(
     names: Sequence[str], quantities: tuple[str, ...]
-) -> Iterator[_Mistake]:
+) -> Iterator[Relabelling]:
     """Yield for each joint the mistake that its sign is wrong in all given quantities.
 
     Args:
         names: names of the n joints.
         quantities: "position", "torque" or both.
     """
-    order = tuple(range(len(names)))
+    subject = " and ".join(quantities)
+    verb = "has" if len(quantities) == 1 else "have"
     for joint, name in enumerate(names):
-        sign = np.ones(len(names))
-        sign[joint] = -1.0
-        subject = " and ".join(quantities)
-        verb = "has" if len(quantities) == 1 else "have"
+        signs = np.ones(len(names))
+        signs[joint] = -1.0
         text = f"the {subject} of joint {name} {verb} the opposite sign of the model's"
-        signs = tuple(sign.tolist())
-        columns = ColumnCorrection(quantities, tuple(names), order, signs)
-        yield "sign", f"{text}{COLUMNS_ADVICE}", columns
+        columns = ColumnCorrection.of_factors(quantities, names, signs)
+        yield _column_mistake("sign", text, columns)
 
 
 def _order_mistakes(
     names: Sequence[str], quantities: tuple[str, ...]
-) -> Iterator[_Mistake]:
+) -> Iterator[Relabelling]:
     """Yield each exchange of two joints, then the reverse order, in all given quantities.
 
     Args:
@@ -171,21 +174,20 @@ def _order_mistakes(
         quantities: "position", "torque" or both.
     """
     scope = "" if len(quantities) == 2 else f" in the {quantities[0]}s"
-    advice = f"{scope}{COLUMNS_ADVICE}"
+    joints = list(range(len(names)))
     factors = (1.0,) * len(names)
-    right_order = list(range(len(names)))
-    for first, second in combinations(right_order, 2):
-        order = right_order.copy()
+    mistakes = []
+    for first, second in combinations(joints, 2):
+        order = joints.copy()
         order[first] = second
         order[second] = first
-        text = f"joints {names[first]} and {names[second]} are exchanged{advice}"
-        columns = ColumnCorrection(quantities, tuple(names), tuple(order), factors)
-        yield "order", text, columns
+        text = f"joints {names[first]} and {names[second]} are exchanged"
+        mistakes.append((text, order))
     if len(names) > 2:
-        text = f"the order of the joints is reversed{advice}"
-        reverse_order = tuple(right_order[::-1])
-        columns = ColumnCorrection(quantities, tuple(names), reverse_order, factors)
-        yield "order", text, columns
+        mistakes.append(("the order of the joints is reversed", joints[::-1]))
+    for text, order in mistakes:
+        columns = ColumnCorrection(quantities, tuple(names), tuple(order), factors)
+        yield _column_mistake("order", f"{text}{scope}", columns)
 
 
 @dataclass(frozen=True)

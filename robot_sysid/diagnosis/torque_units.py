@@ -42,8 +42,6 @@ _SINGLE_UNITS = {1000.0: "mN·m", 100.0: "N·cm"}
 """Units of torque that one joint alone has, by their number in a newton metre."""
 _CLOSE = 2.0
 """Largest ratio between a joint's odd factor and the unit that explains it: friction adds to it."""
-_COLUMNS_NAME = "columns.txt"
-"""Name of the columns file that is to turn signs round."""
 # Model torque below which a joint's torque is mostly friction, over that of the strongest joint.
 _LEAST_LOAD = 0.03
 # Least weight of a joint [N m] or [N], far below any that matters.
@@ -72,7 +70,7 @@ def odd_unit_finding(log: LogRows) -> Finding | None:
     # A torque without gravity has a share of the model's at joints that carry weight.
     if factor < ODD_UNIT or typical_scale(log) < SMALL:
         return None
-    joint_names = tuple(log.robot.joint_names)
+    joint_names = log.robot.joint_names
     name = joint_names[joint]
     text = f"torque of joint {name} alone reads {factor:.2g} times too much, or more"
     unit = min(_SINGLE_UNITS, key=lambda number: abs(np.log(factor / number)))
@@ -82,12 +80,9 @@ def odd_unit_finding(log: LogRows) -> Finding | None:
         text += ": as in mN·m or N·cm; put it right with --columns FILE: "
         text += f"torque.{name} = 0.001 * TITLE"
         return Finding("torque-scale", Level.REFUSE, text)
-    order = tuple(range(len(ratio)))
     factors = np.ones(len(ratio))
     factors[joint] = 1.0 / unit
-    correction = ColumnCorrection(
-        ("torque",), joint_names, order, tuple(factors.tolist())
-    )
+    correction = ColumnCorrection.of_factors(("torque",), joint_names, factors)
     text += f": as in {_SINGLE_UNITS[unit]}{COLUMNS_ADVICE}"
     return Finding("torque-scale", Level.REFUSE, text, correction=correction)
 
@@ -117,7 +112,8 @@ def foreign_unit_finding(log: LogRows, divided: Array) -> Finding | None:
     if not np.all(follows[is_loaded]) or not (is_smaller or is_larger):
         return None
 
-    names = np.array(log.robot.joint_names)
+    joint_names = log.robot.joint_names
+    names = np.array(joint_names)
     ratio = 1.0 / factor if is_smaller else factor
     joint_ratios = []
     for name, value in zip(names[is_loaded], ratio):
@@ -126,7 +122,14 @@ def foreign_unit_finding(log: LogRows, divided: Array) -> Finding | None:
     unit = "motor currents or torques before the gear"
     if is_larger:
         unit = "currents in mA or per cent of the motors' rated torques"
-    sign_text, sign_options = _turned_signs(names[follows & (scale < 0.0)])
+    is_turned = follows & (scale < 0.0)
+    sign_text = ""
+    correction = None
+    if np.any(is_turned):
+        signs = np.where(is_turned, -1.0, 1.0)
+        correction = ColumnCorrection.of_factors(("torque",), joint_names, signs)
+        turned = ", ".join(names[is_turned])
+        sign_text = f"of {turned} they have the opposite sign of the model's; "
     text = (
         f"the torques are not in N·m at the joint: they are {np.min(ratio):.3g} to "
         f"{np.max(ratio):.3g} times {kind} than the model's, by another factor in each joint that "
@@ -134,8 +137,8 @@ def foreign_unit_finding(log: LogRows, divided: Array) -> Finding | None:
     )
     start = np.where(follows, np.abs(scale), np.median(factor)) * divided
     torque_scale = ",".join(format(value, ".4g") for value in start)
-    options = ("--torque-scale", torque_scale, *sign_options)
-    return Finding("torque-unit", Level.REFUSE, text, options)
+    options = ("--torque-scale", torque_scale)
+    return Finding("torque-unit", Level.REFUSE, text, options, correction=correction)
 
 
 def _relative_load(weight: Array, is_slide: NDArray[np.bool_]) -> Array:
@@ -148,18 +151,3 @@ def _relative_load(weight: Array, is_slide: NDArray[np.bool_]) -> Array:
     largest_force = np.max(weight, where=is_slide, initial=_NOTHING)
     largest_torque = np.max(weight, where=~is_slide, initial=_NOTHING)
     return weight / np.where(is_slide, largest_force, largest_torque)
-
-
-def _turned_signs(names: NDArray[np.str_]) -> tuple[str, tuple[str, ...]]:
-    """Return the part of a sentence, and options, that turn torque signs round; ("", ()) for none.
-
-    ``names`` are those of the joints whose torque has the opposite sign of the model's.
-    """
-    if not len(names):
-        return "", ()
-    lines = ", ".join(f"torque.{name} = -TITLE" for name in names)
-    text = (
-        "turn signs that are opposite to the model's round in "
-        f"{_COLUMNS_NAME}, for --columns: {lines}; "
-    )
-    return text, ("--columns", _COLUMNS_NAME)

@@ -36,15 +36,20 @@ def columns_of(titles, text):
     )
 
 
-def refusal(titles, correction, folder, text="", others=(), **attributes):
-    """Return the error that refuses a log which was read with a columns file of this text."""
+def refusal(titles, correction, folder, text="", others=(), payload=(), **attributes):
+    """Return the error that refuses a log which was read with a columns file of this text.
+
+    ``payload`` are options of that command.
+    """
     path = folder / "mine.txt"
     path.write_text(text)
     columns = SimpleNamespace(**{**vars(columns_of(titles, text)), **attributes})
     log = SimpleNamespace(
         path=Path("run.csv"), columns=columns, columns_file=path if text else None
     )
-    finding = Finding("order", Level.REFUSE, "it is wrong", correction=correction)
+    finding = Finding(
+        "order", Level.REFUSE, "it is wrong", payload, correction=correction
+    )
     return refuse_for(log, finding, [finding, *others])
 
 
@@ -111,6 +116,14 @@ def test_a_file_of_another_text_is_not_suggested(tmp_path, monkeypatch):
 def test_no_file_is_suggested_that_would_not_put_the_log_right(attribute, tmp_path):
     error = refusal(PLAIN, CORRECTIONS[0], tmp_path, **{attribute: True})
     assert not isinstance(error, ColumnsError) and error.options == ()
+
+
+def test_a_weighing_takes_the_file_that_turns_signs_round(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scales = ("--torque-scale", "0.1,0.2,0.3")
+    error = refusal(PLAIN, CORRECTIONS[0], tmp_path, payload=scales)
+    assert error.command == "payload" and error.is_correction
+    assert error.options == ((*scales, "--columns", "run_columns.txt"),)
 
 
 @pytest.mark.parametrize("is_declared", [False, True])

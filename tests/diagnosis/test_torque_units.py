@@ -62,14 +62,16 @@ def test_constants_of_each_joint_are_listed_and_weighing_begins_with_them(
     assert_allclose(doubled, 2.0, rtol=0.01)
 
 
-def test_torques_of_the_opposite_sign_are_turned_round_in_a_columns_file(log, loaded):
+def test_torques_of_the_opposite_sign_are_turned_round_by_a_correction(log, loaded):
     sign = np.ones(5)
     sign[loaded[-1]] = -1.0
     finding = find(log, sign * PER_NM)
-    turned = f"torque.{log.robot.joint_names[loaded[-1]]} = -TITLE"
-    assert turned in finding.text and finding.text.count("-TITLE") == 1
-    assert finding.payload_options[2:] == ("--columns", "columns.txt")
+    name = log.robot.joint_names[loaded[-1]]
+    assert f"; of {name} they have the opposite sign of the model's; " in finding.text
+    assert finding.correction.quantities == ("torque",)
+    assert_allclose(finding.correction.factors, sign)
     assert np.all(first_scales(finding) > 0.0)
+    assert find(log, PER_NM).correction is None
 
 
 def test_one_joint_with_the_models_weight_is_enough_for_newton_metres(log, loaded):
