@@ -180,8 +180,8 @@ def test_tiagos_efforts_are_named_with_the_command_that_weighs_their_constants(
     columns = words[words.index("--columns") + 1]
     lines = Path(columns).read_text().splitlines()
     assert lines[1:] == [
-        "torque.arm_3_joint = -arm_3_joint_torque",
-        "torque.arm_4_joint = -arm_4_joint_torque",
+        "torque.arm_3_joint = -arm_3_joint_effort",
+        "torque.arm_4_joint = -arm_4_joint_effort",
     ]
     scales = words[words.index("--torque-scale") + 1].split(",")
     for joint, constant in ((2, 13.6), (3, 8.7), (4, 8.7)):

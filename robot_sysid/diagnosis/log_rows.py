@@ -41,6 +41,18 @@ def rms(values: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(np.square(values), axis=0)))
 
 
+def rigid_torque(robot: RobotModel, motion: Motion) -> Array:
+    """Return the torque (K, n) of the model's links along a motion [N m]."""
+    links = LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd)
+    return links.torque(robot.thetas)
+
+
+def weight_torque(robot: RobotModel, motion: Motion) -> Array:
+    """Return the torque (K, n) of the weight of the model's links along a motion [N m]."""
+    zero = np.zeros_like(motion.q)
+    return rigid_torque(robot, replace(motion, qd=zero, qdd=zero))
+
+
 @dataclass(frozen=True)
 class LogRows:
     """Equations of all joints at K instants of a log, linear in the p parameters of the arm.
@@ -83,16 +95,12 @@ class LogRows:
     @cached_property
     def model_torque(self) -> Array:
         """Root mean square torque (n,) of the model's links along the log [N m]."""
-        motion = self.motion
-        links = LinkDynamics(self.robot).motion(motion.q, motion.qd, motion.qdd)
-        return rms(links.torque(self.robot.thetas))
+        return rms(rigid_torque(self.robot, self.motion))
 
     @cached_property
     def model_weight(self) -> Array:
         """Torque (K, n) that the weight of the model's links makes along the log [N m]."""
-        zero = np.zeros_like(self.motion.q)
-        links = LinkDynamics(self.robot).motion(self.motion.q, zero, zero)
-        return links.torque(self.robot.thetas)
+        return weight_torque(self.robot, self.motion)
 
     def with_torque(self, torque: Array) -> LogRows:
         """Return the equations with the measured torques replaced by others (K, n) [N m]."""

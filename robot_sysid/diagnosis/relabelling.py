@@ -25,9 +25,15 @@ from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import COLUMNS_ADVICE, ColumnCorrection, Finding, Level
 from robot_sysid.diagnosis.log_model import LogModel, Posterior
-from robot_sysid.diagnosis.log_rows import LEAST_TORQUE, LogRows, log_rows, rms
+from robot_sysid.diagnosis.log_rows import (
+    LEAST_TORQUE,
+    LogRows,
+    log_rows,
+    rigid_torque,
+    rms,
+    weight_torque,
+)
 from robot_sysid.diagnosis.torque_units import LOADED, SMALL, WEIGHING, typical_scale
-from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.signals.process import ProcessedSignals
@@ -273,15 +279,11 @@ def _without_links(
 
     def torques(motion: Motion) -> tuple[Array, Array]:
         """Return (weight, inverse dynamics) of the model's links, (N, n) each [N m]."""
-        zero = np.zeros_like(motion.q)
-        dynamics = LinkDynamics(robot)
-        resting = dynamics.motion(motion.q, zero, zero)
-        moving = dynamics.motion(motion.q, motion.qd, motion.qdd)
-        return resting.torque(robot.thetas), moving.torque(robot.thetas)
+        return weight_torque(robot, motion), rigid_torque(robot, motion)
 
     # Low-passed like the torque: the part that the low-pass removes may exceed the noise.
     filtered = [piece.filter_columns(torques, smooth=True) for piece in signals]
-    weight, inverse_dynamics = map(np.concatenate, zip(*filtered))
+    weight, links_torque = map(np.concatenate, zip(*filtered))
     yield Relabelling(
         "gravity",
         "the torque fits the model without gravity: gravity is compensated in it already; record "
@@ -292,7 +294,7 @@ def _without_links(
         "gravity",
         "the torque has nothing of its motion but friction: this is an external torque, what is "
         "left after the controller's model; record the measured joint torque",
-        torque=inverse_dynamics.__add__,
+        torque=links_torque.__add__,
     )
 
 

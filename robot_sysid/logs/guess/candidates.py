@@ -12,6 +12,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
@@ -120,20 +121,17 @@ class Candidate:
     def torque_faults(self) -> dict[int, str]:
         """Joint index to what its torque column could be as well: of another sign, or joint."""
         faults = {}
-        for joint, column in enumerate(self.torque):
-            sign = self.fit.scale[joint, column]
-            if not self.fit.loaded[joint]:
-                sign = self.fit.direction[joint, column] - _REVERSED
-            if sign < 0.0:
-                faults[joint] = f"-#{column + 1}, whose sign is the model's"
-        residual = np.log(np.maximum(self.fit.residual, 1e-12))
-        for joint, column in enumerate(self.torque):
-            for other, other_column in enumerate(self.torque):
-                gain = residual[joint, column] + residual[other, other_column]
-                gain -= residual[joint, other_column] + residual[other, column]
-                if gain > _EXCHANGED:
-                    text = f"#{other_column + 1}, which fits better"
-                    faults.setdefault(joint, text)
+        joints = np.arange(len(self.torque))
+        scale = self.fit.scale[joints, self.torque]
+        direction = self.fit.direction[joints, self.torque]
+        is_turned = np.where(self.fit.loaded, scale, direction - _REVERSED) < 0.0
+        for joint in np.flatnonzero(is_turned).tolist():
+            faults[joint] = f"-#{self.torque[joint] + 1}, whose sign is the model's"
+        residual = np.log(np.maximum(self.fit.residual[:, self.torque], 1e-12))
+        own = np.diag(residual)
+        gain = own[:, None] + own - residual - residual.T
+        for joint, other in np.argwhere(gain > _EXCHANGED).tolist():
+            faults.setdefault(joint, f"#{self.torque[other] + 1}, which fits better")
         return faults
 
 
@@ -163,13 +161,14 @@ class ColumnCandidates:
     @cached_property
     def clocks(self) -> list[Clock]:
         """The columns that may be the time."""
-        candidates = []
-        by_title = {column.index for column in self.recognised.get("time", ())}
-        for clock in clocks(self.rows):
-            is_other = self.quantities[clock.column] not in ("", "time")
-            if clock.column in by_title or not (is_other or by_title):
-                candidates.append(clock)
-        named = [c for c in candidates if self.quantities[c.column] == "time"]
+        candidates = clocks(self.rows)
+        names = self.quantities
+        if "time" in self.recognised:
+            (time,) = self.recognised["time"]
+            candidates = [c for c in candidates if c.column == time.index]
+        else:
+            candidates = [c for c in candidates if names[c.column] in ("", "time")]
+        named = [c for c in candidates if names[c.column] == "time"]
         uneven = [c for c in candidates if not c.counts]
         return named or uneven or candidates
 
@@ -186,13 +185,12 @@ class ColumnCandidates:
         """Return the runs of n columns that may hold a quantity of each joint."""
         if quantity in self.recognised:
             return [tuple(column.index for column in self.recognised[quantity])]
-        known_columns = {clock.column for clock in self.clocks}
-        for columns in self.recognised.values():
-            known_columns.update(column.index for column in columns)
+        closed = {clock.column for clock in self.clocks}
+        closed.update(column.index for column in chain(*self.recognised.values()))
         named = []
         possible = []
         for k, name in enumerate(self.quantities):
-            if k in known_columns or np.isnan(self.rows[:, k]).any():
+            if k in closed or np.isnan(self.rows[:, k]).any():
                 continue
             if name == quantity:
                 named.append(k)
@@ -247,8 +245,8 @@ class ColumnCandidates:
         if self.choices.angle_unit:
             return {self.choices.angle_unit: factors[self.choices.angle_unit]}
         limits = self.robot.limits
-        lower = np.where(np.isfinite(limits.lower), limits.lower, -_UNLIMITED) - _SLACK
-        upper = np.where(np.isfinite(limits.upper), limits.upper, _UNLIMITED) + _SLACK
+        lower = np.nan_to_num(limits.lower, neginf=-_UNLIMITED) - _SLACK
+        upper = np.nan_to_num(limits.upper, posinf=_UNLIMITED) + _SLACK
         # Few rows may be faulty.
         lowest, highest = np.quantile(self.rows[:, position], (0.01, 0.99), axis=0)
         possible = {}

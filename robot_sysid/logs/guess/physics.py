@@ -151,45 +151,29 @@ def fit_torques(
     moves = float(period is not None)
     motion = LinkDynamics(robot).motion(q, moves * qd, moves * qdd)
     model_torque = motion.torque(robot.thetas)
-    load = []
+    load = np.zeros(q.shape[1])
     fits = []
     with np.errstate(divide="ignore", invalid="ignore"):
-        column_size = np.std(columns, axis=0)
-        for joint in range(q.shape[1]):
-            fastest = np.max(np.abs(qd[:, joint]))
+        for joint, fastest in enumerate(np.max(np.abs(qd), axis=0)):
             sign = np.tanh(qd[:, joint] / (0.02 * fastest or 1.0))
-            friction = np.column_stack((np.ones(len(q)), qd[:, joint], qdd[:, joint]))
-            with_sign = np.column_stack((friction, sign))
-            torque = _without(with_sign, model_torque[:, [joint]])[:, 0]
-            others = _without(with_sign, columns)
-            spread = _rms(others)
-            factor = torque @ others / (torque @ torque)
+            friction = (np.ones(len(q)), qd[:, joint], qdd[:, joint], sign)
+            torque = model_torque[:, joint]
+            load[joint] = _regress(friction, torque[:, None])[1][0]
+            coefficients, unexplained = _regress((*friction, torque), columns)
+            dry, factor = coefficients[3:]
             size = np.clip(np.abs(factor), LEAST_SCALE, LARGEST_SCALE)
-            residual = _rms(others - np.outer(torque, np.sign(factor) * size))
-            any_scale_residual = _rms(others - np.outer(torque, factor))
-            base = np.column_stack((friction, model_torque[:, joint]))
-            dry = _without(base, sign[:, None])[:, 0]
-            dry_factor = dry @ _without(base, columns) / (dry @ dry) / column_size
-            load.append(np.std(torque))
-            fits.append(
-                (
-                    factor,
-                    residual / spread,
-                    any_scale_residual / spread,
-                    residual,
-                    dry_factor,
-                )
-            )
-    # (n, C) each.
-    scale, misfit, any_scale_misfit, residual, direction = np.stack(fits, axis=1)
-    return TorqueFit(
-        scale=np.nan_to_num(scale),
-        misfit=np.nan_to_num(misfit, nan=1.0, posinf=1.0),
-        any_scale_misfit=np.nan_to_num(any_scale_misfit, nan=1.0, posinf=1.0),
-        residual=np.nan_to_num(residual),
-        direction=np.nan_to_num(direction),
-        loaded=_find_loaded(np.array(load)),
-    )
+            # What the model's torque explains is orthogonal to what nothing explains.
+            spread = np.hypot(unexplained, factor * load[joint])
+            missed = (factor - np.sign(factor) * size) * load[joint]
+            residual = np.hypot(unexplained, missed)
+            direction = dry / np.std(columns, axis=0)
+            ratios = (residual / spread, unexplained / spread)
+            fits.append((factor, *ratios, residual, direction))
+    # A constant column is not explained, and has no direction.
+    numbers = np.nan_to_num(np.array(fits), nan=1.0, posinf=1.0, neginf=1.0)
+    scale, misfit, any_scale_misfit, residual, direction = np.swapaxes(numbers, 0, 1)
+    loaded = _find_loaded(load)
+    return TorqueFit(scale, misfit, any_scale_misfit, residual, direction, loaded)
 
 
 def _find_loaded(load: Array) -> Mask:
@@ -203,14 +187,15 @@ def _find_loaded(load: Array) -> Mask:
     return load >= max(min(_LOADED * float(np.max(load)), second), 1e-9)
 
 
-def _rms(values: Array) -> Array:
-    """Return the root mean square of each column of values (N, C)."""
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+def _regress(regressors: Sequence[Array], values: Array) -> tuple[Array, Array]:
+    """Fit regressors, (N,) each, to values (N, c) by least squares.
 
-
-def _without(regressors: Array, values: Array) -> Array:
-    """Return what a least-squares fit of regressors (N, r) leaves of values (N, c)."""
-    size = np.maximum(np.max(np.abs(regressors), axis=0), 1e-300)
-    scaled = regressors / size
-    coefficients, *_ = np.linalg.lstsq(scaled, values, rcond=1e-9)
-    return np.asarray(values - scaled @ coefficients)
+    Returns:
+        The coefficients, (c,) for each regressor, and the rms (c,) that they leave of values.
+    """
+    matrix = np.column_stack(regressors)
+    size = np.maximum(np.max(np.abs(matrix), axis=0), 1e-300)
+    scaled, *_ = np.linalg.lstsq(matrix / size, values, rcond=1e-9)
+    coefficients = scaled / size[:, None]
+    residual = values - matrix @ coefficients
+    return coefficients, np.sqrt(np.mean(residual**2, axis=0))
