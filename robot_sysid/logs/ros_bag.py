@@ -101,10 +101,9 @@ def bag_table(source: LogSource) -> LogTable:
         if topic_option is not None and topic_option not in names:
             fault = f"{path} has no joint states in topic {topic_option!r}"
             raise InputError(f"{fault}; {its_topics}")
-        topics = []
-        for name in [topic_option] if topic_option else sorted(names):
-            topic = _read_topic(path, bag, name, source.joint_names)
-            topics += [topic] if topic else []
+        wanted = [topic_option] if topic_option else sorted(names)
+        read = [_read_topic(path, bag, name, source.joint_names) for name in wanted]
+        topics = [topic for topic in read if topic is not None]
         if not topics:
             raise InputError(f"{path} holds no joint states; {its_topics}")
         topic, note = choose_topic(path, topics)
@@ -142,9 +141,7 @@ def _read_topic(
         largest_effort = max(largest_effort, *efforts, 0.0)
     pattern = MessagePattern.of(messages, arm_joints)
     keys = (*sent, *pattern.time_keys)
-    titles = ["time"]
-    for joint, quantity in keys:
-        titles.append(f"{joint} {quantity}")
+    titles = ("time", *map(" ".join, keys))
     connections = _connections(bag, name)
     message_type = connections[0].msgtype
     layout = f"ROS bag, topic {name} ({message_type}), joints by name"
@@ -155,7 +152,7 @@ def _read_topic(
     return Topic(
         name,
         message_type,
-        LogTable(path, layout, tuple(titles), blocks, row_noun="message"),
+        LogTable(path, layout, titles, blocks, row_noun="message"),
         n_messages=sum(connection.msgcount for connection in connections),
         has_positions=_has_all(sent, arm_joints, POSITION),
         has_torques=_has_all(sent, arm_joints, TORQUE),

@@ -8,11 +8,13 @@ first; they are called A1, A2, ... and actuator_1, actuator_2, ....
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from typing import Any
 
 import numpy as np
+
+from robot_sysid.records import Array
 
 POSITION = ("position",)
 """Names of positions in messages of a bag."""
@@ -55,15 +57,23 @@ def read_stamp(message: Any) -> int:
     return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
 
 
+def _joint_sample(names: Sequence[str], **quantities: Array) -> Sample:
+    """Return the numbers (n,) of each quantity by joint; those not of every joint are left out."""
+    sample: dict[Key, float] = {}
+    for quantity, numbers in quantities.items():
+        if len(numbers) == len(names):
+            sample.update(zip(product(names, [quantity]), numbers.tolist()))
+    return sample
+
+
 def _read_joint_state(message: Any) -> Sample:
     """Return the numbers of a sensor_msgs/JointState; empty lists were not measured."""
-    sample: dict[Key, float] = {}
-    for quantity in ("position", "velocity", "effort"):
-        numbers = getattr(message, quantity)
-        if len(numbers) == len(message.name):
-            keys = product(message.name, [quantity])
-            sample.update(zip(keys, numbers.tolist()))
-    return sample
+    return _joint_sample(
+        message.name,
+        position=message.position,
+        velocity=message.velocity,
+        effort=message.effort,
+    )
 
 
 def _read_dynamic_joint_state(message: Any) -> Sample:
@@ -78,13 +88,9 @@ def _read_dynamic_joint_state(message: Any) -> Sample:
 
 def _read_lbr_state(message: Any) -> Sample:
     """Return the measured positions [rad] and torques [N m] of an LBRState."""
-    sample = {}
-    positions = message.measured_joint_position.tolist()
-    torques = message.measured_torque.tolist()
-    for number, (position, torque) in enumerate(zip(positions, torques), start=1):
-        sample[f"A{number}", "position"] = position
-        sample[f"A{number}", "effort"] = torque
-    return sample
+    position = message.measured_joint_position
+    names = [f"A{number}" for number in range(1, len(position) + 1)]
+    return _joint_sample(names, position=position, effort=message.measured_torque)
 
 
 def _read_kortex_feedback(message: Any) -> Sample:
@@ -92,14 +98,14 @@ def _read_kortex_feedback(message: Any) -> Sample:
 
     As in the joint_states of the same driver, angles are returned within half a turn.
     """
-    sample = {}
-    for number, actuator in enumerate(message.actuators, start=1):
-        joint = f"actuator_{number}"
-        angle = (float(actuator.position) + 180.0) % 360.0 - 180.0
-        sample[joint, "position"] = float(np.radians(angle))
-        sample[joint, "velocity"] = float(np.radians(actuator.velocity))
-        sample[joint, "effort"] = float(actuator.torque)
-    return sample
+    rows = [(a.position, a.velocity, a.torque) for a in message.actuators]
+    angle, speed, torque = np.array(rows, float).reshape(-1, 3).T
+    return _joint_sample(
+        [f"actuator_{number}" for number in range(1, len(rows) + 1)],
+        position=np.radians((angle + 180.0) % 360.0 - 180.0),
+        velocity=np.radians(speed),
+        effort=torque,
+    )
 
 
 READERS: Mapping[str, Callable[[Any], Sample]] = {

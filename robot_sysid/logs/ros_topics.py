@@ -8,6 +8,7 @@ lie in namespaces of their own, are not chosen from.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,15 +106,12 @@ def choose_topic(path: Path, topics: Sequence[Topic]) -> tuple[Topic, str]:
             f"log topic: {topic_read.name} with {topic_read.n_messages} samples is read; the same "
             f"motion is in {listed}"
         )
-    without_torque = []
-    for topic in topics:
-        if topic.has_positions and topic is not topic_read:
-            without_torque.append(topic.name)
-    if not without_torque:
+    others = [t.name for t in topics if t.has_positions and t is not topic_read]
+    if not others:
         return topic_read, ""
     return topic_read, (
         f"log topic: {topic_read.name} is read, as it has measured torques; "
-        f"{', '.join(without_torque)} has none"
+        f"{', '.join(others)} has none"
     )
 
 
@@ -140,9 +138,8 @@ def _is_of_another_arm(first: str, second: str) -> bool:
     So are /left_joint_states and /right_joint_states, and topics of one name in namespaces of which
     none is in the other. /joint_states is no other arm than /franka/joint_states.
     """
-    counts = [len(level.split("_")) for level in first.split("/")]
-    other_counts = [len(level.split("_")) for level in second.split("/")]
-    if counts == other_counts:
+    # Names with as many words on each level.
+    if re.sub("[^/_]", "", first) == re.sub("[^/_]", "", second):
         return True
     namespace, _, name = first.rpartition("/")
     other_namespace, _, other_name = second.rpartition("/")
@@ -160,9 +157,7 @@ def _is_same_motion(first: Motion, second: Motion) -> bool:
     common = positions[is_common]
     if len(common) < _LEAST_SAMPLES:
         return False
-    others = []
-    for joint_positions in other_positions.T:
-        others.append(np.interp(time[is_common], other_time, joint_positions))
+    others = [np.interp(time[is_common], other_time, q) for q in other_positions.T]
     difference = np.sqrt(np.mean((common - np.column_stack(others)) ** 2))
-    spread = np.sqrt(np.mean((common - np.mean(common, axis=0)) ** 2))
+    spread = np.sqrt(np.mean(np.var(common, axis=0)))
     return bool(spread > _LEAST_SPREAD and difference < _MOST_DIFFERENCE * spread)
