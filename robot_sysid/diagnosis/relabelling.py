@@ -87,22 +87,16 @@ class Relabelling:
     """A mistake in the columns of a log, and its correction.
 
     Attributes:
-        name: name of the check that reports the mistake, a key of ``logs.CHECKS``.
-        text: the mistake and what to do, for the user.
+        finding: the mistake, and what puts the log right.
         motion: function of recorded positions, velocities or accelerations (N, n) that returns the
             corrected ones; None where they are right.
         torque: function of recorded torques (N, n) that returns the corrected ones; None where
             they are right.
-        options: options of every command, with their values, that put the log right.
-        columns: columns that put the log right; None where that is no remedy.
     """
 
-    name: str
-    text: str
+    finding: Finding
     motion: Callable[[Array], Array] | None = None
     torque: Callable[[Array], Array] | None = None
-    options: tuple[str, ...] = ()
-    columns: ColumnCorrection | None = None
 
     def correct(self, signals: Sequence[ProcessedSignals]) -> list[ProcessedSignals]:
         """Return the signals of all pieces with the mistake corrected."""
@@ -131,11 +125,13 @@ def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
     # The method __mul__ of an array (n,) multiplies values (N, n) by the array.
     to_radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
     text = "positions look like degrees; pass --units deg"
-    options = ("--units", "deg")
-    yield Relabelling("angle-unit", text, to_radians.__mul__, options=options)
+    finding = Finding("angle-unit", Level.REFUSE, text, options=("--units", "deg"))
+    yield Relabelling(finding, to_radians.__mul__)
     text = "positions look like radians that were taken for degrees; say rad where degrees are "
     text += "said: in --units, the file of --columns, a column's title or the recorder"
-    yield Relabelling("angle-unit", text, (1.0 / to_radians).__mul__)
+    yield Relabelling(
+        Finding("angle-unit", Level.REFUSE, text), (1.0 / to_radians).__mul__
+    )
 
 
 def _column_mistake(name: str, text: str, columns: ColumnCorrection) -> Relabelling:
@@ -146,9 +142,11 @@ def _column_mistake(name: str, text: str, columns: ColumnCorrection) -> Relabell
         text: the mistake.
         columns: its correction.
     """
+    advice = f"{text}{COLUMNS_ADVICE}"
+    finding = Finding(name, Level.REFUSE, advice, correction=columns)
     motion = columns.apply if "position" in columns.quantities else None
     torque = columns.apply if "torque" in columns.quantities else None
-    return Relabelling(name, f"{text}{COLUMNS_ADVICE}", motion, torque, columns=columns)
+    return Relabelling(finding, motion, torque)
 
 
 def _sign_mistakes(
@@ -201,7 +199,7 @@ class Correction:
     """A corrected mistake and the log after its correction.
 
     Attributes:
-        finding: the mistake and what to do, for the user.
+        finding: the mistake, and what puts the log right.
         gain: increase of the log marginal likelihood by the correction [nats].
         posterior: posterior of the base model of the corrected log.
     """
@@ -210,26 +208,11 @@ class Correction:
     gain: float
     posterior: Posterior
 
-
-def _correction(
-    mistake: Relabelling, posterior: Posterior, base: Posterior
-) -> Correction:
-    """Return the correction of a mistake, with a finding of level REFUSE.
-
-    Args:
-        mistake: the mistake that was corrected.
-        posterior: posterior of the base model of the corrected log.
-        base: posterior of the base model of the log as it is.
-    """
-    gain = posterior.log_evidence - base.log_evidence
-    finding = Finding(
-        mistake.name,
-        Level.REFUSE,
-        mistake.text,
-        options=mistake.options,
-        correction=mistake.columns,
-    )
-    return Correction(finding, float(gain), posterior)
+    @classmethod
+    def of(cls, finding: Finding, posterior: Posterior, base: Posterior) -> Correction:
+        """Return the correction of a mistake; ``base`` is the posterior of the log as it is."""
+        gain = float(posterior.log_evidence - base.log_evidence)
+        return cls(finding, gain, posterior)
 
 
 def find_wrong_torques(
@@ -260,7 +243,7 @@ def find_wrong_torques(
     corrections = []
     for _, mistake, corrected in nlargest(_FINALISTS, candidates, key=itemgetter(0)):
         posterior = model.with_torque_of(corrected).posterior(base.noise)
-        corrections.append(_correction(mistake, posterior, base))
+        corrections.append(Correction.of(mistake.finding, posterior, base))
     return corrections
 
 
@@ -283,19 +266,16 @@ def _without_links(
 
     # Low-passed like the torque: the part that the low-pass removes may exceed the noise.
     filtered = [piece.filter_columns(torques, smooth=True) for piece in signals]
-    weight, links_torque = map(np.concatenate, zip(*filtered))
-    yield Relabelling(
-        "gravity",
+    weight, links = map(np.concatenate, zip(*filtered))
+    missing_torques = {
         "the torque fits the model without gravity: gravity is compensated in it already; record "
-        "the measured joint torque, not the command",
-        torque=weight.__add__,
-    )
-    yield Relabelling(
-        "gravity",
+        "the measured joint torque, not the command": weight,
         "the torque has nothing of its motion but friction: this is an external torque, what is "
-        "left after the controller's model; record the measured joint torque",
-        torque=links_torque.__add__,
-    )
+        "left after the controller's model; record the measured joint torque": links,
+    }
+    for text, missing in missing_torques.items():
+        finding = Finding("gravity", Level.REFUSE, text)
+        yield Relabelling(finding, torque=missing.__add__)
 
 
 def find_wrong_columns(
@@ -334,7 +314,7 @@ def find_wrong_columns(
     corrections = []
     for _, mistake in nlargest(_FINALISTS, candidates, key=itemgetter(0)):
         posterior = correct(mistake, signals, base.model.log.used)
-        corrections.append(_correction(mistake, posterior, base))
+        corrections.append(Correction.of(mistake.finding, posterior, base))
     return corrections
 
 

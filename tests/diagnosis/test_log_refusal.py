@@ -26,7 +26,8 @@ FILE = (
     "# mine\ntime = #1\nposition = #2-4\nvelocity = #5-7\n"
     "torque = #8-10\ntorque.joint1 = 0.5 * #9\n"
 )
-CORRECTIONS = [m.columns for m in relabellings(ROBOT) if m.columns is not None]
+FINDINGS = [mistake.finding for mistake in relabellings(ROBOT)]
+CORRECTIONS = [f.correction for f in FINDINGS if f.correction is not None]
 
 
 def columns_of(titles, text):
