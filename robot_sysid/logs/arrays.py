@@ -99,13 +99,8 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
             columns[short_name if uses[short_name] == 1 else name] = values
     # The longer side of an array are the samples. Their number is that of the times, else the most
     # frequent one.
-    lengths = []
-    time_lengths = []
-    for name, values in columns.items():
-        lengths.append(max(values.shape))
-        if read_title(name).measured_quantity == "time":
-            time_lengths.append(max(values.shape))
-    lengths = time_lengths or lengths
+    times = [n for n in columns if read_title(n).measured_quantity == "time"]
+    lengths = [max(columns[name].shape) for name in times or columns]
     if not lengths:
         listed = list_shapes(arrays) or "nothing"
         raise InputError(f"{path} holds no arrays with a row per sample: {listed}")

@@ -263,9 +263,8 @@ class ColumnMap:
 
     def with_torque_factor(self, factor: Array) -> ColumnMap:
         """Return a copy in which each joint's torque is multiplied by a factor (n,) as well."""
-        torque = []
-        for column, k in zip(self.torque, factor.tolist()):
-            torque.append(replace(column, factor=k * column.factor))
+        pairs = zip(self.torque, factor.tolist())
+        torque = [replace(column, factor=k * column.factor) for column, k in pairs]
         return replace(self, torque=tuple(torque))
 
     def describe(self) -> tuple[str, ...]:

@@ -292,25 +292,26 @@ def match_joints(
     columns_by_name = columns_by_joint_name(titles)
     named_positions = columns_by_name.get("position", {})
     names = [*named_positions]
-    if any(candidates["position"]):
-        by_name = find_joint_match(names, joint_names)
-        # Names that have the model's words, but go on counting, are those of another arm.
-        if by_name is not None and by_name.has_equal_words:
-            match_joint_names(names, joint_names, other_joints)
-        first_position = candidates["position"][0][0]
-        is_named = first_position in chain(*named_positions.values())
-        if by_name is not None and not is_named and not name_numbers(joint_names):
-            first_name = next(iter(by_name.model_names))
-            rivals = [first_position, *named_positions[first_name]]
-            raise ambiguity_error("position", joint_names[0], titles, rivals)
+    if not any(candidates["position"]):
+        joint_match = match_joint_names(names, joint_names, other_joints)
+        log_names = joint_match.model_names if joint_match else ()
+        for quantity, columns in columns_by_name.items():
+            matches = [columns.get(name, []) for name in log_names]
+            if matches and all(matches):
+                candidates[quantity] = matches
         return candidates, joint_match
-    joint_match = match_joint_names(names, joint_names, other_joints)
-    if joint_match is None:
-        return candidates, None
-    for quantity, columns in columns_by_name.items():
-        matches = [columns.get(name, []) for name in joint_match.model_names]
-        if all(matches):
-            candidates[quantity] = matches
+    by_name = find_joint_match(names, joint_names)
+    if by_name is None:
+        return candidates, joint_match
+    # Names that have the model's words, but go on counting, are those of another arm.
+    if by_name.has_equal_words:
+        match_joint_names(names, joint_names, other_joints)
+    first_position = candidates["position"][0][0]
+    is_named = first_position in chain(*named_positions.values())
+    if not is_named and not name_numbers(joint_names):
+        first_name = next(iter(by_name.model_names))
+        rivals = [first_position, *named_positions[first_name]]
+        raise ambiguity_error("position", joint_names[0], titles, rivals)
     return candidates, joint_match
 
 
