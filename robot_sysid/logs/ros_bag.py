@@ -101,9 +101,11 @@ def bag_table(source: LogSource) -> LogTable:
         if topic_option is not None and topic_option not in names:
             fault = f"{path} has no joint states in topic {topic_option!r}"
             raise InputError(f"{fault}; {its_topics}")
-        wanted = [topic_option] if topic_option else sorted(names)
-        read = [_read_topic(path, bag, name, source.joint_names) for name in wanted]
-        topics = [topic for topic in read if topic is not None]
+        read_names = [topic_option] if topic_option else sorted(names)
+        read_topics = [
+            _read_topic(path, bag, name, source.joint_names) for name in read_names
+        ]
+        topics = [topic for topic in read_topics if topic is not None]
         if not topics:
             raise InputError(f"{path} holds no joint states; {its_topics}")
         topic, note = choose_topic(path, topics)

@@ -52,16 +52,16 @@ _DEGREES = re.compile(r"\b(grados|gradi|grad|degres)\b")
 @cache
 def _english() -> tuple[re.Pattern[str], dict[str, str]]:
     """Return a pattern of brackets and of all foreign words, and the words' English ones."""
-    parts = by_token(_PARTS)
-    words = by_token(_WORDS)
+    stems = by_token(_PARTS)
+    whole_words = by_token(_WORDS)
     # The longest first, as some begin like others.
-    any_part = "|".join(sorted(parts, key=len, reverse=True))
-    any_word = "|".join(sorted(words, key=len, reverse=True))
+    any_stem = "|".join(sorted(stems, key=len, reverse=True))
+    any_word = "|".join(sorted(whole_words, key=len, reverse=True))
     # "ist" in front of a word of the title is the German "measured", as in Istposition.
     pattern = (
-        rf"{_BRACKET}|{any_part}|\bist(?=[a-z]{{3}})|(?<![a-z])(?:{any_word})(?![a-z])"
+        rf"{_BRACKET}|{any_stem}|\bist(?=[a-z]{{3}})|(?<![a-z])(?:{any_word})(?![a-z])"
     )
-    return re.compile(pattern), {**words, **parts}
+    return re.compile(pattern), {**whole_words, **stems}
 
 
 def translate(title: str) -> str:
