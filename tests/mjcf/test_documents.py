@@ -47,6 +47,13 @@ def test_what_is_no_model_is_refused_in_one_line(tmp_path, content, message):
     assert "\n" not in str(caught.value)
 
 
+def test_a_log_in_the_place_of_the_model_is_met_with_the_order_of_both(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time,q1\n0,1\n")
+    with pytest.raises(ModelError, match="log LOG MODEL$"):
+        read_document(path)
+
+
 def test_a_folder_and_a_missing_file_are_one_line(tmp_path):
     with pytest.raises(InputError, match="is a folder"):
         read_document(tmp_path)
