@@ -39,10 +39,12 @@ FRICTION = {
     "sqrt": 0.05,
     "stribeck": 0.05,
     "load": 0.04,
+    "quadratic": 0.0,
+    "cubic": 0.0,
 }
 """Prior standard deviation of each friction term: its torque at the joint's typical speed and
 acceleration, as a share of the typical torque; of "load" (a gear's loss), as a share of the load.
-It is at least the value that the model states, which is seldom measured.
+It is at least the value that the model states, which is seldom measured, or at lower speeds.
 """
 BUILT_UP = 0.15
 """Prior standard deviation of friction that builds up after a reversal, as a share of the typical

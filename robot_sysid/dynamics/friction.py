@@ -145,6 +145,9 @@ TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
 ``FrictionModel.columns``; a new term is one more line here. ``NONLINEAR_TERMS`` take their default
 speed."""
 
+NONLINEAR_DAMPING = ("quadratic", "cubic")
+"""Terms of a joint's nonlinear damping in a model file, in its order."""
+
 DEFAULT_MEASURED = "coulomb-viscous-offset-armature"
 """Name of the default friction model for measured data."""
 

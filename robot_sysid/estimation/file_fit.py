@@ -219,20 +219,14 @@ def _validate_model(
     return judge.validation(judge.squared_errors(offset_unknowns))
 
 
-def holds_polynomial(robot: RobotModel, joint: int, file_kind: str) -> bool:
-    """Tell whether a file can hold nonlinear damping of a joint for which the model states none.
+def holds_polynomial(robot: RobotModel, file_kind: str) -> bool:
+    """Tell whether a file can hold nonlinear damping; MuJoCo before 3.7 has none.
 
     Args:
         robot: the arm.
-        joint: index in the chain.
         file_kind: "mjcf" or "urdf".
     """
-    damping = getattr(robot.mj_model, "dof_dampingpoly", None)
-    return (
-        file_kind == "mjcf"
-        and damping is not None
-        and not np.any(damping[robot.dof_index[joint]])
-    )
+    return file_kind == "mjcf" and hasattr(robot.mj_model, "dof_dampingpoly")
 
 
 def _add_polynomials(
@@ -240,7 +234,7 @@ def _add_polynomials(
 ) -> Choice:
     """Return the choice with nonlinear damping added to the friction of joints where it helps.
 
-    It is added at joints whose held-out error it clearly lowers and at which the file can hold it.
+    It is added at joints whose held-out error it clearly lowers, in place of the model's own.
 
     Args:
         judge: held-out errors of the recordings.
@@ -248,9 +242,10 @@ def _add_polynomials(
         question: what the file may hold and what stays as it is.
         choice: friction and priors so far.
     """
-    if FILE_FRICTION in question.unchanged_parts:
-        return choice
     columns = fit.columns
+    is_possible = holds_polynomial(columns.robot, question.file_kind)
+    if FILE_FRICTION in question.unchanged_parts or not is_possible:
+        return choice
     polynomials = _friction_terms(
         columns.robot, question, choice.rotors, WITH_POLYNOMIAL
     )
@@ -262,8 +257,7 @@ def _add_polynomials(
     trial_errors = judge.squared_errors(trial_unknowns)
     friction = list(choice.friction)
     for row, joint in enumerate(columns.joint_indices):
-        is_better = is_clearly_lower(trial_errors[:, row], errors[:, row])
-        if is_better and holds_polynomial(columns.robot, joint, question.file_kind):
+        if is_clearly_lower(trial_errors[:, row], errors[:, row]):
             friction[joint] = polynomials[joint]
     return replace(choice, friction=tuple(friction))
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import link_names, names_of, other_links
-from robot_sysid.dynamics.friction import FADING_SPEEDS, speed_name
+from robot_sysid.dynamics.friction import FADING_SPEEDS, NONLINEAR_DAMPING, speed_name
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimation.algebra.common_scale import hold_mean, with_common
@@ -337,12 +337,12 @@ def _held_values(columns: Columns, question: Question, choice: Choice) -> Array:
     if question.carried is not None:
         held[columns.indices(PAYLOAD_NAMES)] = question.carried
     for joint, model in zip(columns.robot.joint_names, choice.friction):
-        kept_terms = []
+        kept_terms = set[str]()
         if not model.terms or FILE_FRICTION in question.unchanged_parts:
-            kept_terms += ["coulomb", "viscous"]
-        # A URDF holds no rotor inertia.
-        if "armature" not in model.terms and question.file_kind != "urdf":
-            kept_terms.append("armature")
+            kept_terms = {"coulomb", "viscous"}
+        # A URDF holds none of these.
+        if question.file_kind != "urdf":
+            kept_terms |= {"armature", *NONLINEAR_DAMPING} - set(model.terms)
         for term in kept_terms:
             index = columns.index.get(f"{term}[{joint}]")
             if index is not None:

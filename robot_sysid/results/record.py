@@ -173,7 +173,8 @@ class JointEstimate:
             estimated.
         terms: friction term ("coulomb", ...), or speed parameter of one ("stribeck_speed"), to its
             value.
-        model_terms: "coulomb", "viscous" and "armature" to their values in the model.
+        model_terms: terms that a model file holds, as in ``ModelFile.joints``, to their values in
+            the model.
         candidates: friction model to its held-out root mean square error [N m]; empty where the
             user chose the model.
         noise: standard deviation of the joint's torque noise after filtering [N m]; NaN if unknown.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
@@ -19,6 +20,7 @@ from robot_sysid.dynamics.equations import (
     friction_per_joint,
     other_links,
 )
+from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.identifiability import VisibleSpace, visible_space
 from robot_sysid.model.bodies import composite_theta
@@ -172,13 +174,28 @@ def test_a_measurement_without_derivatives_is_refused(missing):
         )
 
 
+WITH_QUADRATIC = FrictionModel(("coulomb", "viscous", "armature", "quadratic"))
+
+
 @pytest.mark.parametrize(
-    "name", ["seven", "slide in chain", "shared bodies", "springs", "armature"]
+    ("name", "terms"),
+    [
+        ("seven", TERMINAL_FRICTION),
+        ("slide in chain", TERMINAL_FRICTION),
+        ("shared bodies", TERMINAL_FRICTION),
+        ("springs", TERMINAL_FRICTION),
+        ("armature", TERMINAL_FRICTION),
+        ("armature", WITH_QUADRATIC),
+        ("nonlinear damping", TERMINAL_FRICTION),
+        ("nonlinear damping", WITH_QUADRATIC),
+    ],
 )
-def test_the_models_parameters_explain_its_torque(name):
+def test_the_models_parameters_explain_its_torque(name, terms):
     """With all links free, the model's own parameters leave no residual."""
-    robot = ARMS[name]
-    friction = friction_per_joint(robot, "terminal", TERMINAL_FRICTION)
+    if name in arms.NEWER_MODELS and not hasattr(mujoco.MjModel, "dof_dampingpoly"):
+        pytest.skip("MuJoCo before 3.7")
+    robot = robot_of({**arms.MODELS, **arms.NEWER_MODELS}[name])
+    friction = friction_per_joint(robot, "terminal", terms)
     equations = Equations(robot, "chain", friction, links=other_links(robot))
     for measurement in measure(robot, 3):
         for (rows, tau), columns in zip(equations.rows(measurement), equations.columns):
