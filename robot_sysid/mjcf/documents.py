@@ -28,7 +28,7 @@ _ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([A-Za-z0-9._-]+)[\
 """XML declaration with the encoding that it states."""
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 """Ends of the names of model files."""
-_ORDER = "; the order is robot-sysid identify MODEL LOG, and robot-sysid log LOG MODEL"
+_ORDER = "; order: robot-sysid identify MODEL LOG, but robot-sysid log LOG MODEL"
 """What is said of a file that may be a log in the place of the model."""
 _MAX_INCLUDE_DEPTH = 50
 """Largest depth of nested includes; no model at hand has more than three."""
@@ -267,19 +267,15 @@ def _read_bytes(path: Path) -> bytes:
         return path.read_bytes()
     except IsADirectoryError:
         raise InputError(
-            f"{path} is a folder; pass a model file (MJCF .xml or .urdf){_hint(path)}"
+            f"{path} is a folder; pass a model file (MJCF .xml or .urdf)"
         ) from None
     except FileNotFoundError:
-        hint = _hint(path, " (Expected an XML model file: .xml, .mjcf or .urdf)")
+        hint = " (Expected an XML model file: .xml, .mjcf or .urdf)"
+        hint = "" if path.suffix.lower() in SUFFIXES else hint
         raise InputError(f"model file {path} not found; check the path{hint}") from None
     except (OSError, ValueError) as error:
         fault = error_text(error)
         raise InputError(f"cannot read model file {path}: {fault}") from None
-
-
-def _hint(path: Path, text: str = _ORDER) -> str:
-    """Return a text for a path that is not called like a model file; "" for others."""
-    return "" if path.suffix.lower() in SUFFIXES else text
 
 
 def _as_utf8(raw: bytes, path: Path) -> bytes:
@@ -297,7 +293,7 @@ def _as_utf8(raw: bytes, path: Path) -> bytes:
             return raw.decode(encoding).lstrip().encode("utf-8")
         except (UnicodeError, LookupError):
             continue
-    raise ModelError(f"Expected an XML model file, but {path} is not text{_hint(path)}")
+    raise ModelError(f"Expected an XML model file, but {path} is not text")
 
 
 def _parse(file: SourceFile, max_elements: int) -> None:
@@ -348,8 +344,9 @@ def _parse(file: SourceFile, max_elements: int) -> None:
     try:
         parser.Parse(mask_comments(text), True)  # the whole text at once
     except expat.ExpatError as error:
+        hint = "" if path.suffix.lower() in SUFFIXES else _ORDER
         raise ModelError(
-            f"Expected an XML model file, but {path} is not XML: {error}{_hint(path)}"
+            f"Expected an XML model file, but {path} is not XML: {error}{hint}"
         ) from None
 
 
