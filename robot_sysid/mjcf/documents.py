@@ -28,8 +28,6 @@ _ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([A-Za-z0-9._-]+)[\
 """XML declaration with the encoding that it states."""
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 """Ends of the names of model files."""
-_ORDER = "; order: robot-sysid identify MODEL LOG, but robot-sysid log LOG MODEL"
-"""What is said of a file that may be a log in the place of the model."""
 _MAX_INCLUDE_DEPTH = 50
 """Largest depth of nested includes; no model at hand has more than three."""
 _MAX_ELEMENT_DEPTH = 256
@@ -344,7 +342,8 @@ def _parse(file: SourceFile, max_elements: int) -> None:
     try:
         parser.Parse(mask_comments(text), True)  # the whole text at once
     except expat.ExpatError as error:
-        hint = "" if path.suffix.lower() in SUFFIXES else _ORDER
+        order = "; order: robot-sysid identify MODEL LOG, but robot-sysid log LOG MODEL"
+        hint = "" if path.suffix.lower() in SUFFIXES else order
         raise ModelError(
             f"Expected an XML model file, but {path} is not XML: {error}{hint}"
         ) from None
