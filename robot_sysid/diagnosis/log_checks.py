@@ -25,6 +25,7 @@ from robot_sysid.diagnosis.plausibility import least_friction_share
 from robot_sysid.diagnosis.torque_units import foreign_unit_finding
 from robot_sysid.errors import InputError, SysidError, prefix_input_errors
 from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.logs import CHECKS
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.messages import Progress, percent
@@ -352,6 +353,8 @@ have columns that are time derivatives of torques: their noise of positions woul
 """
 MOST_WINDOWS = 4
 """Number of windows of a long log that are used, spread evenly."""
+OF_COLUMNS = ("torque-scale", "gravity", "computed", "sign", "order", "angle-unit")
+"""Checks of columns and units, for which the slow motion between poses at rest is enough."""
 OF_LINKS = (
     "torque-scale",
     "zero",
@@ -477,6 +480,7 @@ def check_log(
     progress: Progress,
     options: EstimationOptions | None = None,
     links_known: bool = True,
+    checks: Collection[str] = CHECKS,
 ) -> None:
     """Check a log, report the findings on it, and raise an error where one forbids an estimate.
 
@@ -490,6 +494,7 @@ def check_log(
         progress: receives the notes.
         options: see ``check_against_model``.
         links_known: see ``check_against_model``.
+        checks: names of the checks whose findings count.
 
     Raises:
         InputError: a finding refuses the log, or the log is too short to be checked.
@@ -499,6 +504,7 @@ def check_log(
         log_findings = check_against_model(
             robot, log.pieces, options, links_known, log.torque_scale
         )
+    log_findings = tuple(f for f in log_findings if f.name in checks)
     if options is not None and (options.cutoff or 0.0) > CUTOFF_HZ:
         progress.note(
             f"{log.path} is checked for faults below {CUTOFF_HZ:g} Hz only; the estimate has the "

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from robot_sysid.config import PayloadConfig, PayloadOptions
-from robot_sysid.diagnosis.log_checks import check_log
+from robot_sysid.diagnosis.log_checks import OF_COLUMNS, check_log
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.build_result import payload_of, traces_of
 from robot_sysid.estimation.dataset import Dataset, RestingPoses
@@ -21,7 +21,7 @@ from robot_sysid.estimation.identify import (
 )
 from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.estimation.unknowns import SCALES, Unknowns
-from robot_sysid.logs import LogOptions
+from robot_sysid.logs import CHECKS, LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.model.bodies import find_flange
 from robot_sysid.motion import LOADED
@@ -214,7 +214,7 @@ def _read_recordings(
     robot: RobotModel,
     progress: Progress,
 ) -> list[RawRecording]:
-    """Return all recordings, empty ones first; each is read, and diagnosed unless it rests.
+    """Return all recordings, empty ones first; each is read and checked.
 
     Args:
         options: name the logs without and with the payload.
@@ -231,8 +231,10 @@ def _read_recordings(
     for path, is_loaded in kinds:
         progress.stage(f"Reading {'loaded' if is_loaded else 'empty'} log {path}...")
         log = open_log(robot, path, log_options, progress)
-        if not options.static:  # the diagnosis needs motion
-            check_log(robot, log, log_options.accept, progress, links_known=False)
+        checks = OF_COLUMNS if options.static else CHECKS
+        check_log(
+            robot, log, log_options.accept, progress, links_known=False, checks=checks
+        )
         recordings.append(
             RawRecording(
                 str(path), log.samples, is_loaded, pieces=log.pieces, notes=log.notes

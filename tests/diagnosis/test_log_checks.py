@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -15,6 +16,7 @@ from scipy.signal import butter, sosfiltfilt
 from benchmarks.real_arms import ARMS, DEVIATIONS, draw_arm
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.log_checks import (
+    OF_COLUMNS,
     check_against_model,
     check_log,
     clock_findings,
@@ -220,6 +222,31 @@ def test_a_log_that_cannot_be_checked_is_named(four_joints):
         check_log(
             four_joints.robot, log, (), Progress(), EstimationOptions(cutoff=1e-3)
         )
+
+
+def test_of_a_log_that_mostly_rests_only_columns_are_checked(truth):
+    """The slow motion between poses shows turned signs and other units, and no contact for sure."""
+    tau = truth.log.tau
+    pushed = tau.copy()
+    pushed[1500:1700] += 0.5 * np.max(np.abs(tau), axis=0)
+    for wrong, refusing in (
+        (tau * [1.0, -1.0, 1.0, 1.0, 1.0], (CHECKS, OF_COLUMNS)),
+        (1000.0 * tau, (CHECKS, OF_COLUMNS)),
+        (pushed, (CHECKS,)),
+    ):
+        log = SimpleNamespace(
+            path="log.csv",
+            pieces=(replace(truth.log, tau=wrong),),
+            notes=(),
+            columns=SimpleNamespace(commanded=True),
+            torque_scale=None,
+        )
+        for checks in (CHECKS, OF_COLUMNS):
+            expected = contextlib.nullcontext()
+            if checks in refusing:
+                expected = pytest.raises(SysidError)
+            with expected:
+                check_log(truth.robot, log, (), Progress(), checks=checks)
 
 
 # ---- correct logs
