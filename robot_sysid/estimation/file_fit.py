@@ -234,7 +234,8 @@ def _add_polynomials(
 ) -> Choice:
     """Return the choice with nonlinear damping added to the friction of joints where it helps.
 
-    It is added at joints whose held-out error it clearly lowers, in place of the model's own.
+    It is added at joints whose held-out error it clearly lowers, in place of the model's own, and
+    whose speeds the recordings cover: it grows so fast that it must not be extrapolated.
 
     Args:
         judge: held-out errors of the recordings.
@@ -253,11 +254,14 @@ def _add_polynomials(
     unknowns = fit.evidence.unknowns(columns, question, choice)
     trial_unknowns = fit.evidence.unknowns(columns, question, trial)
     # Squared errors (blocks, joints).
+    speeds = [np.max(np.abs(data.motion.qd), axis=0) for data in columns.datasets]
+    is_covered = np.max(speeds, axis=0) > COVERED * columns.robot.limits.velocity
     errors = judge.squared_errors(unknowns)
     trial_errors = judge.squared_errors(trial_unknowns)
     friction = list(choice.friction)
     for row, joint in enumerate(columns.joint_indices):
-        if is_clearly_lower(trial_errors[:, row], errors[:, row]):
+        is_better = is_clearly_lower(trial_errors[:, row], errors[:, row])
+        if is_better and is_covered[joint]:
             friction[joint] = polynomials[joint]
     return replace(choice, friction=tuple(friction))
 
@@ -265,6 +269,9 @@ def _add_polynomials(
 SCALES = (1.0, 2.0, 4.0, 8.0, 16.0)
 """Factors that are tried on the uncertainty of all links but the terminal one; 16 times the default
 of 5 % is nearly all of a link's parameters."""
+COVERED = 0.5
+"""Share of a joint's largest speed that recordings have to reach for nonlinear damping in a file:
+that of a slow log is another law of friction, and torques too large by half at full speed."""
 AS_GOOD = 1.02
 """Ratio of squared errors up to which they count as equal: one per cent of the error."""
 CLEAR_OFFSET = 3.0

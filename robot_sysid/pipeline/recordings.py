@@ -27,6 +27,7 @@ from robot_sysid.estimation.question import (
     FILE_ROTORS,
     EstimationOptions,
 )
+from robot_sysid.estimation.trust import judge_file
 from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.compilation import compile_model
@@ -43,7 +44,8 @@ from robot_sysid.results.prediction import (
     split_time,
     torque_error,
 )
-from robot_sysid.results.record import ModelTarget, Result, RolloutTest
+from robot_sysid.results.record import ModelTarget, Result, RolloutTest, Verdict
+from robot_sysid.results.verdict import before_after_text
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.results.written_model import write_model
 from robot_sysid.signals.resampling import MOST_ROWS_KEPT, condense_run
@@ -225,6 +227,8 @@ def _with_file_tests(
 ) -> Result:
     """Return the result with the written file's own error on other logs, by inverse dynamics.
 
+    A file that is worse on one of them than the given model is not trustworthy.
+
     Args:
         result: the identification; returned as it is where it is written to no file.
         tests: the other logs, low-passed.
@@ -248,9 +252,15 @@ def _with_file_tests(
             )
             error_after = torque_error(written, robot, dataset.signals, dataset.name)
             error_pairs.append((error_before, error_after))
-    return replace(
-        result, file=replace(result.file, other_validations=tuple(error_pairs))
-    )
+    file = replace(result.file, other_validations=tuple(error_pairs))
+    verdict = result.verdict
+    reasons = list(result.reasons)
+    for before, after in error_pairs:
+        if judge_file(before, after)[0] is Verdict.NO_BETTER:
+            verdict = Verdict.NO_BETTER
+            shares = before_after_text(before, after)
+            reasons.append(f"torque error of the model on {before.source}: {shares}")
+    return replace(result, file=file, verdict=verdict, reasons=tuple(reasons))
 
 
 def play_models(identification: Identification) -> RolloutTest:

@@ -16,7 +16,8 @@ from robot_sysid.errors import InputError, SysidError
 from robot_sysid.records import Measurement
 from robot_sysid.report.runs import load_run
 from robot_sysid.results.record import Verdict
-from tests.support import arms, pages
+from robot_sysid.signals.resampling import slice_samples
+from tests.support import arms, pages, results
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +87,24 @@ def test_arrays_frames_and_logs_are_what_the_file_is(workshop, result):
         len(both.result.file.other_validations) == 1
         and len(both.result.validation) >= 2
     )
+
+
+def test_a_model_that_is_worse_than_the_given_one_on_another_log_is_refused(
+    workshop, monkeypatch
+):
+    """Also where the fitted log holds too little of the other one's motion to be contradicted."""
+    errors = iter((0.13, 0.21))
+
+    def error_of(mj_model, robot, signals, source):
+        error = next(errors)
+        return results.validation_of(error, source, relative=error)
+
+    monkeypatch.setattr("robot_sysid.pipeline.recordings.torque_error", error_of)
+    log = rs.read_log(workshop / "log.csv", workshop / "arm.xml")
+    other = slice_samples(log.samples, 0, 1200)
+    worse = rs.identify(workshop / "arm.xml", workshop / "log.csv", validation=other)
+    assert worse.result.verdict is Verdict.NO_BETTER
+    assert "13 % -> 21 %" in worse.failure
 
 
 def test_named_values_fit_together(result):
