@@ -188,8 +188,8 @@ class Contest:
 
         Corrections of torques are always tried. Those of motions, alone or with torques, need new
         rows and are tried only where the best explanation, or the base model if there is none,
-        leaves gross misfit or implausible links. Torque scales are tried in these cases and where
-        measured and modelled torque differ by a factor of more than ``ODD_SCALE``.
+        leaves gross misfit or implausible links, or other torques fit better; torque scales in the
+        first two cases, and where the torque is off by a factor of more than ``ODD_SCALE``.
 
         A correction is plausible if its misfit is at most ``SMALL`` or that of the base model, its
         links pass ``is_plausible``, and it keeps friction braking.
@@ -200,14 +200,16 @@ class Contest:
         """
         base = self.posterior
         corrections = find_wrong_torques(base, self.signals)
-        best = base if winner is None else winner.posterior
+        # An explanation that is not possible leaves all that it explains to other causes.
+        best = winner.posterior if winner and winner.is_possible else base
         largest_of_joint = float(np.max(misfit_by_joint(best)))
         is_gross = misfit(best) > GROSS or largest_of_joint > GROSS_JOINT
         is_far = is_gross or not is_plausible(best)
         log_scale = abs(np.log(typical_scale(base.model.log)))
         if is_far or log_scale > np.log(ODD_SCALE):
             corrections += find_wrong_scales(base, self.options, divided)
-        if is_far:
+        # Another torque column may only make up for a position of the same joint.
+        if is_far or any(c.gain > RELABELLED_MARGIN for c in corrections):
             corrections += find_wrong_columns(base, self.signals, self.options)
         largest_misfit = max(misfit(base), SMALL)
         plausible = []
@@ -439,7 +441,8 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
     correction = corrections[0] if corrections else None
     # An exchange of joints also gives one of them torque that is far too large for it.
     odd_unit = odd_unit_finding(contest.posterior.model.log)
-    if odd_unit and not (correction and correction.finding.name == "order"):
+    is_other = correction is not None and correction.finding.name in ("order", "tilt")
+    if odd_unit and not is_other:
         return [odd_unit]
     if correction and is_better(correction, winner):
         finding = correction.finding

@@ -21,7 +21,7 @@ from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.contest import Contest, findings
 from robot_sysid.diagnosis.log_refusal import refuse_for
 from robot_sysid.diagnosis.log_rows import WINDOW, rms
-from robot_sysid.diagnosis.plausibility import least_friction_share
+from robot_sysid.diagnosis.plausibility import driving_findings, least_friction_share
 from robot_sysid.diagnosis.torque_units import foreign_unit_finding
 from robot_sysid.errors import InputError, SysidError, prefix_input_errors
 from robot_sysid.estimation.question import EstimationOptions
@@ -456,6 +456,7 @@ def check_against_model(
         # Later checks count only where earlier ones find nothing.
         model_findings = _computed_findings(contest)
         model_findings = model_findings or findings(contest, scales)
+        model_findings = model_findings or driving_findings(contest.posterior)
         model_findings = model_findings or [*slow_findings(qd)]
         foreign_unit = foreign_unit_finding(contest.posterior.model.log, scales)
     of_links = set() if links_known else set(OF_LINKS)

@@ -8,7 +8,9 @@ standard deviations.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
+from robot_sysid.diagnosis import COLUMNS_ADVICE, Finding, Level
 from robot_sysid.diagnosis.log_model import Posterior
 from robot_sysid.diagnosis.log_rows import rms
 from robot_sysid.dynamics.equations import link_names, other_links
@@ -21,6 +23,8 @@ HEAVIEST = 0.6
 """Largest mass of a plausible last link, as a share of the arm's mass."""
 FAR = 40.0
 """Value of ``strain`` that no log reaches with the right model of its arm."""
+DRIVING = 0.05
+"""Least Coulomb friction that drives a joint for sure, as a share of its typical torque."""
 
 
 def last_mass(posterior: Posterior) -> tuple[float, float]:
@@ -119,6 +123,24 @@ def reverses_friction(base: Posterior, corrected: Posterior) -> bool:
         corrected: posterior of the base model of the corrected log.
     """
     dry, error = dry_friction(base)
-    corrected_dry, corrected_error = dry_friction(corrected)
-    is_driving = corrected_dry < -SURE * corrected_error
-    return bool(np.any((dry > SURE * error) & is_driving))
+    return bool(np.any((dry > SURE * error) & drives(corrected)))
+
+
+def drives(posterior: Posterior) -> NDArray[np.bool_]:
+    """Return which joints (n,) have Coulomb friction that drives, by ``SURE`` standard errors."""
+    dry, error = dry_friction(posterior)
+    return np.asarray(dry < -SURE * error)
+
+
+def driving_findings(posterior: Posterior) -> list[Finding]:
+    """Return a finding for each joint that its friction drives, at least by ``DRIVING``.
+
+    Where links hardly load a joint, its torque fits with either sign but for friction.
+    """
+    is_driven = drives(posterior) & (least_friction_share(posterior) > DRIVING)
+    text = "friction of joint {} drives it in place of braking: its torque or its position has the "
+    text += f"opposite sign of the model's{COLUMNS_ADVICE}"
+    driven_findings = []
+    for name in np.array(posterior.model.log.robot.joint_names)[is_driven]:
+        driven_findings.append(Finding("sign", Level.WARN, text.format(name)))
+    return driven_findings

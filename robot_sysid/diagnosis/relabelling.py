@@ -34,6 +34,7 @@ from robot_sysid.diagnosis.log_rows import (
     weight_torque,
 )
 from robot_sysid.diagnosis.torque_units import LOADED, SMALL, WEIGHING, typical_scale
+from robot_sysid.dynamics.inverse_dynamics import gravity_vector, with_gravity
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.signals.process import ProcessedSignals
@@ -54,6 +55,14 @@ UNITS = {
 """One newton metre in other units of torque, to the unit's name."""
 SHORT = 6.0
 """Length of the stretch of a log on which relabelled motions are tried first [s]."""
+MOUNTING = (
+    "gravity acts in another direction than in the model: the base is mounted otherwise, on a wall "
+    "or a ceiling; turn it in the model (MJCF: gravity of <option>, or euler of the base's body; "
+    "URDF: rpy of the first joint's origin)"
+)
+"""Text of the finding that the arm is mounted otherwise than the model says."""
+# Cosine of the angle to the model's gravity from which another direction counts as the same.
+_SAME_WAY = 0.9
 # Ratio between the largest and smallest torque scale below which they have one common cause.
 _SAME = 1.35
 # Largest ratio between a torque scale and the factor of a unit that explains it.
@@ -92,11 +101,14 @@ class Relabelling:
             corrected ones; None where they are right.
         torque: function of recorded torques (N, n) that returns the corrected ones; None where
             they are right.
+        gravity: (3,) that acted on the arm, in the model's world frame [m/s^2]; None where the
+            model's is right.
     """
 
     finding: Finding
     motion: Callable[[Array], Array] | None = None
     torque: Callable[[Array], Array] | None = None
+    gravity: Array | None = None
 
     def correct(self, signals: Sequence[ProcessedSignals]) -> list[ProcessedSignals]:
         """Return the signals of all pieces with the mistake corrected."""
@@ -113,10 +125,11 @@ class Relabelling:
 
 
 def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
-    """Yield every mistake in signs, order and units of angles that is tried.
+    """Yield every mistake in signs, order, units of angles and mounting that is tried.
 
     Mistakes in torques alone come first, then those in positions alone, then those in both; last
-    are positions in degrees, or in radians that were taken for degrees.
+    are positions in degrees, or in radians that were taken for degrees, and other directions of
+    gravity.
     """
     names = robot.joint_names
     for quantities in (("torque",), ("position",), ("position", "torque")):
@@ -132,6 +145,12 @@ def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
     yield Relabelling(
         Finding("angle-unit", Level.REFUSE, text), (1.0 / to_radians).__mul__
     )
+    gravity = gravity_vector(robot)
+    size = float(np.linalg.norm(gravity))
+    for direction in (*np.eye(3), *-np.eye(3)) if size > 0.0 else ():
+        if direction @ gravity < _SAME_WAY * size:
+            finding = Finding("tilt", Level.REFUSE, MOUNTING)
+            yield Relabelling(finding, gravity=size * direction)
 
 
 def _column_mistake(name: str, text: str, columns: ColumnCorrection) -> Relabelling:
@@ -152,7 +171,9 @@ def _column_mistake(name: str, text: str, columns: ColumnCorrection) -> Relabell
 def _sign_mistakes(
     names: Sequence[str], quantities: tuple[str, ...]
 ) -> Iterator[Relabelling]:
-    """Yield for each joint the mistake that its sign is wrong in all given quantities.
+    """Yield the mistakes that signs are wrong in all quantities: each joint's, then all joints'.
+
+    Turned positions of all joints are left out: they look like turned torques.
 
     Args:
         names: names of the n joints.
@@ -160,10 +181,13 @@ def _sign_mistakes(
     """
     subject = " and ".join(quantities)
     verb = "has" if len(quantities) == 1 else "have"
-    for joint, name in enumerate(names):
-        signs = np.ones(len(names))
-        signs[joint] = -1.0
-        text = f"the {subject} of joint {name} {verb} the opposite sign of the model's"
+    owners = [f"joint {name}" for name in names]
+    signs_of_owners = [*(1.0 - 2.0 * np.eye(len(names)))]
+    if len(names) > 1 and quantities == ("torque",):
+        owners.append("every joint")
+        signs_of_owners.append(-np.ones(len(names)))
+    for owner, signs in zip(owners, signs_of_owners):
+        text = f"the {subject} of {owner} {verb} the opposite sign of the model's"
         columns = ColumnCorrection.of_factors(quantities, names, signs)
         yield _column_mistake("sign", text, columns)
 
@@ -230,7 +254,9 @@ def find_wrong_torques(
         signals: low-passed signals of the log's pieces.
     """
     model = base.model
-    mistakes = [m for m in relabellings(model.log.robot) if m.motion is None]
+    mistakes = [
+        m for m in relabellings(model.log.robot) if m.motion is None and m.torque
+    ]
     if typical_scale(model.log) < SMALL:
         mistakes += _without_links(model.log, signals)
     candidates = []
@@ -303,7 +329,10 @@ def find_wrong_columns(
 
         ``used`` (K, n) are the rows that count.
         """
-        rows = log_rows(robot, mistake.correct(pieces), used)
+        arm = robot
+        if mistake.gravity is not None:
+            arm = with_gravity(robot, mistake.gravity)
+        rows = log_rows(arm, mistake.correct(pieces), used)
         return LogModel(rows, options).posterior()
 
     stretch = [_busiest(signals)]

@@ -388,9 +388,10 @@ def _offset_notes(file: Answer) -> Iterator[str]:
     for joint, count in zip(fit.columns.joints, sample_counts(fit.evidence.total)):
         name = f"offset[{joint}]"
         if joint not in fit.choice.offsets and name in fit.unknowns.estimated_names:
-            offset = file.quantity(name)
-            squares += offset.value**2 * count
-            phrases.append(f"{joint} {with_error(*offset, 'N·m')}")
+            offset = fit.value(name)
+            squares += offset**2 * count
+            # Without an error: that of a fit with few terms says less than the table's.
+            phrases.append(f"{joint} {offset:.2g} N·m")
     squared = squares / np.sum(fit.evidence.squared_torque)
     error = file.validation.relative_error or 0.0
     if squared > max(HARMLESS, error) ** 2:

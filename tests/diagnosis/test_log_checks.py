@@ -24,6 +24,7 @@ from robot_sysid.diagnosis.log_checks import (
     sensor_findings,
     velocity_findings,
 )
+from robot_sysid.dynamics.inverse_dynamics import with_gravity
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import CHECKS
@@ -247,6 +248,41 @@ def test_of_a_log_that_mostly_rests_only_columns_are_checked(truth):
                 expected = pytest.raises(SysidError)
             with expected:
                 check_log(truth.robot, log, (), Progress(), checks=checks)
+
+
+# ---- signs and mounting
+
+
+@pytest.mark.parametrize("gravity", [(0.0, 0.0, 9.81), (-9.81, 0.0, 0.0)])
+def test_an_arm_that_hangs_or_is_mounted_on_a_wall_is_named(four_joints, gravity):
+    robot = four_joints.robot
+    mounted = truth_of(with_gravity(robot, np.array(gravity)), seed=3)
+    (finding,) = check_against_model(robot, [mounted.log])
+    assert finding.level is Level.REFUSE and "on a wall or a ceiling" in finding.text
+
+
+def test_turned_torques_of_all_joints_are_named(truth):
+    turned = replace(truth.log, tau=-truth.log.tau)
+    (finding,) = check_against_model(truth.robot, [turned])
+    assert finding.text.startswith("the torque of every joint has the opposite sign")
+
+
+def test_a_turned_position_of_a_vertical_joint_is_no_turned_torque(four_joints):
+    """The torques of the joint fit nearly as well with a turned torque."""
+    signs = np.array([-1.0, 1.0, 1.0, 1.0])
+    log = four_joints.log
+    turned = replace(log, q=log.q * signs, qd=log.qd * signs)
+    (finding,) = check_against_model(four_joints.robot, [turned])
+    assert finding.text.startswith("the position of joint joint0 has the opposite sign")
+
+
+def test_friction_that_drives_a_joint_shows_a_turned_sign(four_joints):
+    """It is all that shows the sign of a joint that its links hardly load."""
+    tau = four_joints.log.tau.copy()
+    tau[:, -1] -= 10.0 * four_joints.friction[:, -1]
+    log = replace(four_joints.log, tau=tau)
+    (finding,) = check_against_model(four_joints.robot, [log])
+    assert finding.name == "sign" and "friction of joint joint3 drives" in finding.text
 
 
 # ---- correct logs
