@@ -17,7 +17,6 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, Union
 
 import numpy as np
@@ -201,7 +200,9 @@ def _style(name: str = "") -> Iterator[None]:
 
 
 def _draw(drawing: Drawing) -> Any:
-    """Return a drawing as matplotlib's figure, which is valid until the next one is drawn."""
+    """Return a drawing as matplotlib's figure."""
+    from matplotlib.figure import Figure
+
     panels = drawing.panels
     n_columns = drawing.n_columns
     labels = {mark.label for panel in panels for mark in panel.marks if mark.label}
@@ -211,11 +212,11 @@ def _draw(drawing: Drawing) -> Any:
         n_legend_columns = max(1, int(WIDTH / max(legend_widths)))
     top = math.ceil(len(labels) / n_legend_columns) * _LINE + _GAP
     whole_height = top + drawing.height
-    ratios = tuple(panel.height for panel in panels[::n_columns])
+    ratios = [panel.height for panel in panels[::n_columns]]
     row_gap = _BELOW if panels[0].x_label else _LINE
     axes_height = drawing.height - _BELOW - row_gap * (len(ratios) - 1)
-    figure = _empty_figure(ratios, n_columns, bool(panels[0].row_names))
-    figure.set_size_inches(WIDTH / 72.0, whole_height / 72.0)
+    figure = Figure(figsize=(WIDTH / 72.0, whole_height / 72.0))
+    figure.subplots(len(ratios), n_columns, height_ratios=ratios)
     label_widths = []
     handle_of: dict[str, Any] = {}
     heights = np.repeat(axes_height * np.array(ratios) / sum(ratios), n_columns)
@@ -242,39 +243,6 @@ def _draw(drawing: Drawing) -> Any:
         texts = list(map(_legend_text, handle_of))
         handles = list(handle_of.values())
         figure.legend(handles, texts, loc="upper left", ncols=n_legend_columns)
-    return figure
-
-
-def _empty_figure(ratios: tuple[float, ...], n_columns: int, has_names: bool) -> Any:
-    """Return the figure of ``_axes_figure`` without the marks of an earlier drawing.
-
-    matplotlib takes longer to make axes than to draw them: drawings of one layout share them.
-    """
-    figure = _axes_figure(ratios, n_columns, has_names)
-    for axes in figure.axes:
-        for artist in (*axes.lines, *axes.patches, *axes.collections):
-            artist.remove()
-        axes.containers.clear()
-        axes.relim()
-        axes.autoscale()
-    figure.legends.clear()
-    return figure
-
-
-@cache
-def _axes_figure(ratios: tuple[float, ...], n_columns: int, has_names: bool) -> Any:
-    """Return matplotlib's figure with rows of axes, the same one for the same arguments.
-
-    Args:
-        ratios: heights of the rows relative to each other.
-        n_columns: number of axes in a row.
-        has_names: whether the rows of the vertical axes have names; ticks with names do not become
-            numbers again.
-    """
-    from matplotlib.figure import Figure
-
-    figure = Figure()
-    figure.subplots(len(ratios), n_columns, height_ratios=ratios)
     return figure
 
 
