@@ -27,7 +27,7 @@ from robot_sysid.records.option_fields import (
     given_arguments,
     immutable_value,
 )
-from robot_sysid.results.next_steps import RunWords, weighing_words
+from robot_sysid.results.next_steps import WEIGHT_STEM, RunWords, weighing_words
 
 READING = ("columns", "units", "torque_scale", "torque_constants", "topic")
 """Keys of the options that hold for every log of the same arm."""
@@ -128,8 +128,11 @@ def add_weighing_commands(
         model=str(model),
         arm=tuple(given_arguments(arm)),
         log=tuple(given_arguments(options, reading)),
+        empty=(str(log),),
     )
-    error.command_lines = [weighing_words(run, log, option) for option in error.options]
+    # The recording with the weight has the form of the log, and lies beside it.
+    recording = log.with_name(f"{WEIGHT_STEM}{log.suffix}")
+    error.command_lines = [weighing_words(run, recording, o) for o in error.options]
 
 
 def _files(logs: Sequence[Any]) -> tuple[Path, ...]:

@@ -26,12 +26,10 @@ LOG_NAME = "log.csv"
 """Name under which the recording of a planned motion is expected."""
 EMPTY_NAME = "empty.csv"
 """Name under which the recording without a payload is expected."""
-LOADED_NAME = "loaded.csv"
-"""Name under which the recording with a payload is expected."""
-PAYLOAD_RECORDINGS = (EMPTY_NAME, LOADED_NAME, "loaded_again.csv", "empty_again.csv")
+PAYLOAD_RECORDINGS = (EMPTY_NAME, "loaded.csv", "loaded_again.csv", "empty_again.csv")
 """Names of the recordings of a motion for a payload, in the order ``PAYLOAD_ORDER``."""
-_WEIGHT_NAME = "weight.csv"
-"""Name under which the recording with a weight of known mass is expected."""
+WEIGHT_STEM = "weight"
+"""Name, without its ending, under which the recording with a known mass is expected."""
 _SCALE_NAME = "torque_scale.json"
 """Name of the file of torque scales that weighing a known mass writes."""
 _SCALES = ("torque scale", "common torque scale")
@@ -51,8 +49,8 @@ class RunWords:
     """What the next step repeats of a run: words of its command line, and its folder.
 
     Attributes:
-        model: model file of the run.
-        arm: options that choose the arm in the model.
+        model: model file of the run, or the one to go on with.
+        arm: options that choose the arm in the model, and state what the model does not.
         log: options on how logs are read.
         folder: folder of the results.
         links: whether every link was asked for.
@@ -64,7 +62,6 @@ class RunWords:
             planned, or its settings are not known.
         plan_purpose: what that motion was planned for, as in ``--for``; None where the recorded
             motion was not planned.
-        speeds: options with speed limits that the model to plan with does not state.
     """
 
     model: str
@@ -77,7 +74,6 @@ class RunWords:
     scales: str | None = None
     plan: Path | None = None
     plan_purpose: str | None = None
-    speeds: tuple[str, ...] = ()
 
 
 def use_lines(path: Path) -> tuple[str, ...]:
@@ -104,10 +100,11 @@ def last_lines(
     if result.data.source is not Source.ITSELF:
         for path in models_in(files)[:1]:
             lines += use_lines(path)
-    for path in files:
-        if path.name == CARD_NAME and result.payload is not None:
-            frame = result.payload.flange.name
-            lines.append(f"Copy into the controller, in the frame of {frame}: {path}")
+    if result.payload is not None:
+        start = (
+            f"Copy into the controller, in the frame of {result.payload.flange.name}"
+        )
+        lines += [f"{start}: {path}" for path in files if path.name == CARD_NAME]
     lines += () if step is None else step.lines()
     return tuple(lines)
 
@@ -121,25 +118,24 @@ def next_step(result: Result, run: RunWords, files: Sequence[Path]) -> NextStep 
         files: the files that it wrote.
     """
     if result.data.source is Source.ITSELF:
-        return _plan_step(
-            "Next, plan a motion for the arm, to record it", run, run.model
-        )
+        return _plan_step("Next, plan a motion for the arm, to record it", run)
     if result.payload is not None:
         return _step_after_payload(result, result.payload, run)
     models = models_in(files)
-    model = str(models[0]) if models else run.model
+    if models:
+        run = replace(run, model=str(models[0]))
     speeds = result.robot.limits.velocity
     # An MJCF that was written for a URDF's arm states no speed limits.
     if result.model_kind != result.robot.kind and min(speeds) < DEFAULT_MAX_VELOCITY:
         listed = ",".join(map("{:.4g}".format, speeds))
-        run = replace(run, speeds=("--max-velocity", listed))
+        run = replace(run, arm=(*run.arm, "--max-velocity", listed))
     if run.plan_purpose == WEIGHT:
         sentence = "Next, plan a motion with this model, whose weight fits the arm"
-        return _plan_step(sentence, run, model)
-    return _step_after_link(result, run, model)
+        return _plan_step(sentence, run)
+    return _step_after_link(result, run)
 
 
-def _step_after_link(result: Result, run: RunWords, model: str) -> NextStep | None:
+def _step_after_link(result: Result, run: RunWords) -> NextStep | None:
     """Return the step that determines the terminal link's mass better, where that is wanted.
 
     A model that predicts torques is done. Its mass is a question of its own where every link was
@@ -155,10 +151,10 @@ def _step_after_link(result: Result, run: RunWords, model: str) -> NextStep | No
         purpose = "to know the mass, which this log does not determine"
     if run.plan_purpose is None and (is_unknown or is_asked):
         sentence = f"Next, {purpose}, plan a wider and faster motion of all joints"
-        return _plan_step(sentence, run, model, "arm" if run.links else "link")
+        return _plan_step(sentence, run, "arm" if run.links else "link")
     if is_unknown or (is_uncertain and cause == "links"):
         sentence = f"Next, {purpose}, weigh what is bolted on by difference"
-        return _plan_step(sentence, run, model, "payload")
+        return _plan_step(sentence, run, "payload")
     return None
 
 
@@ -173,43 +169,35 @@ def _step_after_payload(
     if share is None or share <= LARGE:
         return None
     if cause in _SCALES and run.scales is None and run.empty:
-        return _calibration_step(run)
+        recording = run.folder / f"{WEIGHT_STEM}.csv"
+        sentence = (
+            "Next, to know the torque scales, bolt a weight of 1 kg on instead (of another one, "
+            f"state its mass), record the same motion as {recording}, and compare"
+        )
+        return _step(sentence, *weighing_words(run, recording))
     if cause in _MOTION and run.plan_purpose is None:
         sentence = "Next, to know the mass better, plan a wider and faster motion"
-        return _plan_step(sentence, run, run.model, "payload")
+        return _plan_step(sentence, run, "payload")
     if cause in _MEASURES:
         return NextStep(f"Next, to know the mass better, {_MEASURES[cause]}")
     return None
 
 
-def _calibration_step(run: RunWords) -> NextStep:
-    """Return the step that determines torque scales with a weight of known mass."""
-    recording = run.folder / _WEIGHT_NAME
-    folder = run.folder / "torque_scale"
-    sentence = (
-        "Next, to know the torque scales, bolt a weight of 1 kg on instead (of another one, state "
-        f"its mass), record the same motion as {recording}, and compare"
-    )
-    command = ["robot-sysid", "payload", run.model, *run.arm, *run.log]
-    command += ["--empty", *run.empty, "--loaded", str(recording), "--known-mass", "1"]
-    command += ["--save-torque-scale", str(folder / _SCALE_NAME)]
-    return NextStep(sentence, (*command, "--output-dir", str(folder)))
-
-
-def weighing_words(run: RunWords, log: Path, scales: Sequence[str]) -> list[str]:
+def weighing_words(
+    run: RunWords, recording: Path, scales: Sequence[str] = ()
+) -> list[str]:
     """Return the words, behind the program's name, of the command that weighs torque scales.
 
     Args:
-        run: the run that read the log.
-        log: recording of the arm without the weight; that with it has its form and folder.
+        run: the run that read the recordings without the weight, ``run.empty``.
+        recording: with a weight of known mass.
         scales: option and value of the scales to begin with.
     """
-    recording = log.with_name(f"weight{log.suffix}")
-    folder = Path("torque_scale")
-    command = ["payload", run.model, *run.arm, *run.log, "--empty", str(log)]
-    command += ["--loaded", str(recording), "--known-mass", "1", *scales]
-    command += ["--save-torque-scale", str(folder / _SCALE_NAME)]
-    return [*command, "--output-dir", str(folder)]
+    folder = run.folder / "torque_scale"
+    words = ["payload", run.model, *run.arm, *run.log, "--empty", *run.empty]
+    words += ["--loaded", str(recording), "--known-mass", "1", *scales]
+    words += ["--save-torque-scale", str(folder / _SCALE_NAME)]
+    return [*words, "--output-dir", str(folder)]
 
 
 def _step_after_calibration(run: RunWords) -> NextStep | None:
@@ -218,40 +206,42 @@ def _step_after_calibration(run: RunWords) -> NextStep | None:
     It repeats the run whose folder the scales lie in. Without such a run, it identifies the arm
     from the recordings without the weight.
     """
-    settings = run.folder.parent / RUN_NAME
-    if run.scales is None or not (run.empty or settings.is_file()):
+    if run.scales is None:
         return None
-    if not settings.is_file():
-        command = ["robot-sysid", "identify", run.model, *run.empty, *run.arm, *run.log]
-        sentence = (
-            "Next, identify the arm with these torque scales, as in every later run"
-        )
-        return NextStep(sentence, (*command, "--torque-scale", run.scales))
-    command = ["robot-sysid", "payload", "--config", str(settings)]
-    sentence = "Next, weigh the payload again with these torque scales"
-    return NextStep(sentence, (*command, "--torque-scale", run.scales))
+    scale_words = ("--torque-scale", run.scales)
+    settings = run.folder.parent / RUN_NAME
+    if settings.is_file():
+        sentence = "Next, weigh the payload again with these torque scales"
+        return _step(sentence, "payload", "--config", str(settings), *scale_words)
+    if not run.empty:
+        return None
+    sentence = "Next, identify the arm with these torque scales, as in every later run"
+    logs = (*run.empty, *run.arm, *run.log)
+    return _step(sentence, "identify", run.model, *logs, *scale_words)
 
 
-def _plan_step(
-    sentence: str, run: RunWords, model: str, purpose: str = "link"
-) -> NextStep:
+def _plan_step(sentence: str, run: RunWords, purpose: str = "link") -> NextStep:
     """Return the step that plans another motion.
 
     The settings of the motion that was recorded, such as its limits and motors, hold for it, too.
 
     Args:
         sentence: what the motion is planned for.
-        run: the run that the step follows.
-        model: the model file to plan with.
+        run: the run that the step follows, with the model to plan with.
         purpose: of the motion, as in ``--for``.
     """
-    command = ["robot-sysid", "plan", model, *run.arm, *run.speeds]
+    words = ["plan", run.model, *run.arm]
     if run.plan is not None:
-        command += ["--config", str(run.plan)]
+        words += ["--config", str(run.plan)]
     if run.plan is not None or purpose != "link":
-        command += ["--for", purpose]
+        words += ["--for", purpose]
     folder = run.folder / ("weighing" if purpose == "payload" else "planned")
-    return NextStep(sentence, (*command, "--output-dir", str(folder)))
+    return _step(sentence, *words, "--output-dir", str(folder))
+
+
+def _step(sentence: str, *words: str) -> NextStep:
+    """Return the step that a command does, of which the words behind the program's name follow."""
+    return NextStep(sentence, ("robot-sysid", *words))
 
 
 def step_after_plan(
@@ -272,28 +262,21 @@ def step_after_plan(
     """
     for path in files:
         if path.name == DAMIAO_NAME:
-            command = [
-                "robot-sysid",
-                "motors",
-                "simulate",
-                str(path),
-                "--model",
-                run.model,
-            ]
             sentence = "Next, rehearse the motion on simulated motors"
-            return NextStep(sentence, (*command, *run.arm, *limits, "--play"))
-    log = run.folder / LOG_NAME
-    empty = run.folder / EMPTY_NAME
-    loaded = run.folder / LOADED_NAME
-    sentence = f"Next, play it, record it as {log}, and identify the arm"
+            arm = ("--model", run.model, *run.arm)
+            return _step(
+                sentence, "motors", "simulate", str(path), *arm, *limits, "--play"
+            )
+    recording = run.folder / LOG_NAME
+    sentence = f"Next, play it, record it as {recording}, and identify the arm"
     if purpose == "payload":
-        later_logs = [str(run.folder / name) for name in PAYLOAD_RECORDINGS[2:]]
+        logs = [run.folder / name for name in PAYLOAD_RECORDINGS]
+        recording = logs[0]
         sentence = (
-            f"Next, play it without what is bolted on and record it as {empty}, then twice with it "
-            f"as {loaded} and {later_logs[0]}, once more without it as {later_logs[1]}, and weigh "
-            "the difference"
+            f"Next, play it without what is bolted on and record it as {logs[0]}, then twice with "
+            f"it as {logs[1]} and {logs[2]}, once more without it as {logs[3]}, and weigh the "
+            "difference"
         )
-    recording = loaded if purpose == "payload" else log
     return step_after_recording(run, recording, purpose, is_static, sentence)
 
 
@@ -316,14 +299,13 @@ def step_after_recording(
         is_static: whether the motion rests at poses.
         sentence: what to do.
     """
-    command = ["robot-sysid", "identify", *(run.origin or [run.model]), str(recording)]
+    words = ["identify", *(run.origin or [run.model]), str(recording)]
     if purpose == "payload":
-        command = ["robot-sysid", "payload", run.model]
         names = PAYLOAD_RECORDINGS
         first, second, third, last = (str(recording.with_name(n)) for n in names)
-        command += ["--empty", first, last, "--loaded", second, third]
-        command += ["--order", PAYLOAD_ORDER]
-        command += ["--static"] if is_static else []
-    command += ["--links"] if purpose == "arm" else []
-    command += [*run.arm, *run.log, "--output-dir", str(run.folder)]
-    return NextStep(sentence, tuple(command))
+        words = ["payload", run.model, "--empty", first, last]
+        words += ["--loaded", second, third, "--order", PAYLOAD_ORDER]
+        words += ["--static"] if is_static else []
+    words += ["--links"] if purpose == "arm" else []
+    logs = (*run.arm, *run.log)
+    return _step(sentence, *words, *logs, "--output-dir", str(run.folder))
