@@ -8,14 +8,19 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from operator import itemgetter
 
 import numpy as np
 
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length
+from robot_sysid.dynamics.spatial import (
+    PARAMETER_NAMES,
+    characteristic_length,
+    com_from_theta,
+)
 from robot_sysid.records import Array
 from robot_sysid.records.file_access import CARD_NAME
-from robot_sysid.records.messages import PARAMETER_UNITS, percent, term_unit, with_error
+from robot_sysid.records.messages import PARAMETER_UNITS, percent, with_error
 from robot_sysid.report.drawing import SERIES, Boxes, Drawing, Panel, Points
 from robot_sysid.report.runs import Body, Run, number
 from robot_sysid.report.sections import (
@@ -30,9 +35,9 @@ from robot_sysid.report.sections import (
 )
 from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.parameter_table import (
-    HEADINGS,
-    TERM_LABELS,
     BeforeAfter,
+    friction_rows,
+    table_cells,
     without_rounding,
 )
 from robot_sysid.results.verdict import PRIOR_SHARE
@@ -75,45 +80,37 @@ def main_numbers(run: Run) -> Table:
     errors = body.errors_or_none(body.central)
     labels = ("mass", *map("centre of mass {}".format, "xyz"))
     prior: Sequence[float | None] = [None] * 4
-    if "before" in body.thetas and not run.is_payload:
+    if "before" in body.thetas:
         prior = _mass_and_com(body.thetas["before"])
     identified = _mass_and_com(body.identified)
-    units = ("kg", "m", "m", "m")
-    rows = list(map(BeforeAfter, labels, prior, identified, errors, units))
+    rows = list(map(BeforeAfter, labels, prior, identified, errors, ("kg", *"mmm")))
     if not run.is_payload:
         rows += _friction_rows(run)
-    cells_of_rows = []
-    for row in rows:
-        name, *numbers, unit, change = row.cells
-        cells_of_rows.append((f"{name} [{unit}]", *numbers, change))
-    name_heading, *number_headings, _, change_heading = HEADINGS
-    headings = (name_heading, *number_headings, change_heading)
-    columns = zip(headings, *cells_of_rows)
-    header, *shown_rows = zip(*(column for column in columns if any(column[1:])))
+    rows = [replace(row, name=f"{row.name} [{row.unit}]", unit="") for row in rows]
+    header, *rows_of_cells = table_cells(rows, body.title)
     frame = "flange" if run.is_payload else f"body {body.title}"
     note = f"Centre of mass in the frame of the {frame}. ±: one standard error, all causes."
-    return table((body.title, *header[1:]), shown_rows, note)
+    return table(header, rows_of_cells, note)
 
 
 def _friction_rows(run: Run) -> Iterator[BeforeAfter]:
-    """Yield the friction terms and the rotor inertia of the terminal joint, where estimated."""
+    """Return the rows of the terminal joint's friction and rotor inertia, where estimated."""
     joint_name = run.content["joint_name"]
-    joint = run.content["joints"].get(joint_name, {"terms": {}})
-    is_slide = run.data is not None and run.data.is_slide[-1]
-    for term, (value, error) in joint["terms"].items():
-        label = TERM_LABELS.get(term, f"friction {term}")
-        source = run.content["parameter_source"].get(f"{term}[{joint_name}]")
+    joint = run.content["joints"].get(joint_name, {"terms": {}, "model": {}})
+    sources = run.content["parameter_source"]
+    terms = {**joint["terms"]}
+    for term, quantity in terms.items():
         # params.json has no number for an infinite error.
-        stated = np.inf if source == "from_model" else error
-        unit = term_unit(term, is_slide)
-        yield BeforeAfter(label, joint["model"].get(term), value, stated, unit)
+        if sources.get(f"{term}[{joint_name}]") == "from_model":
+            terms[term] = quantity._replace(error=np.inf)
+    is_slide = run.data is not None and run.data.is_slide[-1]
+    return friction_rows(terms, joint["model"], is_slide)
 
 
 def _mass_and_com(theta: Array) -> list[float]:
     """Return mass [kg] and centre of mass [m] of a body, 0.0 for what rounds to nothing."""
-    mass = max(float(theta[0]), 1e-12)
-    com = without_rounding(theta[1:4] / mass, max(characteristic_length(theta), 1e-9))
-    return [float(theta[0]), *com.tolist()]
+    mass, com, _ = com_from_theta(theta)
+    return [mass, *without_rounding(com, characteristic_length(theta)).tolist()]
 
 
 def parameters(run: Run) -> Section:

@@ -12,13 +12,7 @@ from robot_sysid.records.messages import (
     term_unit,
     with_error,
 )
-from robot_sysid.results.parameter_table import (
-    BeforeAfter,
-    com_rows,
-    inertia_rows,
-    table_lines,
-    theta_rows,
-)
+from robot_sysid.results.parameter_table import BeforeAfter, central_rows, table_lines
 from robot_sysid.results.record import JointEstimate, Result
 from robot_sysid.results.verdict import PRIOR_SHARE
 
@@ -55,9 +49,10 @@ def link_lines(result: Result) -> Iterator[str]:
     coms = []
     inertias = []
     for body in result.links:
-        mass_rows.append(replace(theta_rows(body)[0], name=body.name))
-        coms.append([body.name, *_value_cells(com_rows(body), count=3)])
-        inertias.append([body.name, *_value_cells(inertia_rows(body), count=6)])
+        mass_row, *rows = central_rows(body)
+        mass_rows.append(replace(mass_row, name=body.name))
+        coms.append([body.name, *_value_cells(rows[:3], count=3)])
+        inertias.append([body.name, *_value_cells(rows[3:], count=6)])
     mass_lines = table_lines(mass_rows, "Mass")
     masses = file_masses(result)
     if masses:

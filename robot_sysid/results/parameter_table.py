@@ -6,13 +6,15 @@ standard error.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.records import Array
+from robot_sysid.records import Array, InertialParameters
 from robot_sysid.records.messages import (
     PARAMETER_UNITS,
     aligned_lines,
@@ -21,15 +23,23 @@ from robot_sysid.records.messages import (
     term_unit,
 )
 from robot_sysid.results.body_errors import INERTIA, load_errors
-from robot_sysid.results.record import BodyEstimate, Result
+from robot_sysid.results.record import BodyEstimate, JointEstimate, Quantity, Result
 from robot_sysid.results.verdict import PRIOR_SHARE
 
-LABELS: Mapping[str, str] = {
-    "m": "mass",
-    **{f"h{axis}": f"CoM moment {axis}" for axis in "xyz"},
-    **{name: f"inertia {name[1:]}" for name in INERTIA},
-}
-"""Parameter name to its label in a table."""
+_THETA_LABELS = (
+    "mass",
+    *map("CoM moment {}".format, "xyz"),
+    *(f"inertia {name[1:]}" for name in INERTIA),
+)
+"""Labels of the ten inertial parameters."""
+_CENTRAL_LABELS = (
+    "mass",
+    *map("centre of mass {}".format, "xyz"),
+    *(f"inertia {name[1:]} about CoM" for name in INERTIA),
+)
+"""Labels of mass, centre of mass and inertia about it."""
+_CENTRAL_UNITS = ("kg", *"mmm", *PARAMETER_UNITS[4:])
+"""Their units."""
 TERM_LABELS = {
     "coulomb": "Coulomb friction",
     "viscous": "viscous friction",
@@ -43,8 +53,6 @@ _RIGHT_ALIGNED = ("model", "identified", "±")
 """Headings of the columns whose cells are aligned to the right."""
 _ROUNDING = 1e-9
 """Share of a body's scale below which a number is rounding error: models are written to 1e-9."""
-_MIN_LENGTH = 1e-9
-"""Length [m] in place of the characteristic length of a body without extent."""
 _WITHIN = "within ±"
 """Cell of a change that is smaller than the standard error."""
 _MAX_RELATIVE_CHANGE = 10.0
@@ -112,102 +120,90 @@ class BeforeAfter:
         return (self.name, before, after, plus_minus, self.unit, self.change)
 
 
-def table_lines(rows: Sequence[BeforeAfter], title: str = "") -> list[str]:
-    """Return rows as aligned lines under their headings, without columns that have no entries.
+def table_cells(rows: Sequence[BeforeAfter], title: str) -> Iterator[tuple[str, ...]]:
+    """Yield the headings and the rows as texts of cells, without columns that have no entries.
 
     The title stands above the first column.
     """
     columns = zip((title, *HEADINGS[1:]), *(row.cells for row in rows))
-    shown_columns = [column for column in columns if any(column[1:])]
-    lines = aligned_lines(zip(*shown_columns), _RIGHT_ALIGNED)
+    return zip(*(column for column in columns if any(column[1:])))
+
+
+def table_lines(rows: Sequence[BeforeAfter], title: str = "") -> list[str]:
+    """Return rows as aligned lines under their headings, see ``table_cells``."""
+    lines = aligned_lines(table_cells(rows, title), _RIGHT_ALIGNED)
     return list(map("  {}".format, lines))
 
 
 def parameter_rows(result: Result) -> list[BeforeAfter]:
     """Return the rows of a payload, or of the terminal link with its joint's friction.
 
-    They are mass, centre of mass and inertia about it. Where the centre of mass is not
-    identifiable, a link has the first moments and the inertia about its frame's origin instead.
+    They are those of ``central_rows``. Where the centre of mass is not identifiable, a link has the
+    first moments and the inertia about its frame's origin instead.
     """
-    body = result.body
-    mass, *moments = theta_rows(body)
-    com = com_rows(body)
+    rows = central_rows(result.body)
     if result.payload is not None:
-        return [mass, *com, *(inertia_rows(body) if com else [])]
-    body_rows = [*com, *inertia_rows(body)] if com else moments
-    return [mass, *body_rows, *_friction_rows(result)]
+        return rows
+    if len(rows) == 1:
+        rows = theta_rows(result.body)
+    return [*rows, *_terminal_friction_rows(result)]
 
 
 def theta_rows(body: BodyEstimate) -> list[BeforeAfter]:
-    """Return the rows of the ten inertial parameters; an error of zero counts as not stated."""
-    prior = None if body.prior is None else body.prior.theta
-    theta = body.inertial.theta
-    scale = body.inertial.scale
-    labels = LABELS.values()
-    errors = body.errors
-    shares = body.data_share
-    return _number_rows(labels, prior, theta, errors, PARAMETER_UNITS, scale, shares)
+    """Return the rows of the ten inertial parameters."""
+    columns = (_THETA_LABELS, PARAMETER_UNITS, body.errors, body.data_share)
+    return _number_rows(body, attrgetter("theta"), body.inertial.scale, *columns)
 
 
-def com_rows(body: BodyEstimate) -> list[BeforeAfter]:
-    """Return the rows of a centre of mass; none where its error is infinite.
+def central_rows(body: BodyEstimate) -> list[BeforeAfter]:
+    """Return the rows of mass, centre of mass and inertia about it.
 
-    It comes from the data as far as both the mass and its first moment do.
+    The first is the mass; centre of mass (3) and inertia (6) follow where their errors are finite.
+    A centre of mass comes from the data as far as both the mass and its first moment do.
     """
-    errors = load_errors(body)[1:4]
-    if not np.all(np.isfinite(errors)):
-        return []
-    length = max(spatial.characteristic_length(body.inertial.theta), _MIN_LENGTH)
-    prior = None if body.prior is None else body.prior.com
-    labels = map("centre of mass {}".format, "xyz")
-    com = body.inertial.com
-    shares = np.minimum(body.data_share[0], body.data_share[1:4])
-    return _number_rows(labels, prior, com, errors, ["m"] * 3, length, shares)
+    scale = body.inertial.scale
+    scale[1:4] = spatial.characteristic_length(body.inertial.theta)
+    shares = body.data_share.copy()
+    shares[1:4] = np.minimum(shares[0], shares[1:4])
+    errors = load_errors(body)
+    columns = (_CENTRAL_LABELS, _CENTRAL_UNITS, errors, shares)
+    rows = _number_rows(body, _central_values, scale, *columns)
+    return [*rows[:1], *itertools.compress(rows[1:], np.isfinite(errors[1:]))]
 
 
-def inertia_rows(body: BodyEstimate) -> list[BeforeAfter]:
-    """Return the rows of the inertia about the centre of mass; none where it is not known."""
-    errors = load_errors(body)[4:]
-    if not np.all(np.isfinite(errors)):
-        return []
-    prior = None
-    if body.prior is not None:
-        prior = spatial.six_from_symmetric(body.prior.inertia_com)
-    inertia = spatial.six_from_symmetric(body.inertial.inertia_com)
-    labels = [f"inertia {name[1:]} about CoM" for name in INERTIA]
-    units = ["kg·m²"] * 6
-    scale = body.inertial.scale[4:]
-    shares = body.data_share[4:]
-    return _number_rows(labels, prior, inertia, errors, units, scale, shares)
+def _central_values(inertial: InertialParameters) -> Array:
+    """Return mass, centre of mass and inertia about it (10,), in the order of ``ERROR_NAMES``."""
+    mass, com, inertia = spatial.com_from_theta(inertial.theta)
+    return np.concatenate(([mass], com, spatial.six_from_symmetric(inertia)))
 
 
 def _number_rows(
-    labels: Iterable[str],
-    prior: Array | None,
-    identified: Array,
+    body: BodyEstimate,
+    values_of: Callable[[InertialParameters], Array],
+    scale: Array,
+    labels: Sequence[str],
+    units: Sequence[str],
     errors: Array,
-    units: Iterable[str],
-    scale: Array | float,
     shares: Array,
 ) -> list[BeforeAfter]:
-    """Return the rows of m numbers before and after an identification.
+    """Return the rows of ten numbers of a body before and after an identification.
 
     Args:
-        labels: (m,) labels of the rows.
-        prior: (m,) the model's values; None where it has none.
-        identified: (m,) identified values.
-        errors: (m,) their standard errors; one of zero counts as not stated.
-        units: (m,) their units.
-        scale: sizes (m,) of large values, or one size; far below it, a number is shown as zero.
-        shares: (m,) shares of the identified values that the data determines.
+        body: the body.
+        values_of: returns the numbers (10,) of the model's or the identified parameters.
+        scale: (10,) sizes of large values; a number far below its own is shown as zero.
+        labels: (10,) labels of the rows.
+        units: (10,) units of the numbers.
+        errors: (10,) standard errors of the identified numbers; one of zero counts as not stated.
+        shares: (10,) shares of the identified numbers that the data determines.
     """
-    values_before: list[float | None] = [None] * len(identified)
-    if prior is not None:
-        values_before = without_rounding(prior, scale).tolist()
-    values_after = without_rounding(identified, scale).tolist()
+    before: list[float | None] = [None] * len(errors)
+    if body.prior is not None:
+        before = without_rounding(values_of(body.prior), scale).tolist()
+    after = without_rounding(values_of(body.inertial), scale).tolist()
     stated_errors = [error or None for error in errors.tolist()]
-    columns = (labels, values_before, values_after, stated_errors, units)
-    return list(map(BeforeAfter, *columns, shares.tolist()))
+    columns = (labels, before, after, stated_errors, units, shares.tolist())
+    return list(map(BeforeAfter, *columns))
 
 
 def without_rounding(values: Array, scale: Array | float) -> Array:
@@ -220,23 +216,34 @@ def without_rounding(values: Array, scale: Array | float) -> Array:
     return np.where(np.abs(values) < _ROUNDING * scale, 0.0, values)
 
 
-def _friction_rows(result: Result) -> Iterator[BeforeAfter]:
-    """Yield the friction terms and the rotor inertia of the terminal joint, where estimated."""
+def friction_rows(
+    terms: Mapping[str, Quantity], model_terms: Mapping[str, float], is_slide: bool
+) -> Iterator[BeforeAfter]:
+    """Yield the rows of a joint's friction terms and rotor inertia.
+
+    Args:
+        terms: friction term to its estimate; an error of zero counts as not stated.
+        model_terms: friction term to its value in the model, where that has one.
+        is_slide: whether the joint is a slide, which determines the units.
+    """
+    for term, (value, error) in terms.items():
+        label = TERM_LABELS.get(term, f"friction {term}")
+        before = model_terms.get(term)
+        unit = term_unit(term, is_slide)
+        yield BeforeAfter(label, before, value, error or None, unit)
+
+
+def _terminal_friction_rows(result: Result) -> Iterator[BeforeAfter]:
+    """Return the rows of the terminal joint's friction and rotor inertia, where estimated."""
     joint_name = result.robot.terminal_joint
-    estimate = result.estimate
+    joint = result.joints.get(joint_name, JointEstimate("none", {}))
+    terms = {**joint.terms}
+    if not terms:
+        # A simulation of the model itself has them among the parameters only, without errors.
+        for term in ("coulomb", "viscous"):
+            value = result.estimate.value(f"{term}[{joint_name}]")
+            if value is not None:
+                rounded = float(without_rounding(np.array(value), scale=1.0))
+                terms[term] = Quantity(rounded, 0.0)
     is_slide = joint_name in result.robot.slides
-    joint = result.joints.get(joint_name)
-    if joint is not None:
-        for term, (value, error) in joint.terms.items():
-            label = TERM_LABELS.get(term, f"friction {term}")
-            before = joint.model_terms.get(term)
-            yield BeforeAfter(label, before, value, error, term_unit(term, is_slide))
-        return
-    for term in ("coulomb", "viscous"):
-        name = f"{term}[{joint_name}]"
-        friction = estimate.value(name)
-        if friction is not None:
-            stated_error = estimate.error(name) if result.is_measured else None
-            identified = float(without_rounding(np.array(friction), scale=1.0))
-            unit = term_unit(term, is_slide)
-            yield BeforeAfter(TERM_LABELS[term], None, identified, stated_error, unit)
+    return friction_rows(terms, joint.model_terms, is_slide)
