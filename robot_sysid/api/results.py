@@ -93,7 +93,8 @@ class Identified(Identification):
     def standard_errors(self) -> Mapping[str, float]:
         """Parameter name ("m", "hx", ..., "coulomb[joint6]") to standard error of all causes
         together, in the parameter's unit; infinite where the data does not determine the
-        parameter. Empty for a simulation of the model itself."""
+        parameter. Friction that was held at a bound has none, and no entry here. Empty for a
+        simulation of the model itself."""
         payload = self.result.payload
         if payload is not None:
             return dict(zip(PARAMETER_NAMES, payload.body.errors.tolist()))

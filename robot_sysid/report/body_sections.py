@@ -302,7 +302,12 @@ def visibility(run: Run) -> Section:
         source = _source(body, k, run.is_payload)
         error_text = "–" if run.is_self_test else plus_minus(body.errors[k])
         source_rows.append((name, source, percent(body.share[k]), error_text))
-    tables = [table((body.title, "source", "share of the data", "±"), source_rows)]
+    header = (body.title, "source", "share of the data", "±")
+    note = (
+        "The share of the data is one of the value, whose other part comes from the prior. The ± "
+        "has causes of its own, such as the other links, which the tables of errors list."
+    )
+    tables = [table(header, source_rows, note)]
     sentences = []
     base = content["base_parameters"]
     sensors = content["sensors"]
