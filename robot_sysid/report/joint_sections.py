@@ -7,7 +7,6 @@ instants and n joints, its statistics (n, ...). ``Run.content`` is the content o
 from __future__ import annotations
 
 import itertools
-import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -16,18 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robot_sysid.records import Array, Validation
-from robot_sysid.records.messages import (
-    number_text,
-    percent,
-    position_unit,
-    term_unit,
-    torque_unit,
-    with_error,
-)
+from robot_sysid.records.messages import percent, position_unit, term_unit, torque_unit
 from robot_sysid.report.drawing import Boxes, Drawing, Line, Panel, Points
 from robot_sysid.report.runs import LONGEST_LAG, Friction, ReportData, Run, number
 from robot_sysid.report.sections import Figure, Section, Table, table, text
 from robot_sysid.results.parameter_table import without_rounding
+from robot_sysid.results.record import HELD_NOTE
 
 _LARGE_OFFSET = 0.5
 """Share of a residual's root mean square from which on its mean is stated."""
@@ -293,25 +286,14 @@ def _coefficient_table(
     for owner, terms in coefficients.items():
         row = [owner]
         for term in all_terms:
-            row.append(estimate_text(*terms[term]) if term in terms else "–")
+            row.append(terms[term].text if term in terms else "–")
         rows.append(row)
     notes = []
     if any("(held)" in cell for row in rows for cell in row):
-        notes.append(
-            "held: kept at its bound or at the model's value, without an estimate."
-        )
+        notes.append(f"{HELD_NOTE}.")
     if has_slide and not all(slides.values()):
         notes.append("Units are those of slides; of hinges N·m for N and rad for m.")
     return table(header, rows, " ".join(notes))
-
-
-def estimate_text(value: float, error: float) -> str:
-    """Return a number with its standard error; NaN stands for a number that was not estimated."""
-    return (
-        f"{number_text(value)} (held)"
-        if math.isnan(error)
-        else with_error(value, error)
-    )
 
 
 def _friction_figure(data: ReportData, joint: int) -> Figure:

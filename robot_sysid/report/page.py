@@ -44,12 +44,7 @@ from robot_sysid.report.body_sections import (
     visibility,
 )
 from robot_sysid.report.drawing import png, svg
-from robot_sysid.report.joint_sections import (
-    error_sets,
-    estimate_text,
-    most_changed,
-    total_errors,
-)
+from robot_sysid.report.joint_sections import error_sets, most_changed, total_errors
 from robot_sysid.report.pictures import picture
 from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, report_data
 from robot_sysid.report.sections import Figure, Section, table
@@ -394,7 +389,7 @@ def compare_friction(runs: Sequence[Run]) -> Section:
                 unit = term_unit(term, slides.get(owner, False)) or "1"
                 cells = [owner, f"{term} [{unit}]", *"–" * len(names)]
                 row = rows.setdefault((owner, term), cells)
-                row[column] = estimate_text(*quantity)
+                row[column] = quantity.text
     comparison = table(("joint", "term", *names), list(rows.values()))
     return Section("friction", "Friction", tables=(comparison,), is_open=True)
 

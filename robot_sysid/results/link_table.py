@@ -13,7 +13,7 @@ from robot_sysid.records.messages import (
     with_error,
 )
 from robot_sysid.results.parameter_table import BeforeAfter, central_rows, table_lines
-from robot_sysid.results.record import JointEstimate, Result
+from robot_sysid.results.record import HELD_NOTE, JointEstimate, Result
 from robot_sysid.results.verdict import PRIOR_SHARE
 
 _LINE_WIDTH = 98
@@ -96,6 +96,8 @@ def joint_lines(result: Result) -> Iterator[str]:
             cells = [_other_day_cell(term, joint) for term in terms]
             rows.append(["  on another day", *cells])
     yield from _wide_lines(headings, rows)
+    if any("(held)" in cell for row in rows for cell in row):
+        yield f"  {HELD_NOTE}"
 
 
 def _value_cells(rows: Sequence[BeforeAfter], count: int) -> list[str]:
@@ -118,13 +120,12 @@ def _term_cell(term: str, joint: JointEstimate) -> str:
     """Return a friction term of a joint, such as "0.4 -> 0.133 ± 0.004"; "" without the term."""
     if term not in joint.terms:
         return ""
-    value, error = joint.terms[term]
-    if math.isinf(error):
+    quantity = joint.terms[term]
+    if math.isinf(quantity.error):
         return _UNKNOWN
-    is_bound = math.isnan(error)
-    text = f"{number_text(value)} (bound)" if is_bound else with_error(value, error)
     prior = joint.model_terms.get(term)
-    return text if prior is None else f"{number_text(prior)} -> {text}"
+    start = "" if prior is None else f"{number_text(prior)} -> "
+    return f"{start}{quantity.text}"
 
 
 def _other_day_cell(term: str, joint: JointEstimate) -> str:

@@ -22,6 +22,7 @@ from robot_sysid.dynamics.friction import Coupling
 from robot_sysid.records import Array, InertialParameters, Motion, Validation
 from robot_sysid.records.arm import check_arrays
 from robot_sysid.records.file_access import MODEL_NAMES, AtomicFiles
+from robot_sysid.records.messages import number_text, with_error
 
 LINK = "link"
 """Question for the inertia of the terminal link, and of every other link with it."""
@@ -102,6 +103,8 @@ class Verdict(Enum):
         return self.is_trustworthy or self is Verdict.TORQUES_ONLY
 
 
+HELD_NOTE = "held: kept at its bound or at the model's value, without an estimate"
+"""Explanation of ``Quantity.text`` of a number that was held."""
 _INTERVAL_ERRORS = 1.96
 """Standard errors on each side of a value within which 95 % of a normal distribution lie."""
 
@@ -121,6 +124,13 @@ class Quantity(NamedTuple):
         """Bounds (low, high) of the 95 % confidence interval, for an error that is normal."""
         reach = _INTERVAL_ERRORS * self.error
         return self.value - reach, self.value + reach
+
+    @property
+    def text(self) -> str:
+        """The number with its standard error, or with "(held)" where it was held at a bound."""
+        if math.isnan(self.error):
+            return f"{number_text(self.value)} (held)"
+        return with_error(*self)
 
 
 @dataclass(frozen=True)

@@ -322,10 +322,8 @@ def _detail_lines(result: Result) -> Iterator[str]:
         yield f"  Standard errors of noise alone: {', '.join(texts)}"
     if result.sensors:
         yield "  Sensors:"
-    for name, (value, error) in result.sensors.items():
-        is_held = math.isnan(error)
-        text = f"{number_text(value)} (held)" if is_held else with_error(value, error)
-        yield f"    {name}: {text}"
+    for name, sensor in result.sensors.items():
+        yield f"    {name}: {sensor.text}"
     for name, joint in result.joints.items():
         if joint.candidates:
             candidates = sorted(joint.candidates.items(), key=lambda item: item[1])

@@ -95,7 +95,8 @@ def test_many_friction_terms_go_on_in_a_table_below():
     # A table in which a joint has no entry leaves it out.
     assert len([line for line in lines if line.startswith("  j6")]) == 1
     rows = "".join(line for line in lines if LONG_NAME in line)
-    assert "unidentifiable" in rows and "0 (bound)" in rows
+    assert "unidentifiable" in rows and "0 (held)" in rows
+    assert lines[-1].startswith("  held: kept at its bound")
 
 
 def test_without_friction_there_is_no_table():
