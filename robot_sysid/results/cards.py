@@ -87,7 +87,7 @@ def payload_cards(body: BodyEstimate, flange: Flange) -> tuple[Card, ...]:
     cards = [_plain_card(groups, flange, body)]
     for form in FORMS:
         values = _fill_values(form.values, groups)
-        notes = axes_notes if "moments" in _group_names(form.values) else []
+        notes = axes_notes if "moments" in _leaves(form.values) else []
         if max(map(abs, groups["six"])) > form.max_inertia:
             refusal = (
                 "The controller refuses this: no element of the inertia may exceed "
@@ -95,7 +95,8 @@ def payload_cards(body: BodyEstimate, flange: Flange) -> tuple[Card, ...]:
             )
             notes = [*notes, refusal]
         if isinstance(form.text, str):
-            text = form.text % tuple(_value_texts(values))
+            numbers = map(np.ravel, _leaves(values))
+            text = form.text % tuple(map(join_numbers, numbers))
         else:
             text = form.text(groups)
         card = Card(form.name, form.title, form.explanation, values, text, tuple(notes))
@@ -259,24 +260,21 @@ def round_to_errors(
         errors: (m,) standard errors, in the numbers' unit; infinite where not known.
         extra_digits: number of further digits.
     """
-    numbers = np.asarray(list(values), dtype=float)
-    smallest = _ROUNDING * float(np.max(np.abs(numbers)))
-    rounded = []
-    for value, error in zip(numbers.tolist(), errors):
-        is_rounding = abs(value) < smallest
-        cleared = 0.0 if is_rounding else value
-        rounded.append(_round_to_error(cleared, float(error), extra_digits))
-    return rounded
+    numbers = np.array(list(values), dtype=float)
+    sizes = np.abs(numbers)
+    numbers[sizes < _ROUNDING * np.max(sizes)] = 0.0
+    pairs = zip(numbers.tolist(), errors)
+    return [_round_to_error(value, error, extra_digits) for value, error in pairs]
 
 
 def _round_to_error(value: float, error: float, extra_digits: int) -> float:
     """Return a number rounded at the second digit of its error, with ``DIGITS`` digits at most."""
+    digits = DIGITS
     if not math.isfinite(error):
-        significant_digits = min(_UNKNOWN_DIGITS + extra_digits, DIGITS)
-        return float(f"{value:.{significant_digits}g}") + 0.0
-    if error > 0.0:
+        digits = min(_UNKNOWN_DIGITS + extra_digits, DIGITS)
+    elif error > 0.0:
         value = round(value, 1 - math.floor(math.log10(error)) + extra_digits)
-    return float(f"{value:.{DIGITS}g}") + 0.0
+    return float(f"{value:.{digits}g}") + 0.0
 
 
 def plain(value: float) -> str:
@@ -285,7 +283,7 @@ def plain(value: float) -> str:
     return "0.0" if float(text) == 0.0 else text
 
 
-def join_numbers(values: Sequence[float]) -> str:
+def join_numbers(values: Iterable[float]) -> str:
     """Return numbers without exponent, separated by commas."""
     return ", ".join(map(plain, values))
 
@@ -308,21 +306,13 @@ def _fill_values(form: Mapping[str, Any], groups: Mapping[str, Any]) -> dict[str
     return values
 
 
-def _value_texts(values: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the text of each value of a form; the numbers of a list are one text."""
+def _leaves(values: Mapping[str, Any]) -> Iterator[Any]:
+    """Yield the values of a form, or the names of their groups, those of nested ones included."""
     for value in values.values():
         if isinstance(value, dict):
-            yield from _value_texts(value)
+            yield from _leaves(value)
         else:
-            yield join_numbers(value if isinstance(value, list) else [value])
-
-
-def _group_names(form: Mapping[str, Any]) -> list[str]:
-    """Return the names of the groups in a form's values, those of nested values included."""
-    names: list[str] = []
-    for group in form.values():
-        names += _group_names(group) if isinstance(group, dict) else [group]
-    return names
+            yield value
 
 
 def _plain_card(groups: Mapping[str, Any], flange: Flange, body: BodyEstimate) -> Card:
@@ -334,35 +324,34 @@ def _plain_card(groups: Mapping[str, Any], flange: Flange, body: BodyEstimate) -
         body: the payload.
     """
     errors = load_errors(body)
-    origin = round_to_errors(flange.translation, np.zeros(3))
-    quaternion = round_to_errors(spatial.quaternion(flange.rotation), np.zeros(4))
+    quaternion = spatial.quaternion(flange.rotation)
+    origin_text = join_numbers(round_to_errors(flange.translation, np.zeros(3)))
+    turn_text = join_numbers(round_to_errors(quaternion, np.zeros(4)))
     finite_errors = [error if np.isfinite(error) else None for error in errors.tolist()]
     values = {
         "flange": flange.name,
         "terminal_body": flange.terminal,
         "flange_position": flange.translation.tolist(),
-        "flange_quaternion": spatial.quaternion(flange.rotation).tolist(),
+        "flange_quaternion": quaternion.tolist(),
         "mass": groups["kg"],
         "center_of_mass": groups["com_m"],
         "inertia_about_com": groups["upper"],
         "standard_errors": dict(zip(ERROR_NAMES, finite_errors)),
     }
+    com = ", ".join(map(_number_with_error, groups["com_m"], errors[1:4]))
+    moments = []
+    for name, moment, error in zip(INERTIA, groups["upper"], errors[4:]):
+        moments.append(f"{name[1:]} {_number_with_error(moment, error)}")
     lines = [
-        f"frame           {flange.name}: origin at {join_numbers(origin)} m, turned by the "
-        f"quaternion w x y z {join_numbers(quaternion)}, both in the frame of body "
-        f"'{flange.terminal}'",
+        f"frame           {flange.name}: origin at {origin_text} m, turned by the quaternion "
+        f"w x y z {turn_text}, both in the frame of body '{flange.terminal}'",
         f"mass            {_number_with_error(groups['kg'], errors[0])} kg",
-        f"centre of mass  {_numbers_with_errors(groups['com_m'], errors[1:4])} m",
+        f"centre of mass  {com} m",
+        f"inertia         {', '.join(moments[:3])} kg m^2",
+        f"                {', '.join(moments[3:])} kg m^2",
     ]
     is_point = not any(groups["six"])
     is_inertia_known = bool(np.all(np.isfinite(errors[4:])))
-    names = [name[1:] for name in INERTIA]
-    for half, start in enumerate(("inertia        ", "               ")):
-        elements = slice(3 * half, 3 * half + 3)
-        listed = _numbers_with_errors(
-            groups["upper"][elements], errors[4:][elements], names[elements]
-        )
-        lines.append(f"{start} {listed} kg m^2")
     notes = [] if is_inertia_known else [NOT_KNOWN]
     if is_point:
         notes.append("The inertia is zero: every card states a point mass.")
@@ -379,17 +368,6 @@ def _plain_card(groups: Mapping[str, Any], flange: Flange, body: BodyEstimate) -
     return Card(_PLAIN, "Payload", explanation, values, text, tuple(notes))
 
 
-def _numbers_with_errors(
-    values: Sequence[float], errors: Array, names: Sequence[str] = ()
-) -> str:
-    """Return numbers with their standard errors, each behind its name, separated by commas."""
-    texts = []
-    for k, (value, error) in enumerate(zip(values, errors.tolist())):
-        name = f"{names[k]} " if names else ""
-        texts.append(f"{name}{_number_with_error(value, error)}")
-    return ", ".join(texts)
-
-
 def _number_with_error(value: float, error: float) -> str:
     """Return a number, and its standard error where that is known."""
     return with_error(value, error) if math.isfinite(error) else plain(value)
@@ -397,9 +375,9 @@ def _number_with_error(value: float, error: float) -> str:
 
 def _axes_notes(body: BodyEstimate) -> list[str]:
     """Return a note on the errors of principal moments and axes; none where not known."""
-    if not np.all(np.isfinite(load_errors(body)[4:])):
-        return []
     _, moment_errors, turn_errors = principal_moments(body)
+    if not np.all(np.isfinite(moment_errors)):
+        return []
     moments = ", ".join(f"{error:.2g}" for error in moment_errors)
     turns = ", ".join(
         f"{error:.2g}" if math.isfinite(error) else "not known" for error in turn_errors
