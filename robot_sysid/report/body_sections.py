@@ -103,7 +103,7 @@ def _friction_rows(run: Run) -> Iterator[BeforeAfter]:
         # params.json has no number for an infinite error.
         if sources.get(f"{term}[{joint_name}]") == "from_model":
             terms[term] = quantity._replace(error=np.inf)
-    is_slide = run.data is not None and run.data.is_slide[-1]
+    is_slide = run.slides.get(joint_name, False)
     return friction_rows(terms, joint["model"], is_slide)
 
 
@@ -145,15 +145,11 @@ def parameters(run: Run) -> Section:
 
 def _parameter_table(body: Body) -> Table:
     """Return the table of a body's mass, centre of mass, first moment and inertia, with errors."""
-    versions = list(body.thetas.values())
-    coms = [_mass_and_com(theta)[1:] for theta in versions]
     com_labels = map("centre of mass {}".format, "xyz")
     labels = (PARAMETER_NAMES[0], *com_labels, *PARAMETER_NAMES[1:])
     units = (PARAMETER_UNITS[0], *"mmm", *PARAMETER_UNITS[1:])
     errors = np.concatenate((body.errors[:1], body.central[1:], body.errors[1:]))
-    columns = []
-    for theta, com in zip(versions, coms):
-        columns.append([theta[0], *com, *theta[1:]])
+    columns = [[*_mass_and_com(theta), *theta[1:]] for theta in body.thetas.values()]
     rows = []
     for label, unit, error, *values in zip(labels, units, errors.tolist(), *columns):
         texts = [text(float(value), error) for value in values]

@@ -7,10 +7,11 @@ instants and n joints, its statistics (n, ...). ``Run.content`` is the content o
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -125,17 +126,14 @@ def _residuals(data: ReportData, joint: int) -> list[Array]:
     return [without_rounding(measured - tau, _rms(measured)) for tau in predictions]
 
 
-def most_changed(run: Run) -> Figure:
-    """Return the figure of the joint whose root mean square residual has changed most.
-
-    The run must have data to draw.
-    """
-    data = run.data
-    assert data is not None
-    prior_rmses = np.array(list(map(_rms, (data.measured - data.prior_prediction).T)))
-    rmses = np.array(list(map(_rms, (data.measured - data.predicted).T)))
-    joint = int(np.argmax(np.nan_to_num(np.abs(prior_rmses - rmses))))
-    return torque_figure(data, joint, "before-after")
+def most_changed(data: ReportData) -> Figure:
+    """Return the figure of the joint whose root mean square residual has changed most."""
+    changes = []
+    for joint in range(len(data.joints)):
+        prior_rms, rms = map(_rms, _residuals(data, joint))
+        changes.append(abs(prior_rms - rms))
+    most_changed_joint = int(np.argmax(np.nan_to_num(changes)))
+    return torque_figure(data, most_changed_joint, "before-after")
 
 
 def _residual_table(data: ReportData) -> Table:
@@ -166,8 +164,7 @@ def _residual_table(data: ReportData) -> Table:
 
 def _rms(values: Array) -> float:
     """Return the root mean square of all finite numbers in values (K,); NaN if none is finite."""
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
+    return math.sqrt(_mean(values**2))
 
 
 def _mean(values: Array) -> float:
@@ -240,7 +237,6 @@ def friction(run: Run) -> Section:
     no joint has one if the run has no data to draw.
     """
     data = run.data
-    slides = {} if data is None else dict(zip(data.joints, data.is_slide))
     coefficient_sets = {
         "joint": run.friction(),
         "joint on another day": run.friction("another_day"),
@@ -250,7 +246,7 @@ def friction(run: Run) -> Section:
     tables = []
     for title, coefficients in coefficient_sets.items():
         if coefficients:
-            tables.append(_coefficient_table(title, coefficients, slides))
+            tables.append(_coefficient_table(title, coefficients, run.slides))
     explanation = (
         "Samples: measured torque without the predicted torque of the links and rotors. Line: the "
         f"identified friction with all its terms ({run.content['friction_model'] or 'as listed'}). "
@@ -391,13 +387,12 @@ class ErrorSet(NamedTuple):
 
     Attributes:
         model: which model, such as "written model".
-        data: description of the data; ``FITTED`` for what was fitted.
-        test: the errors, over all joints and per joint [N m or N].
+        test: the errors, over all joints and per joint [N m or N]; their source describes the data,
+            ``FITTED`` for what was fitted.
         colour: colour of their bars in the figure.
     """
 
     model: str
-    data: str
     test: Validation
     colour: str
 
@@ -417,11 +412,11 @@ def errors(run: Run) -> Section:
         "The fit has all that was identified; the written model has what its file can hold, "
         "without sensor offsets, for one. Errors are root mean squares of the residual."
     ]
-    if all(error_set.data == FITTED for error_set in sets):
+    if all(error_set.test.source == FITTED for error_set in sets):
         sentences.append("Nothing was held out: other motion may be predicted worse.")
     tables = (total_errors(sets), _errors_by_joint(sets))
     # What the models predict as files counts; the fit is drawn where there are none.
-    drawn = [s for s in sets if s.model != "fit" or s.data == FITTED]
+    drawn = [s for s in sets if s.model != "fit" or s.test.source == FITTED]
     figures = (_error_figure(drawn[:_MAX_SERIES]),)
     return Section("errors", title, sentences, tables, figures)
 
@@ -432,12 +427,12 @@ def _error_figure(sets: Sequence[ErrorSet]) -> Figure:
     rows = -np.arange(len(joints), dtype=float)
     width = 0.8 / len(sets)
     marks = []
-    for index, (model, data, test, colour) in enumerate(sets):
+    for index, (model, test, colour) in enumerate(sets):
         lengths = np.array([number(test.rmse_per_joint.get(joint)) for joint in joints])
         lengths = np.nan_to_num(lengths)
         top = rows + 0.4 - width * index
         # Folders of a log make its name too long for a legend.
-        label = re.sub(r"(?<=: )\S*/", "", f"{model}: {data}")
+        label = re.sub(r"(?<=: )\S*/", "", f"{model}: {test.source}")
         opacity = 0.9 if index < 3 else 0.55
         marks.append(
             Boxes(
@@ -458,9 +453,9 @@ def _error_figure(sets: Sequence[ErrorSet]) -> Figure:
 def total_errors(sets: Sequence[ErrorSet], title: str = "") -> Table:
     """Return the table of errors over all joints, one row per set of errors."""
     rows = []
-    for model, data, test, _ in sets:
+    for model, test, _ in sets:
         share = "–" if test.relative_error is None else percent(test.relative_error)
-        rows.append((data, model, _error_text(test.rmse), share))
+        rows.append((test.source, model, _error_text(test.rmse), share))
     header = ("data", "model", "all joints [N·m]", "of the torque")
     return table(header, rows, title=title)
 
@@ -472,13 +467,12 @@ def _error_text(error: float) -> str:
 
 def _errors_by_joint(sets: Sequence[ErrorSet]) -> Table:
     """Return the table of errors by joint, one column per set of errors."""
-    joints: dict[str, None] = {}
-    for error_set in sets:
-        joints.update(dict.fromkeys(error_set.test.rmse_per_joint))
+    joints_of_sets = [error_set.test.rmse_per_joint for error_set in sets]
+    joints = list(dict.fromkeys(itertools.chain(*joints_of_sets)))
     header = ["joint [N·m or N]"]
-    columns: list[Sequence[Any]] = [list(joints)]
-    for model, data, test, _ in sets:
-        header.append(f"{model}: {data}")
+    columns: list[Sequence[str]] = [joints]
+    for model, test, _ in sets:
+        header.append(f"{model}: {test.source}")
         joint_errors = map(test.rmse_per_joint.get, joints)
         columns.append(["–" if e is None else _error_text(e) for e in joint_errors])
     return table(header, zip(*columns))
@@ -494,10 +488,9 @@ def error_sets(run: Run) -> Iterator[ErrorSet]:
     content = run.content
     # Errors "before" and "after" of the written file on held-out data, and pairs of them on others.
     file = content["file"] or {"others": ()}
-    tests = []
-    if content["rmse_per_joint"]:
-        fitted = Validation("", 0, content["rmse"], None, content["rmse_per_joint"], {})
-        yield ErrorSet("fit", FITTED, fitted, "measured")
+    joint_errors = content["rmse_per_joint"]
+    fitted = Validation(FITTED, 0, content["rmse"], None, joint_errors, {})
+    tests: list[tuple[str, Validation | None, str]] = [("fit", fitted, "measured")]
     for fits, colour, pairs in (
         (content["validation"][:1], "other", [file]),
         (content["validation"][1:], "truth", file["others"]),
@@ -509,7 +502,7 @@ def error_sets(run: Run) -> Iterator[ErrorSet]:
             tests.append(("written model", pair.get("after"), "after"))
     for model, test, colour in tests:
         if test is not None and test.rmse_per_joint:
-            yield ErrorSet(model, test.source, test, colour)
+            yield ErrorSet(model, test, colour)
 
 
 def rollout(run: Run) -> Section | None:
@@ -521,16 +514,16 @@ def rollout(run: Run) -> Section | None:
     if entry is None:
         return None
     opening = f"Both models were played on {entry['held_out']}; in closed loop with"
-    sentences = [
-        f"{opening} {entry['closed_loop_is']}.",
-        "Root mean square position error of the model before -> after [rad, m for slides]:",
-    ]
+    sentences = [f"{opening} {entry['closed_loop_is']}."]
     score = entry["score"]
     if score is not None:
         better = "smaller" if score < 1.0 else "not smaller"
-        sentences.insert(
-            1, f"Errors are {better} than before: {score:.3g} times, all together."
+        sentences.append(
+            f"Errors are {better} than before: {score:.3g} times, all together."
         )
+    sentences.append(
+        "Root mean square position error of the model before -> after [rad, m for slides]:"
+    )
     rows = []
     for test in entry["errors"]:
         cells = [f"{test['loop']}, {text(test['horizon'])} s"]

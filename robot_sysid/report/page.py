@@ -83,14 +83,13 @@ def sections_of(
         joint_sections.rollout,
         partial(picture, mesh_dir=mesh_dir),
     )
+    progress = progress or Progress()
     sections: list[Section | None] = []
     try:
         if len(runs) > 1:
             return [maker(runs) for maker in COMPARISON]
         for maker in makers:
-            (progress or Progress()).advance(
-                "Drawing the report", len(sections), len(makers), ""
-            )
+            progress.advance("Drawing the report", len(sections), len(makers), "")
             sections.append(maker(runs[0]))
         return list(filter(None, sections))
     except _ODD as error:
@@ -183,25 +182,20 @@ def write_report(
         title = f"{len(runs)} runs compared: {', '.join(run_by_name(runs))}"
         name = COMPARISON_NAME
     sections = sections_of(runs, mesh_dir, progress)
-    written = []
-    with atomic_files() as files:
-        if page:
-            files.write(destination / name, html(title, sections))
-            written.append(destination / name)
-        figures: list[Figure] = []
-        if plots:
-            for section in sections:
-                figures += section.figures
-        for figure in figures:
-            content_by_suffix = {".png": figure.png}
+    contents: dict[Path, str | bytes] = {}
+    if page:
+        contents[destination / name] = html(title, sections)
+    for section in sections if plots else ():
+        for figure in section.figures:
+            path = destination / PLOTS_NAME / figure.name
+            contents[path.with_suffix(".png")] = figure.png
             if figure.drawing is not None:
-                content_by_suffix[".png"] = png(figure.drawing)
-                content_by_suffix[".svg"] = svg(figure.drawing, figure.name).encode()
-            for suffix, content in content_by_suffix.items():
-                path = destination / PLOTS_NAME / (figure.name + suffix)
-                files.write(path, content)
-                written.append(path)
-    return tuple(written)
+                contents[path.with_suffix(".png")] = png(figure.drawing)
+                contents[path.with_suffix(".svg")] = svg(figure.drawing, figure.name)
+    with atomic_files() as files:
+        for path, content in contents.items():
+            files.write(path, content)
+    return tuple(contents)
 
 
 def title_of(run: Run) -> str:
@@ -230,7 +224,6 @@ def verdict(run: Run) -> Section:
     most, unless the data are a simulation of the model itself, or cannot be read.
     """
     content = run.content
-    has_figure = run.data is not None and not run.is_self_test
     rating = "good"
     if content["status"] == Verdict.TORQUES_ONLY.name:
         rating = "part"
@@ -239,13 +232,16 @@ def verdict(run: Run) -> Section:
     if is_refused or not content["valid"]["trustworthy"]:
         rating = "bad"
     numbers = main_numbers(run)
+    figures: tuple[Figure, ...] = ()
+    if run.data is not None and not run.is_self_test:
+        figures = (most_changed(run.data),)
     return Section(
         "verdict",
         "Verdict",
         sentences=content["verdict"],
         tables=(numbers,) if rating != "bad" else (),
         points=tuple(_other_models(run)),
-        figures=(most_changed(run),) if has_figure else (),
+        figures=figures,
         missing=run.missing,
         verdict=rating,
         details=(
@@ -342,9 +338,8 @@ def compare_bodies(runs: Sequence[Run]) -> Section:
         bodies[name] = {body.title: body for body in run.bodies}
     first, *others = bodies.values()
     # Bodies that all runs have, in the order of the first run.
-    common_titles = list(first)
-    for other in others:
-        common_titles = list(filter(other.__contains__, common_titles))
+    common = set(first).intersection(*others)
+    common_titles = [title for title in first if title in common]
     explanation = (
         "Values ± one standard error. Runs whose ranges do not meet contradict each "
         "other."
@@ -381,12 +376,9 @@ def compare_friction(runs: Sequence[Run]) -> Section:
     names = run_by_name(runs)
     rows: dict[tuple[str, str], list[str]] = {}
     for column, run in enumerate(names.values(), start=2):
-        slides = (
-            {} if run.data is None else dict(zip(run.data.joints, run.data.is_slide))
-        )
         for owner, terms in run.friction().items():
             for term, quantity in terms.items():
-                unit = term_unit(term, slides.get(owner, False)) or "1"
+                unit = term_unit(term, run.slides.get(owner, False)) or "1"
                 cells = [owner, f"{term} [{unit}]", *"–" * len(names)]
                 row = rows.setdefault((owner, term), cells)
                 row[column] = quantity.text

@@ -389,6 +389,13 @@ class Run:
             logs = list(itertools.chain.from_iterable(recordings))
         return ", ".join(Path(log).name for log in logs) or self.content["source"]
 
+    @property
+    def slides(self) -> dict[str, bool]:
+        """Joint to whether it is a slide; {} if the run has no data to draw."""
+        return (
+            {} if self.data is None else dict(zip(self.data.joints, self.data.is_slide))
+        )
+
     def friction(self, key: str = "terms") -> Friction:
         """Return joint or coupling to friction term to the term's coefficient and standard error.
 
@@ -505,10 +512,8 @@ def _bodies(content: Mapping[str, Any], truth: Array | None) -> list[Body]:
             "link": "link without payload",
             "total": "link with payload",
         }
-        bodies = []
-        for key, title in titles.items():
-            bodies.append(replace(content["payload"][key], title=title))
-        return bodies
+        payload = content["payload"]
+        return [replace(payload[key], title=title) for key, title in titles.items()]
     links = list(content["links"])
     if not links:
         terminal_entries = {

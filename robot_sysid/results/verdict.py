@@ -46,7 +46,6 @@ _CAUSE_TEXTS = {
     "links": "the other links' parameters",
     "torque scale": "the torque scales",
     "common torque scale": "the common scale of torques and masses",
-    "possible bodies": "physical consistency",
 }
 """Cause of error, as in params.json, to its name in a sentence, where that is another one."""
 _CONFLICT_TEXTS = {
