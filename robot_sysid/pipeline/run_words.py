@@ -62,7 +62,8 @@ def words_of_run(config: Config, identification: Identification) -> RunWords:
     folders = [file.parent for file in _files(recordings)[:1]]
     for folder in (*folders, config.output.output_dir):
         if _is_planned(folder, joint_names, identification.checkpoints):
-            plan, purpose = _settings_and_purpose(folder)
+            plan, planned = plan_settings(folder) or (None, {})
+            purpose = str(planned.get("for_", "link"))
             break
     return RunWords(
         model=str(config.model.path),
@@ -147,15 +148,6 @@ def _read_settings(path: Path) -> dict[str, Any]:
     except InputError:
         return {}
     return {key: immutable_value(value) for key, value in content.items()}
-
-
-def _settings_and_purpose(folder: Path) -> tuple[Path | None, str]:
-    """Return the settings file of the plan in a folder, None without one, and its purpose."""
-    settings = plan_settings(folder)
-    if settings is None:
-        return None, "link"
-    path, content = settings
-    return path, str(content.get("for_", "link"))
 
 
 def _is_planned(folder: Path, joint_names: tuple[str, ...], recorded: Motion) -> bool:

@@ -112,13 +112,11 @@ def _self_test_lines(result: Result) -> list[str]:
         f"  CoM moment: [{_decimals_text(theta[1:4])}] kg·m",
         f"  Inertia: [{_decimals_text(theta[4:])}] kg·m²",
     ]
-    coulomb = estimate.value(f"coulomb[{joint}]")
-    viscous = estimate.value(f"viscous[{joint}]")
-    if coulomb is not None and viscous is not None:
-        lines += [
-            f"  Coulomb friction: {_friction_text(coulomb)} {term_unit('coulomb', is_slide)}",
-            f"  Viscous friction: {_friction_text(viscous)} {term_unit('viscous', is_slide)}",
-        ]
+    for term in ("coulomb", "viscous"):
+        value = estimate.value(f"{term}[{joint}]")
+        if value is not None:
+            number = f"{_friction_text(value)} {term_unit(term, is_slide)}"
+            lines.append(f"  {term.capitalize()} friction: {number}")
     return [*lines, *_quality_lines(result)]
 
 

@@ -46,8 +46,9 @@ def texts_of(text):
         if not element.tag.endswith("text"):
             continue
         turn = element.get("transform", "")
-        x, y = element.get("x"), element.get("y")
-        texts.append((element.text, float(x), float(y), "rotate(-90" in turn))
+        x = float(element.get("x"))
+        y = float(element.get("y"))
+        texts.append((element.text, x, y, "rotate(-90" in turn))
     return texts
 
 

@@ -227,7 +227,7 @@ def test_a_model_of_its_own_simulation_has_one_body(folder):
     numbers, *_ = parameters(run).tables
     sources, *_ = visibility(run).tables
     assert {row[-1] for row in (*numbers.rows, *sources.rows)} == {"–"}
-    _, (_, origin), *_ = (("", ()), *section.details)
+    (_, origin), *_ = section.details
     assert not any("Root mean square" in sentence for sentence in origin)
 
 
