@@ -46,19 +46,13 @@ _WIDE = 4.0
 """Half width of a histogram in root mean squares of the residual: normal noise exceeds it once in
 16 000 samples."""
 _LEAST_IN_BIN = 4
-"""Smallest number of samples of a speed bin whose mean and standard deviation are meaningful."""
+"""Smallest number of samples of a speed bin whose mean is meaningful."""
 _VERSION = 1
 """Version of the format of report_data.npz; a file of another version is not read."""
 _REMEDY = "identify again"
 """End of an error message: what the user can do about a file that cannot be read."""
-BY_SPEED = (
-    "speed",
-    "residual_mean",
-    "residual_spread",
-    "friction_measured",
-    "friction_predicted",
-)
-"""Fields of ``ReportData`` that hold statistics in bins of speed."""
+BY_SPEED = ("speed", "friction_measured", "friction_predicted")
+"""Fields of ``ReportData`` that hold means in bins of speed."""
 
 
 @dataclass(frozen=True)
@@ -76,9 +70,7 @@ class ReportData(Signals):
         correlation: (n, L) autocorrelation of the residual, 1 at lag zero.
         independent: (n,) absolute autocorrelation that white noise exceeds in one lag of twenty.
         speed: (n, S) mean velocity in each of S = ``SPEED_BINS`` bins [rad/s]; this and the
-            following four are NaN in a bin with hardly any samples.
-        residual_mean: (n, S) mean of the residual in each bin of velocity [N m].
-        residual_spread: (n, S) standard deviation of the residual in each bin [N m].
+            following two are NaN in a bin with hardly any samples.
         friction_measured: (n, S) mean of the predicted friction plus the residual [N m].
         friction_predicted: (n, S) mean of the predicted friction torque in each bin [N m].
         lower: (n,) lower position limits [rad]; infinite where there is none.
@@ -96,8 +88,6 @@ class ReportData(Signals):
     correlation: Array
     independent: Array
     speed: Array
-    residual_mean: Array
-    residual_spread: Array
     friction_measured: Array
     friction_predicted: Array
     lower: Array
@@ -139,7 +129,7 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
         n_samples=count,
         **histogram(residual),
         **autocorrelation(time, residual),
-        **statistics_by_speed(traces.qd, residual, traces.friction),
+        **means_by_speed(traces.qd, residual, traces.friction),
         **vars(traces.limits),
         truth=np.zeros(0) if traces.truth is None else traces.truth.theta,
         result=result,
@@ -249,10 +239,8 @@ def autocorrelation(time: Array, residual: Array) -> dict[str, Array]:
     }
 
 
-def statistics_by_speed(
-    qd: Array, residual: Array, friction: Array
-) -> dict[str, Array]:
-    """Return statistics of residual and friction in S = ``SPEED_BINS`` bins of a joint's velocity.
+def means_by_speed(qd: Array, residual: Array, friction: Array) -> dict[str, Array]:
+    """Return means of speed and friction in S = ``SPEED_BINS`` bins of a joint's velocity.
 
     The bins of a joint span plus and minus its largest speed.
 
@@ -262,33 +250,22 @@ def statistics_by_speed(
         friction: (K, n) predicted friction torque [N m].
 
     Returns:
-        Each name in ``BY_SPEED`` to its statistic (n, S), see ``ReportData``; NaN in a bin of fewer
-        than ``_LEAST_IN_BIN`` samples. Samples whose residual is NaN do not count.
+        Each name in ``BY_SPEED`` to its mean (n, S), see ``ReportData``; NaN in a bin of fewer than
+        ``_LEAST_IN_BIN`` samples. Samples whose residual is NaN do not count.
     """
-    statistics = np.full((len(BY_SPEED), qd.shape[1], SPEED_BINS), np.nan)
+    # In the order of BY_SPEED.
+    signals = np.stack((qd, friction + residual, friction))
+    means = np.full((len(BY_SPEED), qd.shape[1], SPEED_BINS), np.nan)
     for joint in range(qd.shape[1]):
-        is_used = np.isfinite(residual[:, joint])
-        speed = qd[is_used, joint]
-        residuals = residual[is_used, joint]
-        frictions = friction[is_used, joint]
+        used_signals = signals[:, np.isfinite(residual[:, joint]), joint]
+        speed = used_signals[0]
         fastest = float(np.max(np.abs(speed), initial=0.0)) or 1.0
         edges = np.linspace(-fastest, fastest, SPEED_BINS + 1)
         bins = np.clip(np.digitize(speed, edges) - 1, 0, SPEED_BINS - 1)
         bin_sizes = np.bincount(bins, minlength=SPEED_BINS)
         for k in np.flatnonzero(bin_sizes >= _LEAST_IN_BIN):
-            in_bin = bins == k
-            mean_speed = np.mean(speed[in_bin])
-            mean_residual = np.mean(residuals[in_bin])
-            mean_friction = np.mean(frictions[in_bin])
-            # In the order of BY_SPEED.
-            statistics[:, joint, k] = (
-                mean_speed,
-                mean_residual,
-                np.std(residuals[in_bin]),
-                mean_residual + mean_friction,
-                mean_friction,
-            )
-    return dict(zip(BY_SPEED, statistics))
+            means[:, joint, k] = np.mean(used_signals[:, bins == k], axis=1)
+    return dict(zip(BY_SPEED, means))
 
 
 @dataclass(frozen=True)
