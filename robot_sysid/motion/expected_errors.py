@@ -61,7 +61,7 @@ from robot_sysid.motion.prediction import (
     parameter_sizes,
 )
 from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.records import Array, Measurement, MotionPlan, SquareRootInformation
+from robot_sysid.records import Array, MotionPlan, SquareRootInformation
 from robot_sysid.records.messages import percent
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
@@ -118,6 +118,11 @@ class RecordingPlan:
     def is_payload(self) -> bool:
         """Whether a payload is identified, by the difference of recordings without and with it."""
         return self.target == "payload"
+
+    @property
+    def simulated_rate(self) -> float:
+        """Rate at which the motion is simulated and processed [Hz]."""
+        return min(self.sample_rate, HIGHEST_RATE_HZ)
 
 
 def prior_knowledge(
@@ -410,8 +415,14 @@ def _processed_motion(
     Raises:
         InputError: the motion cannot be processed as a log.
     """
-    rate = min(recording.sample_rate, HIGHEST_RATE_HZ)
-    pieces = [Piece("", _simulated_recording(problem, plan, rate))]
+    rate = recording.simulated_rate
+    if sample_count(plan.duration, rate) > MOST_SAMPLES:
+        raise InputError(
+            f"only motions up to {MOST_SAMPLES / rate:.0f} s are processed beforehand"
+        )
+    chunks = simulate_inverse(problem.robot, motion_chunks(plan, rate))
+    samples = replace(join_measurements(chunks), qd=None, qdd=None)
+    pieces = [Piece("", samples)]
     (dataset,), _ = low_pass_recordings(problem.robot, pieces, recording.options)
     return dataset
 
@@ -449,8 +460,8 @@ def _row_noise(
     """
     assert dataset.signals is not None
     low_pass = dataset.signals.low_pass
-    rate = min(recording.sample_rate, HIGHEST_RATE_HZ)
-    sigma = problem.sigma * np.sqrt(rate / recording.sample_rate)
+    rate_ratio = recording.simulated_rate / recording.sample_rate
+    sigma = problem.sigma * np.sqrt(rate_ratio)
     filtered_sigma = sigma * np.sqrt(np.sum(low_pass.kernel**2))
     density = sigma / np.sqrt(low_pass.step)
     unmodelled = UNMODELLED_TORQUE * torque if recording.is_payload else 0.0
@@ -528,20 +539,6 @@ def friction_lines(
                 listed.append(f"{joint} {errors[name]:.2g}")
         title = f"{term.capitalize()} friction will be known to ±"
         yield f"{title} {', '.join(listed)} {unit}"
-
-
-def _simulated_recording(
-    problem: ExcitationProblem, plan: MotionPlan, rate: float
-) -> Measurement:
-    """Return a recording of the motion at a rate [Hz] as the model predicts it, without noise;
-    raises InputError for more than ``MOST_SAMPLES`` samples.
-    """
-    if sample_count(plan.duration, rate) > MOST_SAMPLES:
-        raise InputError(
-            f"only motions up to {MOST_SAMPLES / rate:.0f} s are processed beforehand"
-        )
-    chunks = simulate_inverse(problem.robot, motion_chunks(plan, rate))
-    return replace(join_measurements(chunks), qd=None, qdd=None)
 
 
 def _link_mass_errors(

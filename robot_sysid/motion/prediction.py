@@ -210,9 +210,8 @@ def _error_lines(prediction: Prediction) -> Iterator[str]:
     mass, centre = prediction.errors_of(prediction.covariance)
     causes = prediction.errors_by_cause()
     if np.isfinite(mass):
-        cause = max(causes, key=lambda cause: cause[1])[0]
         share = percent(mass / prediction.size[0])
-        yield f"  mass ± {mass:.2g} kg ({share}), limited by {cause}"
+        yield f"  mass ± {mass:.2g} kg ({share}), limited by {causes[0][0]}"
     if np.isfinite(centre):
         cause = max(causes, key=lambda cause: cause[2])[0]
         yield f"  centre of mass ± {1e3 * centre:.2g} mm, limited by {cause}"

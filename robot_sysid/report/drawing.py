@@ -226,7 +226,7 @@ def _draw(drawing: Drawing) -> Any:
         # Fixed places are found faster than those beside the ticks' labels.
         axes.xaxis.set_label_coords(0.5, -1.4 * _LINE / height)
         handles, texts = axes.get_legend_handles_labels()
-        handle_of = {**dict(zip(texts, handles)), **handle_of}
+        handle_of = dict(zip(texts, handles)) | handle_of
     left = 1.6 * _LINE + _GAP + max(label_widths)
     width = (WIDTH - _LINE) / n_columns - left
     for axes in figure.axes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -77,9 +78,8 @@ def joint_lines(result: Result) -> Iterator[str]:
     owners = dict(result.joints)
     for name, motor in result.couplings.items():
         owners[f"motor that turns with {name}"] = motor
-    terms: dict[str, None] = {}
-    for joint in owners.values():
-        terms.update(dict.fromkeys(joint.terms))
+    terms_of_owners = [joint.terms for joint in owners.values()]
+    terms = list(dict.fromkeys(itertools.chain(*terms_of_owners)))
     if not terms:
         return
     slides = result.robot.slides
