@@ -45,8 +45,6 @@ _LINE_WIDTH = 98
 """Largest number of characters in a line of payload_card.txt, apart from the numbers to copy."""
 NOT_KNOWN = "Inertia not known: a ball of aluminium of that mass stands in its place."
 """Note of a card whose inertia the data does not determine."""
-_PLAIN = "payload"
-"""Name of the card that states the numbers for no particular controller."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +108,7 @@ def card_text(
     """Return the text of payload_card.txt: the payload with its errors, then the chosen cards.
 
     Args:
-        cards: cards that ``payload_cards`` returned.
+        cards: all cards that ``payload_cards`` returned, in their order.
         payload: the payload that they state.
         robot: the arm, whose names tell the controller.
         choice: of ``controllers.CHOICES``; ``AUTO`` for the arm's own controller.
@@ -122,14 +120,12 @@ def card_text(
         f"Payload of {mass}, identified with {robot.path.name} from {len(recordings['empty'])} "
         f"empty and {len(recordings['loaded'])} loaded recordings."
     ]
+    plain_card, *form_cards = cards
+    comments = _comments(*plain_card.notes, plain_card.explanation)
+    blocks.append("\n".join([plain_card.text, *comments]))
     controllers, remark = _chosen_controllers(robot, choice)
-    chosen_forms = [form.name for form in FORMS if form.controller in controllers]
-    for card in cards:
-        if card.name == _PLAIN:
-            blocks.append(
-                "\n".join([card.text, *_comments(*card.notes, card.explanation)])
-            )
-        elif card.name in chosen_forms:
+    for form, card in zip(FORMS, form_cards):
+        if form.controller in controllers:
             comments = _comments(card.explanation, *card.notes)
             blocks.append("\n".join([f"== {card.title} ==", *comments, card.text]))
     if remark:
@@ -365,7 +361,7 @@ def _plain_card(groups: Mapping[str, Any], flange: Flange, body: BodyEstimate) -
         "numbers for ones in the frame of ITS flange: where that is another one, give --flange."
     )
     text = "\n".join(lines)
-    return Card(_PLAIN, "Payload", explanation, values, text, tuple(notes))
+    return Card("payload", "Payload", explanation, values, text, tuple(notes))
 
 
 def _number_with_error(value: float, error: float) -> str:
