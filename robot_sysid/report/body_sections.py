@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from operator import itemgetter
 
 import numpy as np
 
@@ -22,13 +21,12 @@ from robot_sysid.records import Array
 from robot_sysid.records.file_access import CARD_NAME
 from robot_sysid.records.messages import PARAMETER_UNITS, percent, with_error
 from robot_sysid.report.drawing import SERIES, Boxes, Drawing, Panel, Points
-from robot_sysid.report.runs import Body, Run, number
+from robot_sysid.report.runs import Body, Run
 from robot_sysid.report.sections import (
     Block,
     Figure,
     Section,
     Table,
-    cells,
     plus_minus,
     table,
     text,
@@ -51,8 +49,6 @@ _MARKS = {
 }
 """Version of the parameters, see ``Body.thetas``, to (vertical offset from the identified value in
 rows, colour and marker)."""
-_YES_OR_NO = {True: "yes", False: "no"}
-"""Text of a truth value in a cell of a table."""
 _CAUSE_TEXTS = {
     "noise": "noise of the recorded torques",
     "links": "uncertainty of the other links' numbers, which start from the model's",
@@ -320,8 +316,9 @@ def visibility(run: Run) -> Section:
         for base_parameter in base:
             # The keys of each object are written in the order of the table's columns.
             combination, value, error, is_essential = base_parameter.values()
-            value_cells = cells(number(value), number(error))
-            base_rows.append((combination, *value_cells, _YES_OR_NO[is_essential]))
+            value_cells = (text(value, error), plus_minus(error))
+            yes_or_no = "yes" if is_essential else "no"
+            base_rows.append((combination, *value_cells, yes_or_no))
         tables.append(table(header, base_rows))
     if sensors:
         sensor_rows = zip(sensors, itertools.starmap(with_error, sensors.values()))
@@ -417,12 +414,11 @@ def scatter(run: Run) -> Section | None:
     header = ("recording", "kind", "mass [kg]", "± noise alone [kg]", "± all [kg]")
     rows = []
     for recording in payload["scatter"]:
-        mass, noise, error = map(
-            number, itemgetter("mass", "noise_error", "error")(recording)
-        )
-        pair = cells(mass, noise)
         side = "loaded" if recording["is_loaded"] else "empty"
-        rows.append((recording["name"], side, *pair, plus_minus(error)))
+        noise = recording["noise_error"]
+        mass = text(recording["mass"], noise)
+        error_texts = (plus_minus(noise), plus_minus(recording["error"]))
+        rows.append((recording["name"], side, mass, *error_texts))
     explanation = (
         "Mass of the payload according to each recording against all of the other kind. If one "
         "recording says something else than the others, it was made with another payload, or "

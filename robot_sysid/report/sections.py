@@ -106,14 +106,12 @@ def text(value: Any, error: float | None = None) -> str:
     return number_text(float(value), error)
 
 
-def plus_minus(error: float) -> str:
-    """Return a standard error as text of a table cell, with the digits of a standard error."""
-    return number_text(error, error)
+def plus_minus(error: float | None) -> str:
+    """Return a standard error as text of a table cell, with the digits of a standard error.
 
-
-def cells(value: float, error: float) -> tuple[str, str]:
-    """Return (text of a number, text of its standard error), the texts of two table cells."""
-    return text(value, error), plus_minus(error)
+    "not known" for None, NaN or infinity.
+    """
+    return "not known" if error is None else number_text(error, error)
 
 
 def table(
