@@ -19,7 +19,7 @@ from robot_sysid.results.parameter_table import (
     table_lines,
     theta_rows,
 )
-from robot_sysid.results.record import Quantity
+from robot_sysid.results.record import JointEstimate, Quantity
 from tests.support import results as made
 
 NUMBERS = st.floats(1e-9, 1e3) | st.floats(-1e3, -1e-9)
@@ -114,7 +114,10 @@ def test_viscous_friction_of_a_slide_has_the_unit_of_a_force():
 
 
 def test_a_simulation_of_the_model_itself_states_no_errors():
-    assert [row.error for row in parameter_rows(made.itself())] == [None] * 12
+    joint = JointEstimate("coulomb-viscous", {}, made.MODEL_FRICTION["j6"])
+    for joints in ({}, {"j6": joint}):
+        rows = parameter_rows(made.itself(joints=joints))
+        assert [row.error for row in rows] == [None] * 12
 
 
 def test_a_payload_has_mass_centre_of_mass_and_inertia_about_it():
