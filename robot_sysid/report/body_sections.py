@@ -158,14 +158,14 @@ def _parameter_table(body: Body) -> Table:
 def _budget_table(body: Body) -> Table:
     """Return the table of the share of each cause in the variance of each parameter of a body."""
     shares = _variance_shares(body)
-    shown = {c: share for c, share in shares.items() if np.max(share) >= _MIN_SHARE}
+    large = {c: share for c, share in shares.items() if np.max(share) >= _MIN_SHARE}
     rows = []
     for k, label in enumerate(PARAMETER_NAMES):
-        percentages = [f"{100.0 * share[k]:.0f} %" for share in shown.values()]
+        percentages = [f"{100.0 * share[k]:.0f} %" for share in large.values()]
         rows.append((label, *percentages))
     title = f"{body.title}: what each parameter's error comes from, in shares of its variance"
-    explanations = [f"{c}: {_CAUSE_TEXTS[c]}" for c in shown if c in _CAUSE_TEXTS]
-    return table(("", *shown), rows, f"{'; '.join(explanations)}.", title)
+    explanations = [f"{c}: {_CAUSE_TEXTS[c]}" for c in large if c in _CAUSE_TEXTS]
+    return table(("", *large), rows, f"{'; '.join(explanations)}.", title)
 
 
 def largest_cause_text(body: Body) -> str:
@@ -239,10 +239,12 @@ def _version_marks(versions: Mapping[str, Array], errors: Array) -> list[Points]
         if version in versions:
             values = versions[version]
             marks.append(Points(values, rows + shift, colour, version, shape))
-    known = np.where(np.isfinite(errors), errors, 0.0)
+    bars = np.where(np.isfinite(errors), errors, 0.0)
     identified = versions["after"]
-    bars = Points(identified, rows, "after", "after ±", "o", known, is_filled=True)
-    return [*marks, bars]
+    marks.append(
+        Points(identified, rows, "after", "after ±", "o", bars, is_filled=True)
+    )
+    return marks
 
 
 def _budget_figure(body: Body, name: str) -> Figure:

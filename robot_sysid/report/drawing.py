@@ -301,8 +301,8 @@ def _set_ticks(axes: Any, panel: Panel, width: float, height: float) -> float:
     from matplotlib.ticker import MaxNLocator
 
     sizes = (0.75 * width, height)
-    for axis, size, room in zip((axes.xaxis, axes.yaxis), sizes, _TICK_ROOM):
-        locator = MaxNLocator(max(2, round(size / room)), steps=(1, 2, 2.5, 5, 10))
+    for axis, size, least_gap in zip((axes.xaxis, axes.yaxis), sizes, _TICK_ROOM):
+        locator = MaxNLocator(max(2, round(size / least_gap)), steps=(1, 2, 2.5, 5, 10))
         low, high = axis.get_view_interval()
         values = locator.tick_values(low, high)
         # Ticks outside would be made and not be drawn.
