@@ -194,10 +194,10 @@ def weighing_words(
         scales: option and value of the scales to begin with.
     """
     folder = run.folder / "torque_scale"
-    words = ["payload", run.model, *run.arm, *run.log, "--empty", *run.empty]
-    words += ["--loaded", str(recording), "--known-mass", "1", *scales]
-    words += ["--save-torque-scale", str(folder / _SCALE_NAME)]
-    return [*words, "--output-dir", str(folder)]
+    arguments = ["payload", run.model, *run.arm, *run.log, "--empty", *run.empty]
+    arguments += ["--loaded", str(recording), "--known-mass", "1", *scales]
+    arguments += ["--save-torque-scale", str(folder / _SCALE_NAME)]
+    return [*arguments, "--output-dir", str(folder)]
 
 
 def _step_after_calibration(run: RunWords) -> NextStep | None:
@@ -230,18 +230,18 @@ def _plan_step(sentence: str, run: RunWords, purpose: str = "link") -> NextStep:
         run: the run that the step follows, with the model to plan with.
         purpose: of the motion, as in ``--for``.
     """
-    words = ["plan", run.model, *run.arm]
+    arguments = ["plan", run.model, *run.arm]
     if run.plan is not None:
-        words += ["--config", str(run.plan)]
+        arguments += ["--config", str(run.plan)]
     if run.plan is not None or purpose != "link":
-        words += ["--for", purpose]
+        arguments += ["--for", purpose]
     folder = run.folder / ("weighing" if purpose == "payload" else "planned")
-    return _step(sentence, *words, "--output-dir", str(folder))
+    return _step(sentence, *arguments, "--output-dir", str(folder))
 
 
-def _step(sentence: str, *words: str) -> NextStep:
+def _step(sentence: str, *arguments: str) -> NextStep:
     """Return the step that a command does, of which the words behind the program's name follow."""
-    return NextStep(sentence, ("robot-sysid", *words))
+    return NextStep(sentence, ("robot-sysid", *arguments))
 
 
 def step_after_plan(
@@ -299,13 +299,13 @@ def step_after_recording(
         is_static: whether the motion rests at poses.
         sentence: what to do.
     """
-    words = ["identify", *(run.origin or [run.model]), str(recording)]
+    arguments = ["identify", *(run.origin or [run.model]), str(recording)]
     if purpose == "payload":
         names = PAYLOAD_RECORDINGS
         first, second, third, last = (str(recording.with_name(n)) for n in names)
-        words = ["payload", run.model, "--empty", first, last]
-        words += ["--loaded", second, third, "--order", PAYLOAD_ORDER]
-        words += ["--static"] if is_static else []
-    words += ["--links"] if purpose == "arm" else []
+        arguments = ["payload", run.model, "--empty", first, last]
+        arguments += ["--loaded", second, third, "--order", PAYLOAD_ORDER]
+        arguments += ["--static"] if is_static else []
+    arguments += ["--links"] if purpose == "arm" else []
     logs = (*run.arm, *run.log)
-    return _step(sentence, *words, *logs, "--output-dir", str(run.folder))
+    return _step(sentence, *arguments, *logs, "--output-dir", str(run.folder))

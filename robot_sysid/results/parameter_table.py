@@ -197,12 +197,12 @@ def _number_rows(
         errors: (10,) standard errors of the identified numbers; one of zero counts as not stated.
         shares: (10,) shares of the identified numbers that the data determines.
     """
-    before: list[float | None] = [None] * len(errors)
+    priors: list[float | None] = [None] * len(errors)
     if body.prior is not None:
-        before = without_rounding(values_of(body.prior), scale).tolist()
-    after = without_rounding(values_of(body.inertial), scale).tolist()
+        priors = without_rounding(values_of(body.prior), scale).tolist()
+    values = without_rounding(values_of(body.inertial), scale).tolist()
     stated_errors = [error or None for error in errors.tolist()]
-    columns = (labels, before, after, stated_errors, units, shares.tolist())
+    columns = (labels, priors, values, stated_errors, units, shares.tolist())
     return list(map(BeforeAfter, *columns))
 
 
@@ -228,9 +228,9 @@ def friction_rows(
     """
     for term, (value, error) in terms.items():
         label = TERM_LABELS.get(term, f"friction {term}")
-        before = model_terms.get(term)
+        prior = model_terms.get(term)
         unit = term_unit(term, is_slide)
-        yield BeforeAfter(label, before, value, error or None, unit)
+        yield BeforeAfter(label, prior, value, error or None, unit)
 
 
 def _terminal_friction_rows(result: Result) -> Iterator[BeforeAfter]:
