@@ -15,7 +15,12 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.dynamics.equations import names_of, split_name
-from robot_sysid.dynamics.friction import Coupling, FrictionModel, friction_model
+from robot_sysid.dynamics.friction import (
+    NONLINEAR_DAMPING,
+    Coupling,
+    FrictionModel,
+    friction_model,
+)
 from robot_sysid.estimation.algebra.priors import LinkScales
 from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.choices import IN_FILE, WITH_POLYNOMIAL, posterior_of
@@ -253,25 +258,42 @@ def _add_polynomials(
     trial = replace(choice, friction=polynomials)
     unknowns = fit.evidence.unknowns(columns, question, choice)
     trial_unknowns = fit.evidence.unknowns(columns, question, trial)
+    speed_limits = columns.robot.limits.velocity
     # Squared errors (blocks, joints).
-    speeds = [np.max(np.abs(data.motion.qd), axis=0) for data in columns.datasets]
-    is_covered = np.max(speeds, axis=0) > COVERED * columns.robot.limits.velocity
     errors = judge.squared_errors(unknowns)
     trial_errors = judge.squared_errors(trial_unknowns)
     friction = list(choice.friction)
     for row, joint in enumerate(columns.joint_indices):
         is_better = is_clearly_lower(trial_errors[:, row], errors[:, row])
-        if is_better and is_covered[joint]:
+        if is_better and _top_speed(fit, row) > COVERED * speed_limits[joint]:
             friction[joint] = polynomials[joint]
     return replace(choice, friction=tuple(friction))
+
+
+def _top_speed(fit: Fit, row: int) -> float:
+    """Return the speed of the fastest rows of a joint, (sum qd^6 / sum qd^4)^0.5 [rad/s].
+
+    It is 0.91 of the peak of a sine. Recordings that are only known by their information have it,
+    too. ``row`` is the joint's index among those that have equations.
+    """
+    information = fit.evidence.total.joints[row]
+    squares = np.sum(information.triangle[:, :-1] ** 2, axis=0)
+    joint = fit.columns.joints[row]
+    sums = {}
+    for term in NONLINEAR_DAMPING:
+        is_term = information.columns == fit.columns.index[f"{term}[{joint}]"]
+        sums[term] = float(np.sum(squares[is_term]))
+    if sums["quadratic"] == 0.0:
+        return 0.0
+    return float(np.sqrt(sums["cubic"] / sums["quadratic"]))
 
 
 SCALES = (1.0, 2.0, 4.0, 8.0, 16.0)
 """Factors that are tried on the uncertainty of all links but the terminal one; 16 times the default
 of 5 % is nearly all of a link's parameters."""
-COVERED = 0.5
-"""Share of a joint's largest speed that recordings have to reach for nonlinear damping in a file:
-that of a slow log is another law of friction, and torques too large by half at full speed."""
+COVERED = 0.4
+"""Share of a joint's speed limit that ``_top_speed`` has to reach for nonlinear damping in a file:
+that of a slow log is another law of friction, and makes torques at full speed wrong by half."""
 AS_GOOD = 1.02
 """Ratio of squared errors up to which they count as equal: one per cent of the error."""
 CLEAR_OFFSET = 3.0

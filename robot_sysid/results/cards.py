@@ -149,7 +149,7 @@ def _chosen_controllers(robot: RobotModel, choice: str) -> tuple[Sequence[str], 
             f"The names in the arm's model fit {listed}, so each has a card. {remark}"
         )
     elif not titles:
-        remark = f"The names in the arm's model tell no controller. {remark}"
+        remark = f"No name in the arm's model is that of a known maker. {remark}"
     return keys, remark
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from robot_sysid.records.messages import (
@@ -14,7 +14,7 @@ from robot_sysid.records.messages import (
     with_error,
 )
 from robot_sysid.results.parameter_table import BeforeAfter, central_rows, table_lines
-from robot_sysid.results.record import HELD_NOTE, JointEstimate, Result
+from robot_sysid.results.record import HELD_NOTE, JointEstimate, Quantity, Result
 from robot_sysid.results.verdict import PRIOR_SHARE
 
 _LINE_WIDTH = 98
@@ -78,7 +78,11 @@ def joint_lines(result: Result) -> Iterator[str]:
     owners = dict(result.joints)
     for name, motor in result.couplings.items():
         owners[f"motor that turns with {name}"] = motor
+    written: Mapping[str, Mapping[str, Quantity]] = {}
+    if result.file is not None and result.verdict.writes_model:
+        written = result.file.joints
     terms_of_owners = [joint.terms for joint in owners.values()]
+    terms_of_owners += written.values()
     terms = list(dict.fromkeys(itertools.chain(*terms_of_owners)))
     if not terms:
         return
@@ -95,6 +99,9 @@ def joint_lines(result: Result) -> Iterator[str]:
         if joint.other_day_terms:
             cells = [_other_day_cell(term, joint) for term in terms]
             rows.append(["  on another day", *cells])
+        if name in written:
+            cells = [_file_cell(term, joint, written[name]) for term in terms]
+            rows.append(["  in the file", *cells])
     yield from _wide_lines(headings, rows)
     if any("(held)" in cell for row in rows for cell in row):
         yield f"  {HELD_NOTE}"
@@ -126,6 +133,18 @@ def _term_cell(term: str, joint: JointEstimate) -> str:
     prior = joint.model_terms.get(term)
     start = "" if prior is None else f"{number_text(prior)} -> "
     return f"{start}{quantity.text}"
+
+
+def _file_cell(term: str, joint: JointEstimate, written: Mapping[str, Quantity]) -> str:
+    """Return a friction term of the written file, "" where it is as in the table or missing."""
+    if term not in written:
+        return ""
+    value = written[term].value
+    if term not in joint.terms:
+        return number_text(value)
+    identified = joint.terms[term]
+    text = number_text(value, identified.error)
+    return "" if text == number_text(identified.value, identified.error) else text
 
 
 def _other_day_cell(term: str, joint: JointEstimate) -> str:

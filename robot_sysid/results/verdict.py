@@ -156,7 +156,9 @@ def _improvements(result: Result) -> Iterator[str]:
         shares = before_after_text(
             result.file.validation_before, result.file.validation_after
         )
-        yield f"torque error on held-out data {shares}"
+        # A payload is part of both models: the change is that of links and friction.
+        load = "" if result.payload is None else " with the payload"
+        yield f"torque error{load} on held-out data {shares}"
     if result.payload is not None and result.payload.known_mass is not None:
         yield "torque scales follow from the known mass"
         return

@@ -49,7 +49,7 @@ def test_masses_of_the_file_stand_beside_those_of_the_table_where_they_differ():
         assert [line.split()[-1] for line in lines[1:3]] == [text, "1.8000"]
     thetas[:, 0] = 2.0
     for changes in (
-        {"file": replace(file, thetas=thetas)},
+        {"file": replace(file, thetas=thetas, joints={})},
         {"file": None},
         {"verdict": Verdict.UNEXPLAINED},
     ):
@@ -75,6 +75,7 @@ def test_every_joint_and_shared_motor_has_its_terms_and_units():
     assert ("0.50000", "0.00050") in numbers_after(lines, "j5")
     assert "0.3 -> 0.50000 ± 0.00050" in lines[1]
     assert lines[2].split() == ["on", "another", "day", "±", "0.080"]
+    assert lines[3].split() == ["in", "the", "file", "0.45000", "0.25000"]
     assert "0.0500 ± 0.0020" in lines[-1] and "turns with j5+j6" in lines[-1]
 
 
