@@ -28,7 +28,7 @@ from robot_sysid.dynamics.equations import Equations, assemble_rows
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.least_squares import InformationAccumulator
 from robot_sysid.records import Array, Measurement, Motion, SquareRootInformation
-from robot_sysid.signals.process import ProcessedSignals, with_delay
+from robot_sysid.signals.process import ProcessedSignals, check_losses, with_delay
 
 Mask = NDArray[np.bool_]
 """Boolean mask of rows, True where a row is used."""
@@ -307,6 +307,7 @@ def decimated_equations(
     joint_indices = list(equations.joint_indices)
     usable = signals.usable()[:, joint_indices]
     if not np.any(usable):
+        check_losses([signals])
         raise InputError(
             f"none of the joints {', '.join(equations.joints)} moves faster than its velocity "
             "deadband for long enough; move faster, and turn round less often"

@@ -7,6 +7,7 @@ Shapes: n joints of the chain; K rows (instants of equations) of a recording; p 
 from __future__ import annotations
 
 import itertools
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -48,7 +49,12 @@ from robot_sysid.estimation.unknowns import WEIGHT, restrict_samples
 from robot_sysid.records import Array, Flange, Measurement, RobotModel
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.results.record import RecordingPayload
-from robot_sysid.signals.process import LogPiece, process
+from robot_sysid.signals.process import (
+    LogPiece,
+    ProcessedSignals,
+    check_losses,
+    process,
+)
 from robot_sysid.signals.repetition import find_visits
 
 AT_REST = FrictionModel(("offset",))
@@ -103,6 +109,7 @@ def low_pass_recordings(
             cutoffs.append(options.cutoff or log.choice.cutoff)
     low_passed = []
     notes: dict[str, dict[str, None]] = {}
+    processed: defaultdict[str, list[ProcessedSignals]] = defaultdict(list)
     for piece, log, required in zip(pieces, resampled, cutoffs):
         cutoff = options.cutoff
         reason = "as given"
@@ -111,8 +118,12 @@ def low_pass_recordings(
             reason = "as another recording asks for"
         with prefix_input_errors(piece.name):
             signals = process(log, robot.joint_names, cutoff, reason)
+        processed[piece.name].append(signals)
         low_passed.append(Dataset(piece.name, signals, piece.is_loaded, piece.order))
         notes.setdefault(piece.name, {}).update(dict.fromkeys(signals.notes))
+    for name, recordings in processed.items():
+        with prefix_input_errors(name):
+            check_losses(recordings)
     datasets = [without_standing(robot, dataset, options) for dataset in low_passed]
     return datasets, tuple(shared_notes(notes))
 

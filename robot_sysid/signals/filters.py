@@ -14,7 +14,7 @@ How other methods do on encoder data: benchmarks/differentiation_accuracy.py.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -136,6 +136,14 @@ class LowPass:
     def decimate(self, values: Array) -> Array:
         """Return (K, ...) filtered samples of values (N, ...), one per ``step`` samples."""
         return Decimator(self).push(values)
+
+    def weight_shares(self, is_marked: NDArray[np.bool_]) -> Array:
+        """Return (K, ...) the share of each decimated sample's weight that lies on marked samples
+        (N, ...).
+        """
+        weight = np.abs(self.kernel)
+        averaging = replace(self, kernel=weight / np.sum(weight))
+        return averaging.decimate(is_marked.astype(float))
 
     def centres(self, n_samples: int) -> NDArray[np.int64]:
         """Return the indices (K,) of the input samples, of ``n_samples``, at the instants of the

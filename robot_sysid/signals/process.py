@@ -32,13 +32,14 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, Motion
-from robot_sysid.records.messages import Detail
+from robot_sysid.records.messages import Detail, percent
 from robot_sysid.signals.cutoff import (
     CutoffChoice,
     Spectra,
     acceleration_noise,
     acceleration_spectra,
     choose_cutoff,
+    longest_bridged_hole,
     quantisation_error,
 )
 from robot_sysid.signals.filters import (
@@ -53,20 +54,25 @@ from robot_sysid.signals.filters import (
     second_derivative,
     shift_samples,
 )
-from robot_sysid.signals.resampling import UniformSignals, resample_uniformly
+from robot_sysid.signals.resampling import (
+    SHORTEST_PIECE,
+    UniformSignals,
+    resample_uniformly,
+)
 
 LARGEST_SLOW_SHARE = 0.07
-"""Share of the filter's weight that samples inside the deadband may have in a row that is used;
-benchmarks/reversal_masking.py compares it with others."""
+"""Share of the filter's weight that samples inside the deadband, or in long holes of the log, may
+have in a row that is used; benchmarks/reversal_masking.py compares it with others."""
 DEADBAND_SHARE = 0.005
 """Deadband over a joint's peak speed: below it the joint has hardly left stiction (chosen)."""
 LEAST_DIRECTION_SHARE = 0.05
 """Share of the samples in each direction below which a joint is reported (chosen)."""
 _LEAST_DEADBAND = 1e-3
 """Least deadband [rad/s]: encoder noise alone can look like this speed."""
-_HARMLESS_GAP = 0.25
-"""Longest hole, as a share of the cut-off's period, that splines bridge to 0.01 rad/s^2
-(tests/signals/test_process.py)."""
+_LONGEST_HOLE_STEPS = 5.5
+"""Longest hole in the log, in sampling periods, that a spline bridges: noise of the samples around
+four lost ones is at most three times the usual noise in a row over them, and grows with the
+square of their number (tests/signals/test_process.py)."""
 _RIPPLE_SHARE = 0.0045
 """Ripple of the position filter's pass band over the relative noise of the acceleration. With this
 ratio the error of a result by the ripple is small beside its error by noise; it is the ratio of the
@@ -83,6 +89,8 @@ _CORNER_RATIO = 20.0
 fourteen shows a corner of the motion: a jump of a higher derivative."""
 _LEAST_CLEAN_SHARE = 0.5
 """Least share of the log that has to be free of corners for positions to pass no filter."""
+_NOTED_SHARE = 0.05
+"""Share of the rows lost beside holes or corners above which that is printed (chosen)."""
 SEPARATION = 6.0
 """Difference of two readings, in standard deviations of their noise, beyond which they do not
 differ by chance. For readings that are rounded to steps this is between one step and two
@@ -234,12 +242,10 @@ class ProcessedSignals:
         """Return (K, n) the share of each decimated row's weight that lies on samples inside the
         deadband, or on samples at which a joint stands as it turns round.
         """
-        weight = np.abs(self.low_pass.kernel)
-        weight_filter = replace(self.low_pass, kernel=weight / weight.sum())
         is_slow = np.less(np.abs(self.qd), self.deadband)
         for joint in self.standing:
             is_slow[:, joint] |= self.turning[:, joint]
-        return weight_filter.decimate(is_slow)
+        return self.low_pass.weight_shares(is_slow)
 
     def one_way_joints(self, joint_names: Sequence[str]) -> Iterator[str]:
         """Yield a sentence per joint that hardly moves in one of its two directions."""
@@ -256,15 +262,17 @@ class ProcessedSignals:
 
     def usable(self) -> NDArray[np.bool_]:
         """Return (K, n) whether each decimated row of each joint may be used: the filter's window
-        holds no bridged sample and little weight of slow or standing samples.
+        holds little weight of slow or standing samples, and the row is complete.
         """
         moving = self.slow_share() <= LARGEST_SLOW_SHARE
-        # Number of bridged samples before each sample: equal at both ends of a window without any.
-        holes = np.concatenate(([0], np.cumsum(self.bridged)))
-        half = self.low_pass.half_width
-        first = self.low_pass.centres(len(self)) - half
-        is_complete = holes[first + 2 * half + 1] == holes[first]
-        return moving & is_complete[:, None]
+        return moving & self.is_complete()[:, None]
+
+    def is_complete(self) -> NDArray[np.bool_]:
+        """Return (K,) whether the filter's window of each decimated row holds next to no weight of
+        bridged samples, and none at all in motion without noise, which is differentiated exactly.
+        """
+        largest_share = 0.0 if self.is_noiseless else LARGEST_SLOW_SHARE
+        return self.low_pass.weight_shares(self.bridged) <= largest_share
 
 
 @dataclass(frozen=True)
@@ -344,10 +352,10 @@ def process(
         position_filter, reach = _position_filter(low_pass, uniform, piece.spectra)
     q = position_filter.filter(uniform.q)
     lost = position_filter.half_width + reach
-    # The low-passed motion at each sample depends on samples up to ``lost`` away.
-    width = 2 * lost + 1
-    holes = np.concatenate(([0], np.cumsum(uniform.gap > _HARMLESS_GAP / cutoff)))
-    bridged = holes[width:] > holes[:-width]
+    longest_hole = min(
+        longest_bridged_hole(piece.spectra), _LONGEST_HOLE_STEPS / uniform.rate
+    )
+    is_hole = uniform.gap > longest_hole
     qd = first_derivative(q, uniform.rate, reach)
     qdd = second_derivative(q, uniform.rate, reach)
     peak_speed = np.max(np.abs(qd), axis=0)
@@ -364,7 +372,7 @@ def process(
         qdd=qdd,
         # A view would keep the torque of the whole log.
         tau=uniform.tau[lost:-lost].copy(),
-        bridged=bridged if corners is None else bridged | corners,
+        bridged=_bridged(is_hole, corners, position_filter, reach),
         deadband=np.maximum(DEADBAND_SHARE * peak_speed, _LEAST_DEADBAND),
         turning=turning,
         low_pass=low_pass,
@@ -372,7 +380,11 @@ def process(
         notes=(),
         acceleration_error=expected_error,
     )
-    notes = (*uniform.notes, Detail(reason), *_notes(signals, joint_names))
+    obstacle = "jumps of the acceleration"
+    if np.any(is_hole):
+        obstacle = f"lost samples (gaps of more than {1e3 * longest_hole:.3g} ms)"
+    row_notes = _notes(signals, joint_names, obstacle)
+    notes = (*uniform.notes, Detail(reason), *row_notes)
     return replace(signals, notes=notes)
 
 
@@ -452,6 +464,30 @@ def _corners(uniform: UniformSignals, low_pass: LowPass) -> NDArray[np.bool_] | 
     return corners if np.mean(is_clean) >= _LEAST_CLEAN_SHARE else None
 
 
+def _bridged(
+    is_hole: NDArray[np.bool_],
+    corners: NDArray[np.bool_] | None,
+    position_filter: LowPass,
+    reach: int,
+) -> NDArray[np.bool_]:
+    """Return where the motion comes from samples in holes, or across corners of motion without
+    noise.
+
+    Args:
+        is_hole: (N,) whether a sample lies in a long hole of the log.
+        corners: (N - 2 reach,) where motion without noise has corners; None where it has noise.
+        position_filter: the filter of positions.
+        reach: of the derivatives [samples].
+    """
+    if corners is None:
+        every_sample = replace(position_filter, step=1)
+        shares = every_sample.weight_shares(is_hole)
+        return shares[reach : len(shares) - reach] > LARGEST_SLOW_SHARE
+    # Nothing damps what a derivative makes of a wrong sample.
+    near_hole = np.convolve(is_hole, np.ones(2 * reach + 1), "valid") > 0.0
+    return corners | near_hole
+
+
 def _position_filter(
     low_pass: LowPass, uniform: UniformSignals, spectra: Spectra | None
 ) -> tuple[LowPass, int]:
@@ -485,11 +521,19 @@ def _fewest_samples(low_pass: LowPass) -> int:
     return 4 * low_pass.half_width + 2 * REACH + 10 * low_pass.step
 
 
-def _notes(signals: ProcessedSignals, joint_names: Sequence[str]) -> Iterator[str]:
+def _notes(
+    signals: ProcessedSignals, joint_names: Sequence[str], obstacle: str
+) -> Iterator[str]:
     """Yield sentences for the user on the rows of processed signals; a ``Detail`` is printed on
     demand only.
+
+    Args:
+        signals: the processed signals.
+        joint_names: numbers stand for joints without a name.
+        obstacle: what rows that are not complete lie next to.
     """
     usable = signals.usable()
+    is_complete = signals.is_complete()
     lost = signals.low_pass.half_width + signals.position_filter.half_width + REACH
     yield Detail(
         f"signals at {signals.rate:.6g} Hz, decimated to "
@@ -500,10 +544,38 @@ def _notes(signals: ProcessedSignals, joint_names: Sequence[str]) -> Iterator[st
         yield Detail(
             "positions have no noise: they are differentiated without a low-pass"
         )
-    for joint, share in enumerate(np.mean(usable, axis=0)):
+    missing = 1.0 - np.mean(is_complete)
+    if missing > 0.0:
+        note = (
+            f"{percent(missing)} of the rows lie next to {obstacle}, and are not used"
+        )
+        yield note if missing > _NOTED_SHARE else Detail(note)
+    if missing == 1.0:
+        return
+    rows = "rows" if missing == 0.0 else "other rows"
+    for joint, share in enumerate(np.mean(usable[is_complete], axis=0)):
         name = joint_names[joint] if joint < len(joint_names) else str(joint + 1)
         if share < 0.5:
             yield (
-                f"only {100 * share:.0f} % of the rows of joint {name} are used: in the others it "
-                f"is slower than its velocity deadband of {signals.deadband[joint]:.2g} rad/s"
+                f"only {100 * share:.0f} % of the {rows} of joint {name} are used: otherwise it is "
+                f"slower than its velocity deadband of {signals.deadband[joint]:.2g} rad/s"
             )
+
+
+def check_losses(recordings: Sequence[ProcessedSignals]) -> None:
+    """Raise InputError where lost samples spoil most rows of a log's pieces, and the others last
+    less than ``SHORTEST_PIECE``.
+    """
+    used_time = 0.0
+    entire_time = 0.0
+    for signals in recordings:
+        is_complete = signals.is_complete()
+        period = signals.low_pass.step / signals.rate
+        used_time += np.count_nonzero(is_complete) * period
+        entire_time += len(is_complete) * period
+    if used_time < min(SHORTEST_PIECE, 0.5 * entire_time):
+        raise InputError(
+            f"only {used_time:.2g} s of {entire_time:.3g} s are free of lost samples, which is too "
+            "little for an estimate; record without losses, for example on the computer that "
+            "controls the arm"
+        )

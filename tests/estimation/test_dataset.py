@@ -69,6 +69,9 @@ def test_rows_are_at_the_decimated_instants_and_unusable_ones_are_masked(
     at_rest = replace(signals, deadband=np.full(3, 1e3))
     with pytest.raises(InputError, match="velocity deadband for long enough"):
         decimated_equations(equations, at_rest)
+    without_samples = replace(signals, bridged=np.ones_like(signals.bridged))
+    with pytest.raises(InputError, match="free of lost samples"):
+        decimated_equations(equations, without_samples)
 
 
 @pytest.mark.parametrize("torques", ["chain", "terminal"])

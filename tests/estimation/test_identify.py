@@ -22,7 +22,7 @@ from robot_sysid.estimation.identify import (
     refit,
 )
 from robot_sysid.estimation.question import EstimationOptions
-from robot_sysid.records import Flange
+from robot_sysid.records import Flange, Measurement
 from robot_sysid.records.messages import Progress
 from tests.estimation.conftest import SIGMA
 from tests.support import arms
@@ -58,6 +58,16 @@ def test_all_logs_pass_the_lowest_cutoff_that_one_requires(plant, robot, noisy):
     _, notes = low_pass_recordings(robot, pieces, EstimationOptions())
     reasons = [note.split(" Hz ")[1] for note in notes if "cut-off" in note]
     assert [reason[:8] for reason in reasons] == ["as anoth", "chosen f"], notes
+
+
+def test_a_log_with_hardly_any_complete_rows_is_refused_by_name(robot, noisy):
+    is_kept = noisy.time % 0.3 > 0.12
+    damaged = Measurement(
+        noisy.time[is_kept], noisy.q[is_kept], None, noisy.tau[is_kept]
+    )
+    pieces = [Piece("complete", noisy), Piece("damaged", damaged)]
+    with pytest.raises(InputError, match="damaged: only .* free of lost samples"):
+        low_pass_recordings(robot, pieces, EstimationOptions())
 
 
 @pytest.mark.parametrize(
