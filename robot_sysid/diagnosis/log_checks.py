@@ -29,7 +29,12 @@ from robot_sysid.logs import CHECKS
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.messages import Progress, percent
-from robot_sysid.signals.process import LogPiece, ProcessedSignals, process
+from robot_sysid.signals.process import (
+    LogPiece,
+    ProcessedSignals,
+    check_losses,
+    process,
+)
 from robot_sysid.signals.resampling import sampling_period, slice_samples
 
 SHORTEST = 1.0
@@ -385,6 +390,9 @@ def low_pass(
         pieces: the log without gaps.
         cutoff: cut-off of the low-pass [Hz], lowered to ``CUTOFF_HZ`` where it is higher; None
             chooses one for each piece from the data.
+
+    Raises:
+        InputError: most rows lie next to lost samples.
     """
     signals = []
     for piece in _spread_windows(pieces):
@@ -395,6 +403,7 @@ def low_pass(
         deadband = np.zeros_like(processed.deadband)
         turning = np.zeros_like(processed.turning)
         signals.append(replace(processed, deadband=deadband, turning=turning))
+    check_losses(signals)
     return signals
 
 
