@@ -111,6 +111,9 @@ class Parser(argparse.ArgumentParser):
         The file's options are turned into command-line words and parsed, so that both have the
         same errors. A positional argument may come from either, so that this method makes all of
         them optional in this parser. Options that were not given are left out.
+
+        Where the command line has an output folder, files that the TOML file has saved go there:
+        they would replace those of the run that it repeats.
         """
         positionals = [a for a in self._actions if not a.option_strings]
         required = [action for action in positionals if action.required]
@@ -123,7 +126,11 @@ class Parser(argparse.ArgumentParser):
             values = vars(self.parse_args(file_arguments))
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        for key, value in vars(self.parse_args(arguments)).items():
+        given = vars(self.parse_args(arguments))
+        saved = [key for key in values if key.startswith("save_")]
+        for key in saved if "output_dir" in given else ():
+            values[key] = given["output_dir"] / Path(values[key]).name
+        for key, value in given.items():
             if value not in (None, []):
                 values[key] = value
         # A positional argument that was not given is None, or an empty list of many.

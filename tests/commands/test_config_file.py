@@ -93,3 +93,17 @@ def test_what_is_wrong_with_it_is_said_in_one_line(tmp_path, text, message):
     with pytest.raises(InputError) as error:
         parse_command(IDENTIFY, ["--config", str(file)])
     assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("folder", "path"),
+    [([], "old/plan.json"), (["--output-dir", "new"], "new/plan.json")],
+)
+def test_a_run_in_another_folder_replaces_no_file_of_the_run_that_it_repeats(
+    folder, path, tmp_path
+):
+    file = tmp_path / "plan.toml"
+    file.write_text('path = "arm.xml"\nsave_trajectory = "old/plan.json"\n')
+    arguments = ["--config", str(file), *folder]
+    values, _ = parse_command(partial(build_parser, "plan"), arguments)
+    assert values["save_trajectory"] == Path(path)
