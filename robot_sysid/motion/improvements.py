@@ -191,7 +191,7 @@ def identifiability_note(
     if recording.is_payload:
         return ""
     options = recording.options
-    mass_error, centre_error = _least_errors(problem, recording)
+    mass_error, centre_error = least_errors(problem, recording)
     prior = problem.robot.prior
     if not mass_error > LARGE_SHARE * prior.mass:
         return ""
@@ -207,7 +207,7 @@ def identifiability_note(
     )
 
 
-def _least_errors(
+def least_errors(
     problem: ExcitationProblem, recording: RecordingPlan
 ) -> tuple[float, float]:
     """Return the standard errors of the terminal link's mass [kg] and centre of mass [m] that the

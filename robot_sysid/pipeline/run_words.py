@@ -12,6 +12,7 @@ from robot_sysid.config import Config, PayloadConfig, SysidConfig
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
+from robot_sysid.motion import LimitOptions
 from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.pipeline import Identification
 from robot_sysid.records import Motion
@@ -23,11 +24,14 @@ from robot_sysid.records.file_access import (
     read_toml,
 )
 from robot_sysid.records.option_fields import (
+    TrajectoryOptions,
     command_arguments,
     given_arguments,
     immutable_value,
 )
 from robot_sysid.results.next_steps import WEIGHT_STEM, RunWords, weighing_words
+from robot_sysid.results.record import Result
+from robot_sysid.results.verdict import UNKNOWN
 
 READING = ("columns", "units", "torque_scale", "torque_constants", "topic")
 """Keys of the options that hold for every log of the same arm."""
@@ -45,6 +49,7 @@ def words_of_run(config: Config, identification: Identification) -> RunWords:
         config: options of the run.
         identification: its result, whose recorded motion may be a planned one.
     """
+    result = identification.result
     reading = list(READING)
     scales = config.log.torque_scale
     recordings = config.log.measurements
@@ -58,13 +63,14 @@ def words_of_run(config: Config, identification: Identification) -> RunWords:
             reading.remove("torque_scale")
     plan = None
     purpose = None
-    joint_names = identification.result.robot.joint_names
+    joint_names = result.robot.joint_names
     folders = [file.parent for file in _files(recordings)[:1]]
     for folder in (*folders, config.output.output_dir):
         if _is_planned(folder, joint_names, identification.checkpoints):
             plan, planned = plan_settings(folder) or (None, {})
             purpose = str(planned.get("for_", "link"))
             break
+    is_out_of_reach = purpose is None and is_mass_out_of_reach(config, result)
     return RunWords(
         model=str(config.model.path),
         arm=tuple(given_arguments(config.model)),
@@ -75,7 +81,33 @@ def words_of_run(config: Config, identification: Identification) -> RunWords:
         scales=None if scales is None else str(scales),
         plan=plan,
         plan_purpose=purpose,
+        is_out_of_reach=is_out_of_reach,
     )
+
+
+def is_mass_out_of_reach(config: Config, result: Result) -> bool:
+    """Return whether a log leaves the terminal link's mass unknown and so would any other motion,
+    because the links before it are not known well enough.
+    """
+    share = result.relative_mass_error
+    is_unknown = share is None or share >= UNKNOWN
+    if result.payload is not None or not result.is_measured or not is_unknown:
+        return False
+    # Only a run that asks takes the time to look at random motions.
+    from robot_sysid.motion.expected_errors import RecordingPlan
+    from robot_sysid.motion.improvements import least_errors
+    from robot_sysid.motion.problem import build_problem
+
+    options = config.estimation
+    try:
+        problem = build_problem(result.robot, LimitOptions(), options.torques)
+        target = "arm" if config.output.links else "link"
+        recording = RecordingPlan(TrajectoryOptions.sample_rate, options, target)
+        mass_error, _ = least_errors(problem, recording)
+    except InputError:  # No motion can be planned, which ``plan`` explains.
+        return False
+    mass = max(float(result.body.inertial.theta[0]), 0.0)
+    return bool(mass_error > UNKNOWN * mass)
 
 
 def words_of_plan(config: SysidConfig) -> RunWords:

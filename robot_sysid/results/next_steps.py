@@ -62,6 +62,7 @@ class RunWords:
             planned, or its settings are not known.
         plan_purpose: what that motion was planned for, as in ``--for``; None where the recorded
             motion was not planned.
+        is_out_of_reach: whether no motion of the arm determines the terminal link's mass.
     """
 
     model: str
@@ -74,6 +75,7 @@ class RunWords:
     scales: str | None = None
     plan: Path | None = None
     plan_purpose: str | None = None
+    is_out_of_reach: bool = False
 
 
 def use_lines(path: Path) -> tuple[str, ...]:
@@ -149,7 +151,8 @@ def _step_after_link(result: Result, run: RunWords) -> NextStep | None:
     purpose = "to know the mass better"
     if is_unknown:
         purpose = "to know the mass, which this log does not determine"
-    if run.plan_purpose is None and (is_unknown or is_asked):
+    can_improve = run.plan_purpose is None and not run.is_out_of_reach
+    if can_improve and (is_unknown or is_asked):
         sentence = f"Next, {purpose}, plan a wider and faster motion of all joints"
         return _plan_step(sentence, run, "arm" if run.links else "link")
     if is_unknown or (is_uncertain and cause == "links"):

@@ -73,6 +73,12 @@ def test_a_plan_with_the_mjcf_of_a_urdfs_arm_keeps_the_speed_limits_of_the_urdf(
         # The log leaves the mass open.
         (link_with(3.37), RUN, f"{PLAN} --output-dir out/planned"),
         (made.found(made.without_mass()), RUN, f"{PLAN} --output-dir out/planned"),
+        # No motion determines the mass.
+        (
+            link_with(3.37),
+            replace(RUN, is_out_of_reach=True),
+            f"{PLAN} --for payload --output-dir out/weighing",
+        ),
         # After a planned motion no other one is planned.
         (
             link_with(3.37, "noise"),
