@@ -329,8 +329,7 @@ def _write_settings(config: Config) -> None:
         path = config.plan_file.with_suffix(".toml")
         command = f"{PROGRAM} plan"
         defaults = PLANNED
-    source = config.output.config
-    if source is None or not (path.exists() and path.samefile(source)):
+    if not file_access.is_same_file(path, config.output.config):
         heading = f"{command} --config {quote(str(path))}"
         records = vars(config).values()
         text = settings_text(heading, config.model.path, records, defaults)

@@ -40,6 +40,7 @@ from robot_sysid.model import ModelOptions
 from robot_sysid.motion import WEIGHT, LimitOptions
 from robot_sysid.motion.limit_check import BetweenArms, first_contact
 from robot_sysid.motion.problem import build_problem
+from robot_sysid.motion.solids import unguarded_text
 from robot_sysid.motion.trajectories import straight_way
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Motion, RobotModel
@@ -163,9 +164,10 @@ Bodies that touch on so short a way touch where the arm stands: the model has a 
 def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
     """Yield a stop for each limit of the model that a plan exceeds and for each contact.
 
-    If there is none, one check with severity OK is yielded. The trajectory and the parking pose are
-    checked. ``contacts`` has the arms of the model, loaded with an infinite ``max_velocity``, so
-    that only the model's limits of speed count.
+    If there is none, one check with severity OK is yielded. A note names the links whose contacts
+    cannot be found. The trajectory and the parking pose are checked. ``contacts`` has the arms of
+    the model, loaded with an infinite ``max_velocity``, so that only the model's limits of speed
+    count.
     """
     played = plan.trajectory
     speed = plan.settings.speed
@@ -180,6 +182,9 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
             qd=played.qd[:, joints],
             tau=played.tau[:, joints],
         )
+        unguarded = unguarded_text(problem.unguarded)
+        if unguarded:
+            yield Check(NOTE, unguarded)
         motion = SampledTrajectory(arm_trajectory, speed)
         excesses += _joint_excesses(robot, motion)
         contact = first_contact(problem, motion)

@@ -200,6 +200,13 @@ def typical_load(problem: ExcitationProblem) -> Array:
     return mass / body[0] * body
 
 
+def load_text(problem: ExcitationProblem) -> str:
+    """Return the mass of ``typical_load`` with its unit; with the digits of the option if given."""
+    if problem.reserve:
+        return f"{problem.reserve:.12g} kg"
+    return f"{typical_load(problem)[0]:.2g} kg"
+
+
 def _load_reason(problem: ExcitationProblem) -> str:
     """Return, in words, why ``typical_load`` has its mass."""
     if problem.reserve:
@@ -236,7 +243,7 @@ def predict(
         names = PAYLOAD_NAMES
         recordings = RECORDED_FOR_PAYLOAD
         theta = typical_load(problem)
-        subject = f"a load of {theta[0]:.2g} kg ({_load_reason(problem)})"
+        subject = f"a load of {load_text(problem)} ({_load_reason(problem)})"
         size = theta[0] / robot.prior.mass * size
     caveat = ""
     link_errors = dict[str, float]()

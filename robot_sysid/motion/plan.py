@@ -136,7 +136,12 @@ def make_plan(
     if not request.is_designed:
         progress.note(*checked.problem.notes)
     from robot_sysid.motion.limit_check import check_limits
+    from robot_sysid.motion.solids import unguarded_text
 
+    unguarded = unguarded_text(checked.problem.unguarded)
+    # The lines on a plan have this, and its verdict says what to do.
+    if unguarded and not options.plan_only:
+        progress.note(unguarded)
     check = checked.check or check_limits(checked.problem, plan, options.sample_rate)
     return replace(checked, check=check)
 

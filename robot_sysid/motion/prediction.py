@@ -18,15 +18,23 @@ from robot_sysid.motion.limit_check import DISTANCE_RESOLUTION, LimitCheck
 from robot_sysid.motion.problem import (
     ASKED,
     ASSUMED,
+    CAPPED,
     LIMIT_NAMES,
     MODEL,
     RESERVE_WORDS,
     ExcitationProblem,
 )
-from robot_sysid.motion.solids import swept_space
+from robot_sysid.motion.solids import swept_space, unguarded_text
 from robot_sysid.motion.static import contact_on_the_way
 from robot_sysid.records import Array, MotionPlan
-from robot_sysid.records.messages import PARAMETER_UNITS, Detail, NextStep, percent
+from robot_sysid.records.messages import (
+    PARAMETER_UNITS,
+    Detail,
+    NextStep,
+    percent,
+    position_unit,
+    torque_unit,
+)
 from robot_sysid.trajectory import TORQUE_MARGIN, spread_motion
 
 LARGE_SHARE = 0.2
@@ -180,22 +188,31 @@ def plan_lines(
     """Yield the lines that ``robot-sysid plan`` prints about a checked motion, but for those on
     improvements; a ``Detail`` is printed on demand only.
     """
-    yield from limit_lines(plan, check)
+    yield from limit_lines(problem, plan, check)
     yield from _error_lines(prediction)
     yield from motion_lines(problem, plan, check)
 
 
-def limit_lines(plan: MotionPlan, check: LimitCheck) -> Iterator[str]:
+def limit_lines(
+    problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
+) -> Iterator[str]:
     """Yield a line with the least distance between bodies where the motion keeps all limits, else
     a line for each limit that it breaks, and one on the reserve for links that are less known.
+
+    A further line names the links that no distance is known of.
     """
+    unguarded = unguarded_text(problem.unguarded)
     if check.holds:
         nearest = check.nearest
         nearness = "nothing comes near"
         if np.isfinite(nearest.distance):
             distance = _at_least(nearest.distance, check.resolution)
             nearness = f"least distance {distance} mm, between {nearest.label}"
+        elif unguarded:
+            nearness = "distances between its parts are not known"
         yield f"Keeps all limits for {plan.duration:.1f} s; {nearness}"
+    if unguarded:
+        yield unguarded[0].upper() + unguarded[1:]
     for excess in check.excesses:
         yield f"NOT KEPT: {excess}"
     if any(excess.limit.endswith(RESERVE_WORDS) for excess in check.excesses):
@@ -311,43 +328,53 @@ def _share_text(peak: float, limit: float) -> str:
 
 
 def _origin_lines(problem: ExcitationProblem) -> Iterator[str]:
-    """Yield which limits are the model's and which were asked for, as details, and which are
-    assumed: a real arm may allow less than that.
+    """Yield which limits are the model's and which were asked for, as details, and which are this
+    program's own or assumed: a real arm may allow less than that.
     """
     for origin, title in (
         (MODEL, "Limits of the model"),
         (ASKED, "Limits that were asked for"),
+        (CAPPED, "Limits of this program, unless --max-velocity states others"),
         (ASSUMED, "Limits assumed, as the model states none (check them)"),
     ):
-        families = [_limits_with_origin(problem, name, origin) for name in LIMIT_NAMES]
-        listed = "; ".join(filter(None, families))
-        line = f"{title}: {listed}"
-        if listed:
-            yield line if origin == ASSUMED else Detail(line)
+        limits: list[str] = []
+        for family in LIMIT_NAMES:
+            for is_slide in (False, True):
+                limits += _limits_with_origin(problem, family, origin, is_slide)
+        line = f"{title}: {'; '.join(limits)}"
+        if limits:
+            yield line if origin in (CAPPED, ASSUMED) else Detail(line)
 
 
-def _limits_with_origin(problem: ExcitationProblem, family: str, origin: str) -> str:
-    """Return the limits that are from one origin in words, such as "velocity 2 of joint0, joint1",
-    or "" where none is.
+def _limits_with_origin(
+    problem: ExcitationProblem, family: str, origin: str, is_slide: bool
+) -> Iterator[str]:
+    """Yield the limits that are from one origin in words, such as "velocity 2 rad/s of joint0,
+    joint1"; nothing where none is.
 
     Args:
         problem: the arm and its limits.
         family: one of ``LIMIT_NAMES``.
-        origin: ``MODEL``, ``ASKED`` or ``ASSUMED``.
+        origin: ``MODEL``, ``ASKED``, ``CAPPED`` or ``ASSUMED``.
+        is_slide: whether those of slides are wanted, else those of hinges.
     """
-    joints = np.flatnonzero(problem.origins[family] == origin).tolist()
+    is_listed = problem.origins[family] == origin
+    joints = np.flatnonzero(is_listed & (problem.robot.is_slide == is_slide)).tolist()
     if not joints:
-        return ""
+        return
     names = ", ".join(problem.joint_names[j] for j in joints)
     if len(joints) == problem.n_joints:
         names = "all joints"
     if family == "position":
-        return f"position of {names}"
+        yield f"position of {names}"
+        return
     limit = problem.limits.largest[LIMIT_NAMES.index(family), joints]
+    unit = f"{position_unit(is_slide)}/s{'²' if family == 'acceleration' else ''}"
     if family == "torque":
         limit = limit / TORQUE_MARGIN
+        unit = torque_unit(is_slide)
     values = ", ".join(f"{value:.4g}" for value in np.unique(limit))
-    return f"{family} {values} of {names}"
+    yield f"{family} {values} {unit} of {names}"
 
 
 def _space_lines(
@@ -374,7 +401,7 @@ def _space_lines(
         distance = _at_least(nearest.distance, check.resolution)
         bodies = f"between {nearest.label} at {nearest.time:.2f} s"
         yield f"Clearance: {distance} mm {bodies}"
-    else:
+    elif not problem.unguarded:
         yield "Clearance: nothing comes near"
     if np.isfinite(tightest.distance) and tightest.label != nearest.label:
         slack = f"{1000.0 * tightest.slack:.1f} mm more than required"
@@ -411,7 +438,7 @@ def _load_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
     name = problem.joint_names[joint]
     note = ""
     if problem.reserve > 0.0:
-        note = f" (--payload-reserve {problem.reserve:g} kept)"
+        note = f" (--payload-reserve {problem.reserve:.12g} kept)"
     load = np.floor(100.0 * load) / 100.0
     yield f"Torque left: a load of {load:.2f} kg at the tool's tip, then {name} is full{note}"
 

@@ -17,7 +17,12 @@ from robot_sysid.estimation.algebra.priors import model_link_factor
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
 from robot_sysid.motion import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
 from robot_sysid.motion.clearance import Clearance
-from robot_sysid.motion.solids import has_floor, mounting_height, outermost_points
+from robot_sysid.motion.solids import (
+    has_floor,
+    mounting_height,
+    outermost_points,
+    unguarded_links,
+)
 from robot_sysid.records import Array, JointLimits, Motion, RobotModel
 from robot_sysid.records.messages import Detail
 from robot_sysid.records.option_fields import (
@@ -53,7 +58,9 @@ MODEL = "the model"
 ASKED = "the options"
 """Origin of a limit that an option states."""
 ASSUMED = "an assumption"
-"""Origin of a limit that this program assumes."""
+"""Origin of a limit that this program assumes, as the model states none."""
+CAPPED = "a cap"
+"""Origin of a limit that this program does not exceed, whatever the model allows."""
 NONE = "nothing"
 """Origin of a limit that does not exist."""
 
@@ -186,6 +193,7 @@ class ExcitationProblem:
         obstacles: distances between bodies that have to be kept.
         notes: sentences for the user on these limits.
         has_floor: whether a floor, a half-space or a workspace keeps the arm above the ground.
+        unguarded: names of the moving links without collision geometry.
     """
 
     robot: RobotModel
@@ -203,6 +211,7 @@ class ExcitationProblem:
     origins: Mapping[str, NDArray[np.str_]]
     notes: tuple[str, ...] = ()
     has_floor: bool = True
+    unguarded: tuple[str, ...] = ()
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -382,6 +391,7 @@ def build_problem(
         origins=origins,
         notes=tuple(notes),
         has_floor=bool(base or limits.keep_out or limits.workspace) or has_floor(robot),
+        unguarded=unguarded_links(robot),
     )
 
 
@@ -404,7 +414,7 @@ def _limits(
     robot: RobotModel, options: LimitOptions, top_frequency_hz: float | None
 ) -> tuple[MotionLimits, Mapping[str, NDArray[np.str_]]]:
     """Return the limits of a motion, and per family in ``LIMIT_NAMES`` the origin (n,) of each
-    joint's limit: ``MODEL``, ``ASKED``, ``ASSUMED`` or ``NONE``.
+    joint's limit: ``MODEL``, ``ASKED``, ``ASSUMED``, ``CAPPED`` or ``NONE``.
 
     ``top_frequency_hz`` is as in ``build_problem``.
     """
@@ -432,7 +442,7 @@ def _limits(
     speed = joint_values(options.max_velocity, robot.n_joints, "--max-velocity")
     default_speed = np.where(is_slide, np.minimum(DEFAULT_SLIDE_VELOCITY, speed), speed)
     is_default = is_slide | (speed == DEFAULT_MAX_VELOCITY)
-    speed_origin = np.where(is_default, ASSUMED, ASKED)
+    speed_origin = np.where(is_default, CAPPED, ASKED)
     has_range = np.isfinite(model_limits.lower) & np.isfinite(model_limits.upper)
     acceleration_origin = np.where(is_natural, ASSUMED, ASKED)
     has_acceleration = np.isfinite(acceleration)
@@ -500,9 +510,7 @@ def _obstacles(
 
 
 def _obstacle_notes(clearance: Clearance) -> Iterator[str]:
-    """Yield notes on missing collision geometry, and on bodies that are near each other at rest."""
-    if not clearance.is_solid:
-        yield "the model has no collision geometry; nothing keeps the arm from touching itself"
+    """Yield notes on bodies that are near each other at rest."""
     for state, description in _STATE_NOTES.items():
         pairs = "; ".join(clearance.at_rest[state])
         if pairs:

@@ -31,6 +31,8 @@ _AXES = np.vstack((np.eye(3), -np.eye(3)))
 """Directions (6, 3) of the world's axes, and against them."""
 _HULL_POINTS = 60
 """Corners beyond which a convex hull takes less time than it saves."""
+MARKER_MASS = 5e-3
+"""Mass up to which a part of an arm is no body but marks a frame, such as a tool's [kg]."""
 _AT_ONCE = 256
 """Postures looked at in one product: as much memory as fits into a processor's cache."""
 
@@ -290,6 +292,38 @@ def mounting_height(
         elif link_of_body[body] > 1:
             return None
     return up, height, above
+
+
+def unguarded_links(robot: RobotModel) -> tuple[str, ...]:
+    """Return the names of the moving links without collision geometry, base to terminal.
+
+    Parts of at most ``MARKER_MASS`` that are fixed to a link do not count, with or without
+    geometry: they mark frames.
+    """
+    model = robot.mj_model
+    link_of_body = count_moving_joints(robot)
+    carriers = model.dof_bodyid[robot.dof_index]
+    collides = (model.geom_contype | model.geom_conaffinity) != 0
+    collides[model.pair_geom1] = True
+    collides[model.pair_geom2] = True
+    is_part = model.body_mass > MARKER_MASS
+    has_geometry = np.zeros(model.nbody, dtype=bool)
+    has_geometry[model.geom_bodyid[collides]] = True
+    guarded = link_of_body[
+        has_geometry & (is_part | np.isin(range(model.nbody), carriers))
+    ]
+    bare = np.setdiff1d(link_of_body[is_part], [0, *guarded])
+    return tuple(body_label(model, body) for body in carriers[bare - 1].tolist())
+
+
+def unguarded_text(links: Sequence[str]) -> str:
+    """Return in words that nothing keeps these links from touching anything; "" for none."""
+    if not links:
+        return ""
+    return (
+        f"nothing keeps {', '.join(links)} from touching anything: the model has no collision "
+        "geometry of them"
+    )
 
 
 def has_floor(robot: RobotModel) -> bool:

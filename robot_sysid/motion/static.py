@@ -364,7 +364,11 @@ def _motion_through(
 
 
 def pose_lines(
-    problem: ExcitationProblem, plan: MotionPlan, mass: float, scale_error: float
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    mass: float,
+    load: str,
+    scale_error: float,
 ) -> list[str]:
     """Return lines on the poses of a plan, and on the standard error of a payload's mass.
 
@@ -372,6 +376,7 @@ def pose_lines(
         problem: the arm, with the noise of the mean torque of a rest.
         plan: the motion through the poses.
         mass: of the payload [kg].
+        load: this mass in words.
         scale_error: standard error that all torque scales share, as a share of the torque.
     """
     assert isinstance(plan, LineTrajectory)
@@ -384,7 +389,7 @@ def pose_lines(
     noise = float(np.mean(problem.sigma))
     return [
         f"{len(rests)} poses, each approached from both sides, {plan.duration:.0f} s",
-        f"{RECORDED_FOR_PAYLOAD}, they determine a load of {mass:.2g} kg with this error:",
+        f"{RECORDED_FOR_PAYLOAD}, they determine a load of {load} with this error:",
         f"  mass ± {error:.2g} kg ({percent(error / mass)}), if the mean torque of a rest is known "
         f"to {noise:.2g} N·m",
     ]

@@ -12,16 +12,27 @@ import numpy as np
 
 from robot_sysid.config import SysidConfig
 from robot_sysid.export import MotorFile, Outcome
+from robot_sysid.mjcf.urdf import MESHES_LEFT_OUT
 from robot_sysid.motion import WEIGHT
 from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
 from robot_sysid.pipeline.run_words import words_of_plan
 from robot_sysid.records import MotionPlan, RobotModel
-from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_files
+from robot_sysid.records.file_access import (
+    DAMIAO_NAME,
+    AtomicFiles,
+    atomic_files,
+    is_same_file,
+)
 from robot_sysid.records.messages import NextStep, Progress
 from robot_sysid.records.option_fields import given_arguments, joint_values
 from robot_sysid.results.next_steps import step_after_plan
 from robot_sysid.results.result_lines import clamping_lines
-from robot_sysid.results.verdict import UNKNOWN, plan_verdict, shortfalls_of_plan
+from robot_sysid.results.verdict import (
+    UNKNOWN,
+    plan_conditions,
+    plan_shortfall,
+    plan_verdict,
+)
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
 
@@ -30,6 +41,8 @@ if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import MotionChunk
     from robot_sysid.motion.prediction import Improvement, Prediction
 
+_SAMPLING = ("duration", "sample_rate", "speed", "seed")
+"""Keys of a trajectory's options that another motion has, too."""
 _SMOOTH_REVERSAL = 0.01
 """Speed at which exported dry friction has reached 76 % of its size [rad/s]. A wider transition is
 gentler, but an arm that sticks longer at its reversals shows less: 0.03 costs a millimetre more."""
@@ -115,11 +128,12 @@ def predict_plan(
         command_of = partial(_command_of_plan, config)
         lines += predictions.improvement_lines(improvements, command_of)
         return prediction, lines
-    lines = [*predictions.limit_lines(plan, check)]
+    lines = [*predictions.limit_lines(problem, plan, check)]
     if poses.static:
         mass = float(expected_errors.typical_load(problem)[0])
         scale_error = expected_errors.common_scale_error(problem, config.estimation)
-        lines += static.pose_lines(problem, plan, mass, scale_error)
+        load = expected_errors.load_text(problem)
+        lines += static.pose_lines(problem, plan, mass, load, scale_error)
     else:
         lines += static.sweep_lines(problem, plan)
         lines += expected_errors.friction_lines(problem, plan, rate, config.estimation)
@@ -134,16 +148,21 @@ def _command_of_plan(config: SysidConfig, change: Improvement) -> tuple[str, ...
     """
     if not change.options or config.plan_file is None:
         return ()
-    # The settings of a motion from a file ask for that motion again.
-    if config.trajectory.file is None:
-        source = ["--config", str(config.plan_file.with_suffix(".toml"))]
-    else:
-        source = [str(config.model.path)]
-        for record in (config.model, config.limits, config.arm, config.estimation):
+    settings = config.plan_file.with_suffix(".toml")
+    folder = str(config.plan_file.parent / "again")
+    # The settings of a motion from a file ask for that motion again, and a file that the settings
+    # were read from lacks those of the command line.
+    is_from_file = config.trajectory.file is not None
+    if is_from_file or is_same_file(settings, config.output.config):
+        sampling = given_arguments(config.trajectory, _SAMPLING)
+        source = [str(config.model.path), *sampling]
+        motion = (config.limits, config.excitation, config.motors)
+        for record in (config.model, *motion, config.arm, config.estimation):
             source += given_arguments(record)
         if "--for" not in change.options:
             source += given_arguments(config.poses)
-    folder = str(config.output.output_dir / "again")
+    else:
+        source = ["--config", str(settings)]
     return ("robot-sysid", "plan", *source, *change.options, "--output-dir", folder)
 
 
@@ -163,11 +182,11 @@ def write_plan(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> 
     else:
         paths, clamping = _write_motion(config, robot, checked.plan)
         lines += clamping
-    shortfalls, step = _shortfalls(config, checked, prediction)
-    verdict = [plan_verdict(failure, shortfalls)]
+    shortfall, step = _shortfall(config, prediction)
+    verdict = [plan_verdict(failure, shortfall, _conditions(checked))]
     if failure:
         step = None
-    elif step is None:
+    elif not shortfall:
         run = words_of_plan(config)
         limit_words = config.limit_words()
         poses = config.poses
@@ -194,43 +213,55 @@ def _write_motion(
     return (*paths, motor_path), clamping_lines(report, robot.joint_names)
 
 
-def _shortfalls(
-    config: SysidConfig, checked: CheckedPlan, prediction: Prediction | None
-) -> tuple[list[str], NextStep | None]:
+def _shortfall(
+    config: SysidConfig, prediction: Prediction | None
+) -> tuple[str, NextStep | None]:
     """Return what keeps a motion from its purpose, and the step that plans a better one.
 
     Args:
         config: the settings with which the motion was planned.
-        checked: the motion with its limit check.
         prediction: errors to expect of an identification from it; None where it serves another
             purpose.
 
     Returns:
-        One sentence per shortfall; the step, None where there is no better motion to plan.
+        The shortfall, "" for none; the step, None where there is no better motion to plan.
     """
-    from robot_sysid.motion.prediction import LARGE_SHARE, contact_before
+    from robot_sysid.motion.prediction import LARGE_SHARE
 
-    if checked.problem is None or checked.failure:
-        return [], None
-    contact = contact_before(checked.problem, checked.plan)
-    if prediction is None:
-        return shortfalls_of_plan("", 0.0, contact), None
+    if prediction is None or config.poses.purpose == WEIGHT:
+        return "", None
     mass_share = prediction.relative_mass_error
-    is_weighing = config.poses.purpose == WEIGHT
     # Where no motion determines the mass by these torques, the lines on the plan say so.
-    if is_weighing or (np.isinf(mass_share) and prediction.invisible):
-        mass_share = 0.0
+    if np.isinf(mass_share) and prediction.invisible:
+        return "", None
     largest = LARGE_SHARE if config.poses.target == "payload" else UNKNOWN
-    shortfalls = shortfalls_of_plan(prediction.subject, mass_share, contact, largest)
-    step = None
-    # Another motion shows more of a mass; it does not clear the way.
-    if mass_share > largest:
-        by_mass = sorted(prediction.improvements, key=lambda change: change.mass_error)
-        commands = [_command_of_plan(config, change) for change in by_mass]
-        command = next(filter(None, commands), None)
-        if command:
-            step = NextStep("Next, plan a motion that determines it", command)
-    return shortfalls, step
+    shortfall = plan_shortfall(prediction.subject, mass_share, largest)
+    if not shortfall:
+        return "", None
+    mass_error = largest * float(prediction.size[0])
+    changes = [x for x in prediction.improvements if x.mass_error <= mass_error]
+    by_mass = sorted(changes, key=lambda change: change.mass_error)
+    commands = [_command_of_plan(config, change) for change in by_mass]
+    command = next(filter(None, commands), None)
+    if command is None:
+        return shortfall, None
+    return shortfall, NextStep("Next, plan a motion that determines it", command)
+
+
+def _conditions(checked: CheckedPlan) -> list[str]:
+    """Return what has to be done before a motion is played, each with its reason."""
+    from robot_sysid.motion.prediction import contact_before
+
+    problem = checked.problem
+    if problem is None or checked.failure:
+        return []
+    notes = problem.robot.notes
+    return plan_conditions(
+        contact_before(problem, checked.plan),
+        n_unguarded=len(problem.unguarded),
+        n_links=problem.n_joints,
+        lacks_meshes=any(note.startswith(MESHES_LEFT_OUT) for note in notes),
+    )
 
 
 def draft_plan(

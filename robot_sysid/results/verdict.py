@@ -80,49 +80,73 @@ def verdict_line(result: Result, failure: str | None = None) -> str:
     return f"{use}: {'; '.join(_improvements(result))}"
 
 
-def plan_verdict(failure: str | None, shortfalls: Sequence[str] = ()) -> str:
+def plan_verdict(
+    failure: str | None, shortfall: str = "", conditions: Sequence[str] = ()
+) -> str:
     """Return one line: whether to play a planned motion.
 
     Args:
         failure: why the motion must not be run; None where it may.
-        shortfalls: why the motion does not serve its purpose, though it keeps all limits.
+        shortfall: why the motion does not serve its purpose, though it keeps all limits; "" where
+            it does.
+        conditions: what has to be done before it is played, each with its reason.
     """
     if failure is not None:
         return f"Not usable: {failure}"
-    if shortfalls:
-        return f"Not ready: {'; '.join(shortfalls)}"
+    if shortfall:
+        return f"Not ready: {shortfall}"
+    if conditions:
+        return f"Usable once {', and once '.join(conditions)}"
     return "Usable: play it on the arm, slowly at first, and record it"
 
 
-def shortfalls_of_plan(
-    subject: str,
-    relative_mass_error: float,
-    contact: str | None,
-    largest_error: float = UNKNOWN,
-) -> list[str]:
-    """Return why a motion does not serve its purpose: uncertain mass, blocked way to the start.
+def plan_shortfall(
+    subject: str, relative_mass_error: float, largest_error: float = UNKNOWN
+) -> str:
+    """Return why a motion does not serve its purpose, an uncertain mass; "" where it does.
 
     Args:
         subject: the body or load whose mass the motion is to determine.
         relative_mass_error: expected standard error of the mass over the mass; 0 where the motion
             serves something else, infinite where it does not determine the mass.
-        contact: what the way to the start comes too near to, or None.
         largest_error: relative standard error above which the mass counts as not known.
     """
-    shortfalls = []
     if np.isinf(relative_mass_error):
-        shortfalls.append(f"this motion does not determine the mass of {subject}")
-    elif relative_mass_error > largest_error:
-        shortfalls.append(
-            f"after this motion the mass of {subject} is known to "
-            f"{percent(relative_mass_error)} only"
-        )
+        return f"this motion does not determine the mass of {subject}"
+    if relative_mass_error > largest_error:
+        share = percent(relative_mass_error)
+        return f"after this motion the mass of {subject} is known to {share} only"
+    return ""
+
+
+def plan_conditions(
+    contact: str | None, n_unguarded: int, n_links: int, lacks_meshes: bool
+) -> list[str]:
+    """Return what has to be done before a motion is played, each with its reason.
+
+    Args:
+        contact: what the straight way from the model's pose to the start comes too near to, if
+            anything.
+        n_unguarded: number of moving links without collision geometry.
+        n_links: number of moving links.
+        lacks_meshes: whether collision meshes of the model were left out.
+    """
+    conditions = []
     if contact is not None:
-        shortfalls.append(
-            "the straight way from the model's pose at rest to the start of this motion is not "
-            f"free, by the clearance of {contact}; bring the arm to the start another way first"
+        conditions.append(
+            "the arm has been brought to the start of this motion another way: the straight way "
+            f"from the model's pose at rest is not free, by the clearance of {contact}"
         )
-    return shortfalls
+    if n_unguarded:
+        remedy = "watch it in a viewer that shows them"
+        if lacks_meshes:
+            meshes = "--mesh-dir FOLDER, the folder of its meshes (STL or OBJ)"
+            remedy = f"plan again with {meshes}, or {remedy}"
+        conditions.append(
+            f"contacts have been checked: {n_unguarded} of {n_links} moving links have no "
+            f"collision geometry and may touch anything; {remedy}"
+        )
+    return conditions
 
 
 def refusal(result: Result) -> str | None:

@@ -19,8 +19,8 @@ def without_prediction(monkeypatch):
     """Plans say what they do beside their limits, not what an estimate will know: that is slow."""
 
     def predict_plan(config, checked):
-        motion = checked.plan, checked.check
-        return None, [*limit_lines(*motion), *motion_lines(checked.problem, *motion)]
+        motion = checked.problem, checked.plan, checked.check
+        return None, [*limit_lines(*motion), *motion_lines(*motion)]
 
     monkeypatch.setattr(planning, "predict_plan", predict_plan)
 

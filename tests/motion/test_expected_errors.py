@@ -23,6 +23,7 @@ from robot_sysid.motion.expected_errors import (
     RecordingPlan,
     common_scale_error,
     friction_lines,
+    load_text,
     predict,
     prior_knowledge,
     typical_load,
@@ -153,7 +154,9 @@ def test_different_torque_scales_are_averaged_by_their_weights():
 def test_the_load_is_the_one_that_torque_is_reserved_for():
     moving_mass = np.sum(robot(ARM).thetas[:, 0])
     assert typical_load(PROBLEM)[0] == pytest.approx(TYPICAL_LOAD * moving_mass)
-    assert typical_load(make_problem(ARM, payload_reserve=0.7))[0] == pytest.approx(0.7)
+    reserved = make_problem(ARM, payload_reserve=1.05)
+    assert typical_load(reserved)[0] == pytest.approx(1.05)
+    assert load_text(reserved) == "1.05 kg"
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from robot_sysid.motion.information import (
     mass_and_centre_errors,
 )
 from robot_sysid.motion.limit_check import check_limits
-from robot_sysid.motion.prediction import motion_lines
+from robot_sysid.motion.prediction import limit_lines, motion_lines
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.support import arms, witness
@@ -136,6 +136,28 @@ def test_the_stated_clearance_is_the_smallest_distance_not_the_tightest_slack():
     real = witness.nearest(robot(xml), plan)
     stated, *_ = find_numbers(report(make_problem(xml), plan), "Clearance: ")
     assert 1e3 * real - 0.25 <= stated <= 1e3 * real
+
+
+def test_a_distance_that_is_not_known_is_not_called_large():
+    problem = make_problem(arms.THREE)
+    plan = sines(arms.THREE).scale_amplitudes(0.1)
+    lines = limit_lines(problem, plan, check_limits(problem, plan))
+    first, second = lines
+    assert (
+        first == "Keeps all limits for 2.0 s; distances between its parts are not known"
+    )
+    assert second.startswith("Nothing keeps link0, link1, link2 from touching anything")
+
+
+def test_limits_of_this_program_are_not_called_missing_in_the_model():
+    """A model may state a higher speed; only no file states an acceleration."""
+    slide = arms.SLIDE_IN_CHAIN
+    lines = "\n".join(report(make_problem(slide), sines(slide)))
+    speeds = "velocity 2 rad/s of turn, bend, roll; velocity 0.25 m/s of lift"
+    assert f"unless --max-velocity states others: {speeds}\n" in lines
+    (assumed,) = re.findall("Limits assumed, as the model states none.*", lines)
+    pattern = "acceleration .* rad/s² of turn, bend, roll; acceleration .* m/s² of lift"
+    assert re.search(pattern, assumed) and "velocity" not in assumed
 
 
 @pytest.mark.parametrize(("xml", "has_floor"), [(TUBES, False), (TUBES_ON_FLOOR, True)])

@@ -18,6 +18,7 @@ from robot_sysid.motion.solids import (
     outermost_points,
     solids_of,
     swept_space,
+    unguarded_links,
 )
 from tests.support.arms import SEEDS, X, Z, compile_xml, hinge, link, world
 from tests.support.excitation_arms import TUBES, robot
@@ -149,3 +150,27 @@ def test_the_outermost_points_include_bodies_fixed_to_the_last_one():
     # A quarter turn about y: the tool's z is the tip's x.
     corners = points[radius == 0.0] - [0.0, 0.0, 0.1]
     assert_allclose(np.max(corners, axis=0), [0.3, 0.2, 0.1], atol=1e-12)
+
+
+SHELL = '<geom size=".03" pos="0 0 .1"/>'
+MARKER = '<body><inertial pos="0 0 0" mass="0" diaginertia="0 0 0"/><geom size=".005"/></body>'
+PART = '<body><geom size=".03" mass=".1"/></body>'
+DRAWN = '<geom size=".03" contype="0" conaffinity="0"/>'
+
+
+@pytest.mark.parametrize(
+    ("shells", "names"),
+    [
+        ((SHELL, SHELL, SHELL), ()),
+        ((SHELL, "", SHELL), ("link1",)),
+        ((DRAWN, PART, MARKER), ("link0", "link2")),
+        (("", "", ""), ("link0", "link1", "link2")),
+    ],
+)
+def test_links_that_nothing_keeps_from_a_contact_are_named(shells, names):
+    """Geometry that is only drawn, or marks a frame, is none."""
+    content = ""
+    for index, shell in reversed(list(enumerate(shells))):
+        joint = hinge(f"joint{index}", (Z, X, Z)[index])
+        content = link(joint, shell + content, f"link{index}")
+    assert unguarded_links(robot(world(content))) == names

@@ -22,8 +22,9 @@ from robot_sysid.results.verdict import (
     SURE,
     WORSE,
     limitations,
+    plan_conditions,
+    plan_shortfall,
     plan_verdict,
-    shortfalls_of_plan,
     verdict_line,
 )
 from tests.support import results as made
@@ -99,27 +100,39 @@ def test_a_result_that_is_not_usable_has_one_sentence_with_the_reason(verdict):
 
 
 @pytest.mark.parametrize(
-    ("share", "contact", "phrases"),
+    ("share", "phrase"),
     [
-        (0.6, None, ["the mass of link6 is known to 60 % only"]),
-        (
-            0.6,
-            "link0 and link5",
-            ["60 % only", "not free, by the clearance of link0 and link5"],
-        ),
-        (0.1, "link0 and link5", ["bring the arm to the start another way first"]),
-        (0.4, None, []),
-        (np.inf, None, ["does not determine the mass of link6"]),
-        (0.0, None, []),
+        (0.6, "the mass of link6 is known to 60 % only"),
+        (0.4, ""),
+        (np.inf, "does not determine the mass of link6"),
+        (0.0, ""),
     ],
 )
-def test_a_plan_that_misses_its_purpose_is_not_called_usable(share, contact, phrases):
-    shortfalls = shortfalls_of_plan("link6", share, contact)
-    assert len(shortfalls) == len(phrases)
-    assert all(phrase in sentence for phrase, sentence in zip(phrases, shortfalls))
-    verdict = plan_verdict(None, shortfalls)
-    assert verdict.startswith("Not ready: ") is bool(phrases)
-    assert verdict.startswith("Usable: play it") is not bool(phrases)
+def test_a_plan_that_misses_its_purpose_is_not_called_usable(share, phrase):
+    shortfall = plan_shortfall("link6", share)
+    assert phrase in shortfall and bool(phrase) is bool(shortfall)
+    verdict = plan_verdict(None, shortfall)
+    assert verdict.startswith("Not ready: ") is bool(phrase)
+    assert verdict.startswith("Usable: play it") is not bool(phrase)
+
+
+@pytest.mark.parametrize(
+    ("contact", "n_unguarded", "lacks_meshes", "phrases"),
+    [
+        (None, 0, True, []),
+        ("link0 and link5", 0, False, ["free, by the clearance of link0 and link5"]),
+        (None, 2, False, ["2 of 6 moving links", "watch it in a viewer"]),
+        (None, 6, True, ["6 of 6 moving links", "--mesh-dir FOLDER"]),
+        ("link0 and link5", 6, True, ["brought to the start", "--mesh-dir FOLDER"]),
+    ],
+)
+def test_a_plan_is_usable_once_what_was_not_checked_is(
+    contact, n_unguarded, lacks_meshes, phrases
+):
+    conditions = plan_conditions(contact, n_unguarded, 6, lacks_meshes)
+    verdict = plan_verdict(None, conditions=conditions)
+    assert all(phrase in verdict for phrase in phrases)
+    assert verdict.startswith("Usable once ") is bool(phrases)
 
 
 def limitations_of(result=None, **changes):
