@@ -385,14 +385,12 @@ def low_pass(
     """Return the low-passed signals of a log, piece by piece.
 
     Of a log longer than ``MOST_WINDOWS`` times ``WINDOW``, evenly spread windows are used.
+    InputError where most rows lie next to lost samples.
 
     Args:
         pieces: the log without gaps.
         cutoff: cut-off of the low-pass [Hz], lowered to ``CUTOFF_HZ`` where it is higher; None
             chooses one for each piece from the data.
-
-    Raises:
-        InputError: most rows lie next to lost samples.
     """
     signals = []
     for piece in _spread_windows(pieces):
