@@ -90,6 +90,7 @@ class Answer:
         acceleration_error: expected error of the acceleration, as a share of the acceleration.
         notes: sentences for the user.
         friction_of_logs: friction according to each log; None for a single log.
+        missed_friction: see ``trust.missed_friction``.
     """
 
     fit: Fit
@@ -102,6 +103,7 @@ class Answer:
     acceleration_error: float = 0.0
     notes: tuple[str, ...] = ()
     friction_of_logs: FrictionOfLogs | None = None
+    missed_friction: str = ""
 
     @property
     def robot(self) -> RobotModel:

@@ -85,8 +85,8 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
 
     Its verdict is that of the first reason against the fit, the links or the model file; without
     such a reason, it is that on the model file or, without a file, whether the data identifies all
-    parameters. Where too much torque is unexplained (``UNEXPLAINED``), it is never better than
-    ``Verdict.TORQUES_ONLY``.
+    parameters. Where too much torque is unexplained (``UNEXPLAINED``), or the given friction model
+    misses terms that the torques show, it is never better than ``Verdict.TORQUES_ONLY``.
 
     Args:
         answer: the identified arm.
@@ -118,13 +118,16 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
         if not verdict.is_trustworthy:
             findings.append(judgement)
     status, reasons = first(findings, verdict)
-    if share > UNEXPLAINED:
+    doubts = [sentence] if share > UNEXPLAINED else []
+    if answer.missed_friction:
+        doubts.append(answer.missed_friction)
+    if doubts:
         # A file that clearly predicts better is written all the same, for torques only.
         if status is Verdict.BETTER:
             status = Verdict.TORQUES_ONLY
         else:
             status, _ = first(findings, Verdict.UNEXPLAINED)
-        reasons = (*reasons, sentence)
+        reasons = (*reasons, *doubts)
     contradicted = tuple(wrong_links(links[:-1]))
     notes += tuple(map(_wrong_link_line, contradicted))
     all_notes = (*robot.notes, *notes, *_result_notes(answer, file))
@@ -210,6 +213,13 @@ def _result_notes(answer: Answer, file: ModelFile | None) -> Iterator[str]:
         answer: the fit with its errors.
         file: the written model file; None where none is written.
     """
+    left_out = answer.fit.question.options.left_out_terms
+    if answer.missed_friction:
+        yield answer.missed_friction
+    elif left_out:
+        yield (
+            f"not estimated, as the friction model is given without: {', '.join(left_out)}"
+        )
     sensors = answer.sensors()
     common_scale = 0.0
     if answer.fit.choice.common_scale:

@@ -45,6 +45,7 @@ from robot_sysid.estimation.fit import Fit, Fitter
 from robot_sysid.estimation.held_out import held_out_validation, validate_datasets
 from robot_sysid.estimation.log_comparison import compare_recordings, estimate_alone
 from robot_sysid.estimation.question import Choice, EstimationOptions, Question
+from robot_sysid.estimation.trust import missed_friction
 from robot_sysid.estimation.unknowns import WEIGHT, restrict_samples
 from robot_sysid.records import Array, Flange, Measurement, RobotModel
 from robot_sysid.records.messages import Detail, Progress
@@ -176,6 +177,7 @@ def answer_link(
     errors = fit_errors(fit)
     log_notes, log_tests, friction = compare_recordings(fit)
     validation = held_out_validation(fit)
+    missed = missed_friction(fit)
     file = None
     if unchanged_parts is not None:
         progress.stage(Detail("Fitting the model file..."))
@@ -202,6 +204,7 @@ def answer_link(
         acceleration_error=max(acceleration_errors, default=0.0),
         notes=tuple(dict.fromkeys((*notes, *log_notes))),
         friction_of_logs=friction,
+        missed_friction=missed,
     )
 
 
@@ -235,7 +238,11 @@ def answer_payload(
 
     def answer_of(fit: Fit) -> Answer:
         """Return a fit with its errors and its held-out error."""
-        return Answer(fit, fit_errors(fit), held_out_validation(fit), candidates)
+        validation = held_out_validation(fit)
+        missed = "" if question.resting else missed_friction(fit)
+        return Answer(
+            fit, fit_errors(fit), validation, candidates, missed_friction=missed
+        )
 
     weighed = answer_of(free)
     if question.known_mass is not None:

@@ -56,6 +56,7 @@ from robot_sysid.estimation.question import (
     EstimationOptions,
     Question,
 )
+from robot_sysid.estimation.trust import missed_friction
 from robot_sysid.records import (
     Array,
     DataOrigin,
@@ -421,4 +422,5 @@ def answer_from(
         tests=tuple(tests),
         acceleration_error=information.acceleration_error,
         notes=information.notes,
+        missed_friction=missed_friction(fit),
     )

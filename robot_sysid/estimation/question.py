@@ -162,6 +162,21 @@ class EstimationOptions(OptionRecord):
             return friction_model(DEFAULT_TERMINAL)
         return None
 
+    @property
+    def left_out_terms(self) -> tuple[str, ...]:
+        """Terms of the default friction model that the user's own friction model lacks.
+
+        A sigmoid is no lack of Coulomb friction.
+        """
+        from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
+
+        default = DEFAULT_TERMINAL if self.torques == "terminal" else DEFAULT_MEASURED
+        if self.friction is None:
+            return ()
+        terms = self.friction.terms
+        given = {*terms, "coulomb"} if "sigmoid" in terms else {*terms}
+        return tuple(t for t in friction_model(default).terms if t not in given)
+
 
 # Names of the parts of a model file that may stay as they are (``Question.unchanged_parts``).
 # Friction of joints and motors.

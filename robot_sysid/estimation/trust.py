@@ -10,14 +10,16 @@ samples" are those that count after the autocorrelation of residuals.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.estimation.algebra.least_squares import sample_counts
 from robot_sysid.estimation.errors import BODIES
 from robot_sysid.estimation.fit import Fit
-from robot_sysid.estimation.held_out import NOISE_EXPLAINS
+from robot_sysid.estimation.held_out import NOISE_EXPLAINS, held_out, is_clearly_lower
 from robot_sysid.model.bodies import PLACEHOLDER, link_reach, usual_bodies
 from robot_sysid.records import (
     Array,
@@ -189,6 +191,43 @@ def unexplained_share(
     return share, (
         f"{percent(share)} of the torque is explained by neither the model nor noise "
         f"({', '.join(phrases)})"
+    )
+
+
+def missed_friction(fit: Fit) -> str:
+    """Return a sentence on friction terms that the user left out but the torques clearly show.
+
+    Links and other terms take up the torque of such terms, which no standard error allows for. It
+    is "" where no joint's held-out error is clearly lower with the terms. The fit needs the blocks
+    of its evidence.
+    """
+    options = fit.question.options
+    terms = options.left_out_terms
+    if not terms:
+        return ""
+    models = [FrictionModel((*model.terms, *terms)) for model in fit.choice.friction]
+    choice = replace(fit.choice, friction=tuple(models))
+    unknowns = fit.evidence.unknowns(fit.columns, fit.question, choice)
+    judge = held_out(fit)
+    given = judge.consistent_squared_errors(fit.unknowns)
+    complete = judge.consistent_squared_errors(unknowns)
+    least = NEGLIGIBLE**2 * np.sum(judge.data.squared_torque, axis=0)
+    joints = []
+    for row, joint in enumerate(fit.columns.joints):
+        is_notable = np.sum(given[:, row]) > least[row]
+        if is_notable and is_clearly_lower(complete[:, row], given[:, row]):
+            joints.append(joint)
+    if not joints:
+        return ""
+    errors = []
+    for squared in (given, complete):
+        errors.append(percent(judge.validation(squared).relative_error or 0.0))
+    remedy = f"leave --friction-model away, or add {'-'.join(terms)} to it"
+    return (
+        f"the torques of {', '.join(joints)} clearly show friction terms that were left out "
+        f"({', '.join(terms)}), and that links and other terms take up: the torque error on "
+        f"held-out data is {errors[0]}, with them {errors[1]}; "
+        f"{'leave --no-friction away' if options.no_friction else remedy}"
     )
 
 

@@ -45,8 +45,8 @@ class Verdict(Enum):
     BETTER = "the written model predicts torques that were not fitted clearly better than before"
     TORQUES_ONLY = (
         "the written model predicts torques that were not fitted clearly better than before, but a "
-        "part of the torque follows from nothing that it has: use it for torques of motions like "
-        "the log's, not for its numbers"
+        "part of the torque follows from nothing that was fitted: use the model for torques of "
+        "motions like the log's, not for the numbers"
     )
     AS_GOOD = (
         "the model predicted torques that were not fitted about as well as noise allows before, "

@@ -36,7 +36,7 @@ _NEGATIVE_DELAY = 2.0
 """Standard errors below zero beyond which a delay is called negative: noise alone reaches that once
 in 44 times."""
 _USE_TEXTS = {
-    Verdict.TORQUES_ONLY: "Only for torques of motions like the log's, not for its numbers",
+    Verdict.TORQUES_ONLY: "Only for torques of motions like the log's, not for the numbers",
     Verdict.AS_GOOD: "Usable, but the model was about as good before",
     Verdict.PARTLY_FROM_MODEL: "Usable (not identifiable, model's values kept: {unseen})",
     Verdict.INERTIA_NOT_KNOWN: "Usable for mass and centre of mass (the inertia is not known)",

@@ -24,10 +24,11 @@ from robot_sysid.estimation.identify import (
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import Flange, Measurement
 from robot_sysid.records.messages import Progress
+from robot_sysid.results.record import Verdict
 from tests.estimation.conftest import SIGMA
 from tests.support import arms
 from tests.support.core_fits import BASIC, ORIGIN, filter_logs, fit_recordings
-from tests.support.measured_logs import log_of
+from tests.support.measured_logs import XML, log_of
 from tests.support.payload_logs import (
     PAYLOAD,
     TrueArm,
@@ -87,6 +88,30 @@ def test_every_option_gives_a_possible_result(robot, noisy, options):
     file = result.file
     error_before = file.validation_before.relative_error
     assert file.validation_after.relative_error < error_before
+
+
+@pytest.mark.parametrize(
+    ("rotor", "verdict", "note"),
+    [
+        (0.05, Verdict.BETTER, "^not estimated, .*: offset, armature$"),
+        (0.0, Verdict.TORQUES_ONLY, r"left out \(offset, armature\)"),
+    ],
+)
+def test_numbers_that_take_up_friction_left_out_are_not_called_usable(
+    plant, rotor, verdict, note
+):
+    """The file has rotors all the same: its error says nothing of the fit's numbers."""
+    log = log_of(plant, noise_torque=0.02, encoder_resolution=1e-5)
+    xml = XML.replace('armature=".05"', f'armature="{rotor}"').replace(
+        'damping=".2"', ""
+    )
+    terms = "coulomb-viscous"
+    answer = answer_logs(arms.robot_of(xml), log, kept=(), friction_model=terms)
+    result = result_of(answer, ORIGIN)
+    assert result.verdict is verdict and result.failure is None
+    notes = tuple(text for text in result.notes if re.search(note, text))
+    assert len(notes) == 1
+    assert result.reasons[-1:] == (() if verdict is Verdict.BETTER else notes)
 
 
 def test_the_mass_is_found_with_friction_chosen_by_the_logs(robot, noisy):

@@ -80,7 +80,7 @@ def test_the_verdict_states_use_and_limit(result, verdict):
 def test_a_file_that_only_predicts_torques_says_for_what_it_may_be_used():
     result = made.found(verdict=Verdict.TORQUES_ONLY, reasons=("because",))
     assert verdict_line(result).startswith(
-        "Only for torques of motions like the log's, not for its numbers: "
+        "Only for torques of motions like the log's, not for the numbers: "
     )
     assert result.failure is None
 
