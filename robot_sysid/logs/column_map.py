@@ -109,6 +109,10 @@ def parse_units(text: str) -> ColumnChoices:
 
 def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
     """Read a columns file; InputError where a key, joint, unit or number in it is unknown."""
+    if "\n" in str(path):
+        raise InputError(
+            "--columns takes the path of a columns file, not its text; write the text to a file"
+        )
     try:
         with path.open(encoding="utf-8-sig") as stream:
             text = stream.read(_LONGEST)

@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import functools
 import os
+import re
 import shutil
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -123,6 +125,22 @@ def open_log(
     )
 
 
+def refuse_fitted_log(test: MeasurementLog, logs: Sequence[MeasurementLog]) -> None:
+    """Raise InputError where a validation log has the samples of one of the fitted logs."""
+    for log in logs:
+        is_same = True
+        for name in ("time", "q", "tau"):
+            samples = getattr(log.samples, name)
+            is_same &= np.array_equal(
+                samples, getattr(test.samples, name), equal_nan=True
+            )
+        if is_same:
+            raise InputError(
+                f"the validation log has the samples of {log.path}, which is fitted: that tests "
+                "nothing; give another validation log, or none"
+            )
+
+
 def _map_columns(
     table: LogTable, path: Path, robot: RobotModel, options: LogOptions
 ) -> ColumnMap:
@@ -147,7 +165,8 @@ def _map_columns(
             table.titles, robot, choices, table.first_row, currents, options.commanded
         )
     except InputError as error:
-        fault = f"{path}: {error}"
+        wrong_widths = "" if is_declared else _describe_wrong_widths(table, robot)
+        fault = f"{path}: {wrong_widths or error}"
         if error.options and not isinstance(error, ColumnsError):
             raise InputError(fault, error.options, error.command) from None
         if table.external_links:
@@ -159,7 +178,7 @@ def _map_columns(
         elif not is_declared:
             draft = guess_columns(table, robot, choices, currents, options.commanded)
             if ColumnsError(fault, draft).is_complete:
-                fault = f"{path}: {_UNTITLED}"
+                fault = f"{path}: {wrong_widths or _UNTITLED}"
         name = columns_file_name(path)
         raise ColumnsError(f"{fault}; {_REMEDY}", draft, name) from None
 
@@ -168,6 +187,23 @@ def columns_file_name(path: Path) -> str:
     """Return the name of the columns file that is suggested for a log."""
     stem = "log" if path == STANDARD_INPUT else path.stem
     return f"{stem}_columns.txt"
+
+
+def _describe_wrong_widths(table: LogTable, robot: RobotModel) -> str:
+    """Return a sentence on arrays of a known quantity that have not one column per joint, or "".
+
+    Arrays of a quantity of which another array has one column per joint are left out.
+    """
+    names = [re.sub(r"\[\d+\]$", "", title) for title in table.titles]
+    widths = {name: count for name, count in Counter(names).items() if count > 1}
+    quantities = {name: read_title(name).measured_quantity for name in widths}
+    fitting = {quantities[name] for name in widths if widths[name] == robot.n_joints}
+    phrases = []
+    for name, quantity in quantities.items():
+        if quantity not in {None, *fitting}:
+            phrases.append(f"{name} has {widths[name]} columns")
+    chain = f"the chain to {robot.terminal_joint} has {robot.n_joints} joints"
+    return ", ".join([*phrases, chain]) if phrases else ""
 
 
 def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:

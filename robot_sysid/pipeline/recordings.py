@@ -28,7 +28,12 @@ from robot_sysid.estimation.question import (
     EstimationOptions,
 )
 from robot_sysid.estimation.trust import judge_file
-from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
+from robot_sysid.logs.reader import (
+    MeasurementLog,
+    open_log,
+    origin_of,
+    refuse_fitted_log,
+)
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.pipeline import Identification
@@ -83,6 +88,7 @@ def identify_logs(
     tests = []
     if options.validation_measurements is not None:
         test = open_log(robot, options.validation_measurements, options, progress)
+        refuse_fitted_log(test, logs)
         tests.append(test)
         # A note keeps its type: a Detail stays one.
         progress.note(*(type(note)(f"validation log: {note}") for note in test.notes))

@@ -17,7 +17,12 @@ from numpy.typing import NDArray
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.export import Outcome, locked_folder, remove_earlier
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
+from robot_sysid.logs.reader import (
+    MeasurementLog,
+    open_log,
+    origin_of,
+    refuse_fitted_log,
+)
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.updated_model import ActuatorChange, JointChange
 from robot_sysid.records import (
@@ -370,7 +375,9 @@ def identify_servos(
         held_out_text = LAST_FIFTH
     else:
         fitted = pieces
-        held_out = commanded_pieces([read(validation_path)], names)
+        validation_log = read(validation_path)
+        refuse_fitted_log(validation_log, measurement_logs)
+        held_out = commanded_pieces([validation_log], names)
         held_out_text = "the validation log"
     moves = is_moving(pieces)
     period = float(np.median([sampling_period(piece.time) for piece in pieces]))

@@ -151,3 +151,12 @@ def test_motor_currents_are_taken_with_torque_constants_only(tmp_path):
     np.testing.assert_allclose(
         log.samples.tau, DATA.tau * [10.0, 20.0, 30.0], rtol=1e-14
     )
+
+
+def test_a_validation_log_with_the_samples_of_a_fitted_log_is_refused(tmp_path):
+    log = read_measurements(write(tmp_path / "log.csv", table(DATA)), JOINTS)
+    other = read_measurements(write(tmp_path / "other.csv", table(motion(50))), JOINTS)
+    copy = replace(log, path=tmp_path / "copy.csv")
+    reader.refuse_fitted_log(other, [log])
+    with pytest.raises(InputError, match="the samples of .*log.csv, which is fitted"):
+        reader.refuse_fitted_log(copy, [other, log])
