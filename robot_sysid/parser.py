@@ -269,9 +269,15 @@ _NAME = re.compile(r"\w+_description", re.ASCII)
 def _model_file(path: Path) -> Path:
     """Return a path as it is, or, where no file is there, the file of the model of that name.
 
-    InputError if robot_descriptions is missing, has no such model, or cannot fetch it.
+    InputError if robot_descriptions is missing, has no such model, or cannot fetch it, and if it is
+    XML text and no path.
     """
     name = str(path)
+    if name.lstrip().startswith("<"):
+        raise InputError(
+            "the model is XML text, not the path of a file; write it to a file, or give a "
+            "mujoco.MjSpec (mujoco.MjSpec.from_string) from Python"
+        )
     if not _NAME.fullmatch(name) or os.path.lexists(path):
         return path
     try:

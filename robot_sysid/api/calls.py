@@ -28,9 +28,10 @@ from robot_sysid.estimation.build_result import result_of
 from robot_sysid.estimation.log_information import LogInformation
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.arrays import arrays_table
+from robot_sysid.logs.arrays import arrays_table, can_be_column
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.logs.table import LogTable
+from robot_sysid.logs.titles import read_title
 from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.pipeline import stages
@@ -84,10 +85,39 @@ def _log_source(log: Log) -> Any:
         valid = "a path, arrays by name, a data frame or a Measurement"
         raise InputError(f"a log is {valid}, not {type(log).__name__}")
     arrays = {}
-    for name, array in log.items():
-        if array is not None:
-            arrays[str(name)] = np.asarray(array)
+    for name, values in log.items():
+        if values is None:
+            continue
+        try:
+            arrays[str(name)] = np.asarray(values)
+        except ValueError:
+            raise InputError(f"{name} is no array: its rows differ in length") from None
+    _refuse_unusable(arrays)
     return arrays_table(Path("arrays"), "arrays in memory", arrays)
+
+
+def _refuse_unusable(arrays: Mapping[str, Array]) -> None:
+    """Raise InputError where all arrays of a quantity have a wrong length or no real numbers."""
+    names_by_quantity: dict[str, list[str]] = {}
+    times = []
+    for name, array in arrays.items():
+        quantity = read_title(name).measured_quantity
+        if quantity == "time" and array.ndim:
+            times.append(name)
+        elif quantity not in ("time", None):
+            names_by_quantity.setdefault(quantity, []).append(name)
+    for names in names_by_quantity.values():
+        faults = []
+        for name in names:
+            array = arrays[name]
+            if not can_be_column(array):
+                kind = f"{array.dtype}, shape {array.shape}"
+                faults.append(f"{name} holds no columns of real numbers ({kind})")
+            elif times and len(arrays[times[0]]) not in array.shape:
+                rows = len(arrays[times[0]])
+                faults.append(f"{name} has {len(array)} rows, {times[0]} {rows}")
+        if len(faults) == len(names):
+            raise InputError("; ".join(faults))
 
 
 def _log_sources(logs: Log | Sequence[Log]) -> tuple[Any, ...]:
@@ -130,7 +160,7 @@ def read_log(
     """Recognise, check and read a log of an arm.
 
     Args:
-        log: see ``api.calls.Log``.
+        log: see ``robot_sysid.Log``.
         model: the arm, whose joints' names and limits the log is checked against.
         options: what ``LogOptions`` takes, such as ``columns`` or ``units="deg,ms"``.
 
@@ -158,8 +188,8 @@ def identify(
     The equations and the estimate are explained in docs/method.md with their sources.
 
     Args:
-        model: MJCF or URDF file.
-        log: one log of the real arm or several (see ``api.calls.Log``); None simulates the model
+        model: path of an MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
+        log: one log of the real arm or several (see ``robot_sysid.Log``); None simulates the model
             itself, or the ``plant_model`` among the options.
         validation: a log to test the result on.
         options: every option of the command, ``keep="gravity"`` for --keep gravity.
@@ -175,9 +205,13 @@ def identify(
         values["measurements"] = _log_sources(log)
         if not values["measurements"]:
             raise InputError("the list of logs is empty; give at least one log")
+    if isinstance(validation, (list, tuple)):
+        raise InputError("validation is one log, not a list; test the logs one by one")
     if validation is not None:
         values["validation_measurements"] = _log_source(validation)
-    return _run_quietly(SysidConfig.of(path_of(model), **values))
+    return _run_quietly(
+        SysidConfig.of(path_of(model, options.get("mesh_dir")), **values)
+    )
 
 
 @with_keywords(**PLANNED)
@@ -185,7 +219,7 @@ def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
     """Design a trajectory, or check one that was saved, and predict an identification from it.
 
     Args:
-        model: MJCF or URDF file.
+        model: path of an MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
         options: every option of ``robot-sysid plan``, such as ``duration=15.0``, ``seed=1``,
             ``max_velocity=1.0`` or ``excitation="sines"``. The default, as in the command, is a
             designed motion (``excitation="optimal"``); ``excitation_time_budget=60.0`` searches
@@ -194,7 +228,8 @@ def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
     Raises:
         InputError: an option or the model cannot be used.
     """
-    config = SysidConfig.of_plan(path_of(model), **options)
+    path = path_of(model, options.get("mesh_dir"))
+    config = SysidConfig.of_plan(path, **options)
     with _quietly() as notes:
         robot = load_arm(config.model, notes, config.limits.max_velocity)
         require_motors(config.motors, robot)
@@ -213,8 +248,8 @@ def payload(
     """Identify a payload from the difference between recordings without and with it.
 
     Args:
-        model: MJCF or URDF file of the arm.
-        empty: one recording without the payload or several, see ``api.calls.Log``.
+        model: path of an MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
+        empty: one recording without the payload or several, see ``robot_sysid.Log``.
         loaded: one recording with the payload or several.
         options: every option of ``robot-sysid payload``, such as ``order="ABBA"`` or
             ``flange="tool0"``.
@@ -227,7 +262,9 @@ def payload(
         "empty": _log_sources(empty),
         "loaded": _log_sources(loaded),
     }
-    return _run_quietly(PayloadConfig.of(path_of(model), **values))
+    return _run_quietly(
+        PayloadConfig.of(path_of(model, options.get("mesh_dir")), **values)
+    )
 
 
 @with_keywords()
@@ -245,8 +282,8 @@ def information(
     Estimation", 1977, ch. IV).
 
     Args:
-        model: MJCF or URDF file.
-        log: see ``api.calls.Log``.
+        model: path of an MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
+        log: see ``robot_sysid.Log``.
         around: None in a first round over all logs; in a second round the sum of the first, around
             whose estimate the equations are linearised. ``identify_from`` takes the second sum.
         options: those of ``identify`` on reading and fitting a log. ``cutoff`` [Hz] is required;
@@ -260,7 +297,7 @@ def information(
     log_options = record_from(LogOptions, values)
     estimation = log_sums.settled_options(record_from(EstimationOptions, values))
     config = SysidConfig(
-        ModelOptions(path_of(model)), log=log_options, estimation=estimation
+        record_from(ModelOptions, values), log=log_options, estimation=estimation
     )
     config = config.with_scale_uncertainty(robot.joint_names)
     records = []
@@ -286,7 +323,7 @@ def identify_from(
     """Identify the terminal link from the sum of the records of several logs.
 
     Args:
-        model: MJCF or URDF file.
+        model: path of an MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
         information: the sum of a second round.
         validation: the sum of other logs in that round, to test the result on.
         options: ``joint``, ``mesh_dir`` and ``keyframe``, as they were given to ``information``.
@@ -324,7 +361,7 @@ def _no_traces() -> Traces:
 
 @dataclass(frozen=True, repr=False)
 class Regressor:
-    """The regressor of an arm's joint torques at N samples; iterating yields Y and tau.
+    """The regressor of an arm's joint torques at N samples; a pair of Y and tau.
 
     Attributes:
         Y: (N, n, p) columns of the parameters in each joint's torque; (n, p) of one instant.
@@ -342,6 +379,9 @@ class Regressor:
 
     def __iter__(self) -> Iterator[Array]:
         return iter((self.Y, self.tau))
+
+    def __getitem__(self, index: int) -> Array:
+        return (self.Y, self.tau)[index]
 
     def __repr__(self) -> str:
         return f"<Regressor Y {self.Y.shape}, tau {self.tau.shape}, {len(self.names)} parameters>"
@@ -363,7 +403,7 @@ def joint_torque_regressor(
     springs, tendons and actuators, which have no columns: tau - Y theta is their torque.
 
     Args:
-        model: MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
+        model: path of an MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
         q: (N, n) positions of the chain joints [rad], or (n,) of one instant.
         qd: their velocities [rad/s].
         qdd: their accelerations [rad/s^2].

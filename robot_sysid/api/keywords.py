@@ -62,14 +62,16 @@ Model = Union[str, "os.PathLike[str]", InMemory]
 """Path of an MJCF or URDF file, or a model of MuJoCo's."""
 
 
-def path_of(model: Model) -> Path:
+def path_of(model: Model, mesh_dir: Any = None) -> Path:
     """Return the file of a model; a model in memory is first written to a file by MuJoCo.
+
+    ``mesh_dir``: folder of its meshes as the user gave it, or None.
 
     Raises:
         InputError: it is no model, or cannot be written.
     """
     if is_in_memory(model):
-        return file_of(model)
+        return file_of(model, has_mesh_folder=mesh_dir is not None)
     if not isinstance(model, (str, os.PathLike)):
         valid = "the path of an MJCF or URDF file, a mujoco.MjSpec or a mujoco.MjModel"
         raise InputError(f"a model is {valid}, not {type(model).__name__}")
@@ -132,14 +134,15 @@ RECORDS: Mapping[str, Sequence[Any]] = {
 """Function to the records whose options are its keywords. ``identify`` takes no options of a
 design: its own simulation plays random swings, or a trajectory from a file; see ``plan``. ``play``
 and ``hold`` are functions of ``robot_sysid.motors``."""
-_COMMAND = "plays models; it needs the command robot-sysid identify"
-"""End of the sentence that refuses options on simulating the written model."""
+_COMMAND = "it needs the command robot-sysid identify"
+"""End of the sentence that refuses options of that command alone."""
 _SAVE = "is for the command; the result's save(folder) writes files"
 """End of the sentence that refuses options on written files."""
 ELSEWHERE = {
     "measurements": "is the argument log",
     "validation_measurements": "is the argument validation",
-    **dict.fromkeys(("verify_rollout", "torque_from"), _COMMAND),
+    "verify_rollout": f"plays models; {_COMMAND}",
+    "torque_from": f"is for logs without torque; {_COMMAND} MODEL LOG --torque-from position-error",
     **dict.fromkeys(("output_dir", "bundle", "report", "plots"), _SAVE),
     "plan_only": "designs a motion; call plan instead",
     **dict.fromkeys(("empty", "loaded"), "is an argument of its own"),
@@ -297,6 +300,13 @@ _UNITS = re.compile(r"(deg|rad|s|ms|us|ns)(,(deg|rad|s|ms|us|ns))?")
 
 _COMMAND_LINE = "  robot-sysid "
 """Beginning of a line that is a command and nothing else."""
+_PHRASES = {
+    "robot-sysid plan": "robot_sysid.plan",
+    "robot-sysid payload --": "robot_sysid.payload and --",
+    "identify --torque-from position-error": "the command robot-sysid identify MODEL LOG "
+    "--torque-from position-error",
+}
+"""Commands within a sentence, to what a Python program does instead."""
 _CALLS = {
     "plan": ("plan", "rs.plan(model"),
     "identify": ("identify", "rs.identify(model, log"),
@@ -316,8 +326,9 @@ def python_words(text: str) -> str:
         if line.startswith(_COMMAND_LINE):
             lines.append(_call(line))
         else:
-            sentence = _FLAG.sub(_keyword, line)
-            lines.append(sentence.replace("robot-sysid plan", "robot_sysid.plan"))
+            for command, python in _PHRASES.items():
+                line = line.replace(command, python)
+            lines.append(_FLAG.sub(_keyword, line))
     return "\n".join(lines)
 
 

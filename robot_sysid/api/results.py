@@ -91,10 +91,15 @@ class Identified(Identification):
 
     @property
     def standard_errors(self) -> Mapping[str, float]:
-        """Parameter name ("m", "hx", ..., "coulomb[joint6]") to standard error of all causes
-        together, in the parameter's unit; infinite where the data does not determine the
+        """Parameter name to standard error of all causes together, in the parameter's unit.
+
+        "m" to "Izz" are of the terminal link, or the payload; "m(link3)" of another link;
+        "coulomb[joint6]" of a term in ``friction``. All others are nuisances, allowed for because
+        they make other errors larger: friction beyond the terms, torque scales ("scale[joint6]"),
+        encoder zeros, tilt and delay. It is infinite where the data does not determine the
         parameter. Friction that was held at a bound has none, and no entry here. Empty for a
-        simulation of the model itself."""
+        simulation of the model itself.
+        """
         payload = self.result.payload
         if payload is not None:
             return dict(zip(PARAMETER_NAMES, payload.body.errors.tolist()))
@@ -135,8 +140,9 @@ class Identified(Identification):
         return parameter_rows(self.result)
 
     def lines(self) -> list[str]:
-        """Return the lines that the command prints of this result."""
-        return result_lines(self.result, self.config.output.links)
+        """Return the lines that the command prints of this result, in Python's words."""
+        lines = result_lines(self.result, self.config.output.links)
+        return list(map(python_words, lines))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of params.json (see docs/formats.md), without cards."""
@@ -212,7 +218,8 @@ class Identified(Identification):
     def __repr__(self) -> str:
         body = self.robot.body_name if self.result.payload is None else "payload"
         mass = with_error(self.mass, self.standard_errors.get("m"), "kg")
-        usable = f"not to be used: {self.failure}" if self.failure else "usable"
+        usable = "usable" if self.result.verdict.is_trustworthy else "only for torques"
+        usable = f"not to be used: {self.failure}" if self.failure else usable
         return f"<Identified {body} of {self.robot.path.name}: {mass}, {usable}>"
 
     def _repr_html_(self) -> str:
@@ -223,6 +230,8 @@ class Identified(Identification):
         verdict = ""
         if self.failure:
             verdict = f"<p><b>Not to be used:</b> {escape(self.failure)}</p>"
+        elif not self.result.verdict.is_trustworthy:
+            verdict = f"<p>{escape(self.lines()[-1])}</p>"
         return f"{verdict}<table>{table}</table>"
 
 

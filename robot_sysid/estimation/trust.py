@@ -227,7 +227,7 @@ def missed_friction(fit: Fit) -> str:
         f"the torques of {', '.join(joints)} clearly show friction terms that were left out "
         f"({', '.join(terms)}), and that links and other terms take up: the torque error on "
         f"held-out data is {errors[0]}, with them {errors[1]}; "
-        f"{'leave --no-friction away' if options.no_friction else remedy}"
+        f"{'identify friction, too' if options.no_friction else remedy}"
     )
 
 

@@ -333,12 +333,13 @@ def compiled_in_memory(model: Any) -> CompiledModel:
     return CompiledModel(mj_model, notes=(), sha256="", kind="mjcf")
 
 
-def file_of(model: Any) -> Path:
+def file_of(model: Any, has_mesh_folder: bool = False) -> Path:
     """Return a temporary MJCF file of an MjSpec or MjModel, removed when this process ends.
 
     MuJoCo writes it, with six digits of each number. Of an MjModel, it writes only the last one
     that was loaded; for an earlier one the file of an earlier call is returned, if there is one.
-    Raises ModelError where there is no file.
+    Raises ModelError where there is no file, and for an MjModel with meshes, which does not say in
+    which folder they are, unless ``has_mesh_folder``: that they are read from a given folder.
     """
     _FOLDERS.append(tempfile.TemporaryDirectory(prefix="robot-sysid-"))
     folder = Path(_FOLDERS[-1].name)
@@ -354,6 +355,11 @@ def file_of(model: Any) -> Path:
         is_copy = copy is None or _is_same_arm(model, copy)
         if is_copy and _has_all_names(path, model):
             _WRITTEN[model] = path, copy
+            if copy is None and not has_mesh_folder:
+                raise ModelError(
+                    "a MjModel does not say in which folder its meshes are; add --mesh-dir FOLDER, "
+                    "or give its file, or the MjSpec that it was compiled from"
+                )
             return path
     path, copy = _WRITTEN.get(model, (folder, None))
     if copy is None or not _is_same_arm(model, copy):

@@ -67,6 +67,39 @@ def frame_of(path):
     return Frame({"comment": np.array(["text"] * len(values)), **table})
 
 
+ZEROS = np.zeros((9, 2))
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"tau": ZEROS[1:]}, "^tau has 8 rows, time 9$"),
+        (
+            {"tau": ZEROS.astype(complex)},
+            "^tau holds no columns of real numbers .complex",
+        ),
+        ({"q": ZEROS.astype(str)}, "^q holds no columns of real numbers .<U"),
+        ({"q": [[0.0], [0.0, 1.0]]}, "^q is no array: its rows differ in length$"),
+        (
+            {"q": np.zeros((9, 4)), "tau": np.zeros((9, 4))},
+            "q has 4 columns, tau has 4 columns, the chain to joint1 has 2 joints; say which",
+        ),
+    ],
+)
+def test_arrays_that_are_no_columns_are_named_with_what_is_wrong(changed, message):
+    robot = arms.robot_of(arms.serial_arm((arms.Z, arms.Y)))
+    log = {"time": np.arange(9.0), "q": ZEROS, "tau": ZEROS, "tau_limit": [1.0, 2.0]}
+    with pytest.raises(InputError, match=message):
+        rs.read_log({**log, **changed}, robot)
+
+
+def test_a_text_in_place_of_a_columns_file_is_named(workshop):
+    with pytest.raises(InputError, match="^columns takes the path of a columns file"):
+        rs.read_log(
+            workshop / "log.csv", workshop / "arm.xml", columns="time = t\nrate = 2\n"
+        )
+
+
 @pytest.mark.slow
 def test_arrays_frames_and_logs_are_what_the_file_is(workshop, result):
     log = rs.read_log(workshop / "log.csv", workshop / "arm.xml")
@@ -81,7 +114,8 @@ def test_arrays_frames_and_logs_are_what_the_file_is(workshop, result):
     for form in forms:
         from_form = rs.identify(workshop / "arm.xml", form)
         np.testing.assert_allclose(from_form.theta, result.theta, rtol=1e-9)
-    both = rs.identify(workshop / "arm.xml", [log, arrays], validation=arrays)
+    shorter = {name: arrays[name][1:] for name in ("time", "q", "tau")}
+    both = rs.identify(workshop / "arm.xml", [log, arrays], validation=shorter)
     assert both.mass == pytest.approx(result.mass, rel=0.01)
     assert (
         len(both.result.file.other_validations) == 1
@@ -205,6 +239,14 @@ def test_a_result_that_must_not_be_used_says_so_and_makes_no_model(result, tmp_p
         doubtful_result.spec()
 
 
+def test_numbers_of_a_result_for_torques_only_are_not_called_usable(result):
+    for_torques = replace(result.result, verdict=Verdict.TORQUES_ONLY)
+    shown = replace(result, result=for_torques)
+    assert shown.failure is None and "usable" not in repr(shown)
+    assert "Only for torques of motions like" in shown._repr_html_()
+    assert repr(result).endswith("usable>")
+
+
 def test_a_plot_shows_every_joint(result, monkeypatch, tmp_path):
     pytest.importorskip("matplotlib")
     axes = result.plot().axes
@@ -283,7 +325,7 @@ def test_every_link_has_its_numbers(workshop, result):
         identified.links["link3"].mass == identified.mass
         and identified.friction["joint0"]["coulomb"] > 0.0
     )
-    assert "link0 mass" in str(identified) and "link0 mass" not in str(result)
+    assert "  link0 " in str(identified) and "  link0 " not in str(result)
 
 
 def test_a_plan_gives_arrays_to_play(workshop, tmp_path, monkeypatch):

@@ -58,6 +58,7 @@ def test_columns_times_parameters_are_the_inverse_dynamics_of_mujoco(tmp_path, f
     matrix, tau = rs.joint_torque_regressor(
         source, *(signal[4] for signal in motion(3))
     )
+    np.testing.assert_array_equal(regressor[0], regressor.Y)
     # One sample and many take other sums of the same terms, all of them smaller than 10.
     np.testing.assert_allclose(matrix, regressor.Y[4], rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(tau, regressor.tau[4], rtol=0.0, atol=1e-13)
@@ -122,6 +123,19 @@ def test_a_compiled_model_is_written_while_mujoco_still_knows_its_xml():
     mujoco.MjModel.from_xml_string(TEXT)
     with pytest.raises(rs.ModelError, match="give its file, or the MjSpec"):
         rs.identify(forgotten, **quick)
+
+
+def test_the_meshes_of_a_compiled_model_are_read_from_a_given_folder():
+    path = EXAMPLE / "model" / "kinova_fullinertia_guess.xml"
+    model = mujoco.MjModel.from_xml_path(str(path))
+    with pytest.raises(
+        rs.ModelError, match="which folder its meshes are; add mesh_dir="
+    ):
+        rs.identify(model, seed=1, duration=1.0)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    folder = path.parent / "meshes"
+    identified = rs.identify(model, seed=1, duration=1.0, mesh_dir=folder)
+    assert identified.robot.mj_model.nmesh == model.nmesh > 0
 
 
 def test_a_compiled_model_is_not_taken_for_another_one_nor_for_what_it_was():

@@ -115,6 +115,19 @@ def test_help_says_what_every_keyword_means(function):
             "a model is the path of an MJCF or URDF file, a mujoco",
         ),
         (
+            lambda: rs.identify("<mujoco>\n</mujoco>", "l"),
+            "the model is XML text, not the path of a file; write it to a file, or",
+        ),
+        (
+            lambda: rs.identify("m", "l", validation=["a", "b"]),
+            "validation is one log, not a list",
+        ),
+        (
+            lambda: rs.identify("m", "l", torque_from="position-error"),
+            "torque_from is for logs without torque; it needs the command robot-sysid identify "
+            "MODEL LOG --torque-from position-error",
+        ),
+        (
             lambda: rs.identify_from("m", None),
             "a sum of rs.information is needed, not NoneType",
         ),
@@ -133,7 +146,11 @@ def test_what_cannot_be_used_is_said_in_the_words_of_python(call, message):
         ("pass --units deg, or --units rad if", 'pass units="deg", or units="rad" if'),
         ("give --torque-constants to use them", "give torque_constants to use them"),
         ("--known-mass and --scale-uncertainty 0", "known_mass and scale_uncertainty=0"),
-        ("identify --torque-from position-error", "identify --torque-from position-error"),
+        ("none; identify --torque-from position-error needs none",
+         "none; the command robot-sysid identify MODEL LOG --torque-from position-error needs "
+         "none"),
+        ("with robot-sysid payload --known-mass KG", "with robot_sysid.payload and known_mass=KG"),
+        ("--empty and --loaded look swapped", "empty and loaded look swapped"),
         ("leave it off with --no-friction", "leave it off with no_friction=True"),
         ("weigh (--known-mass KG --save-torque-scale FILE)",
          "weigh (known_mass=KG save_torque_scale=FILE)"),
