@@ -128,7 +128,8 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
         else:
             status, _ = first(findings, Verdict.UNEXPLAINED)
         reasons = (*reasons, *doubts)
-    contradicted = tuple(wrong_links(links[:-1]))
+    # Links that took up the torque of missed friction say nothing of the model's.
+    contradicted = () if answer.missed_friction else tuple(wrong_links(links[:-1]))
     notes += tuple(map(_wrong_link_line, contradicted))
     all_notes = (*robot.notes, *notes, *_result_notes(answer, file))
     base = None

@@ -112,6 +112,7 @@ def test_numbers_that_take_up_friction_left_out_are_not_called_usable(
     notes = tuple(text for text in result.notes if re.search(note, text))
     assert len(notes) == 1
     assert result.reasons[-1:] == (() if verdict is Verdict.BETTER else notes)
+    assert not result.wrong_links
 
 
 def test_the_mass_is_found_with_friction_chosen_by_the_logs(robot, noisy):
