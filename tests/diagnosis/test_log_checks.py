@@ -225,25 +225,26 @@ def test_a_log_that_cannot_be_checked_is_named(four_joints):
         )
 
 
-def test_of_a_log_that_mostly_rests_only_columns_are_checked(four_joints):
+@pytest.mark.parametrize(
+    ("name", "is_refused"), [("sign", True), ("torque-scale", True), ("contact", False)]
+)
+def test_of_a_log_that_mostly_rests_only_columns_are_checked(
+    four_joints, monkeypatch, name, is_refused
+):
     """The slow motion between poses shows turned signs and other units, and no contact for sure."""
-    tau = four_joints.log.tau
-    pushed = tau.copy()
-    pushed[1500:1700] += 0.5 * np.max(np.abs(tau), axis=0)
-    for wrong, checks, expected in (
-        (1000.0 * tau, OF_COLUMNS, pytest.raises(InputError)),
-        (pushed, CHECKS, pytest.raises(SysidError)),
-        (pushed, OF_COLUMNS, contextlib.nullcontext()),
-    ):
-        log = SimpleNamespace(
-            path="log.csv",
-            pieces=(replace(four_joints.log, tau=wrong),),
-            notes=(),
-            columns=SimpleNamespace(commanded=True, angle_declared=False),
-            torque_scale=None,
-        )
-        with expected:
-            check_log(four_joints.robot, log, (), Progress(), checks=checks)
+    log = SimpleNamespace(
+        path="log.csv", pieces=(four_joints.log,), notes=(), torque_scale=None
+    )
+    finding = Finding(name, Level.WARN, "wrong")
+    monkeypatch.setattr(
+        "robot_sysid.diagnosis.log_checks.check_against_model", lambda *_: (finding,)
+    )
+    robot = four_joints.robot
+    with pytest.raises(SysidError):
+        check_log(robot, log, (), Progress())
+    expected = pytest.raises(SysidError) if is_refused else contextlib.nullcontext()
+    with expected:
+        check_log(robot, log, (), Progress(), checks=OF_COLUMNS)
 
 
 # ---- signs and mounting
