@@ -254,18 +254,22 @@ def _write_models(
     if result.file is not None and result.file.urdf_file is not None:
         results.append(replace(result, file=result.file.urdf_file))
     written: list[Path] = []
-    notes: tuple[str, ...] = ()
+    notes: list[str] = []
     try:
         for model_result in results:
             path = target.path / model_result.model_name
             model_target = replace(target, path=path)
-            notes += write_model(model_result, model_target, as_body)
+            file_notes = write_model(model_result, model_target, as_body)
+            if len(results) > 1:
+                # A detail stays one.
+                file_notes = tuple(type(n)(f"{path.name}: {n}") for n in file_notes)
+            notes += file_notes
             written.append(model_target.path)
     except ExportError:
         for path in written:
             target.files.withdraw(path)
         raise
-    return written, notes
+    return written, tuple(notes)
 
 
 def remove_earlier(

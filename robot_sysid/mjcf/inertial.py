@@ -171,9 +171,10 @@ def _notes(top: SubtreeBody, plan: WriteBack) -> Iterator[str]:
     ``top`` is the terminal body.
     """
     if plan.emptied:
+        verb = "weighs" if len(plan.emptied) == 1 else "weigh"
         yield (
             f"body '{top.name}' now holds the inertia of all that is rigidly attached to it; "
-            f"{_list_names(plan.emptied)} weigh nothing in the written model"
+            f"{_list_names(plan.emptied)} {verb} nothing in the written model"
         )
     if plan.lightened:
         yield (

@@ -232,7 +232,7 @@ def test_a_massless_terminal_body_takes_the_whole_rigid_group(seed):
     plan = plan_write_back(tool + finger + noise, bodies)
     np.testing.assert_allclose(plan.theta, tool + noise, rtol=0, atol=1e-14)
     assert [b.name for b in plan.emptied] == ["b4"]
-    assert "'b3'" in plan.note and "'b4' weigh nothing" in plan.note
+    assert "'b3'" in plan.note and "'b4' weighs nothing" in plan.note
     heavier = plan_write_back(tool + finger + load, bodies)
     assert heavier.emptied == () and spatial.is_consistent(heavier.theta)
 
@@ -251,7 +251,7 @@ def test_what_hangs_on_joints_gets_as_light_as_it_has_to(seed):
     assert possible_body(plan.theta, 1.0) is not None
     lighter = composite - 1.0001 * plan.scale * (finger + thumb)
     assert possible_body(lighter, 1.0) is None
-    assert "'b4' weigh nothing" in plan.note and "\n" not in plan.note
+    assert "'b4' weighs nothing" in plan.note and "\n" not in plan.note
     assert "'b5', 'b6' on joints of their own below body 'b3'" in plan.note
     assert f"inertia are {plan.scale:.4g} of the model's" in plan.note
 

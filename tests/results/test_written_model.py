@@ -488,7 +488,7 @@ def test_fingers_that_leave_no_possible_gripper_are_made_lighter(tmp_path, also_
         assert_same_theta(written_theta, shares[0] * model_theta)
     assert "'left_finger', 'right_finger' on joints of their own" in notes[0]
     assert f"{shares[0]:.4g} of the model's" in notes[0]
-    assert ("'cover' weigh nothing" in notes[0]) == also_welded
+    assert ("'cover' weighs nothing" in notes[0]) == also_welded
     assert (
         path.read_text().count(f"mass and inertia {shares[0]:.4g} of the model's") == 2
     )
