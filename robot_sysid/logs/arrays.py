@@ -433,14 +433,15 @@ def _no_torque_error(
         state_titles: of the columns of the feature STATE.
         has_actions: whether it holds what was commanded, which can stand in for the torque.
     """
-    fault = f"{path} holds no torque ({STATE}: {', '.join(state_titles) or 'nothing'})"
     if has_actions:
         return InputError(
-            f"{fault}; identify --torque-from position-error needs none: it takes the torque from "
-            f"the servos' position errors, {ACTION} minus {STATE}",
+            f"{path} is a data set of measured positions ({STATE}) and goals ({ACTION}), as "
+            "position servos give them, and holds no torque; identify --torque-from position-error "
+            "needs none: it takes the torque from the distance of positions to goals",
             options=[("--torque-from", "position-error")],
             command="identify",
         )
+    fault = f"{path} holds no torque ({STATE}: {', '.join(state_titles) or 'nothing'})"
     return InputError(
         f"{fault}; record it too: for OpenArm use_velocity_and_torque=true of the robot's "
         "configuration, for other robots an observation whose names end in .torque"

@@ -31,7 +31,11 @@ from robot_sysid.logs.table import (
 )
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import Detail, position_unit
-from robot_sysid.signals.resampling import GAP_STEPS, sampling_period
+from robot_sysid.signals.resampling import (
+    GAP_STEPS,
+    RECORDING_SEPARATION,
+    sampling_period,
+)
 
 Check = Callable[[LogRows, RobotModel], "Iterable[str] | None"]
 """Function that returns notes on the rows of a log, or None, and raises InputError for a fault."""
@@ -254,6 +258,8 @@ def clock_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     if period * _SLOW_RATE > 1.0:
         yield f"the log has only {1 / period:.3g} samples per second"
     step = np.diff(rows.samples.time)
+    # Between recordings, such as the episodes of a data set, no sample is missing.
+    step[np.isclose(step, RECORDING_SEPARATION, rtol=0.0, atol=1e-6)] = period
     late = rows.lines[1:][step > GAP_STEPS * np.median(step)]
     if len(late):
         yield (

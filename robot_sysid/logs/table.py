@@ -32,7 +32,7 @@ from robot_sysid.records import Array, Measurement
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress
-from robot_sysid.signals.resampling import Thinning
+from robot_sysid.signals.resampling import RECORDING_SEPARATION, Thinning
 
 Lines = NDArray[np.int64]
 """Numbers of lines, messages or rows, counted from 1."""
@@ -242,8 +242,6 @@ _IMPOSSIBLE = 1e7
 """Largest absolute position, speed or torque in SI units; larger numbers are faults of a file."""
 _IMPOSSIBLE_TIME = 1e24
 """Largest absolute time [s], even of a clock of nanoseconds that is read as seconds."""
-SEPARATION = 10.0
-"""Time that is put between recordings with separate clocks [s]: longer than any filter."""
 
 
 class Anomaly(NamedTuple):
@@ -459,7 +457,7 @@ class _RowCleaner:
         self._recording = recording
         self._turns = np.zeros(self._n)
         if self._last_row is not None and self._columns.time is not None:
-            self._time_offset = float(self._last_row[0] + SEPARATION - start)
+            self._time_offset = float(self._last_row[0] + RECORDING_SEPARATION - start)
         self._last_row = None
 
     def _count(self, anomaly: str, lines: Lines, first: str = "") -> None:

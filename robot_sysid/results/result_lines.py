@@ -385,9 +385,9 @@ def rollout_lines(test: RolloutTest) -> Iterator[str]:
     if test.errors:
         longest = test.errors[-1]
         texts = []
-        for k in np.flatnonzero(longest.errors_after > longest.errors_before):
+        for k in np.flatnonzero(longest.errors_after > 1.005 * longest.errors_before):
             ratio_of_joint = longest.errors_after[k] / longest.errors_before[k]
             name = test.joint_names[k]
-            texts.append(f"{name} ({longest.loop}, {ratio_of_joint:.2g} times)")
+            texts.append(f"{name} ({longest.loop}, {ratio_of_joint:.3g} times)")
         if texts:
             yield f"  worse than before over the longest horizon: {', '.join(texts)}"

@@ -7,14 +7,14 @@ n joints; a piece is a part of a log without gaps.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.errors import ExportError, InputError
+from robot_sysid.errors import ExportError
 from robot_sysid.export import Outcome, locked_folder, remove_earlier
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import (
@@ -33,13 +33,11 @@ from robot_sysid.records import (
     RobotModel,
     file_access,
 )
-from robot_sysid.records.messages import Progress
+from robot_sysid.records.messages import Progress, number_text
 from robot_sysid.results.next_steps import use_lines
-from robot_sysid.results.prediction import HORIZONS, LAST_FIFTH, rollout_refusal
+from robot_sysid.results.prediction import LAST_FIFTH
 from robot_sysid.results.record import (
-    CLOSED,
     ModelTarget,
-    RolloutError,
     RolloutTest,
     json_text,
     rollout_entry,
@@ -49,15 +47,22 @@ from robot_sysid.results.written_model import versions, write_joints
 from robot_sysid.servo import fit as servo_fit
 from robot_sysid.servo.commands import commanded_pieces, is_moving
 from robot_sysid.servo.fit import ErrorDerivatives, ServoFit
+from robot_sysid.servo.held_out import (
+    GoalPrediction,
+    best_goal_delay,
+    play_servos,
+    servo_refusal,
+)
+from robot_sysid.servo.loop_equations import LINK_ERROR, LoopFit
 from robot_sysid.servo.windows import (
     MAX_DELAY_PERIODS,
+    ServoProblem,
     limit_share,
     make_problem,
     split_pieces,
 )
-from robot_sysid.signals.resampling import sampling_period
 from robot_sysid.simulation.playback import (
-    MAX_WINDOWS,
+    NO_ACTUATOR,
     ServoParameters,
     ServoRollouts,
     chain_actuators,
@@ -68,13 +73,9 @@ SERVO_SCHEMA = "robot-sysid servo 1"
 """Name and version of the format of servo.json."""
 WITHOUT_TORQUE = (
     "No torque was measured: all of this follows from commanded and measured positions, and from "
-    "the masses of the model, which fix its scale"
+    "the masses of the model, which fix its scale (the errors include links that are "
+    f"off by {100.0 * LINK_ERROR:.0f} %)"
 )
-ROLLOUT_INPUT = (
-    "the log's commands through the model's servos, both late by the delay that was "
-    "found"
-)
-"""What drives the rollouts that compare two models, as printed."""
 UNITS = {
     "gain": "N·m/rad",
     "damping": "N·m·s/rad",
@@ -82,16 +83,25 @@ UNITS = {
     "armature": "kg·m²",
 }
 """The identified numbers of a joint, in the order of ``ServoParameters``, and their units."""
+IDENTIFIED = "identified"
+FROM_MODEL = "from_model"
+ASSUMED = "assumed"
+_DOUBTS = {
+    FROM_MODEL: " (not determined: the model's value)",
+    ASSUMED: " (not determined: assumed)",
+}
+"""What follows a number in the printed lines, by its source, unless it is identified."""
 _KEYS = ("before", "value", "standard_error", "source")
 """Keys of an identified number in servo.json, without its unit."""
 OFTEN_LIMITED = 0.2
 """Share of time at its limit from which on a servo is mentioned; chosen, nothing else depends on
 it."""
+_SAME_LIMIT = 1.5
+"""Torque limit of the model over that seen in the logs from which on they differ: the latter has
+the scale of the model's masses."""
 LARGE_ERROR = 0.5
 """Relative error of a gain from which on only ratios of a joint's numbers are called identified;
 chosen, nothing else depends on it."""
-_POSITIONS = 200
-"""Number of positions that stand for a whole log."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +113,11 @@ class ServoIdentification:
         fit: the identified numbers; joints that do not move keep the model's.
         is_moving: (n,) whether a joint moves in the logs.
         limit_share: (n,) share of time in which a servo needs more than its torque limit.
+        torque_limit: (n,) torque at which a servo is seen to be limited; NaN where none is seen.
+        has_limit: (n,) whether the model has this limit.
         data: the logs.
         rollout: the models before and after, played on held-out pieces.
+        goal: prediction of the same pieces by the commands themselves.
         notes: sentences for the user.
     """
 
@@ -112,8 +125,11 @@ class ServoIdentification:
     fit: ServoFit
     is_moving: NDArray[np.bool_]
     limit_share: Array
+    torque_limit: Array
+    has_limit: NDArray[np.bool_]
     data: DataOrigin
     rollout: RolloutTest
+    goal: GoalPrediction
     notes: tuple[str, ...] = ()
 
     @property
@@ -126,15 +142,15 @@ class ServoIdentification:
         """Each joint's numbers: by the joint's name, then by a key of ``UNITS``.
 
         A number is a dict of "before" (NaN where the model has none), "value", "standard_error" and
-        "source" ("identified" or "from_model").
+        "source" (``IDENTIFIED``, ``FROM_MODEL`` or ``ASSUMED``).
         """
         model_value = servos_in_model(self.robot).vector()
         value = self.fit.servos.vector()
         error = self.fit.errors.vector()
-        # Where the model has no number (NaN, which differs from every value), the value is not the
-        # model's, even if the data hardly shows it.
-        is_identified = self.fit.is_identified | (value != model_value)
-        source = np.where(is_identified, "identified", "from_model")
+        # A number that the model does not have (NaN, which differs from every value) is assumed
+        # where the data does not show it.
+        source = np.where(value == model_value, FROM_MODEL, ASSUMED)
+        source = np.where(self.fit.is_identified, IDENTIFIED, source)
         # The vectors hold n gains, n dampings, n frictions, n rotor inertias and the delay.
         columns = model_value.tolist(), value.tolist(), error.tolist(), source.tolist()
         rows = list(zip(*columns))
@@ -202,6 +218,7 @@ class ServoIdentification:
             "delay": delay,
             "joints": joints,
             "rollout": rollout_entry(self.rollout),
+            "goal_prediction": asdict(self.goal),
             "position_errors": dict(
                 zip(self.robot.joint_names, self.fit.position_error)
             ),
@@ -220,14 +237,20 @@ def servo_lines(result: ServoIdentification) -> list[str]:
     lines = [
         "Servos, friction and rotor inertia, before -> after, ± one standard error:",
         f"  {WITHOUT_TORQUE}.",
-        f"  delay of the commands: {1e3 * delay:.1f} ± {1e3 * error:.1g} ms",
+        f"  delay of the commands: {_with_error(1e3 * delay, 1e3 * error)} ms",
     ]
     for moves, (joint, numbers) in zip(result.is_moving, result.joint_numbers.items()):
         text = "does not move in these logs; all as in the model"
         if moves:
             text = "; ".join(map(_number_text, numbers, numbers.values()))
         lines.append(f"  {joint}: {text}")
-    return [*lines, *rollout_lines(result.rollout)]
+    lines += rollout_lines(result.rollout)
+    goal_errors = []
+    for test, goal_error in zip(result.rollout.errors, result.goal.errors):
+        goal_errors.append(f"{goal_error:.3g} over {test.horizon:g} s")
+    if goal_errors:
+        lines.append(f"  {result.goal.name}: {', '.join(goal_errors)}")
+    return lines
 
 
 def _number_text(name: str, number: dict[str, Any]) -> str:
@@ -236,10 +259,15 @@ def _number_text(name: str, number: dict[str, Any]) -> str:
     ``number`` is a dict as in ``ServoIdentification.joint_numbers``, ``name`` a key of ``UNITS``.
     """
     model_value, value, error, source = (number[key] for key in _KEYS)
-    in_model = source == "from_model"
-    old = "" if np.isnan(model_value) or in_model else f"{model_value:.3g} -> "
-    doubt = " (not identifiable: the model's value)" if in_model else ""
-    return f"{name} {old}{value:.3g} ± {error:.1g} {UNITS[name]}{doubt}"
+    is_changed = source != FROM_MODEL and np.isfinite(model_value)
+    old = f"{model_value:.3g} -> " if is_changed else ""
+    doubt = _DOUBTS.get(source, "")
+    return f"{name} {old}{_with_error(value, error)} {UNITS[name]}{doubt}"
+
+
+def _with_error(value: float, error: float) -> str:
+    """Return a number with its standard error, as text "value ± error"."""
+    return f"{number_text(value, error)} ± {number_text(error, error)}"
 
 
 def servo_notes(result: ServoIdentification, period: float) -> Iterator[str]:
@@ -252,8 +280,8 @@ def servo_notes(result: ServoIdentification, period: float) -> Iterator[str]:
     other_joints = result.robot.mj_model.nv - result.robot.n_joints
     if other_joints:
         yield (
-            f"{other_joints} joints outside the arm (a gripper's, say) are held at rest: what "
-            "their servos do is not looked at"
+            "joints outside the arm (a gripper's, say) are held at rest: what their servos do is "
+            "not looked at"
         )
     yield (
         "damping is that of joint and servo together, which look alike: the servo keeps the share "
@@ -263,6 +291,17 @@ def servo_notes(result: ServoIdentification, period: float) -> Iterator[str]:
         yield (
             f"the delay is at the end of what is sought ({MAX_DELAY_PERIODS} samples): check the "
             "time stamps of the commands"
+        )
+    without_servo = []
+    for joint, moves, has_servo in zip(
+        result.robot.joint_names, result.is_moving, result.has_servo
+    ):
+        if moves and not has_servo:
+            without_servo.append(joint)
+    if without_servo:
+        yield (
+            f"the model has no position actuator on {', '.join(without_servo)}: the gain is "
+            "printed, but not written"
         )
     for k, joint in enumerate(result.robot.joint_names):
         if result.is_moving[k]:
@@ -278,7 +317,7 @@ def _joint_notes(result: ServoIdentification, k: int) -> Iterator[str]:
     gain = numbers["gain"]
     unseen = []
     for name, number in numbers.items():
-        if number["source"] == "from_model":
+        if name != "gain" and number["source"] == FROM_MODEL:
             unseen.append(name)
     if unseen:
         yield (
@@ -291,17 +330,24 @@ def _joint_notes(result: ServoIdentification, k: int) -> Iterator[str]:
             f"{chain_actuators(result.robot).limit[k]:.3g} N·m (the model's) in "
             f"{100.0 * result.limit_share[k]:.0f} % of the time: what is found rests on that limit"
         )
-    is_unsure = gain["standard_error"] > LARGE_ERROR * gain["value"]
-    if gain["source"] == "identified" and is_unsure:
+    limit = result.torque_limit[k]
+    if np.isfinite(limit) and not result.has_limit[k]:
         yield (
-            "these logs hardly show the absolute size of gain, friction and rotor inertia of "
-            f"{joint}, only their ratios (gravity and the links' inertia would); the size "
-            "stays near where the search began"
+            f"the servo of {joint} reaches a torque limit of about {limit:.2g} N·m that the model "
+            "does not have (forcerange of a position actuator); windows of the log with it are not "
+            "fitted where enough others are left"
         )
-    if not result.has_servo[k]:
+    is_unsure = gain["standard_error"] > LARGE_ERROR * gain["value"]
+    if is_unsure:
+        origin = "fitted"
+        if gain["source"] == FROM_MODEL:
+            origin = "the model's"
+        elif gain["source"] == ASSUMED:
+            origin = "assumed to be like those of the other joints"
         yield (
-            f"the model has no position actuator on {joint}: its gain of {gain['value']:.4g} "
-            "N·m/rad is printed, but not written"
+            f"the links' torque on {joint} is too small to show the absolute size of its numbers, "
+            f"only their ratios: its gain of {gain['value']:.3g} N·m/rad is {origin}, and the "
+            "others are right in proportion to it"
         )
 
 
@@ -335,7 +381,7 @@ def run_servo(
             path = folder / file_access.MODEL_NAMES[robot.kind]
             # No torque was measured, so there is no residual to state.
             target = ModelTarget(files, path, poses, rmse=0.0, mesh_dir=mesh_dir)
-            reason = rollout_refusal(result.rollout, logs.accept)
+            reason = servo_refusal(result.rollout, result.goal, logs.accept)
             outcome = _write_results(result, target, reason)
             model_files = [file.path for file in read_document(robot.path).files]
             protected = [*filter(None, input_files), *model_files]
@@ -350,7 +396,7 @@ def identify_servos(
 ) -> tuple[ServoIdentification, Motion]:
     """Identify servos, friction and rotor inertia; return the result and poses from the logs.
 
-    The poses are a motion (``_POSITIONS``, n) without velocity; the written model is checked there.
+    The poses are a motion (m, n) without velocity; the written model is checked there.
     The beginnings of the logs are fitted and their ends, or the validation log, are held out to
     compare the models. Numbers that the data does not show go back to the model's. Without a
     validation log, the other numbers are at last fitted to the whole logs.
@@ -362,12 +408,7 @@ def identify_servos(
     """
     names = robot.joint_names
 
-    def read(path: Path) -> MeasurementLog:
-        """Return the log in a file, with its commands; announce that it is read."""
-        progress.stage(f"Reading commands and positions from {path}...")
-        return open_log(robot, path, replace(logs, commanded=True), progress)
-
-    measurement_logs = [read(path) for path in logs.measurements]
+    measurement_logs = _open_logs(robot, logs.measurements, logs, progress)
     pieces = commanded_pieces(measurement_logs, names)
     validation_path = logs.validation_measurements
     if validation_path is None:
@@ -375,89 +416,85 @@ def identify_servos(
         held_out_text = LAST_FIFTH
     else:
         fitted = pieces
-        validation_log = read(validation_path)
-        refuse_fitted_log(validation_log, measurement_logs)
-        held_out = commanded_pieces([validation_log], names)
+        validation_logs = _open_logs(robot, [validation_path], logs, progress)
+        refuse_fitted_log(validation_logs[0], measurement_logs)
+        held_out = commanded_pieces(validation_logs, names)
         held_out_text = "the validation log"
     moves = is_moving(pieces)
-    period = float(np.median([sampling_period(piece.time) for piece in pieces]))
-    all_q = np.concatenate([piece.q for piece in pieces])
-    q = all_q[np.linspace(0, len(all_q) - 1, _POSITIONS).astype(int)]
-    # First all numbers of the joints that move are free.
-    every_number = servo_fit.initial_parametrisation(robot, q, period, moves)
     progress.stage("Searching for servos, friction and rotor inertia...")
     rollouts = ServoRollouts(robot)
-    derivatives = ErrorDerivatives(make_problem(rollouts, fitted))
-    start = servo_fit.improve_start(derivatives.problem, every_number)
-    servos = servo_fit.search_servos(derivatives, start, progress)
-    first_fit = servo_fit.estimate_errors(derivatives, every_number, servos)
-    is_identified = first_fit.is_identified
-
-    # Then only those that the data shows; the others are fixed at the model's.
-    shown_numbers = replace(every_number, free=every_number.free & is_identified)
-    if not np.array_equal(shown_numbers.free, every_number.free):
-        start_servos = servo_fit.keep_model_values(robot, servos, ~is_identified)
-        shown_numbers = replace(shown_numbers, start=start_servos)
-        servos = servo_fit.search_servos(derivatives, shown_numbers, progress)
+    every_number, loop_fit = servo_fit.initial_parametrisation(robot, fitted, moves)
+    derivatives = ErrorDerivatives(unlimited_problem(rollouts, fitted, loop_fit))
+    shown_numbers = servo_fit.search_shown_numbers(
+        derivatives, every_number, loop_fit, progress
+    )
+    servos = shown_numbers.start
+    is_determined = loop_fit.determines & ~shown_numbers.free
 
     old_servos = servo_fit.keep_model_values(robot, servos)
-    rollout = play_servos(rollouts, held_out, (old_servos, servos), held_out_text)
+    goal_delay = best_goal_delay(derivatives.problem)
+    rollout, goal_errors = play_servos(
+        rollouts, held_out, (old_servos, servos), held_out_text, goal_delay
+    )
     if validation_path is None:
         # The held-out ends have done their work; the numbers come from the whole logs.
-        derivatives = ErrorDerivatives(make_problem(rollouts, pieces))
-        shown_numbers = replace(shown_numbers, start=servos)
+        every_number, loop_fit = servo_fit.initial_parametrisation(robot, pieces, moves)
+        is_determined &= loop_fit.determines
+        start = servo_fit.with_equation_numbers(servos, loop_fit, is_determined)
+        shown_numbers = replace(shown_numbers, start=start)
+        derivatives = ErrorDerivatives(unlimited_problem(rollouts, pieces, loop_fit))
         servos = servo_fit.search_servos(derivatives, shown_numbers, progress)
 
     # The errors are those with all numbers free.
     fit = servo_fit.estimate_errors(derivatives, every_number, servos)
-    fit = replace(fit, is_identified=is_identified)
-    link_share = servo_fit.link_torque_share(robot, pieces, fit.servos)
-    fit = servo_fit.add_link_errors(fit, link_share)
+    error_vector = np.where(is_determined, loop_fit.errors, fit.errors.vector())
+    errors = ServoParameters.from_vector(error_vector)
+    is_identified = is_determined | shown_numbers.free
+    fit = replace(fit, errors=errors, is_identified=is_identified)
+    fit = servo_fit.add_link_errors(robot, fit, loop_fit, moves)
     limited = limit_share(derivatives.problem, fit.servos)
-    origin = origin_of(measurement_logs)
-    result = ServoIdentification(robot, fit, moves, limited, origin, rollout)
+    result = ServoIdentification(
+        robot=robot,
+        fit=fit,
+        is_moving=moves,
+        limit_share=limited,
+        torque_limit=loop_fit.limit,
+        has_limit=has_torque_limit(robot, loop_fit.limit),
+        data=origin_of(measurement_logs),
+        rollout=rollout,
+        goal=GoalPrediction(goal_delay, goal_errors),
+    )
     notes = [note for log in measurement_logs for note in log.notes]
-    notes += servo_notes(result, period)
+    notes += servo_notes(result, every_number.typical.delay)
+    q = servo_fit.log_positions(pieces)
     poses = Motion(np.arange(len(q), dtype=float), q, 0.0 * q, 0.0 * q)
     return replace(result, notes=tuple(dict.fromkeys(notes))), poses
 
 
-def play_servos(
-    rollouts: ServoRollouts,
-    pieces: Sequence[Measurement],
-    pair: Sequence[ServoParameters],
-    held_out: str,
-) -> RolloutTest:
-    """Return the position errors of two sets of servo parameters that play held-out pieces of logs.
+def _open_logs(
+    robot: RobotModel, paths: Sequence[Path], logs: LogOptions, progress: Progress
+) -> list[MeasurementLog]:
+    """Return the logs in files, with their commands; announce each that is read."""
+    opened = []
+    for path in paths:
+        progress.stage(f"Reading commands and positions from {path}...")
+        opened.append(open_log(robot, path, replace(logs, commanded=True), progress))
+    return opened
 
-    The pieces are cut into windows of each length of ``HORIZONS``. A length for which no piece with
-    commands is long enough (the InputError of ``make_problem``) is left out, with a note.
 
-    Args:
-        rollouts: play the windows on the arm's model; they are left with the last parameters.
-        pieces: pieces of logs that were not fitted.
-        pair: the parameters before and after identification.
-        held_out: name of these pieces in printed lines.
-    """
-    errors = []
-    notes = ["open loop was not played: no torque was measured"]
-    for horizon in HORIZONS:
-        try:
-            problem = make_problem(
-                rollouts,
-                pieces,
-                max_windows=MAX_WINDOWS,
-                length=horizon,
-                settling_time=0.0,
-            )
-        except InputError:  # the only reason: no window fits into a piece with commands
-            notes.append(f"no held-out piece has commands for {horizon:g} s")
-            continue
-        # Root mean square error (n,) of each joint [rad].
-        old, new = np.sqrt(np.mean(problem.errors(pair) ** 2, axis=1))
-        errors.append(RolloutError(CLOSED, horizon, len(problem.windows), old, new))
-    names = rollouts.robot.joint_names
-    return RolloutTest(names, held_out, ROLLOUT_INPUT, tuple(errors), tuple(notes))
+def unlimited_problem(
+    rollouts: ServoRollouts, pieces: Sequence[Measurement], loop_fit: LoopFit
+) -> ServoProblem:
+    """Return the windows of pieces of logs in which no servo is at its torque limit."""
+    problem = make_problem(rollouts, pieces)
+    return problem.without_samples(loop_fit.limited_samples())
+
+
+def has_torque_limit(robot: RobotModel, limit: Array) -> NDArray[np.bool_]:
+    """Return whether rollouts of a model have the torque limits (n,) [N m] that logs show."""
+    actuators = chain_actuators(robot)
+    is_as_low = actuators.limit < _SAME_LIMIT * limit
+    return np.asarray(is_as_low & (actuators.index != NO_ACTUATOR))
 
 
 def _write_results(
@@ -493,6 +530,21 @@ def _write_results(
         verdict = (
             "Usable: position errors of the model, played on what was not fitted, are "
             f"{times}",
+            *_lacking_lines(result),
             *use_lines(target.path),
         )
     return Outcome(lines, verdict, failure, tuple(written), result)
+
+
+def _lacking_lines(result: ServoIdentification) -> Iterator[str]:
+    """Yield what the test played but the written model cannot hold."""
+    lacking = []
+    if np.any(result.is_moving & ~result.has_servo):
+        lacking.append("gain")
+    if result.robot.kind == "urdf":
+        lacking.append("rotor inertia")
+    if lacking:
+        yield (
+            f"  together with the {' and the '.join(lacking)} above, which this file cannot hold: "
+            "set them in the simulator, or start from an MJCF with position actuators"
+        )

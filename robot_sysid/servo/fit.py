@@ -1,10 +1,10 @@
 """Servos, friction and rotor inertia fitted to an arm's commands and positions by output error.
 
 The fitted numbers are those whose rollouts come nearest to the measured positions. The unknowns are
-logarithms of the numbers over their typical sizes, softened so that zero is not far away: gain,
+logarithms of the numbers over their typical sizes, softened so that zero is not far away. Gain,
 damping, friction and rotor inertia of a joint that grow together by one factor change the motion
-little where links and gravity are small beside them, and in logarithms that direction is a straight
-line.
+little where links and gravity are small beside them, so that the gains come from the equations of
+the closed loop (``loop_equations``), which see the links' torque itself.
 
 Arrays of all numbers of an arm of n joints have the order of ``ServoParameters.vector()``,
 (4 n + 1,): stiffness, damping, dry friction and rotor inertia of all joints, then the delay. M is
@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,14 @@ from robot_sysid.estimation.algebra.uncertainty import (
 )
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.messages import Progress
-from robot_sysid.servo.windows import MAX_DELAY_PERIODS, ServoProblem, smooth_states
+from robot_sysid.servo.loop_equations import (
+    LoopFit,
+    link_errors,
+    loop_equations,
+    solve_loop_equations,
+)
+from robot_sysid.servo.windows import MAX_DELAY_PERIODS, ServoProblem
+from robot_sysid.signals.resampling import sampling_period
 from robot_sysid.simulation.playback import (
     STEP,
     ServoParameters,
@@ -37,11 +43,6 @@ from robot_sysid.simulation.playback import (
     servos_in_model,
 )
 
-GAIN_FACTORS = (0.03, 0.1, 0.3, 1.0, 3.0)
-"""Factors on the start's gains on the grid before the search. With a larger one a servo is at its
-limit all the time, and chance decides which fits best."""
-_GRID_WINDOWS = 6
-"""Largest number of windows that are played for the grid of start gains and delays."""
 MAX_RATIO = 100.0
 """Upper bound of a number, in typical sizes."""
 LOG_OFFSET = 0.3
@@ -63,14 +64,10 @@ UNSEEN_SPREAD = 1.0 / 3.0
 as not identified: three standard errors are then as large as the typical number."""
 _FRICTION = 2
 """Position of friction among the four numbers of a joint."""
+_POSITIONS = 200
+"""Number of positions that stand for a whole log."""
 _DEFAULT_RATE = 20.0
 """Bandwidth of a servo of which the model says nothing [rad/s]."""
-LINK_MASS_ERROR = 0.02
-"""Relative error of the links' masses, which are trusted (docs/rollout.md)."""
-UNEXPLAINED_TORQUE = 0.005
-"""Share of a joint's torque that no model explains."""
-LEAST_LINK_SHARE = 0.1
-"""Share of the links in a joint's torque below which the data shows only ratios of its numbers."""
 
 
 @dataclass(frozen=True)
@@ -140,46 +137,61 @@ class Parametrisation:
 
 
 def initial_parametrisation(
-    robot: RobotModel, q: Array, period: float, moves: NDArray[np.bool_]
-) -> Parametrisation:
-    """Return the parametrisation of a search for servo parameters.
+    robot: RobotModel, pieces: Sequence[Measurement], moves: NDArray[np.bool_]
+) -> tuple[Parametrisation, LoopFit]:
+    """Return the parametrisation of a search for servo parameters, and what its start comes from.
 
-    Stiffness and damping start at the model's value, or at a typical one where it has none;
-    friction and rotor inertia start at the model's value, the delay at one sampling period. Every
-    free number starts at 0.1 of its typical size at least.
+    The numbers of joints that move start where the equations of their closed loops put them, and
+    the gains stay there: rollouts show hardly more than the ratios of a joint's numbers. Every free
+    number starts at 0.1 of its typical size at least.
 
     Args:
         robot: the arm as in the model file.
-        q: (m, n) positions that stand for the whole log [rad or m].
-        period: sampling period of the log [s].
+        pieces: pieces of logs, some with commands.
         moves: (n,) which joints move; the numbers of the others are fixed.
     """
     in_model = servos_in_model(robot)
-    gravity, inertia = _gravity_and_inertia(robot, q)
+    gravity, inertia = _gravity_and_inertia(robot, log_positions(pieces))
     inertia += in_model.armature
-    stiffness = inertia * _DEFAULT_RATE**2
-    # A tenth of critical damping.
-    typical_damping = 0.2 * inertia * _DEFAULT_RATE
-    has_servo = ~np.isnan(in_model.stiffness)
-    stiffness = np.where(has_servo, in_model.stiffness, stiffness)
-    damping = np.where(in_model.damping > 0.0, in_model.damping, typical_damping)
-    start = replace(in_model, stiffness=stiffness, damping=damping, delay=period)
+    equations = loop_equations(robot, pieces)
+    default_gain = inertia * _DEFAULT_RATE**2
+    loop_fit = solve_loop_equations(robot, equations, moves, default_gain)
+    in_loop = loop_fit.servos.vector()
+    start = ServoParameters.from_vector(
+        np.where(np.isfinite(in_loop), in_loop, in_model.vector())
+    )
+    stiffness = np.where(np.isfinite(start.stiffness), start.stiffness, default_gain)
+    inertia += np.maximum(start.armature - in_model.armature, 0.0)
+    # A tenth of critical damping at the servo's own bandwidth.
+    typical_damping = 0.2 * np.sqrt(stiffness * inertia)
     # Friction is rarely less than this share of a geared motor's load or limit.
-    limit = np.nan_to_num(chain_actuators(robot).limit, posinf=0.0)
-    typical_friction = np.maximum(0.05 * gravity, 0.02 * limit)
-    least_friction = np.maximum(typical_friction, _LEAST_SIZE)
+    distance = np.max(np.abs(equations.distances(start.delay)), axis=0)
+    largest_torque = np.minimum(chain_actuators(robot).limit, stiffness * distance)
+    typical_friction = np.maximum(0.05 * gravity, 0.02 * largest_torque)
     least_armature = np.maximum(0.2 * inertia, 1e-2 * _LEAST_SIZE)
+    periods = [sampling_period(piece.time) for piece in pieces]
     typical = ServoParameters(
         stiffness=stiffness,
-        damping=np.maximum(damping, typical_damping),
-        frictionloss=np.maximum(in_model.frictionloss, least_friction),
-        armature=np.maximum(in_model.armature, least_armature),
-        delay=period,
+        damping=np.maximum(start.damping, typical_damping),
+        frictionloss=np.maximum(
+            start.frictionloss, np.maximum(typical_friction, _LEAST_SIZE)
+        ),
+        armature=np.maximum(start.armature, least_armature),
+        delay=float(np.median(periods)),
     )
     free = np.append(np.tile(moves, 4), True)
+    free[: len(moves)] = False
+    start_vector = replace(start, stiffness=stiffness).vector()
     # From zero the search would hardly get away.
-    start_vector = np.maximum(start.vector(), 0.1 * typical.vector() * free)
-    return Parametrisation(ServoParameters.from_vector(start_vector), typical, free)
+    start_vector = np.maximum(start_vector, 0.1 * typical.vector() * free)
+    start = ServoParameters.from_vector(start_vector)
+    return Parametrisation(start, typical, free), loop_fit
+
+
+def log_positions(pieces: Sequence[Measurement]) -> Array:
+    """Return up to ``_POSITIONS`` positions (m, n) [rad or m] that stand for pieces of logs."""
+    all_q = np.concatenate([piece.q for piece in pieces])
+    return all_q[np.linspace(0, len(all_q) - 1, _POSITIONS).astype(int)]
 
 
 def _gravity_and_inertia(robot: RobotModel, q: Array) -> tuple[Array, Array]:
@@ -197,42 +209,6 @@ def _gravity_and_inertia(robot: RobotModel, q: Array) -> tuple[Array, Array]:
         torque = dynamics.motion(q, 0.0 * q, acceleration).torque(thetas)
         inertia.append(np.mean((torque - gravity) @ unit_vector))
     return np.max(np.abs(gravity), axis=0), np.maximum(inertia, 1e-6)
-
-
-def improve_start(problem: ServoProblem, initial: Parametrisation) -> Parametrisation:
-    """Return the parametrisation with the best start gains and delay of a coarse grid.
-
-    All joints share the delay; each gets its own gain.
-
-    Args:
-        problem: windows of which up to ``_GRID_WINDOWS`` are played.
-        initial: its start gains are multiplied by ``GAIN_FACTORS``; the rest is kept.
-
-    Raises:
-        InputError: the model cannot be played with these commands.
-    """
-    start = initial.start
-    delays = initial.typical.delay * np.arange(0.0, MAX_DELAY_PERIODS + 1.0)
-    candidates = []
-    for factor, delay in product(GAIN_FACTORS, delays.tolist()):
-        stiffness = factor * start.stiffness
-        candidates.append(replace(start, stiffness=stiffness, delay=delay))
-    # Absolute errors: where a stiff servo comes off its limit, single windows run off and would
-    # dominate the squares.
-    errors = problem.subset(_GRID_WINDOWS).errors(candidates)
-    error = np.mean(np.abs(errors), axis=1)
-    # Errors are pi where a rollout has diverged: here the best candidate's for most of the time.
-    if np.min(np.mean(errors == np.pi, axis=(1, 2))) > 0.5:
-        raise InputError(
-            "the model cannot be played with these commands; check their units"
-        )
-    # Mean errors (factors, delays, n): the sum over joints of the best factors chooses the delay.
-    error_grid = error.reshape(len(GAIN_FACTORS), len(delays), -1)
-    best_delay = int(np.argmin(np.sum(np.min(error_grid, axis=0), axis=1)))
-    factors = np.array(GAIN_FACTORS)[np.argmin(error_grid[:, best_delay], axis=0)]
-    stiffness = factors * start.stiffness
-    best_start = replace(start, stiffness=stiffness, delay=float(delays[best_delay]))
-    return replace(initial, start=best_start)
 
 
 @dataclass(frozen=True)
@@ -468,56 +444,86 @@ def row_weights(rows: Array, is_moving: NDArray[np.bool_]) -> Array:
     return np.asarray(1.0 / np.max(np.abs(rows) / typical, axis=1, initial=1.0))
 
 
-def link_torque_share(
-    robot: RobotModel, pieces: Sequence[Measurement], servos: ServoParameters
-) -> Array:
-    """Return the share (n,) of the links in each joint's torque, by root mean squares.
+def add_link_errors(
+    robot: RobotModel, fit: ServoFit, loop_fit: LoopFit, moves: NDArray[np.bool_]
+) -> ServoFit:
+    """Return the fit with standard errors that include those of the trusted links.
 
-    The links' torque is gravity and inertia; the joint's own is rotor inertia, damping and
-    friction.
-
-    Args:
-        robot: the arm, whose links' parameters are trusted.
-        pieces: pieces of logs, which say how the arm moved.
-        servos: the fitted parameters.
-    """
-    thetas = robot.thetas
-    link_torques = []
-    joint_torques = []
-    for piece in pieces:
-        q, qd = smooth_states(piece)
-        qdd = np.gradient(qd, piece.time, axis=0)
-        viscous = servos.armature * qdd + servos.damping * qd
-        joint_torques.append(viscous + servos.frictionloss * np.sign(qd))
-        link_torques.append(LinkDynamics(robot).motion(q, qd, qdd).torque(thetas))
-    links = np.sqrt(np.mean(np.concatenate(link_torques) ** 2, axis=0))
-    joints = np.sqrt(np.mean(np.concatenate(joint_torques) ** 2, axis=0))
-    return np.asarray(links / np.maximum(links + joints, 1e-12))
-
-
-def add_link_errors(fit: ServoFit, link_share: Array) -> ServoFit:
-    """Return the fit with standard errors that include those of the trusted link masses.
-
-    All numbers of a joint scale with the links' torque, so masses that are off by
-    ``LINK_MASS_ERROR`` change them by as much. Where the links' torque is a small share of the
-    joint's, torque that no model explains is fitted as a part of it; below ``LEAST_LINK_SHARE`` the
-    scale is unknown, and the errors are as large as the numbers. A step h of the implicit
-    integrator adds an apparent rotor inertia of h times the damping and leaves half a step open in
-    the delay.
-
-    Fixed numbers keep an error of zero.
+    All numbers of a joint scale with its gain, which the equations of the loop determine, and take
+    over a part of the links' errors; where the links do not fix the scale, the errors are as large
+    as the numbers. A step h of the implicit integrator adds an apparent rotor inertia of h times
+    the damping and leaves half a step open in the delay.
 
     Args:
+        robot: the arm as in the model file.
         fit: the fit without these errors.
-        link_share: (n,) from ``link_torque_share``.
+        loop_fit: the equations of the servos' loops.
+        moves: (n,) which joints move; the numbers of the others keep an error of zero.
     """
-    bounded_share = np.maximum(link_share, LEAST_LINK_SHARE)
-    scale_error = np.hypot(LINK_MASS_ERROR, UNEXPLAINED_TORQUE / bounded_share)
-    scale_error = np.where(link_share > LEAST_LINK_SHARE, scale_error, 1.0)
-    errors = fit.errors.vector()
     numbers = fit.servos.vector()[:-1]
-    added = np.append(np.tile(scale_error, 4) * numbers, 0.5 * STEP)
-    rotor_inertias = slice(3 * len(link_share), -1)
-    added[rotor_inertias] += STEP * fit.servos.damping
-    errors = np.where(errors > 0.0, np.hypot(errors, added), 0.0)
+    by_links = link_errors(robot, loop_fit, fit.servos)
+    by_links = np.minimum(by_links, numbers)
+    rotor_inertia_error = np.append(np.zeros(3 * len(moves)), STEP * fit.servos.damping)
+    has_scale = fit.is_identified[: len(moves)]
+    scale_error = np.where(has_scale, loop_fit.scale_error, 1.0)
+    added = np.hypot(by_links, np.tile(scale_error, 4) * numbers)
+    added = np.append(np.hypot(added, rotor_inertia_error), 0.5 * STEP)
+    is_moving = np.append(np.tile(moves, 4), True)
+    errors = np.where(is_moving, np.hypot(fit.errors.vector(), added), 0.0)
     return replace(fit, errors=ServoParameters.from_vector(errors))
+
+
+def search_shown_numbers(
+    derivatives: ErrorDerivatives,
+    every_number: Parametrisation,
+    loop_fit: LoopFit,
+    progress: Progress,
+) -> Parametrisation:
+    """Return the parametrisation of the numbers that the rollouts show, its start the best ones.
+
+    All free numbers are searched for first, then those that the rollouts show. The others are fixed
+    where the equations of the loop put them or, if these do not determine them either, at the
+    model's values. A number that may be zero, and may be the model's, is not shown: the model's is
+    as good.
+
+    Args:
+        derivatives: derivatives of the position errors in the fitted windows.
+        every_number: the first search.
+        loop_fit: the solution of the loop's equations.
+        progress: is advanced with each evaluation.
+
+    Raises:
+        InputError: the model cannot be played with these commands.
+    """
+    robot = derivatives.problem.rollouts.robot
+    start_errors = derivatives.problem.errors([every_number.start])
+    # Errors are pi where a rollout has diverged.
+    if np.mean(start_errors == np.pi) > 0.5:
+        raise InputError(
+            "the model cannot be played with these commands; check their units"
+        )
+    servos = search_servos(derivatives, every_number, progress)
+    fit = estimate_errors(derivatives, every_number, servos)
+    value = servos.vector()
+    error = fit.errors.vector()
+    may_be_zero = value <= 2.0 * error
+    may_be_models = np.abs(servos_in_model(robot).vector() - value) <= 3.0 * error
+    is_shown = fit.is_identified & ~(may_be_zero & may_be_models)
+    shown_numbers = replace(every_number, free=every_number.free & is_shown)
+    if not np.array_equal(shown_numbers.free, every_number.free):
+        is_determined = loop_fit.determines
+        start = keep_model_values(robot, servos, ~is_shown & ~is_determined)
+        start = with_equation_numbers(start, loop_fit, is_determined & ~is_shown)
+        shown_numbers = replace(shown_numbers, start=start)
+        servos = search_servos(derivatives, shown_numbers, progress)
+    return replace(shown_numbers, start=servos)
+
+
+def with_equation_numbers(
+    servos: ServoParameters, loop_fit: LoopFit, is_taken: NDArray[np.bool_]
+) -> ServoParameters:
+    """Return servo parameters with those numbers (4 n + 1,) that are taken from the equations."""
+    in_equations = loop_fit.servos.vector()
+    return ServoParameters.from_vector(
+        np.where(is_taken, in_equations, servos.vector())
+    )

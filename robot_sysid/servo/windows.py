@@ -5,7 +5,7 @@ n is the number of joints, M the number of samples in all windows.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from robot_sysid.simulation.playback import (
     ServoRollouts,
     ServoWindow,
     chain_actuators,
+    interpolate,
 )
 
 WINDOW_LENGTH = 3.0
@@ -31,6 +32,8 @@ SMOOTHING_TIME = 0.12
 """Length of the parabolas that give the start state from encoder steps [s]."""
 FITTED_WINDOWS = 24
 """Largest number of windows that are fitted."""
+LEAST_SHARE_OF_WINDOWS = 0.25
+"""Share of the windows that must be left for the others to be left out."""
 MAX_DELAY_PERIODS = 10
 """Largest delay of the commands that is searched for, in sampling periods."""
 
@@ -55,6 +58,26 @@ class ServoProblem:
         count = min(len(self.windows), max_count)
         indices = np.linspace(0, len(self.windows) - 1, count).round().astype(int)
         return replace(self, windows=tuple(self.windows[k] for k in indices))
+
+    def without_samples(
+        self, excluded: Iterable[tuple[Measurement, NDArray[np.bool_]]]
+    ) -> ServoProblem:
+        """Return a problem without the windows that contain excluded samples.
+
+        Where these are most of the windows, the problem itself: few windows are worse.
+
+        Args:
+            excluded: pieces of the log with, for each of their samples, whether it is (N,).
+        """
+        times = {id(piece.time): piece.time[mask] for piece, mask in excluded}
+        windows = []
+        for window, after_start, q in self.windows:
+            excluded_times = times[id(window.time)] - window.start
+            inside = (excluded_times >= 0.0) & (excluded_times <= after_start[-1])
+            if not np.any(inside):
+                windows.append((window, after_start, q))
+        is_enough = len(windows) >= LEAST_SHARE_OF_WINDOWS * len(self.windows)
+        return replace(self, windows=tuple(windows)) if is_enough else self
 
     def is_moving(self) -> NDArray[np.bool_]:
         """Return whether each joint moves at each sample (M, n).
@@ -91,6 +114,14 @@ class ServoProblem:
             played = (1.0 - fraction) * q[window, step] + fraction * q[window, step + 1]
             errors.append(np.nan_to_num(played - target, nan=np.pi))
         return np.stack(errors)
+
+    def goal_errors(self, delay: float) -> Array:
+        """Return commands of ``delay`` [s] before minus measured positions (M, n) [rad]."""
+        errors = []
+        for window, time, measured in self.windows:
+            times = window.start + time - delay
+            errors.append(interpolate(times, window.time, window.command) - measured)
+        return np.concatenate(errors)
 
 
 def make_problem(

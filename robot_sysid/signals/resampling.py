@@ -184,6 +184,8 @@ SPLITTING_GAP = 0.5
 """Step of time beyond which a log is split into pieces (chosen) [s]."""
 SPLITTING_STEPS = 20.0
 """Shortest step of time at which a log of a low sample rate is split, in sampling periods."""
+RECORDING_SEPARATION = 10.0
+"""Time that is put between recordings with separate clocks [s]: longer than any filter."""
 SHORTEST_PIECE = 4.0
 """Length below which a piece is not worth filtering, as its ends are cut off (chosen) [s]."""
 MOST_PIECE_ROWS = 100_000
@@ -251,6 +253,10 @@ def piece_notes(
         if sum(map(_duration, pieces)) > 0.5 * MOST_TIME:
             omission += ", as the log is longer than any result needs"
     step = np.diff(samples.time)
+    is_separation = np.isclose(step, RECORDING_SEPARATION, rtol=0.0, atol=1e-6)
+    if np.any(is_separation):
+        count = np.count_nonzero(is_separation) + 1
+        return (f"its {count} recordings are filtered on their own{omission}",)
     gap = float(np.max(step))
     cause = "its length splits"
     if gap > splitting_gap(float(np.median(step))):

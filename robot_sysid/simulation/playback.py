@@ -1,11 +1,10 @@
 """Rollouts: torques or servo commands in, motion out; windows of a log played by a model.
 
 The model is the file's own: links, rotor inertia, springs, damping and MuJoCo's ``frictionloss`` as
-written. As in ``plant`` joints outside the chain are held, and contacts, joint stops,
-equalities and gravity compensation do not act. The integrator is MuJoCo's implicit one without
-derivatives of forces between bodies, which is stable under any damping. ``mujoco.rollout`` does the
-steps on all processors where the installed release has it with several models at a time; older ones
-step in Python.
+written. As in ``plant`` joints outside the chain are held; contacts, stops, equalities and gravity
+compensation do not act. The integrator is MuJoCo's implicit one without derivatives of forces
+between bodies, stable under any damping. ``mujoco.rollout`` does the steps on all processors where
+the installed release has it with several models at a time; older ones step in Python.
 
 Open loop: the model starts in the measured state and gets the torques that were measured. Closed
 loop: it gets them too, and a tracking servo pulls it towards the measured motion,
@@ -478,8 +477,7 @@ def servo_model(robot: RobotModel, timestep: float) -> Any:
 def set_servos(model: Any, robot: RobotModel, servos: ServoParameters) -> None:
     """Write servo parameters into a ``servo_model``, over those of an earlier call.
 
-    The delay is left out: it shifts the commands. A joint without a usable actuator gets its gain
-    as a spring.
+    The delay is left out: it shifts the commands. A spring stands for a missing actuator's gain.
 
     Args:
         model: from ``servo_model``; it is changed.
@@ -506,6 +504,8 @@ def set_servos(model: Any, robot: RobotModel, servos: ServoParameters) -> None:
     springs = _chain_joints(robot)[~driven]
     own_stiffness = robot.mj_model.jnt_stiffness[springs]
     model.jnt_stiffness[springs] = own_stiffness + servos.stiffness[~driven]
+    # As in a compiled file, dry friction is as firm as these rotor inertias make it.
+    mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
 @dataclass(frozen=True)

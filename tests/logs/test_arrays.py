@@ -396,6 +396,9 @@ def test_every_episode_is_a_piece(tmp_path, version):
     path = recorded.lerobot(version, 3)(tmp_path, long)
     log = read_measurements(path, JOINTS)
     assert [len(piece) for piece in log.pieces] == [1000] * 3
+    notes = "\n".join(log.notes)
+    assert "its 3 recordings" in notes
+    assert "missing" not in notes and "gap" not in notes
     np.testing.assert_allclose(log.pieces[2].q, long.q, rtol=0, atol=1e-12)
     assert len(read_measurements(path, JOINTS, episode=(1,)).pieces) == 1
     assert_refused("no episode 7; it has 0 to 2", path, episode=(7,))
@@ -422,7 +425,9 @@ def test_a_data_set_of_actions_without_torque_names_the_option_that_uses_them(tm
     path = recorded.FORMS["LeRobot"](tmp_path, DATA)
     goal = {"names": [f"{joint}.pos" for joint in JOINTS]}
     describe_features(path, {"observation.state": goal, "action": goal})
-    with pytest.raises(InputError, match="torque-from position-error") as caught:
+    with pytest.raises(
+        InputError, match="positions .* and goals .* needs none"
+    ) as caught:
         read_measurements(path, JOINTS)
     assert caught.value.options == (("--torque-from", "position-error"),)
     assert caught.value.command == "identify"

@@ -19,6 +19,7 @@ from robot_sysid.records.messages import Progress
 from robot_sysid.results.record import RolloutError, RolloutTest
 from robot_sysid.servo.commands import commanded_pieces, is_moving
 from robot_sysid.servo.fit import ServoFit
+from robot_sysid.servo.held_out import GoalPrediction, servo_refusal
 from robot_sysid.servo.windows import smooth_states
 from robot_sysid.simulation.playback import ServoParameters, servos_in_model
 from tests.support import schemas, urdf
@@ -47,8 +48,11 @@ def identification(robot):
         ServoFit(servos, errors, is_identified, np.full(2, 1e-3)),
         np.ones(2, dtype=bool),
         np.zeros(2),
+        np.full(2, np.nan),
+        np.zeros(2, dtype=bool),
         DataOrigin(Source.LOG, "log.csv", 10.0, 50.0),
         RolloutTest(robot.joint_names, "the last fifth", "servos", horizons),
+        GoalPrediction(0.05, (0.5,)),
     )
 
 
@@ -91,9 +95,9 @@ def test_a_number_that_the_model_does_not_have_has_no_before(robots):
     gain_lines = [line for line in lines if "gain" in line]
     assert len(gain_lines) == 2
     for line in gain_lines:
-        assert "gain 50" in line and "damping 0 -> 3" in line
+        assert "gain 50.000 ± 0.010 N·m/rad;" in line and "damping 0 -> 3" in line
     text = "".join(servo.servo_lines(identification(robots["xml"])))
-    assert "gain 100 -> 50" in text
+    assert "gain 100 -> 50.000 ± 0.010 N·m/rad;" in text
 
 
 def test_a_number_that_is_not_identified_is_the_models_with_a_stated_error(robots):
@@ -107,18 +111,38 @@ def test_a_number_that_is_not_identified_is_the_models_with_a_stated_error(robot
     )
     result = replace(result, fit=fit)
     for line in servo.servo_lines(result)[3:5]:
-        assert "frictionloss 0.3 ± 0.01 N·m (not identifiable" in line
+        assert "frictionloss 0.300 ± 0.010 N·m (not determined: the model's" in line
     notes = "".join(servo.servo_notes(result, 0.02))
     assert notes.count("hides its frictionloss:") == 2
     for name, number in result.joint_numbers["joint1"].items():
         assert (number["source"] == "from_model") == (name == "frictionloss")
 
 
-def test_a_gain_that_the_model_does_not_have_counts_as_identified(robots):
+def test_a_gain_that_neither_model_nor_data_has_counts_as_assumed(robots):
     result = identification(robots["urdf"])
     fit = replace(result.fit, is_identified=~result.fit.is_identified)
     for numbers in replace(result, fit=fit).joint_numbers.values():
-        assert numbers["gain"]["source"] == "identified"
+        assert numbers["gain"]["source"] == "assumed"
+
+
+@pytest.mark.parametrize(
+    ("new_errors", "fault"),
+    [
+        ((0.1, 0.1), None),
+        ((0.1, 1.1), "1.1 rad over 3 s, the model before 1"),
+        ((0.1, 0.6), '0.6 rad over 3 s, "position = command of 50 ms before" 0.5'),
+    ],
+)
+def test_a_model_must_beat_its_rivals_over_every_horizon(new_errors, fault):
+    errors = []
+    for horizon, new_error in zip((1.0, 3.0), new_errors):
+        new = np.full(2, new_error)
+        errors.append(RolloutError("closed loop", horizon, 3, np.ones(2), new))
+    test = RolloutTest(("a", "b"), "the last fifth", "servos", tuple(errors))
+    goal = GoalPrediction(0.05, (0.5, 0.5))
+    refusal = servo_refusal(test, goal, ())
+    assert refusal is None if fault is None else fault in refusal
+    assert servo_refusal(test, goal, ("rollout",)) is None
 
 
 def test_results_of_an_earlier_run_are_removed_unless_they_are_inputs(
@@ -206,6 +230,8 @@ def test_pieces_without_commands_are_not_played_and_not_called_short():
     time = np.arange(0.0, 60.0, 0.1)
     piece = Measurement(time, np.zeros((len(time), 1)), None, None)
     rollouts = SimpleNamespace(robot=SimpleNamespace(joint_names=("a",)))
-    played = servo.play_servos(rollouts, [piece], (), "the last fifth")
-    assert played.errors == ()
+    played, goal_errors = servo.play_servos(
+        rollouts, [piece], (), "the last fifth", 0.05
+    )
+    assert played.errors == goal_errors == ()
     assert "no held-out piece has commands for 1 s" in played.notes

@@ -140,6 +140,16 @@ def test_servo_and_joint_share_any_damping_as_the_model_does(factor):
     np.testing.assert_allclose(-model.actuator_biasprm[:, 2], kv, rtol=1e-12)
 
 
+def test_friction_is_as_firm_as_in_a_file_with_the_numbers():
+    """MuJoCo keeps from compilation how firmly friction holds; a stale value lets it creep."""
+    robot = robot_of(XML.replace(' armature=".05"', ""))
+    servos = replace(playback.servos_in_model(robot), armature=np.full(2, 0.05))
+    model = playback.servo_model(robot, 0.002)
+    playback.set_servos(model, robot, servos)
+    compiled = robot_of(XML).mj_model
+    np.testing.assert_allclose(model.dof_invweight0, compiled.dof_invweight0, rtol=1e-9)
+
+
 def test_a_joint_without_actuator_is_pulled_by_a_spring_of_the_same_gain():
     actuated = robot_of(XML.replace(' forcerange="-60 60"', ""))
     bare = robot_of(XML.replace(SERVOS, ""))

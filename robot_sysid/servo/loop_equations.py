@@ -1,0 +1,352 @@
+"""Equations of servos' closed loops, linear in the unknowns: where the search starts, link errors.
+
+The servo of a joint with gain K moves rotor inertia A against damping D, dry friction f and the
+links' torque tau:
+
+    K (command(t - delay) - q) = A qdd + D qd + f sign(qd) + tau(q, qd, qdd).
+
+Divided by K it is linear in A/K, D/K, f/K and 1/K. The distance on its left has an error of encoder
+steps only, so that least squares determine these ratios without a start, whatever the model says of
+servos. 1/K shows only where the links' torque is no small part; elsewhere only ratios are
+determined. All terms pass the same smoothing, which leaves the equation valid.
+
+n is the number of joints, M that of samples of all pieces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
+from robot_sysid.estimation.algebra.priors import model_link_factor
+from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.servo.windows import MAX_DELAY_PERIODS, smooth_states
+from robot_sysid.signals.resampling import sampling_period
+from robot_sysid.simulation.playback import (
+    ServoParameters,
+    ServoWindow,
+    servos_in_model,
+)
+
+LINK_ERROR = 0.1
+"""Relative standard deviation of the links' masses, of their centres of mass in link sizes, and
+half that of their inertias: those of small arms are drawn, and seldom weighed."""
+LARGEST_ERROR = 1.0 / 3.0
+"""Relative standard error up to which the equations determine a number."""
+_CORRELATED_SAMPLES = 10.0
+"""Samples over which errors of the equations are correlated: those of friction near standstill and
+of smoothed accelerations last about as long as a start or a stop."""
+_DELAYS_PER_PERIOD = 4
+"""Number of delays that are tried in one sampling period."""
+_SURE_SHARE = 0.6
+"""Share of the samples, those nearest to their commands, that are fitted first: a servo reaches its
+torque limit far from its command."""
+_OUTLIER = 5.0
+"""Residual, in root mean squares of the first fit, from which on a sample is left out."""
+_LIMITED_RATIO = 1.2
+"""Torque that a servo asks for over the torque that it delivers from which on it is limited."""
+_LIMITED_SAMPLES = 5
+"""Least number of samples at a torque limit: fewer are disturbances."""
+_LINKS = 3
+"""Column of the links' torque in the equations."""
+
+
+@dataclass(frozen=True)
+class LoopEquations:
+    """The terms of the equations, smoothed.
+
+    Attributes:
+        pieces: the pieces of logs.
+        position: (M, n) measured positions [rad or m].
+        columns: (M, n, 4) acceleration, velocity, its sign, and the links' torque.
+        is_moving: (M, n) whether a joint moves, so that its friction has the sign of its velocity;
+            never in the beginning of a piece, whose commands are not known.
+        regressor: (M, n, 10 n) of the links' torque by the links' inertial parameters.
+    """
+
+    pieces: tuple[Measurement, ...]
+    position: Array
+    columns: Array
+    is_moving: NDArray[np.bool_]
+    regressor: Array
+
+    def distances(self, delay: float) -> Array:
+        """Return the distance (M, n) from each position to its command of ``delay`` [s] before."""
+        commands = []
+        for piece in self.pieces:
+            middles = 0.5 * (piece.time[1:] + piece.time[:-1])
+            half = 0.5 * sampling_period(piece.time)
+            ends = (piece.time[0] - half, piece.time[-1] + half)
+            edges = np.concatenate((ends[:1], middles, ends[1:]))
+            assert piece.command is not None
+            window = ServoWindow(0.0, piece.q[0], piece.q[0], piece.time, piece.command)
+            mean_command = window.controls(delay, edges)
+            commands.append(smooth_states(replace(piece, q=mean_command))[0])
+        return np.asarray(np.concatenate(commands) - self.position)
+
+
+def loop_equations(robot: RobotModel, pieces: Sequence[Measurement]) -> LoopEquations:
+    """Return the equations of an arm's servos in the pieces of logs that have commands."""
+    commanded = tuple(piece for piece in pieces if piece.command is not None)
+    dynamics = LinkDynamics(robot)
+    links = list(range(robot.n_joints))
+    positions = []
+    columns = []
+    regressors = []
+    is_inner = []
+    for piece in commanded:
+        q, _ = smooth_states(piece)
+        qd = np.gradient(q, piece.time, axis=0)
+        qdd = np.gradient(qd, piece.time, axis=0)
+        motion = dynamics.motion(q, qd, qdd)
+        regressors.append(motion.columns(links))
+        terms = (qdd, qd, np.sign(qd), motion.torque(robot.thetas))
+        columns.append(np.stack(terms, axis=-1))
+        positions.append(q)
+        is_inner.append(np.arange(len(q)) >= MAX_DELAY_PERIODS)
+    all_columns = np.concatenate(columns)
+    speed = np.abs(all_columns[:, :, 1])
+    is_fast = speed > 0.1 * np.sqrt(np.mean(speed**2, axis=0))
+    is_moving = is_fast & np.concatenate(is_inner)[:, None]
+    return LoopEquations(
+        commanded,
+        np.concatenate(positions),
+        all_columns,
+        is_moving,
+        np.concatenate(regressors),
+    )
+
+
+@dataclass(frozen=True)
+class LoopFit:
+    """Servo numbers that solve the equations best.
+
+    Attributes:
+        equations: as given.
+        servos: the numbers; NaN where a joint does not move.
+        errors: (4 n + 1,) standard errors of numbers that the equations determine well, in the
+            order of ``ServoParameters.vector`` and at the given gains: zero of a gain, infinite of
+            damping and friction, which trade with delay and with motion near standstill.
+        scale_error: (n,) relative standard error of the scale of a joint's numbers; 1 where the
+            links' torque does not fix it.
+        is_used: (M, n) the samples that solve the equations; the others are outliers or at rest.
+        is_limited: (M, n) the samples in which a servo delivers less torque than its gain asks for.
+        limit: (n,) the torque that it delivers then; NaN where it is never limited [N m].
+    """
+
+    equations: LoopEquations
+    servos: ServoParameters
+    errors: Array
+    scale_error: Array
+    is_used: NDArray[np.bool_]
+    is_limited: NDArray[np.bool_]
+    limit: Array
+
+    @property
+    def determines(self) -> NDArray[np.bool_]:
+        """Whether the equations determine a number (4 n + 1,)."""
+        return self.errors <= LARGEST_ERROR * np.nan_to_num(self.servos.vector())
+
+    @property
+    def has_scale(self) -> NDArray[np.bool_]:
+        """Whether the links' torque fixes the scale of a joint's numbers (n,)."""
+        return self.scale_error <= LARGEST_ERROR
+
+    def limited_samples(self) -> Iterator[tuple[Measurement, NDArray[np.bool_]]]:
+        """Yield each piece and whether any servo is limited in each of its samples (N,)."""
+        is_limited = np.any(self.is_limited, axis=1)
+        ends = np.cumsum([len(piece) for piece in self.equations.pieces])
+        yield from zip(self.equations.pieces, np.split(is_limited, ends[:-1]))
+
+
+def solve_loop_equations(
+    robot: RobotModel,
+    equations: LoopEquations,
+    moves: NDArray[np.bool_],
+    default_gain: Array,
+) -> LoopFit:
+    """Return the servo numbers that solve the equations best, with one delay for all joints.
+
+    A joint whose links do not fix the scale gets the model's gain or, without one, the median of
+    the other joints: the servos of one arm are alike.
+
+    Args:
+        robot: the arm as in the model file.
+        equations: the equations of all joints.
+        moves: (n,) which joints move.
+        default_gain: (n,) gains where neither data nor model gives one [N m/rad].
+    """
+    joints = np.flatnonzero(moves).tolist()
+    delay = _best_delay(equations, joints)
+    distances = equations.distances(delay)
+
+    gain = np.full(len(moves), np.nan)
+    scale_error = np.ones(len(moves))
+    for joint in joints:
+        solution = _solve_joint(equations, distances, joint)
+        inverse_gain = solution.ratios[_LINKS]
+        if solution.errors[_LINKS] <= LARGEST_ERROR * inverse_gain:
+            scale_error[joint] = solution.errors[_LINKS] / inverse_gain
+            gain[joint] = 1.0 / inverse_gain
+    has_scale = np.isfinite(gain)
+    usual_gain = np.median(gain[has_scale]) if np.any(has_scale) else default_gain
+    model_gain = servos_in_model(robot).stiffness
+    fallback = np.where(np.isfinite(model_gain), model_gain, usual_gain)
+    gain = np.where(has_scale, gain, fallback)
+
+    numbers = np.full((3, len(moves)), np.nan)
+    armature_error = np.full(len(moves), np.inf)
+    is_used = np.zeros_like(equations.is_moving)
+    is_limited = np.zeros_like(equations.is_moving)
+    limit = np.full(len(moves), np.nan)
+    for joint in joints:
+        solution = _solve_joint(equations, distances, joint, float(gain[joint]))
+        numbers[:, joint] = gain[joint] * solution.ratios
+        armature_error[joint] = gain[joint] * solution.errors[0]
+        is_used[:, joint] = solution.is_used
+        terms = equations.columns[:, joint] * np.append(numbers[:, joint], 1.0)
+        is_limited[:, joint], limit[joint] = _torque_limit(
+            gain[joint] * distances[:, joint],
+            np.sum(terms, axis=1),
+            equations.is_moving[:, joint],
+            solution.is_used,
+        )
+    armature, damping, friction = numbers
+    gain = np.where(moves, gain, np.nan)
+    unknown = np.full(len(moves), np.inf)
+    gain_error = np.where(has_scale, 0.0, np.inf)
+    return LoopFit(
+        equations=equations,
+        servos=ServoParameters(gain, damping, friction, armature, delay),
+        errors=np.hstack((gain_error, unknown, unknown, armature_error, np.inf)),
+        scale_error=scale_error,
+        is_used=is_used,
+        is_limited=is_limited,
+        limit=limit,
+    )
+
+
+def _best_delay(equations: LoopEquations, joints: Sequence[int]) -> float:
+    """Return the delay [s] with which joints of these indices solve the equations best."""
+    period = float(np.median([sampling_period(p.time) for p in equations.pieces]))
+    delays = (
+        np.arange(MAX_DELAY_PERIODS * _DELAYS_PER_PERIOD + 1.0) / _DELAYS_PER_PERIOD
+    )
+    costs = []
+    for delay in (period * delays).tolist():
+        distances = equations.distances(delay)
+        solutions = [_solve_joint(equations, distances, joint) for joint in joints]
+        costs.append(sum(np.log(solution.residual) for solution in solutions))
+    return float(period * delays[int(np.argmin(costs))])
+
+
+def _torque_limit(
+    asked: Array,
+    delivered: Array,
+    is_moving: NDArray[np.bool_],
+    is_used: NDArray[np.bool_],
+) -> tuple[NDArray[np.bool_], float]:
+    """Return in which samples (M,) a servo is at its torque limit, and the limit [N m].
+
+    It delivers much less there than it asks for, and no less than anywhere else; never and NaN of
+    a servo that does not reach a limit.
+
+    Args:
+        asked: (M,) gain times distance from the command [N m].
+        delivered: (M,) torque that moves joint and links [N m].
+        is_moving: (M,) whether the joint moves.
+        is_used: (M,) the samples that follow the equations.
+    """
+    is_limited = is_moving & ~is_used & (asked * delivered > 0.0)
+    is_limited &= np.abs(asked) > _LIMITED_RATIO * np.abs(delivered)
+    never = np.zeros_like(is_limited)
+    if np.count_nonzero(is_limited) < _LIMITED_SAMPLES or not np.any(is_used):
+        return never, np.nan
+    limit = float(np.median(np.abs(delivered[is_limited])))
+    largest_unlimited = np.quantile(np.abs(asked[is_used]), 0.99)
+    if limit < largest_unlimited / _LIMITED_RATIO:
+        return never, np.nan
+    return is_limited, limit
+
+
+@dataclass(frozen=True)
+class _JointSolution:
+    """Solution of one joint's equations.
+
+    Attributes:
+        ratios: (4,) A/K, D/K, f/K and 1/K, none below zero; (3,) without 1/K of a known gain K.
+        residual: root mean square [rad].
+        errors: their standard errors.
+        is_used: (M,) the samples that were used.
+    """
+
+    ratios: Array
+    residual: float
+    errors: Array
+    is_used: NDArray[np.bool_]
+
+
+def _solve_joint(
+    equations: LoopEquations, distances: Array, joint: int, gain: float | None = None
+) -> _JointSolution:
+    """Return the solution of a joint's equations.
+
+    Args:
+        equations: the equations.
+        distances: (M, n) from ``LoopEquations.distances``.
+        joint: index of the joint.
+        gain: the known gain K; None to determine it.
+    """
+    from scipy.optimize import nnls
+
+    is_moving = equations.is_moving[:, joint]
+    columns = equations.columns[:, joint]
+    distance = distances[:, joint]
+    sure_distance = np.quantile(np.abs(distance[is_moving]), _SURE_SHARE)
+    is_used = is_moving & (np.abs(distance) <= sure_distance)
+    if gain is not None:
+        distance = distance - columns[:, _LINKS] / gain
+        columns = columns[:, :_LINKS]
+    size = np.sqrt(np.mean(columns[is_moving] ** 2, axis=0)) + 1e-12
+    columns = columns / size
+    for _ in range(3):
+        scaled_ratios, norm = nnls(columns[is_used], distance[is_used])
+        residual = norm / np.sqrt(np.count_nonzero(is_used)) + 1e-9
+        deviation = np.abs(distance - columns @ scaled_ratios)
+        is_used = is_moving & (deviation <= _OUTLIER * residual)
+    covariance = np.linalg.pinv(columns[is_used].T @ columns[is_used])
+    errors = residual * np.sqrt(_CORRELATED_SAMPLES * np.diag(covariance))
+    return _JointSolution(scaled_ratios / size, residual, errors / size, is_used)
+
+
+def link_errors(robot: RobotModel, fit: LoopFit, servos: ServoParameters) -> Array:
+    """Return the standard errors (4 n,) of servo numbers by those of the trusted links.
+
+    Torque that wrong links add to the equations looks in part like torque of the servo; its least
+    squares by the servo's numbers are their errors. The links' errors are ``link_factor``'s with a
+    share of ``LINK_ERROR``. The order is that of ``ServoParameters.vector``.
+
+    Args:
+        robot: the arm as in the model file.
+        fit: the equations, and which samples of them are no outliers.
+        servos: numbers and delay that were fitted to the positions.
+    """
+    equations = fit.equations
+    factor = model_link_factor(robot, range(robot.n_joints), LINK_ERROR)
+    distances = equations.distances(servos.delay)
+    errors = np.zeros((4, robot.n_joints))
+    for joint in np.flatnonzero(np.any(fit.is_used, axis=0)).tolist():
+        used = fit.is_used[:, joint]
+        acceleration, velocity, direction, _ = equations.columns[used, joint].T
+        distance = distances[used, joint]
+        # tau = K distance - D qd - f sign(qd) - A qdd
+        columns = np.stack((distance, -velocity, -direction, -acceleration), axis=1)
+        size = np.sqrt(np.mean(columns**2, axis=0)) + 1e-12
+        torque_errors = equations.regressor[used, joint] @ factor
+        effects = np.linalg.pinv(columns / size) @ torque_errors
+        errors[:, joint] = np.linalg.norm(effects, axis=1) / size
+    return errors.ravel()
