@@ -72,7 +72,7 @@ def report(name, arm, robot, outcome, held, spent) -> None:
         print(f"  {term} [{unit}]: model {model_values}\n    true {values}")
         print(f"    found {estimates}\n    error {errors}")
     pair = servos_in_model(robot), servos
-    without = play_servos(ServoRollouts(robot), held, pair, "").errors
+    without = play_servos(ServoRollouts(robot), held, pair, "", 0.0)[0].errors
     for error, bare in zip(result.rollout.errors, without):
         (late, new) = error.overall
         (old, _) = bare.overall

@@ -445,7 +445,7 @@ def identify_servos(
         derivatives = ErrorDerivatives(unlimited_problem(rollouts, pieces, loop_fit))
         servos = servo_fit.search_servos(derivatives, shown_numbers, progress)
 
-    # The errors are those with all numbers free.
+    # The errors are those with all numbers free that the equations do not determine.
     fit = servo_fit.estimate_errors(derivatives, every_number, servos)
     error_vector = np.where(is_determined, loop_fit.errors, fit.errors.vector())
     errors = ServoParameters.from_vector(error_vector)

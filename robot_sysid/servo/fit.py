@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,11 @@ from robot_sysid.simulation.playback import (
     servos_in_model,
 )
 
+GAIN_FACTORS = (0.03, 0.1, 0.3, 1.0, 3.0)
+"""Factors on the start's gains that are tried before the search. With a larger one a servo is at
+its limit all the time, and chance decides which fits best."""
+_GRID_WINDOWS = 6
+"""Largest number of windows that are played for the grid of start gains."""
 MAX_RATIO = 100.0
 """Upper bound of a number, in typical sizes."""
 LOG_OFFSET = 0.3
@@ -141,9 +147,11 @@ def initial_parametrisation(
 ) -> tuple[Parametrisation, LoopFit]:
     """Return the parametrisation of a search for servo parameters, and what its start comes from.
 
-    The numbers of joints that move start where the equations of their closed loops put them, and
-    the gains stay there: rollouts show hardly more than the ratios of a joint's numbers. Every free
-    number starts at 0.1 of its typical size at least.
+    The numbers of joints that move are where the equations of their closed loops put them. Numbers
+    that these determine are fixed, because rollouts show little but ratios of a joint's numbers,
+    and friction too small. All numbers are free of a joint whose servo is too fast for the
+    equations; they start at the model's. Every free number starts at 0.1 of its typical size at
+    least.
 
     Args:
         robot: the arm as in the model file.
@@ -156,7 +164,11 @@ def initial_parametrisation(
     equations = loop_equations(robot, pieces)
     default_gain = inertia * _DEFAULT_RATE**2
     loop_fit = solve_loop_equations(robot, equations, moves, default_gain)
+    is_resolved = loop_fit.is_resolved(inertia - in_model.armature)
+    loop_fit = loop_fit.restrict(is_resolved)
+    use_model = ~is_resolved & np.isfinite(in_model.stiffness)
     in_loop = loop_fit.servos.vector()
+    in_loop[:-1][np.tile(use_model, 4)] = np.nan
     start = ServoParameters.from_vector(
         np.where(np.isfinite(in_loop), in_loop, in_model.vector())
     )
@@ -180,7 +192,8 @@ def initial_parametrisation(
         delay=float(np.median(periods)),
     )
     free = np.append(np.tile(moves, 4), True)
-    free[: len(moves)] = False
+    free[: len(moves)] &= ~is_resolved
+    free &= ~loop_fit.determines
     start_vector = replace(start, stiffness=stiffness).vector()
     # From zero the search would hardly get away.
     start_vector = np.maximum(start_vector, 0.1 * typical.vector() * free)
@@ -209,6 +222,48 @@ def _gravity_and_inertia(robot: RobotModel, q: Array) -> tuple[Array, Array]:
         torque = dynamics.motion(q, 0.0 * q, acceleration).torque(thetas)
         inertia.append(np.mean((torque - gravity) @ unit_vector))
     return np.max(np.abs(gravity), axis=0), np.maximum(inertia, 1e-6)
+
+
+def improve_start(problem: ServoProblem, initial: Parametrisation) -> Parametrisation:
+    """Return the parametrisation with the best start gains and delay of a coarse grid.
+
+    All joints share the delay; each whose gain is free gets its own gain. Without such joints the
+    start is kept.
+
+    Args:
+        problem: windows of which up to ``_GRID_WINDOWS`` are played.
+        initial: its start gains are multiplied by ``GAIN_FACTORS``; the rest is kept.
+
+    Raises:
+        InputError: the model cannot be played with these commands.
+    """
+    start = initial.start
+    is_free = initial.free[: len(start.stiffness)]
+    factors = np.where(is_free, np.array(GAIN_FACTORS)[:, None], 1.0)
+    delays = initial.typical.delay * np.arange(0.0, MAX_DELAY_PERIODS + 1.0)
+    if not np.any(is_free):
+        factors = factors[:1]
+        delays = np.array([start.delay])
+    candidates = []
+    for factor, delay in product(factors, delays.tolist()):
+        stiffness = factor * start.stiffness
+        candidates.append(replace(start, stiffness=stiffness, delay=delay))
+    # Absolute errors: where a stiff servo comes off its limit, single windows run off and would
+    # dominate the squares.
+    errors = problem.subset(_GRID_WINDOWS).errors(candidates)
+    error = np.mean(np.abs(errors), axis=1)
+    # Errors are pi where a rollout has diverged: here the best candidate's for most of the time.
+    if np.min(np.mean(errors == np.pi, axis=(1, 2))) > 0.5:
+        raise InputError(
+            "the model cannot be played with these commands; check their units"
+        )
+    # Mean errors (factors, delays, n): the sum over joints of the best factors chooses the delay.
+    error_grid = error.reshape(len(factors), len(delays), -1)
+    best_delay = int(np.argmin(np.sum(np.min(error_grid, axis=0), axis=1)))
+    best = np.argmin(error_grid[:, best_delay], axis=0)
+    stiffness = factors[best, np.arange(len(best))] * start.stiffness
+    best_start = replace(start, stiffness=stiffness, delay=float(delays[best_delay]))
+    return replace(initial, start=best_start)
 
 
 @dataclass(frozen=True)
@@ -452,7 +507,8 @@ def add_link_errors(
     All numbers of a joint scale with its gain, which the equations of the loop determine, and take
     over a part of the links' errors; where the links do not fix the scale, the errors are as large
     as the numbers. A step h of the implicit integrator adds an apparent rotor inertia of h times
-    the damping and leaves half a step open in the delay.
+    the damping and leaves half a step open in the delay. A delay t too long looks like a damping
+    that is t times the gain too small.
 
     Args:
         robot: the arm as in the model file.
@@ -481,10 +537,9 @@ def search_shown_numbers(
 ) -> Parametrisation:
     """Return the parametrisation of the numbers that the rollouts show, its start the best ones.
 
-    All free numbers are searched for first, then those that the rollouts show. The others are fixed
-    where the equations of the loop put them or, if these do not determine them either, at the
-    model's values. A number that may be zero, and may be the model's, is not shown: the model's is
-    as good.
+    All free numbers are searched for first, then those that the rollouts show. Those that neither
+    rollouts nor equations show are fixed at the model's values. A number that may be zero, and may
+    be the model's, is not shown: the model's is as good.
 
     Args:
         derivatives: derivatives of the position errors in the fitted windows.
@@ -496,13 +551,8 @@ def search_shown_numbers(
         InputError: the model cannot be played with these commands.
     """
     robot = derivatives.problem.rollouts.robot
-    start_errors = derivatives.problem.errors([every_number.start])
-    # Errors are pi where a rollout has diverged.
-    if np.mean(start_errors == np.pi) > 0.5:
-        raise InputError(
-            "the model cannot be played with these commands; check their units"
-        )
-    servos = search_servos(derivatives, every_number, progress)
+    best_start = improve_start(derivatives.problem, every_number)
+    servos = search_servos(derivatives, best_start, progress)
     fit = estimate_errors(derivatives, every_number, servos)
     value = servos.vector()
     error = fit.errors.vector()
@@ -511,9 +561,8 @@ def search_shown_numbers(
     is_shown = fit.is_identified & ~(may_be_zero & may_be_models)
     shown_numbers = replace(every_number, free=every_number.free & is_shown)
     if not np.array_equal(shown_numbers.free, every_number.free):
-        is_determined = loop_fit.determines
-        start = keep_model_values(robot, servos, ~is_shown & ~is_determined)
-        start = with_equation_numbers(start, loop_fit, is_determined & ~is_shown)
+        is_unknown = ~is_shown & ~loop_fit.determines
+        start = keep_model_values(robot, servos, is_unknown)
         shown_numbers = replace(shown_numbers, start=start)
         servos = search_servos(derivatives, shown_numbers, progress)
     return replace(shown_numbers, start=servos)

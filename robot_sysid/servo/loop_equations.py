@@ -37,11 +37,12 @@ LINK_ERROR = 0.1
 half that of their inertias: those of small arms are drawn, and seldom weighed."""
 LARGEST_ERROR = 1.0 / 3.0
 """Relative standard error up to which the equations determine a number."""
+LARGEST_TURN = 1.2
+"""Largest angle [rad] by which the oscillation of a servo without damping may turn between two
+samples: differences of faster motion are no derivatives, and its equations are wrong."""
 _CORRELATED_SAMPLES = 10.0
 """Samples over which errors of the equations are correlated: those of friction near standstill and
 of smoothed accelerations last about as long as a start or a stop."""
-_DELAYS_PER_PERIOD = 4
-"""Number of delays that are tried in one sampling period."""
 _SURE_SHARE = 0.6
 """Share of the samples, those nearest to their commands, that are fitted first: a servo reaches its
 torque limit far from its command."""
@@ -85,7 +86,8 @@ class LoopEquations:
             assert piece.command is not None
             window = ServoWindow(0.0, piece.q[0], piece.q[0], piece.time, piece.command)
             mean_command = window.controls(delay, edges)
-            commands.append(smooth_states(replace(piece, q=mean_command))[0])
+            smooth_command, _ = smooth_states(replace(piece, q=mean_command))
+            commands.append(_average(_average(smooth_command)))
         return np.asarray(np.concatenate(commands) - self.position)
 
 
@@ -100,8 +102,11 @@ def loop_equations(robot: RobotModel, pieces: Sequence[Measurement]) -> LoopEqua
     is_inner = []
     for piece in commanded:
         q, _ = smooth_states(piece)
-        qd = np.gradient(q, piece.time, axis=0)
-        qdd = np.gradient(qd, piece.time, axis=0)
+        # A central difference is the mean velocity over two samples: the other terms are averaged
+        # over them as well, once for each difference.
+        qd = _average(np.gradient(q, piece.time, axis=0))
+        qdd = np.gradient(np.gradient(q, piece.time, axis=0), piece.time, axis=0)
+        q = _average(_average(q))
         motion = dynamics.motion(q, qd, qdd)
         regressors.append(motion.columns(links))
         terms = (qdd, qd, np.sign(qd), motion.torque(robot.thetas))
@@ -121,6 +126,13 @@ def loop_equations(robot: RobotModel, pieces: Sequence[Measurement]) -> LoopEqua
     )
 
 
+def _average(values: Array) -> Array:
+    """Return the mean of values (N, n) over the two sampling periods around each sample."""
+    from scipy.ndimage import convolve1d
+
+    return np.asarray(convolve1d(values, [0.25, 0.5, 0.25], axis=0, mode="nearest"))
+
+
 @dataclass(frozen=True)
 class LoopFit:
     """Servo numbers that solve the equations best.
@@ -128,9 +140,9 @@ class LoopFit:
     Attributes:
         equations: as given.
         servos: the numbers; NaN where a joint does not move.
-        errors: (4 n + 1,) standard errors of numbers that the equations determine well, in the
-            order of ``ServoParameters.vector`` and at the given gains: zero of a gain, infinite of
-            damping and friction, which trade with delay and with motion near standstill.
+        errors: (4 n + 1,) standard errors of the numbers at the given gains and delay, in the order
+            of ``ServoParameters.vector``: zero of a gain that is determined, infinite of another,
+            of the delay, and of joints that do not move.
         scale_error: (n,) relative standard error of the scale of a joint's numbers; 1 where the
             links' torque does not fix it.
         is_used: (M, n) the samples that solve the equations; the others are outliers or at rest.
@@ -146,10 +158,35 @@ class LoopFit:
     is_limited: NDArray[np.bool_]
     limit: Array
 
+    def is_resolved(self, inertia: Array) -> NDArray[np.bool_]:
+        """Return whether the samples resolve the motion of each servo (n,).
+
+        ``inertia`` (n,) is that of the links at each joint [kg m^2].
+        """
+        servos = self.servos
+        periods = [sampling_period(piece.time) for piece in self.equations.pieces]
+        rate = np.sqrt(servos.stiffness / (servos.armature + inertia))
+        return np.asarray(~(rate * np.median(periods) > LARGEST_TURN))
+
+    def restrict(self, is_valid: NDArray[np.bool_]) -> LoopFit:
+        """Return the fit in which the equations of the other joints (n,) determine nothing.
+
+        Their scale is as uncertain as the links, whose errors add up to about two single ones.
+        """
+        errors = np.where(np.append(np.tile(is_valid, 4), True), self.errors, np.inf)
+        scale_error = np.where(is_valid, self.scale_error, 2.0 * LINK_ERROR)
+        return replace(
+            self,
+            errors=errors,
+            scale_error=scale_error,
+            is_limited=self.is_limited & is_valid,
+            limit=np.where(is_valid, self.limit, np.nan),
+        )
+
     @property
     def determines(self) -> NDArray[np.bool_]:
         """Whether the equations determine a number (4 n + 1,)."""
-        return self.errors <= LARGEST_ERROR * np.nan_to_num(self.servos.vector())
+        return self.errors < LARGEST_ERROR * np.nan_to_num(self.servos.vector())
 
     @property
     def has_scale(self) -> NDArray[np.bool_]:
@@ -189,7 +226,7 @@ def solve_loop_equations(
     for joint in joints:
         solution = _solve_joint(equations, distances, joint)
         inverse_gain = solution.ratios[_LINKS]
-        if solution.errors[_LINKS] <= LARGEST_ERROR * inverse_gain:
+        if solution.errors[_LINKS] < LARGEST_ERROR * inverse_gain:
             scale_error[joint] = solution.errors[_LINKS] / inverse_gain
             gain[joint] = 1.0 / inverse_gain
     has_scale = np.isfinite(gain)
@@ -199,14 +236,14 @@ def solve_loop_equations(
     gain = np.where(has_scale, gain, fallback)
 
     numbers = np.full((3, len(moves)), np.nan)
-    armature_error = np.full(len(moves), np.inf)
+    errors = np.full((3, len(moves)), np.inf)
     is_used = np.zeros_like(equations.is_moving)
     is_limited = np.zeros_like(equations.is_moving)
     limit = np.full(len(moves), np.nan)
     for joint in joints:
         solution = _solve_joint(equations, distances, joint, float(gain[joint]))
         numbers[:, joint] = gain[joint] * solution.ratios
-        armature_error[joint] = gain[joint] * solution.errors[0]
+        errors[:, joint] = gain[joint] * solution.errors
         is_used[:, joint] = solution.is_used
         terms = equations.columns[:, joint] * np.append(numbers[:, joint], 1.0)
         is_limited[:, joint], limit[joint] = _torque_limit(
@@ -217,12 +254,11 @@ def solve_loop_equations(
         )
     armature, damping, friction = numbers
     gain = np.where(moves, gain, np.nan)
-    unknown = np.full(len(moves), np.inf)
     gain_error = np.where(has_scale, 0.0, np.inf)
     return LoopFit(
         equations=equations,
         servos=ServoParameters(gain, damping, friction, armature, delay),
-        errors=np.hstack((gain_error, unknown, unknown, armature_error, np.inf)),
+        errors=np.hstack((gain_error, errors[1], errors[2], errors[0], np.inf)),
         scale_error=scale_error,
         is_used=is_used,
         is_limited=is_limited,
@@ -232,16 +268,24 @@ def solve_loop_equations(
 
 def _best_delay(equations: LoopEquations, joints: Sequence[int]) -> float:
     """Return the delay [s] with which joints of these indices solve the equations best."""
-    period = float(np.median([sampling_period(p.time) for p in equations.pieces]))
-    delays = (
-        np.arange(MAX_DELAY_PERIODS * _DELAYS_PER_PERIOD + 1.0) / _DELAYS_PER_PERIOD
-    )
-    costs = []
-    for delay in (period * delays).tolist():
+    from scipy.optimize import minimize_scalar
+
+    def cost(delay: float) -> float:
+        """Return the sum of the logarithms of the joints' residuals."""
         distances = equations.distances(delay)
-        solutions = [_solve_joint(equations, distances, joint) for joint in joints]
-        costs.append(sum(np.log(solution.residual) for solution in solutions))
-    return float(period * delays[int(np.argmin(costs))])
+        residuals = [
+            _solve_joint(equations, distances, joint).residual for joint in joints
+        ]
+        return float(np.sum(np.log(residuals)))
+
+    period = float(np.median([sampling_period(p.time) for p in equations.pieces]))
+    delays = period * np.arange(0.0, MAX_DELAY_PERIODS + 0.5, 0.5)
+    best = float(delays[int(np.argmin([cost(delay) for delay in delays.tolist()]))])
+    bounds = (max(best - 0.5 * period, 0.0), best + 0.5 * period)
+    refined = minimize_scalar(
+        cost, bounds=bounds, method="bounded", options={"xatol": 0.01 * period}
+    )
+    return float(refined.x)
 
 
 def _torque_limit(
@@ -318,8 +362,8 @@ def _solve_joint(
         residual = norm / np.sqrt(np.count_nonzero(is_used)) + 1e-9
         deviation = np.abs(distance - columns @ scaled_ratios)
         is_used = is_moving & (deviation <= _OUTLIER * residual)
-    covariance = np.linalg.pinv(columns[is_used].T @ columns[is_used])
-    errors = residual * np.sqrt(_CORRELATED_SAMPLES * np.diag(covariance))
+    sensitivity = np.linalg.norm(np.linalg.pinv(columns[is_used]), axis=1)
+    errors = residual * np.sqrt(_CORRELATED_SAMPLES) * sensitivity
     return _JointSolution(scaled_ratios / size, residual, errors / size, is_used)
 
 

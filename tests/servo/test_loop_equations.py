@@ -89,6 +89,17 @@ def test_errors_of_links_cover_numbers_that_wrong_links_change():
     assert errors[0] < 3.5 * changes[0]
 
 
+def test_a_servo_that_is_too_fast_for_the_samples_is_left_to_the_rollouts():
+    fit = solve(arm())
+    link_inertia = np.array([0.003, 1e-6])
+    assert fit.is_resolved(link_inertia).all()
+    stiff = replace(fit, servos=replace(TRUTH, stiffness=1000.0 * np.ones(2)))
+    is_resolved = stiff.is_resolved(link_inertia)
+    assert not is_resolved.any()
+    assert not stiff.restrict(is_resolved).determines.any()
+    assert np.isnan(stiff.restrict(is_resolved).limit).all()
+
+
 def test_a_torque_limit_is_seen_and_its_samples_do_not_count():
     assert np.isnan(solve(arm()).limit).all()
     limited_log = log(arm(limit=' forcerange="-2.5 2.5"'), scale=2.0)
