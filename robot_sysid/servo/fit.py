@@ -3,8 +3,9 @@
 The fitted numbers are those whose rollouts come nearest to the measured positions. The unknowns are
 logarithms of the numbers over their typical sizes, softened so that zero is not far away. Gain,
 damping, friction and rotor inertia of a joint that grow together by one factor change the motion
-little where links and gravity are small beside them, so that the gains come from the equations of
-the closed loop (``loop_equations``), which see the links' torque itself.
+little where links and gravity are small beside them, so that numbers come from the equations of
+the closed loop (``loop_equations``), which see the links' torque itself, as far as these determine
+them. Searched for are the others, and the delay.
 
 Arrays of all numbers of an arm of n joints have the order of ``ServoParameters.vector()``,
 (4 n + 1,): stiffness, damping, dry friction and rotor inertia of all joints, then the delay. M is
@@ -68,6 +69,8 @@ _LEAST_SIZE = 1e-3
 UNSEEN_SPREAD = 1.0 / 3.0
 """Standard error, in units of the search (``Parametrisation.unit``), from which on a number counts
 as not identified: three standard errors are then as large as the typical number."""
+_AT_BOUND = 0.02
+"""Number, in typical sizes, below which it is at its bound of zero: the search ended there."""
 _FRICTION = 2
 """Position of friction among the four numbers of a joint."""
 _POSITIONS = 200
@@ -538,8 +541,8 @@ def search_shown_numbers(
     """Return the parametrisation of the numbers that the rollouts show, its start the best ones.
 
     All free numbers are searched for first, then those that the rollouts show. Those that neither
-    rollouts nor equations show are fixed at the model's values. A number that may be zero, and may
-    be the model's, is not shown: the model's is as good.
+    rollouts nor equations show are fixed at the model's values. A number at its bound of zero is
+    not shown, nor one that may be zero and may be the model's.
 
     Args:
         derivatives: derivatives of the position errors in the fitted windows.
@@ -558,7 +561,9 @@ def search_shown_numbers(
     error = fit.errors.vector()
     may_be_zero = value <= 2.0 * error
     may_be_models = np.abs(servos_in_model(robot).vector() - value) <= 3.0 * error
-    is_shown = fit.is_identified & ~(may_be_zero & may_be_models)
+    is_at_bound = value <= _AT_BOUND * every_number.typical.vector()
+    is_doubtful = is_at_bound | (may_be_zero & may_be_models)
+    is_shown = fit.is_identified & ~is_doubtful
     shown_numbers = replace(every_number, free=every_number.free & is_shown)
     if not np.array_equal(shown_numbers.free, every_number.free):
         is_unknown = ~is_shown & ~loop_fit.determines

@@ -1,4 +1,4 @@
-"""Equations of servos' closed loops, linear in the unknowns: where the search starts, link errors.
+"""Equations of servos' closed loops, linear in the unknowns: servo numbers, and errors by links.
 
 The servo of a joint with gain K moves rotor inertia A against damping D, dry friction f and the
 links' torque tau:
@@ -8,7 +8,8 @@ links' torque tau:
 Divided by K it is linear in A/K, D/K, f/K and 1/K. The distance on its left has an error of encoder
 steps only, so that least squares determine these ratios without a start, whatever the model says of
 servos. 1/K shows only where the links' torque is no small part; elsewhere only ratios are
-determined. All terms pass the same smoothing, which leaves the equation valid.
+determined. All terms pass the same smoothing, which leaves the equation valid as long as the
+samples resolve the motion.
 
 n is the number of joints, M that of samples of all pieces.
 """
@@ -37,7 +38,7 @@ LINK_ERROR = 0.1
 half that of their inertias: those of small arms are drawn, and seldom weighed."""
 LARGEST_ERROR = 1.0 / 3.0
 """Relative standard error up to which the equations determine a number."""
-LARGEST_TURN = 1.2
+LARGEST_TURN = 1.8
 """Largest angle [rad] by which the oscillation of a servo without damping may turn between two
 samples: differences of faster motion are no derivatives, and its equations are wrong."""
 _CORRELATED_SAMPLES = 10.0

@@ -261,7 +261,7 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(
     assert max(first) < 1.2 * min(first)
     for term, values in terms.items():
         number = content["joints"]["joint1"][term]
-        assert number["value"] == pytest.approx(values[1], rel=0.1)
+        assert number["value"] == pytest.approx(values[1], rel=0.2)
         for k, joint in enumerate(("joint0", "joint1")):
             number = content["joints"][joint][term]
             assert (
@@ -276,7 +276,7 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(
     ]
     np.testing.assert_allclose(written.actuator_gainprm[:, 0], gains, rtol=1e-6)
     damping = written.dof_damping - written.actuator_biasprm[:, 2]
-    np.testing.assert_allclose(damping[1], truth.damping[1], rtol=0.05)
+    np.testing.assert_allclose(damping[1], truth.damping[1], rtol=0.1)
     text = (folder / "updated_model.xml").read_text()
     assert text.count("<inertial") == servo_logs.XML.count("<inertial")
 
