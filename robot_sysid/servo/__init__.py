@@ -452,12 +452,11 @@ def identify_servos(
     is_identified = is_determined | shown_numbers.free
     fit = replace(fit, errors=errors, is_identified=is_identified)
     fit = servo_fit.add_link_errors(robot, fit, loop_fit, moves)
-    limited = limit_share(derivatives.problem, fit.servos)
     result = ServoIdentification(
         robot=robot,
         fit=fit,
         is_moving=moves,
-        limit_share=limited,
+        limit_share=limit_share(derivatives.problem, fit.servos),
         torque_limit=loop_fit.limit,
         has_limit=has_torque_limit(robot, loop_fit.limit),
         data=origin_of(measurement_logs),
