@@ -7,6 +7,7 @@ sum of such records, which may come from many machines.
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -89,8 +90,11 @@ def _log_source(log: Log) -> Any:
         if values is None:
             continue
         try:
-            arrays[str(name)] = np.asarray(values)
-        except ValueError:
+            # NumPy before 1.24 only warns of rows that differ.
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                arrays[str(name)] = np.asarray(values)
+        except (ValueError, Warning):
             raise InputError(f"{name} is no array: its rows differ in length") from None
     _refuse_unusable(arrays)
     return arrays_table(Path("arrays"), "arrays in memory", arrays)
