@@ -133,7 +133,8 @@ def foreign_unit_finding(log: LogRows, divided: Array) -> Finding | None:
     text = (
         f"the torques are not in N·m at the joint: they are {np.min(ratio):.3g} to "
         f"{np.max(ratio):.3g} times {kind} than the model's, by another factor in each joint that "
-        f"carries weight ({', '.join(joint_ratios)}), as {unit} are; {sign_text}{WEIGHING}"
+        f"carries weight ({', '.join(joint_ratios)}), as {unit} are, or the "
+        f"log is of another arm; {sign_text}{WEIGHING}"
     )
     start = np.where(follows, np.abs(scale), np.median(factor)) * divided
     torque_scale = ",".join(format(value, ".4g") for value in start)

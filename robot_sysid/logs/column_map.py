@@ -57,6 +57,8 @@ _SCALED = re.compile(
 )
 _ANGLE_UNITS = ("rad", "deg")
 """Units of angles that a user may declare."""
+_MOST_UNUSED = 12
+"""Largest number of columns that are named as not used."""
 _LONGEST = 1_000_000
 """Largest number of characters of a columns file that are read: 10 000 long lines."""
 
@@ -288,6 +290,8 @@ class ColumnMap:
         unused = [t for index, t in enumerate(self.titles) if index not in indices]
         if not unused:
             return (used,)
+        if len(unused) > _MOST_UNUSED:
+            unused[_MOST_UNUSED:] = [f"{len(unused) - _MOST_UNUSED} more"]
         return used, f"log columns not used: {', '.join(unused)}"
 
 
