@@ -121,7 +121,11 @@ def _remedies(error: SysidError, name: str, arguments: Sequence[str]) -> Iterato
     for arguments in error.command_lines:
         yield shlex.join([PROGRAM, *arguments])
     if not error.command_lines and error.command in ("", name):
-        typed = [name, *arguments] if name else arguments
+        typed = [name, *arguments] if name else list(arguments)
+        # The corrected columns file has all lines of the one in use.
+        if isinstance(error, ColumnsError) and "--columns" in typed:
+            at = typed.index("--columns")
+            del typed[at : at + 2]
         for option in error.options:
             yield shlex.join([PROGRAM, *typed, *option])
 

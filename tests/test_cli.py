@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from robot_sysid.cli import _message_lines, main
-from robot_sysid.errors import SysidError
+from robot_sysid.errors import ColumnsError, SysidError
 from robot_sysid.records.file_access import lock_folder
 from tests.support.arms import TWO_ARMS, Y, serial_arm
 from tests.support.command_line import files_in
@@ -293,3 +293,16 @@ def test_a_command_in_an_error_stands_alone_on_its_line():
     assert first.startswith("arm.xml: bad xxx") and first.endswith("x; run")
     assert "[...]" in first and len(first) < 2000
     assert (command, last) == ("  robot-sysid log a b", "or this")
+
+
+def test_corrected_columns_take_the_place_of_those_in_use(
+    monkeypatch, tmp_path, capsys
+):
+    def refuse(arguments, name):
+        raise ColumnsError("wrong", "a = b", "new.txt", is_correction=True)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("robot_sysid.commands.identify.main", refuse)
+    main(["identify", "arm.xml", "log.csv", "--columns", "old.txt", "--links"])
+    command = "  robot-sysid identify arm.xml log.csv --links --columns new.txt\n"
+    assert capsys.readouterr().err.endswith(command)
