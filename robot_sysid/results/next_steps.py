@@ -79,9 +79,24 @@ class RunWords:
 
 
 def use_lines(path: Path) -> tuple[str, ...]:
-    """Return the line that names the model file to use, and a line of Python that loads it."""
+    """Return the line that names the model file to use, and a line of Python that loads it.
+
+    In place of the latter a sentence, where MuJoCo does not find, or cannot read, the meshes of a
+    URDF: this program leaves them out.
+    """
+    first_line = f"Use this file: {path}"
+    if path.suffix == ".urdf" and path.is_file():
+        import mujoco
+
+        try:
+            mujoco.MjModel.from_xml_path(str(path))
+        except ValueError:
+            return (
+                first_line,
+                "MuJoCo alone loads neither it nor the given model, because of their meshes",
+            )
     text = json.dumps(str(path), ensure_ascii=False)
-    return f"Use this file: {path}", f"  mujoco.MjModel.from_xml_path({text})"
+    return first_line, f"  mujoco.MjModel.from_xml_path({text})"
 
 
 def last_lines(

@@ -182,6 +182,26 @@ def test_a_path_with_quotes_is_python_too():
 
 
 @pytest.mark.parametrize(
+    ("shape", "loads"),
+    [
+        ('<sphere radius=".1"/>', True),
+        ('<mesh filename="package://arm/link.dae"/>', False),
+    ],
+)
+def test_a_urdf_whose_meshes_mujoco_does_not_read_is_not_said_to_load(
+    tmp_path, shape, loads
+):
+    path = tmp_path / "updated_model.urdf"
+    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    path.write_text(
+        f'<robot name="arm"><link name="a"><inertial><mass value="1"/>{inertia}</inertial>'
+        f"<collision><geometry>{shape}</geometry></collision></link></robot>"
+    )
+    _, load = use_lines(path)
+    assert load.startswith("  mujoco.") == loads
+
+
+@pytest.mark.parametrize(
     ("purpose", "command"),
     [
         ("link", "identify 'an arm.xml' out/log.csv"),
