@@ -7,7 +7,7 @@ none where the result is good enough.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -78,18 +78,22 @@ class RunWords:
     is_out_of_reach: bool = False
 
 
-def use_lines(path: Path) -> tuple[str, ...]:
+def use_lines(path: Path, draft: Path) -> tuple[str, ...]:
     """Return the line that names the model file to use, and a line of Python that loads it.
 
     In place of the latter a sentence, where MuJoCo does not find, or cannot read, the meshes of a
     URDF: this program leaves them out.
+
+    Args:
+        path: final path of the file.
+        draft: where it is by now.
     """
     first_line = f"Use this file: {path}"
-    if path.suffix == ".urdf" and path.is_file():
+    if path.suffix == ".urdf" and draft.is_file():
         import mujoco
 
         try:
-            mujoco.MjModel.from_xml_path(str(path))
+            mujoco.MjModel.from_xml_path(str(draft))
         except ValueError:
             return (
                 first_line,
@@ -100,7 +104,11 @@ def use_lines(path: Path) -> tuple[str, ...]:
 
 
 def last_lines(
-    result: Result, files: Sequence[Path], step: NextStep | None, failure: str | None
+    result: Result,
+    files: Sequence[Path],
+    step: NextStep | None,
+    failure: str | None,
+    location: Callable[[Path], Path] = Path,
 ) -> tuple[str, ...]:
     """Return the last lines of the console: the verdict, which files to use, and the next step.
 
@@ -109,6 +117,7 @@ def last_lines(
         files: the written files, among them the model and a payload's card.
         step: the next step, or None.
         failure: why a result that is usable in itself must not be used, or None.
+        location: returns where a written file is by now; by default at its path.
     """
     lines = [verdict_line(result, failure)]
     if failure is not None:
@@ -116,7 +125,7 @@ def last_lines(
     # A self-test writes back what its model says already.
     if result.data.source is not Source.ITSELF:
         for path in models_in(files)[:1]:
-            lines += use_lines(path)
+            lines += use_lines(path, location(path))
     if result.payload is not None:
         start = (
             f"Copy into the controller, in the frame of {result.payload.flange.name}"

@@ -177,7 +177,8 @@ def test_the_last_lines_name_the_files_that_were_written():
 
 
 def test_a_path_with_quotes_is_python_too():
-    _, load = use_lines(Path('a "b".xml'))
+    path = Path('a "b".xml')
+    _, load = use_lines(path, path)
     assert load == '  mujoco.MjModel.from_xml_path("a \\"b\\".xml")'
 
 
@@ -191,13 +192,13 @@ def test_a_path_with_quotes_is_python_too():
 def test_a_urdf_whose_meshes_mujoco_does_not_read_is_not_said_to_load(
     tmp_path, shape, loads
 ):
-    path = tmp_path / "updated_model.urdf"
+    path = tmp_path / ".draft.urdf"
     inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
     path.write_text(
         f'<robot name="arm"><link name="a"><inertial><mass value="1"/>{inertia}</inertial>'
         f"<collision><geometry>{shape}</geometry></collision></link></robot>"
     )
-    _, load = use_lines(path)
+    _, load = use_lines(tmp_path / "updated_model.urdf", path)
     assert load.startswith("  mujoco.") == loads
 
 
