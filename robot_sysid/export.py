@@ -207,7 +207,7 @@ def save(
             with files.open(written[-1]) as file:
                 report = motor_file(file)
         step = None if failure else next_step(result, run, written)
-        verdict = last_lines(result, written, step, failure, files.location)
+        verdict = last_lines(result, written, step, failure)
         text = params_json_text(result, cards, notes, verdict, step)
         written.append(folder / file_access.PARAMS_NAME)
         files.write(written[-1], text)

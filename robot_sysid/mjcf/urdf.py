@@ -24,13 +24,10 @@ from robot_sysid.mjcf.inertial import (
     urdf_inertial_about_com,
 )
 from robot_sysid.records import Array
+from robot_sysid.records.messages import MeshesLeftOut
 
 _READABLE_MESHES = (".stl", ".obj", ".msh")
 """Suffixes of the mesh files that MuJoCo reads."""
-MESHES_LEFT_OUT = (
-    "collision meshes that are missing or unreadable to MuJoCo were left out"
-)
-"""Beginning of the note on such meshes."""
 _MINIMUM_MASS = 1e-6
 """Mass that a moving link without mass gets [kg]: MuJoCo refuses less than 1e-15."""
 _MINIMUM_INERTIA = 1e-9
@@ -112,9 +109,10 @@ def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
                 raise _missing_mesh_error(document, link, unusable)
             removed.add(unusable.name)
     if removed:
-        yield (
-            f"{MESHES_LEFT_OUT} ({', '.join(sorted(removed))}), which changes no dynamics; a "
-            "written model still names them, so MuJoCo by itself loads it only once they are there"
+        yield MeshesLeftOut(
+            "collision meshes that are missing or unreadable to MuJoCo were left out "
+            f"({', '.join(sorted(removed))}), which changes no dynamics; a written model still "
+            "names them, so MuJoCo by itself loads it only once they are there"
         )
 
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from robot_sysid.config import SysidConfig
 from robot_sysid.export import MotorFile, Outcome
-from robot_sysid.mjcf.urdf import MESHES_LEFT_OUT
 from robot_sysid.motion import WEIGHT
 from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
 from robot_sysid.pipeline.run_words import words_of_plan
@@ -255,12 +254,11 @@ def _conditions(checked: CheckedPlan) -> list[str]:
     problem = checked.problem
     if problem is None or checked.failure:
         return []
-    notes = problem.robot.notes
     return plan_conditions(
         contact_before(problem, checked.plan),
         n_unguarded=len(problem.unguarded),
         n_links=problem.n_joints,
-        lacks_meshes=any(note.startswith(MESHES_LEFT_OUT) for note in notes),
+        lacks_meshes=problem.robot.lacks_meshes,
     )
 
 

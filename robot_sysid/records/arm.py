@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
+from robot_sysid.records.messages import MeshesLeftOut
 
 Array = NDArray[np.float64]
 """Array of floats, of any shape."""
@@ -352,6 +353,13 @@ class RobotModel:
         if coefficients is None:
             return np.zeros((self.n_joints, 2))
         return np.array(coefficients[self.dof_index])
+
+    @property
+    def lacks_meshes(self) -> bool:
+        """Whether collision meshes of its file were left out: MuJoCo alone does not load that file,
+        nor a URDF that is written from it.
+        """
+        return any(isinstance(note, MeshesLeftOut) for note in self.notes)
 
     @property
     def other_joint_names(self) -> tuple[str, ...]:

@@ -174,10 +174,6 @@ class AtomicFiles:
             )
         return draft
 
-    def location(self, path: Path) -> Path:
-        """Return where the file ``path`` is until ``commit``: its draft, if there is one."""
-        return self._drafts.get(path, path)
-
     def withdraw(self, path: Path) -> None:
         """Remove the draft of the file ``path``, if there is one; ``commit`` then leaves it out."""
         if path in self._drafts:

@@ -118,6 +118,10 @@ class Detail(str):
     """
 
 
+class MeshesLeftOut(str):
+    """A note that collision meshes, which MuJoCo does not find or read, were left out."""
+
+
 @dataclass(frozen=True)
 class NextStep:
     """What to do after a command, and the command that does it.

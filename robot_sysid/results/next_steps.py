@@ -7,12 +7,12 @@ none where the result is good enough.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from robot_sysid.motion import PAYLOAD_ORDER, WEIGHT
-from robot_sysid.records import Source
+from robot_sysid.records import RobotModel, Source
 from robot_sysid.records.file_access import CARD_NAME, DAMIAO_NAME, RUN_NAME, models_in
 from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY
@@ -78,37 +78,28 @@ class RunWords:
     is_out_of_reach: bool = False
 
 
-def use_lines(path: Path, draft: Path) -> tuple[str, ...]:
+def use_lines(path: Path, robot: RobotModel) -> tuple[str, ...]:
     """Return the line that names the model file to use, and a line of Python that loads it.
 
-    In place of the latter a sentence, where MuJoCo does not find, or cannot read, the meshes of a
-    URDF: this program leaves them out.
+    In place of the latter a sentence, where MuJoCo alone cannot load the file: a URDF whose meshes
+    it does not find or read.
 
     Args:
-        path: final path of the file.
-        draft: where it is by now.
+        path: of the written file.
+        robot: the arm with the model that it was written from.
     """
     first_line = f"Use this file: {path}"
-    if path.suffix == ".urdf" and draft.is_file():
-        import mujoco
-
-        try:
-            mujoco.MjModel.from_xml_path(str(draft))
-        except ValueError:
-            return (
-                first_line,
-                "MuJoCo alone loads neither it nor the given model, because of their meshes",
-            )
+    if path.suffix == ".urdf" and robot.lacks_meshes:
+        return (
+            first_line,
+            "MuJoCo alone loads neither it nor the given model, because of their meshes",
+        )
     text = json.dumps(str(path), ensure_ascii=False)
     return first_line, f"  mujoco.MjModel.from_xml_path({text})"
 
 
 def last_lines(
-    result: Result,
-    files: Sequence[Path],
-    step: NextStep | None,
-    failure: str | None,
-    location: Callable[[Path], Path] = Path,
+    result: Result, files: Sequence[Path], step: NextStep | None, failure: str | None
 ) -> tuple[str, ...]:
     """Return the last lines of the console: the verdict, which files to use, and the next step.
 
@@ -117,7 +108,6 @@ def last_lines(
         files: the written files, among them the model and a payload's card.
         step: the next step, or None.
         failure: why a result that is usable in itself must not be used, or None.
-        location: returns where a written file is by now; by default at its path.
     """
     lines = [verdict_line(result, failure)]
     if failure is not None:
@@ -125,7 +115,7 @@ def last_lines(
     # A self-test writes back what its model says already.
     if result.data.source is not Source.ITSELF:
         for path in models_in(files)[:1]:
-            lines += use_lines(path, location(path))
+            lines += use_lines(path, result.robot)
     if result.payload is not None:
         start = (
             f"Copy into the controller, in the frame of {result.payload.flange.name}"

@@ -530,7 +530,7 @@ def _write_results(
             "Usable: position errors of the model, played on what was not fitted, are "
             f"{times}",
             *_lacking_lines(result),
-            *use_lines(target.path, target.files.location(target.path)),
+            *use_lines(target.path, result.robot),
         )
     return Outcome(lines, verdict, failure, tuple(written), result)
 
