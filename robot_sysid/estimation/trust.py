@@ -387,7 +387,12 @@ def noise_share(fit: Fit) -> float:
     return float(np.sqrt(squares / torque)) if torque > 0.0 else 0.0
 
 
-def judge_file(model: Validation, written: Validation, noise: float = 0.0) -> Judgement:
+def judge_file(
+    model: Validation,
+    written: Validation,
+    noise: float = 0.0,
+    data: str = "held-out data",
+) -> Judgement:
     """Return the verdict on a written file from its held-out error and that of the given model.
 
     A model whose error is no larger than the noise is right: a file that is worse than such a model
@@ -397,14 +402,13 @@ def judge_file(model: Validation, written: Validation, noise: float = 0.0) -> Ju
         model: held-out error of the given model.
         written: held-out error of the written file.
         noise: ratio of torque noise to torque.
+        data: what the errors are of, in words.
     """
     old = model.relative_error
     new = written.relative_error
     if old is None or new is None:
         return Verdict.NO_BETTER, "the measured torque is zero"
-    sentence = (
-        f"torque error of the model on held-out data: {percent(old)} -> {percent(new)}"
-    )
+    sentence = f"torque error of the model on {data}: {percent(old)} -> {percent(new)}"
     was_right = old <= WORSE * max(noise, NEGLIGIBLE)
     if new > WORST or (new > WORSE * old + 1e-9 and not was_right):
         return Verdict.NO_BETTER, sentence

@@ -50,7 +50,6 @@ from robot_sysid.results.prediction import (
     torque_error,
 )
 from robot_sysid.results.record import ModelTarget, Result, RolloutTest, Verdict
-from robot_sysid.results.verdict import before_after_text
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.results.written_model import write_model
 from robot_sysid.signals.resampling import MOST_ROWS_KEPT, condense_run
@@ -262,10 +261,10 @@ def _with_file_tests(
     verdict = result.verdict
     reasons = list(result.reasons)
     for before, after in error_pairs:
-        if judge_file(before, after)[0] is Verdict.NO_BETTER:
-            verdict = Verdict.NO_BETTER
-            shares = before_after_text(before, after)
-            reasons.append(f"torque error of the model on {before.source}: {shares}")
+        judgement, reason = judge_file(before, after, data=before.source)
+        if judgement is Verdict.NO_BETTER:
+            verdict = judgement
+            reasons.append(reason)
     return replace(result, file=file, verdict=verdict, reasons=tuple(reasons))
 
 
