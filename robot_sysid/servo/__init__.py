@@ -33,7 +33,7 @@ from robot_sysid.records import (
     RobotModel,
     file_access,
 )
-from robot_sysid.records.messages import Progress, number_text
+from robot_sysid.records.messages import Progress, with_error
 from robot_sysid.results.next_steps import use_lines
 from robot_sysid.results.prediction import LAST_FIFTH
 from robot_sysid.results.record import (
@@ -237,7 +237,7 @@ def servo_lines(result: ServoIdentification) -> list[str]:
     lines = [
         "Servos, friction and rotor inertia, before -> after, ± one standard error:",
         f"  {WITHOUT_TORQUE}.",
-        f"  delay of the commands: {_with_error(1e3 * delay, 1e3 * error)} ms",
+        f"  delay of the commands: {with_error(1e3 * delay, 1e3 * error, 'ms')}",
     ]
     for moves, (joint, numbers) in zip(result.is_moving, result.joint_numbers.items()):
         text = "does not move in these logs; all as in the model"
@@ -262,12 +262,7 @@ def _number_text(name: str, number: dict[str, Any]) -> str:
     is_changed = source != FROM_MODEL and np.isfinite(model_value)
     old = f"{model_value:.3g} -> " if is_changed else ""
     doubt = _DOUBTS.get(source, "")
-    return f"{name} {old}{_with_error(value, error)} {UNITS[name]}{doubt}"
-
-
-def _with_error(value: float, error: float) -> str:
-    """Return a number with its standard error, as text "value ± error"."""
-    return f"{number_text(value, error)} ± {number_text(error, error)}"
+    return f"{name} {old}{with_error(value, error, UNITS[name])}{doubt}"
 
 
 def servo_notes(result: ServoIdentification, period: float) -> Iterator[str]:
@@ -433,7 +428,7 @@ def identify_servos(
 
     old_servos = servo_fit.keep_model_values(robot, servos)
     goal_delay = best_goal_delay(derivatives.problem)
-    rollout, goal_errors = play_servos(
+    rollout, goal = play_servos(
         rollouts, held_out, (old_servos, servos), held_out_text, goal_delay
     )
     if validation_path is None:
@@ -461,7 +456,7 @@ def identify_servos(
         has_limit=has_torque_limit(robot, loop_fit.limit),
         data=origin_of(measurement_logs),
         rollout=rollout,
-        goal=GoalPrediction(goal_delay, goal_errors),
+        goal=goal,
     )
     notes = [note for log in measurement_logs for note in log.notes]
     notes += servo_notes(result, every_number.typical.delay)

@@ -59,11 +59,9 @@ def play_servos(
     pair: Sequence[ServoParameters],
     held_out: str,
     goal_delay: float,
-) -> tuple[RolloutTest, tuple[float, ...]]:
-    """Return the position errors of two sets of servo parameters that play held-out pieces of logs.
-
-    Beside them the error of positions that equal the commands of ``goal_delay`` before, for all
-    joints together: one for each error of the test [rad].
+) -> tuple[RolloutTest, GoalPrediction]:
+    """Return the position errors of two sets of servo parameters that play held-out pieces of logs,
+    and those of positions that equal the commands of ``goal_delay`` before.
 
     The pieces are cut into windows of each length of ``HORIZONS``. A length for which no piece with
     commands is long enough (the InputError of ``make_problem``) is left out, with a note.
@@ -98,7 +96,7 @@ def play_servos(
         )
     names = rollouts.robot.joint_names
     test = RolloutTest(names, held_out, ROLLOUT_INPUT, tuple(errors), tuple(notes))
-    return test, tuple(goal_errors)
+    return test, GoalPrediction(goal_delay, tuple(goal_errors))
 
 
 def servo_refusal(

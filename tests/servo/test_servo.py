@@ -230,8 +230,6 @@ def test_pieces_without_commands_are_not_played_and_not_called_short():
     time = np.arange(0.0, 60.0, 0.1)
     piece = Measurement(time, np.zeros((len(time), 1)), None, None)
     rollouts = SimpleNamespace(robot=SimpleNamespace(joint_names=("a",)))
-    played, goal_errors = servo.play_servos(
-        rollouts, [piece], (), "the last fifth", 0.05
-    )
-    assert played.errors == goal_errors == ()
+    played, goal = servo.play_servos(rollouts, [piece], (), "the last fifth", 0.05)
+    assert played.errors == goal.errors == ()
     assert "no held-out piece has commands for 1 s" in played.notes
