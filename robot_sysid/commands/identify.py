@@ -288,12 +288,15 @@ def run_command(config: Config, console: Console, preview: PreviewOptions) -> No
             outcome = run(config, console)
         except InputError as error:
             logs = config.log.measurements
+            is_static = isinstance(config, PayloadConfig) and config.payload.static
             # A payload of known mass has all that the weighing needs, but for the first scales.
             if isinstance(config, PayloadConfig) and config.payload.known_mass is None:
                 logs = config.payload.empty
             for log in logs[:1]:
                 model = config.model
-                add_weighing_commands(error, model.path, model, config.log, log)
+                add_weighing_commands(
+                    error, model.path, model, config.log, log, is_static
+                )
             raise
     show_plan(outcome.checked, preview, console)
     console.stage(*outcome.lines)

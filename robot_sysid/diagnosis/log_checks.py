@@ -358,8 +358,6 @@ have columns that are time derivatives of torques: their noise of positions woul
 """
 MOST_WINDOWS = 4
 """Number of windows of a long log that are used, spread evenly."""
-OF_COLUMNS = ("torque-scale", "gravity", "computed", "sign", "order", "angle-unit")
-"""Checks of columns and units, for which the slow motion between poses at rest is enough."""
 OF_LINKS = (
     "torque-scale",
     "zero",

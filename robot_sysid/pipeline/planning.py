@@ -189,7 +189,7 @@ def write_plan(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> 
         run = words_of_plan(config)
         limit_words = config.limit_words()
         poses = config.poses
-        step = step_after_plan(run, paths, poses.purpose, limit_words, poses.static)
+        step = step_after_plan(run, paths, poses.purpose, limit_words)
     verdict += () if step is None else step.lines()
     return Outcome(
         tuple(lines), tuple(verdict), failure, paths, checked=checked, next_step=step

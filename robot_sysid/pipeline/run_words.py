@@ -82,6 +82,7 @@ def words_of_run(config: Config, identification: Identification) -> RunWords:
         plan=plan,
         plan_purpose=purpose,
         is_out_of_reach=is_out_of_reach,
+        is_static=isinstance(config, PayloadConfig) and config.payload.static,
     )
 
 
@@ -128,6 +129,7 @@ def words_of_plan(config: SysidConfig) -> RunWords:
         log=tuple(command_arguments(log_values, LogOptions)),
         folder=config.plan_file.parent,
         origin=_origin_of(settings),
+        is_static=config.poses.static,
     )
 
 
@@ -139,7 +141,12 @@ def _origin_of(settings: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def add_weighing_commands(
-    error: InputError, model: Path, arm: ModelOptions, options: LogOptions, log: Path
+    error: InputError,
+    model: Path,
+    arm: ModelOptions,
+    options: LogOptions,
+    log: Path,
+    is_static: bool = False,
 ) -> None:
     """Add the command that weighs torque scales to an error whose options are for ``payload``.
 
@@ -149,6 +156,7 @@ def add_weighing_commands(
         arm: which arm in the model.
         options: how the log was read.
         log: the log, of the arm without a weight.
+        is_static: whether its motion rests at poses.
     """
     if error.command != "payload":
         return
@@ -162,6 +170,7 @@ def add_weighing_commands(
         arm=tuple(given_arguments(arm)),
         log=tuple(given_arguments(options, reading)),
         empty=(str(log),),
+        is_static=is_static,
     )
     # The recording with the weight has the form of the log, and lies beside it.
     recording = log.with_name(f"{WEIGHT_STEM}{log.suffix}")

@@ -63,6 +63,7 @@ class RunWords:
         plan_purpose: what that motion was planned for, as in ``--for``; None where the recorded
             motion was not planned.
         is_out_of_reach: whether no motion of the arm determines the terminal link's mass.
+        is_static: whether the motions of a payload's recordings rest at poses.
     """
 
     model: str
@@ -76,6 +77,7 @@ class RunWords:
     plan: Path | None = None
     plan_purpose: str | None = None
     is_out_of_reach: bool = False
+    is_static: bool = False
 
 
 def use_lines(path: Path, robot: RobotModel) -> tuple[str, ...]:
@@ -213,6 +215,7 @@ def weighing_words(
     folder = run.folder / "torque_scale"
     arguments = ["payload", run.model, *run.arm, *run.log, "--empty", *run.empty]
     arguments += ["--loaded", str(recording), "--known-mass", "1", *scales]
+    arguments += ["--static"] if run.is_static else []
     arguments += ["--save-torque-scale", str(folder / _SCALE_NAME)]
     return [*arguments, "--output-dir", str(folder)]
 
@@ -266,7 +269,6 @@ def step_after_plan(
     files: Sequence[Path],
     purpose: str = "link",
     limits: Sequence[str] = (),
-    is_static: bool = False,
 ) -> NextStep:
     """Return what to do with a planned motion: rehearse it on motors, or record and identify.
 
@@ -275,7 +277,6 @@ def step_after_plan(
         files: the files that were written.
         purpose: of the motion, as in ``--for``.
         limits: options with limits that motors are to keep.
-        is_static: whether the motion rests at poses.
     """
     for path in files:
         if path.name == DAMIAO_NAME:
@@ -294,14 +295,13 @@ def step_after_plan(
             f"it as {logs[1]} and {logs[2]}, once more without it as {logs[3]}, and weigh the "
             "difference"
         )
-    return step_after_recording(run, recording, purpose, is_static, sentence)
+    return step_after_recording(run, recording, purpose, sentence)
 
 
 def step_after_recording(
     run: RunWords,
     recording: Path,
     purpose: str = "link",
-    is_static: bool = False,
     sentence: str = "Next, identify the arm",
 ) -> NextStep:
     """Return the step that identifies from the recording of a planned motion.
@@ -313,7 +313,6 @@ def step_after_recording(
         run: what the command repeats; its folder is that of the results.
         recording: the recording; of a payload one of ``PAYLOAD_RECORDINGS``, beside the others.
         purpose: of the motion, as in ``--for``.
-        is_static: whether the motion rests at poses.
         sentence: what to do.
     """
     arguments = ["identify", *(run.origin or [run.model]), str(recording)]
@@ -322,7 +321,7 @@ def step_after_recording(
         first, second, third, last = (str(recording.with_name(n)) for n in names)
         arguments = ["payload", run.model, "--empty", first, last]
         arguments += ["--loaded", second, third, "--order", PAYLOAD_ORDER]
-        arguments += ["--static"] if is_static else []
+        arguments += ["--static"] if run.is_static else []
     arguments += ["--links"] if purpose == "arm" else []
     logs = (*run.arm, *run.log)
     return _step(sentence, *arguments, *logs, "--output-dir", str(run.folder))

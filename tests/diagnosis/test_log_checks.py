@@ -16,7 +16,6 @@ from scipy.signal import butter, sosfiltfilt
 from benchmarks.real_arms import ARMS, DEVIATIONS, draw_arm
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.log_checks import (
-    OF_COLUMNS,
     check_against_model,
     check_log,
     clock_findings,
@@ -29,6 +28,7 @@ from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import CHECKS
 from robot_sysid.parser import load_robot_model
+from robot_sysid.pipeline.payload import CHECKS_AT_REST
 from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Progress
 from robot_sysid.simulator import ArmTorque
@@ -226,7 +226,8 @@ def test_a_log_that_cannot_be_checked_is_named(four_joints):
 
 
 @pytest.mark.parametrize(
-    ("name", "is_refused"), [("sign", True), ("torque-scale", True), ("contact", False)]
+    ("name", "is_refused"),
+    [("sign", True), ("torque-scale", True), ("torque-unit", True), ("contact", False)],
 )
 def test_of_a_log_that_mostly_rests_only_columns_are_checked(
     four_joints, monkeypatch, name, is_refused
@@ -244,7 +245,7 @@ def test_of_a_log_that_mostly_rests_only_columns_are_checked(
         check_log(robot, log, (), Progress())
     expected = pytest.raises(SysidError) if is_refused else contextlib.nullcontext()
     with expected:
-        check_log(robot, log, (), Progress(), checks=OF_COLUMNS)
+        check_log(robot, log, (), Progress(), checks=CHECKS_AT_REST)
 
 
 # ---- signs and mounting

@@ -19,6 +19,7 @@ from robot_sysid.results.next_steps import (
     next_step,
     step_after_plan,
     use_lines,
+    weighing_words,
 )
 from tests.support import results as made
 
@@ -248,5 +249,8 @@ def test_a_motion_for_motors_is_rehearsed_first():
     line = step_after_plan(RUN, [file], limits=plane).lines()[1]
     rehearsal = f"motors simulate {file} --model 'an arm.xml' --joint j6"
     assert line == f"  robot-sysid {rehearsal} --keep-out 0 0 1 0 --play"
-    static = step_after_plan(RUN, [], "payload", is_static=True).lines()[1]
+    static = step_after_plan(replace(RUN, is_static=True), [], "payload").lines()[1]
     assert "--order ABBA --static " in static
+    for is_static in (False, True):
+        words = weighing_words(replace(RUN, is_static=is_static), Path("weight.csv"))
+        assert ("--static" in words) == is_static

@@ -80,9 +80,7 @@ def step_after_play(session: Session, plan: Plan, is_real: bool) -> NextStep:
         following = record.with_name(PAYLOAD_RECORDINGS[number + 1])
         return NextStep(_BETWEEN[number], session.command("play", record=following))
     run = _planned_run(session, record, planned)
-    purpose = str(planned.get("for_", "link"))
-    is_static = bool(planned.get("static", False))
-    return step_after_recording(run, record, purpose, is_static)
+    return step_after_recording(run, record, str(planned.get("for_", "link")))
 
 
 def _planned_run(
@@ -102,4 +100,5 @@ def _planned_run(
         model = planned.get("path", "arm.xml")
     folder = record.parent if planned else record.with_suffix("")
     arm_words = command_arguments(arm, ModelOptions)
-    return RunWords(str(model), tuple(arm_words), folder=folder)
+    is_static = bool(planned.get("static", False))
+    return RunWords(str(model), tuple(arm_words), folder=folder, is_static=is_static)
