@@ -240,7 +240,8 @@ def _with_file_tests(
         checkpoints: motion on which the written model must reproduce the predicted torque.
         mesh_dir: the user's mesh folder, if any.
     """
-    if result.file is None or not tests or not result.verdict.writes_model:
+    file = result.written_file
+    if file is None or not tests:
         return result
     robot = result.robot
     error_pairs = []
@@ -257,7 +258,7 @@ def _with_file_tests(
             )
             error_after = torque_error(written, robot, dataset.signals, dataset.name)
             error_pairs.append((error_before, error_after))
-    file = replace(result.file, other_validations=tuple(error_pairs))
+    file = replace(file, other_validations=tuple(error_pairs))
     verdict = result.verdict
     reasons = list(result.reasons)
     for before, after in error_pairs:

@@ -203,8 +203,7 @@ def write_results(identification: Identification, progress: Progress) -> Outcome
     elif isinstance(config, SysidConfig) and identification.plan is not None:
         rate = config.trajectory.sample_rate
         motor_file = motor_writer(config.motors, robot, identification.plan, rate)
-    has_model = result.file is not None and result.verdict.writes_model
-    if config.log.verify_rollout and has_model:
+    if config.log.verify_rollout and result.written_file is not None:
         from robot_sysid.pipeline.recordings import play_models
 
         progress.stage("Playing the model on held-out pieces...")

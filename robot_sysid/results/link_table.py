@@ -33,15 +33,22 @@ def file_masses(result: Result) -> dict[str, str]:
     Both are compared as they are printed. Empty where no file is fitted or written.
     """
     masses: dict[str, str] = {}
-    if result.file is None or not result.verdict.writes_model:
+    file = result.written_file
+    if file is None:
         return masses
-    written = dict(zip(result.robot.joint_names, result.file.thetas[:, 0].tolist()))
+    written = dict(zip(result.robot.joint_names, file.thetas[:, 0].tolist()))
     for body in result.links:
-        error = float(body.errors[0])
-        text = number_text(written[str(body.joint)], error)
-        if text != number_text(body.inertial.mass, error):
+        identified = Quantity(body.inertial.mass, float(body.errors[0]))
+        text = _file_text(written[str(body.joint)], identified)
+        if text:
             masses[body.name] = text
     return masses
+
+
+def _file_text(value: float, identified: Quantity) -> str:
+    """Return a number of the written file as text, "" where it prints as the identified one."""
+    text = number_text(value, identified.error)
+    return "" if text == number_text(*identified) else text
 
 
 def link_lines(result: Result) -> Iterator[str]:
@@ -78,9 +85,7 @@ def joint_lines(result: Result) -> Iterator[str]:
     owners = dict(result.joints)
     for name, motor in result.couplings.items():
         owners[f"motor that turns with {name}"] = motor
-    written: Mapping[str, Mapping[str, Quantity]] = {}
-    if result.file is not None and result.verdict.writes_model:
-        written = result.file.joints
+    written = {} if result.written_file is None else result.written_file.joints
     terms_of_owners = [joint.terms for joint in owners.values()]
     terms_of_owners += written.values()
     terms = list(dict.fromkeys(itertools.chain(*terms_of_owners)))
@@ -142,9 +147,7 @@ def _file_cell(term: str, joint: JointEstimate, written: Mapping[str, Quantity])
     value = written[term].value
     if term not in joint.terms:
         return number_text(value)
-    identified = joint.terms[term]
-    text = number_text(value, identified.error)
-    return "" if text == number_text(identified.value, identified.error) else text
+    return _file_text(value, joint.terms[term])
 
 
 def _other_day_cell(term: str, joint: JointEstimate) -> str:

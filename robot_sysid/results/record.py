@@ -453,6 +453,11 @@ class Result:
         return "mjcf" if is_mjcf else self.robot.kind
 
     @property
+    def written_file(self) -> ModelFile | None:
+        """``file``; None where the verdict forbids to write it."""
+        return self.file if self.verdict.writes_model else None
+
+    @property
     def model_name(self) -> str:
         """Name of the written model file."""
         return MODEL_NAMES[self.model_kind]
