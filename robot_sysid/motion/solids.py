@@ -301,19 +301,21 @@ def unguarded_links(robot: RobotModel) -> tuple[str, ...]:
     geometry: they mark frames.
     """
     model = robot.mj_model
+    # (nbody,) number of the link that a body is part of, from 1; 0 for what does not move.
     link_of_body = count_moving_joints(robot)
-    carriers = model.dof_bodyid[robot.dof_index]
+    # (n,) the body of each link that its joint moves; other parts are fixed to it.
+    link_bodies = model.dof_bodyid[robot.dof_index]
+    is_link_body = np.isin(range(model.nbody), link_bodies)
     collides = (model.geom_contype | model.geom_conaffinity) != 0
     collides[model.pair_geom1] = True
     collides[model.pair_geom2] = True
-    is_part = model.body_mass > MARKER_MASS
     has_geometry = np.zeros(model.nbody, dtype=bool)
     has_geometry[model.geom_bodyid[collides]] = True
-    guarded = link_of_body[
-        has_geometry & (is_part | np.isin(range(model.nbody), carriers))
-    ]
-    bare = np.setdiff1d(link_of_body[is_part], [0, *guarded])
-    return tuple(body_label(model, body) for body in carriers[bare - 1].tolist())
+    is_part = model.body_mass > MARKER_MASS
+    is_solid = has_geometry & (is_part | is_link_body)
+    moving_links = set(link_of_body[is_part].tolist()) - {0}
+    unguarded = moving_links - set(link_of_body[is_solid].tolist())
+    return tuple(body_label(model, link_bodies[k - 1]) for k in sorted(unguarded))
 
 
 def unguarded_text(links: Sequence[str]) -> str:

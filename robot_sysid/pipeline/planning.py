@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -238,9 +239,10 @@ def _shortfall(
     if not shortfall:
         return "", None
     mass_error = largest * float(prediction.size[0])
-    changes = [x for x in prediction.improvements if x.mass_error <= mass_error]
-    by_mass = sorted(changes, key=lambda change: change.mass_error)
-    commands = [_command_of_plan(config, change) for change in by_mass]
+    commands = []
+    for change in sorted(prediction.improvements, key=attrgetter("mass_error")):
+        if change.mass_error <= mass_error:
+            commands.append(_command_of_plan(config, change))
     command = next(filter(None, commands), None)
     if command is None:
         return shortfall, None
