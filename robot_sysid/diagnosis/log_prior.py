@@ -38,6 +38,7 @@ FRICTION = {
     "armature": 0.5,
     "sqrt": 0.05,
     "stribeck": 0.05,
+    "fading_fast": 0.05,
     "load": 0.04,
     "quadratic": 0.0,
     "cubic": 0.0,

@@ -153,8 +153,11 @@ def log_rows(
         robot: the arm with its model.
         signals: low-passed signals, one per piece of the log.
         used: (K, n) bool, the rows that count; None for those in which the joint is faster than
-            ``_SLOW`` of its top speed. Rows that are not finite never count.
+            ``_SLOW`` of its top speed and does not dwell at a lower speed just before or after.
+            Rows that are not finite never count.
     """
+    from scipy.ndimage import binary_dilation, binary_opening
+
     datasets = [Dataset("log", piece) for piece in signals]
     columns = Columns(robot, datasets, couplings=tuple(neighbours(robot)))
     pieces = columns.samples(columns.start())
@@ -170,7 +173,10 @@ def log_rows(
     further = np.concatenate(further_columns)
     if used is None:
         speed = np.abs(motion.qd)
-        used = speed > _SLOW * np.max(speed, axis=0)
+        is_slow = speed <= _SLOW * np.max(speed, axis=0)
+        # Where a joint dwells, the low-pass spreads friction of an uncertain direction further.
+        dwells = binary_opening(is_slow, np.ones((2, 1)))
+        used = ~(is_slow | binary_dilation(dwells, np.ones((3, 1))))
     used = used & np.isfinite(right_sides)
 
     count = further.shape[2]

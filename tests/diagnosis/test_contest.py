@@ -11,7 +11,9 @@ import pytest
 from robot_sysid.diagnosis.contest import Contest, findings
 from robot_sysid.diagnosis.log_checks import check_against_model, low_pass
 from robot_sysid.diagnosis.plausibility import is_plausible, last_mass, misfit
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.records import Measurement
 from tests.diagnosis.conftest import FOUR_AXES
 from tests.support import arms
 from tests.support.wrong_logs import truth_of
@@ -57,3 +59,41 @@ def test_friction_that_a_model_overstates_hides_and_feigns_no_fault(damping):
     wrong = replace(log, q=log.q[:, exchanged], qd=log.qd[:, exchanged])
     (finding,) = check_against_model(robot, [wrong])
     assert finding.text.startswith("joints joint1 and joint2 are exchanged in the pos")
+
+
+@pytest.mark.parametrize("stribeck_speed", [0.02, 0.035, 0.1])
+@pytest.mark.parametrize("crosses", [True, False])
+def test_friction_of_a_joint_that_dwells_once_is_no_contact(
+    four_joints, stribeck_speed, crosses
+):
+    """The last joint's speed is flat where it crosses zero, or exceeds zero for a moment only."""
+    robot = four_joints.robot
+    time = np.arange(7500) / 250.0
+    since_dwell = time - 15.3
+    rate = np.array([1.1, 0.8, 1.5, 1.3])
+    other_rate = np.array([1.7, 1.9, 0.9, 1.5])
+    # Each speed is a sum of two sines; that of the last joint is nearly zero at the dwell.
+    sizes = np.array([0.3, 0.4, 0.3, 0.3])
+    shift = np.array([0.4, 1.0, 0.2, 0.0])
+    if crosses:
+        sizes[3] = 0.6
+        other_sizes = -sizes * rate / other_rate
+    else:
+        shift[3] = np.pi / 2.0
+        other_sizes = -1.01 * sizes
+    qd = np.zeros((len(time), 4))
+    q = np.zeros_like(qd)
+    qdd = np.zeros_like(qd)
+    for size, w in ((sizes, rate), (other_sizes, other_rate)):
+        angle = w * since_dwell[:, None] + shift
+        q -= size / w * np.cos(angle)
+        qd += size * np.sin(angle)
+        qdd += size * w * np.cos(angle)
+    tau = LinkDynamics(robot).motion(q, qd, qdd).torque(robot.thetas)
+    size = 0.3 * np.sqrt(np.mean(tau**2, axis=0))
+    stribeck = np.exp(-((qd / np.array([0.1, 0.1, 0.1, stribeck_speed])) ** 2))
+    tau += size * np.tanh(qd / 0.003) * (1.0 + 0.5 * stribeck)
+    rng = np.random.default_rng(0)
+    tau += 0.03 * size * rng.normal(size=tau.shape)
+    q += 3e-5 * rng.normal(size=q.shape)
+    assert check_against_model(robot, [Measurement(time, q, None, tau)]) == ()
