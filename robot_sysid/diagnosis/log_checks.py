@@ -471,8 +471,10 @@ def check_against_model(
     for k, finding in enumerate(model_findings):
         if finding.name in of_links:
             model_findings[k] = replace(finding, level=Level.NOTE)
+    # A torque in a wrong unit follows the weight of the links, so it does not lack it.
     if foreign_unit and all(
-        cause.level is not Level.REFUSE for cause in model_findings
+        cause.level is not Level.REFUSE or cause.name == "gravity"
+        for cause in model_findings
     ):
         # Other causes only explain torques in a wrong unit.
         model_findings = [foreign_unit]
