@@ -200,10 +200,9 @@ class Columns:
 
     def start(self) -> Point:
         """Return the point at the model's own values, with default speeds of friction."""
-        n = self.robot.n_joints
         speed = {}
         for term, nonlinear in NONLINEAR_TERMS.items():
-            speed[term] = np.full(n, nonlinear.default_speed)
+            speed[term] = np.full(self.robot.n_joints, nonlinear.default_speed)
         return Point(self.model_values, gravity_vector(self.robot), speed=speed)
 
     def indices(self, names: Sequence[str]) -> NDArray[np.int64]:
@@ -258,12 +257,13 @@ class Columns:
         # (p,) change of each parameter that is an increment, zero for all others.
         steps = values - new
         speed = dict(point.speed or {})
-        joint_indices = list(self.joint_indices)
         for term, nonlinear in NONLINEAR_TERMS.items():
             speeds = speed[term].copy()
+            # The slope at a speed says little of half or twice that speed.
+            bounds = np.clip(np.outer([0.5, 2.0], speeds), *nonlinear.bounds)
             speed_names = names_of(f"{term}_speed", self.joints)
-            speeds[joint_indices] += steps[self.indices(speed_names)]
-            speed[term] = np.clip(speeds, *nonlinear.bounds)
+            speeds[list(self.joint_indices)] += steps[self.indices(speed_names)]
+            speed[term] = np.clip(speeds, *bounds)
         return replace(
             point,
             values=new,

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from numpy.testing import assert_allclose, assert_array_equal
 
-from robot_sysid.dynamics.friction import NONLINEAR_TERMS, TERMS
+from robot_sysid.dynamics.friction import NONLINEAR_TERMS, TERMS, speed_name
 from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
     gravity_vector,
@@ -207,6 +207,23 @@ def test_rows_under_another_gravity_are_those_made_for_it(torques, angle):
     (samples,) = columns.samples(point)
     (anew,) = Columns(columns.robot, columns.datasets, torques).samples(point)
     assert_same_equations(samples, anew, 1e-3 * angle * (angle < 0.1))
+
+
+@given(arms.SEEDS)
+def test_a_step_changes_no_speed_of_friction_by_more_than_a_factor_of_two(seed):
+    """A column's slope tells nothing of far speeds, and a full step can end at a bound for good."""
+    rng = np.random.default_rng(seed)
+    columns = Columns(FOUR, ())
+    point = columns.start()
+    names = [speed_name("stribeck", joint) for joint in columns.joints]
+    values = np.zeros(len(columns.names))
+    values[columns.indices(names)] = rng.choice([0.01, 1.0]) * rng.normal(size=4)
+    steps = values[columns.indices(names)]
+    old = point.speed["stribeck"]
+    new = columns.move_point(point, values, names).speed["stribeck"]
+    assert_array_equal(new, np.clip(old + steps, old / 2.0, 2.0 * old))
+    low, high = NONLINEAR_TERMS["stribeck"].bounds
+    assert np.all((new >= low) & (new <= high))
 
 
 def test_a_file_has_the_columns_of_the_arm_that_it_can_hold():
