@@ -2,7 +2,8 @@
 
 Effects that a file cannot hold (torque scales, encoder zeros, a delay, friction that grows with the
 load) are left out of the model of the torque; only sensor offsets that the recordings clearly show
-stay in it. Optional terms are written where they lower the held-out error of the whole file.
+stay in it. Optional terms are written where they lower the held-out error of the whole file. Bodies
+of equal torque are many: the file gets those that are nearest to the estimate with all effects.
 
 Shapes: the chain has n joints, "joints" are those with equations, p parameters (``Columns.names``).
 """
@@ -21,12 +22,19 @@ from robot_sysid.dynamics.friction import (
     FrictionModel,
     friction_model,
 )
+from robot_sysid.dynamics.spatial import N_INERTIAL
+from robot_sysid.errors import SysidError
+from robot_sysid.estimation.algebra.consistent_bodies import (
+    HARDLY,
+    ConsistentLinks,
+    LinksProblem,
+)
 from robot_sysid.estimation.algebra.priors import LinkScales
 from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.choices import IN_FILE, WITH_POLYNOMIAL, posterior_of
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Point
-from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.fit import Fit, Fitter
+from robot_sysid.estimation.errors import FitErrors, fit_errors
+from robot_sysid.estimation.fit import Fit, Fitter, links_problem
 from robot_sysid.estimation.held_out import HeldOut, held_out, is_clearly_lower
 from robot_sysid.estimation.question import (
     FILE_FRICTION,
@@ -49,6 +57,7 @@ def fit_file(
     options: EstimationOptions,
     unchanged_parts: tuple[str, ...],
     estimate: Fit,
+    errors: FitErrors,
     pull: Array | None = None,
     carried: Array | None = None,
 ) -> Answer:
@@ -63,7 +72,9 @@ def fit_file(
         options: prior uncertainty of the arm's links, and which torques to use.
         unchanged_parts: names of the parts of the file that stay as they are, such as
             ``FILE_FRICTION``.
-        estimate: a fit of all effects, at which the search starts; rotors are taken from it.
+        estimate: a fit of all effects, at which the search starts; rotors are taken from it, and
+            bodies are moved towards its bodies.
+        errors: errors of the estimate.
         pull: (joints, p) sums of ``errors.filtering_bias``, for the error due to the low-pass of
             positions; None computes them from the rows.
         carried: the payload (10,) of loaded recordings; None without one.
@@ -84,9 +95,10 @@ def fit_file(
     # A URDF states no rotor inertia: one that differs from the model's is not zero.
     has_rotors = _holds_rotors(mjcf_question) and any(select_rotors(estimate).values())
     if robot.kind == "mjcf" or not (motors or has_rotors):
-        return _fit_kind(fitter, question, motors, estimate, pull)
-    best = _fit_kind(fitter, mjcf_question, motors, estimate, pull)
-    return replace(best, file=_fit_kind(fitter, question, (), estimate, pull))
+        return _fit_kind(fitter, question, motors, estimate, errors, pull)
+    best = _fit_kind(fitter, mjcf_question, motors, estimate, errors, pull)
+    urdf = _fit_kind(fitter, question, (), estimate, errors, pull)
+    return replace(best, file=urdf)
 
 
 def _fit_kind(
@@ -94,18 +106,21 @@ def _fit_kind(
     question: Question,
     motors: tuple[Coupling, ...],
     estimate: Fit,
+    errors: FitErrors,
     pull: Array | None,
 ) -> Answer:
     """Return the best file of the kind ``question.file_kind``, "mjcf" or "urdf".
 
     A first linearisation selects friction, the uncertainty of links, offsets and whether gravity
-    is turned; a second fit of the selected parameters is the answer.
+    is turned; a second fit of the selected parameters, its bodies moved towards those of the
+    estimate, is the answer.
 
     Args:
         fitter: fits the recordings; its cached rows are replaced.
         question: what the file may hold and what stays as it is.
         motors: motors that turn several joints, which the file holds.
         estimate: a fit of all effects, at which the search starts; rotors are taken from it.
+        errors: errors of the estimate.
         pull: (joints, p) sums of ``errors.filtering_bias``; None computes them from the rows.
     """
     columns = fitter.columns
@@ -147,11 +162,52 @@ def _fit_kind(
     fit = fitter.fit(final_question, choice, start, rounds)
     # Results list the parts that the caller asked to keep; gravity that is right is not one.
     fit = replace(fit, question=question)
+    fit = move_bodies(fit, estimate, errors)
     judge = held_out(fit, fit.unknowns)
     validation = judge.validation(judge.consistent_squared_errors(fit.unknowns))
     del judge
-    errors = fit_errors(fit, residuals=(), pull=pull)
-    return Answer(fit, errors, validation, model_validation=model_validation)
+    file_errors = fit_errors(fit, residuals=(), pull=pull)
+    return Answer(fit, file_errors, validation, model_validation=model_validation)
+
+
+def move_bodies(fit: Fit, estimate: Fit, errors: FitErrors) -> Fit:
+    """Return the fit of a file with its bodies moved towards those of the estimate.
+
+    Torques leave combinations of bodies open, for which a file's few terms allow other values than
+    all effects do. Deviations from the estimate count in its standard errors; their weight is the
+    largest one, at most one, with which the predicted torques hardly change (``HARDLY``). All other
+    parameters stay as they are: a file lacks the sensor offsets that would balance a change.
+
+    Args:
+        fit: the fit of a file, whose bodies are among those of the estimate.
+        estimate: the fit of all effects.
+        errors: errors of the estimate.
+    """
+    links = links_problem(fit.unknowns)
+    columns = np.concatenate(links.links)
+    parameters = fit.unknowns.estimated[columns]
+    problem = LinksProblem(
+        tuple(np.arange(len(columns)).reshape(-1, N_INERTIAL)), links.prior[columns]
+    )
+    bodies = fit.values[parameters]
+    matrix, _ = fit.evidence.of(fit.unknowns).equations(fit.weights)
+    matrix = matrix[:, columns]
+    rows = np.searchsorted(estimate.unknowns.estimated, parameters)
+    # Infinite errors, of parameters that are not identified, have no weight.
+    precision = 1.0 / errors.total.standard_errors[rows]
+    for weight in PULLS:
+        pull = weight * precision
+        goal = np.append(matrix @ bodies, pull * estimate.values[parameters])
+        stacked = np.vstack((matrix, np.diag(pull)))
+        try:
+            moved = ConsistentLinks(stacked, goal, problem).best()
+        except SysidError:  # The file is as good with its own bodies.
+            continue
+        if np.sum((matrix @ (moved - bodies)) ** 2) <= HARDLY:
+            change = np.zeros(len(fit.values))
+            change[parameters] = moved - bodies
+            return replace(fit, free=fit.free + change, values=fit.values + change)
+    return fit
 
 
 def _holds_rotors(question: Question) -> bool:
@@ -288,6 +344,8 @@ def _top_speed(fit: Fit, row: int) -> float:
     return float(np.sqrt(sums["cubic"] / sums["quadratic"]))
 
 
+PULLS = tuple(np.geomspace(1.0, 1e-3, 13).tolist())
+"""Weights of the estimate's bodies that are tried, where torques have a weight of one each."""
 SCALES = (1.0, 2.0, 4.0, 8.0, 16.0)
 """Factors that are tried on the uncertainty of all links but the terminal one; 16 times the default
 of 5 % is nearly all of a link's parameters."""

@@ -409,7 +409,7 @@ def answer_from(
     residuals = list(map(JointResiduals.limit_lags, sums))
     errors = fit_errors(fit, residuals, information.pull)
     fixed = _Fixed(robot, information, fit.point)
-    file = fit_file(fixed, options, (FILE_GRAVITY,), fit, pull=information.pull)
+    file = fit_file(fixed, options, (FILE_GRAVITY,), fit, errors, pull=information.pull)
     tests = []
     if validation is not None:
         source = f"{validation.origin.detail}, not fitted"
