@@ -245,21 +245,24 @@ def _write_models(
 ) -> tuple[list[Path], tuple[str, ...]]:
     """Write the updated model into the folder ``target.path``; return (paths, notes).
 
-    An arm from a URDF whose best model needs an MJCF gets both: that MJCF, and the best URDF.
+    An arm from a URDF gets both where MuJoCo alone would not load the URDF, or where the best model
+    needs an MJCF: that MJCF, and the best URDF.
 
     Raises:
         ExportError: one of them cannot be written; then neither is.
     """
-    results = [result]
-    if result.file is not None and result.file.urdf_file is not None:
-        results.append(replace(result, file=result.file.urdf_file))
+    robot = result.robot
+    results = {result.model_kind: result}
+    if robot.kind not in results:
+        file = result.file and (result.file.urdf_file or result.file)
+        results[robot.kind] = replace(result, file=file)
     written: list[Path] = []
     notes: list[str] = []
     try:
-        for model_result in results:
-            path = target.path / model_result.model_name
+        for file_kind, model_result in results.items():
+            path = target.path / file_access.MODEL_NAMES[file_kind]
             model_target = replace(target, path=path)
-            file_notes = write_model(model_result, model_target, as_body)
+            file_notes = write_model(model_result, model_target, as_body, file_kind)
             if len(results) > 1:
                 # A detail stays one.
                 file_notes = tuple(type(n)(f"{path.name}: {n}") for n in file_notes)

@@ -10,6 +10,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import jsonschema
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
@@ -34,6 +35,7 @@ from robot_sysid.results.cards import load_errors, payload_cards
 from robot_sysid.results.record import Quantity, Verdict
 from tests.results.test_written_model import checkpoints, payload_of, result_of
 from tests.support import results as made
+from tests.support import urdf
 from tests.support.command_line import files_in
 from tests.support.model_files import ARM, random_theta, write_files
 from tests.support.schemas import schema
@@ -87,6 +89,27 @@ def test_the_whole_way_from_a_result(robot, out):
     assert (
         output.result_hash == hashlib.sha256(output.files[1].read_bytes()).hexdigest()
     )
+
+
+def test_an_mjcf_stands_beside_a_urdf_whose_meshes_mujoco_does_not_read(tmp_path, out):
+    """Geometry is left out of it, so that MuJoCo loads it."""
+    links = dict.fromkeys(("l1", "l2"), urdf.inertial())
+    links["l2"] += urdf.mesh("collision", "package://arm/l2.dae")
+    text = urdf.robot(urdf.serial(links))
+    robot = load_robot_model(write_files(tmp_path / "in", {"arm.urdf": text}))
+    (note,) = robot.notes
+    assert "a written MJCF is without them" in note
+    output = save_result(robot, heavier(robot), out)
+    names = ["updated_model.xml", "updated_model.urdf", "params.json"]
+    assert [path.name for path in output.files] == names
+    assert f"Use this file: {out}/updated_model.xml" in output.verdict
+    model = mujoco.MjModel.from_xml_path(str(output.files[0]))
+    assert model.body("l2").mass == pytest.approx(3.0, rel=1e-5) and model.nmesh == 0
+    with pytest.raises(ValueError):
+        mujoco.MjModel.from_xml_path(str(output.files[1]))
+    for path in output.files[:2]:
+        theta = load_robot_model(path).prior.theta
+        assert_allclose(theta, robot.prior.theta + THETA, rtol=1e-4, atol=1e-6)
 
 
 def test_a_payload_has_a_card_beside_the_model(robot, out):

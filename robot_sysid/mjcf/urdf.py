@@ -111,8 +111,9 @@ def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
     if removed:
         yield MeshesLeftOut(
             "collision meshes that are missing or unreadable to MuJoCo were left out "
-            f"({', '.join(sorted(removed))}), which changes no dynamics; a written model still "
-            "names them, so MuJoCo by itself loads it only once they are there"
+            f"({', '.join(sorted(removed))}), which changes no dynamics; a written URDF still "
+            "names them, so MuJoCo by itself loads it only once they are there, and a written MJCF "
+            "is without them"
         )
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from robot_sysid.motion import PAYLOAD_ORDER, WEIGHT
-from robot_sysid.records import RobotModel, Source
+from robot_sysid.records import Source
 from robot_sysid.records.file_access import CARD_NAME, DAMIAO_NAME, RUN_NAME, models_in
 from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY
@@ -80,24 +80,13 @@ class RunWords:
     is_static: bool = False
 
 
-def use_lines(path: Path, robot: RobotModel) -> tuple[str, ...]:
+def use_lines(path: Path) -> tuple[str, str]:
     """Return the line that names the model file to use, and a line of Python that loads it.
 
-    In place of the latter a sentence, where MuJoCo alone cannot load the file: a URDF whose meshes
-    it does not find or read.
-
-    Args:
-        path: of the written file.
-        robot: the arm with the model that it was written from.
+    ``path`` is that of the written file.
     """
-    first_line = f"Use this file: {path}"
-    if path.suffix == ".urdf" and robot.lacks_meshes:
-        return (
-            first_line,
-            "MuJoCo alone loads neither it nor the given model, because of their meshes",
-        )
     text = json.dumps(str(path), ensure_ascii=False)
-    return first_line, f"  mujoco.MjModel.from_xml_path({text})"
+    return f"Use this file: {path}", f"  mujoco.MjModel.from_xml_path({text})"
 
 
 def last_lines(
@@ -117,7 +106,7 @@ def last_lines(
     # A self-test writes back what its model says already.
     if result.data.source is not Source.ITSELF:
         for path in models_in(files)[:1]:
-            lines += use_lines(path, result.robot)
+            lines += use_lines(path)
     if result.payload is not None:
         start = (
             f"Copy into the controller, in the frame of {result.payload.flange.name}"

@@ -448,9 +448,12 @@ class Result:
 
     @property
     def model_kind(self) -> str:
-        """Format of the written model, "mjcf" or "urdf"."""
-        is_mjcf = self.file is not None and self.file.urdf_file is not None
-        return "mjcf" if is_mjcf else self.robot.kind
+        """Format of the written model, "mjcf" or "urdf".
+
+        It is an MJCF where MuJoCo alone would not load a URDF, or a URDF lacks identified numbers.
+        """
+        has_both = self.file is not None and self.file.urdf_file is not None
+        return "mjcf" if has_both or self.robot.lacks_meshes else self.robot.kind
 
     @property
     def written_file(self) -> ModelFile | None:

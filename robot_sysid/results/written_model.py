@@ -64,7 +64,10 @@ _GRAVITY_NOTE = Detail(
 
 
 def write_model(
-    result: Result, target: ModelTarget, as_body: str | None = None
+    result: Result,
+    target: ModelTarget,
+    as_body: str | None = None,
+    file_kind: str | None = None,
 ) -> tuple[str, ...]:
     """Write a model with the identified numbers, and with the payload if there is one.
 
@@ -76,6 +79,7 @@ def write_model(
         result: result of the identification; it stays unchanged.
         target: where to write; ``target.path`` is the path of the file.
         as_body: name of a new body for the payload; None merges it into the terminal link.
+        file_kind: format of the file, "mjcf" or "urdf"; None for that of the result.
 
     Returns:
         Notes for the user, one sentence each.
@@ -85,10 +89,7 @@ def write_model(
             takes other torques; the draft is withdrawn.
     """
     thetas, errors = _links_without_payload(result)
-    robot = result.robot
-    if result.model_kind != robot.kind:
-        robot = _arm_as_mjcf(robot, target.mesh_dir)
-        target = replace(target, mesh_dir=None)
+    robot, target = _arm_of_kind(result.robot, file_kind or result.model_kind, target)
     terms = {} if result.file is None else result.file.joints
     joints, notes = _changes_of_kind(robot, _joint_changes(robot, terms))
     payload = result.payload
@@ -126,14 +127,19 @@ def write_model(
     return notes + _write(robot, change, target, written_thetas)
 
 
-def _arm_as_mjcf(robot: RobotModel, mesh_dir: Path | None) -> RobotModel:
-    """Return the arm of a URDF as one of an MJCF, or raise ExportError where MuJoCo refuses.
+def _arm_of_kind(
+    robot: RobotModel, file_kind: str, target: ModelTarget
+) -> tuple[RobotModel, ModelTarget]:
+    """Return (the arm as one of an MJCF where ``file_kind`` asks for it, the target of that file).
 
-    MuJoCo writes each number of the MJCF with six digits.
+    MuJoCo writes each number of the MJCF with six digits. ExportError where it refuses.
     """
+    if file_kind == robot.kind:
+        return robot, target
     try:
-        path = file_of(compile_model(robot.path, mesh_dir).mj_model)
-        return load_robot_model(path, joint=robot.terminal_joint)
+        path = file_of(compile_model(robot.path, target.mesh_dir).mj_model)
+        arm = load_robot_model(path, joint=robot.terminal_joint)
+        return arm, replace(target, mesh_dir=None)
     except InputError as error:
         raise ExportError(
             f"{robot.path} cannot be written as an MJCF: {error}"
@@ -145,6 +151,7 @@ def write_joints(
     joints: Sequence[JointChange],
     actuators: Sequence[ActuatorChange],
     target: ModelTarget,
+    file_kind: str,
 ) -> tuple[str, ...]:
     """Write a model with new numbers for its joints and servos, and return notes for the user.
 
@@ -153,11 +160,13 @@ def write_joints(
         joints: new rotor inertia and friction of joints.
         actuators: new gains of position actuators.
         target: where to write.
+        file_kind: format of the file, "mjcf" or "urdf".
 
     Raises:
         ExportError: the model cannot hold the numbers, or the compiled draft does not have them or
             takes other torques; the draft is withdrawn.
     """
+    robot, target = _arm_of_kind(robot, file_kind, target)
     joint_changes, notes = _changes_of_kind(robot, joints)
     change = ModelChange((), target.rmse, joint_changes, None, tuple(actuators))
     return notes + _write(robot, change, target, robot.thetas)
@@ -269,7 +278,7 @@ def _changes_of_kind(
         if any(np.any(getattr(change, field) or 0.0) for change in changes):
             lost.append(title)
     possible = [replace(c, armature=None, polynomial=None, comment="") for c in changes]
-    note = f"a URDF cannot hold {' or '.join(lost)}, so the written model lacks it"
+    note = f"a URDF cannot hold {' or '.join(lost)}, so the written URDF lacks it"
     return tuple(possible), (note,) if lost else ()
 
 

@@ -373,9 +373,8 @@ def run_servo(
         result, poses = identify_servos(robot, logs, progress)
         progress.note(*result.notes)
         with file_access.atomic_files() as files:
-            path = folder / file_access.MODEL_NAMES[robot.kind]
             # No torque was measured, so there is no residual to state.
-            target = ModelTarget(files, path, poses, rmse=0.0, mesh_dir=mesh_dir)
+            target = ModelTarget(files, folder, poses, rmse=0.0, mesh_dir=mesh_dir)
             reason = servo_refusal(result.rollout, result.goal, logs.accept)
             outcome = _write_results(result, target, reason)
             model_files = [file.path for file in read_document(robot.path).files]
@@ -496,27 +495,34 @@ def _write_results(
 ) -> Outcome:
     """Write servo.json and the new model; return what was written, with the lines to print.
 
+    A URDF holds no rotor inertia, which the rollouts had: an MJCF is written, the URDF beside it.
     The model is left out where ``failure`` is given or it cannot be exported: the outcome then has
     the reason. The outcome's result has the notes that were made while the model was written.
 
     Args:
         result: the identification to write.
-        target: the model file to write; servo.json goes beside it.
+        target: its path is the folder.
         failure: why no model may be written, or None.
     """
-    path = target.path.parent / file_access.SERVO_NAME
-    written = [path]
+    path = target.path / file_access.SERVO_NAME
+    models: list[Path] = []
     if failure is None:
         try:
-            notes = write_joints(result.robot, *result.changes(), target)
-            result = replace(result, notes=(*result.notes, *notes))
-            written = [target.path, path]
+            for file_kind in dict.fromkeys(("mjcf", result.robot.kind)):
+                model = target.path / file_access.MODEL_NAMES[file_kind]
+                file = replace(target, path=model)
+                notes = write_joints(result.robot, *result.changes(), file, file_kind)
+                result = replace(result, notes=(*result.notes, *notes))
+                models.append(model)
         except ExportError as error:
+            for model in models:
+                target.files.withdraw(model)
+            models = []
             failure = (
                 f"{error} (the identified numbers are in {file_access.SERVO_NAME})"
             )
     target.files.write(path, json_text(result.json_content()))
-    lines = (*servo_lines(result), f"Results saved to {folder_text(path.parent)}")
+    lines = (*servo_lines(result), f"Results saved to {folder_text(target.path)}")
     verdict: tuple[str, ...] = (f"Not usable: {failure}",)
     if failure is None:
         score = result.rollout.score
@@ -525,20 +531,15 @@ def _write_results(
             "Usable: position errors of the model, played on what was not fitted, are "
             f"{times}",
             *_lacking_lines(result),
-            *use_lines(target.path, result.robot),
+            *use_lines(models[0]),
         )
-    return Outcome(lines, verdict, failure, tuple(written), result)
+    return Outcome(lines, verdict, failure, (*models, path), result)
 
 
 def _lacking_lines(result: ServoIdentification) -> Iterator[str]:
-    """Yield what the test played but the written model cannot hold."""
-    lacking = []
+    """Yield what the rollouts had, but the written model cannot hold."""
     if np.any(result.is_moving & ~result.has_servo):
-        lacking.append("gain")
-    if result.robot.kind == "urdf":
-        lacking.append("rotor inertia")
-    if lacking:
         yield (
-            f"  together with the {' and the '.join(lacking)} above, which this file cannot hold: "
-            "set them in the simulator, or start from an MJCF with position actuators"
+            "  together with the gain above, which this file cannot hold: set it in the simulator, "
+            "or start from an MJCF with position actuators"
         )

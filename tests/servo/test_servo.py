@@ -87,6 +87,10 @@ def test_a_number_that_a_file_cannot_hold_is_noted_in_the_result(
 ):
     (note,) = run(robots["urdf"], tmp_path, monkeypatch)
     assert "a URDF cannot hold rotor inertia" in note
+    # An MJCF beside the URDF holds all that the rollouts had, but for the gain.
+    written = load_robot_model(tmp_path / "updated_model.xml")
+    assert written.armature.tolist() == [0.1, 0.1]
+    assert load_robot_model(tmp_path / "updated_model.urdf").armature.tolist() == [0, 0]
     assert run(robots["xml"], tmp_path / "xml", monkeypatch) == []
 
 
