@@ -462,7 +462,7 @@ def map_joints(
     selected = [row_by_name[name] for name in names] if names else rows
     if len(selected) != len(joints):
         raise InputError(
-            f"the joint map has {len(selected)} joints but the trajectory {len(joints)}: give one "
+            f"joints of the joint map: {len(selected)}, of the trajectory: {len(joints)}; give one "
             "line per joint, base to terminal, or --model to choose them by name"
         )
     # With one bus, the name in the map is ignored, because the system may have renamed the adapter;

@@ -230,7 +230,7 @@ def _load_check(
     limit = protocol.PLANNING_LIMIT
     load = protocol.bus_load(n_motors, 1.0 / settings.period, timing)
     bus_type = "CAN-FD" if timing.fd else "classic CAN"
-    text = f"{n_motors} motors at {settings.rate:g} Hz load {bus_type} to {100 * load:.0f} %"
+    text = f"frames at {settings.rate:g} Hz load {bus_type} to {100 * load:.0f} %"
     if load <= limit:
         return Check(OK, text)
     suggested_rate = protocol.suggested_rate(n_motors, timing)

@@ -30,7 +30,7 @@ from robot_sysid.logs.table import (
     Mask,
 )
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.messages import Detail, position_unit
+from robot_sysid.records.messages import Detail, count_text, position_unit
 from robot_sysid.signals.resampling import (
     GAP_STEPS,
     RECORDING_SEPARATION,
@@ -178,7 +178,8 @@ def _too_few_rows(rows: LogRows, robot: RobotModel) -> str:
     if not rows.n_read and rows.n_foreign:
         names = ", ".join(robot.joint_names)
         return f"none of its rows holds a position and a torque of {names}"
-    return f"the log has only {len(rows.lines)} usable rows; record longer"
+    usable_rows = count_text(len(rows.lines), "usable row")
+    return f"the log has only {usable_rows}; record longer"
 
 
 def require_few(anomaly: str, rows: LogRows, robot: RobotModel) -> Iterator[str]:
@@ -200,7 +201,7 @@ def require_few(anomaly: str, rows: LogRows, robot: RobotModel) -> Iterator[str]
             f"({where}); {remedy}"
         )
     if count:
-        yield f"left out {count} rows that {description} (first: {first})"
+        yield f"left out rows that {description}: {count} (first: {first})"
 
 
 def _refuse_empty_columns(rows: LogRows) -> None:

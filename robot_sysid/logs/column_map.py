@@ -48,6 +48,7 @@ from robot_sysid.logs.titles import (
     read_title,
 )
 from robot_sysid.records import Array, RobotModel
+from robot_sysid.records.messages import count_text
 
 _KEYS = ("time", *QUANTITIES, "acceleration", "units", "rate")
 """Keys of a columns file; those of quantities may be followed by ".joint"."""
@@ -189,8 +190,11 @@ def _titles_by_joint(
         return dict.fromkeys([joint] if joint else joint_names, value)
     titles = list(chain(*map(_expand_range, value.split(","))))
     if len(titles) != len(joint_names):
-        chain_has = f"the chain has {len(joint_names)} joints: {', '.join(joint_names)}"
-        raise InputError(f"{path}: {quantity} lists {len(titles)} columns, {chain_has}")
+        joints = count_text(len(joint_names), "joint")
+        listed = count_text(len(titles), "column")
+        raise InputError(
+            f"{path}: {quantity} lists {listed}, the chain has {joints}: {', '.join(joint_names)}"
+        )
     return dict(zip(joint_names, titles))
 
 
@@ -507,10 +511,7 @@ class ColumnFinder:
         """Return the beginning of a message on missing columns: what the log needs."""
         columns = " and ".join(f"one {quantity} column" for quantity in self.missing)
         names = ", ".join(self.robot.joint_names)
-        return (
-            f"the log needs {columns} for each of the "
-            f"{len(self.robot.joint_names)} chain joints ({names})"
-        )
+        return f"the log needs {columns} for each joint of the chain ({names})"
 
     def _look_up(self, text: str) -> tuple[int, float]:
         """Return (column index, factor) of "title", "-title" or "0.5 * title"."""

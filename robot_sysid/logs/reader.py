@@ -40,7 +40,7 @@ from robot_sysid.logs.text import is_number, text_table
 from robot_sysid.logs.titles import joint_quantity, read_title
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.file_access import refuse_special_file
-from robot_sysid.records.messages import Detail, Progress
+from robot_sysid.records.messages import Detail, Progress, count_text
 from robot_sysid.records.option_fields import CONSTANTS, SCALE, joint_factors
 from robot_sysid.signals.process import LogPiece
 from robot_sysid.signals.resampling import piece_notes, split_at_gaps
@@ -75,7 +75,8 @@ class MeasurementLog:
     __str__ = __fspath__
 
     def __repr__(self) -> str:
-        size = f"{len(self.samples)} samples of {self.samples.q.shape[1]} joints"
+        joints = count_text(self.samples.q.shape[1], "joint")
+        size = f"{len(self.samples)} samples of {joints}"
         return f"<MeasurementLog {self.path}: {size} in {self.duration:.4g} s>"
 
     def _repr_html_(self) -> str:

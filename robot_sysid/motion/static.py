@@ -33,7 +33,7 @@ from robot_sysid.motion.trajectories import (
     straight_way,
 )
 from robot_sysid.records import Array, Motion, MotionPlan
-from robot_sysid.records.messages import percent
+from robot_sysid.records.messages import count_text, percent
 from robot_sysid.trajectory import TORQUE_MARGIN
 
 N_POSES = 1000
@@ -427,8 +427,8 @@ def sweep_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
         else:
             unswept.append(name)
     lines = [
-        f"{len(swept)} joints swept at constant speeds, in {plan.duration:.0f} s; fastest in "
-        f"rad/s: {', '.join(swept)}."
+        f"{count_text(len(swept), 'joint')} swept at constant speeds, in {plan.duration:.0f} s; "
+        f"fastest in rad/s: {', '.join(swept)}."
     ]
     if unswept:
         lines.append(

@@ -79,6 +79,11 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.2g} %" if size < 99.5 else f"{100.0 * share:.0f} %"
 
 
+def count_text(count: int, noun: str) -> str:
+    """Return a count with its noun, given in the singular: "1 row", "2 rows"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def torque_unit(is_slide: bool) -> str:
     """Return the unit of a joint's torque: N of a slide, N·m of a hinge."""
     return "N" if is_slide else "N·m"

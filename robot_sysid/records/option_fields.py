@@ -356,7 +356,7 @@ def joint_values(values: PerJoint, n_joints: int, flag: str) -> Array:
     numbers = np.atleast_1d(np.asarray(values, dtype=float))
     if len(numbers) not in (1, n_joints):
         raise InputError(
-            f"{flag} takes one number, or one for each of the {n_joints} joints "
+            f"{flag} takes one number, or one per joint of the chain, which has {n_joints} "
             f"(got {len(numbers)})"
         )
     return np.broadcast_to(numbers, (n_joints,)).copy()

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_sysid.errors import InputError
+from robot_sysid.records.messages import count_text
 
 if TYPE_CHECKING:
     from robot_sysid.records import Array
@@ -53,8 +54,8 @@ def require_driver_settings(path: Path, n_joints: int) -> None:
         count = len(numbers.split(","))
         if count < n_joints:
             raise InputError(
-                f"{path}: {field} has {count} numbers, the arm has {n_joints} joints; give the "
-                "settings of this arm"
+                f"{path}: {field} has {count_text(count, 'number')}, the arm has "
+                f"{n_joints} joints; give the settings of this arm"
             )
 
 

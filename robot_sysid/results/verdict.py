@@ -143,8 +143,8 @@ def plan_conditions(
             meshes = "--mesh-dir FOLDER, the folder of its meshes (STL or OBJ)"
             remedy = f"plan again with {meshes}, or {remedy}"
         conditions.append(
-            f"contacts have been checked: {n_unguarded} of {n_links} moving links have no "
-            f"collision geometry and may touch anything; {remedy}"
+            f"contacts have been checked: without collision geometry, {n_unguarded} of {n_links} "
+            f"moving links may touch anything; {remedy}"
         )
     return conditions
 

@@ -131,4 +131,7 @@ def test_more_samples_than_anybody_can_wait_for_are_refused_at_once(command, arm
 def test_lists_that_do_not_fit_the_joints_are_refused(command, arm):
     for option in ("--noise-torque", "--max-torque"):
         message = command.refused(arm, *SHORT, "--plant-model", arm, option, "0.1,0.2")
-        assert f"{option} takes one number, or one for each of the 4 joints" in message
+        assert (
+            f"{option} takes one number, or one per joint of the chain, which has 4"
+            in message
+        )

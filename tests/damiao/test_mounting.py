@@ -216,7 +216,7 @@ def test_a_map_that_lacks_a_joint_of_the_model_is_refused(tmp_path):
     ]
     with pytest.raises(InputError, match="no line for c; it has a, b"):
         map_joints(joints, rows, ["can0"], ["a", "c"])
-    with pytest.raises(InputError, match="2 joints but the trajectory 1"):
+    with pytest.raises(InputError, match="joint map: 2, of the trajectory: 1;"):
         map_joints(joints[:1], rows, ["can0"])
     far = [replace(row, channel="can7") for row in rows]
     with pytest.raises(InputError, match="open it with --channel can7"):

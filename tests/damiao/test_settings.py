@@ -66,7 +66,7 @@ def test_what_was_asked_for_is_kept(specs, timing, data):
 
 def test_another_number_of_gains_is_refused():
     with pytest.raises(
-        InputError, match=r"--kp takes one number, or .* 3 joints \(got "
+        InputError, match=r"--kp takes one number, or .* which has 3 \(got "
     ):
         PlaySettings(kp=(1.0,) * 2).for_motors([MOTORS["DM4340"]] * 3, BusTiming())
 

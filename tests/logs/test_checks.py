@@ -206,7 +206,7 @@ NOTES: dict[str, tuple[Callable, list[str]]] = {
     "nothing": (lambda rows: rows, []),
     "repeated": (
         changing((50, 0), lambda time: time - 0.005),
-        ["left out 1 rows that repeat the time stamp before them (first: line 52)"],
+        ["left out rows that repeat the time stamp before them: 1 (first: line 52)"],
     ),
     "gap": (
         lambda rows: np.delete(rows, slice(100, 120), axis=0),
@@ -219,7 +219,7 @@ NOTES: dict[str, tuple[Callable, list[str]]] = {
     "cut off": (
         lambda rows: [*rows[:-1].tolist(), rows[-1, :4].tolist()],
         [
-            "left out 1 rows that are no rows of numbers (first: line 401: 4 cells instead of 7)"
+            "left out rows that are no rows of numbers: 1 (first: line 401: 4 cells instead of 7)"
         ],
     ),
     "at rest": (

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.dynamics.friction import NONLINEAR_TERMS, TERMS
 from robot_sysid.records.messages import (
+    count_text,
     number_text,
     percent,
     position_unit,
@@ -22,6 +23,13 @@ NUMBERS = st.floats(1e-12, 1e6) | st.floats(-1e6, -1e-12)
 def test_a_number_is_rounded_at_the_second_digit_of_its_error(value, error):
     text = number_text(value, error)
     assert abs(float(text) - value) <= 0.051 * error + 1e-12 * abs(value)
+
+
+@pytest.mark.parametrize(
+    ("count", "text"), [(0, "0 rows"), (1, "1 row"), (2, "2 rows")]
+)
+def test_a_count_is_in_the_singular_where_it_is_one(count, text):
+    assert count_text(count, "row") == text
 
 
 @pytest.mark.parametrize(

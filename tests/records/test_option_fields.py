@@ -157,7 +157,7 @@ def test_one_number_serves_all_joints():
     assert joint_values((1.0, 2.0), 2, "--noise-torque").tolist() == [1.0, 2.0]
     for numbers in ((1.0, 2.0), ()):
         with pytest.raises(
-            InputError, match="--noise-torque takes one number, or one for each of"
+            InputError, match="--noise-torque takes one number, or one per joint"
         ):
             joint_values(numbers, 3, "--noise-torque")
 
@@ -234,7 +234,7 @@ def test_factors_that_are_no_numbers_or_too_few_are_refused():
     with pytest.raises(InputError, match="neither a number"):
         parse_factors("nofile.json")
     with pytest.raises(
-        InputError, match="--torque-scale takes one number, or one for each of"
+        InputError, match="--torque-scale takes one number, or one per joint"
     ):
         joint_factors((1.0, 2.0), JOINTS, SCALE)
     assert check_factor(-1.0) and check_factor(0.0) and not check_factor(1.3)

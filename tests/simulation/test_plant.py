@@ -224,7 +224,9 @@ def test_reading_twice_gives_the_same_measurements(plant, plan):
 
 
 def test_noise_levels_and_trajectory_must_fit_the_plant(plant, plan):
-    message = "--noise-torque takes one number, or one for each of the 3 joints"
+    message = (
+        "--noise-torque takes one number, or one per joint of the chain, which has 3"
+    )
     with pytest.raises(InputError, match=message):
         run(plant, plan, noise_torque=(0.1, 0.2))
     with pytest.raises(InputError, match="moves 3 joints, the plant has 7"):

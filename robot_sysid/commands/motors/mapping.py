@@ -26,7 +26,7 @@ from robot_sysid.damiao.references import TRANSFER_RATE, transfer_rows
 from robot_sysid.damiao.settings import Plan, RecordingOptions
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.messages import NextStep
+from robot_sysid.records.messages import NextStep, count_text
 from robot_sysid.records.option_fields import OptionRecord, option, record_from
 
 Positions = Mapping[protocol.Address, float]
@@ -149,7 +149,8 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
     motors = inspect_bus(link).motors
     if len(motors) < robot.n_joints:
         raise InputError(
-            f"{len(motors)} motors answer but the model's chain has {robot.n_joints} joints"
+            f"motors that answer: {len(motors)}, but the model's chain has "
+            f"{count_text(robot.n_joints, 'joint')}"
         )
     for motor in motors.values():
         if motor.feedback is None or motor.feedback.status[0] == protocol.ENABLED:

@@ -30,7 +30,7 @@ from robot_sysid.damiao.bus import (
 from robot_sysid.damiao.joints import id_problems
 from robot_sysid.damiao.protocol import refuse_motion
 from robot_sysid.errors import HardwareAbort, InputError
-from robot_sysid.records.messages import NextStep
+from robot_sysid.records.messages import NextStep, count_text
 from robot_sysid.records.option_fields import (
     OptionRecord,
     given_options,
@@ -292,7 +292,7 @@ def _conclude_listing(session: Session, count: int, summary: str = "") -> int:
     if not count:
         session.verdict = (f"Not usable: {SILENT}",)
         return 1
-    verdict = f"Done: {summary or f'{count} motors answer'}"
+    verdict = f"Done: {summary or f'motors that answer: {count}'}"
     step = NextStep("Next, check the motors", session.command("check"))
     session.conclude(verdict, step)
     return 0
@@ -324,7 +324,9 @@ def _scan_bit_rates(session: Session) -> int:
             session.console.stage(f"{rate} bit/s: not tried, {error}")
             continue
         count += len(inspection.motors)
-        session.console.stage(f"{rate} bit/s: {len(inspection.motors)} motors")
+        session.console.stage(
+            f"{rate} bit/s: {count_text(len(inspection.motors), 'motor')}"
+        )
         if inspection.motors:
             session.console.stage(*motor_table(inspection))
     if len(errors) == len(rates):
