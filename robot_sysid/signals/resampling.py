@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement
+from robot_sysid.records.messages import count_text
 from robot_sysid.signals.filters import Decimator, design_low_pass
 
 GAP_STEPS = 1.75
@@ -249,20 +250,21 @@ def piece_notes(
         return ()
     omission = ""
     if n_used < len(samples):
-        omission = f"; {len(samples) - n_used} rows of other pieces are left out"
+        rows = count_text(len(samples) - n_used, "row")
+        omission = f", without {rows} of other pieces"
         if sum(map(_duration, pieces)) > 0.5 * MOST_TIME:
             omission += ", as the log is longer than any result needs"
     step = np.diff(samples.time)
     is_separation = np.isclose(step, RECORDING_SEPARATION, rtol=0.0, atol=1e-6)
-    if np.any(is_separation):
-        count = np.count_nonzero(is_separation) + 1
-        return (f"its {count} recordings are filtered on their own{omission}",)
-    gap = float(np.max(step))
-    cause = "its length splits"
-    if gap > splitting_gap(float(np.median(step))):
-        cause = f"gaps of up to {gap:.3g} s split"
+    gap = float(np.max(step[~is_separation], initial=0.0))
+    is_gapped = gap > splitting_gap(float(np.median(step)))
+    n_recordings = np.count_nonzero(is_separation) + 1
+    if n_recordings > 1 and not is_gapped:
+        return (f"its {n_recordings} recordings are filtered on their own{omission}",)
+    cause = f"gaps of up to {gap:.3g} s split" if is_gapped else "its length splits"
+    log = f"its {n_recordings} recordings" if n_recordings > 1 else "the log"
     return (
-        f"{cause} the log into {len(pieces)} pieces of at least {SHORTEST_PIECE:g} s, each "
+        f"{cause} {log} into {len(pieces)} pieces of at least {SHORTEST_PIECE:g} s, each "
         f"filtered on its own{omission}",
     )
 

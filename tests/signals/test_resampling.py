@@ -172,6 +172,18 @@ def test_a_log_is_split_at_gaps(lengths_and_gaps):
     assert bool(piece_notes(recording, pieces)) == (len(times) > 1)
 
 
+@pytest.mark.parametrize("gap", [0.01, 2.5])
+def test_a_gap_within_a_recording_of_several_is_said(gap):
+    parts = [np.arange(0.0, 12.0, 0.01), np.arange(12.0 + gap, 26.0, 0.01)]
+    second = parts[-1][-1] + resampling.RECORDING_SEPARATION + np.arange(0.0, 12.0, 0.01)
+    recording = log(np.concatenate([*parts, second]))
+    (note,) = piece_notes(recording, split_at_gaps(recording))
+    expected = "its 2 recordings are filtered on their own"
+    if gap > 1.0:
+        expected = "gaps of up to 2.51 s split its 2 recordings into 3 pieces"
+    assert note.startswith(expected)
+
+
 def test_a_long_log_is_cut_into_equal_parts(monkeypatch):
     monkeypatch.setattr(resampling, "MOST_PIECE_ROWS", 1000)
     recording = log(np.arange(0.0, 25.0, 0.01))
