@@ -32,7 +32,9 @@ _AXES = np.vstack((np.eye(3), -np.eye(3)))
 _HULL_POINTS = 60
 """Corners beyond which a convex hull takes less time than it saves."""
 MARKER_MASS = 5e-3
-"""Mass up to which a part of an arm is no body but marks a frame, such as a tool's [kg]."""
+"""Mass up to which a small part of an arm is no body but marks a frame, such as a tool's [kg]."""
+MARKER_SIZE = 0.02
+"""Radius up to which a light part is small [m]: larger ones are the shell of a link."""
 _AT_ONCE = 256
 """Postures looked at in one product: as much memory as fits into a processor's cache."""
 
@@ -297,8 +299,9 @@ def mounting_height(
 def unguarded_links(robot: RobotModel) -> tuple[str, ...]:
     """Return the names of the moving links without collision geometry, base to terminal.
 
-    Parts of at most ``MARKER_MASS`` that are fixed to a link do not count, with or without
-    geometry: they mark frames.
+    Geometry that the model's filters keep from meeting anything that moves against it is none.
+    Parts of at most ``MARKER_MASS`` that are fixed to a link do not count, with or without geometry
+    up to ``MARKER_SIZE``: they mark frames.
     """
     model = robot.mj_model
     # (nbody,) number of the link that a body is part of, from 1; 0 for what does not move.
@@ -306,16 +309,40 @@ def unguarded_links(robot: RobotModel) -> tuple[str, ...]:
     # (n,) the body of each link that its joint moves; other parts are fixed to it.
     link_bodies = model.dof_bodyid[robot.dof_index]
     is_link_body = np.isin(range(model.nbody), link_bodies)
-    collides = (model.geom_contype | model.geom_conaffinity) != 0
-    collides[model.pair_geom1] = True
-    collides[model.pair_geom2] = True
-    has_geometry = np.zeros(model.nbody, dtype=bool)
-    has_geometry[model.geom_bodyid[collides]] = True
     is_part = model.body_mass > MARKER_MASS
-    is_solid = has_geometry & (is_part | is_link_body)
+    is_large = model.geom_rbound > MARKER_SIZE
+    bodies = model.geom_bodyid
+    is_shell = is_large | is_part[bodies] | is_link_body[bodies]
+    is_solid = is_shell & _can_meet(model, link_of_body)
     moving_links = set(link_of_body[is_part].tolist()) - {0}
-    unguarded = moving_links - set(link_of_body[is_solid].tolist())
+    unguarded = moving_links - set(link_of_body[bodies[is_solid]].tolist())
     return tuple(body_label(model, link_bodies[k - 1]) for k in sorted(unguarded))
+
+
+def _can_meet(mj_model: Any, link_of_body: Any) -> Any:
+    """Return whether each geom (ngeom,) can meet a geom that moves against it.
+
+    MuJoCo tests two geoms if a bit of one's ``contype`` is set in the other's ``conaffinity`` and
+    their bodies are not excluded, and all explicit pairs. That it leaves out neighbours in the tree
+    does not count here.
+
+    Args:
+        mj_model: compiled model.
+        link_of_body: (nbody,) number of the link each body belongs to; bodies with equal numbers do
+            not move against each other.
+    """
+    bodies = mj_model.geom_bodyid
+    is_excluded = np.zeros((mj_model.nbody, mj_model.nbody), dtype=bool)
+    # The upper half of a signature is the first body's id.
+    is_excluded[
+        mj_model.exclude_signature >> 16, mj_model.exclude_signature & 0xFFFF
+    ] = True
+    is_tested = (mj_model.geom_contype[:, None] & mj_model.geom_conaffinity) != 0
+    is_tested &= ~(is_excluded | is_excluded.T)[np.ix_(bodies, bodies)]
+    is_tested[mj_model.pair_geom1, mj_model.pair_geom2] = True
+    links = link_of_body[bodies]
+    is_tested &= links[:, None] != links
+    return np.any(is_tested | is_tested.T, axis=1)
 
 
 def unguarded_text(links: Sequence[str]) -> str:
@@ -324,7 +351,7 @@ def unguarded_text(links: Sequence[str]) -> str:
         return ""
     return (
         f"nothing keeps {', '.join(links)} from touching anything: the model has no collision "
-        "geometry of them"
+        "geometry of them that can meet any other"
     )
 
 

@@ -175,7 +175,9 @@ def test_a_log_is_split_at_gaps(lengths_and_gaps):
 @pytest.mark.parametrize("gap", [0.01, 2.5])
 def test_a_gap_within_a_recording_of_several_is_said(gap):
     parts = [np.arange(0.0, 12.0, 0.01), np.arange(12.0 + gap, 26.0, 0.01)]
-    second = parts[-1][-1] + resampling.RECORDING_SEPARATION + np.arange(0.0, 12.0, 0.01)
+    second = (
+        parts[-1][-1] + resampling.RECORDING_SEPARATION + np.arange(0.0, 12.0, 0.01)
+    )
     recording = log(np.concatenate([*parts, second]))
     (note,) = piece_notes(recording, split_at_gaps(recording))
     expected = "its 2 recordings are filtered on their own"
