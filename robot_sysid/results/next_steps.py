@@ -180,7 +180,8 @@ def _step_after_payload(
         recording = run.folder / f"{WEIGHT_STEM}.csv"
         sentence = (
             "Next, to know the torque scales, bolt a weight of 1 kg on instead (of another one, "
-            f"state its mass), record the same motion as {recording}, and compare"
+            f"state its mass), record the same motion {_recorder_text(run)}as {recording}, and "
+            "compare"
         )
         return _step(sentence, *weighing_words(run, recording))
     if cause in _MOTION and run.plan_purpose is None:
@@ -189,6 +190,15 @@ def _step_after_payload(
     if cause in _MEASURES:
         return NextStep(f"Next, to know the mass better, {_MEASURES[cause]}")
     return None
+
+
+def _recorder_text(run: RunWords) -> str:
+    """Return which recorder is to make a recording; "" for any, where no columns are given.
+
+    Logs of another recorder have other columns, and the command that is printed would refuse them.
+    """
+    has_columns = "--columns" in run.log
+    return "with the recorder that the columns file describes " if has_columns else ""
 
 
 def weighing_words(
@@ -275,14 +285,17 @@ def step_after_plan(
                 sentence, "motors", "simulate", str(path), *arm, *limits, "--play"
             )
     recording = run.folder / LOG_NAME
-    sentence = f"Next, play it, record it as {recording}, and identify the arm"
+    recorder = _recorder_text(run)
+    sentence = (
+        f"Next, play it, record it {recorder}as {recording}, and identify the arm"
+    )
     if purpose == "payload":
         logs = [run.folder / name for name in PAYLOAD_RECORDINGS]
         recording = logs[0]
         sentence = (
-            f"Next, play it without what is bolted on and record it as {logs[0]}, then twice with "
-            f"it as {logs[1]} and {logs[2]}, once more without it as {logs[3]}, and weigh the "
-            "difference"
+            f"Next, play it without what is bolted on and record it {recorder}as {logs[0]}, then "
+            f"twice with it as {logs[1]} and {logs[2]}, once more without it as {logs[3]}, and "
+            "weigh the difference"
         )
     return step_after_recording(run, recording, purpose, sentence)
 

@@ -158,6 +158,19 @@ def test_scales_from_a_known_mass_repeat_the_run_or_identify_the_arm(tmp_path):
     assert next_step(calibration, replace(run, scales=None), []) is None
 
 
+@pytest.mark.parametrize("columns", [(), ("--columns", "c.txt")])
+def test_a_columns_file_asks_for_recordings_of_the_recorder_that_it_describes(columns):
+    """Another recorder writes other columns, which the printed command would refuse."""
+    run = replace(RUN, log=columns)
+    weighing = payload_with("torque scale")
+    steps = [step_after_plan(run, [], purpose) for purpose in ("link", "payload")]
+    steps.append(next_step(weighing, run, []))
+    for step in steps:
+        remark = "with the recorder that the columns file describes as"
+        assert (remark in step.sentence) == bool(columns)
+        assert ("--columns" in step.command) == bool(columns)
+
+
 def test_the_last_lines_name_the_files_that_were_written():
     step = NextStep("Next, plan", ("robot-sysid", "plan", "it's.xml"))
     verdict, *lines = last_lines(
