@@ -36,7 +36,7 @@ def refuse_for(
         )
         if lines:
             reason = text.removesuffix(COLUMNS_ADVICE)
-            draft = _add_lines(log.columns_file, lines, reason)
+            draft = _add_lines(log.options.columns, lines, reason)
             name = _free_name(log.path, draft)
             error = ColumnsError(text, draft, name, is_correction=True)
             if payload_options:

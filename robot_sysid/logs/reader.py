@@ -34,6 +34,7 @@ from robot_sysid.logs.column_map import (
 )
 from robot_sysid.logs.guess import guess_columns
 from robot_sysid.logs.hdf5 import hdf5_table
+from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.ros_bag import bag_table
 from robot_sysid.logs.table import LogSource, LogTable, read_blocks, read_rows
 from robot_sysid.logs.text import is_number, text_table
@@ -41,7 +42,12 @@ from robot_sysid.logs.titles import joint_quantity, read_title
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.messages import Detail, Progress, count_text
-from robot_sysid.records.option_fields import CONSTANTS, SCALE, joint_factors
+from robot_sysid.records.option_fields import (
+    CONSTANTS,
+    SCALE,
+    joint_factors,
+    options_of,
+)
 from robot_sysid.signals.process import LogPiece
 from robot_sysid.signals.resampling import piece_notes, split_at_gaps
 
@@ -57,7 +63,8 @@ class MeasurementLog:
         pieces: the stretches between gaps that are long enough to be used.
         notes: sentences for the user on columns, rows left out and corrections.
         torque_scale: (n,) factors that torques were divided by, as the user gave them.
-        columns_file: the file that declares columns; None for none.
+        joint_names: (n,) of the arm that it was read for, base to terminal.
+        options: with which it was read.
     """
 
     path: Path
@@ -66,7 +73,8 @@ class MeasurementLog:
     pieces: tuple[LogPiece, ...]
     notes: tuple[str, ...]
     torque_scale: Array
-    columns_file: Path | None = None
+    joint_names: tuple[str, ...]
+    options: LogOptions
 
     def __fspath__(self) -> str:
         """The path, so that a log that was read may stand where its file is expected."""
@@ -105,6 +113,7 @@ def open_log(
         progress: receives the progress of reading.
     """
     if isinstance(source, MeasurementLog):
+        _refuse_other_reading(source, robot, options)
         return source
     path = Path(source)
     names = robot.joint_names
@@ -120,10 +129,31 @@ def open_log(
     joint_note = columns.joint_match.describe() if columns.joint_match else ""
     source_notes = filter(None, (*table.notes, joint_note))
     notes = (*details, *source_notes, *check_notes, *piece_notes(rows.samples, pieces))
-    columns_file = Path(options.columns) if options.columns else None
     return MeasurementLog(
-        path, columns, rows.samples, pieces, notes, scale, columns_file
+        path, columns, rows.samples, pieces, notes, scale, names, options
     )
+
+
+def _refuse_other_reading(
+    log: MeasurementLog, robot: RobotModel, options: LogOptions
+) -> None:
+    """Raise InputError where a log was read for another arm, or otherwise than options say.
+
+    Factors of torques have to be stated: what follows the reading uses them, too.
+    """
+    if log.joint_names != robot.joint_names:
+        raise InputError(
+            f"{log} was read for the joints {join_names(log.joint_names)}, and the chain of this "
+            f"model has {join_names(robot.joint_names)}; read it with this model"
+        )
+    for name, option in options_of(options).items():
+        value = getattr(options, name)
+        is_stated = name in _FACTOR_OPTIONS or name in _READING_OPTIONS and value
+        if is_stated and value != getattr(log.options, name):
+            raise InputError(
+                f"{log} was read without {option.flag}, or with another one: give read_log and "
+                "this call the same"
+            )
 
 
 def refuse_fitted_log(test: MeasurementLog, logs: Sequence[MeasurementLog]) -> None:
@@ -245,6 +275,10 @@ _FORM_OPTIONS = {
     "episode": ("a LeRobot data set", arrays.lerobot_table),
 }
 """Option that is about one form alone, to the form's name and its reader."""
+_READING_OPTIONS = {"columns", "units", *_FORM_OPTIONS}
+"""Fields of options that change what is read from a log."""
+_FACTOR_OPTIONS = {"torque_scale", "torque_constants"}
+"""Fields of options that change torques."""
 STANDARD_INPUT = Path("-")
 """Stands for a log that is piped in."""
 _READ_TWICE = "a log is read twice: write it to a file, or pipe it into this command and call it -"

@@ -141,6 +141,33 @@ def test_a_model_that_is_worse_than_the_given_one_on_another_log_is_refused(
     assert "13 % -> 21 %" in worse.failure
 
 
+def test_a_log_that_was_read_is_not_read_otherwise(workshop, tmp_path):
+    arm = workshop / "arm.xml"
+    log = rs.read_log(workshop / "log.csv", arm, units="rad")
+    for options in (
+        {"torque_scale": 2.0},
+        {"torque_constants": 0.5},
+        {"units": "deg"},
+        {"episode": 1},
+    ):
+        (name,) = options
+        for call in (
+            lambda: rs.identify(arm, log, **options),  # noqa: B023
+            lambda: rs.payload(arm, log, log, **options),  # noqa: B023
+        ):
+            with pytest.raises(InputError, match=f"was read without {name}, or with"):
+                call()
+    scaled = rs.read_log(workshop / "log.csv", arm, torque_scale=1.02)
+    with pytest.raises(InputError, match="without torque_scale, or .* give read_log"):
+        rs.identify(arm, scaled)
+    mass = rs.identify(arm, scaled, torque_scale=1.02).mass
+    assert mass == rs.identify(arm, workshop / "log.csv", torque_scale=1.02).mass
+    other = tmp_path / "other.xml"
+    other.write_text(arm.read_text().replace('"joint', '"hinge'))
+    with pytest.raises(InputError, match="joint0..3, and .* hinge0..3; read it with"):
+        rs.identify(other, log)
+
+
 def test_named_values_fit_together(result):
     written = result.to_dict()
     assert result.center_of_mass.tolist() == written["center_of_mass"]

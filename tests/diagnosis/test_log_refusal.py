@@ -12,6 +12,7 @@ from robot_sysid.diagnosis import ColumnCorrection, Finding, Level
 from robot_sysid.diagnosis.log_refusal import refuse_for
 from robot_sysid.diagnosis.relabelling import relabellings
 from robot_sysid.errors import ColumnsError
+from robot_sysid.logs import LogOptions
 from robot_sysid.logs.column_map import ColumnChoices, parse_columns, recognise_columns
 from tests.support import arms
 
@@ -46,7 +47,9 @@ def refusal(titles, correction, folder, text="", others=(), payload=(), **attrib
     path.write_text(text)
     columns = SimpleNamespace(**{**vars(columns_of(titles, text)), **attributes})
     log = SimpleNamespace(
-        path=Path("run.csv"), columns=columns, columns_file=path if text else None
+        path=Path("run.csv"),
+        columns=columns,
+        options=LogOptions(columns=path if text else None),
     )
     finding = Finding(
         "order", Level.REFUSE, "it is wrong", payload, correction=correction
