@@ -6,6 +6,7 @@ n joints; a piece is a part of a log without gaps.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -91,6 +92,12 @@ _DOUBTS = {
     ASSUMED: " (not determined: assumed)",
 }
 """What follows a number in the printed lines, by its source, unless it is identified."""
+_GAIN_ORIGINS = {
+    IDENTIFIED: "fitted",
+    FROM_MODEL: "the model's",
+    ASSUMED: "assumed to be like those of the other joints",
+}
+"""Source of a gain, in words."""
 _KEYS = ("before", "value", "standard_error", "source")
 """Keys of an identified number in servo.json, without its unit."""
 OFTEN_LIMITED = 0.2
@@ -151,17 +158,12 @@ class ServoIdentification:
         # where the data does not show it.
         source = np.where(value == model_value, FROM_MODEL, ASSUMED)
         source = np.where(self.fit.is_identified, IDENTIFIED, source)
-        # The vectors hold n gains, n dampings, n frictions, n rotor inertias and the delay.
         columns = model_value.tolist(), value.tolist(), error.tolist(), source.tolist()
-        rows = list(zip(*columns))
-        n_joints = len(self.robot.joint_names)
-        numbers_of_joint = {}
-        for k, joint in enumerate(self.robot.joint_names):
-            numbers = {}
-            for i, name in enumerate(UNITS):
-                numbers[name] = dict(zip(_KEYS, rows[i * n_joints + k]))
-            numbers_of_joint[joint] = numbers
-        return numbers_of_joint
+        numbers = [dict(zip(_KEYS, row)) for row in zip(*columns)]
+        joints = self.robot.joint_names
+        # The vectors hold n gains, n dampings, n frictions, n rotor inertias and the delay.
+        numbers_of_joints = (numbers[k :: len(joints)] for k in range(len(joints)))
+        return {name: dict(zip(UNITS, n)) for name, n in zip(joints, numbers_of_joints)}
 
     def changes(self) -> tuple[list[JointChange], list[ActuatorChange]]:
         """Return the changes of the model file's joints that move and of their position actuators.
@@ -245,9 +247,8 @@ def servo_lines(result: ServoIdentification) -> list[str]:
             text = "; ".join(map(_number_text, numbers, numbers.values()))
         lines.append(f"  {joint}: {text}")
     lines += rollout_lines(result.rollout)
-    goal_errors = []
-    for test, goal_error in zip(result.rollout.errors, result.goal.errors):
-        goal_errors.append(f"{goal_error:.3g} over {test.horizon:g} s")
+    pairs = zip(result.rollout.errors, result.goal.errors)
+    goal_errors = [f"{error:.3g} over {test.horizon:g} s" for test, error in pairs]
     if goal_errors:
         lines.append(f"  {result.goal.name}: {', '.join(goal_errors)}")
     return lines
@@ -287,12 +288,8 @@ def servo_notes(result: ServoIdentification, period: float) -> Iterator[str]:
             f"the delay is at the end of what is sought ({MAX_DELAY_PERIODS} samples): check the "
             "time stamps of the commands"
         )
-    without_servo = []
-    for joint, moves, has_servo in zip(
-        result.robot.joint_names, result.is_moving, result.has_servo
-    ):
-        if moves and not has_servo:
-            without_servo.append(joint)
+    lacks_servo = result.is_moving & ~result.has_servo
+    without_servo = list(itertools.compress(result.robot.joint_names, lacks_servo))
     if without_servo:
         yield (
             f"the model has no position actuator on {', '.join(without_servo)}: the gain is "
@@ -310,10 +307,8 @@ def _joint_notes(result: ServoIdentification, k: int) -> Iterator[str]:
     joint = result.robot.joint_names[k]
     numbers = result.joint_numbers[joint]
     gain = numbers["gain"]
-    unseen = []
-    for name, number in numbers.items():
-        if name != "gain" and number["source"] == FROM_MODEL:
-            unseen.append(name)
+    from_model = [n for n in numbers if numbers[n]["source"] == FROM_MODEL]
+    unseen = [name for name in from_model if name != "gain"]
     if unseen:
         yield (
             f"the servo of {joint} hides its {', '.join(unseen)}: what the model has stays, and "
@@ -332,13 +327,8 @@ def _joint_notes(result: ServoIdentification, k: int) -> Iterator[str]:
             "does not have (forcerange of a position actuator); windows of the log with it are not "
             "fitted where enough others are left"
         )
-    is_unsure = gain["standard_error"] > LARGE_ERROR * gain["value"]
-    if is_unsure:
-        origin = "fitted"
-        if gain["source"] == FROM_MODEL:
-            origin = "the model's"
-        elif gain["source"] == ASSUMED:
-            origin = "assumed to be like those of the other joints"
+    if gain["standard_error"] > LARGE_ERROR * gain["value"]:
+        origin = _GAIN_ORIGINS[gain["source"]]
         yield (
             f"the links' torque on {joint} is too small to show the absolute size of its numbers, "
             f"only their ratios: its gain of {gain['value']:.3g} N·m/rad is {origin}, and the "
@@ -400,10 +390,8 @@ def identify_servos(
         logs: names the logs to fit, and the validation log if there is one.
         progress: receives each stage.
     """
-    names = robot.joint_names
-
     measurement_logs = _open_logs(robot, logs.measurements, logs, progress)
-    pieces = commanded_pieces(measurement_logs, names)
+    pieces = commanded_pieces(measurement_logs, robot.joint_names)
     validation_path = logs.validation_measurements
     if validation_path is None:
         fitted, held_out = split_pieces(pieces)
@@ -412,7 +400,7 @@ def identify_servos(
         fitted = pieces
         validation_logs = _open_logs(robot, [validation_path], logs, progress)
         refuse_fitted_log(validation_logs[0], measurement_logs)
-        held_out = commanded_pieces(validation_logs, names)
+        held_out = commanded_pieces(validation_logs, robot.joint_names)
         held_out_text = "the validation log"
     moves = is_moving(pieces)
     progress.stage("Searching for servos, friction and rotor inertia...")
@@ -434,8 +422,9 @@ def identify_servos(
         # The held-out ends have done their work; the numbers come from the whole logs.
         every_number, loop_fit = servo_fit.initial_parametrisation(robot, pieces, moves)
         is_determined &= loop_fit.determines
-        start = servo_fit.with_equation_numbers(servos, loop_fit, is_determined)
-        shown_numbers = replace(shown_numbers, start=start)
+        in_loop = loop_fit.servos.vector()
+        start = np.where(is_determined, in_loop, servos.vector())
+        shown_numbers = replace(shown_numbers, start=ServoParameters.from_vector(start))
         derivatives = ErrorDerivatives(unlimited_problem(rollouts, pieces, loop_fit))
         servos = servo_fit.search_servos(derivatives, shown_numbers, progress)
 

@@ -38,23 +38,14 @@ def commanded_pieces(
     pieces = list[Measurement]()
     for log in logs:
         pieces += log.pieces
+        commanded = [(p.q, p.command) for p in log.pieces if p.command is not None]
         for joint in np.flatnonzero(is_moving(log.pieces)).tolist():
-            for fault in _command_faults(_positions_and_commands(log, joint)):
+            pairs = [(q[:, joint], command[:, joint]) for q, command in commanded]
+            for fault in _command_faults(pairs):
                 raise InputError(
                     f"{log.path}: the commands of joint {joint_names[joint]} {fault}"
                 )
     return pieces
-
-
-def _positions_and_commands(
-    log: MeasurementLog, joint: int
-) -> list[tuple[Array, Array]]:
-    """Return positions (N,) and commands (N,) of a joint in each piece that has commands."""
-    pairs = []
-    for piece in log.pieces:
-        if piece.command is not None:
-            pairs.append((piece.q[:, joint], piece.command[:, joint]))
-    return pairs
 
 
 def is_moving(pieces: Sequence[Measurement]) -> NDArray[np.bool_]:

@@ -247,10 +247,8 @@ def improve_start(problem: ServoProblem, initial: Parametrisation) -> Parametris
     if not np.any(is_free):
         factors = factors[:1]
         delays = np.array([start.delay])
-    candidates = []
-    for factor, delay in product(factors, delays.tolist()):
-        stiffness = factor * start.stiffness
-        candidates.append(replace(start, stiffness=stiffness, delay=delay))
+    grid = product(factors * start.stiffness, delays.tolist())
+    candidates = [replace(start, stiffness=k, delay=delay) for k, delay in grid]
     # Absolute errors: where a stiff servo comes off its limit, single windows run off and would
     # dominate the squares.
     errors = problem.subset(_GRID_WINDOWS).errors(candidates)
@@ -571,13 +569,3 @@ def search_shown_numbers(
         shown_numbers = replace(shown_numbers, start=start)
         servos = search_servos(derivatives, shown_numbers, progress)
     return replace(shown_numbers, start=servos)
-
-
-def with_equation_numbers(
-    servos: ServoParameters, loop_fit: LoopFit, is_taken: NDArray[np.bool_]
-) -> ServoParameters:
-    """Return servo parameters with those numbers (4 n + 1,) that are taken from the equations."""
-    in_equations = loop_fit.servos.vector()
-    return ServoParameters.from_vector(
-        np.where(is_taken, in_equations, servos.vector())
-    )

@@ -82,8 +82,7 @@ class LoopEquations:
         for piece in self.pieces:
             middles = 0.5 * (piece.time[1:] + piece.time[:-1])
             half = 0.5 * sampling_period(piece.time)
-            ends = (piece.time[0] - half, piece.time[-1] + half)
-            edges = np.concatenate((ends[:1], middles, ends[1:]))
+            edges = np.hstack((piece.time[0] - half, middles, piece.time[-1] + half))
             assert piece.command is not None
             window = ServoWindow(0.0, piece.q[0], piece.q[0], piece.time, piece.command)
             mean_command = window.controls(delay, edges)
@@ -97,10 +96,7 @@ def loop_equations(robot: RobotModel, pieces: Sequence[Measurement]) -> LoopEqua
     commanded = tuple(piece for piece in pieces if piece.command is not None)
     dynamics = LinkDynamics(robot)
     links = list(range(robot.n_joints))
-    positions = []
-    columns = []
-    regressors = []
-    is_inner = []
+    terms_of_pieces = []
     for piece in commanded:
         q, _ = smooth_states(piece)
         # A central difference is the mean velocity over two samples: the other terms are averaged
@@ -109,22 +105,16 @@ def loop_equations(robot: RobotModel, pieces: Sequence[Measurement]) -> LoopEqua
         qdd = np.gradient(np.gradient(q, piece.time, axis=0), piece.time, axis=0)
         q = _average(_average(q))
         motion = dynamics.motion(q, qd, qdd)
-        regressors.append(motion.columns(links))
         terms = (qdd, qd, np.sign(qd), motion.torque(robot.thetas))
-        columns.append(np.stack(terms, axis=-1))
-        positions.append(q)
-        is_inner.append(np.arange(len(q)) >= MAX_DELAY_PERIODS)
-    all_columns = np.concatenate(columns)
+        is_inner = np.arange(len(q)) >= MAX_DELAY_PERIODS
+        columns = np.stack(terms, axis=-1)
+        terms_of_pieces.append((q, columns, is_inner, motion.columns(links)))
+    joined = map(np.concatenate, zip(*terms_of_pieces))
+    position, all_columns, is_inner, regressor = joined
     speed = np.abs(all_columns[:, :, 1])
     is_fast = speed > 0.1 * np.sqrt(np.mean(speed**2, axis=0))
-    is_moving = is_fast & np.concatenate(is_inner)[:, None]
-    return LoopEquations(
-        commanded,
-        np.concatenate(positions),
-        all_columns,
-        is_moving,
-        np.concatenate(regressors),
-    )
+    is_moving = is_fast & is_inner[:, None]
+    return LoopEquations(commanded, position, all_columns, is_moving, regressor)
 
 
 def _average(values: Array) -> Array:
@@ -308,14 +298,12 @@ def _torque_limit(
     """
     is_limited = is_moving & ~is_used & (asked * delivered > 0.0)
     is_limited &= np.abs(asked) > _LIMITED_RATIO * np.abs(delivered)
-    never = np.zeros_like(is_limited)
-    if np.count_nonzero(is_limited) < _LIMITED_SAMPLES or not np.any(is_used):
-        return never, np.nan
-    limit = float(np.median(np.abs(delivered[is_limited])))
-    largest_unlimited = np.quantile(np.abs(asked[is_used]), 0.99)
-    if limit < largest_unlimited / _LIMITED_RATIO:
-        return never, np.nan
-    return is_limited, limit
+    if np.count_nonzero(is_limited) >= _LIMITED_SAMPLES and np.any(is_used):
+        limit = float(np.median(np.abs(delivered[is_limited])))
+        largest_unlimited = np.quantile(np.abs(asked[is_used]), 0.99)
+        if limit >= largest_unlimited / _LIMITED_RATIO:
+            return is_limited, limit
+    return np.zeros_like(is_limited), np.nan
 
 
 @dataclass(frozen=True)
