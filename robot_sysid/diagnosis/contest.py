@@ -231,11 +231,8 @@ class Contest:
         """
         trusted = is_plausible(self.posterior)
         fit = BaseFit(self.posterior, self.signals, trusted)
-        offered = []
-        for explanation in explanations(fit):
-            if not self.is_estimated(explanation):
-                offered.append(explanation)
-        columns = transform_columns(self.posterior.model, offered)
+        offered = [e for e in explanations(fit) if not self.is_estimated(e)]
+        columns = OfferedColumns.of(self.posterior.model, offered)
         winners: list[list[Score]] = []
         model = self.posterior
         while len(winners) < _MOST_ROUNDS:
@@ -259,36 +256,36 @@ class Contest:
         return explanation.joint is None and settings.get(explanation.name) == "auto"
 
 
-Blocks = dict[int, Array]
-"""Index of each joint on which an explanation acts, to the explanation's columns (K, e) there. They
-are transformed like the model's rows, per prior standard deviation of the coefficients."""
+@dataclass(frozen=True)
+class OfferedColumns:
+    """Columns of explanations, transformed like the rows of a model.
 
-
-def transform_columns(model: LogModel, offered: Sequence[Explanation]) -> list[Blocks]:
-    """Return the columns of each offered explanation, transformed like the rows of the model.
-
-    The list has the order of ``offered``. All columns at one joint are transformed in one call.
+    Attributes:
+        joints: per joint (K, w) the w columns of all explanations side by side, per prior standard
+            deviation of the coefficients; zero where an explanation does not act at the joint.
+        spans: the slice of each explanation's columns.
     """
-    transformed: list[Blocks] = [{} for _ in offered]
-    for joint in range(len(model.rows)):
-        acting = []
-        blocks = []
-        for explanation, joint_blocks in zip(offered, transformed):
-            if explanation.joint in (None, joint):
-                acting.append(joint_blocks)
-                blocks.append(explanation.of_joint(joint))
-        if not blocks:
-            continue
-        stacked = model.transform(joint, np.hstack(blocks))
-        start = 0
-        for joint_blocks, block in zip(acting, blocks):
-            end = start + block.shape[1]
-            joint_blocks[joint] = stacked[:, start:end]
-            start = end
-    return transformed
+
+    joints: tuple[Array, ...]
+    spans: tuple[slice, ...]
+
+    @classmethod
+    def of(cls, model: LogModel, offered: Sequence[Explanation]) -> OfferedColumns:
+        """Return the columns of explanations, in their order."""
+        widths = [len(explanation.spread) for explanation in offered]
+        ends = np.cumsum(widths, dtype=int)
+        spans = tuple(map(slice, ends - widths, ends))
+        joints = []
+        for joint in range(len(model.rows)):
+            columns = np.zeros((len(model.right_sides), sum(widths)))
+            for explanation, span in zip(offered, spans):
+                if explanation.joint in (None, joint):
+                    columns[:, span] = explanation.of_joint(joint)
+            joints.append(model.transform(joint, columns))
+        return cls(tuple(joints), spans)
 
 
-def screen_gains(posterior: Posterior, columns: Sequence[Blocks]) -> Array:
+def screen_gains(posterior: Posterior, columns: OfferedColumns) -> Array:
     """Return the gain of each explanation in log marginal likelihood at fixed noise [nats].
 
     With E the columns of the explanation, A those of the model, r the residual and C the posterior
@@ -297,39 +294,22 @@ def screen_gains(posterior: Posterior, columns: Sequence[Blocks]) -> Array:
 
     Args:
         posterior: posterior of the model without the explanations.
-        columns: ``transform_columns`` of the explanations.
+        columns: those of the explanations.
     """
-    # The columns E of all explanations stand side by side: the slice of each, and its I + E'E.
-    slices = []
-    squares = []
-    width = 0
-    for blocks in columns:
-        e = next(iter(blocks.values())).shape[1]
-        slices.append(slice(width, width + e))
-        squares.append(np.eye(e))
-        width += e
+    width = columns.joints[0].shape[1]
     products = np.zeros((len(posterior.coefficients), width))  # A'E
     projections = np.zeros(width)  # v = E'r
-    for joint in range(len(posterior.model.rows)):
-        weight = 1.0 / posterior.noise[:, joint, None]
-        acting = []
-        spans = []
-        for blocks, span, square in zip(columns, slices, squares):
-            if joint in blocks:
-                block = blocks[joint]
-                square += block.T @ (block * weight)
-                acting.append(block)
-                spans.append(np.arange(span.start, span.stop))
-        if not acting:
-            continue
-        at = np.concatenate(spans)
-        stacked = np.hstack(acting)
+    squares = [np.eye(span.stop - span.start) for span in columns.spans]  # I + E'E
+    for joint, block in enumerate(columns.joints):
+        weighted = block / posterior.noise[:, joint, None]
         indices, rows = posterior.model.equations(joint)
-        products[np.ix_(indices, at)] += (rows * weight).T @ stacked
-        projections[at] += posterior.residual[:, joint] @ (stacked * weight)
+        products[indices] += rows.T @ weighted
+        projections += posterior.residual[:, joint] @ weighted
+        for square, span in zip(squares, columns.spans):
+            square += block[:, span].T @ weighted[:, span]
     solved = posterior.covariance @ products
-    gains = np.empty(len(columns))
-    for k, (span, square) in enumerate(zip(slices, squares)):
+    gains = np.empty(len(squares))
+    for k, (span, square) in enumerate(zip(columns.spans, squares)):
         precision = square - products[:, span].T @ solved[:, span]
         v = projections[span]
         explained = float(v @ np.linalg.solve(precision, v))
@@ -340,7 +320,7 @@ def screen_gains(posterior: Posterior, columns: Sequence[Blocks]) -> Array:
 def _rank(
     model: Posterior,
     offered: Sequence[Explanation],
-    columns: Sequence[Blocks],
+    columns: OfferedColumns,
     count: int,
 ) -> list[Score]:
     """Return the scores of the best explanations of the best families, the largest gain first.
@@ -353,7 +333,7 @@ def _rank(
     Args:
         model: posterior of the model that the explanations are added to.
         offered: explanations to score.
-        columns: ``transform_columns`` of these explanations.
+        columns: those of the explanations.
         count: largest number of families to score.
     """
     penalties = np.log([explanation.choices for explanation in offered])
@@ -364,28 +344,27 @@ def _rank(
             best_of_family.setdefault(offered[k].family, int(k))
     scores = []
     for k in list(best_of_family.values())[:count]:
-        score = _score(model, offered[k], columns[k])
+        score = _score(model, offered[k], columns, columns.spans[k])
         if score.gain > MARGIN:
             score = _refine(model, score)
         scores.append(score)
     return sorted(scores, key=lambda score: -score.gain)
 
 
-def _score(previous: Posterior, explanation: Explanation, columns: Blocks) -> Score:
+def _score(
+    previous: Posterior, explanation: Explanation, columns: OfferedColumns, span: slice
+) -> Score:
     """Return the score of an explanation added to a model, with noise estimated anew.
 
     Args:
         previous: posterior of the model without the explanation.
         explanation: the fault to add.
-        columns: ``transform_columns`` of the explanation.
+        columns: those of this and other explanations.
+        span: of this explanation in them.
     """
-    model = previous.model
     width = len(explanation.spread)
-    no_torque = np.zeros((len(model.right_sides), width))
-    added = []
-    for joint in range(len(model.rows)):
-        added.append(columns.get(joint, no_torque))
-    posterior = model.with_columns(added).posterior(previous.noise)
+    added = [block[:, span] for block in columns.joints]
+    posterior = previous.model.with_columns(added).posterior(previous.noise)
     penalty = float(np.log(explanation.choices))
     coefficients = posterior.coefficients[-width:]
     covariance = posterior.covariance[-width:, -width:]
@@ -413,11 +392,11 @@ def _refine(previous: Posterior, score: Score) -> Score:
     best = score
     model = previous.model
     while nearby := best.explanation.nearby():
-        columns = transform_columns(model, nearby)
+        columns = OfferedColumns.of(model, nearby)
         # At the noise of the best score: at the model's, similar explanations gain nearly the same.
         gains = screen_gains(model.at_noise(best.posterior.noise), columns)
         k = int(np.argmax(gains))
-        candidate = _score(previous, nearby[k], columns[k])
+        candidate = _score(previous, nearby[k], columns, columns.spans[k])
         if candidate.gain <= best.gain:
             break
         best = candidate

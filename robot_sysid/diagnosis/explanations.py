@@ -15,9 +15,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain, product
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import Level
 from robot_sysid.diagnosis.base_fit import BaseFit
@@ -250,8 +252,9 @@ def time_base(fit: BaseFit) -> Iterator[Explanation]:
     drift = np.concatenate((slope, slope * fit.time[:, None, None]), axis=-1)
     for columns, describe in ((slope, describe_scale), (drift, describe_drift)):
         spread = np.full(columns.shape[-1], 0.1)
-        clock = Explanation("clock", Level.WARN, columns, spread, describe)
-        yield replace(clock, harmful_from=0.0)
+        yield Explanation(
+            "clock", Level.WARN, columns, spread, describe, harmful_from=0.0
+        )
 
 
 def _too_long(share: float) -> str:
@@ -328,17 +331,17 @@ def _payload_step(fit: BaseFit, row: int, spacing: int, choices: int) -> Explana
         """Return steps at up to eleven instants around this one, a sixth of the spacing apart."""
         step = math.ceil(spacing / 6)
         count = (spacing - 1) // step
-        steps = []
-        for first_row in range(row - count * step, row + spacing, step):
-            if 0 < first_row < len(fit.time):
-                steps.append(_payload_step(fit, first_row, step, choices))
-        return steps
+        rows = np.arange(row - count * step, row + spacing, step)
+        rows = rows[(rows > 0) & (rows < len(fit.time))]
+        return [_payload_step(fit, k, step, choices) for k in rows.tolist()]
 
     def describe(v: Array, e: Array) -> str:
         """Return the text for coefficients v (e,) with standard errors e (e,)."""
+        change = with_error(abs(float(v[0])), float(e[0]), "kg")
         return (
-            f"from about {at:.3g} s on the last link carries {_more(v[0], e[0])}: was something "
-            "picked up, dropped or moved? record each state in a log of its own"
+            f"from about {at:.3g} s on the last link carries {change} "
+            f"{'more' if v[0] > 0.0 else 'less'}: was something picked up, dropped or moved? "
+            "record each state in a log of its own"
         )
 
     return Explanation(
@@ -350,11 +353,6 @@ def _payload_step(fit: BaseFit, row: int, spacing: int, choices: int) -> Explana
         choices=choices,
         nearby=nearby if spacing > 1 else list,
     )
-
-
-def _more(mass: float, error: float) -> str:
-    """Return a difference in mass [kg] with its error as text, such as "0.5 ± 0.1 kg more"."""
-    return f"{with_error(abs(float(mass)), float(error), 'kg')} {'more' if mass > 0.0 else 'less'}"
 
 
 def forces(fit: BaseFit) -> Iterator[Explanation]:
@@ -380,9 +378,9 @@ def forces(fit: BaseFit) -> Iterator[Explanation]:
         """Return whether the force in v (12,) exceeds three times its standard error in e (12,)."""
         return bool(np.linalg.norm(v[force]) > 3.0 * np.max(e[force]))
 
-    columns = fit.tip_force
-    pull = Explanation("force", Level.REFUSE, columns, spread, describe)
-    yield replace(pull, is_possible=is_sure)
+    yield Explanation(
+        "force", Level.REFUSE, fit.tip_force, spread, describe, is_possible=is_sure
+    )
     text = "the last link weighs {value} more than its inertia says: something holds a part of it, "
     text += "or pulls, as a hand or a hose does; take it away, record again"
     carried = _first_coefficient(text, unit="kg")
@@ -441,13 +439,10 @@ def _push(fit: BaseFit, start: int, width: int, choices: int) -> Explanation:
 
         Their own ``nearby`` returns none, so that the refinement ends after one step.
         """
-        contacts = []
-        step = math.ceil(width / 6)
-        for first_row in range(start - width // 2, start + width // 2, step):
-            for size in (round(0.7 * width), width, round(1.4 * width)):
-                contact = _push(fit, first_row, size, choices)
-                contacts.append(replace(contact, nearby=list))
-        return contacts
+        starts = range(start - width // 2, start + width // 2, math.ceil(width / 6))
+        sizes = (round(0.7 * width), width, round(1.4 * width))
+        contacts = [_push(fit, *span, choices) for span in product(starts, sizes)]
+        return [replace(contact, nearby=list) for contact in contacts]
 
     def describe(v: Array, e: Array) -> str:
         """Return the text for coefficients v (e,) with standard errors e (e,)."""
@@ -470,7 +465,7 @@ def hums(fit: BaseFit) -> Iterator[Explanation]:
     """Yield the strongest sine over time in each joint's residual torque.
 
     The frequencies that are tried go from 2 periods per log to 0.4 periods per row, in steps of a
-    quarter of a period per log. The coefficients (2,) are the amplitudes of cosine and sine [N m].
+    quarter of a period per log.
     """
     time = fit.log.motion.time - fit.log.motion.time[0]
     span = float(time[-1])
@@ -482,32 +477,40 @@ def hums(fit: BaseFit) -> Iterator[Explanation]:
     text += "nor friction makes; find its source"
     for joint, name in enumerate(fit.robot.joint_names):
         best = int(np.argmax(power[:, joint]))
-        # Cosine and sine of the frequency, whose sum has any phase.
-        columns = np.stack((waves[best].real, waves[best].imag), axis=1)
         describe = _norm(text, factor=1.0, unit="N m", joint=name, rate=rates[best])
-        spread = np.full(2, 0.1 * fit.log.typical_torque[joint])
-        hum = Explanation("contact", Level.WARN, columns, spread, describe, joint)
-        yield replace(hum, choices=len(rates))
+        columns, spread = _sinusoid(fit, joint, waves[best])
+        yield Explanation(
+            "contact", Level.WARN, columns, spread, describe, joint, len(rates)
+        )
+
+
+def _sinusoid(
+    fit: BaseFit, joint: int, wave: NDArray[np.complex128]
+) -> tuple[Array, Array]:
+    """Return columns (K, 2) of a cosine and a sine at one joint, and the spread (2,) of both [N m].
+
+    They are real and imaginary part of ``wave`` (K,); their sum has any phase.
+    """
+    columns = np.stack((wave.real, wave.imag), axis=1)
+    return columns, np.full(2, 0.1 * fit.log.typical_torque[joint])
 
 
 def ripples(fit: BaseFit) -> Iterator[Explanation]:
     """Yield each joint's strongest residual torque that is periodic in position, as of cogging.
 
-    The numbers of waves per turn that are tried are ``RIPPLES``. The coefficients (2,) are the
-    amplitudes of cosine and sine [N m].
+    The numbers of waves per turn that are tried are ``RIPPLES``.
     """
     text = "torque of joint {joint} ripples about {count} times per turn by {value}, as of "
     text += "cogging; errors count it as noise"
     for joint, name in enumerate(fit.robot.joint_names):
         waves = np.exp(1j * np.outer(fit.log.motion.q[:, joint], RIPPLES))
         best = int(np.argmax(np.abs(fit.residual[:, joint] @ waves)))
-        # Cosine and sine of the position, whose sum has any phase.
-        columns = np.stack((waves[:, best].real, waves[:, best].imag), axis=1)
         count = RIPPLES[best]
         describe = _norm(text, factor=1.0, unit="N m", joint=name, count=count)
-        spread = np.full(2, 0.1 * fit.log.typical_torque[joint])
-        ripple = Explanation("ripple", Level.NOTE, columns, spread, describe, joint)
-        yield replace(ripple, choices=len(RIPPLES))
+        columns, spread = _sinusoid(fit, joint, waves[:, best])
+        yield Explanation(
+            "ripple", Level.NOTE, columns, spread, describe, joint, len(RIPPLES)
+        )
 
 
 def couplings(fit: BaseFit) -> Iterator[Explanation]:
@@ -566,8 +569,9 @@ def warming(fit: BaseFit) -> Iterator[Explanation]:
     describe = _first_coefficient(text)
     for constant in WARM_UP:
         columns = coulomb * np.exp(-time / constant)[:, None, None]
-        friction = Explanation("friction", Level.NOTE, columns, spread, describe)
-        yield replace(friction, choices=len(WARM_UP))
+        yield Explanation(
+            "friction", Level.NOTE, columns, spread, describe, choices=len(WARM_UP)
+        )
 
 
 LINEAR: tuple[Callable[[BaseFit], Iterator[Explanation]], ...] = (
@@ -593,7 +597,4 @@ LINEAR: tuple[Callable[[BaseFit], Iterator[Explanation]], ...] = (
 
 def explanations(fit: BaseFit) -> list[Explanation]:
     """Return the explanations that all functions of ``LINEAR`` yield for a fitted base model."""
-    offered: list[Explanation] = []
-    for yield_explanations in LINEAR:
-        offered += yield_explanations(fit)
-    return offered
+    return list(chain.from_iterable(function(fit) for function in LINEAR))

@@ -120,10 +120,7 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
 
     Nothing is found in pieces, or a log, of fewer than ``_ENOUGH`` steps.
     """
-    steps = []
-    for piece in pieces:
-        if len(piece) > _ENOUGH:
-            steps.append(_steps(piece))
+    steps = [_steps(piece) for piece in pieces if len(piece) > _ENOUGH]
     if not steps:
         return
     speed, duration = map(np.concatenate, zip(*steps))
@@ -260,11 +257,8 @@ def _steps(piece: Measurement) -> tuple[Array, Array]:
         displacement = np.diff(q)
         # Displacement in a step of typical duration.
         pace = displacement * (typical_step / step)
-        a, b, _, c, d = np.lib.stride_tricks.sliding_window_view(pace, 5).T
-        # The reference is the median of the four neighbours, the mean of the middle two.
-        middle = np.maximum(np.minimum(a, b), np.minimum(c, d))
-        other_middle = np.minimum(np.maximum(a, b), np.maximum(c, d))
-        reference = 0.5 * (middle + other_middle)
+        neighbours = (pace[:-4], pace[1:-3], pace[3:-1], pace[4:])
+        reference = np.median(neighbours, axis=0)
         reference_square += reference**2
         product += displacement[2:-2] * reference
         noise += float(np.median(np.abs(np.diff(displacement)))) ** 2
@@ -526,8 +520,7 @@ def check_log(
     try:
         require_acceptable(log, log_findings, accepted)
     except SysidError:
-        for note in log.notes:
-            progress.note(note)
+        progress.note(*log.notes)
         raise
 
 
@@ -547,10 +540,7 @@ def require_acceptable(
         SysidError: there is a warning that is not accepted.
     """
     refused = [finding for finding in findings if finding.level is Level.REFUSE]
-    warned = []
-    for finding in findings:
-        if finding.level is Level.WARN and finding.name not in accepted:
-            warned.append(finding)
+    warned = [f for f in findings if f.level is Level.WARN and f.name not in accepted]
     if refused:
         # A remedy is none where something else is wrong as well.
         if len(refused) == 1:

@@ -133,9 +133,13 @@ class LogModel:
 
         Rows that do not count (``LogRows.used``) are set to zero first; the argument is unchanged.
         """
+        return self._cosine_transform(rows * self.log.used[:, joint, None])
+
+    def _cosine_transform(self, rows: Array) -> Array:
+        """Return rows (K, m) transformed by frequency (K, m)."""
         from scipy.fft import dct
 
-        return self._by_window(dct, rows * self.log.used[:, joint, None])
+        return self._by_window(dct, rows)
 
     def inverse_transform(self, transformed: Array) -> Array:
         """Return rows over time (K, n) of all joints from their cosine transform (K, n)."""
@@ -145,19 +149,13 @@ class LogModel:
 
     def _by_window(self, function: Callable[..., Array], rows: Array) -> Array:
         """Return rows (K, m) with ``function``, scipy's dct or idct, applied window by window."""
-        transformed = []
-        for window in self.log.windows:
-            transformed.append(function(rows[window], axis=0, norm="ortho"))
-        return np.concatenate(transformed)
+        windows = [rows[window] for window in self.log.windows]
+        return np.concatenate([function(w, axis=0, norm="ortho") for w in windows])
 
     def _transform_right_sides(self, log: LogRows) -> Array:
         """Return ``right_sides`` (K, n) for the torques of a log with the rows of this model."""
         right_sides = log.right_sides - log.torque_of(self.prior.mean)
-        transformed = np.empty_like(right_sides)
-        for joint in range(len(self.rows)):
-            column = right_sides[:, [joint]]
-            transformed[:, [joint]] = self.transform(joint, column)
-        return transformed
+        return self._cosine_transform(right_sides * self.log.used)
 
     def with_columns(self, columns: Sequence[Array]) -> LogModel:
         """Return a copy of the model with columns of an explanation added.

@@ -140,7 +140,5 @@ def driving_findings(posterior: Posterior) -> list[Finding]:
     is_driven = drives(posterior) & (least_friction_share(posterior) > DRIVING)
     text = "friction of joint {} drives it in place of braking: its torque or its position has the "
     text += f"opposite sign of the model's{COLUMNS_ADVICE}"
-    driven_findings = []
-    for name in np.array(posterior.model.log.robot.joint_names)[is_driven]:
-        driven_findings.append(Finding("sign", Level.WARN, text.format(name)))
-    return driven_findings
+    names = np.array(posterior.model.log.robot.joint_names)[is_driven]
+    return [Finding("sign", Level.WARN, text.format(name)) for name in names]

@@ -337,9 +337,9 @@ def find_wrong_columns(
 
     stretch = [_busiest(signals)]
     used = log_rows(robot, stretch).used
-    candidates = []
-    for mistake in relabellings(robot):
-        candidates.append((correct(mistake, stretch, used).log_evidence, mistake))
+    mistakes = list(relabellings(robot))
+    evidences = [correct(mistake, stretch, used).log_evidence for mistake in mistakes]
+    candidates = zip(evidences, mistakes)
     corrections = []
     for _, mistake in nlargest(_FINALISTS, candidates, key=itemgetter(0)):
         posterior = correct(mistake, signals, base.model.log.used)
@@ -451,10 +451,8 @@ def find_wrong_scales(
     # The density of recorded torques is that of the divided ones over the scale of each row.
     density = float(np.sum(base.model.count * np.log(scale)))
     gain = posterior.log_evidence - density - base.log_evidence - scales.penalty
-    joint_scales = []
-    for joint in scales.identified:
-        joint_scales.append(f"{log.robot.joint_names[joint]} {scale[joint]:.3g}")
-    listed = ", ".join(joint_scales)
+    names = log.robot.joint_names
+    listed = ", ".join(f"{names[k]} {scale[k]:.3g}" for k in scales.identified)
     meaning = _meaning(typical, scales.spread, common_error, divided)
     text = (
         f"torque reads {typical:.3g} times what the model takes ({listed}): {meaning}"
