@@ -12,6 +12,7 @@ import contextlib
 import math
 import os
 import re
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -104,7 +105,7 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
     if not lengths:
         listed = list_shapes(arrays) or "nothing"
         raise InputError(f"{path} holds no arrays with a row per sample: {listed}")
-    n_rows = max(set(lengths), key=Counter(lengths).__getitem__)
+    n_rows = statistics.mode(lengths)
     samples = {}
     for name, values in columns.items():
         rows = values if len(values) == n_rows else values.T
@@ -476,10 +477,8 @@ def _lerobot_titles(names: Any, feature: str, joint_names: Sequence[str]) -> lis
             quantities.append(quantity)
     joint_match = find_joint_match(joints, joint_names)
     spelling = joint_match.model_names if joint_match else {}
-    titles = []
-    for joint, quantity in zip(joints, quantities):
-        titles.append(f"{spelling.get(joint, joint)} {quantity}")
-    return titles
+    spelled = [spelling.get(joint, joint) for joint in joints]
+    return list(map("{} {}".format, spelled, quantities))
 
 
 def _read_frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:

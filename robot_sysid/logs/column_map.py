@@ -562,13 +562,12 @@ class ColumnFinder:
 
 def _quote(columns: Sequence[Column]) -> str:
     """Return titles in quotes, with their factors; a factor that all share is given once."""
-    titles = []
-    scaled_titles = []
-    for column in columns:
-        scale = "" if column.factor == 1.0 else f" x {column.factor:.6g}"
-        titles.append(f"'{column.title}'")
-        scaled_titles.append(f"'{column.title}'{scale}")
     factors = {column.factor for column in columns}
-    if len(columns) == 1 or len(factors) > 1 or factors == {1.0}:
-        return ", ".join(scaled_titles)
-    return f"{', '.join(titles)} (each x {factors.pop():.6g})"
+    shared = len(columns) > 1 and len(factors) == 1
+    texts = []
+    for column in columns:
+        is_plain = shared or column.factor == 1.0
+        scale = "" if is_plain else f" x {column.factor:.6g}"
+        texts.append(f"'{column.title}'{scale}")
+    is_scaled = shared and factors != {1.0}
+    return ", ".join(texts) + (f" (each x {factors.pop():.6g})" if is_scaled else "")

@@ -257,9 +257,7 @@ def _choose_frame(complete: Mapping[Frame, NamesByCore], arm: _NameSet) -> Frame
             fitting.append(frame)
     if len(fitting) == 1:
         return fitting[0]
-    sets = []
-    for by_core in complete.values():
-        sets.append([by_core[core][0] for core in arm.cores])
+    sets = [[names[c][0] for c in arm.cores] for names in complete.values()]
     raise JointSetsError(
         f"the log holds {len(sets)} sets of joints that could be the model's "
         f"{join_names(arm.names)}: {' and '.join(map(join_names, sets))}",

@@ -18,6 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -158,14 +159,10 @@ def _refuse_other_reading(
 
 def refuse_fitted_log(test: MeasurementLog, logs: Sequence[MeasurementLog]) -> None:
     """Raise InputError where a validation log has the samples of one of the fitted logs."""
+    arrays_of = attrgetter("time", "q", "tau")
     for log in logs:
-        is_same = True
-        for name in ("time", "q", "tau"):
-            samples = getattr(log.samples, name)
-            is_same &= np.array_equal(
-                samples, getattr(test.samples, name), equal_nan=True
-            )
-        if is_same:
+        # Rows with NaN were left out in reading.
+        if all(map(np.array_equal, arrays_of(log.samples), arrays_of(test.samples))):
             raise InputError(
                 f"the validation log has the samples of {log.path}, which is fitted: that tests "
                 "nothing; give another validation log, or none"
@@ -241,10 +238,8 @@ def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
     """Return files, duration and mean sampling rate of logs, as the origin of a result's data."""
     duration = sum(log.duration for log in logs)
     rate = sum(len(log.samples) - 1 for log in logs) / duration
-    files = []
-    for log in logs:
-        is_piped = log.path == STANDARD_INPUT
-        files.append(str(log if is_piped else log.path.absolute()))
+    paths = [log.path for log in logs]
+    files = [str(p if p == STANDARD_INPUT else p.absolute()) for p in paths]
     listed = ", ".join(map(str, logs))
     return DataOrigin(Source.LOG, listed, duration, rate, files=tuple(files))
 

@@ -372,11 +372,10 @@ class RolloutTest:
     @property
     def score(self) -> float | None:
         """Geometric mean of the error ratios of all loops and horizons; None without any."""
-        logarithms = []
-        for error in self.errors:
-            if error.ratio is not None:
-                logarithms.append(np.log(max(error.ratio, 1e-12)))
-        return float(np.exp(np.mean(logarithms))) if logarithms else None
+        ratios = [error.ratio for error in self.errors if error.ratio is not None]
+        if not ratios:
+            return None
+        return float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-12)))))
 
     @property
     def is_better(self) -> bool:
@@ -535,12 +534,8 @@ def _strict(value: Any) -> Any:
     Numbers that are not finite become None.
     """
     if isinstance(value, Quantity):
-        entry = {
-            "value": value.value,
-            "standard_error": value.error,
-            "interval": value.interval,
-        }
-        return _strict(entry)
+        names = ("value", "standard_error", "interval")
+        return _strict(dict(zip(names, (*value, value.interval))))
     if is_dataclass(value) and not isinstance(value, type):
         return _strict(asdict(value))
     if isinstance(value, Mapping):

@@ -185,9 +185,9 @@ class _Guesser:
             position_units = list(self.candidates.units_of(position))
         if position_units == ["deg"] and not choices.angle_unit:
             units.append("deg")
-        if len(clocks) == 1 and clocks[0].unit != "s" and not choices.time_unit:
-            is_stated = self.candidates.titles[clocks[0].column].unit
-            units += [] if is_stated else [clocks[0].unit]
+        for clock in clocks if len(clocks) == 1 and not choices.time_unit else ():
+            if clock.unit != "s" and not self.candidates.titles[clock.column].unit:
+                units.append(clock.unit)
         return tuple(units)
 
     def _guess_position(self) -> DraftLine:

@@ -187,15 +187,12 @@ class ColumnCandidates:
             return [tuple(column.index for column in self.recognised[quantity])]
         closed = {clock.column for clock in self.clocks}
         closed.update(column.index for column in chain(*self.recognised.values()))
-        named = []
+        closed.update(np.flatnonzero(np.isnan(self.rows).any(axis=0)).tolist())
         possible = []
         for k, name in enumerate(self.quantities):
-            if k in closed or np.isnan(self.rows[:, k]).any():
-                continue
-            if name == quantity:
-                named.append(k)
-            if name in ("", quantity):
+            if k not in closed and name in ("", quantity):
                 possible.append(k)
+        named = [k for k in possible if self.quantities[k] == quantity]
         n = self.robot.n_joints
         return list(_runs(named if len(named) >= n else possible, self.titles, n))
 
@@ -251,8 +248,7 @@ class ColumnCandidates:
         lowest, highest = np.quantile(self.rows[:, position], (0.01, 0.99), axis=0)
         possible = {}
         for unit, factor in factors.items():
-            is_within = (lowest * factor > lower) & (highest * factor < upper)
-            if np.all(is_within):
+            if np.all((lowest * factor > lower) & (highest * factor < upper)):
                 possible[unit] = factor
         return possible
 
