@@ -19,6 +19,7 @@ import tempfile
 import zipfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -377,6 +378,13 @@ _SUFFIXES = {
 }
 # Features (arrays of a frame) whose names are those of joints, to their quantity.
 _FEATURES = {"observation.velocity": "velocity", "observation.effort": "torque"}
+_PER_CENT_ARMS = re.compile(r"so\d{3}|so_follower|koch|lekiwi|omx")
+"""Names of LeRobot's robots that record positions in degrees or in per cent, by a setting."""
+_DEGREES_NOTE = (
+    "positions of the data set are taken to be degrees: if use_degrees was false in the robot's "
+    "configuration, as by default in many releases, they are per cent of each joint's range, and "
+    "all results are wrong"
+)
 _DOWNLOAD = "download the data set whole"
 """Remedy for a data set of which files or numbers are missing."""
 
@@ -421,7 +429,10 @@ def lerobot_table(source: LogSource) -> LogTable:
     if width != len(columns):
         fault = f"names {len(columns) - 1} numbers of a frame in meta/info.json, not {width - 1}"
         raise InputError(f"{path} {fault}; {_DOWNLOAD}")
-    return recordings_table(path, layout, columns, recordings)
+    table = recordings_table(path, layout, columns, recordings)
+    robot_type = str(info.get("robot_type"))
+    notes = (_DEGREES_NOTE,) if _PER_CENT_ARMS.search(robot_type) else ()
+    return replace(table, notes=notes)
 
 
 def _no_torque_error(

@@ -413,6 +413,22 @@ def test_every_episode_is_a_piece(tmp_path, version):
     assert_refused("no episode 7; it has 0 to 2", path, episode=(7,))
 
 
+def test_arms_that_may_record_per_cent_are_said_to_be_read_in_degrees(tmp_path):
+    path = recorded.lerobot("v3.0", 1)(tmp_path, motion(500))
+    info = path / "meta" / "info.json"
+    content = json.loads(info.read_text())
+    for robot_type, count in (
+        ("so101_follower", 1),
+        ("bi_so_follower", 1),
+        ("koch", 1),
+        ("openarm_follower", 0),
+        (None, 0),
+    ):
+        info.write_text(json.dumps({**content, "robot_type": robot_type}))
+        notes = read_measurements(path, JOINTS).notes
+        assert sum("use_degrees was false" in note for note in notes) == count
+
+
 @pytest.mark.parametrize(
     ("features", "fault"),
     [
