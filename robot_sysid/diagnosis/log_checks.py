@@ -562,12 +562,11 @@ def _computed_findings(contest: Contest) -> list[Finding]:
     """
     posterior = contest.posterior
     log = posterior.model.log
-    is_loaded = log.model_torque > 0.1 * float(np.max(log.model_torque))
     is_exact = rms(posterior.residual) < _EXACT * log.typical_torque
     is_quiet = _fast_torque(contest.signals) < _QUIET * log.typical_torque
     is_frictionless = least_friction_share(posterior) < _FRICTIONLESS
     is_computed = is_exact & is_quiet & is_frictionless
-    if not np.all(is_computed[is_loaded]):
+    if not np.all(is_computed[log.is_loaded]):
         return []
     text = (
         f"the torque follows rigid-body dynamics to {percent(_EXACT)} and has no friction: it was "

@@ -30,6 +30,8 @@ WINDOW = 16.0
 """Longest window of rows that are transformed together [s]."""
 BUILD_UP = (0.004, 0.02)
 """Distances after a reversal over which friction builds up [rad]."""
+LOADED = 0.1
+"""Least model torque of a joint that links load, over that of the strongest joint."""
 LEAST_TORQUE = 0.02
 """Least typical torque of a joint, as a share of the strongest joint's."""
 # Speed below which the direction of a joint's friction is uncertain, as a share of its top speed.
@@ -96,6 +98,19 @@ class LogRows:
     def model_torque(self) -> Array:
         """Root mean square torque (n,) of the model's links along the log [N m]."""
         return rms(rigid_torque(self.robot, self.motion))
+
+    @cached_property
+    def is_loaded(self) -> NDArray[np.bool_]:
+        """Whether links load a joint (n,): more than by ``LOADED`` of the most loaded one."""
+        return np.asarray(self.model_torque > LOADED * np.max(self.model_torque))
+
+    def torque_ratio(self, least_share: float) -> Array:
+        """Return the ratio (n,) of root mean square measured torque to the model's.
+
+        The latter counts as at least ``least_share`` of that of the most loaded joint.
+        """
+        least = least_share * float(np.max(self.model_torque))
+        return rms(self.torque) / np.maximum(self.model_torque, least)
 
     @cached_property
     def model_weight(self) -> Array:

@@ -30,10 +30,9 @@ from robot_sysid.diagnosis.log_rows import (
     LogRows,
     log_rows,
     rigid_torque,
-    rms,
     weight_torque,
 )
-from robot_sysid.diagnosis.torque_units import LOADED, SMALL, WEIGHING, typical_scale
+from robot_sysid.diagnosis.torque_units import SMALL, WEIGHING, typical_scale
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector, with_gravity
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import Array, Motion, RobotModel
@@ -479,15 +478,13 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
         log: equations of the log.
         options: prior uncertainties of the estimate.
     """
-    model = log.model_torque
-    largest = float(np.max(model))
-    is_loaded = model > LOADED * largest
-    ratio = rms(log.torque) / np.maximum(model, 1e-6 * largest)
-    ratio = np.clip(ratio, _LEAST, _MOST)
+    is_loaded = log.is_loaded
+    ratio = np.clip(log.torque_ratio(1e-6), _LEAST, _MOST)
     typical_ratio = float(np.median(ratio[is_loaded]))
     # Friction makes the torque of a joint that links hardly load.
     is_odd = np.abs(np.log(ratio / typical_ratio)) > np.log(_FRICTION)
-    is_of_links = is_loaded | (is_odd & (model > LEAST_TORQUE * largest))
+    is_moved = log.model_torque > LEAST_TORQUE * np.max(log.model_torque)
+    is_of_links = is_loaded | (is_odd & is_moved)
     scale = np.where(is_of_links, ratio, typical_ratio)
     farthest = np.where(is_loaded, _FARTHEST, _FRICTION)
     lower = scale / farthest

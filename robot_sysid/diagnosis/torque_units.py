@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import COLUMNS_ADVICE, ColumnCorrection, Finding, Level
-from robot_sysid.diagnosis.log_rows import LogRows, rms
+from robot_sysid.diagnosis.log_rows import LOADED, LogRows, rms
 from robot_sysid.records import Array
 
 SMALL = 0.6
@@ -21,8 +21,6 @@ torque."""
 ODD_UNIT = 20.0
 """Ratio of one joint's torque to the model's, over that of the other joints, above which the joint
 has a unit of its own."""
-LOADED = 0.1
-"""Least model torque of a joint that links load, over that of the strongest joint."""
 SMALLER = 3.0
 """Factor by which the measured weight of all loaded joints has to be smaller than the model's to be
 in another unit. Arms whose links are off by 20 %, one of them by 40 %, measure at least 0.53 of it.
@@ -50,10 +48,7 @@ _NOTHING = 1e-12
 
 def typical_scale(log: LogRows) -> float:
     """Return the median ratio of rms measured to modelled torque, over joints that links load."""
-    model = log.model_torque
-    is_loaded = model > LOADED * float(np.max(model))
-    ratio = rms(log.torque) / np.maximum(model, _NOTHING)
-    return float(np.median(ratio[is_loaded]))
+    return float(np.median(log.torque_ratio(LOADED)[log.is_loaded]))
 
 
 def odd_unit_finding(log: LogRows) -> Finding | None:
@@ -61,8 +56,7 @@ def odd_unit_finding(log: LogRows) -> Finding | None:
 
     None where no joint has, with fewer than three joints, and where gravity may be missing.
     """
-    model = log.model_torque
-    ratio = rms(log.torque) / np.maximum(model, _LEAST_LOAD * float(np.max(model)))
+    ratio = log.torque_ratio(_LEAST_LOAD)
     joint = int(np.argmax(ratio))
     if len(ratio) < 3:
         return None
@@ -75,7 +69,7 @@ def odd_unit_finding(log: LogRows) -> Finding | None:
     text = f"torque of joint {name} alone reads {factor:.2g} times too much, or more"
     unit = min(_SINGLE_UNITS, key=lambda number: abs(np.log(factor / number)))
     # Of a joint that the links hardly load, the factor is only a lower bound.
-    is_loaded = model[joint] > _LEAST_LOAD * float(np.max(model))
+    is_loaded = log.model_torque[joint] > _LEAST_LOAD * np.max(log.model_torque)
     if not is_loaded or abs(np.log(factor / unit)) > np.log(_CLOSE):
         text += ": as in mN·m or N·cm; put it right with --columns FILE: "
         text += f"torque.{name} = 0.001 * TITLE"
@@ -115,9 +109,8 @@ def foreign_unit_finding(log: LogRows, divided: Array) -> Finding | None:
     joint_names = log.robot.joint_names
     names = np.array(joint_names)
     ratio = 1.0 / factor if is_smaller else factor
-    joint_ratios = []
-    for name, value in zip(names[is_loaded], ratio):
-        joint_ratios.append(f"{name} {value:.3g}")
+    pairs = zip(names[is_loaded], ratio)
+    joint_ratios = [f"{name} {value:.3g}" for name, value in pairs]
     kind = "smaller" if is_smaller else "larger"
     unit = "motor currents or torques before the gear"
     if is_larger:

@@ -100,11 +100,9 @@ def _read_datasets(path: Path, datasets: Mapping[str, Any]) -> dict[str, Array]:
     columns = {name: data for name, data in datasets.items() if can_be_column(data)}
     unpacked = 0.0
     for name, data in columns.items():
-        files = []
-        for file, *_ in data.external or ():
-            files.append(str(file))
-        for source in data.virtual_sources() if data.is_virtual else ():
-            files.append(source.file_name)
+        files = [str(file) for file, *_ in data.external or ()]
+        if data.is_virtual:
+            files += [source.file_name for source in data.virtual_sources()]
         for file in files:
             if file != ".":  # the file itself
                 fault = f"{name} has its numbers in another file, {file}"

@@ -329,17 +329,14 @@ def read_rows(
         progress: receives the progress of reading.
     """
     cleaner = _RowCleaner(table, columns, is_slide)
-    titles = []
-    indices = []
-    for column in columns.columns():
-        titles.append(column.title)
-        indices.append(column.index)
+    used = columns.columns()
     # Of line, time, position, torque, velocity and time stamps of the joints.
     widths = [1, 1, *map(len, columns.groups())]
     buffers = _GrowingBuffers(widths)
     thinning = None
     # Rows that wait until it is known whether the log is thinned.
     pending = np.empty((0, sum(widths)))
+    indices = [column.index for column in used]
     for block in read_blocks(table, indices, progress or Progress()):
         pending = np.concatenate((pending, cleaner.clean(block)))
         # The number of rows and the sampling period are estimated from the first rows.
@@ -357,7 +354,7 @@ def read_rows(
         # A servo's torque follows its position error, the measure of torque here [rad].
         command = tau
         tau = command - q
-    counts = zip(titles, cleaner.empty_cells.tolist())
+    counts = zip(used, cleaner.empty_cells.tolist())
     return LogRows(
         lines=np.round(lines[:, 0]).astype(np.int64),
         samples=Measurement(
@@ -370,7 +367,7 @@ def read_rows(
         ),
         n_read=cleaner.n_read,
         anomalies=cleaner.anomalies,
-        empty_cells={title: count for title, count in counts if count},
+        empty_cells={column.title: count for column, count in counts if count},
         n_foreign=cleaner.n_foreign,
         thinning=thinning.every if thinning else 1,
         row_noun=table.row_noun,

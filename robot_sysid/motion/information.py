@@ -456,11 +456,7 @@ def random_information(
 
 
 def plan_information(
-    problem: ExcitationProblem,
-    plan: MotionPlan,
-    rate: float,
-    knowledge: PriorKnowledge,
-    speed_factor: float = 1.0,
+    problem: ExcitationProblem, plan: MotionPlan, rate: float, knowledge: PriorKnowledge
 ) -> Array:
     """Return the information (10 L, 10 L) that a recording of a planned motion will have about all
     L links with mass, the terminal link first.
@@ -473,13 +469,12 @@ def plan_information(
         plan: the motion.
         rate: sample rate of the recording [Hz].
         knowledge: of the estimate beforehand; decides which unknowns each joint has.
-        speed_factor: s: the path is passed s times as fast, over the same time.
     """
     n_instants = _INSTANTS_HZ * plan.duration
     count = int(np.clip(n_instants, _FEWEST_INSTANTS, _MOST_INSTANTS))
     motion = plan.evaluate((np.arange(count) + 0.5) * plan.duration / count)
     sigma = problem.sigma * np.sqrt(count / (rate * plan.duration))
     model = InformationModel(problem, sigma, knowledge)
-    series = motion.q, speed_factor * motion.qd, speed_factor**2 * motion.qdd
+    series = motion.q, motion.qd, motion.qdd
     chunks = split_motion(10 * problem.n_joints**2, *series)
     return np.asarray(sum(model.evaluate(*chunk).information for chunk in chunks))

@@ -262,22 +262,18 @@ def window_starts(
     return [windows[k] for k in indices.round().astype(int)]
 
 
-def interpolate(
-    at: Array | float, time: Array, values: Array, outside: float | None = None
-) -> Array:
-    """Return columns of values, interpolated linearly at new times.
+def interpolate(at: Array | float, time: Array, values: Array) -> Array:
+    """Return columns of values, interpolated linearly at new times; outside, the nearest ones.
 
     Args:
         at: new times (K,), or one time.
         time: (N,) ascending times of the samples.
         values: (N, n) one column per quantity.
-        outside: value before the first and after the last sample; None for the values of the first
-            and the last sample.
 
     Returns:
         (K, n), or (n,) for one time.
     """
-    columns = [np.interp(at, time, column, outside, outside) for column in values.T]
+    columns = [np.interp(at, time, column) for column in values.T]
     return np.stack(columns, axis=-1)
 
 
