@@ -409,7 +409,8 @@ def lerobot_table(source: LogSource) -> LogTable:
     frames = _read_frames(path, ["timestamp", "episode_index", *features])
     episode_index = frames.pop("episode_index").astype(int)
     available = sorted(set(episode_index.tolist()))
-    episodes = source.options.episode or available
+    # An episode that is named twice counts once.
+    episodes = list(dict.fromkeys(source.options.episode)) or available
     if not available:
         raise InputError(f"{path} holds no frames; {_DOWNLOAD}")
     missing = sorted(set(episodes) - set(available))

@@ -15,9 +15,10 @@ import shutil
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import combinations
 from operator import attrgetter
 from pathlib import Path
 
@@ -159,14 +160,28 @@ def _refuse_other_reading(
 
 def refuse_fitted_log(test: MeasurementLog, logs: Sequence[MeasurementLog]) -> None:
     """Raise InputError where a validation log has the samples of one of the fitted logs."""
-    arrays_of = attrgetter("time", "q", "tau")
     for log in logs:
-        # Rows with NaN were left out in reading.
-        if all(map(np.array_equal, arrays_of(log.samples), arrays_of(test.samples))):
+        if _are_same_samples(log.samples, test.samples):
             raise InputError(
                 f"the validation log has the samples of {log.path}, which is fitted: that tests "
                 "nothing; give another validation log, or none"
             )
+
+
+def refuse_repeated_logs(logs: Iterable[tuple[str, Measurement]]) -> None:
+    """Raise InputError where two of the logs, each a name and samples, are the same recording."""
+    for (name, samples), (other_name, other_samples) in combinations(logs, 2):
+        if _are_same_samples(samples, other_samples):
+            raise InputError(
+                f"{other_name} has the samples of {name}: noise that counts twice makes errors "
+                "too small; give each log once"
+            )
+
+
+def _are_same_samples(first: Measurement, second: Measurement) -> bool:
+    """Return whether two logs, without rows of NaN as all that were read, are one recording."""
+    arrays_of = attrgetter("time", "q", "tau")
+    return all(map(np.array_equal, arrays_of(first), arrays_of(second)))
 
 
 def _map_columns(

@@ -22,7 +22,7 @@ from robot_sysid.estimation.identify import (
 from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.estimation.unknowns import SCALES, Unknowns
 from robot_sysid.logs import CHECKS, LogOptions
-from robot_sysid.logs.reader import open_log
+from robot_sysid.logs.reader import open_log, refuse_repeated_logs
 from robot_sysid.model.bodies import find_flange
 from robot_sysid.motion import LOADED
 from robot_sysid.pipeline import Identification
@@ -251,6 +251,7 @@ def _read_recordings(
                 str(path), log.samples, is_loaded, pieces=log.pieces, notes=log.notes
             )
         )
+    refuse_repeated_logs((log.name, log.samples) for log in recordings)
     return recordings
 
 

@@ -33,6 +33,7 @@ from robot_sysid.logs.reader import (
     open_log,
     origin_of,
     refuse_fitted_log,
+    refuse_repeated_logs,
 )
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.compilation import compile_model
@@ -80,6 +81,7 @@ def identify_logs(
     for path in options.measurements:
         progress.stage(f"Reading measurements from {path}...")
         logs.append(open_log(robot, path, options, progress))
+    refuse_repeated_logs((str(log.path), log.samples) for log in logs)
     if config.arm.save_measurements is not None:
         write_measurement_csv(
             config.arm.save_measurements, robot.joint_names, [logs[0].samples]

@@ -23,6 +23,7 @@ from robot_sysid.logs.reader import (
     open_log,
     origin_of,
     refuse_fitted_log,
+    refuse_repeated_logs,
 )
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.updated_model import ActuatorChange, JointChange
@@ -461,6 +462,7 @@ def _open_logs(
     for path in paths:
         progress.stage(f"Reading commands and positions from {path}...")
         opened.append(open_log(robot, path, replace(logs, commanded=True), progress))
+    refuse_repeated_logs((str(log.path), log.samples) for log in opened)
     return opened
 
 

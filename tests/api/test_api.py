@@ -168,6 +168,20 @@ def test_a_log_that_was_read_is_not_read_otherwise(workshop, tmp_path):
         rs.identify(other, log)
 
 
+def test_a_recording_does_not_count_twice(workshop, tmp_path):
+    arm = workshop / "arm.xml"
+    log = workshop / "log.csv"
+    copy = tmp_path / "copy.csv"
+    copy.write_bytes(log.read_bytes())
+    for call in (
+        lambda: rs.identify(arm, [log, copy]),
+        lambda: rs.payload(arm, [log, copy], workshop / "loaded.csv"),
+        lambda: rs.payload(arm, log, copy),
+    ):
+        with pytest.raises(InputError, match="copy.csv has the samples of .*log.csv"):
+            call()
+
+
 def test_named_values_fit_together(result):
     written = result.to_dict()
     assert result.center_of_mass.tolist() == written["center_of_mass"]

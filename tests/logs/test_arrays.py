@@ -410,6 +410,7 @@ def test_every_episode_is_a_piece(tmp_path, version):
     assert "missing" not in notes and "gap" not in notes
     np.testing.assert_allclose(log.pieces[2].q, long.q, rtol=0, atol=1e-12)
     assert len(read_measurements(path, JOINTS, episode=(1,)).pieces) == 1
+    assert len(read_measurements(path, JOINTS, episode=(1, 1)).pieces) == 1
     assert_refused("no episode 7; it has 0 to 2", path, episode=(7,))
 
 
