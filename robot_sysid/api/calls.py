@@ -89,6 +89,9 @@ def _log_source(log: Log) -> Any:
     for name, values in log.items():
         if values is None:
             continue
+        if isinstance(values, np.ma.MaskedArray):
+            # What is masked is missing.
+            values = np.ma.filled(values.astype(float), np.nan)
         try:
             # NumPy before 1.24 only warns of rows that differ.
             with warnings.catch_warnings():

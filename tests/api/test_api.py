@@ -168,6 +168,16 @@ def test_a_log_that_was_read_is_not_read_otherwise(workshop, tmp_path):
         rs.identify(other, log)
 
 
+def test_masked_numbers_are_missing(workshop):
+    samples = rs.read_log(workshop / "log.csv", workshop / "arm.xml").samples
+    tau = np.ma.masked_array(samples.tau.copy())
+    tau[100:140] = np.ma.masked
+    arrays = {"time": samples.time, "q": samples.q, "tau": tau}
+    log = rs.read_log(arrays, workshop / "arm.xml")
+    assert len(log.samples) == len(samples) - 40
+    assert any("left out 40 rows" in note for note in log.notes)
+
+
 def test_a_recording_does_not_count_twice(workshop, tmp_path):
     arm = workshop / "arm.xml"
     log = workshop / "log.csv"
