@@ -517,11 +517,9 @@ def unexplained_torque(posterior: Posterior) -> Finding:
     log = posterior.model.log
     by_joint = misfit_by_joint(posterior)
     share = misfit(posterior)
-    worst_joints = []
-    for joint in np.argsort(-by_joint * log.typical_torque)[:3]:
-        joint_share = percent(float(by_joint[joint]))
-        worst_joints.append(f"{log.robot.joint_names[joint]} {joint_share}")
-    listed = ", ".join(worst_joints)
+    names = log.robot.joint_names
+    worst = np.argsort(-by_joint * log.typical_torque)[:3].tolist()
+    listed = ", ".join(f"{names[k]} {percent(float(by_joint[k]))}" for k in worst)
     text = (
         f"{percent(share)} of the torque is explained by nothing that is looked for ({listed} of "
         f"its own{stretch_of_misfit(posterior)}): is the model of this arm, with what is "

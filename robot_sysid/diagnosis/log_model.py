@@ -191,19 +191,16 @@ class LogModel:
 
         The first is white; then follows one for each pair of ``MEMORIES`` and ``SHARES``.
         """
-        radians_per_row = []
-        for window in self.log.windows:
-            count = window.stop - window.start
-            radians_per_row.append(np.pi / count * np.arange(count))
-        cosine = np.cos(np.concatenate(radians_per_row))
+        counts = [window.stop - window.start for window in self.log.windows]
+        angles = [np.pi / count * np.arange(count) for count in counts]
+        cosine = np.cos(np.concatenate(angles))
         period = float(np.median(np.diff(self.log.motion.time)))
         spectra = [np.ones_like(cosine)]
         for memory in MEMORIES:
             # Spectrum of a first-order autoregressive process with this time constant.
             rho = np.exp(-period / memory)
             slow = (1.0 - rho**2) / (1.0 - 2.0 * rho * cosine + rho**2)
-            for share in SHARES:
-                spectra.append(1.0 - share + share * slow)
+            spectra += [1.0 - share + share * slow for share in SHARES]
         return np.array(spectra)
 
     def posterior(self, noise: Array | None = None) -> Posterior:

@@ -107,11 +107,8 @@ def _add_lines(path: Path | None, lines: dict[str, str], reason: str) -> str:
         reason: for the comment above the lines.
     """
     text = path.read_text(encoding="utf-8-sig") if path else ""
-    unchanged = []
-    for line in text.rstrip("\n").split("\n"):
-        key = line.partition("=")[0].strip()
-        if line and key not in lines:
-            unchanged.append(line)
+    old_lines = filter(None, text.rstrip("\n").split("\n"))
+    unchanged = [s for s in old_lines if s.partition("=")[0].strip() not in lines]
     changed = [f"{key} = {value}" for key, value in lines.items()]
     return "\n".join([*unchanged, f"# {' '.join(reason.split())}", *changed, ""])
 

@@ -267,14 +267,11 @@ def _choose_frame(complete: Mapping[Frame, NamesByCore], arm: _NameSet) -> Frame
 
 def _single_names(by_core: NamesByCore, arm: _NameSet) -> list[str]:
     """Return the log's name of each joint; InputError where two names could be one joint."""
-    names: list[str] = []
     for core, joint_name in zip(arm.cores, arm.names):
-        candidates = by_core[core]
-        if len(candidates) > 1:
-            listed = " and ".join(candidates)
+        if len(by_core[core]) > 1:
+            listed = " and ".join(by_core[core])
             raise InputError(f"the log's {listed} could both be the joint {joint_name}")
-        names += candidates
-    return names
+    return [by_core[core][0] for core in arm.cores]
 
 
 def _refuse_contradiction(

@@ -127,7 +127,6 @@ def _read_topic(
     messages = list(islice(_read_messages(bag, name), _FIRST_MESSAGES))
     # A dictionary keeps the keys in the order in which they come first.
     sent: dict[Key, float] = {}
-    largest_effort = 0.0
     for _, sample in messages:
         sent.update(sample)
     if not sent:
@@ -138,9 +137,10 @@ def _read_topic(
     arm_joints = [] if joint_names else sorted(set(recorded_joints))
     if joint_match is not None:
         arm_joints = list(joint_match.model_names)
+    has_effort = False
     for _, sample in messages:
-        efforts = [abs(sample.get(key, 0.0)) for key in product(arm_joints, TORQUE)]
-        largest_effort = max(largest_effort, *efforts, 0.0)
+        efforts = [sample.get(key, 0.0) for key in product(arm_joints, TORQUE)]
+        has_effort |= any(abs(effort) > 0.0 for effort in efforts)
     pattern = MessagePattern.of(messages, arm_joints)
     keys = (*sent, *pattern.time_keys)
     titles = ("time", *map(" ".join, keys))
@@ -158,7 +158,7 @@ def _read_topic(
         n_messages=sum(connection.msgcount for connection in connections),
         has_positions=_has_all(sent, arm_joints, POSITION),
         has_torques=_has_all(sent, arm_joints, TORQUE),
-        is_zero=largest_effort == 0.0,
+        is_zero=not has_effort,
         read_motion=partial(_read_motion, bag, name, arm_joints, pattern.stamp_index),
     )
 

@@ -275,21 +275,17 @@ def _coefficient_table(
     """
     all_terms = dict.fromkeys(itertools.chain.from_iterable(coefficients.values()))
     has_slide = any(slides.values())
-    header = [title]
-    for term in all_terms:
-        header.append(f"{term} [{term_unit(term, has_slide) or '1'}]")
+    headings = [f"{t} [{term_unit(t, has_slide) or '1'}]" for t in all_terms]
     rows = []
     for owner, terms in coefficients.items():
-        row = [owner]
-        for term in all_terms:
-            row.append(terms[term].text if term in terms else "–")
-        rows.append(row)
+        texts = [terms[t].text if t in terms else "–" for t in all_terms]
+        rows.append([owner, *texts])
     notes = []
     if any("(held)" in cell for row in rows for cell in row):
         notes.append(f"{HELD_NOTE}.")
     if has_slide and not all(slides.values()):
         notes.append("Units are those of slides; of hinges N·m for N and rad for m.")
-    return table(header, rows, " ".join(notes))
+    return table([title, *headings], rows, " ".join(notes))
 
 
 def _friction_figure(data: ReportData, joint: int) -> Figure:
@@ -495,8 +491,7 @@ def error_sets(run: Run) -> Iterator[ErrorSet]:
         (content["validation"][:1], "other", [file]),
         (content["validation"][1:], "truth", file["others"]),
     ):
-        for test in fits:
-            tests.append(("fit", test, colour))
+        tests += [("fit", test, colour) for test in fits]
         for pair in pairs:
             tests.append(("model before", pair.get("before"), "before"))
             tests.append(("written model", pair.get("after"), "after"))

@@ -362,9 +362,8 @@ def compare_bodies(runs: Sequence[Run]) -> Section:
 
 def compare_errors(runs: Sequence[Run]) -> Section:
     """Return the section with one table per run of its torque errors over all joints."""
-    tables = []
-    for name, run in run_by_name(runs).items():
-        tables.append(total_errors(list(error_sets(run)), title=name))
+    named = run_by_name(runs).items()
+    tables = [total_errors(list(error_sets(run)), title=name) for name, run in named]
     return Section("predicted", "Prediction errors", (), tables, is_open=True)
 
 

@@ -32,10 +32,10 @@ def file_masses(result: Result) -> dict[str, str]:
 
     Both are compared as they are printed. Empty where no file is fitted or written.
     """
-    masses: dict[str, str] = {}
     file = result.written_file
     if file is None:
-        return masses
+        return {}
+    masses = {}
     written = dict(zip(result.robot.joint_names, file.thetas[:, 0].tolist()))
     for body in result.links:
         identified = Quantity(body.inertial.mass, float(body.errors[0]))

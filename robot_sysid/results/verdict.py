@@ -155,10 +155,9 @@ def refusal(result: Result) -> str | None:
         return None
     missing = "no model was"
     if result.payload is not None:
-        is_calibration = result.payload.known_mass is not None
-        missing = (
-            "no torque scales were" if is_calibration else "no model and no card were"
-        )
+        missing = "no model and no card were"
+        if result.payload.known_mass is not None:
+            missing = "no torque scales were"
     return f"{missing} written: {result.failure}"
 
 
@@ -297,7 +296,7 @@ def _negative_friction(result: Result) -> Iterator[str]:
         for term, (value, error) in joint.terms.items():
             if is_bounded.get(term) and value < -SURE * error:
                 findings.append(f"{term} {value:.2g} of {name}")
-                was_model_given = was_model_given or not joint.candidates
+                was_model_given |= not joint.candidates
     if findings:
         remedy = ", or let --friction-model auto choose other terms"
         yield (

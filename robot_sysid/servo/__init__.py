@@ -203,13 +203,12 @@ class ServoIdentification:
         """
         joints = {}
         for k, (joint, numbers) in enumerate(self.joint_numbers.items()):
-            entry: dict[str, Any] = {}
-            for name, number in numbers.items():
-                entry[name] = {**number, "unit": UNITS[name]}
-            entry["moves"] = self.is_moving[k]
-            entry["has_servo"] = self.has_servo[k]
-            entry["at_limit"] = self.limit_share[k]
-            joints[joint] = entry
+            joints[joint] = {
+                **{name: {**numbers[name], "unit": UNITS[name]} for name in UNITS},
+                "moves": self.is_moving[k],
+                "has_servo": self.has_servo[k],
+                "at_limit": self.limit_share[k],
+            }
         delay = {
             "value": self.fit.servos.delay,
             "standard_error": self.fit.errors.delay,

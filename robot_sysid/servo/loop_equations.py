@@ -179,11 +179,6 @@ class LoopFit:
         """Whether the equations determine a number (4 n + 1,)."""
         return self.errors < LARGEST_ERROR * np.nan_to_num(self.servos.vector())
 
-    @property
-    def has_scale(self) -> NDArray[np.bool_]:
-        """Whether the links' torque fixes the scale of a joint's numbers (n,)."""
-        return self.scale_error <= LARGEST_ERROR
-
     def limited_samples(self) -> Iterator[tuple[Measurement, NDArray[np.bool_]]]:
         """Yield each piece and whether any servo is limited in each of its samples (N,)."""
         is_limited = np.any(self.is_limited, axis=1)
