@@ -145,6 +145,9 @@ TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
 ``FrictionModel.columns``; a new term is one more line here. ``NONLINEAR_TERMS`` take their default
 speed."""
 
+DRY_TERMS = ("coulomb", "sqrt", "stribeck", "sigmoid", *FADING_SPEEDS)
+"""Terms whose columns depend on a speed alone and are not smooth where it changes sign."""
+
 NONLINEAR_DAMPING = ("quadratic", "cubic")
 """Terms of a joint's nonlinear damping in a model file, in its order."""
 

@@ -229,6 +229,15 @@ class ProcessedSignals:
         qdd = motion.qdd + low_pass.decimate(qdd_change)
         return rows, Motion(motion.time, motion.q, qd, qdd)
 
+    def refiltered_speeds(self) -> tuple[int, Array]:
+        """Return (number of a decimated row, speeds (M, n) that passed the low-pass a second time).
+
+        The speeds are those of successive samples, from the first one under the window of that row.
+        """
+        row = math.ceil(self.position_filter.half_width / self.low_pass.step)
+        lost = row * self.low_pass.step - self.position_filter.half_width
+        return row, self.position_filter.filter(self.qd)[lost:]
+
     def spread_indices(self, count: int) -> NDArray[np.int64]:
         """Return the ascending indices of at most ``count`` samples, spread evenly over the log."""
         indices = np.linspace(0, len(self) - 1, count)

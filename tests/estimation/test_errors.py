@@ -7,8 +7,11 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, sosfiltfilt
 
 from benchmarks.real_arms import ARMS, SENSOR_ARMS, draw_arm
+from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation import errors as errors_module
 from robot_sysid.estimation.algebra.consistent_bodies import project_errors
@@ -22,11 +25,17 @@ from robot_sysid.estimation.unknowns import COMMON, SCALES
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Measurement
+from robot_sysid.records import Measurement, Motion
 from robot_sysid.records.messages import Progress
 from robot_sysid.signals.process import ProcessedSignals
 from tests.support import arms
-from tests.support.core_fits import NOISE_ONLY, fit_logs, fit_recordings, fitter_of
+from tests.support.core_fits import (
+    NOISE_ONLY,
+    filter_logs,
+    fit_logs,
+    fit_recordings,
+    fitter_of,
+)
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
 from tests.support.measured_logs import (
     guess_model,
@@ -112,9 +121,49 @@ def test_a_cutoff_far_above_the_motion_adds_nothing(plant):
     assert np.max(errors / stated.total.standard_errors) < WITHIN
 
 
-def test_friction_says_nothing_where_the_second_low_pass_reverses_the_motion(
-    monkeypatch,
-):
+def hand_motion(rng, joints, rms_speed, rate=100.0, duration=240.0):
+    """Return a random motion of up to 0.7 Hz, with less and less motion above, as of a hand."""
+    white = rng.standard_normal((round(duration * rate), joints))
+    filtered = sosfiltfilt(butter(2, 0.7, fs=rate, output="sos"), white, axis=0)
+    time = np.arange(len(white)) / rate
+    speed = CubicSpline(time, rms_speed * filtered / np.std(filtered, axis=0))
+    position = speed.antiderivative()
+    return Motion(time, position(time), speed(time), speed(time, 1))
+
+
+def stribeck_errors(seed):
+    """Return (errors of three Stribeck amplitudes, stated ones, those without the low-pass)."""
+    rng = np.random.default_rng(seed)
+    arm = TrueArm(SMALL, seed, model_error=0.0)
+    motion = hand_motion(rng, 3, rms_speed=0.2)
+    true = 0.5 * arm.coulomb
+    torque = arm.torque(motion, False) + 0.02 * rng.standard_normal(motion.q.shape)
+    torque += true * np.sign(motion.qd) * np.exp(-((motion.qd / 0.05) ** 2))
+    q = motion.q + 5e-4 * rng.standard_normal(motion.q.shape)
+    log = Measurement(motion.time, q, None, torque)
+    datasets, options = filter_logs(SMALL, log, cutoff=None)
+    fitter = fitter_of(SMALL, datasets)
+    question = Question(options)
+    choice, _, point = choose(fitter, question, None)
+    fit = fitter.fit(question, choice, point)
+    stated = fit_errors(fit)
+    parameters = fit.columns.indices(names_of("stribeck", SMALL.joint_names))
+    indices = np.searchsorted(fit.unknowns.estimated, parameters)
+    filtering = np.linalg.norm(stated.causes[FILTERING], axis=0)[indices]
+    total = stated.total.standard_errors[indices]
+    others = np.sqrt(total**2 - filtering**2)
+    return fit.values[parameters] - true, total, others
+
+
+def test_stribeck_friction_that_the_low_pass_smears_is_within_its_error():
+    """Noise of positions asks for a cut-off at which speeds around each turn are wrong."""
+    errors, total, others = np.hstack(list(map(stribeck_errors, range(4))))
+    assert np.all(errors > 0.0)
+    assert np.sqrt(np.mean((errors / others) ** 2)) > 2.0
+    assert np.sqrt(np.mean((errors / total) ** 2)) < 1.5
+
+
+def test_links_say_nothing_where_the_second_low_pass_reverses_the_motion(monkeypatch):
     """Reversed motion takes the same torque of the links; only the sign of friction differs."""
     _, recording = exact_recording(SMALL)
     fit = fit_recordings(SMALL, [recording], EXACT_MODEL)
@@ -127,7 +176,9 @@ def test_friction_says_nothing_where_the_second_low_pass_reverses_the_motion(
     monkeypatch.setattr(
         ProcessedSignals, "refiltered_motion", property(reversed_motion)
     )
-    point = replace(fit.point, values=fit.values)
+    values = fit.values.copy()
+    values[fit.columns.indices(names_of("viscous", SMALL.joint_names))] = 0.0
+    point = replace(fit.point, values=values)
     assert not np.any(filtering_bias(fit.columns, point, fit.samples))
 
 
