@@ -139,6 +139,17 @@ class FitErrors:
             budget[SCALES] = np.hypot(budget[SCALES], self.common * np.abs(theta))
         return covariance, standard_errors(noise_products), budget
 
+    def without_step(self) -> FitErrors:
+        """Return the errors of ``Fit.free``, which took no step to consistent bodies."""
+        causes = dict(self.causes)
+        rows = causes.pop(BODIES, None)
+        if rows is None:
+            return self
+        covariance = self.total.covariance - rows.T @ rows
+        return replace(
+            self, total=replace(self.total, covariance=covariance), causes=causes
+        )
+
     def are_identified(self, combinations: Array) -> NDArray[np.bool_]:
         """Return whether each of m combinations (m, k) has identified parameters only (m,)."""
         hidden = np.isinf(self.total.standard_errors)

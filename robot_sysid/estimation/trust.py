@@ -17,7 +17,6 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.estimation.algebra.least_squares import sample_counts
-from robot_sysid.estimation.errors import BODIES
 from robot_sysid.estimation.fit import Fit
 from robot_sysid.estimation.held_out import NOISE_EXPLAINS, held_out, is_clearly_lower
 from robot_sysid.model.bodies import PLACEHOLDER, link_reach, usual_bodies
@@ -426,11 +425,8 @@ def judge_payload(
         contradicting: sentence on a contradiction between recordings; "" where there is none.
         validation: held-out error of the fit.
     """
-    # The errors contain those of the step to consistent bodies, which this estimate did not take.
-    moved = payload.budget.get(BODIES, np.zeros(10))[0]
     mass = payload.inertial.mass
     error = float(payload.errors[0])
-    error = float(np.sqrt(error**2 - moved**2)) if np.isfinite(error) else error
     sentence = f"the payload comes out as {with_error(mass, error, 'kg')}"
     if contradicting:
         yield Verdict.DISAGREE, contradicting
