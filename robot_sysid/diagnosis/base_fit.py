@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from robot_sysid.diagnosis.log_model import Posterior
+from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import Array, Motion
@@ -55,12 +56,14 @@ class BaseFit:
         ends = log.motion.time[[0, -1]]
         self.time = (2.0 * log.motion.time - ends.sum()) / np.ptp(ends)
         self.values = posterior.values
+        self._posterior = posterior
         self.residual = (log.right_sides - log.torque_of(self.values)) * log.used
         bodies = posterior.model.prior.mean.copy()
         if trusted:
             bodies[:10] = self.values[:10]
         self.rigid = log.links_torque(bodies)
         self._thetas = log.columns.thetas(bodies[: len(log.columns.names)])
+        self._signals = tuple(signals)
         filtered = [s.filter_columns(self._of_positions, smooth=True) for s in signals]
         self.weight, self.tip_force, self.last_weight = map(
             np.concatenate, zip(*filtered)
@@ -90,6 +93,22 @@ class BaseFit:
     def last_link(self) -> Array:
         """The torque (K, n, 10) [N m] per unit of each inertial parameter (SI) of the last link."""
         return self.log.columns_of(PARAMETER_NAMES)
+
+    @cached_property
+    def scale_error(self) -> float:
+        """Largest standard error of a joint's torque scale, as a share of the torque."""
+        prior = self._posterior.model.prior
+        scales = self.log.columns.indices(names_of("scale", self.log.columns.joints))
+        positions = prior.positions(np.intersect1d(scales, prior.estimated))
+        return float(np.max(self._posterior.standard_errors[positions], initial=0.0))
+
+    def share_after(self, instant: float) -> Array:
+        """Return the share (K,) of the low-pass in each row that lies after an instant [s]."""
+        shares = []
+        for signals in self._signals:
+            is_after = signals.time >= instant
+            shares.append(signals.low_pass.decimate(is_after.astype(float)))
+        return np.concatenate(shares)
 
     def derivative(self, torque: Array) -> Array:
         """Return the time derivative (K, n) [N m/s] of a torque (K, n) [N m], window by window."""

@@ -306,40 +306,43 @@ def weight_share(fit: BaseFit) -> Iterator[Explanation]:
 
 def payload_steps(fit: BaseFit) -> Iterator[Explanation]:
     """Yield a change of the last link's load at each of ``STEPS`` evenly spaced instants."""
-    spacing = len(fit.time) // (STEPS + 1)
-    for row in spacing * np.arange(1, STEPS + 1):
-        yield _payload_step(fit, int(row), spacing, STEPS)
+    start, end = fit.log.motion.time[[0, -1]]
+    instants, spacing = np.linspace(start, end, STEPS + 2, retstep=True)
+    for instant in instants[1:-1].tolist():
+        yield _payload_step(fit, instant, float(spacing), STEPS)
 
 
-def _payload_step(fit: BaseFit, row: int, spacing: int, choices: int) -> Explanation:
-    """Return the explanation that the last link's load changes at the instant with index ``row``.
+def _payload_step(
+    fit: BaseFit, instant: float, spacing: float, choices: int
+) -> Explanation:
+    """Return the explanation that the last link's load changes at an instant [s].
 
-    Its coefficients are the changes of the last link's ten inertial parameters.
+    Its coefficients are the changes of the last link's ten inertial parameters; an instant that is
+    off by half a row moves them by several standard errors.
 
     Args:
         fit: the fitted base model.
-        row: index of the first instant with the changed load.
-        spacing: number of rows between the instants that are tried.
+        instant: first instant with the changed load [s].
+        spacing: time between the instants that are tried [s].
         choices: number of instants that are tried without refinement.
     """
-    at = float(fit.log.motion.time[row])
-    is_later = np.arange(len(fit.time)) >= row
+    row_period = float(np.median(np.diff(fit.log.motion.time)))
     mass = 0.3 * PAYLOAD * fit.robot.mass
     size = 0.5 * REACH * fit.robot.length
 
     def nearby() -> list[Explanation]:
-        """Return steps at up to eleven instants around this one, a sixth of the spacing apart."""
-        step = math.ceil(spacing / 6)
-        count = (spacing - 1) // step
-        rows = np.arange(row - count * step, row + spacing, step)
-        rows = rows[(rows > 0) & (rows < len(fit.time))]
-        return [_payload_step(fit, k, step, choices) for k in rows.tolist()]
+        """Return steps at eleven instants around this one, a sixth of the spacing apart."""
+        finer = spacing / 6.0
+        instants = instant + finer * np.arange(-5, 6)
+        return [_payload_step(fit, at, finer, choices) for at in instants.tolist()]
 
     def describe(v: Array, e: Array) -> str:
         """Return the text for coefficients v (e,) with standard errors e (e,)."""
-        change = with_error(abs(float(v[0])), float(e[0]), "kg")
+        # The torque scale multiplies the load, which the base model's scales do not know of.
+        error = math.hypot(e[0], fit.scale_error * v[0])
+        change = with_error(abs(float(v[0])), error, "kg")
         return (
-            f"from about {at:.3g} s on the last link carries {change} "
+            f"from about {instant:.3g} s on the last link carries {change} "
             f"{'more' if v[0] > 0.0 else 'less'}: was something picked up, dropped or moved? "
             "record each state in a log of its own"
         )
@@ -347,11 +350,11 @@ def _payload_step(fit: BaseFit, row: int, spacing: int, choices: int) -> Explana
     return Explanation(
         "payload-step",
         Level.REFUSE,
-        fit.last_link * is_later[:, None, None],
+        fit.last_link * fit.share_after(instant)[:, None, None],
         parameter_scale(mass, size),
         describe,
         choices=choices,
-        nearby=nearby if spacing > 1 else list,
+        nearby=nearby if spacing > 0.2 * row_period else list,
     )
 
 

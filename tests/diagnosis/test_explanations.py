@@ -72,14 +72,14 @@ def pull(truth, force):
     return resting_torque(truth.robot, truth.log.q, unit_mass, np.array(force))
 
 
-def late_payload(truth):
-    """Return the torque (N, 4) of 80 % of the last link, added halfway."""
+def late_payload(truth, instant=6.3):
+    """Return the torque (N, 4) of 80 % of the last link, added at an instant [s]."""
     log = truth.log
     thetas = np.zeros((4, 10))
     thetas[-1] = 0.8 * truth.theta
     qdd = np.gradient(log.qd, log.time, axis=0)
     torque = LinkDynamics(truth.robot).motion(log.q, log.qd, qdd).torque(thetas)
-    return torque * (log.time > 6.3)[:, None]
+    return torque * (log.time > instant)[:, None]
 
 
 TORQUES = {
@@ -164,6 +164,19 @@ def correct_torques(log, finding):
     """Return a log with its torques corrected as the finding says."""
     assert finding.correction.quantities == ("torque",)
     return replace(log, tau=finding.correction.apply(log.tau))
+
+
+@pytest.mark.parametrize("instant", [5.4, 5.96, 6.52, 7.08, 7.64])
+def test_a_change_of_load_is_within_its_error_at_any_instant(four_joints, instant):
+    """The instant need not be that of a row, of which there are a few per second."""
+    tau = four_joints.log.tau + late_payload(four_joints, instant)
+    log = replace(four_joints.log, tau=tau)
+    findings = check_against_model(four_joints.robot, [log])
+    (text,) = [finding.text for finding in findings if finding.name == "payload-step"]
+    mass, error = map(float, re.search("carries (.*) ± (.*) kg more", text).groups())
+    true_mass = 0.8 * four_joints.theta[0]
+    assert abs(mass - true_mass) < 2.0 * error < 0.2 * true_mass
+    assert number_after("from about", text) == pytest.approx(instant, abs=0.1)
 
 
 REMEDIES = {
