@@ -42,8 +42,7 @@ GROSS_ZERO = 0.05
 WARM_UP = (10.0, 30.0, 100.0)
 """Time constants over which friction falls as a gear warms up [s]."""
 Description = Callable[[Array, Array], str]
-"""Function of an explanation's coefficients (e,) and their standard errors (e,) that returns its
-text for the user."""
+"""Function that returns the user's text from coefficients (e,) and standard errors (e,)."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +82,7 @@ class Explanation:
 
     @property
     def family(self) -> tuple[object, ...]:
-        """Key of similar explanations, which differ in a setting such as the instant of a change.
-
-        Only the best explanation of a family is scored with noise estimated anew.
-        """
+        """Key of explanations of which only the best one is scored with noise estimated anew."""
         return *self.subject, len(self.spread), self.choices
 
     def of_joint(self, joint: int) -> Array:
