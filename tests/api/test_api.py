@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -114,8 +115,9 @@ def test_arrays_frames_and_logs_are_what_the_file_is(workshop, result):
     for form in forms:
         from_form = rs.identify(workshop / "arm.xml", form)
         np.testing.assert_allclose(from_form.theta, result.theta, rtol=1e-9)
-    shorter = {name: arrays[name][1:] for name in ("time", "q", "tau")}
-    both = rs.identify(workshop / "arm.xml", [log, arrays], validation=shorter)
+    columns = ("time", "q", "tau")
+    shorter, shortest = ({n: arrays[n][k:] for n in columns} for k in (1, 2))
+    both = rs.identify(workshop / "arm.xml", [log, shorter], validation=shortest)
     assert both.mass == pytest.approx(result.mass, rel=0.01)
     assert (
         len(both.result.file.other_validations) == 1
@@ -175,7 +177,7 @@ def test_masked_numbers_are_missing(workshop):
     arrays = {"time": samples.time, "q": samples.q, "tau": tau}
     log = rs.read_log(arrays, workshop / "arm.xml")
     assert len(log.samples) == len(samples) - 40
-    assert any("left out 40 rows" in note for note in log.notes)
+    assert any(re.match("left out rows .*: 40 ", note) for note in log.notes)
 
 
 def test_a_recording_does_not_count_twice(workshop, tmp_path):
