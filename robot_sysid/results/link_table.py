@@ -23,7 +23,12 @@ _UNKNOWN = "unidentifiable"
 """Cell of a number that the data does not determine."""
 FILE_REASON = "{} has the numbers that predict held-out torques best"
 """Why masses in the written file differ from the table, with the name of that file."""
-_TERM_HEADINGS = {"coulomb": "Coulomb", "armature": "rotor inertia"}
+_TERM_HEADINGS = {
+    "coulomb": "Coulomb",
+    "armature": "rotor inertia",
+    "stribeck": "Stribeck",
+    "stribeck_speed": "Stribeck velocity",
+}
 """Friction term to its name in a heading, where that is not the term's own."""
 
 
@@ -86,8 +91,9 @@ def joint_lines(result: Result) -> Iterator[str]:
     for name, motor in result.couplings.items():
         owners[f"motor that turns with {name}"] = motor
     written = {} if result.written_file is None else result.written_file.joints
-    terms_of_owners = [joint.terms for joint in owners.values()]
-    terms_of_owners += written.values()
+    terms_of_owners = [list(joint.terms) for joint in owners.values()]
+    for file_terms in written.values():
+        terms_of_owners.append([name for name, term in file_terms.items() if term.value])
     terms = list(dict.fromkeys(itertools.chain(*terms_of_owners)))
     if not terms:
         return

@@ -79,6 +79,15 @@ def test_every_joint_and_shared_motor_has_its_terms_and_units():
     assert "0.0500 ± 0.0020" in lines[-1] and "turns with j5+j6" in lines[-1]
 
 
+def test_a_term_that_only_the_file_has_stands_there_if_it_is_not_zero():
+    file = made.model_file()
+    for size, is_shown in ((0.0, False), (0.3, True)):
+        terms = {**file.joints["j5"], "quadratic": Quantity(size, 0.01)}
+        changed = replace(file, joints={"j5": terms})
+        text = " ".join(joint_lines(made.whole(file=changed)))
+        assert ("quadratic" in text) is is_shown
+
+
 def test_many_friction_terms_go_on_in_a_table_below():
     terms = {
         term: Quantity(0.1234, 0.0012) for term in ("coulomb", "viscous", "offset")
