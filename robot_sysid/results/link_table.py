@@ -93,7 +93,9 @@ def joint_lines(result: Result) -> Iterator[str]:
     written = {} if result.written_file is None else result.written_file.joints
     terms_of_owners = [list(joint.terms) for joint in owners.values()]
     for file_terms in written.values():
-        terms_of_owners.append([name for name, term in file_terms.items() if term.value])
+        terms_of_owners.append(
+            [name for name, term in file_terms.items() if term.value]
+        )
     terms = list(dict.fromkeys(itertools.chain(*terms_of_owners)))
     if not terms:
         return
