@@ -3,10 +3,9 @@
 In-sample errors fall with every friction term, so that terms are chosen by cross-validation
 (``held_out``): from the simplest candidate on, as long as another one is clearly better.
 
-A coupling is a motor that turns several joints. One that turns at s = sum_j r_j qd_j (joint units)
-puts its torque tau_m on each of these joints in the same ratio: tau_j = r_j tau_m, because power is
-the same on both sides. Its own friction and rotor inertia follow s, not the joints' own speeds. A
-wrist whose last motor sits in the forearm is the usual case: r = 1 on the last two joints.
+A coupling is a motor that turns several joints, as where a wrist's last motor sits in the forearm.
+One that turns at s = sum_j r_j qd_j (joint units) puts its torque tau_m on each of these joints as
+r_j tau_m, because power is the same on both sides; its friction and rotor inertia follow s.
 
 Shapes: the chain has n joints; "joints" counts those with equations; p parameters
 (``Columns.names``), of which k are estimated; "blocks" are those of cross-validation.
@@ -97,17 +96,18 @@ def choose(
         couplings: result of ``select_couplings``; None for all couplings that have columns.
     """
     couplings = fitter.columns.couplings if couplings is None else couplings
-    # Each fit is one linearisation at the last point with the choices so far; () drops its rows.
+    # Most fits are one linearisation at the last point with the choices so far; () drops rows.
     joint_model = model or friction_model(CANDIDATES[0])
     choice = Choice((joint_model,) * fitter.columns.robot.n_joints, couplings)
-    fit = replace(fitter.fit(question, choice, rounds=1), samples=())
+    fit = replace(fitter.fit(question, choice, rounds=choice.speed_rounds), samples=())
     errors: Errors = {}
     if model is None and fitter.columns.torques == "chain":
         point = replace(fit.point, values=fit.values)
         noise = 1.0 / fit.weights
         del fit  # its evidence, before other rows are made
         choice, errors, point = _select_friction(fitter, question, choice, point, noise)
-        fit = replace(fitter.fit(question, choice, point, rounds=1), samples=())
+        fit = fitter.fit(question, choice, point, choice.speed_rounds)
+        fit = replace(fit, samples=())
     if is_scaled(fit, question, choice):
         choice = replace(choice, common_scale=COMMON_SCALE)
         fit = fitter.fit(question, choice, fit.point, rounds=1)

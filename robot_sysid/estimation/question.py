@@ -257,3 +257,12 @@ class Choice:
     rotors: Mapping[str, float] = field(default_factory=dict)
     dry_friction: tuple[float, ...] | None = None
     correlation_factors: tuple[float, ...] | None = None
+
+    @property
+    def speed_rounds(self) -> int:
+        """Number of linearisations after which speeds of nonlinear friction have settled, or one.
+
+        They settle before ``dry_friction`` is stated: the terms that the model lacks would take up
+        what a wrong speed misses, down to an amplitude of zero, which shows no speed any more.
+        """
+        return 4 if any(model.nonlinear_terms for model in self.friction) else 1

@@ -162,6 +162,20 @@ def test_a_friction_term_goes_to_the_joint_that_has_it(plant, robot, term, frict
         assert fit.point.speed["stribeck"][1] == pytest.approx(0.05, rel=0.2)
 
 
+def test_a_speed_of_friction_settles_before_further_friction_is_allowed_for(
+    plant, robot
+):
+    """What a wrong speed misses would go to priors on other shapes, which leave no slope to it."""
+    plan = plan_of(plant, 2, 10.0)
+    log = log_of(plant, plan, 2, noise_torque=0.02, encoder_resolution=1e-5)
+    motion = plan.evaluate(log.time)
+    middle = np.sign(motion.qd) * np.exp(-((motion.qd / 0.032) ** 2)) * MIDDLE
+    datasets, options = filter_logs(robot, replace(log, tau=log.tau + 0.4 * middle))
+    choice, _, point = choose(fitter_of(robot, datasets), Question(options), None, ())
+    assert "stribeck" in choice.friction[1].terms
+    assert point.speed["stribeck"][1] == pytest.approx(0.032, rel=0.1)
+
+
 def shared_motor(motion):
     speed = motion.qd @ WRIST
     return (1.5 * np.sign(speed) + 0.4 * speed)[:, None] * WRIST
