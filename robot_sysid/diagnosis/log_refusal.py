@@ -114,11 +114,13 @@ def _add_lines(path: Path | None, lines: dict[str, str], reason: str) -> str:
 
 
 def _free_name(log: Path, text: str) -> str:
-    """Return the name of a columns file for a log, numbered where a file of another text has it."""
+    """Return the name of a columns file for a log, numbered where something else has it."""
     name = columns_file_name(log)
     path = Path(name)
     number = 1
-    while path.exists() and path.read_text("utf-8", errors="replace") != text:
+    while path.exists() and not (
+        path.is_file() and path.read_text("utf-8", errors="replace") == text
+    ):
         number += 1
         path = Path(f"{Path(name).stem}_{number}.txt")
     return str(path)

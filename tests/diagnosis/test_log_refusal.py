@@ -110,8 +110,9 @@ def test_velocities_that_contradict_the_positions_stay_as_they_are(
 def test_a_file_of_another_text_is_not_suggested(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("run_columns.txt").write_text("torque = a, b, c\n")
+    Path("run_columns_2.txt").mkdir()
     error = refusal(PLAIN, CORRECTIONS[0], tmp_path)
-    assert error.name == "run_columns_2.txt"
+    assert error.name == "run_columns_3.txt"
     Path(error.name).write_text(error.draft)
     assert refusal(PLAIN, CORRECTIONS[0], tmp_path).name == error.name
 
