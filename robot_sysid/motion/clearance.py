@@ -30,7 +30,7 @@ from robot_sysid.dynamics.spatial import cross
 from robot_sysid.model.bodies import ContactFinder, count_moving_joints, joint_ranges
 from robot_sysid.model.chain import body_label
 from robot_sysid.motion import HalfSpace
-from robot_sysid.motion.solids import HalfSpaces
+from robot_sysid.motion.solids import HalfSpaces, pass_filters
 from robot_sysid.records import Array, RobotModel
 
 HORIZON = 0.05
@@ -473,7 +473,6 @@ def drop_pairs(mj_model: Any, link_of_body: Any, ignored: Any) -> None:
     """Change a model's collision filter, in place, so that MuJoCo tests no pair that is ignored or
     that cannot move against each other.
 
-    MuJoCo tests two geoms if a bit of one's ``contype`` is set in the other's ``conaffinity``.
     Geoms with equal filters on one link form a group with a bit of its own; the affinities then
     define for every two groups whether they are tested. Explicit contact pairs of the model are
     tested as before. A model with more than ``MOST_GROUPS`` groups is left as it is.
@@ -493,15 +492,12 @@ def drop_pairs(mj_model: Any, link_of_body: Any, ignored: Any) -> None:
     if len(groups) > MOST_GROUPS:
         return
     link, contype, conaffinity = groups.T
-    # (groups, groups) whether MuJoCo tests them at present, in either order.
-    is_tested = (contype[:, None] & conaffinity) != 0
-    is_tested = is_tested | is_tested.T
     # (groups, geoms) membership, and (geoms, geoms) pairs whose distance matters: two groups are
     # relevant where the number of such pairs between their members is not zero.
     is_member = (np.arange(len(groups))[:, None] == member).astype(float)
     matters = ~ignored[np.ix_(body, body)]
     is_relevant = is_member @ matters.astype(float) @ is_member.T > 0.0
-    is_tested &= (link[:, None] != link) & is_relevant
+    is_tested = pass_filters(link, contype, conaffinity) & is_relevant
     bit = 1 << np.arange(len(groups))
     # A group's affinity is the sum of the bits of all groups that it is tested against.
     for name, value in (("contype", bit), ("conaffinity", is_tested @ bit)):

@@ -313,35 +313,50 @@ def unguarded_links(robot: RobotModel) -> tuple[str, ...]:
     is_large = model.geom_rbound > MARKER_SIZE
     bodies = model.geom_bodyid
     is_shell = is_large | is_part[bodies] | is_link_body[bodies]
-    is_solid = is_shell & _can_meet(model, link_of_body)
+    link_of_geom = link_of_body[bodies]
+    is_solid = is_shell & _can_meet(model, link_of_geom)
     moving_links = set(link_of_body[is_part].tolist()) - {0}
-    unguarded = moving_links - set(link_of_body[bodies[is_solid]].tolist())
+    unguarded = moving_links - set(link_of_geom[is_solid].tolist())
     return tuple(body_label(model, link_bodies[k - 1]) for k in sorted(unguarded))
 
 
-def _can_meet(mj_model: Any, link_of_body: Any) -> Any:
+def pass_filters(
+    links: NDArray[np.int64], contype: NDArray[np.int64], conaffinity: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Return whether two geoms (m, m) move against each other and pass MuJoCo's collision filter.
+
+    They pass if a bit of one's ``contype`` is set in the other's ``conaffinity``.
+
+    Args:
+        links: (m,) number of the link of each geom; geoms with equal numbers do not move against
+            each other.
+        contype, conaffinity: (m,) bits of each geom.
+    """
+    passes = (contype[:, None] & conaffinity) != 0
+    return (passes | passes.T) & (links[:, None] != links)
+
+
+def _can_meet(mj_model: Any, links: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return whether each geom (ngeom,) can meet a geom that moves against it.
 
-    MuJoCo tests two geoms if a bit of one's ``contype`` is set in the other's ``conaffinity`` and
-    their bodies are not excluded, and all explicit pairs. That it leaves out neighbours in the tree
-    does not count here.
+    MuJoCo tests geoms that pass its filter and whose bodies are not excluded, and all explicit
+    pairs. That it leaves out neighbours in the tree does not count here.
 
     Args:
         mj_model: compiled model.
-        link_of_body: (nbody,) number of the link each body belongs to; bodies with equal numbers do
-            not move against each other.
+        links: (ngeom,) number of each geom's link.
     """
-    bodies = mj_model.geom_bodyid
-    is_excluded = np.zeros((mj_model.nbody, mj_model.nbody), dtype=bool)
+    is_tested = pass_filters(links, mj_model.geom_contype, mj_model.geom_conaffinity)
     # The upper half of a signature is the first body's id.
-    is_excluded[
-        mj_model.exclude_signature >> 16, mj_model.exclude_signature & 0xFFFF
-    ] = True
-    is_tested = (mj_model.geom_contype[:, None] & mj_model.geom_conaffinity) != 0
+    first_body = mj_model.exclude_signature >> 16
+    second_body = mj_model.exclude_signature & 0xFFFF
+    is_excluded = np.zeros((mj_model.nbody, mj_model.nbody), dtype=bool)
+    is_excluded[first_body, second_body] = True
+    bodies = mj_model.geom_bodyid
     is_tested &= ~(is_excluded | is_excluded.T)[np.ix_(bodies, bodies)]
-    is_tested[mj_model.pair_geom1, mj_model.pair_geom2] = True
-    links = link_of_body[bodies]
-    is_tested &= links[:, None] != links
+    first = mj_model.pair_geom1
+    second = mj_model.pair_geom2
+    is_tested[first, second] = links[first] != links[second]
     return np.any(is_tested | is_tested.T, axis=1)
 
 
