@@ -465,12 +465,12 @@ def check_against_model(
     for k, finding in enumerate(model_findings):
         if finding.name in of_links:
             model_findings[k] = replace(finding, level=Level.NOTE)
-    # A torque in a wrong unit follows the weight of the links, so it does not lack it.
+    # Torques in a wrong unit follow the weight of the links, so that they do not lack it; warnings
+    # and notes only explain what the unit does.
     if foreign_unit and all(
         cause.level is not Level.REFUSE or cause.name == "gravity"
         for cause in model_findings
     ):
-        # Other causes only explain torques in a wrong unit.
         model_findings = [foreign_unit]
     return (*raw, *model_findings)
 

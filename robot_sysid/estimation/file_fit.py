@@ -184,17 +184,18 @@ def move_bodies(fit: Fit, estimate: Fit, errors: FitErrors) -> Fit:
         errors: errors of the estimate.
     """
     links = links_problem(fit.unknowns)
-    columns = np.concatenate(links.links)
-    parameters = fit.unknowns.estimated[columns]
-    problem = LinksProblem(
-        tuple(np.arange(len(columns)).reshape(-1, N_INERTIAL)), links.prior[columns]
-    )
+    # Positions of the parameters of bodies among the unknowns of the file, and their indices.
+    in_file = np.concatenate(links.links)
+    parameters = fit.unknowns.estimated[in_file]
+    # The same links, but no other unknowns.
+    own_positions = np.arange(len(in_file)).reshape(-1, N_INERTIAL)
+    problem = LinksProblem(tuple(own_positions), links.prior[in_file])
     bodies = fit.values[parameters]
-    matrix, _ = fit.evidence.of(fit.unknowns).equations(fit.weights)
-    matrix = matrix[:, columns]
-    rows = np.searchsorted(estimate.unknowns.estimated, parameters)
+    all_columns, _ = fit.evidence.of(fit.unknowns).equations(fit.weights)
+    matrix = all_columns[:, in_file]
+    in_estimate = np.searchsorted(estimate.unknowns.estimated, parameters)
     # Infinite errors, of parameters that are not identified, have no weight.
-    precision = 1.0 / errors.total.standard_errors[rows]
+    precision = 1.0 / errors.total.standard_errors[in_estimate]
     for weight in PULLS:
         pull = weight * precision
         goal = np.append(matrix @ bodies, pull * estimate.values[parameters])

@@ -489,8 +489,8 @@ def _lerobot_titles(names: Any, feature: str, joint_names: Sequence[str]) -> lis
             quantities.append(quantity)
     joint_match = find_joint_match(joints, joint_names)
     spelling = joint_match.model_names if joint_match else {}
-    spelled = [spelling.get(joint, joint) for joint in joints]
-    return list(map("{} {}".format, spelled, quantities))
+    pairs = zip(joints, quantities)
+    return [f"{spelling.get(joint, joint)} {quantity}" for joint, quantity in pairs]
 
 
 def _read_frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:

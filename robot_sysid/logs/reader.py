@@ -150,7 +150,7 @@ def _refuse_other_reading(
         )
     for name, option in options_of(options).items():
         value = getattr(options, name)
-        is_stated = name in _FACTOR_OPTIONS or name in _READING_OPTIONS and value
+        is_stated = name in _FACTOR_OPTIONS or (name in _READING_OPTIONS and value)
         if is_stated and value != getattr(log.options, name):
             raise InputError(
                 f"{log} was read without {option.flag}, or with another one: give read_log and "
@@ -179,7 +179,7 @@ def refuse_repeated_logs(logs: Iterable[tuple[str, Measurement]]) -> None:
 
 
 def _are_same_samples(first: Measurement, second: Measurement) -> bool:
-    """Return whether two logs, without rows of NaN as all that were read, are one recording."""
+    """Return whether two logs are one recording; logs that were read hold no NaN."""
     arrays_of = attrgetter("time", "q", "tau")
     return all(map(np.array_equal, arrays_of(first), arrays_of(second)))
 

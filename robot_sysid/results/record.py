@@ -534,8 +534,12 @@ def _strict(value: Any) -> Any:
     Numbers that are not finite become None.
     """
     if isinstance(value, Quantity):
-        names = ("value", "standard_error", "interval")
-        return _strict(dict(zip(names, (*value, value.interval))))
+        entry = {
+            "value": value.value,
+            "standard_error": value.error,
+            "interval": value.interval,
+        }
+        return _strict(entry)
     if is_dataclass(value) and not isinstance(value, type):
         return _strict(asdict(value))
     if isinstance(value, Mapping):

@@ -312,10 +312,11 @@ def _detail_lines(result: Result) -> Iterator[str]:
         noise_text = "" if noise is None else f", noise {noise:.2g}"
         yield f"    {joint_name}: {rmse:.2e} N·m{noise_text}"
     if result.is_measured:
+        texts = []
         columns = (estimate.names, result.body.noise_errors, PARAMETER_UNITS)
-        texts = [
-            f"{n} {e:.2g} {unit}" for n, e, unit in zip(*columns) if np.isfinite(e)
-        ]
+        for name, error, unit in zip(*columns):
+            if np.isfinite(error):
+                texts.append(f"{name} {error:.2g} {unit}")
         yield f"  Standard errors of noise alone: {', '.join(texts)}"
     if result.sensors:
         yield "  Sensors:"

@@ -161,10 +161,13 @@ class ServoIdentification:
         source = np.where(self.fit.is_identified, IDENTIFIED, source)
         columns = model_value.tolist(), value.tolist(), error.tolist(), source.tolist()
         numbers = [dict(zip(_KEYS, row)) for row in zip(*columns)]
-        joints = self.robot.joint_names
+        joint_names = self.robot.joint_names
+        n_joints = len(joint_names)
         # The vectors hold n gains, n dampings, n frictions, n rotor inertias and the delay.
-        numbers_of_joints = (numbers[k :: len(joints)] for k in range(len(joints)))
-        return {name: dict(zip(UNITS, n)) for name, n in zip(joints, numbers_of_joints)}
+        numbers_of_joint = {}
+        for k, name in enumerate(joint_names):
+            numbers_of_joint[name] = dict(zip(UNITS, numbers[k::n_joints]))
+        return numbers_of_joint
 
     def changes(self) -> tuple[list[JointChange], list[ActuatorChange]]:
         """Return the changes of the model file's joints that move and of their position actuators.

@@ -185,7 +185,8 @@ class _Guesser:
             position_units = list(self.candidates.units_of(position))
         if position_units == ["deg"] and not choices.angle_unit:
             units.append("deg")
-        for clock in clocks if len(clocks) == 1 and not choices.time_unit else ():
+        if len(clocks) == 1 and not choices.time_unit:
+            (clock,) = clocks
             if clock.unit != "s" and not self.candidates.titles[clock.column].unit:
                 units.append(clock.unit)
         return tuple(units)
