@@ -18,6 +18,7 @@ import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import InputError, ModelError, error_text
+from robot_sysid.model.actuators import has_own_friction
 from robot_sysid.model.bodies import arm_links, subtree_bodies
 from robot_sysid.model.chain import (
     arm_without_base,
@@ -232,6 +233,12 @@ def _notes(
         yield f"{ignored}: every chain joint is taken to be driven by itself"
     if any(_closes_a_loop(mj_model, chain, eq) for eq in range(mj_model.neq)):
         yield "connect or weld constraints that make the arm a closed loop are ignored"
+    rubbing = [joint_label(mj_model, j) for j in chain if has_own_friction(mj_model, j)]
+    if rubbing:
+        yield (
+            f"friction of the actuators on {', '.join(rubbing)} (lugre) is left out: all friction "
+            "that a log shows becomes the joint's, so remove theirs from a written model"
+        )
     if mj_model.opt.density or mj_model.opt.viscosity:
         yield "the model's air or fluid drag is ignored"
 

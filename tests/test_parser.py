@@ -24,6 +24,7 @@ from tests.support.arms import (
     serial_bodies,
     world,
 )
+from tests.support.releases import since
 
 
 def test_a_file_becomes_an_arm(arm_file):
@@ -153,6 +154,14 @@ MOCAP = '<body name="hand_target" mocap="true"/>'
 )
 def test_a_loop_closed_around_joints_of_the_arm_is_told(one, other, told):
     assert ("closed loop" in notes_of(tied(one, other, MOCAP))) is told
+
+
+@since(3, 12)
+def test_friction_that_a_motor_has_of_its_own_is_told():
+    motor = '<actuator><dcmotor joint="joint2" resistance="1" motorconst=".1" {}/></actuator>'
+    for friction, told in (('lugre="900 1 .5 .7 .1"', True), ("", False)):
+        xml = serial_arm((Z, Y, X), extra=motor.format(friction))
+        assert ("friction of the actuators on joint2" in notes_of(xml)) is told
 
 
 PACKAGE = "robot_descriptions"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path
 
@@ -106,17 +106,19 @@ class TendonChange:
 
 @dataclass(frozen=True)
 class ActuatorChange:
-    """New gains of a position actuator, which makes stiffness (ctrl - q) - damping qd.
+    """New numbers of an actuator, before its gear; None leaves the file's.
 
     Attributes:
         actuator: its MuJoCo id.
-        stiffness: [N m/rad or N/m].
-        damping: [N m s/rad or N s/m].
+        stiffness, damping: gains of a position actuator, which makes stiffness (ctrl - q) - damping
+            qd [N m/rad or N/m; N m s/rad or N s/m].
+        mechanical: new values by their name in MJCF: "armature", "damping".
     """
 
     actuator: int
-    stiffness: float
-    damping: float
+    stiffness: float | None = None
+    damping: float | None = None
+    mechanical: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -366,13 +368,17 @@ def write_joint(edits: Edits, change: JointChange) -> None:
                 edits.append(node, f"<dynamics{attribute_text(texts)}/>")
             return
         node = dynamics
-    elif "damping" in texts:
-        # Nonlinear damping stands behind the linear one; the model's stays where none is new.
-        coefficients = (node.get("damping") or "").split()[1:]
-        if nonlinear is not None:
-            coefficients = list(map(format_number, nonlinear))
-        texts["damping"] = " ".join([texts["damping"], *coefficients])
+    elif "damping" in texts and nonlinear is not None:
+        texts["damping"] = " ".join([texts["damping"], *map(format_number, nonlinear)])
+    _set_numbers(edits, node, texts)
+
+
+def _set_numbers(edits: Edits, node: Node, texts: Mapping[str, str]) -> None:
+    """Set attributes of an element; nonlinear damping stays behind a new linear one."""
     for name, text in texts.items():
+        if name == "damping" and " " not in text:
+            nonlinear = (node.get(name) or "").split()[1:]
+            text = " ".join([text, *nonlinear])
         edits.set(node, name, text)
 
 
@@ -390,8 +396,7 @@ def _write_tendon(edits: Edits, change: TendonChange, rmse: float) -> None:
             fault = f"tendon number {change.tendon} is not written out in the file"
             raise ExportError(f"{document.path}: {fault} as a <fixed>; write it out")
         edits.comment(node, comment)
-        for name, text in texts.items():
-            edits.set(node, name, text)
+        _set_numbers(edits, node, texts)
         return
     nameless = [joint for joint in joints if joint.startswith("#")]
     if nameless:
@@ -426,25 +431,29 @@ def _section_child(document: ModelDocument, section: str, index: int) -> Node | 
 
 
 def write_actuator(edits: Edits, change: ActuatorChange) -> None:
-    """Give a position actuator its new gains.
+    """Give an actuator its new numbers.
 
-    ExportError unless it is a <position> or <general> that the file itself contains.
+    ExportError unless the file itself contains it, as a position servo where it gets gains.
     """
     document = edits.document
     node = _section_child(document, "actuator", change.actuator)
-    kp = format_number(change.stiffness)
-    kv = format_number(change.damping)
-    gains = {
-        "position": {"kp": kp, "kv": kv},
-        "general": {"gainprm": kp, "biasprm": f"0 -{kp} -{kv}"},
-    }
-    if node is None or node.tag not in gains:
+    kinds = "an element of its own"
+    numbers = {name: format_number(x) for name, x in change.mechanical.items()}
+    if node is not None and change.stiffness is not None:
+        kp = format_number(change.stiffness)
+        kv = format_number(change.damping or 0.0)
+        gains = {
+            "position": {"kp": kp, "kv": kv},
+            "pid": {"kp": kp, "kv": kv},
+            "general": {"gainprm": kp, "biasprm": f"0 -{kp} -{kv}"},
+        }
+        kinds = " or ".join(f"<{tag}>" for tag in gains)
+        node = node if node.tag in gains else None
+        numbers.update(gains[node.tag] if node else {})
+    if node is None:
         fault = f"actuator number {change.actuator} is not written out in the file"
-        raise ExportError(
-            f"{document.path}: {fault} as a <position> or <general>; write it out"
-        )
-    for name, value in gains[node.tag].items():
-        edits.set(node, name, value)
+        raise ExportError(f"{document.path}: {fault} as {kinds}; write it out")
+    _set_numbers(edits, node, numbers)
 
 
 _MULTIPLIERS = ("replicate", "attach", "composite", "flexcomp")

@@ -25,6 +25,11 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.errors import AmbiguousJointError, ModelError
+from robot_sysid.model.actuators import (
+    driven_joints,
+    tendon_coefficients,
+    torque_limits,
+)
 from robot_sysid.records import Array, JointFriction, JointLimits
 from robot_sysid.records.option_fields import PerJoint, joint_values
 
@@ -38,14 +43,6 @@ _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 """MuJoCo's type of a hinge joint."""
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 """MuJoCo's type of a slide joint."""
-_AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-"""MuJoCo's types of transmission by which an actuator acts on a joint directly."""
-_FIXED_GAIN = int(mujoco.mjtGain.mjGAIN_FIXED)
-"""MuJoCo's type of gain of a plain motor."""
-_NO_BIAS = int(mujoco.mjtBias.mjBIAS_NONE)
-"""MuJoCo's type of bias of a plain motor."""
-_WRAPS_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
-"""MuJoCo's type of a joint that a tendon runs over."""
 _ONLY_THESE = "only hinge and slide joints can be identified"
 """Part of the errors on joints of other types."""
 RIVAL_SHARE = 0.6
@@ -232,38 +229,6 @@ def _ambiguity(
     return AmbiguousJointError(reason, candidates)
 
 
-def driven_joints(mj_model: Any) -> set[int]:
-    """Return the ids of joints that an actuator moves: directly, by a tendon, or by an equality
-    constraint with a joint that is moved so.
-    """
-    joints = set[int]()
-    transmissions = mj_model.actuator_trntype.tolist()
-    # Ids of joints or tendons, as the type of transmission says.
-    targets = mj_model.actuator_trnid[:, 0].tolist()
-    for transmission, target in zip(transmissions, targets):
-        if transmission in _AT_JOINT:
-            joints.add(target)
-        elif transmission == int(mujoco.mjtTrn.mjTRN_TENDON):
-            wraps = _wraps(mj_model, target)
-            is_joint = mj_model.wrap_type[wraps] == _WRAPS_JOINT
-            joints.update(mj_model.wrap_objid[wraps][is_joint].tolist())
-    is_coupling = mj_model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
-    pairs = np.column_stack((mj_model.eq_obj1id, mj_model.eq_obj2id))
-    for pair in pairs[is_coupling].tolist():
-        if joints.intersection(pair):
-            joints.update(pair)
-    return joints
-
-
-def _wraps(mj_model: Any, tendon: int) -> slice:
-    """Return the range of a tendon's (id) entries in the model's ``wrap_`` arrays.
-
-    An entry is a joint, site or geom that the tendon runs over; a fixed tendon has joints alone.
-    """
-    first = int(mj_model.tendon_adr[tendon])
-    return slice(first, first + int(mj_model.tendon_num[tendon]))
-
-
 def resolve_joint(mj_model: Any, name: str) -> int:
     """Return the id of the joint called ``name`` ("#3" for a nameless one).
 
@@ -346,55 +311,8 @@ def joint_limits(
         lower=np.where(is_limited, mj_model.jnt_range[index, 0], -np.inf),
         upper=np.where(is_limited, mj_model.jnt_range[index, 1], np.inf),
         velocity=np.fmin(limits, np.array(model_velocities, dtype=float)),
-        torque=np.array([_torque_limit(mj_model, joint) for joint in joints]),
+        torque=torque_limits(mj_model, joints),
     )
-
-
-def _torque_limit(mj_model: Any, joint: int) -> float:
-    """Return the torque that a joint (id) can make either way [N m or N]; infinite without limit.
-
-    It is the lower one of the joint's own limit and the sum of the limits of all actuators on it.
-    """
-    limit = np.inf
-    if mj_model.jnt_actfrclimited[joint]:
-        limit = _symmetric_bound(mj_model.jnt_actfrcrange[joint])
-    actuator_limits = []
-    for actuator in actuators_on(mj_model, joint):
-        gear = abs(float(mj_model.actuator_gear[actuator, 0]))
-        actuator_limits.append(gear * _force_limit(mj_model, actuator))
-    return min(limit, sum(actuator_limits)) if actuator_limits else limit
-
-
-def actuators_on(mj_model: Any, joint: int) -> list[int]:
-    """Return the ids of the actuators that pull at a joint directly."""
-    is_direct = np.isin(mj_model.actuator_trntype, _AT_JOINT)
-    is_on_joint = mj_model.actuator_trnid[:, 0] == joint
-    return np.flatnonzero(is_direct & is_on_joint).tolist()
-
-
-def _force_limit(mj_model: Any, actuator: int) -> float:
-    """Return the largest force of an actuator (id), before its gear [N m or N].
-
-    It is that of its forcerange, or a motor's gain times its ctrlrange; infinite without either.
-    """
-    if mj_model.actuator_forcelimited[actuator]:
-        return _symmetric_bound(mj_model.actuator_forcerange[actuator])
-    gain_type = mj_model.actuator_gaintype[actuator]
-    bias_type = mj_model.actuator_biastype[actuator]
-    is_motor = gain_type == _FIXED_GAIN and bias_type == _NO_BIAS
-    if mj_model.actuator_ctrllimited[actuator] and is_motor:
-        gain = abs(float(mj_model.actuator_gainprm[actuator, 0]))
-        return gain * _symmetric_bound(mj_model.actuator_ctrlrange[actuator])
-    return np.inf
-
-
-def _symmetric_bound(bounds: Array) -> float:
-    """Return the largest magnitude that ``bounds`` (smallest, largest) allow in both directions.
-
-    A bound of 0 counts as no limit at all, so that the magnitude is infinite.
-    """
-    magnitude = float(min(-bounds[0], bounds[1]))
-    return magnitude if magnitude > 0.0 else np.inf
 
 
 CAN_HOLD_ROTORS = hasattr(mujoco.MjModel, "tendon_armature")
@@ -413,13 +331,9 @@ def shared_motors(mj_model: Any, dofs: NDArray[np.int64]) -> dict[int, Array]:
     """
     motors = {}
     for tendon in range(mj_model.ntendon):
-        wraps = _wraps(mj_model, tendon)
-        if not np.all(mj_model.wrap_type[wraps] == _WRAPS_JOINT):
+        coefficients = tendon_coefficients(mj_model, tendon)
+        if coefficients is None:
             continue
-        # Speed of the tendon per speed of every joint in the model (nv,).
-        coefficients = np.zeros(mj_model.nv)
-        addresses = mj_model.jnt_dofadr[mj_model.wrap_objid[wraps]]
-        np.add.at(coefficients, addresses, mj_model.wrap_prm[wraps])
         ratios = coefficients[dofs]
         n_joints = np.count_nonzero(coefficients)
         if n_joints > 1 and np.count_nonzero(ratios) == n_joints:

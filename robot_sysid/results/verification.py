@@ -139,12 +139,18 @@ def _required_values(original: Any, change: ModelChange) -> Iterator[_RequiredVa
             yield _RequiredValue(owner, field, (dof,), value, advice)
     for servo in change.actuators:
         owner = f"actuator number {servo.actuator}"
-        gain_index = (servo.actuator, 0)
+        for name, value in servo.mechanical.items():
+            yield _RequiredValue(owner, f"actuator_{name}", (servo.actuator,), value)
+        if servo.stiffness is None or servo.damping is None:
+            continue
         bias_index = (servo.actuator, slice(3))
         bias = (0.0, -servo.stiffness, -servo.damping)
-        yield _RequiredValue(
-            owner, "actuator_gainprm", gain_index, servo.stiffness, _GAIN_ADVICE
-        )
+        # A PID controller keeps its gain in the bias alone.
+        if original.actuator_gainprm[servo.actuator, 0] != 0.0:
+            gain_index = (servo.actuator, 0)
+            yield _RequiredValue(
+                owner, "actuator_gainprm", gain_index, servo.stiffness, _GAIN_ADVICE
+            )
         yield _RequiredValue(owner, "actuator_biasprm", bias_index, bias, _GAIN_ADVICE)
     for tendon in change.tendons:
         for name, value in tendon.numbers.items():

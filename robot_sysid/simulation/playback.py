@@ -39,7 +39,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.model.chain import actuators_on
+from robot_sysid.model.actuators import (
+    actuators_on,
+    control_rows,
+    gear_ratio,
+    is_static,
+    output_range,
+    output_row,
+    servo_gains,
+)
 from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.option_fields import processor_count
@@ -71,7 +79,7 @@ class RolloutInputs:
         q: (B, n) chain positions at the start [rad or m].
         qd: (B, n) chain velocities at the start [rad/s or m/s].
         torque: (B, S, n) torques applied to the chain during each step [N m].
-        control: (B, S, nu) inputs of the model's actuators; None where they are switched off.
+        control: (B, S, nu) controls of the model's actuators; None where they are switched off.
     """
 
     q: Array
@@ -405,37 +413,20 @@ def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float, f
     """
     usable = []
     for actuator in actuators_on(model, joint):
-        is_static = model.actuator_dyntype[actuator] == int(mujoco.mjtDyn.mjDYN_NONE)
-        if is_static and model.actuator_gear[actuator, 0] != 0.0:
+        is_plain = (
+            is_static(model, actuator) and len(control_rows(model, actuator)) == 1
+        )
+        is_usable = is_plain or servo_gains(model, actuator) is not None
+        if is_usable and gear_ratio(model, actuator) != 0.0:
             usable.append(actuator)
     if not usable:
         return NO_ACTUATOR, 1.0, np.nan, np.nan, np.inf
-    position_actuators = [k for k in usable if _is_position_actuator(model, k)]
-    actuator = (position_actuators or usable)[0]
-    gear = float(model.actuator_gear[actuator, 0])
-    limit = np.inf
-    if model.actuator_forcelimited[actuator]:
-        limit = abs(gear) * float(np.max(np.abs(model.actuator_forcerange[actuator])))
-    if not position_actuators:
-        return actuator, gear, np.nan, np.nan, limit
-    kp = float(gear**2 * model.actuator_gainprm[actuator, 0])
-    kv = float(gear**2 * -model.actuator_biasprm[actuator, 2])
-    return actuator, gear, kp, kv, limit
-
-
-def _is_position_actuator(model: Any, actuator: int) -> bool:
-    """Return whether an actuator's force is Kp (control - length) - kv speed."""
-    kp = model.actuator_gainprm[actuator, 0]
-    bias = model.actuator_biasprm[actuator, :2]
-    gain_type = int(model.actuator_gaintype[actuator])
-    bias_type = int(model.actuator_biastype[actuator])
-    return bool(
-        gain_type == int(mujoco.mjtGain.mjGAIN_FIXED)
-        and bias_type == int(mujoco.mjtBias.mjBIAS_AFFINE)
-        and kp > 0.0
-        and bias[0] == 0.0
-        and bias[1] == -kp
-    )
+    servos = [k for k in usable if servo_gains(model, k) is not None]
+    actuator = (servos or usable)[0]
+    gear = gear_ratio(model, actuator)
+    limit = float(np.max(np.abs(output_range(model, actuator))))
+    kp, kv = servo_gains(model, actuator) or (np.nan, np.nan)
+    return actuator, gear, gear**2 * kp, gear**2 * kv, limit
 
 
 def servos_in_model(robot: RobotModel) -> ServoParameters:
@@ -459,10 +450,8 @@ def servo_model(robot: RobotModel, timestep: float) -> Any:
     """Return a rollout copy of an arm's MuJoCo model with actuators that do nothing yet."""
     model = rollout_model(robot, timestep)
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
-    model.actuator_gaintype[:] = int(mujoco.mjtGain.mjGAIN_FIXED)
-    model.actuator_biastype[:] = int(mujoco.mjtBias.mjBIAS_AFFINE)
-    model.actuator_gainprm[:] = 0.0
-    model.actuator_biasprm[:] = 0.0
+    # Actuators beside those of ``set_servos`` may have states, but no effect.
+    model.actuator_gear[:] = 0.0
     model.actuator_ctrllimited[:] = 0
     if hasattr(model, "actuator_delay"):
         # In releases with delayed actuators; the commands of a window are delayed already.
@@ -489,11 +478,15 @@ def set_servos(model: Any, robot: RobotModel, servos: ServoParameters) -> None:
     driven = actuators.index != NO_ACTUATOR
     ids = actuators.index[driven]
     # At the joint: Kp and kv are reduced by the gear ratio already.
-    model.actuator_gear[ids] = 0.0
-    model.actuator_gear[ids, 0] = 1.0
-    model.actuator_gainprm[ids, 0] = servos.stiffness[driven]
+    model.actuator_gear[[output_row(model, actuator) for actuator in ids], 0] = 1.0
+    model.actuator_biastype[ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
+    model.actuator_biasprm[ids, 0] = 0.0
     model.actuator_biasprm[ids, 1] = -servos.stiffness[driven]
     model.actuator_biasprm[ids, 2] = -kv[driven]
+    # A PID controller takes its gain from the bias.
+    plain = ids[[len(control_rows(model, actuator)) == 1 for actuator in ids]]
+    model.actuator_gaintype[plain] = int(mujoco.mjtGain.mjGAIN_FIXED)
+    model.actuator_gainprm[plain, 0] = -model.actuator_biasprm[plain, 1]
     limit = actuators.limit[driven]
     model.actuator_forcelimited[ids] = np.isfinite(limit)
     model.actuator_forcerange[ids] = np.column_stack((-limit, limit))
@@ -582,6 +575,7 @@ class ServoRollouts:
         commands = dict[float, Array]()
         index = chain_actuators(robot).index
         driven = index != NO_ACTUATOR
+        rows = [control_rows(model, actuator)[0] for actuator in index[driven]]
         spring_rest = np.array(robot.mj_model.qpos_spring[robot.qpos_index])
         for servos in candidates:
             set_servos(model, robot, servos)
@@ -590,7 +584,7 @@ class ServoRollouts:
                 commands[servos.delay] = np.stack(controls)
             command = commands[servos.delay]
             control = np.zeros((*command.shape[:2], model.nu))
-            control[:, :, index[driven]] = command[:, :, driven]
+            control[:, :, rows] = command[:, :, driven]
             torque = servos.stiffness * ~driven * (command - spring_rest)
             inputs = RolloutInputs(q, qd, torque, control)
             yield np.concatenate((q[:, None], self._runner.positions(inputs)), axis=1)

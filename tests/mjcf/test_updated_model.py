@@ -421,3 +421,17 @@ def test_gains_are_written_into_the_actuator_that_mujoco_numbers(tmp_path):
             ExportError, match=f"actuator number {number} is not written out"
         ):
             write_actuator(edits, ActuatorChange(number, 1.0, 1.0))
+
+
+@since(4, 0)
+def test_a_pid_controller_gets_gains_and_any_actuator_a_rotor(tmp_path):
+    text = SERVOS.replace('<motor joint="a"/>', '<pid joint="a" damping="1 2 3"/>')
+    edits = Edits(read_document(write_files(tmp_path, {"arm.xml": text})))
+    numbers = {"armature": 0.25, "damping": 0.5}
+    write_actuator(edits, ActuatorChange(0, 40.0, 4.0, numbers))
+    write_actuator(edits, ActuatorChange(2, mechanical=numbers))
+    model = mujoco.MjModel.from_xml_string(edits.text().decode())
+    assert model.actuator_biasprm[:, :3].tolist()[::2] == [[0, -40, -4], [0, -5, -2]]
+    assert model.actuator_armature.tolist() == [0.25, 0.0, 0.25]
+    assert model.actuator_damping.tolist() == [0.5, 0.0, 0.5]
+    assert model.actuator_dampingpoly[0].tolist() == [2.0, 3.0]

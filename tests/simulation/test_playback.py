@@ -12,6 +12,7 @@ import pytest
 from robot_sysid.records import Measurement
 from robot_sysid.simulation import playback
 from tests.support.arms import SEVEN, X, Y, Z, robot_of, serial_arm
+from tests.support.releases import since
 from tests.support.servo_logs import SERVOS, TRUTH, XML, commanded
 
 JOINT = 'range="-2.5 2.5" armature="{}" damping="3" frictionloss=".5"'
@@ -158,6 +159,30 @@ def test_a_joint_without_actuator_is_pulled_by_a_spring_of_the_same_gain():
     np.testing.assert_allclose(
         play(actuated, *candidates)[1], play(bare, *candidates)[1], atol=1e-6
     )
+
+
+PASSIVE = """<dcmotor joint="joint0" input="none" resistance="1" motorconst="0"
+ lugre="900 1 .1 .2 .1"/><general joint="joint1" dyntype="integrator"/>"""
+PID = """<pid joint="joint0" kp="100" kv="2" forcerange="-60 60"/>
+<pid joint="joint1" kp="80" kv="1" input="pos"/>"""
+
+
+@since(4, 0)
+@pytest.mark.parametrize(
+    "servos",
+    [
+        SERVOS.replace("<general", f"{PASSIVE}<general", 1),
+        f"<actuator>{PID}</actuator>",
+    ],
+)
+def test_servos_are_the_same_beside_other_actuators_and_as_pid_controllers(servos):
+    plain = robot_of(XML)
+    other = robot_of(XML.replace(SERVOS, servos))
+    models = [playback.servos_in_model(robot) for robot in (plain, other)]
+    np.testing.assert_array_equal(models[0].vector(), models[1].vector())
+    for candidate in (models[0], TRUTH):
+        expected = play(plain, candidate)[0]
+        np.testing.assert_allclose(play(other, candidate)[0], expected, atol=1e-9)
 
 
 def test_candidates_played_together_do_not_disturb_each_other():
