@@ -102,13 +102,12 @@ def subtree(mj_model: Any, body_id: int) -> list[int]:
 def has_only_armature(mj_model: Any) -> bool:
     """Return whether joint armature is the only torque beside rigid-body dynamics.
 
-    Springs, nonlinear damping, tendons and actuator armature or damping need MuJoCo's full inverse
-    dynamics; without them a cheaper formula gives the same torque.
+    Springs, nonlinear damping and tendons need MuJoCo's full inverse dynamics; without them a
+    cheaper formula gives the same torque. Rotors and damping of actuators are in the joints.
     """
     fields = (
         "jnt_stiffness jnt_stiffnesspoly dof_dampingpoly tendon_stiffness "
-        "tendon_stiffnesspoly tendon_damping tendon_dampingpoly tendon_armature "
-        "actuator_armature actuator_damping actuator_dampingpoly"
+        "tendon_stiffnesspoly tendon_damping tendon_dampingpoly tendon_armature"
     )
     # Older releases of MuJoCo lack some of these fields.
     return not any(np.any(getattr(mj_model, name, 0.0)) for name in fields.split())

@@ -34,6 +34,7 @@ from robot_sysid.mjcf.urdf import (
     link_inertias,
     velocity_limits,
 )
+from robot_sysid.model.actuators import with_actuators_in_joints
 from robot_sysid.model.bodies import inertia_about_com
 from robot_sysid.records import Array
 from robot_sysid.records.messages import Progress
@@ -67,7 +68,7 @@ class CompiledModel:
     """A compiled model.
 
     Attributes:
-        mj_model: MuJoCo's ``MjModel``.
+        mj_model: MuJoCo's ``MjModel``, see ``with_actuators_in_joints``.
         notes: sentences for the user on what was assumed or warned of.
         sha256: hash of all bytes of its files, includes too; "" without files.
         kind: language of the file, "mjcf" or "urdf".
@@ -82,6 +83,9 @@ class CompiledModel:
     kind: str
     velocity_limits: Mapping[str, float] = field(default_factory=dict)
     inertia_increases: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mj_model", with_actuators_in_joints(self.mj_model))
 
 
 @contextmanager

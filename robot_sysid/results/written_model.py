@@ -37,6 +37,7 @@ from robot_sysid.mjcf.updated_model import (
     WeldedBody,
     changed_model_text,
 )
+from robot_sysid.model.actuators import actuators_of_tendon, actuators_on, gear_ratio
 from robot_sysid.model.bodies import body_theta, link_bodies, place_in_carrier
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.compilation import compile_model, file_of
@@ -410,8 +411,11 @@ def _write(
     is_exact = all(map(verification.reads_fullinertia_exactly, written))
     change = replace(change, principal=not is_exact)
     path = target.path
+    stated = _beside_actuators(robot, change)
+    # The compiled draft has rotors and damping of actuators in joints and tendons.
+    change = replace(change, actuators=stated.actuators)
     text = changed_model_text(
-        robot.path, change, path.absolute().parent, target.mesh_dir
+        robot.path, stated, path.absolute().parent, target.mesh_dir
     )
     try:
         draft = target.files.write(path, text)
@@ -429,6 +433,61 @@ def _write(
             is_major = plan.emptied or plan.lightened
             notes.append(plan.note if is_major else Detail(plan.note))
     return tuple(notes)
+
+
+def _beside_actuators(robot: RobotModel, change: ModelChange) -> ModelChange:
+    """Return a change with the numbers of joints and tendons that the file has to state.
+
+    Rotor inertia and damping of a joint or tendon are partly its actuators', whose numbers stay.
+    Only where these alone are too large do they become smaller, and the joint's or tendon's zero.
+    """
+    model = robot.mj_model
+    actuators = list(change.actuators)
+    joints = []
+    for joint in change.joints:
+        dof = robot.dof_index[robot.joint_names.index(joint.label)]
+        on_joint = actuators_on(model, int(model.dof_jntid[dof]))
+        numbers, smaller = _numbers_beside(model, on_joint, joint.numbers)
+        own_numbers: dict[str, Any] = dict(numbers)
+        joints.append(replace(joint, **own_numbers))
+        actuators += smaller
+    tendons = []
+    for tendon in change.tendons:
+        on_tendon = actuators_of_tendon(model, tendon.tendon)
+        numbers, smaller = _numbers_beside(model, on_tendon, tendon.numbers)
+        tendons.append(replace(tendon, numbers=numbers))
+        actuators += smaller
+    return replace(
+        change, joints=tuple(joints), tendons=tuple(tendons), actuators=tuple(actuators)
+    )
+
+
+def _numbers_beside(
+    mj_model: Any, actuators: Sequence[int], numbers: Mapping[str, float]
+) -> tuple[dict[str, float], list[ActuatorChange]]:
+    """Return a joint's or tendon's own numbers beside its actuators', and changes of the latter.
+
+    Args:
+        mj_model: the compiled model, see ``with_actuators_in_joints``.
+        actuators: ids of the actuators that pull at the joint or tendon.
+        numbers: "armature", "damping" and others to their values of all of them together.
+    """
+    own_numbers = dict(numbers)
+    changes = []
+    for name in numbers.keys() & {"armature", "damping"}:
+        stated = getattr(mj_model, f"actuator_{name}", np.zeros(mj_model.nu))
+        parts = {}
+        for actuator in actuators:
+            squared_gear = gear_ratio(mj_model, actuator) ** 2
+            parts[actuator] = float(squared_gear * stated[actuator])
+        total = sum(parts.values())
+        own_numbers[name] = max(numbers[name] - total, 0.0)
+        if numbers[name] < total:
+            factor = numbers[name] / total
+            for actuator in actuators:
+                smaller = {name: factor * float(stated[actuator])}
+                changes.append(ActuatorChange(actuator, mechanical=smaller))
+    return own_numbers, changes
 
 
 def versions() -> dict[str, str]:

@@ -301,6 +301,44 @@ def test_all_links_joints_and_gravity_are_written(tmp_path, name):
         )
 
 
+ROTORS = """<actuator><motor joint="joint1" gear="3" armature=".02" damping=".1 .02 0"/>
+<motor joint="joint2" armature=".3"/><motor joint="joint2" gear="2" armature=".01" damping=".05"/>
+</actuator>"""
+
+
+@since(3, 7)
+@pytest.mark.parametrize("factor", [0.0, 0.4, 1.0, 2.5])
+def test_rotors_and_damping_stated_at_actuators_stay_there_where_there_is_room(
+    tmp_path, factor
+):
+    """Total of joint and actuators is what was identified; the written file says the same."""
+    xml = arms.serial_arm((arms.Z, arms.Y, arms.X), joint='armature=".1"', extra=ROTORS)
+    robot = load_arm(tmp_path, xml)
+    assert_allclose(robot.armature, [0.1, 0.1 + 0.18, 0.1 + 0.3 + 0.04])
+    assert_allclose(robot.friction.viscous, [0.0, 0.9, 0.2])
+    joints = {}
+    for index, name in enumerate(robot.joint_names):
+        values = {
+            "armature": factor * robot.armature[index],
+            "viscous": factor * robot.friction.viscous[index],
+        }
+        joints[name] = {t: record.Quantity(x, 0.01) for t, x in values.items()}
+    written = write_and_compile(
+        robot, result_of(robot, file=file_of(robot, joints=joints))
+    )
+    reloaded = load_robot_model(written.path)
+    assert_allclose(reloaded.armature, factor * robot.armature, rtol=1e-12)
+    assert_allclose(
+        reloaded.friction.viscous, factor * robot.friction.viscous, rtol=1e-12
+    )
+    assert_allclose(reloaded.nonlinear_damping, robot.nonlinear_damping, rtol=1e-12)
+    stated = written.mj_model.actuator_armature / robot.mj_model.actuator_armature
+    # Of joint2 the actuators have 0.34 of 0.44, of joint1 0.18 of 0.28.
+    rooms = {0.0: (0.0, 0.0), 0.4: (0.4 * 0.28 / 0.18, 0.4 * 0.44 / 0.34)}
+    of_joint1, of_joint2 = rooms.get(factor, (1.0, 1.0))
+    assert_allclose(stated, [of_joint1, of_joint2, of_joint2], rtol=1e-12)
+
+
 def test_links_that_are_the_models_own_are_left_alone_and_their_joints_told_of_with_the_last(
     tmp_path,
 ):
