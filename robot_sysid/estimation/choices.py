@@ -414,7 +414,7 @@ def _missing(
         cosines = [0.0]
         for other in present:
             other_direction = other.ratios / np.linalg.norm(other.ratios)
-            cosines.append(abs(direction @ other_direction))
+            cosines.append(abs(float(direction @ other_direction)))
         if max(cosines) <= _SAME_DIRECTION:
             yield motor
 

@@ -104,7 +104,7 @@ class HeldOut:
             gram[:-1, :-1] = normal[np.ix_(indices, indices)]
         # Row by row of all blocks: a second array of all matrices would double the memory.
         for row_of_blocks in grams.swapaxes(0, 1):
-            row_of_blocks[:] = np.array(_sums_of_others(row_of_blocks, np.add))
+            row_of_blocks[:] = np.array(_sums_of_others([*row_of_blocks], np.add))
         return grams
 
     def squared_errors(self, unknowns: Unknowns) -> Array:

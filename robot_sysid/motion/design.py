@@ -469,5 +469,5 @@ def penalised_objective(
     for adjoint, gradient in zip(adjoints, information.vjp(factor)):
         adjoint[INFORMATION_POINTS] += gradient
     # q, qd and qdd are linear in x, by the basis functions and their derivatives.
-    gradient = sum(a.T @ f for a, f in zip(adjoints, design.on_grid))
-    return min(value, _WORST) + penalty, np.asarray(gradient), active
+    gradient = np.sum([a.T @ f for a, f in zip(adjoints, design.on_grid)], axis=0)
+    return min(value, _WORST) + penalty, gradient, active

@@ -20,6 +20,7 @@ from dataclasses import replace
 from itertools import islice
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.motion import RECORDED_FOR_PAYLOAD, PoseOptions
@@ -231,7 +232,7 @@ def _held_poses(problem: ExcitationProblem) -> Iterator[Array]:
             yield poses[k]
 
 
-def _is_feasible(problem: ExcitationProblem, poses: Array) -> Array:
+def _is_feasible(problem: ExcitationProblem, poses: Array) -> NDArray[np.bool_]:
     """Return for each of N poses (N, n) whether the arm, at rest in it, keeps all clearances and
     torque limits (N,).
     """

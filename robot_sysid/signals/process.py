@@ -553,7 +553,7 @@ def _notes(
         yield Detail(
             "positions have no noise: they are differentiated without a low-pass"
         )
-    missing = 1.0 - np.mean(is_complete)
+    missing = 1.0 - float(np.mean(is_complete))
     if missing > 0.0:
         note = (
             f"{percent(missing)} of the rows lie next to {obstacle}, and are not used"

@@ -300,7 +300,7 @@ class MovedZeroCheck:
         shared = errors @ self._covariance
         predicted = shared @ errors.T
         covariance = predicted + np.diag(_ALIKE * noise + scattered)
-        gain = np.linalg.solve(covariance, shared).T
+        gain = np.asarray(np.linalg.solve(covariance, shared).T, dtype=float)
         self._mean = self._mean + gain @ innovation
         drift = _DRIFT * np.eye(len(self._mean))
         self._covariance = self._covariance - gain @ shared + drift

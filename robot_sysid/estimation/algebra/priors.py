@@ -200,7 +200,7 @@ def link_factor(
     """
     directions = link_directions(tuple(map(tuple, thetas)), tuple(lengths))
     scaled = directions * scales.of_directions(len(thetas))
-    return share * np.linalg.cholesky(scaled @ scaled.T)
+    return share * np.asarray(np.linalg.cholesky(scaled @ scaled.T), dtype=float)
 
 
 def link_lengths(robot: RobotModel, links: Sequence[int]) -> list[float]:
