@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import robot_sysid
 from robot_sysid.cli import main
@@ -220,3 +221,26 @@ def test_records_cannot_be_changed():
                 if text.startswith("dataclass") and "frozen=True" not in text:
                     mutable.add(node.name)
     assert mutable == MUTABLE
+
+
+_WRITTEN = re.compile(
+    r"(?:robot-sysid example|--output-dir|--save-[\w-]+) ([a-z][\w./]*)"
+)
+"""A command's words that name a file or folder that it writes."""
+
+
+def test_what_the_first_pages_write_leaves_a_clone_clean():
+    """Git and ruff leave out what is ignored."""
+    if not (ROOT / ".git").exists():
+        pytest.skip("needs a clone")
+    pages = (
+        "README.md",
+        "docs/index.md",
+        "docs/tutorial.md",
+        "examples/kinova/README.md",
+    )
+    written = _WRITTEN.findall(" ".join(map(read, pages)))
+    assert {"kinova", "found", "plan.json"} <= {*written}
+    for name in {*written, "weighed", "plan.csv"}:
+        ignored = subprocess.run(["git", "check-ignore", "-q", name], cwd=ROOT)
+        assert ignored.returncode == 0, name
