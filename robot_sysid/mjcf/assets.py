@@ -38,6 +38,7 @@ from robot_sysid.mjcf.documents import (
     read_document,
     reference,
 )
+from robot_sysid.records.file_access import refuse_special_file
 
 _CUBE_SIDES = ("fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
 """Attributes of a texture that name the files of a cube's sides."""
@@ -157,9 +158,14 @@ def urdf_shapes(document: ModelDocument) -> Iterator[tuple[Node, Node]]:
 
 
 def check_assets(document: ModelDocument, mesh_dir: Path | None = None) -> None:
-    """Raise ModelError naming the first file an MJCF document needs that does not exist."""
+    """Raise InputError naming the first file a document needs that is missing or a pointer of LFS.
+
+    A URDF does without the missing ones.
+    """
     for asset in find_assets(document, mesh_dir):
-        if asset.path is None:
+        if asset.path is not None:
+            refuse_special_file(asset.path)
+        elif not document.is_urdf:
             listed = ", ".join(map(str, asset.searched))
             is_model = asset.node.tag == "model"
             remedy = "check the path" if is_model else "pass --mesh-dir FOLDER"
@@ -420,8 +426,10 @@ def refuse_hazards(
         if node.tag == "attach":
             n_attached[node.get("model") or ""] += math.ceil(copies)
     for asset in find_assets(document, mesh_dir):
-        _refuse_pipes(document, asset)
         if asset.path is None:
+            name = Path(asset.name.replace("\\", "/")).name
+            for folder in asset.searched:
+                refuse_special_file(folder / name)
             continue
         path = asset.path.resolve()
         tag = asset.node.tag
@@ -443,6 +451,7 @@ def refuse_hazards(
     counted = {*needs} if document.is_urdf else needs
     total = math.fsum(memory for memory, _ in counted)
     if total > MAX_MEMORY:
+        check_assets(document, mesh_dir)
         raise ModelError(
             f"{document.path}: its textures, height fields, meshes and numbers take "
             f"{total / 1e9:.3g} GB when unpacked, more than the {MAX_MEMORY / 1e9:g} GB that are "
@@ -504,20 +513,6 @@ def _product(text: str | None) -> float:
         return math.prod(map(float, (text or "0").split()))
     except ValueError:
         return 0.0
-
-
-def _refuse_pipes(document: ModelDocument, asset: Asset) -> None:
-    """Raise ModelError where the name of an asset that was not found is a pipe's or a device's."""
-    if asset.path is not None:
-        return
-    name = Path(asset.name.replace("\\", "/")).name
-    for folder in asset.searched:
-        path = folder / name
-        # Path.exists raises where a name is too long.
-        if os.path.exists(path) and not os.path.isdir(path):
-            raise ModelError(
-                f"{document.path}: {path} is not a file but a pipe or a device"
-            )
 
 
 def _memory_of_file(path: Path, tag: str, form: str) -> float:

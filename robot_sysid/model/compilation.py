@@ -212,6 +212,7 @@ def _compile_urdf(
             elif new_increases:
                 increases = new_increases
             else:
+                check_assets(document, mesh_dir)
                 raise ModelError(_compiler_message(document, error)) from None
     restore_exact_inertias(mj_model, link_inertias(document))
     return mj_model, notes, increases

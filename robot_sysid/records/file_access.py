@@ -39,6 +39,8 @@ LOCK_NAME = ".robot-sysid.lock"
 """Name of the file that locks a folder while a run writes to it."""
 _DRAFT_PREFIX = ".robot-sysid-"
 """Begin of the name of a draft, a hidden file that is renamed when it is complete."""
+_LFS_POINTER = b"version https://git-lfs.github.com/spec/v1"
+"""First line of a file that Git LFS leaves in the place of a large one."""
 _MAX_INTEGER_DIGITS = 300
 """Digits up to which an integer of a JSON file fits into a float, of at most 1.8e308."""
 _MAX_JSON_BYTES = 30_000_000
@@ -53,18 +55,28 @@ def models_in(files: Iterable[Path]) -> list[Path]:
 def refuse_special_file(
     path: str | os.PathLike[str], remedy: str = "give a file"
 ) -> None:
-    """Raise InputError where a path leads to a pipe, a device or a socket.
+    """Raise InputError where a path leads to a pipe, a device or a socket, or to a pointer of LFS.
 
-    Reading one may never end, and the system would miss a device that a file has replaced.
-    Folders, missing files and paths that cannot be looked at pass: opening them fails with the
-    reason. ``remedy``: what the user should do; ends the message.
+    Reading the former may never end, and the system would miss a device that a file has replaced.
+    A pointer is what Git leaves in the place of a large file until that is fetched. Folders,
+    missing files and paths that cannot be looked at pass: opening them fails with the reason.
+    ``remedy``: what the user should do about a pipe or a device; ends the message.
     """
+    beginning = b""
     try:
         mode = os.stat(path).st_mode
+        if stat.S_ISREG(mode):
+            with open(path, "rb") as file:
+                beginning = file.read(len(_LFS_POINTER))
     except (OSError, ValueError):
         return
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
         raise InputError(f"{path} is a pipe or a device; {remedy}")
+    if beginning == _LFS_POINTER:
+        raise InputError(
+            f"{path} is a pointer of Git LFS, not the file that it stands for; fetch that with "
+            "git lfs pull in its repository"
+        )
 
 
 def read_json(path: Path, remedy: str) -> Any:

@@ -13,7 +13,7 @@ import zlib
 import mujoco
 import pytest
 
-from robot_sysid.errors import ModelError
+from robot_sysid.errors import InputError, ModelError
 from robot_sysid.mjcf import assets as assets_module
 from robot_sysid.mjcf.assets import (
     check_assets,
@@ -23,7 +23,13 @@ from robot_sysid.mjcf.assets import (
 )
 from robot_sysid.mjcf.documents import Edits, read_document, reference
 from robot_sysid.model.compilation import compile_model
-from tests.support.model_files import TETRAHEDRON, assert_model_refused, write_files
+from tests.support import urdf
+from tests.support.model_files import (
+    LFS_POINTER,
+    TETRAHEDRON,
+    assert_model_refused,
+    write_files,
+)
 from tests.support.releases import since
 
 MESH = "<asset><mesh name='m' file='{}'/></asset>"
@@ -120,6 +126,21 @@ def test_the_users_mesh_folder_replaces_that_of_the_file(tmp_path):
     check_assets(document, tmp_path / "mine")
 
 
+@pytest.mark.parametrize("suffix", ["obj", "stl", "msh"])
+def test_a_mesh_that_is_a_pointer_of_lfs_is_named(tmp_path, suffix):
+    files = {
+        "a.xml": meshed_model("", f"m.{suffix}"),
+        "a.urdf": urdf.robot(
+            urdf.serial({"l1": urdf.inertial() + urdf.mesh("collision", f"m.{suffix}")})
+        ),
+        f"m.{suffix}": LFS_POINTER,
+    }
+    write_files(tmp_path, files)
+    for name in ("a.xml", "a.urdf"):
+        with pytest.raises(InputError, match=f"m.{suffix} is a pointer of Git LFS"):
+            compile_model(tmp_path / name)
+
+
 LEAF = '<body name="b"><geom size=".1"/></body>'
 
 
@@ -184,7 +205,7 @@ def test_a_model_may_be_attached_more_than_once(tmp_path):
         ),
         (
             '<asset><mesh name="m" file="shape.stl"/></asset>',
-            "shape.stl is not a file but a pipe",
+            "shape.stl is a pipe or a device",
         ),
         ('<option gravity="0 0 -1e300"/>', r"a value no arm has \(gravity 1e\+300\)"),
     ],
@@ -194,7 +215,8 @@ def test_what_would_end_or_stop_the_process_is_refused(tmp_path, element, messag
     os.mkfifo(tmp_path / "shape.stl")
     path = model(tmp_path, "a.xml")
     path.write_text(path.read_text().replace("<asset>", f"{element}<asset>"))
-    assert_model_refused(message, path)
+    with pytest.raises(InputError, match=message):
+        compile_model(path)
 
 
 def png(width, height, content=b"\0", colours=2):

@@ -11,6 +11,7 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -31,7 +32,7 @@ from robot_sysid.records.file_access import (
     refuse_special_file,
     write_atomically,
 )
-from tests.support.model_files import write_files
+from tests.support.model_files import LFS_POINTER, write_files
 from tests.support.places import ROOT
 
 NAMES = ("model.xml", "b.csv", "a.json")
@@ -329,6 +330,14 @@ def test_a_device_is_neither_read_nor_replaced(tmp_path, pipe):
         ):
             write_atomically(path, "content")
     assert not (tmp_path / "null").is_file() and pipe.is_fifo()
+
+
+def test_a_pointer_of_lfs_is_no_file_to_read(tmp_path):
+    path = tmp_path / "a"
+    path.write_bytes(LFS_POINTER.replace("\n", "\r\n").encode())
+    for read in (read_toml, partial(read_json, remedy="do this")):
+        with pytest.raises(InputError, match="a is a pointer of Git LFS.*git lfs pull"):
+            read(path)
 
 
 def assert_pipe_is_refused(path, folder):

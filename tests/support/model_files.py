@@ -46,6 +46,12 @@ ARM = f"""<mujoco model="two links">
 """
 
 
+LFS_POINTER = (
+    f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 9\n"
+)
+"""What Git leaves in the place of a large file that was not fetched."""
+
+
 def write_files(folder: Path, files: dict[str, str]) -> Path:
     """Write files given by relative name; return the first one's path."""
     for name, content in files.items():
