@@ -129,7 +129,8 @@ def can_be_column(array: Any) -> bool:
     """Return whether an array or data set may hold columns of a log; reads none of its elements."""
     # Floats, integers with and without sign, and truth values.
     is_numbers = hasattr(array, "dtype") and array.dtype.kind in "fiub"
-    return is_numbers and len(array.shape) in (1, 2) and array.size > 1
+    # An empty data set of HDF5 has no shape.
+    return is_numbers and len(array.shape or ()) in (1, 2) and array.size > 1
 
 
 def _dates_as_seconds(array: Any) -> Any:
@@ -158,8 +159,11 @@ def npz_table(source: LogSource) -> LogTable:
 
 
 def npz_arrays(path: Path) -> dict[str, Any]:
-    """Return the arrays of an .npz file, or raise InputError; nothing in it is unpickled."""
-    with as_input_errors(path, "a NumPy .npz file"), path.open("rb") as stream:
+    """Return the arrays of an .npz file; nothing in it is unpickled.
+
+    InputError where it holds no arrays or too much.
+    """
+    with path.open("rb") as stream:
         size = path.stat().st_size
         with zipfile.ZipFile(stream) as archive:
             names = archive.namelist()
@@ -197,6 +201,7 @@ def _array_bytes(archive: zipfile.ZipFile, name: str) -> int:
 
 
 _UNPACK = """
+import contextlib
 import sys
 import numpy as np
 from scipy.io import loadmat, whosmat
@@ -222,12 +227,17 @@ try:
     resource.setrlimit(resource.RLIMIT_AS, (int(taken + 1.2 * limit + 1e8),) * 2)
 except (ImportError, OSError, ValueError):
     pass
+names = None
 try:
-    variables = [v for v in whosmat(path) if v[2] not in ("cell", "char", "function")]
-    refuse_bomb(sum(8.0 * float(np.prod(shape, dtype=float)) for _, shape, _ in variables))
-    names = [name for name, _, _ in variables]
+    # SciPy lists no file that holds MATLAB's objects; of it, memory is limited alone.
+    with contextlib.suppress(TypeError):
+        variables = [v for v in whosmat(path) if v[2] not in ("cell", "char", "function")]
+        refuse_bomb(sum(8.0 * float(np.prod(shape, dtype=float)) for _, shape, _ in variables))
+        names = [name for name, _, _ in variables]
     content = loadmat(path, simplify_cells=True, variable_names=names)
     arrays = dict(numeric_arrays("", content))
+    if names is None and not arrays:
+        sys.exit("it holds objects alone, such as a table or timetable; save their arrays")
     refuse_bomb(sum(float(array.nbytes) for array in arrays.values()))
     np.savez(unpacked, *arrays.values(), names=np.array([*arrays], dtype=str))
 except MemoryError:
@@ -248,13 +258,10 @@ _LEAST_SPEED = 2e7
 def matlab_table(source: LogSource) -> LogTable:
     """Return the arrays of a .mat file, also those in its structs, as a table.
 
-    A process of its own reads the file. InputError where the file cannot be read.
+    A process of its own reads the file. ValueError with its fault where it cannot be read.
     """
     path = source.path
-    with (
-        as_input_errors(path, "a MATLAB .mat file"),
-        tempfile.TemporaryDirectory() as folder,
-    ):
+    with tempfile.TemporaryDirectory() as folder:
         unpacked = Path(folder, "log.npz")
         size = path.stat().st_size
         seconds = math.ceil(_LEAST_TIME + size / _LEAST_SPEED)
@@ -281,24 +288,21 @@ _NUMERIC_TYPE = re.compile(
 def parquet_table(source: LogSource) -> LogTable:
     """Return the columns of numbers of a Parquet file; a list in a cell is a column each."""
     path = source.path
-    form = "a Parquet file"
-    parquet = import_optional("pyarrow.parquet", "parquet", form)
-    with as_input_errors(path, form):
-        names = _numeric_columns(parquet.read_schema(path))
-        unpacked = _unpacked_bytes(parquet.read_metadata(path), names)
-        refuse_bomb(path, unpacked, path.stat().st_size)
-        refuse_many_arrays(path, len(names))
-        return _arrow_table(path, "Parquet", parquet.read_table(path, columns=names))
+    parquet = import_optional("pyarrow.parquet", "parquet")
+    names = _numeric_columns(parquet.read_schema(path))
+    unpacked = _unpacked_bytes(parquet.read_metadata(path), names)
+    refuse_bomb(path, unpacked, path.stat().st_size)
+    refuse_many_arrays(path, len(names))
+    return _arrow_table(path, "Parquet", parquet.read_table(path, columns=names))
 
 
 def feather_table(source: LogSource) -> LogTable:
     """Return the columns of numbers of a Feather file, an Arrow table in a file."""
     path = source.path
-    form = "a Feather file"
     size = path.stat().st_size
-    feather = import_optional("pyarrow.feather", "parquet", form)
-    ipc = import_optional("pyarrow.ipc", "parquet", form)
-    with as_input_errors(path, form), memory_limit(unpacked_limit(size)):
+    feather = import_optional("pyarrow.feather", "parquet")
+    ipc = import_optional("pyarrow.ipc", "parquet")
+    with memory_limit(unpacked_limit(size)):
         with ipc.open_file(str(path)) as file:
             names = _numeric_columns(file.schema)
         refuse_many_arrays(path, len(names))
@@ -362,8 +366,6 @@ def _unpacked_bytes(metadata: Any, columns: Sequence[str]) -> float:
     return size
 
 
-LEROBOT = "a LeRobot data set"
-"""Name of the form in messages."""
 STATE = "observation.state"
 """Feature (array of a frame) that holds what was measured."""
 ACTION = "action"
@@ -498,20 +500,19 @@ def _read_frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:
 
     InputError where there are no files, or one of them cannot be read.
     """
-    parquet = import_optional("pyarrow.parquet", "lerobot", LEROBOT)
+    parquet = import_optional("pyarrow.parquet", "lerobot")
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
         raise InputError(f"{path} has no Parquet files in data/; {_DOWNLOAD}")
     unpacked = 0.0
     for file in files:
-        with as_input_errors(file, LEROBOT):
+        with as_input_errors(file, "a Parquet file"):
             unpacked += _unpacked_bytes(parquet.read_metadata(file), columns)
     refuse_bomb(path, unpacked, sum(file.stat().st_size for file in files))
     arrays: dict[str, list[Array]] = {name: [] for name in columns}
     for file in files:
-        with as_input_errors(file, LEROBOT):
+        with as_input_errors(file, "a Parquet file"):
             frames = parquet.read_table(file, columns=list(columns))
             for name in columns:
                 arrays[name].append(_arrow_array(name, frames.column(name)))
-    with as_input_errors(path, LEROBOT):
-        return {name: np.concatenate(arrays[name]) for name in columns}
+    return {name: np.concatenate(arrays[name]) for name in columns}

@@ -23,7 +23,6 @@ from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.table import (
     LogSource,
     LogTable,
-    as_input_errors,
     import_optional,
     memory_limit,
     refuse_bomb,
@@ -43,9 +42,8 @@ def hdf5_table(source: LogSource) -> LogTable:
     Data sets that are links to other files are named in the table, but not read.
     """
     path = source.path
-    form = "an HDF5 file"
-    h5py = import_optional("h5py", "hdf5", form)
-    with as_input_errors(path, form), h5py.File(path, "r") as file:
+    h5py = import_optional("h5py", "hdf5")
+    with h5py.File(path, "r") as file:
         links: list[str] = []
         is_aloha = _find_member(h5py, file, "observations/qpos") is not None
         if is_aloha:

@@ -15,8 +15,8 @@ import shutil
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from html import escape
 from itertools import combinations
 from operator import attrgetter
@@ -38,7 +38,14 @@ from robot_sysid.logs.guess import guess_columns
 from robot_sysid.logs.hdf5 import hdf5_table
 from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.ros_bag import bag_table
-from robot_sysid.logs.table import LogSource, LogTable, read_blocks, read_rows
+from robot_sysid.logs.table import (
+    Block,
+    LogSource,
+    LogTable,
+    as_input_errors,
+    read_blocks,
+    read_rows,
+)
 from robot_sysid.logs.text import is_number, text_table
 from robot_sysid.logs.titles import joint_quantity, read_title
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
@@ -276,15 +283,23 @@ _READERS = {
 """First bytes of a file to the reader of its form; any other file is a text table."""
 _FOLDER_READERS = {"metadata.yaml": bag_table, "meta/info.json": arrays.lerobot_table}
 """A file in a folder to the reader of the folder's form."""
+_FORMS: dict[TableReader, str] = {
+    bag_table: "a ROS bag",
+    arrays.matlab_table: "a MATLAB .mat file",
+    hdf5_table: "an HDF5 file",
+    arrays.npz_table: "a NumPy .npz file",
+    arrays.parquet_table: "a Parquet file",
+    arrays.feather_table: "a Feather file",
+    arrays.lerobot_table: "a LeRobot data set",
+    text_table: "a table of text",
+}
+"""Every reader to the name of its form in messages."""
 _UNTITLED = "its titles do not say for sure which column is what"
 """What is wrong with a log whose columns were all guessed."""
 _REMEDY = "say which column is what with --columns FILE"
 """What to do where columns are not recognised."""
-_FORM_OPTIONS = {
-    "topic": ("a ROS bag", bag_table),
-    "episode": ("a LeRobot data set", arrays.lerobot_table),
-}
-"""Option that is about one form alone, to the form's name and its reader."""
+_FORM_OPTIONS = {"topic": bag_table, "episode": arrays.lerobot_table}
+"""Option that is about one form alone, to the form's reader."""
 _READING_OPTIONS = {"columns", "units", *_FORM_OPTIONS}
 """Fields of options that change what is read from a log."""
 _FACTOR_OPTIONS = {"torque_scale", "torque_constants"}
@@ -310,7 +325,10 @@ def _piped_file() -> Path:
 
 
 def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:
-    """Return a log as a table, its form recognised; InputError where it is of no known form.
+    """Return a log as a table, its form recognised.
+
+    Whatever a reader raises, now or while blocks are read, becomes an InputError here, also where
+    the form is not known.
 
     Args:
         path: file or folder; ``STANDARD_INPUT`` for a log that is piped in.
@@ -329,8 +347,9 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
         reason = error.strerror or error
         raise InputError(f"cannot read the log {path}: {reason}") from error
     reader = _find_reader(path, is_folder, first_bytes)
-    for option, (form, only_reader) in _FORM_OPTIONS.items():
+    for option, only_reader in _FORM_OPTIONS.items():
         if getattr(options, option) and reader is not only_reader:
+            form = _FORMS[only_reader]
             raise InputError(
                 f"--{option} is about {form}, and {path} is none; leave it off"
             )
@@ -339,7 +358,16 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
             f"{path} is a folder of no known form; a log is a text table (CSV), a ROS 1 or ROS 2 "
             "bag, a LeRobot data set, HDF5, Parquet, Feather, NumPy .npz or MATLAB .mat"
         )
-    return reader(LogSource(path, first_bytes, joint_names, options))
+    form = _FORMS[reader]
+    with as_input_errors(path, form):
+        table = reader(LogSource(path, first_bytes, joint_names, options))
+    return replace(table, blocks=functools.partial(_blocks, table, form))
+
+
+def _blocks(table: LogTable, form: str, columns: Sequence[int]) -> Iterator[Block]:
+    """Yield the blocks of a table with these columns; what its reader raises is an InputError."""
+    with as_input_errors(table.path, form):
+        yield from table.blocks(columns)
 
 
 def _find_reader(path: Path, is_folder: bool, first_bytes: bytes) -> TableReader:
@@ -357,10 +385,9 @@ def _find_reader(path: Path, is_folder: bool, first_bytes: bytes) -> TableReader
 def content_lines(path: Path, options: LogOptions, progress: Progress) -> list[str]:
     """Return lines for the user on a log's form and on the numbers in each of its columns."""
     table = open_table(Path(path), (), options)
-    columns = list(range(len(table.titles)))
-    # Of a text log, the columns of numbers.
-    if table.first_row:
-        columns = [k for k, cell in enumerate(table.first_row) if is_number(cell)]
+    # Of a text log, the columns of numbers, unless its first row holds none.
+    columns = [k for k, cell in enumerate(table.first_row) if is_number(cell)]
+    columns = columns or list(range(len(table.titles)))
     # Smallest and largest number of each column; NaN as long as it has none.
     lowest = np.full(len(columns), np.nan)
     highest = np.full(len(columns), np.nan)

@@ -55,14 +55,11 @@ from robot_sysid.logs.table import (
     Block,
     LogSource,
     LogTable,
-    as_input_errors,
     import_optional,
 )
 from robot_sysid.records import Array
 from robot_sysid.records.file_access import refuse_special_file
 
-FORM = "a ROS bag"
-"""Name of the form in messages."""
 _FIRST_MESSAGES = 200
 """Messages of a topic from which its joints are listed: a second or more, in which each publisher
 of the topic has sent one."""
@@ -226,23 +223,22 @@ def _read_messages(bag: Any, topic: str) -> Iterator[Message]:
 
 @contextlib.contextmanager
 def _open_bag(path: Path) -> Iterator[Any]:
-    """Yield a bag that is open within a block; what goes wrong in it is an InputError.
+    """Yield a bag that is open within a block.
 
     ``path``: of the bag, or of a part of a ROS 2 bag, which is then opened whole.
     """
-    typesys = import_optional("rosbags.typesys", "rosbag", FORM)
-    import_optional("rosbags.highlevel", "rosbag", FORM)  # the reader below needs it
+    typesys = import_optional("rosbags.typesys", "rosbag")
+    import_optional("rosbags.highlevel", "rosbag")  # the reader below needs it
     is_part = path.suffix in (".db3", ".mcap")
     has_metadata = (path.parent / "metadata.yaml").is_file()
     folder = path.parent if is_part and has_metadata else path
-    with as_input_errors(path, FORM):
-        for file in folder.iterdir() if folder.is_dir() else ():
-            refuse_special_file(file, "give a bag whose parts are files")
-        store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-        for name, text in DEFINITIONS.items():
-            store.register(typesys.get_types_from_msg(text, name))
-        with bounded_reader().AnyReader([folder], default_typestore=store) as bag:
-            yield bag
+    for file in folder.iterdir() if folder.is_dir() else ():
+        refuse_special_file(file, "give a bag whose parts are files")
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    for name, text in DEFINITIONS.items():
+        store.register(typesys.get_types_from_msg(text, name))
+    with bounded_reader().AnyReader([folder], default_typestore=store) as bag:
+        yield bag
 
 
 @functools.cache

@@ -197,18 +197,18 @@ def memory_limit(more_bytes: float) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
-def import_optional(module: str, extra: str, form: str) -> Any:
-    """Return a module, or raise InputError with the extra that installs it to read a form."""
+def import_optional(module: str, extra: str) -> Any:
+    """Return a module that reads a form, or raise InputError with the extra that installs it."""
     try:
         return importlib.import_module(module)
     except ImportError:
         hint = install_hint(module.split(".")[0], extra)
-        raise InputError(f"reading {form} {hint}") from None
+        raise InputError(f"reading this log {hint}") from None
 
 
 @contextlib.contextmanager
 def as_input_errors(path: Path, form: str) -> Iterator[None]:
-    """Turn any exception of a library that reads a file of a form into an InputError.
+    """Turn any exception inside the block, which reads a file of a form, into an InputError.
 
     A pipe or a device is refused before the block is entered.
     """

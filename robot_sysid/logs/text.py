@@ -118,7 +118,7 @@ def text_table(source: LogSource) -> LogTable:
         partial(_blocks, dialect),
         choices,
         row_noun="line",
-        first_row=dialect.first_row,
+        first_row=dialect.first_row[: len(dialect.titles)],
     )
 
 
@@ -304,7 +304,7 @@ def _read_with_numpy(
 
     None where a line has to be read cell by cell.
     """
-    if dialect.is_quoted:
+    if dialect.is_quoted or not columns:
         return None
     separator = None if dialect.separator == " " else dialect.separator
     first_row = dialect.first_row

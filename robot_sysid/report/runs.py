@@ -25,6 +25,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.uncertainty import autocovariance
 from robot_sysid.export import SCHEMA_VERSION
 from robot_sysid.logs.arrays import npz_arrays
+from robot_sysid.logs.table import as_input_errors
 from robot_sysid.records import SIGNAL_NAMES, Array, Signals, Source, Traces, Validation
 from robot_sysid.records.file_access import PARAMS_NAME, read_json
 from robot_sysid.results.body_errors import ERROR_NAMES
@@ -165,22 +166,21 @@ def load_data(path: Path) -> ReportData:
         "is_slide": lambda a: tuple(map(bool, a)),
     }
     try:
-        if not path.exists():
-            raise InputError(f"there is no {path}")
-        content = npz_arrays(path)
-        if content.pop("version", None) != _VERSION:
-            raise InputError(f"{path} was written by another version")
-        content["prior_prediction"] = content.pop("before")
-        values = {}
-        for data_field in fields(ReportData):
-            convert = converters.get(data_field.name, partial(np.asarray, dtype=float))
-            values[data_field.name] = convert(content[data_field.name])
-        return ReportData(**values)
+        with as_input_errors(path, "the data of a report"):
+            content = npz_arrays(path)
+            if content.pop("version", None) != _VERSION:
+                raise InputError(f"{path} was written by another version")
+            content["prior_prediction"] = content.pop("before")
+            values = {}
+            for data_field in fields(ReportData):
+                convert = converters.get(
+                    data_field.name, partial(np.asarray, dtype=float)
+                )
+                values[data_field.name] = convert(content[data_field.name])
+            return ReportData(**values)
     except InputError as error:
-        cause = str(error)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        cause = f"{path} is damaged: {error}"
-    raise InputError(f"{cause}; identify again with this version to have it written")
+        remedy = "identify again with this version to have it written"
+        raise InputError(f"{error}; {remedy}") from None
 
 
 def histogram(residual: Array) -> dict[str, Array]:

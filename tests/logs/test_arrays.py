@@ -11,6 +11,7 @@ import sys
 import zipfile
 import zlib
 from datetime import datetime, timedelta, timezone
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -354,9 +355,8 @@ def test_a_matlab_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch
 def test_a_matlab_file_may_end_its_process_and_takes_bounded_time(
     tmp_path, monkeypatch, fault
 ):
-    monkeypatch.setattr(
-        arrays, "_UNPACK", arrays._UNPACK.replace("variables = [", f"{fault}\n    [")
-    )
+    program = arrays._UNPACK.replace("    content =", f"    {fault}\n    content =")
+    monkeypatch.setattr(arrays, "_UNPACK", program)
     monkeypatch.setattr(arrays, "_LEAST_TIME", 0.0)
     savemat(tmp_path / "log.mat", {"time": DATA.time})
     assert_refused(
@@ -371,18 +371,48 @@ def test_arrays_of_a_matlab_struct_are_read_and_empty_cells_are_not(tmp_path):
     columns = {**COLUMNS, "q": DATA.q.T}
     saved = {"log": {"arm": columns, **EXTRAS}, "note": "text"}
     savemat(path, saved, do_compression=True)
-
-    def element(element_type, content):
-        head = struct.pack("<II", element_type, len(content))
-        return head + content + bytes(-len(content) % 8)
-
-    flags = element(6, struct.pack("<II", 1, 0))
-    shape = element(5, struct.pack("<ii", count, 1))
+    flags = matlab_element(6, struct.pack("<II", 1, 0))
+    shape = matlab_element(5, struct.pack("<ii", count, 1))
     empty = struct.pack("<II", 14, 0)
-    cells = element(14, flags + shape + element(1, b"c") + empty * count)
+    name = matlab_element(1, b"c")
+    cells = matlab_element(14, flags + shape + name + empty * count)
     with path.open("ab") as stream:
         packed = zlib.compress(cells)
         stream.write(struct.pack("<II", 15, len(packed)) + packed)
+    assert_read(path)
+
+
+def matlab_element(element_type, content):
+    """An element of a .mat file: its type and size, its content, and zeros up to eight bytes."""
+    head = struct.pack("<II", element_type, len(content))
+    return head + content + bytes(-len(content) % 8)
+
+
+def matlab_object(name):
+    """A variable of MATLAB's own class, such as a table or a string, in a .mat file."""
+    flags = matlab_element(6, struct.pack("<II", 17, 0))
+    names = map(partial(matlab_element, 1), (name, b"MCOS", b"table"))
+    shape = matlab_element(5, struct.pack("<ii", 1, 1))
+    full = matlab_element(6, struct.pack("<II", 13, 0)) + shape + matlab_element(1, b"")
+    content = matlab_element(14, full + matlab_element(6, bytes(4)))
+    return matlab_element(14, flags + b"".join(names) + content)
+
+
+def test_a_matlab_file_with_objects_gives_its_arrays(tmp_path):
+    path = tmp_path / "log.mat"
+    savemat(path, COLUMNS)
+    head = path.read_bytes()[:128]
+    path.write_bytes(path.read_bytes() + matlab_object(b"remarks"))
+    assert_read(path)
+    path.write_bytes(head + matlab_object(b"remarks"))
+    assert_refused("log.mat .*: it holds objects alone.*save their arrays", path)
+
+
+def test_an_empty_data_set_of_hdf5_is_no_column(h5py, tmp_path):
+    path = tmp_path / "log.hdf5"
+    hdf5(path, **COLUMNS)
+    with h5py.File(path, "a") as file:
+        file["nothing"] = h5py.Empty("f8")
     assert_read(path)
 
 

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import sys
 from dataclasses import replace
 from functools import partial
+from operator import attrgetter
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.io import savemat
 
 from robot_sysid.errors import ColumnsError, InputError
-from robot_sysid.logs import reader
+from robot_sysid.logs import LogOptions, arrays, reader
+from robot_sysid.records.messages import Progress
 from tests.support import recorded
 from tests.support.log_files import (
     JOINTS,
@@ -26,6 +30,7 @@ from tests.support.log_files import (
     table,
     write,
 )
+from tests.support.model_files import LFS_POINTER, write_files
 
 DATA = motion(60)
 
@@ -134,6 +139,112 @@ def test_a_damaged_file_is_refused_in_one_line(tmp_path, first_bytes, form):
     path = tmp_path / "log.bag"
     path.write_bytes(first_bytes + b" rubbish")
     assert_refused(f"as {form}", path)
+
+
+def hdf5(folder, data):
+    with pytest.importorskip("h5py").File(folder / "log.hdf5", "w") as file:
+        for name in ("time", "q", "tau"):
+            file[name] = getattr(data, name)
+    return folder / "log.hdf5"
+
+
+def matlab(folder, data):
+    savemat(folder / "log.mat", {"time": data.time, "q": data.q, "tau": data.tau})
+    return folder / "log.mat"
+
+
+FORMS = recorded.FORMS
+BAG_TYPES = "rosbags.typesys.get_typestore"
+READ_TABLE = "pyarrow.parquet.read_table"
+STACK = "numpy.column_stack"
+FILES_AND_CALLS = {
+    reader.bag_table: (FORMS["ROS 1 bag"], BAG_TYPES, BAG_TYPES),
+    arrays.matlab_table: (matlab, "subprocess.run", STACK),
+    reader.hdf5_table: (hdf5, "h5py.File", STACK),
+    arrays.npz_table: (FORMS["npz"], "numpy.load", STACK),
+    arrays.parquet_table: (FORMS["Parquet"], READ_TABLE, STACK),
+    arrays.feather_table: (FORMS["Feather"], "pyarrow.feather.read_table", STACK),
+    arrays.lerobot_table: (FORMS["LeRobot"], READ_TABLE, STACK),
+    reader.text_table: (FORMS["libfranka"], "csv.reader", "numpy.loadtxt"),
+}
+"""Reader to a function that writes a file of its form, and two functions of libraries: that it
+calls as the log is opened, and as its blocks are read."""
+
+
+def test_every_form_has_a_name():
+    readers = {*reader._READERS.values(), *reader._FOLDER_READERS.values()}
+    assert {*readers, reader.text_table} == set(reader._FORMS) == set(FILES_AND_CALLS)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        TypeError("'NoneType' object is not iterable"),
+        KeyError("x"),
+        AssertionError(),
+        MemoryError(),
+        RecursionError("too deep"),
+        OSError("odd"),
+    ],
+    ids=repr,
+)
+@pytest.mark.parametrize("table_reader", FILES_AND_CALLS, ids=attrgetter("__name__"))
+def test_whatever_a_library_raises_is_an_input_error_that_names_the_file(
+    tmp_path, table_reader, fault
+):
+    write_form, called_first, called_later = FILES_AND_CALLS[table_reader]
+    pytest.importorskip(called_first.partition(".")[0])
+
+    def fail(*_, **__):
+        raise fault
+
+    path = write_form(tmp_path, DATA)
+    log_table = reader.open_table(path, JOINTS, LogOptions())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(called_first, fail)
+        assert_refused(re.escape(str(path)), path)
+    blocks = log_table.blocks([0])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(called_later, fail)
+        with pytest.raises(InputError, match=re.escape(str(path))):
+            list(blocks)
+
+
+@pytest.mark.parametrize(
+    "suffix", ["csv", "txt", "log", "mcap", "bag", "db3", "parquet", "h5", "mat", "npz"]
+)
+def test_a_pointer_of_lfs_says_so_under_any_name(tmp_path, suffix):
+    path = tmp_path / f"log.{suffix}"
+    path.write_text(LFS_POINTER)
+    assert_refused(f"log.{suffix} is a pointer of Git LFS.* git lfs pull", path)
+
+
+@pytest.mark.parametrize(
+    "files",
+    [
+        {"metadata.yaml": "", "log_0.mcap": LFS_POINTER},
+        {"metadata.yaml": LFS_POINTER},
+        {"meta/info.json": LFS_POINTER},
+        {
+            "meta/info.json": '{"features": {"observation.state": {"names": ["a.torque"]}}}',
+            "data/chunk-000/file-000.parquet": LFS_POINTER,
+        },
+    ],
+    ids=list,
+)
+def test_a_pointer_of_lfs_in_a_folder_is_named(tmp_path, files):
+    for library in ("rosbags", "pyarrow"):
+        pytest.importorskip(library)
+    write_files(tmp_path, files)
+    assert_refused(f"{list(files)[-1]} is a pointer of Git LFS", tmp_path)
+
+
+def test_a_text_without_numbers_is_no_defect(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("a remark on the arm\nand another one here\n")
+    assert_refused("log.csv: ", path)
+    lines = reader.content_lines(path, LogOptions(), Progress())
+    assert "no numbers" in " ".join(lines)
 
 
 def test_a_library_that_is_missing_is_named_with_the_command(tmp_path, monkeypatch):

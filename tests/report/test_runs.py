@@ -82,9 +82,9 @@ def test_times_of_several_logs_follow_one_another():
     [
         ({"version": np.array(99)}, "another version"),
         ({"version": None}, "another version"),
-        ({"measured": None}, "damaged"),
+        ({"measured": None}, "cannot read"),
         ({"measured": np.zeros((3, 7))}, "measured has shape"),
-        ({"q": np.array(["a"])}, "damaged"),
+        ({"q": np.array(["a"])}, "cannot read"),
         ({"q": np.array([{}], dtype=object)}, "cannot read"),
     ],
 )

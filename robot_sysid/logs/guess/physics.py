@@ -73,7 +73,7 @@ def read_numbers(table: LogTable) -> Array:
         cells = np.concatenate((cells, block.cells))
     is_finite = np.isfinite(cells)
     is_filled = 2 * np.count_nonzero(is_finite, axis=0) > len(cells)
-    rows = np.full((len(cells), len(first_row)), np.nan)
+    rows = np.full((len(cells), len(table.titles)), np.nan)
     rows[:, columns[is_filled]] = cells[:, is_filled]
     return rows[np.all(is_finite[:, is_filled], axis=1)]
 
