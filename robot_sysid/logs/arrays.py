@@ -243,7 +243,8 @@ try:
 except MemoryError:
     sys.exit("it asks for more memory than a recording takes; it is damaged, or too long")
 except Exception as error:
-    sys.exit(" ".join(str(error).split()) or type(error).__name__)
+    fault = " ".join(str(error).split()) or type(error).__name__
+    sys.exit(f"it is damaged, or of a kind that SciPy does not read ({fault})")
 """
 """Program that makes an .npz file of a .mat file; SciPy ends the process on some damaged files.
 

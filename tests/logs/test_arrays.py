@@ -420,7 +420,7 @@ def test_a_matlab_file_that_is_cut_off_is_one_line(tmp_path):
     path = tmp_path / "log.mat"
     savemat(path, COLUMNS, do_compression=True)
     path.write_bytes(path.read_bytes()[:300])
-    assert_refused("as a MATLAB .mat file", path)
+    assert_refused("log.mat as a MATLAB .mat file: it is damaged, or", path)
 
 
 def describe_features(path, features):
