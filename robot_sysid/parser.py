@@ -156,6 +156,11 @@ def _prior(bodies: Sequence[SubtreeBody]) -> InertialParameters:
     return InertialParameters(theta)
 
 
+_ROUNDING = 1e-5
+"""Share of a link's largest moment of inertia by which six digits can make a flat body impossible,
+and by which moments are raised without a word."""
+
+
 def _mending_notes(
     compiled: CompiledModel, path: Path, chain: tuple[int, ...]
 ) -> tuple[str, ...]:
@@ -175,6 +180,8 @@ def _mending_notes(
     remedies = []
     mended_links = []
     for name, increase in compiled.inertia_increases.items():
+        if increase <= _ROUNDING * np.max(mj_model.body(name).inertia):
+            continue
         if name in names:
             remedies.append(f"add {increase:g} to ixx, iyy and izz of link '{name}'")
         else:

@@ -271,3 +271,24 @@ def test_an_impossible_inertia_of_the_arm_is_refused_with_a_remedy_that_helps(ar
     mended = vendor_arm({**links, "l1": body, "finger": body})
     robot = load_robot_model(arm_file(mended, "m.urdf"), joint="l0_l1")
     assert robot.n_joints == 2
+
+
+@pytest.mark.parametrize(
+    ("inertia", "is_accepted"),
+    [("0.01 0.02 0.0300001", True), ("0.01 0.02 0.031", False), ("0 1 1", True)],
+)
+def test_moments_of_a_link_are_mended_where_rounding_explains_them(
+    tmp_path, inertia, is_accepted
+):
+    """Six digits of a flat link, and a line that has no moment about itself."""
+    links = {"l1": urdf.inertial(), "l2": urdf.inertial(inertia=inertia)}
+    path = tmp_path / "arm.urdf"
+    path.write_text(urdf.robot(urdf.serial(links)))
+    if not is_accepted:
+        with pytest.raises(ModelError, match="add .* of link 'l2'"):
+            load_robot_model(path)
+        return
+    robot = load_robot_model(path)
+    assert robot.notes == ()
+    moments = np.sort(np.array(inertia.split(), dtype=float))
+    assert_allclose(np.sort(robot.mj_model.body("l2").inertia), moments, atol=1e-5)

@@ -19,6 +19,7 @@ from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import Asset, find_assets, urdf_shapes
 from robot_sysid.mjcf.documents import Edits, ModelDocument, Node
 from robot_sysid.mjcf.inertial import (
+    MARGIN,
     URDF_MOMENTS,
     format_number,
     urdf_inertial_about_com,
@@ -180,8 +181,9 @@ def inertia_increases(document: ModelDocument) -> dict[str, float]:
     """Return link name to what has to be added to its ixx, iyy and izz so that MuJoCo takes them.
 
     Only links with an inertia that no body has: a principal moment is not positive, or, unless
-    ``balanceinertia`` mends that, larger than the sum of the other two. The increase has two
-    digits [kg m^2]. ValueError where a number cannot be read.
+    ``balanceinertia`` mends that, larger than the sum of the other two, which of a flat body
+    rounding alone can make it where MuJoCo computes the principal axes. The increase has two digits
+    [kg m^2]. ValueError where a number cannot be read.
     """
     settings = document.settings("compiler")
     is_balanced = any(node.get("balanceinertia") == "true" for node in settings)
@@ -191,6 +193,9 @@ def inertia_increases(document: ModelDocument) -> dict[str, float]:
             continue  # of a massless link, which gets a minimum where MuJoCo needs one
         smallest, middle, largest = np.linalg.eigvalsh(inertia).tolist()
         excess = 0.0 if is_balanced else largest - middle - smallest
+        is_turned = np.any(inertia[np.triu_indices(3, 1)])
+        if excess > 0.0 or (is_turned and not is_balanced):
+            excess += MARGIN * largest
         least = max(_LEAST_SHARE * max(largest, -smallest), 2.0 * _SMALLEST_MOMENT)
         if smallest <= _SMALLEST_MOMENT:
             excess = max(excess, least - smallest)

@@ -136,6 +136,7 @@ def test_a_mesh_folder_of_the_file_goes_when_the_names_say_it_all(tmp_path):
         ("0.01 0.02 0.025", None),
         ("0.01 0.02 0.03001", pytest.approx(1.1e-5, rel=0.1)),
         ("-1e-4 0.02 0.0199", 2.1e-4),
+        ("0.1 0.2 0.30000000000000004", pytest.approx(3e-12, rel=0.1)),
         ("0 0.02 0.02", pytest.approx(2.1e-8)),
         ("-1 -1 -1", 1.1),
         ("0 0 0", None),
