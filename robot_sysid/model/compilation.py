@@ -25,8 +25,14 @@ import mujoco
 import numpy as np
 
 from robot_sysid.errors import ModelError, error_text
-from robot_sysid.mjcf.assets import check_assets, refuse_hazards, relocated_text
+from robot_sysid.mjcf.assets import (
+    check_assets,
+    find_assets,
+    refuse_hazards,
+    relocated_text,
+)
 from robot_sysid.mjcf.documents import Edits, ModelDocument, read_document
+from robot_sysid.mjcf.inertial import format_number, format_numbers
 from robot_sysid.mjcf.urdf import (
     LARGEST,
     compilable_urdf,
@@ -114,11 +120,18 @@ def warnings_as_notes(progress: Progress) -> Iterator[None]:
         progress.note(f"MuJoCo warns: {warning}")
 
 
-def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
+def compile_model(
+    path: Path, mesh_dir: Path | None = None, copy: Path | None = None
+) -> CompiledModel:
     """Compile an MJCF or URDF file, or raise ModelError with one line on why not.
 
-    A mesh folder replaces the file's own (and, in a URDF, its packages). Where MuJoCo's cache has
-    no capacity, a tiny model is compiled last, so that the cache keeps nothing of this one.
+    Where MuJoCo's cache has no capacity, a tiny model is compiled last, so that the cache keeps
+    nothing of this one.
+
+    Args:
+        mesh_dir: folder that replaces the file's own for meshes (and, in a URDF, its packages).
+        copy: where to write the model as an MJCF, which MuJoCo does only of the last one that was
+            loaded; default nowhere.
     """
     document = read_document(path)
     if mesh_dir is not None and not os.path.isdir(mesh_dir):
@@ -140,6 +153,8 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
             speeds = velocity_limits(document)
         else:
             mj_model = _compile_mjcf(document, mesh_dir)
+        if copy is not None:
+            _write_last_model(mj_model, copy)
     if _CACHE is not None and mujoco.mj_getCacheCapacity(_CACHE) == 0:
         # MuJoCo keeps the files of the last model that was read: let it be a small one.
         mujoco.MjModel.from_xml_string("<mujoco/>")
@@ -338,33 +353,43 @@ def compiled_in_memory(model: Any) -> CompiledModel:
     return CompiledModel(mj_model, notes=(), sha256="", kind="mjcf")
 
 
+def mjcf_of(path: Path, mesh_dir: Path | None = None) -> Path:
+    """Return a temporary MJCF file of a model file, removed when this process ends.
+
+    MuJoCo writes it, with six digits of all numbers but those of inertials. ModelError where the
+    model does not compile.
+    """
+    mjcf = _temporary_folder() / "model.xml"
+    compile_model(path, mesh_dir, copy=mjcf)
+    return mjcf
+
+
 def file_of(model: Any, has_mesh_folder: bool = False) -> Path:
     """Return a temporary MJCF file of an MjSpec or MjModel, removed when this process ends.
 
-    MuJoCo writes it, with six digits of each number. Of an MjModel, it writes only the last one
-    that was loaded; for an earlier one the file of an earlier call is returned, if there is one.
+    MuJoCo writes it, with six digits of all numbers but those of inertials. Of an MjModel, it
+    writes only the last one that was loaded; for an earlier one the file of an earlier call is
+    returned, if there is one.
     Raises ModelError where there is no file, and for an MjModel with meshes, which does not say in
     which folder they are, unless ``has_mesh_folder``: that they are read from a given folder.
     """
-    _FOLDERS.append(tempfile.TemporaryDirectory(prefix="robot-sysid-"))
-    folder = Path(_FOLDERS[-1].name)
+    folder = _temporary_folder()
     if _is_spec(model):
         return _file_of_spec(model, folder)
     with captured_warnings(), contextlib.suppress(*FAILURES):
         path = folder / "model.xml"
-        mujoco.mj_saveLastXML(str(path), model)
+        _write_last_model(model, path)
         # MuJoCo's first releases write the last model that was loaded, whichever is asked for.
         copy = None
-        with contextlib.suppress(*FAILURES):  # of one whose meshes are elsewhere
+        try:
             copy = mujoco.MjModel.from_xml_path(str(path))
+        except FAILURES as error:  # such as of meshes that are elsewhere
+            fault = error_text(error)
         is_copy = copy is None or _is_same_arm(model, copy)
         if is_copy and _has_all_names(path, model):
             _WRITTEN[model] = path, copy
             if copy is None and not has_mesh_folder:
-                raise ModelError(
-                    "a MjModel does not say in which folder its meshes are; add --mesh-dir FOLDER, "
-                    "or give its file, or the MjSpec that it was compiled from"
-                )
+                raise _reload_error(path, fault)
             return path
     path, copy = _WRITTEN.get(model, (folder, None))
     if copy is None or not _is_same_arm(model, copy):
@@ -373,6 +398,56 @@ def file_of(model: Any, has_mesh_folder: bool = False) -> Path:
             "file, or the MjSpec that it was compiled from"
         )
     return path
+
+
+def _temporary_folder() -> Path:
+    """Return a new folder that is removed when this process ends."""
+    _FOLDERS.append(tempfile.TemporaryDirectory(prefix="robot-sysid-"))
+    return Path(_FOLDERS[-1].name)
+
+
+def _write_last_model(model: Any, path: Path) -> None:
+    """Have MuJoCo write an MjModel, the last that was loaded, to an MJCF file."""
+    mujoco.mj_saveLastXML(str(path), model)
+    path.write_bytes(_with_exact_inertials(path, model))
+
+
+def _with_exact_inertials(path: Path, model: Any) -> bytes:
+    """Return the text of an MJCF that MuJoCo wrote of an MjModel, with inertials of all digits.
+
+    Six digits make a flat body one with moments that no body has, which MuJoCo refuses.
+    """
+    edits = Edits(read_document(path))
+    for node, body in zip(edits.document.walk("body"), range(1, model.nbody)):
+        inertial = node.child("inertial")
+        # The order differs where MuJoCo wrote another model, or frames around bodies.
+        if inertial is None or (node.get("name") or "") != model.body(body).name:
+            continue
+        mass = float(model.body_mass[body])
+        if np.isclose(float(inertial.get("mass") or 0.0), mass, _WRITING_ACCURACY):
+            edits.set(inertial, "pos", format_numbers(model.body_ipos[body]))
+            edits.set(inertial, "quat", format_numbers(model.body_iquat[body]))
+            moments = format_numbers(model.body_inertia[body])
+            edits.set(inertial, "diaginertia", moments)
+            edits.set(inertial, "mass", format_number(mass))
+    return edits.text()
+
+
+def _reload_error(path: Path, fault: str) -> ModelError:
+    """Return the error for an MJCF file of an MjModel that MuJoCo wrote and does not load.
+
+    ``fault``: MuJoCo's own reason, which counts unless the model's meshes are elsewhere.
+    """
+    assets = find_assets(read_document(path))
+    remedy = "or give its file, or the MjSpec that it was compiled from"
+    if any(asset.path is None for asset in assets):
+        return ModelError(
+            "a MjModel does not say in which folder its meshes are; add --mesh-dir "
+            f"FOLDER, {remedy}"
+        )
+    return ModelError(
+        f"MuJoCo cannot load the MjModel that it wrote itself: {fault}; mend that, {remedy}"
+    )
 
 
 def _has_all_names(path: Path, model: Any) -> bool:
@@ -385,7 +460,7 @@ def _has_all_names(path: Path, model: Any) -> bool:
 
 def _file_of_spec(spec: Any, folder: Path) -> Path:
     """Return an MJCF file of an MjSpec, written into a folder; the MjSpec stays as it is."""
-    _compile_spec(spec)
+    mj_model = _compile_spec(spec)
     assets = dict(spec.assets or {})
     for name, content in assets.items():
         data = content if isinstance(content, bytes) else content.encode()
@@ -402,6 +477,7 @@ def _file_of_spec(spec: Any, folder: Path) -> Path:
     file_name = re.sub(r"[^\w-]+", "_", spec.modelname) or "model"
     path = folder / f"{file_name}.xml"
     path.write_text(text, encoding="utf-8")
+    path.write_bytes(_with_exact_inertials(path, mj_model))
     return path
 
 

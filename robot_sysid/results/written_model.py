@@ -40,7 +40,7 @@ from robot_sysid.mjcf.updated_model import (
 from robot_sysid.model.actuators import actuators_of_tendon, actuators_on, gear_ratio
 from robot_sysid.model.bodies import body_theta, link_bodies, place_in_carrier
 from robot_sysid.model.chain import body_label
-from robot_sysid.model.compilation import compile_model, file_of
+from robot_sysid.model.compilation import compile_model, mjcf_of
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, RobotModel, SubtreeBody
 from robot_sysid.records.file_access import draft_folder, lock_folder
@@ -133,12 +133,13 @@ def _arm_of_kind(
 ) -> tuple[RobotModel, ModelTarget]:
     """Return (the arm as one of an MJCF where ``file_kind`` asks for it, the target of that file).
 
-    MuJoCo writes each number of the MJCF with six digits. ExportError where it refuses.
+    MuJoCo writes the MJCF, with six digits of all numbers but those of inertials. ExportError where
+    it refuses.
     """
     if file_kind == robot.kind:
         return robot, target
     try:
-        path = file_of(compile_model(robot.path, target.mesh_dir).mj_model)
+        path = mjcf_of(robot.path, target.mesh_dir)
         arm = load_robot_model(path, joint=robot.terminal_joint)
         return arm, replace(target, mesh_dir=None)
     except InputError as error:

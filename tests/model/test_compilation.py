@@ -14,11 +14,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.mjcf.inertial import mjcf_inertial
+from robot_sysid.errors import ModelError
+from robot_sysid.mjcf.inertial import mjcf_inertial, urdf_inertial_about_com
 from robot_sysid.model.bodies import body_theta, inertia_about_com, subtree_bodies
 from robot_sysid.model.compilation import (
     compile_model,
+    file_of,
     meshes_not_kept,
+    mjcf_of,
     restore_exact_inertias,
 )
 from tests.support import urdf
@@ -198,3 +201,68 @@ def test_what_is_fixed_to_a_finger_is_not_welded_to_the_link():
     welded = [body.name for body in bodies if body.welded]
     assert welded == ["link2", "tool"]
     assert len(bodies) == 5
+
+
+SECOND_MOMENTS = {
+    "plate": (1.0, 0.4, 0.0),
+    "disc": (1.0, 1.0, 0.0),
+    "rod": (1.0, 1e-7, 0.0),
+    "line": (1.0, 0.0, 0.0),
+    "block": (1.0, 0.5, 0.2),
+}
+
+
+def thin_link(rng):
+    """The <inertial> of a random link that is flat or thin, in random axes, in 6 or 17 digits."""
+    shape = rng.choice(list(SECOND_MOMENTS))
+    second_moments = 10 ** rng.uniform(-7, 1) * np.array(SECOND_MOMENTS[shape])
+    moments = np.diag(np.sum(second_moments) - rng.permutation(second_moments))
+    turn = np.eye(3)
+    if rng.random() < 0.7:
+        turn = Rotation.random(random_state=int(rng.integers(2**31))).as_matrix()
+    digits = rng.choice([6, 17])
+    rounded = [float(f"{x:.{digits}g}") for x in (turn @ moments @ turn.T).ravel()]
+    inertia = np.reshape(rounded, (3, 3))
+    return urdf_inertial_about_com(1.0, 0.1 * rng.normal(size=3), inertia)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_an_mjcf_of_a_urdf_has_its_links_however_flat_and_whatever_is_loaded_since(
+    tmp_path_factory, seed
+):
+    rng = np.random.default_rng(seed)
+    links = {name: thin_link(rng) for name in ("l1", "l2", "l3")}
+    text = urdf.robot(urdf.serial(links))
+    path = write_files(tmp_path_factory.mktemp("flat"), {"arm.urdf": text})
+    original = compile_model(path).mj_model
+    with meshes_not_kept():  # which loads a small model after each one
+        copied = compile_model(mjcf_of(path)).mj_model
+    for name in links:
+        body = original.body(name).id
+        theta = body_theta(original, body)
+        largest = np.max(np.abs(theta))
+        np.testing.assert_allclose(
+            body_theta(copied, body) / largest, theta / largest, rtol=0, atol=1e-14
+        )
+
+
+PLATE = "<inertial pos='0 0 .1' mass='1' diaginertia='0.1234564 0.2345674 0.3580238'/>"
+
+
+def test_flat_bodies_of_a_model_in_memory_are_written_with_or_without_a_name():
+    text = world(f"<body name='b'><joint/>{PLATE}<body><joint/>{PLATE}</body></body>")
+    model = mujoco.MjModel.from_xml_string(text)
+    models = [model]
+    if hasattr(mujoco, "MjSpec"):
+        models.append(mujoco.MjSpec.from_string(text))
+    for model_in_memory in models:
+        copied = compile_model(file_of(model_in_memory)).mj_model
+        np.testing.assert_array_equal(copied.body_inertia, model.body_inertia)
+
+
+def test_a_model_that_cannot_be_loaded_again_has_mujocos_own_reason():
+    model = mujoco.MjModel.from_xml_string(world(f"<body><joint/>{PLATE}</body>"))
+    model.body_inertia[1] = 1.0, 1.0, 3.0
+    with pytest.raises(ModelError, match=r"wrote itself: .*A \+ B >= C") as caught:
+        file_of(model)
+    assert "mesh" not in str(caught.value)
