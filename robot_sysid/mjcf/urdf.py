@@ -1,14 +1,15 @@
 """URDF text as MuJoCo can compile it.
 
 Mesh paths become absolute, links are kept apart, unusable meshes are left out; but nothing that
-enters the dynamics: a mesh goes only where the link has its own ``<inertial>`` or the mesh is only
-drawn.
+enters the dynamics: a mesh goes only where the link has its own ``<inertial>`` or does not move, or
+the mesh is only drawn.
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
+from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
@@ -89,13 +90,15 @@ def compilable_urdf(
 def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
     """Write the absolute path of every mesh, remove shapes with an unusable one; yield notes.
 
-    A shape is a link's <visual> or <collision>. ModelError where a link's inertia would be computed
-    from the removed shape: the link has no <inertial>, or ``inertiafromgeom`` overrules it.
+    A shape is a link's <visual> or <collision>. ModelError where the inertia of a link that moves
+    would be computed from the removed shape: the link has no <inertial>, or ``inertiafromgeom``
+    overrules it.
     """
     document = edits.document
     settings = document.settings("compiler")
     from_geometry = any(node.get("inertiafromgeom") == "true" for node in settings)
     assets = {asset.node: asset for asset in find_assets(document, mesh_dir)}
+    moving_links = _moving_links(document)
     removed = set()
     for link, shape in urdf_shapes(document):
         meshes = [assets[node] for node in shape.walk() if node in assets]
@@ -106,7 +109,8 @@ def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
             continue
         edits.replace(shape, "", keep_lines=True)
         if shape.tag == "collision":
-            if from_geometry or link.child("inertial") is None:
+            is_weighed = from_geometry or link.child("inertial") is None
+            if is_weighed and link.get("name") in moving_links:
                 raise _missing_mesh_error(document, link, unusable)
             removed.add(unusable.name)
     if removed:
@@ -116,6 +120,24 @@ def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
             "names them, so MuJoCo by itself loads it only once they are there, and a written MJCF "
             "is without them"
         )
+
+
+def _moving_links(document: ModelDocument) -> set[str | None]:
+    """Return the names of the links that a joint moves, or that are fixed to one that moves."""
+    links_on_fixed = defaultdict(list)
+    waiting = []
+    for joint in document.root_children("joint"):
+        link = joint.child_attribute("child", "link")
+        if joint.get("type") == "fixed":
+            links_on_fixed[joint.child_attribute("parent", "link")].append(link)
+        else:
+            waiting.append(link)
+    moving = set()
+    while waiting:
+        link = waiting.pop()
+        moving.add(link)
+        waiting += links_on_fixed.pop(link, ())
+    return moving
 
 
 def _is_readable(mesh: Asset) -> bool:

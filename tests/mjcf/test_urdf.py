@@ -36,6 +36,28 @@ def test_a_mesh_that_makes_the_inertia_must_be_there(tmp_path, setting):
         compilable_urdf(arm(tmp_path, content, setting))
 
 
+@pytest.mark.parametrize("setting", ["", "true"])
+@pytest.mark.parametrize(("moving", "is_refused"), [((), False), (("l2",), True)])
+def test_a_mesh_weighs_nothing_in_a_link_that_no_joint_moves(
+    tmp_path, setting, moving, is_refused
+):
+    """The mesh is that of l3, fixed to l2, which is fixed to the base or not."""
+    mesh = urdf.mesh("collision", "x.stl")
+    links = {"l1": "", "l2": urdf.inertial(), "l3": mesh, "l4": urdf.inertial()}
+    fixed = {"l1", "l2", "l3"}.difference(moving)
+    parts = (
+        f'<mujoco><compiler inertiafromgeom="{setting}"/></mujoco>' if setting else "",
+        urdf.serial(links, fixed),
+    )
+    document = document_of(tmp_path, urdf.robot(*parts), "arm.urdf")
+    if is_refused:
+        with pytest.raises(ModelError, match="mesh x.stl of link 'l3' is not found"):
+            compilable_urdf(document)
+        return
+    text, (note,) = compilable_urdf(document)
+    assert b"x.stl" not in text and "x.stl" in note
+
+
 def test_what_is_only_drawn_is_left_out_in_silence(tmp_path):
     content = urdf.inertial() + urdf.mesh("visual", "x.dae")
     text, notes = compilable_urdf(arm(tmp_path, content))
