@@ -245,8 +245,7 @@ class LogModel:
             prior_precision = np.eye(total)
             prior_precision[:size, :size] = precision
             inverse = normal + prior_precision
-            root = np.linalg.cholesky(inverse)
-            covariance = np.asarray(np.linalg.inv(inverse), dtype=float)
+            covariance, inverse_determinant = _invert(inverse)
             mean = np.asarray(covariance @ pull)
             residual = self.right_sides.copy()
             for joint, (indices, rows) in enumerate(equations):
@@ -254,7 +253,7 @@ class LogModel:
             # Computed from residuals: the difference of large sums would lose digits.
             squares = float(np.sum(residual**2 / noise) + mean @ prior_precision @ mean)
             # log |I + P A' S^-1 A|, with prior covariance P.
-            occam = 2.0 * float(np.sum(np.log(np.diag(root)))) - determinant
+            occam = inverse_determinant - determinant
             evidence = float(-0.5 * (squares + occam + noise_size))
             posteriors.append(
                 Posterior(self, evidence, mean, covariance, noise, residual)
@@ -306,3 +305,22 @@ class LogModel:
             best = int(np.argmin(count * np.log(power) + sizes))
             noise[:, joint] = power[best] * self.spectra[best]
         return noise
+
+
+def _invert(matrix: Array) -> tuple[Array, float]:
+    """Return the inverse (m, m) and the log determinant of a matrix that is positive definite.
+
+    A model with a link of 1e9 times its inertia has columns so large that rounding hides the prior,
+    and makes the matrix indefinite: it then gets the nearest eigenvalues above rounding.
+    """
+    try:
+        root = np.linalg.cholesky(matrix)
+        determinant = 2.0 * float(np.sum(np.log(np.diag(root))))
+        return np.asarray(np.linalg.inv(matrix), dtype=float), determinant
+    except np.linalg.LinAlgError:
+        scale = np.sqrt(np.diag(matrix))
+        values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+        values = np.maximum(values, len(values) * float(np.finfo(float).eps))
+        vectors /= scale[:, None]
+        determinant = float(np.sum(np.log(values)) + 2.0 * np.sum(np.log(scale)))
+        return np.asarray((vectors / values) @ vectors.T), determinant

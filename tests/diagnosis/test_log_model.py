@@ -51,6 +51,21 @@ def test_zero_columns_do_not_change_the_evidence(contest):
     assert posterior.log_evidence == pytest.approx(expected, abs=1e-6)
 
 
+def test_columns_so_large_that_rounding_hides_the_prior_leave_the_same_residual(
+    contest,
+):
+    """Those of a link with 1e9 times its inertia: equal columns are one that is larger."""
+    model = contest.posterior.model
+    noise = contest.posterior.noise
+    rng = np.random.default_rng(0)
+    columns = [1e9 * rng.normal(size=(len(model.right_sides), 1)) for _ in range(5)]
+    merged = model.with_columns([np.sqrt(3.0) * column for column in columns])
+    equal = model.with_columns([np.tile(column, 3) for column in columns])
+    posterior = equal.at_noise(noise)
+    assert np.all(np.diag(posterior.covariance) > 0.0)
+    assert_allclose(posterior.residual, merged.at_noise(noise).residual, atol=1e-3)
+
+
 def test_right_sides_are_linear_in_the_torque(contest):
     """Two torques and their sum: what the model needs at prior values stays out of it."""
     log = contest.posterior.model.log
