@@ -32,6 +32,7 @@ from robot_sysid.model.chain import (
     resolve_joint,
 )
 from robot_sysid.model.compilation import CompiledModel, compile_model
+from robot_sysid.model.units import refuse_cad_units
 from robot_sysid.records import InertialParameters, RobotModel, SubtreeBody
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY, PerJoint
@@ -94,7 +95,7 @@ def robot_from_compiled(
     bodies = subtree_bodies(mj_model, qpos, body)
     mending_notes = _mending_notes(compiled, path, chain)
     speeds = [compiled.velocity_limits.get(name) for name in names]
-    return RobotModel(
+    robot = RobotModel(
         path=path,
         mj_model=mj_model,
         sha256=compiled.sha256,
@@ -118,6 +119,8 @@ def robot_from_compiled(
             *_notes(mj_model, keyframe_id, carriers, chain),
         ),
     )
+    refuse_cad_units(robot)
+    return robot
 
 
 def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:

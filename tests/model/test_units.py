@@ -1,0 +1,89 @@
+"""Model files with units as CAD programs write them are refused by the name of the unit."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.errors import ModelError
+from robot_sysid.mjcf.inertial import urdf_inertial_about_com
+from robot_sysid.model import units
+from robot_sysid.parser import load_robot_model
+from tests.support import urdf
+
+LINKS = {"l1": (3.0, 0.3), "l2": (2.0, 0.25), "l3": (1.2, 0.2), "l4": (0.4, 0.08)}
+"""Mass [kg] and length [m] of boxes, one on the other."""
+
+
+def arm(folder, mass=1.0, inertia=1.0, length=1.0, changed=LINKS, is_placeholder=False):
+    """The path of a URDF whose numbers are multiplied, those of inertials in ``changed`` links."""
+    contents = {}
+    for name, (link_mass, size) in LINKS.items():
+        squares = np.array([0.08, 0.1, size]) ** 2
+        moments = link_mass / 12.0 * (np.sum(squares) - squares)
+        if is_placeholder:
+            moments[:] = 1e-6
+        mass_factor, inertia_factor = (mass, inertia) if name in changed else (1.0, 1.0)
+        contents[name] = urdf_inertial_about_com(
+            mass_factor * link_mass,
+            np.array([0.0, 0.0, 0.5 * length * size]),
+            inertia_factor * np.diag(moments),
+        )
+    text = urdf.robot(urdf.serial(contents)).replace("0 0 0.2", f"0 0 {0.2 * length!r}")
+    path = folder / "arm.urdf"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("inertia_unit", units._INERTIAS)
+@pytest.mark.parametrize("mass_unit", units._MASSES)
+def test_units_are_named_with_what_to_divide_by(tmp_path, mass_unit, inertia_unit):
+    mass = units._MASSES[mass_unit]
+    inertia = units._INERTIAS[inertia_unit]
+    path = arm(tmp_path, mass, inertia)
+    if mass == inertia == 1.0 or (mass_unit, inertia_unit) == ("g", "kg cm2"):
+        # Grams with kg cm2 make links that are three times as large, and 30 times as dense.
+        assert load_robot_model(path).n_joints == 4
+        return
+    with pytest.raises(ModelError) as caught:
+        load_robot_model(path)
+    message = str(caught.value)
+    assert "'l1', 'l2', 'l3' and 1 more" in message and "\n" not in message
+    assert (f"masses fit {mass_unit}, not kg" in message) == (mass != 1.0)
+    assert (f"inertias fit {inertia_unit}, not kg m2" in message) == (inertia != 1.0)
+    remedies = re.findall(r"(masses|inertias) by (\S+)", message.rpartition(";")[2])
+    factors = {"masses": mass, "inertias": inertia}
+    assert {name: float(x) for name, x in remedies} == {
+        name: factor for name, factor in factors.items() if factor != 1.0
+    }
+
+
+def test_lengths_in_millimetres_are_refused(tmp_path):
+    path = arm(tmp_path, length=1000.0)
+    with pytest.raises(ModelError, match="joints add up to 600 m: these lengths fit"):
+        load_robot_model(path)
+    text = path.read_text().replace("0 0 200.0", "0 0 0.2")
+    path.write_text(text)
+    with pytest.raises(ModelError, match=r"centres of mass .* by 112 m: these lengths"):
+        load_robot_model(path)
+
+
+@given(st.sampled_from(list(LINKS)), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+def test_a_single_link_may_be_ten_times_off(tmp_path_factory, name, mass, inertia):
+    folder = tmp_path_factory.mktemp("single")
+    path = arm(folder, 10.0**mass, 10.0**inertia, changed={name})
+    assert load_robot_model(path).n_joints == 4
+
+
+def test_equal_moments_of_all_links_stand_for_unknown_ones(tmp_path):
+    assert load_robot_model(arm(tmp_path, is_placeholder=True)).n_joints == 4
+
+
+def test_a_single_link_that_no_arm_has_is_named(tmp_path):
+    path = arm(tmp_path, inertia=1e6, changed={"l2"})
+    with pytest.raises(ModelError, match=r"link 'l2' has 2 kg and a radius .* no arm"):
+        load_robot_model(path)
