@@ -315,8 +315,6 @@ FORMULAS = {
     "fading_slow": "sign(qd) * exp(-abs(qd) / 0.4)",
     "stribeck": "sign(qd) * exp(-(qd / stribeck_speed)**2)",
     "load": "sign(qd) * abs(load)",
-    "quadratic": "qd * abs(qd)",
-    "cubic": "qd**3",
     "sigmoid": "tanh(qd / sigmoid_speed)",
 }
 """Friction term to its torque per unit of its coefficient."""

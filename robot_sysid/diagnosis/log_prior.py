@@ -40,8 +40,6 @@ FRICTION = {
     "stribeck": 0.05,
     "fading_fast": 0.05,
     "load": 0.04,
-    "quadratic": 0.0,
-    "cubic": 0.0,
 }
 """Prior standard deviation of each friction term: its torque at the joint's typical speed and
 acceleration, as a share of the typical torque; of "load" (a gear's loss), as a share of the load.

@@ -18,12 +18,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.friction import (
-    NONLINEAR_DAMPING,
-    TERMS,
-    Coupling,
-    FrictionModel,
-)
+from robot_sysid.dynamics.friction import Coupling, FrictionModel
 from robot_sysid.dynamics.inverse_dynamics import (
     BeyondRigidBodies,
     LinkDynamics,
@@ -124,11 +119,6 @@ class Equations:
         # (n,) rotor inertia in the model, of the joints whose rotor inertia is estimated.
         is_estimated = np.array(["armature" in model.terms for model in friction])
         self._estimated_armature = np.where(is_estimated, robot.armature, 0.0)
-        # (n, 2) nonlinear damping in the model, of the joints where it is estimated.
-        is_estimated = np.array(
-            [[term in model.terms for term in NONLINEAR_DAMPING] for model in friction]
-        )
-        self._estimated_damping = np.where(is_estimated, robot.nonlinear_damping, 0.0)
         self._links = tuple(links)
         self._dynamics = LinkDynamics(robot)
         self._beyond = BeyondRigidBodies(robot)
@@ -179,13 +169,10 @@ class Equations:
         robot = self._robot
         values = dict(zip(PARAMETER_NAMES, robot.prior.theta))
         armature = robot.armature
-        nonlinear_damping = robot.nonlinear_damping
         for j, joint in zip(self.joint_indices, self.joints):
             values[f"coulomb[{joint}]"] = robot.friction.coulomb[j]
             values[f"viscous[{joint}]"] = robot.friction.viscous[j]
             values[f"armature[{joint}]"] = armature[j]
-            for term, coefficient in zip(NONLINEAR_DAMPING, nonlinear_damping[j]):
-                values[f"{term}[{joint}]"] = coefficient
         for motor in self._motors:
             values.update(zip(motor.parameter_names, motor.model))
         for link in self._links:
@@ -257,8 +244,8 @@ class Equations:
         [N m].
 
         The known torque is the model's friction of joints whose friction is not estimated, minus
-        the model's torque of what is estimated of nonlinear damping, rotors and shared motors: the
-        torque that ``bodies`` yields includes it.
+        the model's torque of rotors and shared motors that are estimated: the torque that
+        ``bodies`` yields includes it.
 
         Args:
             motion: of N samples.
@@ -268,8 +255,6 @@ class Equations:
         qdd = motion.qdd
         known_torque = self._known_friction.torque(qd)
         known_torque -= self._estimated_armature * qdd
-        for term, coefficients in zip(NONLINEAR_DAMPING, self._estimated_damping.T):
-            known_torque -= coefficients * TERMS[term](qd, qdd, qd)
         motor_columns = []
         for motor in self._motors:
             columns = motor.columns(qd, qdd).T

@@ -13,8 +13,6 @@ armature     qdd                           kg m^2 (rotor inertia seen through th
 sqrt         sign(qd) sqrt(abs(qd))        N m (s/rad)^0.5
 stribeck     sign(qd) exp(-(qd/vs)^2)      N m (breakaway above Coulomb)
 load         sign(qd) abs(load)            1 (loss of a gear that grows with its load)
-quadratic    qd abs(qd)                    N m s^2/rad^2
-cubic        qd^3                          N m s^3/rad^3
 sigmoid      tanh(qd/vs)                   N m (Coulomb friction with a smooth reversal)
 fading_fast  sign(qd) exp(-abs(qd)/0.04)   N m (friction above Coulomb that fades with speed)
 fading       sign(qd) exp(-abs(qd)/0.13)   N m
@@ -22,7 +20,6 @@ fading_slow  sign(qd) exp(-abs(qd)/0.4)    N m
 ===========  ============================  ==========================================
 
 Coulomb friction that differs between the two directions is coulomb plus, and minus, offset.
-Viscous, quadratic and cubic terms are the polynomial of a joint's ``damping="a b c"`` in MuJoCo.
 
 Sources: Coulomb, viscous and Stribeck terms as in Armstrong-Helouvry, Dupont, Canudas de Wit,
 "A survey of models, analysis tools and compensation methods for the control of machines with
@@ -136,8 +133,6 @@ TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
     "sqrt": lambda qd, qdd, load: np.sign(qd) * np.sqrt(np.abs(qd)),
     "stribeck": lambda qd, qdd, load: _STRIBECK.column(qd, _STRIBECK.default_speed),
     "load": lambda qd, qdd, load: np.sign(qd) * np.abs(load),
-    "quadratic": lambda qd, qdd, load: qd * np.abs(qd),
-    "cubic": lambda qd, qdd, load: qd * qd * qd,
     "sigmoid": lambda qd, qdd, load: _SIGMOID.column(qd, _SIGMOID.default_speed),
     **{term: partial(_fading, fading_speed=v) for term, v in FADING_SPEEDS.items()},
 }
@@ -147,9 +142,6 @@ speed."""
 
 DRY_TERMS = ("coulomb", "sqrt", "stribeck", "sigmoid", *FADING_SPEEDS)
 """Terms whose columns depend on a speed alone and are not smooth where it changes sign."""
-
-NONLINEAR_DAMPING = ("quadratic", "cubic")
-"""Terms of a joint's nonlinear damping in a model file, in its order."""
 
 DEFAULT_MEASURED = "coulomb-viscous-offset-armature"
 """Name of the default friction model for measured data."""

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import split_name
-from robot_sysid.dynamics.friction import NONLINEAR_DAMPING
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     LinkDynamics,
@@ -199,8 +198,6 @@ class Answer:
                 "viscous": float(robot.friction.viscous[index]),
                 "armature": float(robot.armature[index]),
             }
-            nonlinear_damping = robot.nonlinear_damping[index].tolist()
-            model_terms.update(zip(NONLINEAR_DAMPING, nonlinear_damping))
             estimate = JointEstimate(
                 friction_model=choice.friction[index].name if terms else "none",
                 terms=terms,

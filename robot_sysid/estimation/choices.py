@@ -63,15 +63,12 @@ CANDIDATES = (
     "coulomb-viscous-offset-armature-stribeck",
     "coulomb-viscous-offset-armature-load",
     "sigmoid-viscous-offset-armature",
-    "coulomb-viscous-offset-armature-quadratic-cubic",
     "coulomb-viscous-offset-armature-sqrt-load",
     "coulomb-viscous-offset-armature-stribeck-load",
 )
 """Friction models that are compared for each joint, simplest first."""
 IN_FILE = CANDIDATES[0]
 """Friction model from which a model file gets the terms that it can hold."""
-WITH_POLYNOMIAL = CANDIDATES[5]
-"""Friction model that an MJCF can hold."""
 WITH_ALL = "coulomb-viscous-offset-armature-sqrt-stribeck-load"
 """Friction model flexible enough that large residuals under it mean bad rows of a recording."""
 Errors = Mapping[str, Mapping[str, float]]

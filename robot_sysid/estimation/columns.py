@@ -67,7 +67,7 @@ PAYLOAD_NAMES = tuple(f"{name}(payload)" for name in PARAMETER_NAMES)
 LINEAR = tuple(term for term in TERMS if term not in ("load", *NONLINEAR_TERMS))
 """Friction terms whose columns depend on the motion only, not on the estimate."""
 # Friction terms that drift from the first recording to the last, F_j phi above.
-_BY_SPEED = ("coulomb", "viscous", "sqrt", "load", "quadratic", "cubic")
+_BY_SPEED = ("coulomb", "viscous", "sqrt", "load")
 _DRIFTING = (*_BY_SPEED, *NONLINEAR_TERMS, *FADING_SPEEDS)
 # Joint terms whose torque is smooth, so that its time derivative identifies a delay.
 _SMOOTH = ("viscous", "armature")

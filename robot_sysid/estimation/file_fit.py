@@ -16,12 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.dynamics.equations import names_of, split_name
-from robot_sysid.dynamics.friction import (
-    NONLINEAR_DAMPING,
-    Coupling,
-    FrictionModel,
-    friction_model,
-)
+from robot_sysid.dynamics.friction import Coupling, FrictionModel, friction_model
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.consistent_bodies import (
@@ -31,7 +26,7 @@ from robot_sysid.estimation.algebra.consistent_bodies import (
 )
 from robot_sysid.estimation.algebra.priors import LinkScales
 from robot_sysid.estimation.answer import Answer
-from robot_sysid.estimation.choices import IN_FILE, WITH_POLYNOMIAL, posterior_of
+from robot_sysid.estimation.choices import IN_FILE, posterior_of
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Point
 from robot_sysid.estimation.errors import FitErrors, fit_errors
 from robot_sysid.estimation.fit import Fit, Fitter, links_problem
@@ -125,7 +120,7 @@ def _fit_kind(
     """
     columns = fitter.columns
     rotors = select_rotors(estimate) if _holds_rotors(question) else {}
-    friction = _friction_terms(columns.robot, question, rotors, IN_FILE)
+    friction = _friction_terms(columns.robot, question, rotors)
     choice = Choice(friction, motors, rotors=rotors)
     # Parameters that a file cannot hold go back to the model's values.
     values = estimate.values.copy()
@@ -139,7 +134,6 @@ def _fit_kind(
 
     fit = fitter.fit(question, choice, point, rounds=1)
     judge = held_out(fit)
-    choice = _add_polynomials(judge, fit, question, choice)
     choice = predictive_link_scales(judge, fit, question, choice)
     choice = select_offsets(fit, question, choice)
 
@@ -225,7 +219,7 @@ def _holds_rotors(question: Question) -> bool:
 
 
 def _friction_terms(
-    robot: RobotModel, question: Question, rotors: Mapping[str, float], name: str
+    robot: RobotModel, question: Question, rotors: Mapping[str, float]
 ) -> tuple[FrictionModel, ...]:
     """Return the friction terms (n,) to estimate for a file, by chain joint.
 
@@ -235,18 +229,17 @@ def _friction_terms(
         robot: the arm.
         question: what the file may hold and what stays as it is.
         rotors: joint, or motor that turns several joints, to its known rotor inertia [kg m^2].
-        name: friction model whose terms are estimated.
     """
     unchanged_terms = set[str]()
     if FILE_FRICTION in question.unchanged_parts:
-        unchanged_terms = {"coulomb", "viscous", "quadratic", "cubic"}
+        unchanged_terms = {"coulomb", "viscous"}
     has_rotors = _holds_rotors(question)
     models = []
     for joint in robot.joint_names:
         excluded = set(unchanged_terms)
         if joint in rotors or not has_rotors:
             excluded.add("armature")
-        terms = [term for term in friction_model(name).terms if term not in excluded]
+        terms = [term for term in friction_model(IN_FILE).terms if term not in excluded]
         models.append(FrictionModel(tuple(terms)))
     return tuple(models)
 
@@ -281,78 +274,11 @@ def _validate_model(
     return judge.validation(judge.squared_errors(offset_unknowns))
 
 
-def holds_polynomial(robot: RobotModel, file_kind: str) -> bool:
-    """Tell whether a file can hold nonlinear damping; MuJoCo before 3.7 has none.
-
-    Args:
-        robot: the arm.
-        file_kind: "mjcf" or "urdf".
-    """
-    return file_kind == "mjcf" and hasattr(robot.mj_model, "dof_dampingpoly")
-
-
-def _add_polynomials(
-    judge: HeldOut, fit: Fit, question: Question, choice: Choice
-) -> Choice:
-    """Return the choice with nonlinear damping added to the friction of joints where it helps.
-
-    It is added at joints whose held-out error it clearly lowers, in place of the model's own, and
-    whose speeds the recordings cover: it grows so fast that it must not be extrapolated.
-
-    Args:
-        judge: held-out errors of the recordings.
-        fit: a fit of the file, which gives the equations.
-        question: what the file may hold and what stays as it is.
-        choice: friction and priors so far.
-    """
-    columns = fit.columns
-    is_possible = holds_polynomial(columns.robot, question.file_kind)
-    if FILE_FRICTION in question.unchanged_parts or not is_possible:
-        return choice
-    polynomials = _friction_terms(
-        columns.robot, question, choice.rotors, WITH_POLYNOMIAL
-    )
-    trial = replace(choice, friction=polynomials)
-    unknowns = fit.evidence.unknowns(columns, question, choice)
-    trial_unknowns = fit.evidence.unknowns(columns, question, trial)
-    speed_limits = columns.robot.limits.velocity
-    # Squared errors (blocks, joints).
-    errors = judge.squared_errors(unknowns)
-    trial_errors = judge.squared_errors(trial_unknowns)
-    friction = list(choice.friction)
-    for row, joint in enumerate(columns.joint_indices):
-        is_better = is_clearly_lower(trial_errors[:, row], errors[:, row])
-        if is_better and _top_speed(fit, row) > COVERED * speed_limits[joint]:
-            friction[joint] = polynomials[joint]
-    return replace(choice, friction=tuple(friction))
-
-
-def _top_speed(fit: Fit, row: int) -> float:
-    """Return the speed of the fastest rows of a joint, (sum qd^6 / sum qd^4)^0.5 [rad/s].
-
-    It is 0.91 of the peak of a sine. Recordings that are only known by their information have it,
-    too. ``row`` is the joint's index among those that have equations.
-    """
-    information = fit.evidence.total.joints[row]
-    squares = np.sum(information.triangle[:, :-1] ** 2, axis=0)
-    joint = fit.columns.joints[row]
-    sums = {}
-    for term in NONLINEAR_DAMPING:
-        is_term = information.columns == fit.columns.index[f"{term}[{joint}]"]
-        sums[term] = float(np.sum(squares[is_term]))
-    if sums["quadratic"] == 0.0:
-        return 0.0
-    return float(np.sqrt(sums["cubic"] / sums["quadratic"]))
-
-
 PULLS = tuple(np.geomspace(1.0, 1e-3, 13).tolist())
 """Weights of the estimate's bodies that are tried, where torques have a weight of one each."""
 SCALES = (1.0, 2.0, 4.0, 8.0, 16.0)
 """Factors that are tried on the uncertainty of all links but the terminal one; 16 times the default
 of 5 % is nearly all of a link's parameters."""
-COVERED = 0.4
-"""Share of a joint's speed limit that ``_top_speed`` has to reach for nonlinear damping in a file:
-that of a slow log is another law of friction, and makes torques at full speed wrong by half."""
 AS_GOOD = 1.02
 """Ratio of squared errors up to which they count as equal: one per cent of the error."""
 CLEAR_OFFSET = 3.0

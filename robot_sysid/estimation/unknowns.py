@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import link_names, names_of, other_links
-from robot_sysid.dynamics.friction import FADING_SPEEDS, NONLINEAR_DAMPING, speed_name
+from robot_sysid.dynamics.friction import FADING_SPEEDS, speed_name
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimation.algebra.common_scale import hold_mean, with_common
@@ -340,9 +340,9 @@ def _held_values(columns: Columns, question: Question, choice: Choice) -> Array:
         kept_terms = set[str]()
         if not model.terms or FILE_FRICTION in question.unchanged_parts:
             kept_terms = {"coulomb", "viscous"}
-        # A URDF holds none of these.
-        if question.file_kind != "urdf":
-            kept_terms |= {"armature", *NONLINEAR_DAMPING} - set(model.terms)
+        # A URDF holds no rotor inertia.
+        if question.file_kind != "urdf" and "armature" not in model.terms:
+            kept_terms.add("armature")
         for term in kept_terms:
             index = columns.index.get(f"{term}[{joint}]")
             if index is not None:

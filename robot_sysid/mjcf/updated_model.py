@@ -63,7 +63,8 @@ class JointChange:
         label: the joint's name, or "#3" for the nameless joint with id 3.
         armature: rotor inertia seen at the joint [kg m^2 or kg]; a URDF cannot hold it.
         damping, frictionloss: viscous and Coulomb friction [N m s/rad, N m or N s/m, N].
-        polynomial: damping beyond the linear one, of qd abs(qd) and of qd^3; MuJoCo 3.7 and later.
+        nonlinear_damping: the model's coefficients of qd abs(qd) and of qd^3, which the attribute
+            ``damping`` holds, too; () for none.
         comment: text for the comment of the joint's body.
     """
 
@@ -71,7 +72,7 @@ class JointChange:
     armature: float | None = None
     damping: float | None = None
     frictionloss: float | None = None
-    polynomial: tuple[float, float] | None = None
+    nonlinear_damping: tuple[float, ...] = ()
     comment: str = ""
 
     @property
@@ -345,19 +346,14 @@ def _require_resistance(owner: str, numbers: Mapping[str, float]) -> None:
 
 
 def write_joint(edits: Edits, change: JointChange) -> None:
-    """Give a joint its new numbers; of a URDF's joint, none for nonlinear damping.
+    """Give a joint its new numbers.
 
     ExportError where a number is negative or not finite, or the file does not contain the joint
     itself (see ``find_element``).
     """
     document = edits.document
-    numbers = change.numbers
-    nonlinear = change.polynomial
-    texts = {name: format_number(value) for name, value in numbers.items()}
-    if nonlinear:
-        # The lower coefficient is the one to be checked for its sign.
-        numbers["nonlinear damping"] = min(nonlinear)
-    _require_resistance(f"joint '{change.label}'", numbers)
+    _require_resistance(f"joint '{change.label}'", change.numbers)
+    texts = {name: format_number(value) for name, value in change.numbers.items()}
     node = find_element(document, "joint", change.label)
     if document.is_urdf:
         if "frictionloss" in texts:
@@ -368,8 +364,9 @@ def write_joint(edits: Edits, change: JointChange) -> None:
                 edits.append(node, f"<dynamics{attribute_text(texts)}/>")
             return
         node = dynamics
-    elif "damping" in texts and nonlinear is not None:
-        texts["damping"] = " ".join([texts["damping"], *map(format_number, nonlinear)])
+    elif "damping" in texts:
+        further = map(format_number, change.nonlinear_damping)
+        texts["damping"] = " ".join([texts["damping"], *further])
     _set_numbers(edits, node, texts)
 
 

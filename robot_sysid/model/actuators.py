@@ -15,6 +15,7 @@ positions or speeds but no force, so that only its forcerange counts.
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -373,3 +374,17 @@ def with_actuators_in_joints(mj_model: Any) -> Any:
     folded.jnt_actuatorid[:] = -1
     folded.tendon_actuatorid[:] = -1
     return folded
+
+
+def stated_at_actuators(mj_model: Any, actuators: Sequence[int], name: str) -> Array:
+    """Return what a file states at actuators (ids) of a number of their joint or tendon.
+
+    ``name``: "armature", "damping", or "dampingpoly" with two numbers.
+    """
+    total = np.zeros(2 if name == "dampingpoly" else ())
+    if not hasattr(mj_model, f"actuator_{name}"):
+        return total  # releases before 3.7 have none
+    stated = getattr(mj_model, f"actuator_{name}")
+    for actuator in actuators:
+        total = total + gear_ratio(mj_model, actuator) ** 2 * stated[actuator]
+    return total

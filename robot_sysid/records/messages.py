@@ -16,8 +16,6 @@ _TERM_UNITS: Mapping[str, tuple[str, str]] = {
     "viscous": ("N·m·s/rad", "N·s/m"),
     "armature": ("kg·m²", "kg"),
     "sqrt": ("N·m·√(s/rad)", "N·√(s/m)"),
-    "quadratic": ("N·m·s²/rad²", "N·s²/m²"),
-    "cubic": ("N·m·s³/rad³", "N·s³/m³"),
     **dict.fromkeys(("stribeck_speed", "sigmoid_speed"), ("rad/s", "m/s")),
     "zero": ("rad", "m"),
 }

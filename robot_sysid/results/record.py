@@ -233,7 +233,7 @@ class ModelFile:
         thetas: (n, 10) parameters of the links, as in ``RobotModel.links``; zero without mass.
         errors: (n, 10) standard errors of ``thetas``.
         joints: joint, or motor that turns several, to its terms in the file: "coulomb", "viscous",
-            "armature", "quadratic", "cubic".
+            "armature".
         gravity: (3,) in the model's world frame [m/s^2]; None where the file keeps its own.
         validation_before: held-out error of the original model, each joint's sensor offset removed.
         validation_after: held-out error of the written model; None until it is known.

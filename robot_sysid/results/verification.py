@@ -73,13 +73,9 @@ PATHS = {
     *["paths", "npaths", "nbuffer", "mesh_pathadr", "skin_pathadr", "hfield_pathadr"],
     *["tex_pathadr", "signature"],
 }
-_SPRINGDAMPER = (
-    "a joint's springdamper computes it from the inertia: give that joint stiffness and damping "
-    "instead to get a model"
-)
 _ADVICE = {
-    "dof_damping": _SPRINGDAMPER,
-    "dof_dampingpoly": "write a joint's nonlinear damping into the joint instead of its class",
+    "dof_damping": "a joint's springdamper computes it from the inertia: give that joint "
+    "stiffness and damping instead to get a model"
 }
 _GAIN_ADVICE = "give the actuator kp and kv of its own"
 _NUMERIC_TYPES = (int, float, bytes, np.ndarray)
@@ -129,10 +125,7 @@ def _required_values(original: Any, change: ModelChange) -> Iterator[_RequiredVa
     labels = list(map(partial(joint_label, original), range(original.njnt)))
     for joint in change.joints:
         dof = int(original.jnt_dofadr[labels.index(joint.label)])
-        numbers: dict[str, Any] = {**joint.numbers}
-        if joint.polynomial is not None and hasattr(original, "dof_dampingpoly"):
-            numbers["dampingpoly"] = joint.polynomial
-        for name, value in numbers.items():
+        for name, value in joint.numbers.items():
             field = f"dof_{name}"
             advice = _ADVICE.get(field, "no model was written")
             owner = f"joint '{joint.label}'"

@@ -37,7 +37,6 @@ from robot_sysid.mjcf.updated_model import (
     WeldedBody,
     changed_model_text,
 )
-from robot_sysid.model.actuators import actuators_of_tendon, actuators_on, gear_ratio
 from robot_sysid.model.bodies import body_theta, link_bodies, place_in_carrier
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.compilation import compile_model, mjcf_of
@@ -46,6 +45,7 @@ from robot_sysid.records import Array, RobotModel, SubtreeBody
 from robot_sysid.records.file_access import draft_folder, lock_folder
 from robot_sysid.records.messages import Detail, with_error
 from robot_sysid.results import verification
+from robot_sysid.results.actuator_numbers import beside_actuators
 from robot_sysid.results.record import ModelFile, ModelTarget, Payload, Quantity, Result
 
 _MOMENTS = [4, 7, 9]
@@ -56,8 +56,6 @@ _MJCF_ATTRIBUTES = {
     "coulomb": "frictionloss",
 }
 """Friction term to the attribute of a joint or tendon that holds it."""
-_NOT_IN_URDF = {"rotor inertia": "armature", "nonlinear damping": "polynomial"}
-"""What no URDF can hold, to the field of ``JointChange``."""
 _GRAVITY_NOTE = Detail(
     "the written URDF states gravity in its <mujoco> part, which MuJoCo reads and other readers "
     "ignore"
@@ -215,34 +213,30 @@ def _joint_changes(
             are passed over.
     """
     changes = []
-    for joint, model_viscous in zip(robot.joint_names, robot.friction.viscous.tolist()):
+    for joint in robot.joint_names:
         if joint not in terms_by_joint:
             continue
         terms = terms_by_joint[joint]
         values = {term: quantity.value for term, quantity in terms.items()}
-        polynomial = None
-        if "quadratic" in values or "cubic" in values:
-            polynomial = values.get("quadratic", 0.0), values.get("cubic", 0.0)
-            # One attribute holds linear, quadratic and cubic damping, so that linear damping that
-            # stays is written again.
-            values.setdefault("viscous", model_viscous)
-        attributes = _MJCF_ATTRIBUTES.values()
-        numbers = dict(zip(attributes, map(values.get, _MJCF_ATTRIBUTES)))
-        text = _terms_text(terms)
-        changes.append(
-            JointChange(joint, **numbers, polynomial=polynomial, comment=text)
+        change = JointChange(
+            joint,
+            armature=values.get("armature"),
+            damping=values.get("viscous"),
+            frictionloss=values.get("coulomb"),
+            comment=_terms_text(terms),
         )
+        changes.append(change)
     return tuple(changes)
 
 
 def _terms_text(terms: Mapping[str, Quantity]) -> str:
-    """Return friction terms as text, such as "damping 0.25 ± 0.02, quadratic damping 0.1".
+    """Return friction terms as text, such as "damping 0.25 ± 0.02, armature 0.1".
 
     ``terms`` is friction term to its estimate.
     """
     texts = []
     for term, (value, error) in terms.items():
-        text = f"{_MJCF_ATTRIBUTES.get(term, f'{term} damping')} {value:.4g}"
+        text = f"{_MJCF_ATTRIBUTES[term]} {value:.4g}"
         texts.append(f"{text} ± {error:.2g}" if np.isfinite(error) else text)
     return ", ".join(texts)
 
@@ -270,18 +264,21 @@ def _changes_of_kind(
 ) -> tuple[tuple[JointChange, ...], tuple[str, ...]]:
     """Return the changes that the format of the model can hold, and a note on what it cannot.
 
-    The notes are one sentence or (). For a URDF, comments on joints are left out, which name
-    numbers that it lacks.
+    The notes are one sentence or (). In an MJCF, nonlinear damping of the model stays. For a URDF,
+    comments on joints are left out, which name numbers that it lacks.
     """
-    if robot.kind != "urdf":
-        return tuple(changes), ()
-    lost = []
-    for title, field in _NOT_IN_URDF.items():
-        if any(np.any(getattr(change, field) or 0.0) for change in changes):
-            lost.append(title)
-    possible = [replace(c, armature=None, polynomial=None, comment="") for c in changes]
-    note = f"a URDF cannot hold {' or '.join(lost)}, so the written URDF lacks it"
-    return tuple(possible), (note,) if lost else ()
+    if robot.kind == "urdf":
+        possible = tuple(replace(c, armature=None, comment="") for c in changes)
+        note = "a URDF cannot hold rotor inertia, so the written URDF lacks it"
+        return possible, (note,) if any(c.armature for c in changes) else ()
+    nonlinear_damping = dict(zip(robot.joint_names, robot.nonlinear_damping.tolist()))
+    kept = []
+    for change in changes:
+        coefficients = nonlinear_damping[change.label]
+        if any(coefficients):
+            change = replace(change, nonlinear_damping=tuple(coefficients))
+        kept.append(change)
+    return tuple(kept), ()
 
 
 def _body_changes(
@@ -412,7 +409,7 @@ def _write(
     is_exact = all(map(verification.reads_fullinertia_exactly, written))
     change = replace(change, principal=not is_exact)
     path = target.path
-    stated = _beside_actuators(robot, change)
+    stated = beside_actuators(robot, change)
     # The compiled draft has rotors and damping of actuators in joints and tendons.
     change = replace(change, actuators=stated.actuators)
     text = changed_model_text(
@@ -434,61 +431,6 @@ def _write(
             is_major = plan.emptied or plan.lightened
             notes.append(plan.note if is_major else Detail(plan.note))
     return tuple(notes)
-
-
-def _beside_actuators(robot: RobotModel, change: ModelChange) -> ModelChange:
-    """Return a change with the numbers of joints and tendons that the file has to state.
-
-    Rotor inertia and damping of a joint or tendon are partly its actuators', whose numbers stay.
-    Only where these alone are too large do they become smaller, and the joint's or tendon's zero.
-    """
-    model = robot.mj_model
-    actuators = list(change.actuators)
-    joints = []
-    for joint in change.joints:
-        dof = robot.dof_index[robot.joint_names.index(joint.label)]
-        on_joint = actuators_on(model, int(model.dof_jntid[dof]))
-        numbers, smaller = _numbers_beside(model, on_joint, joint.numbers)
-        own_numbers: dict[str, Any] = dict(numbers)
-        joints.append(replace(joint, **own_numbers))
-        actuators += smaller
-    tendons = []
-    for tendon in change.tendons:
-        on_tendon = actuators_of_tendon(model, tendon.tendon)
-        numbers, smaller = _numbers_beside(model, on_tendon, tendon.numbers)
-        tendons.append(replace(tendon, numbers=numbers))
-        actuators += smaller
-    return replace(
-        change, joints=tuple(joints), tendons=tuple(tendons), actuators=tuple(actuators)
-    )
-
-
-def _numbers_beside(
-    mj_model: Any, actuators: Sequence[int], numbers: Mapping[str, float]
-) -> tuple[dict[str, float], list[ActuatorChange]]:
-    """Return a joint's or tendon's own numbers beside its actuators', and changes of the latter.
-
-    Args:
-        mj_model: the compiled model, see ``with_actuators_in_joints``.
-        actuators: ids of the actuators that pull at the joint or tendon.
-        numbers: "armature", "damping" and others to their values of all of them together.
-    """
-    own_numbers = dict(numbers)
-    changes = []
-    for name in numbers.keys() & {"armature", "damping"}:
-        stated = getattr(mj_model, f"actuator_{name}", np.zeros(mj_model.nu))
-        parts = {}
-        for actuator in actuators:
-            squared_gear = gear_ratio(mj_model, actuator) ** 2
-            parts[actuator] = float(squared_gear * stated[actuator])
-        total = sum(parts.values())
-        own_numbers[name] = max(numbers[name] - total, 0.0)
-        if numbers[name] < total:
-            factor = numbers[name] / total
-            for actuator in actuators:
-                smaller = {name: factor * float(stated[actuator])}
-                changes.append(ActuatorChange(actuator, mechanical=smaller))
-    return own_numbers, changes
 
 
 def versions() -> dict[str, str]:

@@ -20,7 +20,6 @@ from robot_sysid.dynamics.equations import (
     friction_per_joint,
     other_links,
 )
-from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.identifiability import VisibleSpace, visible_space
 from robot_sysid.model.bodies import composite_theta
@@ -174,9 +173,6 @@ def test_a_measurement_without_derivatives_is_refused(missing):
         )
 
 
-WITH_QUADRATIC = FrictionModel(("coulomb", "viscous", "armature", "quadratic"))
-
-
 @pytest.mark.parametrize(
     ("name", "terms"),
     [
@@ -185,9 +181,7 @@ WITH_QUADRATIC = FrictionModel(("coulomb", "viscous", "armature", "quadratic"))
         ("shared bodies", TERMINAL_FRICTION),
         ("springs", TERMINAL_FRICTION),
         ("armature", TERMINAL_FRICTION),
-        ("armature", WITH_QUADRATIC),
         ("nonlinear damping", TERMINAL_FRICTION),
-        ("nonlinear damping", WITH_QUADRATIC),
     ],
 )
 def test_the_models_parameters_explain_its_torque(name, terms):

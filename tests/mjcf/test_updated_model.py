@@ -351,45 +351,13 @@ def test_a_joint_is_found_by_its_number(tmp_path, joint):
         np.testing.assert_array_equal(getattr(written, f"dof_{field}"), expected)
 
 
-def test_nonlinear_damping_behind_the_linear_one_stays(tmp_path):
-    text = MIXED.replace('name="last"', 'name="last" damping=".5 .3  .2"')
-    document = document_of(tmp_path, text)
-    assert 'damping="2.5 .3 .2"' in with_joints(
-        document, JointChange("last", damping=2.5)
-    )
-
-
 @pytest.mark.parametrize(
-    "change",
-    [
-        JointChange("last", armature=-1e-6),
-        JointChange("last", damping=np.nan),
-        JointChange("last", damping=1.0, polynomial=(2.0, -3.0)),
-    ],
+    "change", [JointChange("last", armature=-1e-6), JointChange("last", damping=np.nan)]
 )
 def test_a_joint_that_would_drive_itself_is_refused(tmp_path, change):
     document = document_of(tmp_path, MIXED)
     with pytest.raises(ExportError, match="joint 'last' cannot get .*drive itself"):
         with_joints(document, change)
-
-
-@pytest.mark.skipif(
-    not hasattr(mujoco.MjModel, "dof_dampingpoly"), reason="MuJoCo before 3.7"
-)
-def test_nonlinear_damping_is_written_where_it_was_found(tmp_path):
-    document = document_of(tmp_path, MIXED)
-    text = with_joints(
-        document, JointChange("last", damping=1.0, polynomial=(2.0, 3.0))
-    )
-    model = mujoco.MjModel.from_xml_string(text)
-    dof = model.joint("last").dofadr[0]
-    assert model.dof_damping[dof] == 1.0
-    np.testing.assert_array_equal(model.dof_dampingpoly[dof], (2.0, 3.0))
-    # The joint brakes by 1 v + 2 v |v| + 3 v^3.
-    data = mujoco.MjData(model)
-    data.qvel[dof] = -2.0
-    mujoco.mj_forward(model, data)
-    assert data.qfrc_passive[dof] == pytest.approx(2.0 + 8.0 + 24.0)
 
 
 SERVOS = f"""<mujoco>

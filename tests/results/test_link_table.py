@@ -82,10 +82,10 @@ def test_every_joint_and_shared_motor_has_its_terms_and_units():
 def test_a_term_that_only_the_file_has_stands_there_if_it_is_not_zero():
     file = made.model_file()
     for size, is_shown in ((0.0, False), (0.3, True)):
-        terms = {**file.joints["j5"], "quadratic": Quantity(size, 0.01)}
+        terms = {**file.joints["j5"], "sqrt": Quantity(size, 0.01)}
         changed = replace(file, joints={"j5": terms})
         text = " ".join(joint_lines(made.whole(file=changed)))
-        assert ("quadratic" in text) is is_shown
+        assert ("sqrt" in text) is is_shown
 
 
 def test_many_friction_terms_go_on_in_a_table_below():
@@ -93,7 +93,7 @@ def test_many_friction_terms_go_on_in_a_table_below():
         term: Quantity(0.1234, 0.0012) for term in ("coulomb", "viscous", "offset")
     }
     further = {term: Quantity(-0.5, 0.012) for term in ("stribeck", "load", "armature")}
-    unknown = {"sqrt": Quantity(0.0, np.inf), "cubic": Quantity(0.0, np.nan)}
+    unknown = {"sqrt": Quantity(0.0, np.inf), "fading_slow": Quantity(0.0, np.nan)}
     joints = {
         LONG_NAME: JointEstimate("many", {**terms, **further, **unknown}),
         "j6": JointEstimate("few", terms),

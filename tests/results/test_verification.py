@@ -36,7 +36,6 @@ from robot_sysid.results.verification import (
 )
 from tests.support import arms
 from tests.support.model_files import ARM, random_theta, write_files
-from tests.support.releases import since
 
 # Damping ratios came with MuJoCo 3.1.
 RATIO = "" if mujoco.__version__.startswith("3.0.") else 'dampratio="1"'
@@ -302,10 +301,6 @@ SMALL = 1e-7
         ModelChange((), 0.0, gravity=(SMALL, 0.0, -9.81)),
         ModelChange((), 0.0, gravity=(0.0, 0.0, -9.81 + SMALL)),
         ModelChange((), 0.0, (JointChange("joint2", armature=SMALL),)),
-        pytest.param(
-            ModelChange((), 0.0, (JointChange("joint2", polynomial=(0.0, SMALL)),)),
-            marks=since(3, 7),  # nonlinear damping
-        ),
     ],
 )
 def test_a_change_that_the_file_lacks_is_found_by_its_torque(three_joints, change):

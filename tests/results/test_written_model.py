@@ -339,6 +339,23 @@ def test_rotors_and_damping_stated_at_actuators_stay_there_where_there_is_room(
     assert_allclose(stated, [of_joint1, of_joint2, of_joint2], rtol=1e-12)
 
 
+@since(3, 7)
+@pytest.mark.parametrize("place", ["joint", "class"])
+def test_nonlinear_damping_of_the_model_stays(tmp_path, place):
+    xml = arms.NONLINEAR_DAMPING
+    if place == "class":
+        damping = ' damping=".5 .3 .2"'
+        default = f"<default><joint{damping}/></default><worldbody>"
+        xml = xml.replace(damping, "").replace("<worldbody>", default)
+    robot = load_arm(tmp_path, xml)
+    joints = new_joints(robot, np.random.default_rng(7))
+    result = result_of(robot, file=file_of(robot, joints=joints))
+    reloaded = load_robot_model(write_and_compile(robot, result).path)
+    expected = [joints[joint]["viscous"].value for joint in robot.joint_names]
+    assert_array_equal(reloaded.friction.viscous, expected)
+    assert_array_equal(reloaded.nonlinear_damping, [(0.3, 0.2)] * robot.n_joints)
+
+
 def test_links_that_are_the_models_own_are_left_alone_and_their_joints_told_of_with_the_last(
     tmp_path,
 ):
