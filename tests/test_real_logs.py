@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 
 from robot_sysid.cli import main
-from robot_sysid.model.chain import CAN_HOLD_ROTORS
 from tests.support.places import DATA, ROOT
 
 KUKA = DATA / "kuka_lwr4"
@@ -24,7 +23,6 @@ TIAGO = DATA / "tiago"
 pytestmark = pytest.mark.skipif(
     not DATA.exists(), reason="the logs of real arms are not here"
 )
-holds_motors = pytest.mark.skipif(not CAN_HOLD_ROTORS, reason="MuJoCo before 3.2.7")
 
 
 def identified(folder, model, log, *options):
@@ -106,7 +104,6 @@ def tx40(tmp_path_factory):
 
 
 @pytest.mark.slow
-@holds_motors
 def test_tx40s_shared_motor_is_in_its_file(tx40):
     """Without it the file is off by 19 %. A URDF has no place for it, and lies beside."""
     assert file_error(tx40 / "last.csv", tx40 / "out" / "updated_model.xml") < 6.0
@@ -125,7 +122,6 @@ def test_where_sensors_sit_behind_the_gears_no_motor_is_found(tmp_path, run):
 
 
 @pytest.mark.slow
-@holds_motors
 def test_tx40s_motor_is_found_again_in_its_file(tx40, tmp_path):
     """It is the model's then: nothing is found beside it, and no file is better."""
     model = tx40 / "out" / "updated_model.xml"

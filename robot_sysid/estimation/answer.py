@@ -367,8 +367,10 @@ def _file_terms(
         terms = dict(joint.terms)
         terms.pop("offset", None)
         model_rotor = joint.model_terms.get("armature", 0.0)
-        if file.fit.choice.rotors.get(owner, model_rotor) != model_rotor:
-            terms["armature"] = answer.quantity(f"armature[{owner}]")
+        rotor = file.fit.choice.rotors.get(owner, model_rotor)
+        if rotor != model_rotor:
+            error = answer.quantity(f"armature[{owner}]").error
+            terms["armature"] = Quantity(rotor, error)
         yield owner, terms
 
 

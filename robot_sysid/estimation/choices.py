@@ -53,7 +53,7 @@ from robot_sysid.estimation.unknowns import (
     PER_CENT,
     Unknowns,
 )
-from robot_sysid.model.chain import CAN_HOLD_ROTORS, shared_motors
+from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.file_access import read_json
 
@@ -341,12 +341,12 @@ def coupling(robot: RobotModel, ratios: Array, tendon: int | None = None) -> Cou
     if tendon is None:
         return motor
     model = robot.mj_model
-    rotor = model.tendon_armature[tendon] if CAN_HOLD_ROTORS else 0.0
     tendon_values = {
         "coulomb": model.tendon_frictionloss[tendon],
         "viscous": model.tendon_damping[tendon],
-        "armature": rotor,
     }
+    if hasattr(model, "tendon_armature"):  # since MuJoCo 3.2.7
+        tendon_values["armature"] = model.tendon_armature[tendon]
     of_model = np.array([float(tendon_values.get(term, 0.0)) for term in motor.terms])
     return replace(motor, model=of_model, tendon=tendon)
 

@@ -112,7 +112,7 @@ class ActuatorChange:
     Attributes:
         actuator: its MuJoCo id.
         stiffness, damping: gains of a position actuator, which makes stiffness (ctrl - q) - damping
-            qd [N m/rad or N/m; N m s/rad or N s/m].
+            qd [N m/rad or N/m; N m s/rad or N s/m]. A <position> has no damping before MuJoCo 3.1.
         mechanical: new values by their name in MJCF: "armature", "damping".
     """
 
@@ -439,9 +439,10 @@ def write_actuator(edits: Edits, change: ActuatorChange) -> None:
     if node is not None and change.stiffness is not None:
         kp = format_number(change.stiffness)
         kv = format_number(change.damping or 0.0)
+        servo_gains = {"kp": kp} if change.damping is None else {"kp": kp, "kv": kv}
         gains = {
-            "position": {"kp": kp, "kv": kv},
-            "pid": {"kp": kp, "kv": kv},
+            "position": servo_gains,
+            "pid": servo_gains,
             "general": {"gainprm": kp, "biasprm": f"0 -{kp} -{kv}"},
         }
         kinds = " or ".join(f"<{tag}>" for tag in gains)

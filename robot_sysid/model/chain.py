@@ -315,10 +315,6 @@ def joint_limits(
     )
 
 
-CAN_HOLD_ROTORS = hasattr(mujoco.MjModel, "tendon_armature")
-"""Whether tendons have rotor inertia: since MuJoCo 3.2.7."""
-
-
 def shared_motors(mj_model: Any, dofs: NDArray[np.int64]) -> dict[int, Array]:
     """Return the fixed tendons over two or more joints of a chain, and over no other joint.
 

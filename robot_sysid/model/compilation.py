@@ -409,13 +409,15 @@ def _temporary_folder() -> Path:
 def _write_last_model(model: Any, path: Path) -> None:
     """Have MuJoCo write an MjModel, the last that was loaded, to an MJCF file."""
     mujoco.mj_saveLastXML(str(path), model)
-    path.write_bytes(_with_exact_inertials(path, model))
+    path.write_bytes(_portable_text(path, model))
 
 
-def _with_exact_inertials(path: Path, model: Any) -> bytes:
-    """Return the text of an MJCF that MuJoCo wrote of an MjModel, with inertials of all digits.
+def _portable_text(path: Path, model: Any) -> bytes:
+    """Return the text of an MJCF that MuJoCo wrote of an MjModel, such that all releases load it.
 
-    Six digits make a flat body one with moments that no body has, which MuJoCo refuses.
+    Inertials get all digits: six make a flat body one with moments that no body has. MuJoCo 4 makes
+    ``<general input="pos">`` of a ``<position>``, which releases before 3.17 refuse; without that
+    attribute the actuator makes the same force.
     """
     edits = Edits(read_document(path))
     for node, body in zip(edits.document.walk("body"), range(1, model.nbody)):
@@ -430,7 +432,7 @@ def _with_exact_inertials(path: Path, model: Any) -> bytes:
             moments = format_numbers(model.body_inertia[body])
             edits.set(inertial, "diaginertia", moments)
             edits.set(inertial, "mass", format_number(mass))
-    return edits.text()
+    return re.sub(rb'(<general\b[^>]*) input="pos"', rb"\1", edits.text())
 
 
 def _reload_error(path: Path, fault: str) -> ModelError:
@@ -477,7 +479,7 @@ def _file_of_spec(spec: Any, folder: Path) -> Path:
     file_name = re.sub(r"[^\w-]+", "_", spec.modelname) or "model"
     path = folder / f"{file_name}.xml"
     path.write_text(text, encoding="utf-8")
-    path.write_bytes(_with_exact_inertials(path, mj_model))
+    path.write_bytes(_portable_text(path, mj_model))
     return path
 
 

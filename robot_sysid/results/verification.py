@@ -134,10 +134,10 @@ def _required_values(original: Any, change: ModelChange) -> Iterator[_RequiredVa
         owner = f"actuator number {servo.actuator}"
         for name, value in servo.mechanical.items():
             yield _RequiredValue(owner, f"actuator_{name}", (servo.actuator,), value)
-        if servo.stiffness is None or servo.damping is None:
+        if servo.stiffness is None:
             continue
         bias_index = (servo.actuator, slice(3))
-        bias = (0.0, -servo.stiffness, -servo.damping)
+        bias = (0.0, -servo.stiffness, -(servo.damping or 0.0))
         # A PID controller keeps its gain in the bias alone.
         if original.actuator_gainprm[servo.actuator, 0] != 0.0:
             gain_index = (servo.actuator, 0)

@@ -194,7 +194,8 @@ class ServoIdentification:
                 squared_gear = float(actuators.gear[k]) ** 2
                 gain = float(servos.stiffness[k]) / squared_gear
                 index = int(actuators.index[k])
-                damping = kv / squared_gear
+                has_damping = actuators.damping_share[k] > 0.0
+                damping = kv / squared_gear if has_damping else None
                 actuator_changes.append(ActuatorChange(index, gain, damping))
         return joint_changes, actuator_changes
 

@@ -384,6 +384,9 @@ def test_gains_are_written_into_the_actuator_that_mujoco_numbers(tmp_path):
         [0.0, -50.0, 0.0],
     ]
     np.testing.assert_array_equal(model.dof_damping, original.dof_damping)
+    # MuJoCo 3.0 does not know the damping of a <position>, which only a model with damping gets.
+    write_actuator(edits, ActuatorChange(1, 40.0))
+    assert 'kv="0' not in edits.text().decode()
     for number in (0, 3):
         with pytest.raises(
             ExportError, match=f"actuator number {number} is not written out"
