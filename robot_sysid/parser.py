@@ -249,6 +249,16 @@ def _notes(
             f"friction of the actuators on {', '.join(rubbing)} (lugre) is left out: all friction "
             "that a log shows becomes the joint's, so remove theirs from a written model"
         )
+    dofs = mj_model.jnt_dofadr[list(chain)]
+    # Releases before 3.7 have no nonlinear damping.
+    coefficients = getattr(mj_model, "dof_dampingpoly", np.zeros((mj_model.nv, 2)))
+    nonlinear = np.flatnonzero(np.any(coefficients[dofs], axis=1))
+    if len(nonlinear):
+        names = ", ".join(joint_label(mj_model, chain[k]) for k in nonlinear)
+        yield (
+            f"nonlinear damping of {names} is taken to be as the model states it; linear damping "
+            "alone is identified"
+        )
     if mj_model.opt.density or mj_model.opt.viscosity:
         yield "the model's air or fluid drag is ignored"
 

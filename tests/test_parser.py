@@ -156,6 +156,12 @@ def test_a_loop_closed_around_joints_of_the_arm_is_told(one, other, told):
     assert ("closed loop" in notes_of(tied(one, other, MOCAP))) is told
 
 
+@since(3, 7)
+def test_nonlinear_damping_that_is_taken_as_known_is_told():
+    assert "nonlinear damping of joint0, " in notes_of(arms.NONLINEAR_DAMPING)
+    assert "nonlinear damping" not in notes_of(arms.THREE)
+
+
 @since(3, 12)
 def test_friction_that_a_motor_has_of_its_own_is_told():
     motor = '<actuator><dcmotor joint="joint2" resistance="1" motorconst=".1" {}/></actuator>'
