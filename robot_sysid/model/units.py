@@ -24,7 +24,6 @@ _MASSES = {"kg": 1.0, "g": 1e3, "t": 1e-3}
 """Unit of mass to how many of it are 1 kg."""
 _INERTIAS = {
     "kg m2": 1.0,
-    "t m2": 1e-3,
     "kg mm2": 1e6,
     "g mm2": 1e9,
     "kg cm2": 1e4,
@@ -38,12 +37,16 @@ _SPREAD = np.log([2.2, 9.0])
 """Largest deviations of the public models from the usual."""
 _MAX_SPREADS = 2.0
 """Largest deviation that links may have in the units that are named, in terms of ``_SPREAD``."""
-_LEAST_COMPACTNESS = 10.0
-"""Compactness of a sphere that is as light as air, 1.2 kg/m^3."""
+_LARGEST_SHARE = 0.7
+"""Radius as a share of the arm's length that no links have: a rod has 0.29 of its own length."""
+_LEAST_COMPACTNESS = 0.2
+"""Compactness of a rod of 0.1 kg and 2.7 m."""
 _LARGEST_COMPACTNESS = 2e5
 """Compactness of a sphere of the densest metal, 22 600 kg/m^3."""
-_SHORTEST = 1.0
+_SHORTEST = 1.5
 """Least length that is taken for an arm's: joints may turn about one point [m]."""
+_LEAST_LINKS = 3
+"""Least number of links from which units of masses and inertias are judged."""
 _LONGEST = 30.0
 """Longest arm: a crane [m]."""
 _N_NAMES = 3
@@ -73,7 +76,7 @@ def refuse_cad_units(robot: RobotModel) -> None:
     radii = np.sqrt(np.sum(moments, axis=1) / (2.0 * masses))
     names = np.array([f"'{body_label(mj_model, body)}'" for body in bodies])
     is_stated = np.ptp(moments, axis=1) > 1e-6 * np.max(moments, axis=1)
-    if 2 * np.sum(is_stated) > len(bodies):
+    if np.sum(is_stated) >= max(_LEAST_LINKS, 0.5 * len(bodies) + 0.5):
         _refuse_units(
             robot, length, names[is_stated], masses[is_stated], radii[is_stated]
         )
@@ -102,7 +105,10 @@ def _refuse_units(
     """
     share = float(np.median(radii)) / max(length, _SHORTEST)
     compactness = float(np.median(masses / radii**3))
-    if share < 1.0 and _LEAST_COMPACTNESS < compactness < _LARGEST_COMPACTNESS:
+    if (
+        share < _LARGEST_SHARE
+        and _LEAST_COMPACTNESS < compactness < _LARGEST_COMPACTNESS
+    ):
         return
     units = _likely_units(share, compactness)
     if units is None:
