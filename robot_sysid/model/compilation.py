@@ -155,7 +155,7 @@ def compile_model(
             mj_model = _compile_mjcf(document, mesh_dir)
         if copy is not None:
             _write_last_model(mj_model, copy)
-    if _CACHE is not None and mujoco.mj_getCacheCapacity(_CACHE) == 0:
+    if _CACHE is not None and mujoco.mj_getCacheCapacity(_CACHE) == _NO_CAPACITY:
         # MuJoCo keeps the files of the last model that was read: let it be a small one.
         mujoco.MjModel.from_xml_string("<mujoco/>")
     _check_values(mj_model, document)
@@ -166,6 +166,8 @@ def compile_model(
 
 _CACHE = mujoco.mj_getCache() if hasattr(mujoco, "mj_getCache") else None
 """MuJoCo's cache of meshes, of releases that have one."""
+_NO_CAPACITY = 1
+"""Capacity that holds no mesh [bytes]: with zero, MuJoCo 3.3.7 crashes at the first one."""
 
 
 @contextmanager
@@ -179,7 +181,7 @@ def meshes_not_kept() -> Iterator[None]:
         return
     capacity = mujoco.mj_getCacheCapacity(_CACHE)
     try:
-        mujoco.mj_setCacheCapacity(_CACHE, 0)
+        mujoco.mj_setCacheCapacity(_CACHE, _NO_CAPACITY)
         yield
     finally:
         mujoco.mj_setCacheCapacity(_CACHE, capacity)
@@ -229,7 +231,11 @@ def _compile_urdf(
             else:
                 check_assets(document, mesh_dir)
                 raise ModelError(_compiler_message(document, error)) from None
-    restore_exact_inertias(mj_model, link_inertias(document))
+    inertias = link_inertias(document)
+    for name, increase in increases.items():
+        mass, com, inertia = inertias[name]
+        inertias[name] = mass, com, inertia + increase * np.eye(3)
+    restore_exact_inertias(mj_model, inertias)
     return mj_model, notes, increases
 
 
@@ -280,6 +286,9 @@ _SAME_TRACE = 1e-9
 """Relative difference of traces that six-digit axes leave: turning keeps the trace."""
 _ALREADY_EXACT = 1e-13
 """Relative difference from the stated inertia that rounding alone makes."""
+_BALANCED = 1e-2
+"""Relative difference from the stated inertia that inaccurate axes do not reach, but a body with
+equal moments in place of impossible ones."""
 
 
 def restore_exact_inertias(
@@ -294,16 +303,17 @@ def restore_exact_inertias(
     for name, (_, _, inertia) in inertias.items():
         body = mujoco.mj_name2id(mj_model, int(mujoco.mjtObj.mjOBJ_BODY), name)
         moments, axes = np.linalg.eigh(inertia)
-        # balanceinertia keeps the trace too, and only touches what breaks the triangle inequality.
-        if body <= 0 or moments[0] + moments[1] < moments[2]:
+        if body <= 0:
             continue
         size = float(np.trace(inertia))
         compiled = inertia_about_com(mj_model, body)
         has_same_trace = abs(float(np.trace(compiled)) - size) <= _SAME_TRACE * size
-        if (
-            has_same_trace
-            and np.max(np.abs(compiled - inertia)) > _ALREADY_EXACT * size
-        ):
+        # balanceinertia keeps the trace too, but makes all three moments equal.
+        difference = float(np.max(np.abs(compiled - inertia)))
+        is_inaccurate = _ALREADY_EXACT * size < difference < _BALANCED * size
+        if has_same_trace and is_inaccurate:
+            # Rounding must not leave a flat body with moments that no body has.
+            moments[2] = min(moments[2], moments[0] + moments[1])
             mj_model.body_inertia[body] = moments
             axes = axes if np.linalg.det(axes) > 0.0 else -axes
             mujoco.mju_mat2Quat(mj_model.body_iquat[body], axes.ravel())

@@ -27,7 +27,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.inertial import mjcf_inertial
 from robot_sysid.mjcf.updated_model import ModelChange, WeldedBody
-from robot_sysid.model.bodies import body_theta
+from robot_sysid.model.bodies import body_theta, inertia_about_com
 from robot_sysid.model.chain import body_label, joint_label
 from robot_sysid.model.compilation import (
     CompiledModel,
@@ -48,6 +48,8 @@ AXES_TOLERANCE = 1e-12
 # Inertial fields of a body, and whether its frame and its inertial frame coincide: compared row by
 # row, because only the changed bodies may differ.
 BODY_FIELDS = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_sameframe")
+# Fields of a body that rounding of its inertia may change: principal moments and axes.
+_AXES_FIELDS = ("body_inertia", "body_iquat", "body_sameframe")
 # What MuJoCo computes from masses and inertias when it compiles.
 DERIVED = {
     *["body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0", "dof_length"],
@@ -257,15 +259,36 @@ def require_same_model(
     if new_body is not None:
         ignored |= _BODY_COUNT_FIELDS
         ignored_prefixes = ("name_", "B_")
+    equal_bodies = set(_bodies_of_equal_inertia(original, other, new_body))
     for name, value in compiled_fields(original):
         if name in ignored or name.startswith(ignored_prefixes):
             continue
         rows = changed_rows.get(name, ())
+        if name in _AXES_FIELDS:
+            rows = equal_bodies.union(rows)
         if not _is_same(name, value, other_fields.get(name), rows, new_body):
             raise ExportError(
                 f"the written model differs from the original in {name}, which should not have "
                 f"changed; {_ADVICE.get(name, 'no model was written')}"
             )
+
+
+def _bodies_of_equal_inertia(
+    original: Any, other: Any, new_body: int | None
+) -> Iterator[int]:
+    """Yield the ids of bodies whose inertia is the same in two compiled models but for rounding.
+
+    Rounding turns principal axes, of equal moments by any angle. ``new_body``: id of the one body
+    that only the other model has, or None.
+    """
+    for body in range(original.nbody):
+        other_body = body + (new_body is not None and body >= new_body)
+        if other_body >= other.nbody:
+            return
+        inertia = inertia_about_com(original, body)
+        difference = inertia_about_com(other, other_body) - inertia
+        if np.max(np.abs(difference)) <= TOLERANCE * np.max(np.abs(inertia)):
+            yield body
 
 
 def require_theta(

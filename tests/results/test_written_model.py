@@ -357,6 +357,26 @@ def test_nonlinear_damping_of_the_model_stays(tmp_path, place):
     assert_array_equal(reloaded.nonlinear_damping, [(0.3, 0.2)] * robot.n_joints)
 
 
+@pytest.mark.parametrize("rpy", ["0 0 0", "0.3 0.2 0.1"])
+def test_a_urdf_with_flat_links_is_written_and_loads_in_mujoco(tmp_path, rpy):
+    """Links that are not written stay as they are but for what rounding makes of them."""
+    flat = {
+        "l1": urdf.inertial(2.0, rpy, "0.02 0.03 0.05"),
+        "l2": urdf.inertial(1.0, rpy, "0.02 0.02 0.04"),
+        "l3": urdf.inertial(1.0, rpy, "0.0123456 0.0234567 0.0358023"),
+        "l4": urdf.inertial(0.5, rpy),
+    }
+    path = write_files(tmp_path, {"arm.urdf": urdf.robot(urdf.serial(flat))})
+    robot = load_robot_model(path)
+    theta = robot.prior.theta + random_theta(np.random.default_rng(1), 0.5)
+    written = write_and_compile(robot, result_of(robot, theta)).path
+    reloaded = load_robot_model(written)
+    for old, new in zip(robot.links[:-1], reloaded.links[:-1]):
+        assert_same_theta(new.theta, old.theta, rtol=1e-9)
+    assert_same_theta(reloaded.prior.theta, theta, rtol=1e-9)
+    mujoco.MjModel.from_xml_path(str(written))
+
+
 def test_links_that_are_the_models_own_are_left_alone_and_their_joints_told_of_with_the_last(
     tmp_path,
 ):
