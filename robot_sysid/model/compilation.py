@@ -167,7 +167,8 @@ def compile_model(
 _CACHE = mujoco.mj_getCache() if hasattr(mujoco, "mj_getCache") else None
 """MuJoCo's cache of meshes, of releases that have one."""
 _NO_CAPACITY = 1
-"""Capacity that holds no mesh [bytes]: with zero, MuJoCo 3.3.7 crashes at the first one."""
+"""Capacity that holds no mesh [bytes]. MuJoCo 3.3.7 crashes at the first mesh if it is zero, and
+where the cache holds more than its new capacity."""
 
 
 @contextmanager
@@ -181,6 +182,7 @@ def meshes_not_kept() -> Iterator[None]:
         return
     capacity = mujoco.mj_getCacheCapacity(_CACHE)
     try:
+        mujoco.mj_clearCache(_CACHE)
         mujoco.mj_setCacheCapacity(_CACHE, _NO_CAPACITY)
         yield
     finally:

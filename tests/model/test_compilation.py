@@ -201,6 +201,7 @@ def test_nothing_of_meshes_is_kept_where_memory_matters(tmp_path):
     path = write_files(tmp_path, {"m.xml": MESH_MODEL, "d/m.obj": TETRAHEDRON})
     capacity = 123456789
     mujoco.mj_setCacheCapacity(cache, capacity)
+    compile_model(path)
     with pytest.raises(KeyError), meshes_not_kept():
         compile_model(path)
         assert mujoco.mj_getCacheSize(cache) == 0
