@@ -226,12 +226,9 @@ def _commanded_range(mj_model: Any, actuator: int) -> Array:
         rows = control_rows(mj_model, actuator)
         return _UNLIMITED if has_setpoint else _control_range(mj_model, rows[0])
     if gain_type == _MUSCLE_GAIN:
-        of_muscle = length, mj_model.actuator_lengthrange[output]
-        acceleration = float(mj_model.actuator_acc0[output])
-        gain = mujoco.mju_muscleGain(
-            of_muscle[0], 0.0, of_muscle[1], acceleration, gain_parameters[:9]
-        )
-        bias = mujoco.mju_muscleBias(*of_muscle, acceleration, bias_parameters[:9])
+        scale = mj_model.actuator_lengthrange[output], mj_model.actuator_acc0[output]
+        gain = mujoco.mju_muscleGain(length, 0.0, *scale, gain_parameters[:9])
+        bias = mujoco.mju_muscleBias(length, *scale, bias_parameters[:9])
         return _scaled(_input_range(mj_model, actuator), gain) + bias
     if gain_type not in (_FIXED_GAIN, _AFFINE_GAIN):
         return _UNLIMITED

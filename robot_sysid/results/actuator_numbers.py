@@ -66,7 +66,9 @@ def _numbers_beside(
     """
     own_numbers: dict[str, Any] = dict(numbers)
     changes = []
-    for name in numbers.keys() & {"armature", "damping"}:
+    for name in ("armature", "damping"):
+        if name not in numbers:
+            continue
         stated = float(stated_at_actuators(mj_model, actuators, name))
         own_numbers[name] = max(numbers[name] - stated, 0.0)
         if numbers[name] < stated:
