@@ -57,8 +57,11 @@ _SETTLING = (
     _type_number("mjDYN_FILTEREXACT"),
 )
 """Dynamics whose activation comes to the control."""
-_POSITION, _SPEED, _FEEDFORWARD, _VOLTAGE = 1, 2, 4, 8
-"""MuJoCo's bits for the inputs of an actuator with several."""
+# MuJoCo's bits for the inputs of an actuator with several.
+_POSITION = 1
+_SPEED = 2
+_FEEDFORWARD = 4
+_VOLTAGE = 8
 
 
 def control_rows(mj_model: Any, actuator: int) -> NDArray[np.int64]:
@@ -359,15 +362,17 @@ def with_actuators_in_joints(mj_model: Any) -> Any:
     folded = copy.copy(mj_model)
     for actuator, transmission in enumerate(mj_model.actuator_trntype.tolist()):
         target = int(mj_model.actuator_trnid[actuator, 0])
-        kind = "tendon"
+        field_group = "tendon"
         if transmission in _AT_JOINT:
             target = int(mj_model.jnt_dofadr[target])
-            kind = "dof"
+            field_group = "dof"
         elif transmission != _AT_TENDON:
             continue
         squared_gear = gear_ratio(mj_model, actuator) ** 2
         for name, values in numbers.items():
-            getattr(folded, f"{kind}_{name}")[target] += squared_gear * values[actuator]
+            getattr(folded, f"{field_group}_{name}")[target] += (
+                squared_gear * values[actuator]
+            )
     folded.jnt_actuatorid[:] = -1
     folded.tendon_actuatorid[:] = -1
     return folded
