@@ -9,6 +9,7 @@ import pkgutil
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -120,7 +121,7 @@ def robot_from_compiled(
         ),
     )
     refuse_cad_units(robot)
-    return robot
+    return replace(robot, notes=(*robot.notes, *_damping_notes(robot)))
 
 
 def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:
@@ -249,18 +250,19 @@ def _notes(
             f"friction of the actuators on {', '.join(rubbing)} (lugre) is left out: all friction "
             "that a log shows becomes the joint's, so remove theirs from a written model"
         )
-    dofs = mj_model.jnt_dofadr[list(chain)]
-    # Releases before 3.7 have no nonlinear damping.
-    coefficients = getattr(mj_model, "dof_dampingpoly", np.zeros((mj_model.nv, 2)))
-    nonlinear = np.flatnonzero(np.any(coefficients[dofs], axis=1))
-    if len(nonlinear):
-        names = ", ".join(joint_label(mj_model, chain[k]) for k in nonlinear)
+    if mj_model.opt.density or mj_model.opt.viscosity:
+        yield "the model's air or fluid drag is ignored"
+
+
+def _damping_notes(robot: RobotModel) -> Iterator[str]:
+    """Yield a sentence where joints have nonlinear damping, which is not identified."""
+    is_nonlinear = np.any(robot.nonlinear_damping, axis=1)
+    if np.any(is_nonlinear):
+        names = ", ".join(robot.joint_names[k] for k in np.flatnonzero(is_nonlinear))
         yield (
             f"nonlinear damping of {names} is taken to be as the model states it; linear damping "
             "alone is identified"
         )
-    if mj_model.opt.density or mj_model.opt.viscosity:
-        yield "the model's air or fluid drag is ignored"
 
 
 def _closes_a_loop(mj_model: Any, chain: tuple[int, ...], eq: int) -> bool:
