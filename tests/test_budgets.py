@@ -1,0 +1,114 @@
+"""The size of the package and of its tests: code tokens per folder, held by a table.
+
+Tokens are counted without comments, docstrings and line breaks, so that no layout changes them. A
+figure of the table may be lowered and never raised: what comes in is paid for by what goes.
+"""
+
+from __future__ import annotations
+
+import ast
+import io
+import tokenize
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+
+from tests.support.places import ROOT
+
+BUDGETS = {
+    "robot_sysid/api": 7066,
+    "robot_sysid/commands": 15692,
+    "robot_sysid/damiao": 49382,
+    "robot_sysid/diagnosis": 20139,
+    "robot_sysid/dynamics": 8386,
+    "robot_sysid/estimation": 57875,
+    "robot_sysid/logs": 32582,
+    "robot_sysid/mjcf": 12687,
+    "robot_sysid/model": 11034,
+    "robot_sysid/motion": 34054,
+    "robot_sysid/pipeline": 8318,
+    "robot_sysid/preview": 3476,
+    "robot_sysid/records": 9189,
+    "robot_sysid/report": 14507,
+    "robot_sysid/results": 20521,
+    "robot_sysid/servo": 10972,
+    "robot_sysid/signals": 11401,
+    "robot_sysid/simulation": 5928,
+    "robot_sysid": 13017,
+    "tests": 321041,
+}
+"""Most code tokens of each folder; modules outside of the folders count under the last row."""
+SLACK = 0.02
+"""How far a budget may lie above the size of its folder, relative to it."""
+
+NO_CODE = {
+    tokenize.COMMENT,
+    tokenize.NL,
+    tokenize.NEWLINE,
+    tokenize.INDENT,
+    tokenize.DEDENT,
+    tokenize.ENDMARKER,
+    tokenize.ENCODING,
+}
+OWNERS = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+
+
+def docstring_lines(source: str) -> set[int]:
+    """Return the numbers of the lines on which docstrings begin."""
+    nodes = [node for node in ast.walk(ast.parse(source)) if isinstance(node, OWNERS)]
+    return {node.body[0].lineno for node in nodes if ast.get_docstring(node, False)}
+
+
+def code_tokens(source: str) -> int:
+    """Return how many tokens of a module are code."""
+    docstrings = docstring_lines(source)
+    count = 0
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        is_docstring = token.type == tokenize.STRING and token.start[0] in docstrings
+        count += token.type not in NO_CODE and not is_docstring
+    return count
+
+
+def folder_of(path: Path) -> str:
+    """Return the row of the table that a module of the checkout counts under."""
+    folders = path.parent.parts
+    return "/".join(folders[:2]) if folders[0] == "robot_sysid" else folders[0]
+
+
+def sizes() -> Mapping[str, int]:
+    """Return the number of code tokens of each folder of the package, and of all tests."""
+    tokens: Counter[str] = Counter()
+    for folder in ("robot_sysid", "tests"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            relative = path.relative_to(ROOT)
+            tokens[folder_of(relative)] += code_tokens(path.read_text(encoding="utf-8"))
+    return tokens
+
+
+def budget_faults(counted: Mapping[str, int], budgets: Mapping[str, int]) -> list[str]:
+    """Return one line per folder that is above its budget, far below it, or has none."""
+    faults = []
+    for folder in sorted({*counted, *budgets}):
+        tokens = counted.get(folder, 0)
+        budget = budgets.get(folder, 0)
+        if tokens > budget:
+            faults.append(f"{folder} has {tokens} tokens, its budget is {budget}")
+        elif budget > tokens * (1.0 + SLACK):
+            faults.append(f"{folder} has {tokens} tokens: lower its budget of {budget}")
+    return faults
+
+
+def test_no_folder_is_above_its_budget():
+    assert budget_faults(sizes(), BUDGETS) == []
+
+
+def test_growth_and_slack_are_found():
+    counted = {"a": 1001, "b": 900, "c": 1000, "new": 5}
+    faults = budget_faults(counted, {"a": 1000, "b": 1000, "c": 1010})
+    assert [fault.split()[0] for fault in faults] == ["a", "b", "new"]
+
+
+def test_layout_and_words_are_no_tokens():
+    plain = "def f(x):\n    return x\n"
+    told = '"""Text."""\n\n# why\ndef f(\n    x\n):\n    """Text."""\n    return x\n'
+    assert code_tokens(plain) == code_tokens(told) == 8
