@@ -66,11 +66,6 @@ class OutputOptions(OptionRecord):
         False, "also write report.html, a page with figures of the result"
     )
     plots: bool = option(False, "also write the report's figures as PNG and SVG")
-    driver_settings: Path | None = option(
-        None,
-        "also write this settings file of i2rt or openarm_teleop with the identified friction",
-        "FILE",
-    )
 
 
 _ID: dict[str, Any] = {
@@ -222,7 +217,6 @@ class Config:
         scale_files = [path for path in factors if isinstance(path, Path)]
         return (
             self.output.config,
-            self.output.driver_settings,
             self.model.path,
             *log.measurements,
             log.validation_measurements,
@@ -234,8 +228,6 @@ class Config:
         """Yield (option that has a file written, path) of each file that might replace an input."""
         names = [file_access.PARAMS_NAME, file_access.SERVO_NAME]
         names += file_access.MODEL_NAMES.values()
-        if self.output.driver_settings is not None:
-            names.append(self.output.driver_settings.name)
         for name in names:
             yield "--output-dir", self.output.output_dir / name
 
@@ -243,7 +235,6 @@ class Config:
 TORQUE_KEYS = (
     "report",
     "plots",
-    "driver_settings",
     "keep",
     "links",
     "torque_scale",
@@ -399,7 +390,7 @@ class SysidConfig(Config):
             self.is_measured,
             "is about measured torques; add --measurements or --plant-model",
             _set_options(self.estimation, leave_out=("torques", "no_friction"))
-            + _set_options(self.output, only=("keep", "links", "driver_settings")),
+            + _set_options(self.output, only=("keep", "links")),
         )
         yield (
             self.estimation.torque_from is None,

@@ -31,10 +31,9 @@ from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.records import InertialParameters, Motion, Traces, file_access
 from robot_sysid.records.controllers import AUTO
 from robot_sysid.records.messages import NextStep, Progress
-from robot_sysid.results.bam import bam_entry
 from robot_sysid.results.body_errors import ERROR_NAMES, INERTIA, load_errors
 from robot_sysid.results.cards import Card, card_text, payload_cards
-from robot_sysid.results.next_steps import RunWords, last_lines, next_step
+from robot_sysid.results.next_steps import last_lines
 from robot_sysid.results.record import (
     BodyEstimate,
     JointEstimate,
@@ -153,7 +152,8 @@ def save(
     motor_file: MotorFile | None = None,
     refused: str | None = None,
     inputs: Collection[Path] = (),
-    run: RunWords | None = None,
+    links: bool = False,
+    step: NextStep | None = None,
 ) -> Outcome:
     """Write params.json, and where the result may be used the model and a payload's card.
 
@@ -169,8 +169,8 @@ def save(
         motor_file: writes the motor trajectory; None for none.
         refused: why no model is to be written although the result may be used, or None.
         inputs: files that this run reads, beside the model; they stay whatever they are called.
-        run: what the next step repeats of the run, and whether the printed table shows every link;
-            None for a run of the model file alone.
+        links: whether the printed table shows every link.
+        step: what to do after a result that may be used; None for nothing more.
 
     Returns:
         The outcome, without ``traces``.
@@ -182,7 +182,6 @@ def save(
     payload = result.payload
     is_calibration = payload is not None and payload.known_mass is not None
     failure = refusal(result) or refused
-    run = run or RunWords(str(result.robot.path), folder=folder)
     report = None
     cards: tuple[Card, ...] = ()
     written: list[Path] = []
@@ -206,7 +205,7 @@ def save(
             written.append(folder / file_access.DAMIAO_NAME)
             with files.open(written[-1]) as file:
                 report = motor_file(file)
-        step = None if failure else next_step(result, run, written)
+        step = None if failure else step
         verdict = last_lines(result, written, step, failure)
         text = params_json_text(result, cards, notes, verdict, step)
         written.append(folder / file_access.PARAMS_NAME)
@@ -214,9 +213,9 @@ def save(
         model_files = [file.path for file in read_document(result.robot.path).files]
         notes += remove_earlier(files, folder, written, (*inputs, *model_files))
     lines = (
-        *block_lines(result, run.links),
+        *block_lines(result, links),
         f"Results saved to {folder_text(folder)}",
-        *more_lines(result, run.links),
+        *more_lines(result, links),
         *clamping_lines(report, result.robot.joint_names),
     )
     result_hash = hashlib.sha256(text.encode()).hexdigest()
@@ -504,7 +503,7 @@ def _link_entry(result: Result, body: BodyEstimate) -> dict[str, Any]:
 def _joint_entry(
     joint: JointEstimate, written_terms: Mapping[str, Quantity]
 ) -> dict[str, Any]:
-    """Return friction and rotor inertia of a joint: identified, in the model, written, for BAM."""
+    """Return friction and rotor inertia of a joint: identified, in the model, written."""
     directional = joint.directional_coulomb
     return {
         "friction_model": joint.friction_model,
@@ -516,7 +515,6 @@ def _joint_entry(
         "logs": joint.logs,
         "another_day": joint.other_day_terms,
         "torque_noise": joint.noise,
-        "bam": bam_entry(joint, written_terms),
     }
 
 

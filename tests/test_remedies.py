@@ -65,9 +65,6 @@ SECOND = symbols_of("damiao.settings", "SecondArm")  # one arm at a time
 LIFTED = symbols_of(
     "motion.problem", "_space_above_base"
 )  # what was planned below the base may be played
-SILENT = symbols_of(
-    "pipeline.run_words", "is_mass_out_of_reach"
-)  # it chooses the next step and prints nothing
 EXPORT = symbols_of("damiao.joints", "damiao_joints")
 QUESTIONS = set(symbols_of("commands.identify", "ALONE", "PLAN", "IDENTIFY", "PAYLOAD"))
 SHOWN = symbols_of("preview", "require_preview", "show_plan")
@@ -91,7 +88,7 @@ NEVER = {
     + other_questions("PLAN"),
     "identify": symbols_of("pipeline.stages", "identify")
     + symbols_of("pipeline.planning", "design_motion", "motor_writer")
-    + (*OF_PLANS, *USUAL, *EXPORT, *CARDS, *SILENT)
+    + (*OF_PLANS, *USUAL, *EXPORT, *CARDS)
     + other_questions("IDENTIFY", *SHOWN),
     "payload": (
         *symbols_of("pipeline.stages", "identify"),
@@ -102,7 +99,6 @@ NEVER = {
     + (
         *other_questions("PAYLOAD", *SHOWN),
         *OF_PLANS,
-        *SILENT,
         *EXPORT,
         *symbols_of("results.record", "Verdict.PARTLY_FROM_MODEL"),
     ),

@@ -146,7 +146,6 @@ class PlayKeywords(HoldKeywords, _PlanPlay, total=False):
 class IdentifyKeywords(
     InformationKeywords, _PlanIdentify, _PayloadIdentify, _HoldPlanIdentify, total=False
 ):  # fmt: skip
-    driver_settings: File | None
     encoder_resolution: float
     links: bool
     plant_model: File | None

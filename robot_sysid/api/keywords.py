@@ -158,9 +158,7 @@ _USELESS: Mapping[str, Mapping[str, str]] = {
         keys_of(ExcitationOptions, LimitOptions, MotorOptions), _DESIGN
     ),
     "plan": dict.fromkeys(_ESTIMATED, "is about an estimate; a plan stops before it"),
-    "payload": dict.fromkeys(
-        ("links", "driver_settings"), "means nothing for a payload; leave it out"
-    ),
+    "payload": {"links": "means nothing for a payload; leave it out"},
     "read_log": {"accept": "is about an estimate; reading makes none"},
     "play": dict.fromkeys(keys_of(LimitOptions) - {*LIMITS}, _DESIGN),
     "hold": {"also": "is a motion; an arm that is held has none"},

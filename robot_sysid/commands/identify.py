@@ -134,7 +134,7 @@ PLAN = CommandSpec(
         "preview": (PreviewOptions,),
     },
     only={"prediction": PREDICTED},
-    leave_out=("keep", "links", "bundle", "report", "plots", "driver_settings"),
+    leave_out=("keep", "links", "bundle", "report", "plots"),
     defaults=PLANNED,
 )
 IDENTIFY = CommandSpec(
@@ -204,13 +204,7 @@ PAYLOAD = CommandSpec(
             "delay_uncertainty",
         )
     },
-    leave_out=(
-        "links",
-        "driver_settings",
-        "measurements",
-        "validation_measurements",
-        "verify_rollout",
-    ),
+    leave_out=("links", "measurements", "validation_measurements", "verify_rollout"),
 )
 SPECS = {"": ALONE, "plan": PLAN, "identify": IDENTIFY, "payload": PAYLOAD}
 """Name of the command to its specification; "" is the program with a model alone."""
@@ -293,10 +287,7 @@ def run_command(config: Config, console: Console, preview: PreviewOptions) -> No
             if isinstance(config, PayloadConfig) and config.payload.known_mass is None:
                 logs = config.payload.empty
             for log in logs[:1]:
-                model = config.model
-                add_weighing_commands(
-                    error, model.path, model, config.log, log, is_static
-                )
+                add_weighing_commands(error, config.model, config.log, log, is_static)
             raise
     show_plan(outcome.checked, preview, console)
     console.stage(*outcome.lines)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.commands import PROGRAM, Console
+from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import Parser, parse_command
 from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs import CHECKS, LogOptions
@@ -67,17 +67,16 @@ def main(arguments: Sequence[str]) -> int:
             if error.command == "payload":
                 from robot_sysid.pipeline.run_words import add_weighing_commands
 
-                add_weighing_commands(
-                    error, model_path, model_options, log_options, path
-                )
+                arm = replace(model_options, path=model_path)
+                add_weighing_commands(error, arm, log_options, path)
             # Only that command has these options, or who accepts guessed columns goes on to it.
             elif error.command == "identify" or isinstance(error, ColumnsError):
                 # A columns file that the error suggests replaces the one in use.
                 is_replaced = isinstance(error, ColumnsError)
                 columns = None if is_replaced else values.get("columns")
                 options = {**values, "columns": columns}
-                command = _identify_command(model_path, path, options)
-                error.command_lines = [[*command, *o] for o in error.options]
+                words = _next_step(model_path, path, options).command[1:]
+                error.command_lines = [[*words, *o] for o in error.options]
             raise
         return 0
     for record in (preview_options, log_options, model_options):
@@ -151,16 +150,16 @@ def _check_log(
     require_acceptable(log, findings, log_options.accept)
     console.stage("Usable: nothing that stops an identification was found")
     options = {**vars(model_options), **vars(log_options)}
-    command = (PROGRAM, *_identify_command(model_path, path, options))
-    console.stage(*NextStep("Next, identify the arm", command).lines())
+    console.stage(*_next_step(model_path, path, options).lines())
 
 
-def _identify_command(
-    model_path: Path, path: Path, options: Mapping[str, Any]
-) -> list[str]:
-    """Return the command line, behind the program's name, that identifies an arm from a log.
+def _next_step(model_path: Path, path: Path, options: Mapping[str, Any]) -> NextStep:
+    """Return the step that identifies an arm from a log.
 
     ``options``: key to value, of which those of the model and the log are used.
     """
+    from robot_sysid.results.next_steps import step_after
+
     arguments = command_arguments(options, ModelOptions, LogOptions)
-    return ["identify", str(model_path), str(path), *arguments]
+    files = {"model": str(model_path), "log": str(path)}
+    return step_after("log is fine", options=arguments, **files)

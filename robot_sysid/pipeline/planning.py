@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from operator import attrgetter
@@ -15,7 +15,6 @@ from robot_sysid.config import SysidConfig
 from robot_sysid.export import MotorFile, Outcome
 from robot_sysid.motion import WEIGHT
 from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
-from robot_sysid.pipeline.run_words import words_of_plan
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.file_access import (
     DAMIAO_NAME,
@@ -25,7 +24,7 @@ from robot_sysid.records.file_access import (
 )
 from robot_sysid.records.messages import NextStep, Progress
 from robot_sysid.records.option_fields import given_arguments, joint_values
-from robot_sysid.results.next_steps import step_after_plan
+from robot_sysid.results.next_steps import Words, step_after
 from robot_sysid.results.result_lines import clamping_lines
 from robot_sysid.results.verdict import (
     UNKNOWN,
@@ -187,14 +186,33 @@ def write_plan(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> 
     if failure:
         step = None
     elif not shortfall:
-        run = words_of_plan(config)
-        limit_words = config.limit_words()
-        poses = config.poses
-        step = step_after_plan(run, paths, poses.purpose, limit_words)
+        step = _step_after(config, paths)
     verdict += () if step is None else step.lines()
     return Outcome(
         tuple(lines), tuple(verdict), failure, paths, checked=checked, next_step=step
     )
+
+
+def _step_after(config: SysidConfig, paths: Sequence[Path]) -> NextStep:
+    """Return what to do with a planned motion: rehearse it on motors, or record and identify.
+
+    ``paths``: the files that were written.
+    """
+    assert config.plan_file is not None
+    folder = config.plan_file.parent
+    words: dict[str, Words] = {"model": str(config.model.path), "folder": folder}
+    options = given_arguments(config.model)
+    for path in paths:
+        if path.name == DAMIAO_NAME:
+            options += config.limit_words()
+            state = "motion planned for motors"
+            return step_after(state, options=options, trajectory=str(path), **words)
+    if config.poses.purpose == "payload":
+        options += ["--static"] if config.poses.static else []
+        return step_after("motion planned for payload", options=options, **words)
+    options += ["--links"] if config.poses.purpose == "arm" else []
+    log = str(folder / "log.csv")
+    return step_after("motion planned", options=options, log=log, **words)
 
 
 def _write_motion(

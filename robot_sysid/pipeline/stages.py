@@ -36,22 +36,13 @@ from robot_sysid.pipeline.planning import (
     require_motors,
     write_plan,
 )
-from robot_sysid.pipeline.run_words import words_of_run
+from robot_sysid.pipeline.run_words import step_after_run
 from robot_sysid.records import DataOrigin, Estimate, MotionPlan, RobotModel, Source
 from robot_sysid.records.controllers import AUTO
 from robot_sysid.records.data import Traces
-from robot_sysid.records.file_access import atomic_files, write_atomically
+from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.messages import Detail, Progress
-from robot_sysid.records.option_fields import (
-    SCALE,
-    PerJoint,
-    joint_factors,
-    write_torque_scale,
-)
-from robot_sysid.results.driver_settings import (
-    require_driver_settings,
-    updated_settings,
-)
+from robot_sysid.records.option_fields import PerJoint, write_torque_scale
 from robot_sysid.results.prediction import rollout_refusal
 from robot_sysid.results.record import LINK, JointEstimate, Result, Verdict
 from robot_sysid.results.verification import CHECKPOINTS
@@ -139,8 +130,6 @@ def identify(config: Config, robot: RobotModel, progress: Progress) -> Identific
         InputError: a log cannot be used, or the motion breaks a limit.
     """
     config = config.with_scale_uncertainty(robot.joint_names)
-    if config.output.driver_settings is not None:
-        require_driver_settings(config.output.driver_settings, robot.n_joints)
     if isinstance(config, PayloadConfig):
         from robot_sysid.pipeline.payload import identify_payload
 
@@ -220,32 +209,13 @@ def write_results(identification: Identification, progress: Progress) -> Outcome
         motor_file=motor_file,
         refused=refused,
         inputs=[Path(path) for path in config.input_files() if path is not None],
-        run=words_of_run(config, identification),
+        links=config.output.links,
+        step=step_after_run(config, result),
     )
     if scale_path is not None and outcome.failure is None and result.payload:
         write_torque_scale(scale_path, result.payload.torque_scale)
-    if config.output.driver_settings is not None and outcome.failure is None:
-        path = _write_driver_settings(config, result)
-        note = f"{path} has the identified friction; copy it over the driver's own file"
-        progress.note(note)
-        outcome = replace(outcome, files=(*outcome.files, path))
     progress.note(*outcome.notes)
     return replace(outcome, traces=identification.traces)
-
-
-def _write_driver_settings(config: Config, result: Result) -> Path:
-    """Write ``--driver-settings`` with identified numbers to the output folder; return its path.
-
-    InputError where a file cannot be written.
-    """
-    source = config.output.driver_settings
-    assert source is not None
-    names = result.robot.joint_names
-    scales = joint_factors(config.log.torque_scale, names, SCALE)[0]
-    text = updated_settings(source.read_text(encoding="utf-8"), result, scales)
-    path = config.output.output_dir / source.name
-    write_atomically(path, text)
-    return path
 
 
 _DRAWN_SAMPLES = 2000

@@ -173,26 +173,6 @@ def test_a_model_is_played_on_what_was_not_fitted_before_it_is_written(
     assert (folder / "updated_model.xml").exists()
 
 
-def test_the_settings_of_a_driver_get_the_friction_that_is_written(
-    command, arm_file, logs
-):
-    path = arm_file(HEAVY)
-    settings = path.with_name("arm.yml")
-    settings.write_text("gravity_comp_factor: [2, 2]\ncoulomb_friction: [9, 9, 9, 9]\n")
-    options = ("identify", path, logs[0], *QUICK, "--driver-settings", settings)
-    assert "gravity_comp_factor has 2 numbers" in command.refused(*options)
-    settings.write_text("kp: [1]\ncoulomb_friction: [9, 9, 9, 9]\n")
-    note = command.run(*options, "--torque-scale 2").err
-    folder = path.parent / "sysid_output"
-    assert f"{folder.name}/arm.yml has the identified friction" in note
-    written = load_robot_model(folder / "updated_model.xml").friction.coulomb
-    values = ", ".join(f"{2.0 * value:.4g}" for value in written)
-    assert (folder / "arm.yml").read_text() == (
-        f"kp: [1]\ncoulomb_friction: [{values}, 9]\n"
-    )
-    assert "would overwrite" in command.refused(*options, "--output-dir .")
-
-
 def test_what_is_kept_stays_as_it_was(command, arm_file, logs):
     path = arm_file(
         HEAVY.replace('armature=".05"', 'armature=".04" ').replace('".3"', '".2"')
