@@ -91,9 +91,7 @@ def _write_columns_draft(error: SysidError) -> str:
     """
     if not isinstance(error, ColumnsError) or not error.draft:
         return ""
-    text = "holds a guess which column is what: read it, and accept it with"
-    if not error.is_complete:
-        text = "holds what could be guessed: complete its lines with ?, then run"
+    text = "lists the columns: fill in its lines, then run"
     if error.is_correction:
         text = "has the columns put right: read it, and go on with it"
     try:

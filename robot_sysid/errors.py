@@ -108,14 +108,6 @@ class ColumnsError(InputError):
         self.name = name
         self.is_correction = is_correction
 
-    @property
-    def is_complete(self) -> bool:
-        """Whether the draft leaves no ``?`` to the user."""
-        lines = self.draft.split("\n")
-        return not any(
-            "?" in line.partition("  # ")[0] for line in lines if line[:1] != "#"
-        )
-
 
 class ModelError(InputError):
     """A model file cannot be read, compiled or used."""

@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 20139,
     "robot_sysid/dynamics": 8386,
     "robot_sysid/estimation": 57875,
-    "robot_sysid/logs": 32582,
+    "robot_sysid/logs": 23305,
     "robot_sysid/mjcf": 12687,
     "robot_sysid/model": 11034,
     "robot_sysid/motion": 34054,
@@ -34,8 +34,8 @@ BUDGETS = {
     "robot_sysid/servo": 10972,
     "robot_sysid/signals": 11401,
     "robot_sysid/simulation": 5928,
-    "robot_sysid": 12925,
-    "tests": 318865,
+    "robot_sysid": 12868,
+    "tests": 314167,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

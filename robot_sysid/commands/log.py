@@ -69,7 +69,7 @@ def main(arguments: Sequence[str]) -> int:
 
                 arm = replace(model_options, path=model_path)
                 add_weighing_commands(error, arm, log_options, path)
-            # Only that command has these options, or who accepts guessed columns goes on to it.
+            # Only that command has these options, or who has stated columns goes on to it.
             elif error.command == "identify" or isinstance(error, ColumnsError):
                 # A columns file that the error suggests replaces the one in use.
                 is_replaced = isinstance(error, ColumnsError)

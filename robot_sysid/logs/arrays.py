@@ -2,20 +2,15 @@
 sets, which are folders with meta/info.json and Parquet files; ``hdf5`` reads HDF5 files.
 
 The reader of each form refuses files that unpack to more than ``table.unpacked_limit``, by the size
-that the file states; a process with a memory limit would work on Linux alone and report no size.
-Only .mat files are read in a process of their own, because SciPy may end its process at them.
+that the file states.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
-import os
 import re
 import statistics
-import subprocess
-import sys
-import tempfile
+import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,15 +31,15 @@ from robot_sysid.logs.table import (
     LogTable,
     as_input_errors,
     import_optional,
-    memory_limit,
     nanoseconds,
     refuse_bomb,
-    refuse_many_arrays,
-    unpacked_limit,
 )
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array
 from robot_sysid.records.file_access import read_json
+
+MAX_ARRAYS = 10_000
+"""Largest number of columns of a log; with ten times as many, names take a minute."""
 
 
 def recordings_table(
@@ -112,7 +107,10 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
         rows = values if len(values) == n_rows else values.T
         if len(rows) == n_rows:
             samples[name] = rows.reshape(n_rows, -1)
-    refuse_many_arrays(path, sum(rows.shape[1] for rows in samples.values()))
+    count = sum(rows.shape[1] for rows in samples.values())
+    if count > MAX_ARRAYS:
+        fault = f"{path} holds {count} columns, more than the {MAX_ARRAYS} of a log"
+        raise InputError(f"{fault}; save those of the arm alone")
     titles = []
     for name, rows in samples.items():
         width = rows.shape[1]
@@ -164,120 +162,55 @@ def npz_arrays(path: Path) -> dict[str, Any]:
     InputError where it holds no arrays or too much.
     """
     with path.open("rb") as stream:
-        size = path.stat().st_size
         with zipfile.ZipFile(stream) as archive:
             names = archive.namelist()
-            refuse_bomb(path, sum(m.file_size for m in archive.infolist()), size)
-            refuse_many_arrays(path, len(names))
-            if not any(name.endswith(".npy") for name in names):
-                is_spreadsheet = "[Content_Types].xml" in names
-                unpack = "unpack it, and give the log in it"
-                remedy = "export it as CSV" if is_spreadsheet else unpack
-                listed = ", ".join(names[:3]) or "nothing"
-                raise InputError(
-                    f"{path} is no recording but an archive of {listed}; {remedy}"
-                )
-            sizes = map(partial(_array_bytes, archive), names)
-            refuse_bomb(path, sum(sizes), size)
+            unpacked = sum(member.file_size for member in archive.infolist())
+        if not any(name.endswith(".npy") for name in names):
+            raise InputError(
+                f"{path} is no recording but an archive of {', '.join(names[:3]) or 'nothing'}; "
+                "unpack it, or export a table as CSV"
+            )
+        refuse_bomb(path, unpacked, path.stat().st_size)
         stream.seek(0)
-        arrays = np.load(stream, allow_pickle=False)
-        return dict(arrays)
-
-
-def _array_bytes(archive: zipfile.ZipFile, name: str) -> int:
-    """Return the size that a member's NumPy header states [bytes]; 0 where it is no array.
-
-    NumPy reserves this memory before it reads the numbers.
-    """
-    with archive.open(name) as member:
-        try:
-            if np.lib.format.read_magic(member) == (1, 0):
-                shape, _, dtype = np.lib.format.read_array_header_1_0(member)
-            else:
-                shape, _, dtype = np.lib.format.read_array_header_2_0(member)
-        except ValueError:
-            return 0
-    return math.prod(shape) * dtype.itemsize
-
-
-_UNPACK = """
-import contextlib
-import sys
-import numpy as np
-from scipy.io import loadmat, whosmat
-
-def refuse_bomb(size):
-    if size > limit:
-        fault = f"it unpacks to {size / 1e9:.3g} GB, more than the {limit / 1e9:.3g} GB that are"
-        sys.exit(f"{fault} read of its size; split the recording, or save it without compression")
-
-def numeric_arrays(name, value):
-    if isinstance(value, dict):
-        for field, content in value.items():
-            yield from numeric_arrays(f"{name}/{field}", content)
-    elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
-        yield name, value
-
-path, unpacked, limit, seconds = sys.argv[1], sys.argv[2], float(sys.argv[3]), int(sys.argv[4])
-try:
-    import resource
-    seconds += int(resource.getrusage(resource.RUSAGE_SELF).ru_utime)
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-    taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (int(taken + 1.2 * limit + 1e8),) * 2)
-except (ImportError, OSError, ValueError):
-    pass
-names = None
-try:
-    # SciPy lists no file that holds MATLAB's objects; of it, memory is limited alone.
-    with contextlib.suppress(TypeError):
-        variables = [v for v in whosmat(path) if v[2] not in ("cell", "char", "function")]
-        refuse_bomb(sum(8.0 * float(np.prod(shape, dtype=float)) for _, shape, _ in variables))
-        names = [name for name, _, _ in variables]
-    content = loadmat(path, simplify_cells=True, variable_names=names)
-    arrays = dict(numeric_arrays("", content))
-    if names is None and not arrays:
-        sys.exit("it holds objects alone, such as a table or timetable; save their arrays")
-    refuse_bomb(sum(float(array.nbytes) for array in arrays.values()))
-    np.savez(unpacked, *arrays.values(), names=np.array([*arrays], dtype=str))
-except MemoryError:
-    sys.exit("it asks for more memory than a recording takes; it is damaged, or too long")
-except Exception as error:
-    fault = " ".join(str(error).split()) or type(error).__name__
-    sys.exit(f"it is damaged, or of a kind that SciPy does not read ({fault})")
-"""
-"""Program that makes an .npz file of a .mat file; SciPy ends the process on some damaged files.
-
-Arguments: .mat file, .npz file, limit [bytes], processor time [s].
-"""
-_LEAST_TIME = 3.0
-"""Processor time that reading a .mat file may take, however small it is [s]."""
-_LEAST_SPEED = 2e7
-"""Bytes of a .mat file that must be read in each further second of processor time."""
+        return dict(np.load(stream))
 
 
 def matlab_table(source: LogSource) -> LogTable:
     """Return the arrays of a .mat file, also those in its structs, as a table.
 
-    A process of its own reads the file. ValueError with its fault where it cannot be read.
+    InputError where it holds no arrays or too much.
     """
+    from scipy.io import loadmat, whosmat  # slow to import
+
     path = source.path
-    with tempfile.TemporaryDirectory() as folder:
-        unpacked = Path(folder, "log.npz")
-        size = path.stat().st_size
-        seconds = math.ceil(_LEAST_TIME + size / _LEAST_SPEED)
-        program = [sys.executable, "-Wignore", "-c", _UNPACK]
-        limits = [str(unpacked_limit(size)), str(seconds)]
-        call = [*program, str(path), str(unpacked), *limits]
-        one_thread = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-        process = subprocess.run(call, capture_output=True, text=True, env=one_thread)
-        if process.returncode:
-            damaged = "it takes longer than a recording does, or is damaged"
-            raise ValueError((process.stderr.splitlines() or [damaged])[-1])
-        arrays = npz_arrays(unpacked)
-    # The names are an array of their own, in the order of the others.
-    names = map(str, arrays.pop("names"))
-    return arrays_table(path, "MATLAB .mat", dict(zip(names, arrays.values())))
+    packed = path.stat().st_size
+    names = None
+    # SciPy lists no file that holds MATLAB's objects.
+    with contextlib.suppress(TypeError):
+        variables = [
+            v for v in whosmat(path) if v[2] not in ("cell", "char", "function")
+        ]
+        sizes = [8.0 * np.prod(shape, dtype=float) for _, shape, _ in variables]
+        refuse_bomb(path, sum(sizes), packed)
+        names = [name for name, _, _ in variables]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        content = loadmat(path, simplify_cells=True, variable_names=names)
+    arrays = dict(_numeric_arrays("", content))
+    if names is None and not arrays:
+        fault = "holds objects alone, such as a table or timetable; save their arrays"
+        raise InputError(f"{path} {fault}")
+    refuse_bomb(path, sum(float(array.nbytes) for array in arrays.values()), packed)
+    return arrays_table(path, "MATLAB .mat", arrays)
+
+
+def _numeric_arrays(name: str, value: Any) -> Iterator[tuple[str, Array]]:
+    """Yield (name, array) of the numbers in a MATLAB variable and in the fields of its structs."""
+    if isinstance(value, dict):
+        for field, content in value.items():
+            yield from _numeric_arrays(f"{name}/{field}", content)
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+        yield name, value
 
 
 _NUMERIC_TYPE = re.compile(
@@ -293,22 +226,16 @@ def parquet_table(source: LogSource) -> LogTable:
     names = _numeric_columns(parquet.read_schema(path))
     unpacked = _unpacked_bytes(parquet.read_metadata(path), names)
     refuse_bomb(path, unpacked, path.stat().st_size)
-    refuse_many_arrays(path, len(names))
     return _arrow_table(path, "Parquet", parquet.read_table(path, columns=names))
 
 
 def feather_table(source: LogSource) -> LogTable:
     """Return the columns of numbers of a Feather file, an Arrow table in a file."""
     path = source.path
-    size = path.stat().st_size
-    feather = import_optional("pyarrow.feather", "parquet")
     ipc = import_optional("pyarrow.ipc", "parquet")
-    with memory_limit(unpacked_limit(size)):
-        with ipc.open_file(str(path)) as file:
-            names = _numeric_columns(file.schema)
-        refuse_many_arrays(path, len(names))
-        columns = feather.read_table(str(path), columns=names, memory_map=False)
-        refuse_bomb(path, float(columns.nbytes), size)
+    with ipc.open_file(str(path)) as file:
+        columns = file.read_all().select(_numeric_columns(file.schema))
+        refuse_bomb(path, float(columns.nbytes), path.stat().st_size)
         return _arrow_table(path, "Feather", columns)
 
 

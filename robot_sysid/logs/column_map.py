@@ -18,8 +18,8 @@ The file of ``--columns`` declares columns that titles do not determine, as ``ke
 Keys: time, position, velocity, acceleration (accepted but not used), torque, joint_time (a time
 stamp of each joint's own), command (commanded position of a servo), units (rad, deg; s, ms, us, ns)
 and rate (samples per second, for a log without a time column). ``#3`` is the third column, for a
-log without titles, and ``#3-9`` are seven of them. Where columns cannot be recognised, the error
-carries a ``draft`` of such a file for the user to complete.
+log without titles, and ``#3-9`` are seven of them. ``blank_columns`` is such a file with all lines
+to fill in, for a log whose columns are not recognised.
 """
 
 from __future__ import annotations
@@ -32,9 +32,8 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 
-from robot_sysid.errors import ColumnsError, InputError
-from robot_sysid.logs.column_draft import BLANK, draft_sets
-from robot_sysid.logs.joint_names import JointMatch, JointSetsError
+from robot_sysid.errors import InputError
+from robot_sysid.logs.joint_names import JointMatch
 from robot_sysid.logs.titles import (
     QUANTITIES,
     TIME_UNITS,
@@ -58,6 +57,8 @@ _SCALED = re.compile(
 )
 _ANGLE_UNITS = ("rad", "deg")
 """Units of angles that a user may declare."""
+BLANK = "?"
+"""Placeholder in a columns file for a column that the user has to name."""
 _MOST_UNUSED = 12
 """Largest number of columns that are named as not used."""
 _LONGEST = 1_000_000
@@ -122,6 +123,36 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read the columns file {path}: {error}") from error
     return parse_columns(text, path, joint_names)
+
+
+def blank_columns(
+    titles: Sequence[str], joint_names: Sequence[str], driven: str
+) -> str:
+    """Return a columns file that lists a log's columns and has all lines to fill in.
+
+    Args:
+        titles: of all columns of the log.
+        joint_names: (n,) of the chain, base to terminal.
+        driven: the quantity that is needed beside positions, "torque" or "command".
+    """
+    numbered = [f"#   #{k} {' '.join(t.split())}" for k, t in enumerate(titles, 1)]
+    if titles[:1] == ("#1",):
+        numbered = [f"#   #1 to #{len(titles)}, without titles"]
+    blanks = ", ".join([BLANK] * len(joint_names))
+    lines = [
+        "# Which column is what: put titles or numbers of the log's columns in the place of ?,",
+        "# and leave out the lines that the titles say. The columns are",
+        *numbered,
+        f"# One for each of the joints {', '.join(joint_names)};",
+        f"# #2-{1 + len(joint_names)} are columns one after the other.",
+        f"time = {BLANK}",
+        f"position = {blanks}",
+        f"{driven} = {blanks}",
+        "velocity = none",
+        "# units = deg, ms: where they are not rad and s, and no title says so",
+        "# rate = 200: samples per second, in place of time, of evenly spaced rows",
+    ]
+    return "\n".join([*lines, ""])
 
 
 def parse_columns(text: str, path: Path, joint_names: Sequence[str]) -> ColumnChoices:
@@ -319,18 +350,15 @@ def recognise_columns(
 
     Raises:
         InputError: a quantity is missing, has two candidates, or contradicts the declared units.
-        ColumnsError: several sets of joints could be the arm; its draft chooses one.
     """
-    finder = ColumnFinder.of(titles, robot, choices, currents, commanded)
-    try:
-        return finder.find_all(first_row)
-    except JointSetsError as error:
-        draft = draft_sets(finder.titles, error.sets)
-        raise ColumnsError(str(error), draft) from None
+    plain = list(map(read_title, titles))
+    interpreted = interpret_titles(plain, robot.joint_names, currents, commanded)
+    driven = "command" if commanded else "torque"
+    return _ColumnFinder(interpreted, robot, choices, driven).find_all(first_row)
 
 
 @dataclass(frozen=True)
-class ColumnFinder:
+class _ColumnFinder:
     """Finds the columns of each quantity of one log.
 
     Attributes:
@@ -338,7 +366,6 @@ class ColumnFinder:
         robot: the arm, whose joints the columns are for.
         choices: declarations, which outrank the titles.
         driven: the quantity that is needed beside positions, "torque" or "command".
-        recognised: quantity to its columns, () for none; filled by ``find_all``.
         missing: quantities of which a joint has no column; filled by ``find_all``.
     """
 
@@ -346,22 +373,7 @@ class ColumnFinder:
     robot: RobotModel
     choices: ColumnChoices
     driven: str
-    recognised: dict[str, tuple[Column, ...]] = field(default_factory=dict)
     missing: list[str] = field(default_factory=list)
-
-    @classmethod
-    def of(
-        cls,
-        titles: Sequence[str],
-        robot: RobotModel,
-        choices: ColumnChoices,
-        currents: bool,
-        commanded: bool,
-    ) -> ColumnFinder:
-        """Return the finder for a log; the arguments are those of ``recognise_columns``."""
-        plain = list(map(read_title, titles))
-        interpreted = interpret_titles(plain, robot.joint_names, currents, commanded)
-        return cls(interpreted, robot, choices, "command" if commanded else "torque")
 
     @property
     def _texts(self) -> list[str]:
@@ -369,7 +381,7 @@ class ColumnFinder:
         return [title.text for title in self.titles]
 
     def find_all(self, first_row: Sequence[str]) -> ColumnMap:
-        """Return the map, or raise InputError that lists all faults; fills ``recognised``.
+        """Return the map, or raise InputError that lists all faults.
 
         ``first_row``: the cells of the first row as text, which may list joint names.
         """
@@ -378,14 +390,15 @@ class ColumnFinder:
             self._open_titles(), self.robot, first_row
         )
         faults = list[str]()
+        recognised = dict[str, tuple[Column, ...]]()
         for quantity in QUANTITIES:
             if quantity in ("torque", "command") and quantity != self.driven:
                 continue
             with collect_errors(faults):
                 columns = self._find_joints(quantity, candidates[quantity])
-                self.recognised[quantity] = columns
+                recognised[quantity] = columns
         with collect_errors(faults):
-            self.recognised["time"] = self._find_time(candidates["joint_time"])
+            recognised["time"] = self._find_time(candidates["joint_time"])
         if faults:
             n_joints = self.robot.n_joints
             if self.missing == ["torque"] and len(self._currents) >= n_joints:
@@ -394,18 +407,18 @@ class ColumnFinder:
             if self.missing:
                 faults.insert(0, self._needs_text())
             raise InputError(f"{'; '.join(faults)}. Columns: {', '.join(self._texts)}")
-        position = self.recognised["position"]
-        torque = self.recognised[self.driven]
+        position = recognised["position"]
+        torque = recognised[self.driven]
         if not position or not torque:
             raise InputError(f"position and {self.driven} cannot be left out")
         has_unit = all(self.titles[column.index].unit for column in position)
         return ColumnMap(
-            time=next(iter(self.recognised["time"]), None),
+            time=next(iter(recognised["time"]), None),
             rate=self.choices.rate,
             position=position,
             torque=torque,
-            velocity=self.recognised["velocity"] or None,
-            joint_time=self.recognised["joint_time"] or None,
+            velocity=recognised["velocity"] or None,
+            joint_time=recognised["joint_time"] or None,
             titles=self._texts,
             angle_declared=bool(self.choices.angle_unit) or has_unit,
             commanded=self.driven == "command",

@@ -31,18 +31,6 @@ _OPPOSITE_SIDES = (("left", "right"), ("right", "left"), ("l", "r"), ("r", "l"))
 """Words of names by which two arms of a robot are told apart."""
 
 
-class JointSetsError(InputError):
-    """Several sets of a log's joints could be the model's arm.
-
-    Attributes:
-        sets: for each of them the log's names of the arm's joints, base to terminal.
-    """
-
-    def __init__(self, message: str, sets: Sequence[Sequence[str]]) -> None:
-        super().__init__(message)
-        self.sets = tuple(map(tuple, sets))
-
-
 @dataclass(frozen=True)
 class JointMatch:
     """A recording's joints and the joints of the model's arm that they are.
@@ -104,9 +92,8 @@ def match_joint_names(
             recording's arm has further joints.
 
     Raises:
-        JointSetsError: several sets of names fit.
-        InputError: two names fit one joint, or the set is that of an arm with more or fewer joints,
-            or counts from another number.
+        InputError: several sets of names fit, two names fit one joint, or the set is that of an arm
+            with more or fewer joints, or counts from another number.
     """
     names = list(dict.fromkeys(names))
     if not names or not joint_names:
@@ -241,7 +228,7 @@ def _renumbered_frames(
 def _choose_frame(complete: Mapping[Frame, NamesByCore], arm: _NameSet) -> Frame:
     """Return the only frame, the model's own one, or the only one with words of the model's frame.
 
-    JointSetsError where several frames fit alike.
+    InputError where several frames fit alike.
     """
     if arm.frame in complete:
         return arm.frame
@@ -258,10 +245,9 @@ def _choose_frame(complete: Mapping[Frame, NamesByCore], arm: _NameSet) -> Frame
     if len(fitting) == 1:
         return fitting[0]
     sets = [[names[c][0] for c in arm.cores] for names in complete.values()]
-    raise JointSetsError(
+    raise InputError(
         f"the log holds {len(sets)} sets of joints that could be the model's "
-        f"{join_names(arm.names)}: {' and '.join(map(join_names, sets))}",
-        sets,
+        f"{join_names(arm.names)}: {' and '.join(map(join_names, sets))}"
     )
 
 

@@ -10,14 +10,8 @@ from __future__ import annotations
 
 import functools
 import os
-import re
-import shutil
-import sys
-import tempfile
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from html import escape
 from itertools import combinations
 from operator import attrgetter
 from pathlib import Path
@@ -30,11 +24,11 @@ from robot_sysid.logs.checks import check_log
 from robot_sysid.logs.column_map import (
     ColumnChoices,
     ColumnMap,
+    blank_columns,
     parse_units,
     read_columns_file,
     recognise_columns,
 )
-from robot_sysid.logs.guess import guess_columns
 from robot_sysid.logs.hdf5 import hdf5_table
 from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.ros_bag import bag_table
@@ -95,11 +89,6 @@ class MeasurementLog:
         joints = count_text(self.samples.q.shape[1], "joint")
         size = f"{len(self.samples)} samples of {joints}"
         return f"<MeasurementLog {self.path}: {size} in {self.duration:.4g} s>"
-
-    def _repr_html_(self) -> str:
-        """Return size and notes for a notebook."""
-        notes = "".join(f"<li>{escape(note)}</li>" for note in self.notes)
-        return f"<p>{escape(repr(self))}</p><ul>{notes}</ul>"
 
     @property
     def duration(self) -> float:
@@ -196,7 +185,7 @@ def _map_columns(
 ) -> ColumnMap:
     """Return the column of each quantity of a log, declared or recognised.
 
-    ``path`` is the log's, for messages. ColumnsError with a draft where columns are missing.
+    ``path`` is the log's, for messages. ColumnsError where columns are missing.
     """
     choices = parse_units(options.units) if options.units else ColumnChoices()
     if options.columns:
@@ -215,53 +204,28 @@ def _map_columns(
             table.titles, robot, choices, table.first_row, currents, options.commanded
         )
     except InputError as error:
-        wrong_widths = "" if is_declared else _describe_wrong_widths(table, robot)
-        fault = f"{path}: {wrong_widths or error}"
-        if error.options and not isinstance(error, ColumnsError):
+        fault = f"{path}: {error}"
+        if error.options:
             raise InputError(fault, error.options, error.command) from None
-        if table.external_links:
-            raise InputError(f"{fault}; {table.external_links}") from None
-        # A draft does not suit a user who has declared columns already.
+        # A blank file does not suit a user who has declared columns already.
         draft = ""
-        if isinstance(error, ColumnsError) and not is_declared:
-            draft = error.draft
-        elif not is_declared:
-            draft = guess_columns(table, robot, choices, currents, options.commanded)
-            if ColumnsError(fault, draft).is_complete:
-                fault = f"{path}: {wrong_widths or _UNTITLED}"
+        if not is_declared:
+            driven = "command" if options.commanded else "torque"
+            draft = blank_columns(table.titles, robot.joint_names, driven)
         name = columns_file_name(path)
         raise ColumnsError(f"{fault}; {_REMEDY}", draft, name) from None
 
 
 def columns_file_name(path: Path) -> str:
     """Return the name of the columns file that is suggested for a log."""
-    stem = "log" if path == STANDARD_INPUT else path.stem
-    return f"{stem}_columns.txt"
-
-
-def _describe_wrong_widths(table: LogTable, robot: RobotModel) -> str:
-    """Return a sentence on arrays of a known quantity that have not one column per joint, or "".
-
-    Arrays of a quantity of which another array has one column per joint are left out.
-    """
-    names = [re.sub(r"\[\d+\]$", "", title) for title in table.titles]
-    widths = {name: count for name, count in Counter(names).items() if count > 1}
-    quantities = {name: read_title(name).measured_quantity for name in widths}
-    fitting = {quantities[name] for name in widths if widths[name] == robot.n_joints}
-    phrases = []
-    for name, quantity in quantities.items():
-        if quantity not in {None, *fitting}:
-            phrases.append(f"{name} has {widths[name]} columns")
-    chain = f"the chain to {robot.terminal_joint} has {robot.n_joints} joints"
-    return ", ".join([*phrases, chain]) if phrases else ""
+    return f"{path.stem}_columns.txt"
 
 
 def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
     """Return files, duration and mean sampling rate of logs, as the origin of a result's data."""
     duration = sum(log.duration for log in logs)
     rate = sum(len(log.samples) - 1 for log in logs) / duration
-    paths = [log.path for log in logs]
-    files = [str(p if p == STANDARD_INPUT else p.absolute()) for p in paths]
+    files = [str(log.path.absolute()) for log in logs]
     listed = ", ".join(map(str, logs))
     return DataOrigin(Source.LOG, listed, duration, rate, files=tuple(files))
 
@@ -294,8 +258,6 @@ _FORMS: dict[TableReader, str] = {
     text_table: "a table of text",
 }
 """Every reader to the name of its form in messages."""
-_UNTITLED = "its titles do not say for sure which column is what"
-"""What is wrong with a log whose columns were all guessed."""
 _REMEDY = "say which column is what with --columns FILE"
 """What to do where columns are not recognised."""
 _FORM_OPTIONS = {"topic": bag_table, "episode": arrays.lerobot_table}
@@ -304,24 +266,8 @@ _READING_OPTIONS = {"columns", "units", *_FORM_OPTIONS}
 """Fields of options that change what is read from a log."""
 _FACTOR_OPTIONS = {"torque_scale", "torque_constants"}
 """Fields of options that change torques."""
-STANDARD_INPUT = Path("-")
-"""Stands for a log that is piped in."""
-_READ_TWICE = "a log is read twice: write it to a file, or pipe it into this command and call it -"
+_READ_TWICE = "a log is read twice: write it to a file"
 """End of the message that refuses a pipe or a device."""
-_FOLDERS: list[tempfile.TemporaryDirectory[str]] = []
-"""Folder of the log that was piped in; it is removed when the process ends."""
-
-
-@functools.cache
-def _piped_file() -> Path:
-    """Return a temporary copy of the log that is piped in; cached, as it can be read only once."""
-    if sys.stdin is None or sys.stdin.isatty():
-        raise InputError("- stands for a log that is piped in, and nothing is")
-    _FOLDERS.append(tempfile.TemporaryDirectory(prefix="robot-sysid-"))
-    path = Path(_FOLDERS[-1].name, "standard input")
-    with path.open("wb") as file:
-        shutil.copyfileobj(sys.stdin.buffer, file)
-    return path
 
 
 def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:
@@ -331,11 +277,10 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
     the form is not known.
 
     Args:
-        path: file or folder; ``STANDARD_INPUT`` for a log that is piped in.
+        path: file or folder.
         joint_names: (n,) of the arm, which joints of a ROS bag or data set are matched with.
         options: topic, episodes and whether commands are read.
     """
-    path = _piped_file() if path == STANDARD_INPUT else path
     is_folder = os.path.isdir(path)  # Path.is_dir raises where a name is too long
     first_bytes = b""
     try:

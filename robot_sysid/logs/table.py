@@ -6,9 +6,8 @@ before are left out, and a jump by a full turn is unwrapped. Each anomaly is cou
 line, for ``checks`` to judge. A log that is longer than any identification needs is low-passed and
 thinned while it is read.
 
-Limits: a compressed file of a few kilobytes may unpack to more than the computer's memory. Each
-form's reader therefore calls ``refuse_bomb`` with the size that the file's directory states,
-before anything is unpacked, and ``memory_limit`` stops a library where that size is wrong.
+A compressed file of a few kilobytes may unpack to more than the computer's memory. Each form's
+reader therefore calls ``refuse_bomb`` with the size that the file states.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from __future__ import annotations
 import contextlib
 import importlib
 import re
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,7 +72,6 @@ class LogTable:
         choices: columns and units that the form itself declares.
         row_noun: what a row is called in messages: "line", "message" or "row".
         first_row: the cells of the first row as text, where they may hold names; else empty.
-        external_links: sentence on numbers that are in other files, and what to do; "" for none.
         notes: sentences for the user on what was taken from the file.
     """
 
@@ -85,7 +82,6 @@ class LogTable:
     choices: ColumnChoices = ColumnChoices()
     row_noun: str = "row"
     first_row: tuple[str, ...] = ()
-    external_links: str = ""
     notes: tuple[str, ...] = ()
 
     def __fspath__(self) -> str:
@@ -141,11 +137,6 @@ MAX_RATIO = 100
 """Largest unpacked size of a recording over its packed size; real recordings have ten."""
 ALWAYS_ALLOWED = 10**8
 """Unpacked size that is always allowed, however small the file is [bytes]."""
-MAX_ARRAYS = 10_000
-"""Largest number of arrays, and of their columns; with ten times as many, names take a minute."""
-_OVERHEAD = 2e8
-"""Memory that reading takes in addition to the arrays: caches, a packed and unpacked chunk [bytes].
-"""
 
 
 def unpacked_limit(packed_bytes: float) -> float:
@@ -164,37 +155,6 @@ def refuse_bomb(path: Path, unpacked_bytes: float, packed_bytes: float) -> None:
             f"{path} unpacks to {unpacked_bytes / 1e9:.3g} GB, more than the {limit / 1e9:.3g} GB "
             "that are read of its size; split the recording, or save it without compression"
         )
-
-
-def refuse_many_arrays(path: Path, count: int) -> None:
-    """Raise InputError for more arrays or columns than a log has."""
-    if count > MAX_ARRAYS:
-        fault = f"{path} holds {count} arrays or columns, more than the {MAX_ARRAYS} of a log"
-        raise InputError(f"{fault}; save those of the arm alone")
-
-
-@contextlib.contextmanager
-def memory_limit(more_bytes: float) -> Iterator[None]:
-    """Limit the memory that this process may take in addition, within a block; Linux only.
-
-    A library may unpack more than a file states; beyond the limit, ``more_bytes`` and an overhead,
-    it gets a MemoryError.
-    """
-    if not sys.platform.startswith("linux"):
-        yield
-        return
-    import resource
-
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    limit = pages * resource.getpagesize() + int(more_bytes + _OVERHEAD)
-    # A negative limit is none.
-    lower = limit if soft < 0 else min(limit, soft)
-    resource.setrlimit(resource.RLIMIT_AS, (lower, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def import_optional(module: str, extra: str) -> Any:

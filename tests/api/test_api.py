@@ -83,7 +83,7 @@ ZEROS = np.zeros((9, 2))
         ({"q": [[0.0], [0.0, 1.0]]}, "^q is no array: its rows differ in length$"),
         (
             {"q": np.zeros((9, 4)), "tau": np.zeros((9, 4))},
-            "q has 4 columns, tau has 4 columns, the chain to joint1 has 2 joints; say which",
+            "each joint of the chain .joint0, joint1.*position: found 4 .q.0., q.1.",
         ),
     ],
 )
@@ -239,7 +239,6 @@ def test_results_plans_and_logs_say_what_they_are(workshop, result, monkeypatch)
     )
     log = rs.read_log(workshop / "log.csv", workshop / "arm.xml")
     assert repr(log).endswith("log.csv: 1601 samples of 4 joints in 8 s>")
-    assert "position from" in log._repr_html_() and "<Measure" not in log._repr_html_()
 
 
 def test_a_saved_result_is_that_of_the_command(workshop, result, tmp_path):

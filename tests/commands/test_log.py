@@ -184,22 +184,25 @@ def test_motor_currents_end_with_the_command_that_weighs_their_constants(
     np.testing.assert_allclose(scales, PER_NM, rtol=0.05)
 
 
-def test_a_guess_is_accepted_with_the_command_that_is_named(folder, command):
+def test_columns_that_are_not_known_are_filled_in_with_the_command_that_is_named(
+    folder, command
+):
     titles, rows = (folder / "log.csv").read_text().split("\n", 1)
-    titles = titles.replace("time", "Zeit").replace("joint", "Gelenk ")
-    titles = titles.replace("_position", " Winkel").replace("_torque", " Drehmoment")
+    titles = titles.replace("time", "Zeit").replace("_position", "_Winkel")
     (folder / "bare.csv").write_text(f"{titles}\n{rows}")
-    refused = command.run("log bare.csv arm.xml --accept friction", code=2)
-    line = refused.err.splitlines()[-1]
-    assert line == (
-        "  robot-sysid identify arm.xml bare.csv --accept friction "
-        "--columns bare_columns.txt"
-    )
-    draft = (folder / "bare_columns.txt").read_text()
-    assert "position = #2-5" in draft and "torque = #10-13" in draft
-    printed = command.run(
-        "log bare.csv arm.xml --accept friction --columns bare_columns.txt"
-    )
+    arguments = "--accept friction --columns bare_columns.txt"
+    for _ in range(2):
+        refused = command.run("log bare.csv arm.xml --accept friction", code=2)
+        message, line = refused.err.splitlines()
+        assert "Columns: Zeit, joint0_Winkel" in message
+        assert line == f"  robot-sysid identify arm.xml bare.csv {arguments}"
+        # The file that exists is not written over.
+        text = (folder / "bare_columns.txt").read_text()
+        (folder / "bare_columns.txt").write_text(
+            text.replace("time = ?", "time = Zeit").replace("?, ?, ?, ?", "#2-5", 1)
+            .replace("torque = ?, ?, ?, ?\n", "")
+        )  # fmt: skip
+    printed = command.run(f"log bare.csv arm.xml {arguments}")
     assert printed.out.endswith(
         "  robot-sysid identify arm.xml bare.csv --columns bare_columns.txt "
         "--accept friction\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from itertools import product
 from operator import attrgetter
 
@@ -288,11 +289,17 @@ def test_a_columns_file_counts_columns_and_keeps_quantities_out(tmp_path):
     assert columns.velocity is None and columns.time is None and columns.rate == 100.0
 
 
-def test_a_line_with_a_question_mark_has_to_be_completed(tmp_path):
-    with pytest.raises(
-        InputError, match="line 2: put the log's columns in the place of ?"
-    ):
-        read_choices(tmp_path, "time = #1  # by its title\ntorque = #2, ?, #4\n")
+def test_a_blank_columns_file_is_filled_in_and_read(tmp_path):
+    titles = ["X", "Y", "Z", "A", "B", "C", "Zeit", "tau3"]
+    text = column_map.blank_columns(titles, JOINTS, "torque")
+    assert "#   #1 X\n" in text and "#   #8 tau3\n" in text
+    with pytest.raises(InputError, match="put the log's columns in the place of ?"):
+        read_choices(tmp_path, text)
+    for value in ("#7", "#4-6", "#1, #2, #3"):
+        text = re.sub(r"= \?[?, ]*", f"= {value}", text, count=1)
+    columns = recognise(",".join(titles), choices=read_choices(tmp_path, text))
+    assert where(columns) == ([3, 4, 5], [0, 1, 2])
+    assert columns.time is not None and columns.time.index == 6
 
 
 def test_what_a_log_needs_is_said_once():

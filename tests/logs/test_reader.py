@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import os
 import re
 import sys
 from dataclasses import replace
-from functools import partial
 from operator import attrgetter
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from robot_sysid.errors import ColumnsError, InputError
+from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions, arrays, reader
 from robot_sysid.records.messages import Progress
 from tests.support import recorded
@@ -67,26 +64,6 @@ def test_files_without_a_table_are_refused(tmp_path, content, fault):
 def test_a_pipe_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "log.csv")
     assert_refused("log.csv is a pipe or a device", tmp_path / "log.csv")
-
-
-def test_a_log_is_read_from_a_pipe(tmp_path, monkeypatch):
-    path = write(tmp_path / "log.csv", table(motion(50)))
-    for content in (path.read_bytes(), None):
-        reader._piped_file.cache_clear()
-        pipe = io.BytesIO(content or b"")
-        stdin = SimpleNamespace(buffer=pipe, isatty=partial(bool, content is None))
-        monkeypatch.setattr(sys, "stdin", stdin)
-        if content is None:
-            assert_refused("a log that is piped in, and nothing is", "-")
-        else:
-            expected = read_measurements(path, JOINTS)
-            for _ in range(2):
-                piped = read_measurements("-", JOINTS)
-                assert_samples(piped.samples, expected.samples)
-            assert reader.origin_of([expected, piped]).files == (str(path), "-")
-            with pytest.raises(ColumnsError) as caught:
-                read_measurements("-", ("a", "b"))
-            assert caught.value.name == "log_columns.txt"
 
 
 POSITIVE = st.lists(st.floats(1e-2, 1e2), min_size=3, max_size=3).map(tuple)
@@ -159,11 +136,11 @@ READ_TABLE = "pyarrow.parquet.read_table"
 STACK = "numpy.column_stack"
 FILES_AND_CALLS = {
     reader.bag_table: (FORMS["ROS 1 bag"], BAG_TYPES, BAG_TYPES),
-    arrays.matlab_table: (matlab, "subprocess.run", STACK),
+    arrays.matlab_table: (matlab, "scipy.io.loadmat", STACK),
     reader.hdf5_table: (hdf5, "h5py.File", STACK),
     arrays.npz_table: (FORMS["npz"], "numpy.load", STACK),
     arrays.parquet_table: (FORMS["Parquet"], READ_TABLE, STACK),
-    arrays.feather_table: (FORMS["Feather"], "pyarrow.feather.read_table", STACK),
+    arrays.feather_table: (FORMS["Feather"], "pyarrow.ipc.open_file", STACK),
     arrays.lerobot_table: (FORMS["LeRobot"], READ_TABLE, STACK),
     reader.text_table: (FORMS["libfranka"], "csv.reader", "numpy.loadtxt"),
 }
