@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 49382,
     "robot_sysid/diagnosis": 20139,
     "robot_sysid/dynamics": 8386,
-    "robot_sysid/estimation": 57875,
+    "robot_sysid/estimation": 57605,
     "robot_sysid/logs": 23305,
     "robot_sysid/mjcf": 12687,
     "robot_sysid/model": 11034,
@@ -32,10 +32,10 @@ BUDGETS = {
     "robot_sysid/report": 14507,
     "robot_sysid/results": 18768,
     "robot_sysid/servo": 10972,
-    "robot_sysid/signals": 11401,
+    "robot_sysid/signals": 10406,
     "robot_sysid/simulation": 5928,
     "robot_sysid": 12868,
-    "tests": 314167,
+    "tests": 313058,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -472,8 +472,7 @@ def _promising_couplings(
     choice = replace(fit.choice, couplings=(*present, *candidates))
     unknowns = fit.evidence.unknowns(fit.columns, question, choice)
     problem = WithPriors(
-        fit.evidence.of(unknowns),
-        np.sqrt(fit.inflation * fit.residual_correlation) * fit.noise,
+        fit.evidence.of(unknowns), np.sqrt(fit.residual_correlation) * fit.noise
     )
     priors = [_motor_prior(fit, unknowns, motor) for motor in candidates]
     absent = [replace(prior, widened=_ABSENT) for prior in priors]
@@ -500,7 +499,7 @@ def _evidence_gain(fit: Fit, wider: Fit) -> float:
     """
     prior = _motor_prior(fit, wider.unknowns, wider.choice.couplings[-1])
     priors = [*wider.unknowns.groups, prior]
-    correlation = wider.inflation * wider.residual_correlation
+    correlation = wider.residual_correlation
     problem = WithPriors(
         wider.evidence.of(wider.unknowns), np.sqrt(correlation) * wider.noise
     )

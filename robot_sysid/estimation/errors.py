@@ -215,8 +215,6 @@ def fit_errors(
     if len(move):
         causes[BODIES] = np.vstack((causes.get(BODIES, move[:0]), move))
         total = total.with_cause(move.T @ move)
-    counts = np.array(total.effective) / fit.inflation
-    total = replace(total, effective=tuple(counts.tolist()))
     return FitErrors(total, causes, _common_scale_error(fit), conflicts)
 
 
@@ -247,8 +245,7 @@ def _unlikely_move(fit: Fit) -> Array:
 def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
     """Return the errors of a fit that torque noise and priors explain.
 
-    Repeated motion adds variance to noise (``fit.inflation``). Memory that is free is given back to
-    the system on the way.
+    Memory that is free is given back to the system on the way.
 
     Args:
         fit: the fit.
@@ -263,23 +260,18 @@ def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
         values = fit.values[fit.unknowns.estimated]
         root = space.inverse_root()
         residuals = collect_residuals(information, fit.rows, values, root, weights)
-    # Repeated motion counts as additional variance: it inflates the autocovariances ``products``.
-    inflated = []
-    for joint, inflation in zip(residuals, fit.inflation):
-        inflated.append(replace(joint, products=inflation * joint.products))
-    if inflated:
+    if residuals:
         # The sums take as much memory as the triangles, which are no longer needed.
         information = replace(information, joints=())
     release_memory()
-    return uncertainty(information, weights, 1.0 / weights, inflated, space)
+    return uncertainty(information, weights, 1.0 / weights, residuals, space)
 
 
 def _conflicts(fit: Fit, effective: Sequence[float]) -> tuple[PriorConflict, ...]:
     """Return the causes of error that are larger than their priors allow, by more than chance.
 
-    The noise of a row is enlarged by the square root of the rows per independent sample times
-    ``fit.inflation``, the variance that repeated motion adds. Fits with a payload and fits for a
-    file have no conflicts here.
+    The noise of a row is enlarged by the square root of the rows per independent sample. Fits with
+    a payload and fits for a file have no conflicts here.
 
     Args:
         fit: the fit with its priors and data.
@@ -289,7 +281,7 @@ def _conflicts(fit: Fit, effective: Sequence[float]) -> tuple[PriorConflict, ...
     if fit.question.loaded or fit.question.in_file:
         return ()
     rows_per_sample = sample_counts(fit.evidence.total) / np.maximum(effective, 1.0)
-    noise = np.sqrt(np.maximum(rows_per_sample, 1.0) * fit.inflation) * fit.noise
+    noise = np.sqrt(np.maximum(rows_per_sample, 1.0)) * fit.noise
     conflicts = misfits(fit.evidence.of(fit.unknowns), noise, fit.unknowns.groups)
     # The prior of links is widened already (``Choice.link_scales``), and has its own test.
     return tuple(conflict for conflict in conflicts if conflict.cause != LINKS)

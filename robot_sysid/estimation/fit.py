@@ -2,12 +2,12 @@
 
 Shapes: n joints of the chain, "joints" those with equations; p parameters (``Columns.names``), k of
 them estimated; K rows of a joint. Equations are weighted by 1 / effective noise, which counts rows
-that are not independent: noise times sqrt(inflation by repeated motion times correlation factor).
+that are not independent: noise times sqrt(correlation factor).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -43,7 +43,6 @@ from robot_sysid.estimation.dataset import (
 from robot_sysid.estimation.question import Choice, Question
 from robot_sysid.estimation.unknowns import EstimatedRows, Unknowns, build_unknowns
 from robot_sysid.records import DELAY_NAME, Array, SquareRootInformation
-from robot_sysid.signals.repetition import Visits
 
 # Largest number of linearisations without a delay or tilt to estimate.
 _MAX_ROUNDS = 8
@@ -164,7 +163,6 @@ class Fit:
         evidence: of the rows of all recordings.
         unknowns: which parameters were estimated, and their priors, widened by the data.
         weights: (joints,) of each joint's equations, 1 / effective noise [1/(N m)].
-        inflation: (joints,) variance inflation of each joint's noise, because motion repeats.
         residual_correlation: (joints,) rows per independent row, by the autocorrelation of this
             fit's residuals; the weights use ``correlation_factors`` of the choice.
         free: (p,) the estimate with bodies that may be physically inconsistent.
@@ -180,7 +178,6 @@ class Fit:
     evidence: Evidence
     unknowns: Unknowns
     weights: Array
-    inflation: Array
     residual_correlation: Array
     free: Array
     values: Array
@@ -193,7 +190,7 @@ class Fit:
     @property
     def noise(self) -> Array:
         """Standard deviation (joints,) of the torque noise of one sample [N m]."""
-        return 1.0 / (self.weights * np.sqrt(self.inflation * self.correlation_factors))
+        return 1.0 / (self.weights * np.sqrt(self.correlation_factors))
 
     @property
     def correlation_factors(self) -> Array:
@@ -261,22 +258,15 @@ class Fitter:
     Attributes:
         columns: parameter names, and the rows of recordings.
         torque: (n,) root mean square of each joint's measured torque [N m].
-        visits: which rows pass states that other rows pass, too; from residuals (K,) per joint,
-            its method ``inflation`` returns (variance inflation by repeated motion, rows per
-            independent row), (joints,) each. None where repetition is not used.
         on_pass: called before every pass over the recordings.
-        inflation: (joints,) variance inflation by repeated motion, where no ``visits`` count it;
-            None for one.
         residual_correlation: (joints,) rows per independent row, by the residuals' autocorrelation,
-            where no ``visits`` count it; None for those of the choice.
+            if they are known; None takes them from the rows, or from the choice without rows.
         linearised: the last point with the evidence and rows around it; None before there are any.
     """
 
     columns: Columns
     torque: Array
-    visits: Visits | None = None
     on_pass: Callable[[], None] = lambda: None
-    inflation: Array | None = None
     residual_correlation: Array | None = None
     linearised: tuple[Point, Evidence, tuple[DecimatedSamples, ...]] | None = None
     _noise: Array | None = None
@@ -307,58 +297,44 @@ class Fitter:
         """
         residuals = list(residuals_of(fit.samples, fit.values))
         burst_factors = list(map(concentration, residuals))
-        if self.visits is None:
-            times = np.array(list(map(residual_correlation_time, residuals)))
-        else:
-            _, times = self.visits.inflation(residuals)
-        return np.maximum(times, burst_factors)
+        return np.maximum(_correlation_times(residuals), burst_factors)
 
     def solve_around(self, point: Point, question: Question, choice: Choice) -> Fit:
         """Return the solution of the equations linearised around a point, without iterating.
 
         Parameters are within their bounds, bodies are physically consistent. Each round holds
-        further parameters at their bounds. With ``visits``, the inflation by repeated motion
-        follows from the residuals of a first solution; a round solves again where that inflation is
-        not the assumed one, or where the data may widen priors. The noise starts at that of the
-        last ``fit``.
+        further parameters at their bounds, and solves again where the data may widen priors, with
+        the autocorrelation of its first residuals. The noise starts at that of the last ``fit``.
         """
         data, samples = self.around(point)
         factors = correlation_factors_of(choice, len(self.columns.joints))
-        inflation = self.inflation
         correlation = self.residual_correlation
-        if inflation is None or correlation is None:
-            inflation = np.ones_like(factors)
+        if correlation is None:
             correlation = factors
         noise = self._noise
         start = data.unknowns(self.columns, question, choice)
         for _ in range(_MAX_BOUND_ROUNDS):
-            variance_factors = inflation * factors
             unknowns, free, effective_noise = _solve_within_bounds(
                 self.columns,
                 start,
                 data,
-                inflation=variance_factors,
+                inflation=factors,
                 correlation=correlation / factors,
                 noise=noise,
             )
-            noise = effective_noise / np.sqrt(variance_factors)
-            if self.visits is not None:
-                assumed_inflation = inflation
-                inflation, correlation = self.visits.inflation(
-                    residuals_of(samples, free)
-                )
-                widens = any(group.may_widen for group in unknowns.groups)
-                if widens or not np.array_equal(assumed_inflation, inflation):
-                    variance_factors = inflation * factors
+            noise = effective_noise / np.sqrt(factors)
+            if self.residual_correlation is None and samples:
+                correlation = _correlation_times(residuals_of(samples, free))
+                if any(group.may_widen for group in unknowns.groups):
                     unknowns, free, effective_noise = _solve_within_bounds(
                         self.columns,
                         unknowns,
                         data,
-                        inflation=variance_factors,
+                        inflation=factors,
                         correlation=correlation / factors,
                         noise=noise,
                     )
-                    noise = effective_noise / np.sqrt(variance_factors)
+                    noise = effective_noise / np.sqrt(factors)
             weights = 1.0 / effective_noise
             values = make_consistent(unknowns, data, weights, free)
             # Bodies that are made consistent push other parameters across their bounds.
@@ -375,7 +351,6 @@ class Fitter:
             evidence=data,
             unknowns=unknowns,
             weights=weights,
-            inflation=inflation,
             residual_correlation=correlation,
             free=free,
             values=np.clip(values, unknowns.lower, unknowns.upper),
@@ -494,6 +469,11 @@ def residuals_of(samples: Sequence[DecimatedSamples], values: Array) -> Iterator
         for recording, torque in zip(samples, torques):
             residuals.append(recording.tau[joint] - torque[joint])
         yield np.concatenate(residuals)
+
+
+def _correlation_times(residuals: Iterable[Array]) -> Array:
+    """Return the integrated autocorrelation time (joints,) of joints' residuals (K,) [rows]."""
+    return np.array(list(map(residual_correlation_time, residuals)))
 
 
 def _solve_within_bounds(

@@ -56,7 +56,6 @@ from robot_sysid.signals.process import (
     check_losses,
     process,
 )
-from robot_sysid.signals.repetition import find_visits
 
 AT_REST = FrictionModel(("offset",))
 """Friction model for poses at rest. Each is approached from both sides, so that friction cancels
@@ -305,15 +304,12 @@ def _fitter(
         progress: receives a count of passes over the recordings.
     """
     options = question.options
-    repetitions = None
     if options.tilt == "auto":
         tilt_axes(gravity_vector(robot))  # raises without gravity
-    if not question.resting:
-        repetitions = find_visits([dataset.motion for dataset in datasets])
     # All couplings: first stated ones, then ``offered``, which are used only with clear evidence.
     motors, offered = couplings_of(robot, options)
     columns = Columns(robot, datasets, options.torques, motors)
-    fitter = Fitter(columns, rms_torque(datasets), repetitions, _passes(progress))
+    fitter = Fitter(columns, rms_torque(datasets), _passes(progress))
     if not offered:
         return fitter
     # Columns of rejected couplings would cost every later pass time and memory.

@@ -116,7 +116,7 @@ class LogInformation:
         residuals: per joint, sums over lags of the first round's residuals; empty in that round.
         pull: (joints, p) sums of ``errors.filtering_bias``, for the error due to the low-pass of
             positions.
-        rows: a random sample of the motion and residuals of the rows.
+        rows: a random sample of the motion of the rows.
         torque: (n,) sum of squares of all measured torque [N^2 m^2].
         samples: number of samples of each joint's torque.
         duration: duration of all logs together [s].
@@ -255,7 +255,6 @@ class _Fixed(Fitter):
             for joint in information.residuals:
                 time = autocorrelation_time(joint.products, joint.count)
                 correlation_times.append(time)
-            self.inflation = information.rows.inflation()
             self.residual_correlation = np.array(correlation_times)
 
     def around(self, point: Point) -> tuple[Evidence, tuple[DecimatedSamples, ...]]:
@@ -322,8 +321,8 @@ def log_information(
         log_sums = [residuals_to_add(first, log_samples) for log_samples in samples]
         residuals = tuple(reduce(add, joint_sums) for joint_sums in zip(*log_sums))
     row_samples = []
-    for dataset, dataset_samples in zip(datasets, samples):
-        row_samples.append(_sample_rows(dataset, dataset_samples, point.values))
+    for dataset in datasets:
+        row_samples.append(_sample_rows(dataset))
     signals = motion_signals(datasets)
     torque, count = squared_torque(datasets)
     return LogInformation(
@@ -356,19 +355,16 @@ def _fit_sum(robot: RobotModel, information: LogInformation) -> Fit:
     return fitter.fit(question, choice)
 
 
-def _sample_rows(
-    dataset: Dataset, samples: DecimatedSamples, values: Array
-) -> RowSample:
-    """Return a random sample of a recording's rows, with the residuals at ``values`` (p,).
+def _sample_rows(dataset: Dataset) -> RowSample:
+    """Return a random sample of a recording's rows.
 
     The seed is a hash of the recorded signals, so that equal recordings give equal samples. The
     recording must not be one of poses at rest, which has no signals.
     """
-    residuals = list(map(np.subtract, samples.tau, samples.torque(values)))
     assert dataset.signals is not None
     content = dataset.signals.q.tobytes() + dataset.signals.tau.tobytes()
     seed = int.from_bytes(hashlib.sha256(content).digest()[:8], "little")
-    return sample_rows(dataset.motion, np.stack(residuals, axis=1), seed)
+    return sample_rows(dataset.motion, seed)
 
 
 def answer_from(

@@ -30,7 +30,7 @@ from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Sour
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import SCALE, joint_factors
 from robot_sysid.results.record import Payload, Quantity
-from robot_sysid.signals.repetition import resting_poses
+from robot_sysid.signals.rests import resting_poses
 
 LEAST_WITHIN = 0.15
 """Least share of the variance of positions in the order of recording that lies within the empty and

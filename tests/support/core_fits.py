@@ -15,7 +15,6 @@ from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordi
 from robot_sysid.estimation.question import Choice, EstimationOptions, Question
 from robot_sysid.records import DataOrigin, Source
 from robot_sysid.records.messages import Progress
-from robot_sysid.signals.repetition import find_visits
 from robot_sysid.signals.resampling import split_at_gaps
 from tests.support.measured_logs import CUTOFF
 
@@ -32,10 +31,9 @@ ORIGIN = DataOrigin(Source.LOG, "a log", 10.0, 200.0)
 
 
 def fitter_of(robot, recordings, torques="chain", couplings=()):
-    """Return a fitter of recordings, which counts repeated motion."""
+    """Return a fitter of recordings."""
     columns = Columns(robot, recordings, torques, couplings)
-    repetitions = find_visits([recording.motion for recording in recordings])
-    return Fitter(columns, rms_torque(recordings), repetitions)
+    return Fitter(columns, rms_torque(recordings))
 
 
 def choice_of(robot, friction=BASIC, couplings=()):

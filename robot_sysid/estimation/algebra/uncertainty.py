@@ -537,15 +537,12 @@ def _sum_bins(values: Array, bins: NDArray[np.int64]) -> Array:
     return sums / np.sqrt(width).reshape((-1,) + (1,) * (values.ndim - 1))
 
 
-def residual_correlation_time(residual: Array, repeats: float = 1.0) -> float:
-    """Return the integrated autocorrelation time of a residual [samples].
-
-    Args:
-        residual: (K,) of one joint, NaN where a sample is left out.
-        repeats: number of repetitions of the motion, whose samples count as one repetition.
+def residual_correlation_time(residual: Array) -> float:
+    """Return the integrated autocorrelation time of a residual (K,) of one joint [samples], NaN
+    where a sample is left out.
     """
     covariance, pairs = autocovariance(residual, max(len(residual) // 10, 1) - 1)
-    return autocorrelation_time(covariance, pairs[0] / repeats)
+    return autocorrelation_time(covariance, pairs[0])
 
 
 def concentration(residual: Array) -> float:

@@ -8,11 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.optimize import nnls
+from scipy.signal import lfilter
 
 from robot_sysid.estimation.algebra.uncertainty import (
     concentration,
     joint_residuals,
     non_negative,
+    residual_correlation_time,
     uncertainty,
 )
 from tests.support.arms import SEEDS
@@ -240,3 +242,15 @@ def test_a_burst_counts_as_few_rows():
     assert concentration(residual) > 10.0
     assert concentration(np.append(residual, np.nan)) > 10.0
     assert concentration(np.zeros(1000)) == 1.0
+
+
+@pytest.mark.parametrize("keep", [0.0, 0.8, 0.95])
+def test_the_correlation_time_of_first_order_noise(keep):
+    """It is (1 + a) / (1 - a) for coefficient a; missing values change nothing."""
+    drawn = np.random.default_rng(3).normal(size=20000)
+    residual = lfilter([1.0], [1.0, -keep], drawn)
+    residual[5000:6000] = np.nan
+    assert residual_correlation_time(residual) == pytest.approx(
+        (1.0 + keep) / (1.0 - keep), rel=0.15
+    )
+    assert residual_correlation_time(np.zeros(50)) == 1.0
