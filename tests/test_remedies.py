@@ -67,7 +67,7 @@ LIFTED = symbols_of(
 )  # what was planned below the base may be played
 EXPORT = symbols_of("damiao.joints", "damiao_joints")
 QUESTIONS = set(symbols_of("commands.identify", "ALONE", "PLAN", "IDENTIFY", "PAYLOAD"))
-SHOWN = symbols_of("preview", "require_preview", "show_plan")
+SHOWN = symbols_of("motion.viewer", "require_display", "play_in_viewer")
 CARDS = symbols_of("export", "_write_card")
 
 

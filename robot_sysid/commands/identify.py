@@ -29,16 +29,9 @@ from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
-from robot_sysid.motion import ExcitationOptions, LimitOptions, PoseOptions
-from robot_sysid.preview import PreviewOptions, require_preview, show_plan
+from robot_sysid.motion import ExcitationOptions, LimitOptions, PoseOptions, ViewOptions
 from robot_sysid.records import file_access
-from robot_sysid.records.option_fields import (
-    TrajectoryOptions,
-    default_of,
-    keys_of,
-    options_of,
-    record_from,
-)
+from robot_sysid.records.option_fields import TrajectoryOptions, default_of, options_of
 from robot_sysid.simulation import SimulatedArmOptions
 
 
@@ -131,7 +124,7 @@ PLAN = CommandSpec(
         "limits": (LimitOptions,),
         "prediction": (EstimationOptions, SimulatedArmOptions),
         "Damiao motors": (MotorOptions,),
-        "preview": (PreviewOptions,),
+        "preview": (ViewOptions,),
     },
     only={"prediction": PREDICTED},
     leave_out=("keep", "links", "bundle", "report", "plots"),
@@ -247,15 +240,16 @@ def main(arguments: Sequence[str], command: str = "") -> int:
         command: "plan", "identify" or "payload"; "" for ``robot-sysid MODEL`` alone.
     """
     values, console = parse_command(partial(build_parser, command), arguments)
-    preview = record_from(PreviewOptions, values)
-    require_preview(preview)
-    for key in keys_of(PreviewOptions):
-        values.pop(key, None)
-    run_command(SPECS[command].config(**values), console, preview)
+    view = values.pop("view", False)
+    if view:
+        from robot_sysid.motion.viewer import require_display
+
+        require_display()
+    run_command(SPECS[command].config(**values), console, view)
     return 0
 
 
-def run_command(config: Config, console: Console, preview: PreviewOptions) -> None:
+def run_command(config: Config, console: Console, view: bool = False) -> None:
     """Run a command, print its outcome and write its report and bundle.
 
     The verdict is printed last, and not at all where the run failed: the error states it then.
@@ -263,7 +257,7 @@ def run_command(config: Config, console: Console, preview: PreviewOptions) -> No
     Args:
         config: options of the run.
         console: prints the outcome; the TOML file that the options came from is not replaced.
-        preview: whether a planned motion is shown or filmed.
+        view: whether a planned motion is played in MuJoCo's viewer.
 
     Raises:
         SysidError: the run failed, its result cannot be used, or a wanted report is missing.
@@ -289,7 +283,11 @@ def run_command(config: Config, console: Console, preview: PreviewOptions) -> No
             for log in logs[:1]:
                 add_weighing_commands(error, config.model, config.log, log, is_static)
             raise
-    show_plan(outcome.checked, preview, console)
+    checked = outcome.checked
+    if view and checked is not None and checked.problem is not None:
+        from robot_sysid.motion.viewer import play_in_viewer
+
+        play_in_viewer(checked.problem.robot, checked.plan)
     console.stage(*outcome.lines)
     for path in outcome.files if outcome.checked else ():
         console.stage(f"Trajectory saved to {path}")

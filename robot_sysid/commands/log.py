@@ -12,7 +12,6 @@ from robot_sysid.commands.arguments import Parser, parse_command
 from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs import CHECKS, LogOptions
 from robot_sysid.model import ModelOptions
-from robot_sysid.preview import PreviewOptions, require_preview, show_preview
 from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import (
     command_arguments,
@@ -45,7 +44,6 @@ def build_parser(full: bool = True) -> Parser:
     )
     parser.add("model", ModelOptions)
     parser.add("log", LogOptions, leave_out=LEFT_OUT)
-    parser.add("preview", PreviewOptions)
     return parser.add_console_options()
 
 
@@ -53,16 +51,12 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     values, console = parse_command(build_parser, arguments)
     log_options = record_from(LogOptions, values)
-    preview_options = record_from(PreviewOptions, values)
     model_options = record_from(ModelOptions, values)
     path = values["log"]
-    require_preview(preview_options)
     model_path = values.get("path")
     if model_path is not None:
         try:
-            _check_log(
-                path, model_path, log_options, model_options, preview_options, console
-            )
+            _check_log(path, model_path, log_options, model_options, console)
         except InputError as error:
             if error.command == "payload":
                 from robot_sysid.pipeline.run_words import add_weighing_commands
@@ -79,7 +73,7 @@ def main(arguments: Sequence[str]) -> int:
                 error.command_lines = [[*words, *o] for o in error.options]
             raise
         return 0
-    for record in (preview_options, log_options, model_options):
+    for record in (log_options, model_options):
         for option in given_options(record):
             if option.key not in WITHOUT_MODEL:
                 raise InputError(f"{option.flag} needs the MODEL after the log")
@@ -96,17 +90,15 @@ def _check_log(
     model_path: Path,
     log_options: LogOptions,
     model_options: ModelOptions,
-    preview_options: PreviewOptions,
     console: Console,
 ) -> None:
-    """Print a log's findings against a model, and a film or the viewer where one is asked for.
+    """Print a log's findings against a model.
 
     Args:
         path: of the log.
         model_path: of the model.
         log_options: how the log is read, and which findings are accepted.
         model_options: the arm in the model.
-        preview_options: how the recorded motion is shown.
         console: prints the findings, and their JSON.
 
     Raises:
@@ -129,11 +121,6 @@ def _check_log(
     console.stage(f"{count} samples in {log.duration:.4g} s, {rate:.4g} Hz on average")
     findings = check_against_model(robot, log.pieces, divided=log.torque_scale)
     console.stage(*(finding.line() for finding in findings))
-    if preview_options.view or preview_options.video:
-        from robot_sysid.preview.film import log_preview
-
-        preview = log_preview(robot, log.samples)
-        show_preview(robot, preview, preview_options, console)
     entries = [
         {**asdict(finding), "level": finding.level.value} for finding in findings
     ]

@@ -301,6 +301,13 @@ class ExcitationOptions(OptionRecord):
 
 
 @dataclass(frozen=True)
+class ViewOptions(OptionRecord):
+    """Whether a planned motion is shown."""
+
+    view: bool = option(False, "play the motion in MuJoCo's viewer")
+
+
+@dataclass(frozen=True)
 class PoseOptions(OptionRecord):
     """The purpose of a plan, and the resting poses of a static one.
 

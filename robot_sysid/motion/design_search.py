@@ -39,7 +39,7 @@ from robot_sysid.motion.design import (
 from robot_sysid.motion.limit_check import LimitCheck, check_limits
 from robot_sysid.motion.problem import ROUNDING
 from robot_sysid.motion.trajectories import FourierTrajectory
-from robot_sysid.records import Array, MotionPlan
+from robot_sysid.records import Array
 from robot_sysid.records.messages import Progress
 
 DRAWS_PER_JOB = 5
@@ -104,10 +104,7 @@ class ExcitationResult:
 
 
 def design_excitation(
-    design: Design,
-    rng: np.random.Generator,
-    progress: Progress | None = None,
-    report_start: Callable[[MotionPlan], None] | None = None,
+    design: Design, rng: np.random.Generator, progress: Progress | None = None
 ) -> ExcitationResult:
     """Search for the trajectory that makes the predicted uncertainty smallest.
 
@@ -117,8 +114,6 @@ def design_excitation(
         design: the arm, its limits and what is minimised.
         rng: source of randomness; a seed is drawn from it.
         progress: is advanced after every job; None to show nothing.
-        report_start: called with the best random trajectory before the search improves it; None
-            for no call.
 
     Raises:
         InputError: no drawn trajectory keeps all limits; names the limit that is in the way.
@@ -129,9 +124,7 @@ def design_excitation(
     interruption = None
     try:
         seed = int(rng.integers(2**62))
-        stopped = _search(
-            design, seed, draws, candidates, progress or Progress(), report_start
-        )
+        stopped = _search(design, seed, draws, candidates, progress or Progress())
     except KeyboardInterrupt as error:
         stopped = "interrupted"
         interruption = error
@@ -160,7 +153,6 @@ def _search(
     draws: list[Draw],
     candidates: list[Candidate],
     progress: Progress,
-    report_start: Callable[[MotionPlan], None] | None,
 ) -> str:
     """Draw random trajectories and improve the best; return "time budget" where that ended the
     search, else "".
@@ -171,7 +163,6 @@ def _search(
         draws: every random trajectory is appended, so that an interruption loses none.
         candidates: every improved trajectory is appended.
         progress: is advanced after every job.
-        report_start: called once with the best random trajectory, if any keeps all limits.
     """
     options = design.options
     started = design_module.clock()
@@ -206,8 +197,6 @@ def _search(
         starts = [draw.x for draw in _feasible_draws(draws)]
         if not options.rounds:
             starts = starts[:1]
-        if starts and report_start is not None:
-            report_start(design.trajectory(starts[0]))
         for first in range(0, len(starts), options.starts):
             batch = starts[first : first + options.starts]
             for n_done in _improve_starts(run, options, batch, candidates, deadline):

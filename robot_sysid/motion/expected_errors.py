@@ -10,17 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.common_scale import common_error, false_alarms
-from robot_sysid.estimation.algebra.consistent_bodies import (
-    project_errors,
-    projected_covariance,
-)
+from robot_sysid.estimation.algebra.common_scale import common_error
+from robot_sysid.estimation.algebra.consistent_bodies import project_errors
 from robot_sysid.estimation.algebra.identifiability import triangle_space
 from robot_sysid.estimation.algebra.priors import EXPECTED, NuisanceGroup, with_prior
 from robot_sysid.estimation.algebra.uncertainty import (
@@ -36,7 +32,6 @@ from robot_sysid.estimation.fit import evidence_of
 from robot_sysid.estimation.identify import Piece, low_pass_recordings
 from robot_sysid.estimation.question import Choice, EstimationOptions, Question
 from robot_sysid.estimation.unknowns import (
-    COMMON_SCALE,
     DRIFTS,
     LINKS,
     SCALES,
@@ -47,15 +42,8 @@ from robot_sysid.estimation.unknowns import (
 )
 from robot_sysid.model.bodies import usual_bodies
 from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD
-from robot_sysid.motion.information import (
-    JOINT_TERMS,
-    PriorKnowledge,
-    design_criterion,
-    mass_and_centre_errors,
-    plan_information,
-)
+from robot_sysid.motion.information import JOINT_TERMS, PriorKnowledge, design_criterion
 from robot_sysid.motion.prediction import (
-    Improvement,
     Prediction,
     invisible_combinations,
     parameter_sizes,
@@ -65,27 +53,16 @@ from robot_sysid.records import Array, MotionPlan, SquareRootInformation
 from robot_sysid.records.messages import percent
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
-from robot_sysid.trajectory import motion_chunks, sample_count
+from robot_sysid.trajectory import sample_times
 
-ALL_SAMPLES = "these are lower bounds from all samples, not all of which can be used"
-"""Beginning of the caveat on errors of a motion that cannot be processed like a log."""
 HIGHEST_RATE_HZ = 200.0
 """Highest rate at which a motion is simulated and processed [Hz], far above its band. The noise of
 a sample is scaled to the lower rate."""
 MOST_SAMPLES = 200_000
-"""Number of samples beyond which simulating and processing a motion would take too long."""
-_LARGEST_ERROR = 100.0
-"""Standard error over the parameter's size beyond which a parameter counts as not identifiable: its
-variance is then rounding."""
+"""Largest number of samples that are simulated and processed; of a longer motion the first ones.
+The errors are then those of a recording of that part."""
 NOISE = "torque noise"
 """Name of the cause of errors that is in every recording."""
-SUSPICION = (
-    "links that are all too heavy, or all too light, look like a common torque scale "
-    "(--scale-uncertainty states how large that may be)"
-)
-"""Why a scale of all torques may be suspected."""
-_SUSPICION_SHARE = 0.05
-"""Share of recordings with a suspected scale above which the suspicion is reported."""
 TYPICAL_LOAD = 0.025
 """Mass of a payload before it is known, as a share of the arm's moving mass: about a tenth of what
 arms of this mass are rated for."""
@@ -104,15 +81,11 @@ class RecordingPlan:
         options: of the identification.
         target: what is to be identified, see ``PriorKnowledge``. A motion for a payload is recorded
             in the order ``PAYLOAD_ORDER``.
-        repetitions: how often the motion is passed in each recording.
-        load: (10,) the payload; None for ``typical_load``.
     """
 
     sample_rate: float
     options: EstimationOptions
     target: str = "link"
-    repetitions: float = 1.0
-    load: Array | None = None
 
     @property
     def is_payload(self) -> bool:
@@ -228,8 +201,8 @@ def predict(
 ) -> Prediction:
     """Return the standard errors to expect of an identification from recordings of a motion.
 
-    Where the motion cannot be processed like a log, the errors are a lower bound, computed from all
-    samples, and ``Prediction.caveat`` states the reason.
+    Raises:
+        InputError: the motion cannot be processed like a log.
     """
     robot = problem.robot
     knowledge = prior_knowledge(problem, recording.options, recording.target)
@@ -245,21 +218,11 @@ def predict(
         theta = typical_load(problem)
         subject = f"a load of {load_text(problem)} ({_load_reason(problem)})"
         size = theta[0] / robot.prior.mass * size
-    caveat = ""
+    posterior = predict_posterior(problem, plan, recording)
+    covariance, by_cause = posterior.errors_of(names)
     link_errors = dict[str, float]()
-    common_scale = None
-    try:
-        posterior = predict_posterior(problem, plan, recording)
-    except InputError as error:
-        caveat = f"{ALL_SAMPLES}: {error}"
-        covariance = _bound_from_all_samples(problem, plan, recording, knowledge)
-        by_cause = {NOISE: covariance}
-    else:
-        covariance, by_cause = posterior.errors_of(names)
-        if recording.target == "arm":
-            link_errors = _link_mass_errors(problem, posterior)
-        if posterior.suspicion > _SUSPICION_SHARE:
-            common_scale = posterior.suspicion_case(names, theta)
+    if recording.target == "arm":
+        link_errors = _link_mass_errors(problem, posterior)
     return Prediction(
         recordings=recordings,
         subject=subject,
@@ -269,34 +232,7 @@ def predict(
         covariance_by_cause=by_cause,
         link_mass_errors=link_errors,
         invisible=invisible_combinations(problem, criterion),
-        caveat=caveat,
-        common_scale=common_scale,
     )
-
-
-def _bound_from_all_samples(
-    problem: ExcitationProblem,
-    plan: MotionPlan,
-    recording: RecordingPlan,
-    knowledge: PriorKnowledge,
-) -> Array:
-    """Return the covariance (10, 10) that all samples of a motion would give, a lower bound.
-
-    The diagonal is infinite for parameters whose errors are many times their sizes: these are not
-    identifiable, and their variances are rounding.
-    """
-    size = parameter_sizes(problem)
-    criterion = design_criterion(problem, knowledge)
-    information = plan_information(problem, plan, recording.sample_rate, knowledge)
-    covariance = criterion.covariance(information).copy()
-    if recording.is_payload:
-        common = common_scale_error(problem, recording.options)
-        load = typical_load(problem)
-        covariance += common**2 * np.outer(load, load)
-    variance = np.diag(covariance)
-    is_known = (variance > 0.0) & (variance < (_LARGEST_ERROR * size) ** 2)
-    np.fill_diagonal(covariance, np.where(is_known, variance, np.inf))
-    return covariance
 
 
 @dataclass(frozen=True)
@@ -307,15 +243,11 @@ class ExpectedPosterior:
         unknowns: the k parameters of the estimate.
         errors: covariance of these parameters.
         causes: cause of errors to rows R (m, k); the cause adds R^T R to the covariance by noise.
-        suspicion: share of recordings in which a scale of all torques is suspected.
-        suspected_errors: covariance of the parameters that is stated in these recordings.
     """
 
     unknowns: Unknowns
     errors: Uncertainty
     causes: Mapping[str, Array]
-    suspicion: float
-    suspected_errors: Uncertainty
 
     def errors_of(self, names: Sequence[str]) -> tuple[Array, dict[str, Array]]:
         """Return the covariance (10, 10) of ten named parameters, and its parts (10, 10) by cause;
@@ -329,21 +261,6 @@ class ExpectedPosterior:
         covariance = self.errors.covariance[block]
         np.fill_diagonal(covariance, self.errors.standard_errors[indices] ** 2)
         return covariance, by_cause
-
-    def suspicion_case(self, names: Sequence[str], theta: Array) -> Improvement:
-        """Return, with a description, the errors of a body's mass and centre of mass that are
-        stated in recordings in which a scale of all torques is suspected.
-
-        Args:
-            names: of the body's ten parameters.
-            theta: (10,) their values.
-        """
-        indices = self._indices(names)
-        covariance = self.suspected_errors.covariance[np.ix_(indices, indices)]
-        return Improvement(
-            f"In about {percent(self.suspicion)} of recordings {SUSPICION}",
-            *mass_and_centre_errors(theta, projected_covariance(theta, covariance)),
-        )
 
     def _indices(self, names: Sequence[str]) -> list[int]:
         """Return the indices of the named parameters among the estimated ones."""
@@ -373,7 +290,7 @@ def predict_posterior(
     columns = Columns(robot, datasets, options.torques, choice.couplings)
     torque = rms_torque(datasets)
     point = columns.start()
-    load = typical_load(problem) if recording.load is None else recording.load
+    load = typical_load(problem)
     if is_loaded:
         values = point.values.copy()
         values[columns.indices(PAYLOAD_NAMES)] = load
@@ -386,20 +303,10 @@ def predict_posterior(
     information = data.of(unknowns)
     noise = _row_noise(problem, dataset, recording, torque[list(columns.joint_indices)])
     triangle = whole_triangle(information, noise[0])
-    errors_with = partial(_errors_with_priors, information, noise, triangle)
-    errors = errors_with(unknowns.groups)
+    errors = _errors_with_priors(information, noise, triangle, unknowns.groups)
     causes = {}
     for group in unknowns.groups:
         causes[group.cause] = group.covariance_rows(information.names, errors.inverse)
-    suspicion = 0.0
-    suspected_errors = errors
-    if unknowns.may_be_scaled(question):
-        choice = replace(choice, common_scale=COMMON_SCALE)
-        scaled = build_unknowns(columns, question, choice, torque, data.nonzero)
-        scaled_errors = errors_with(scaled.groups)
-        suspicion, suspected_errors = _suspected_scale(
-            (unknowns, errors), (scaled, scaled_errors)
-        )
     if is_loaded:
         # An error of all torque scales together changes every parameter of the payload alike.
         common = common_scale_error(problem, options)
@@ -411,7 +318,7 @@ def predict_posterior(
         indices, body = unknowns.bodies[robot.body_name]
         estimated = np.searchsorted(unknowns.estimated, indices)
         errors, causes = project_errors(errors, causes, estimated, body, body)
-    return ExpectedPosterior(unknowns, errors, causes, suspicion, suspected_errors)
+    return ExpectedPosterior(unknowns, errors, causes)
 
 
 def _processed_motion(
@@ -423,11 +330,8 @@ def _processed_motion(
         InputError: the motion cannot be processed as a log.
     """
     rate = recording.simulated_rate
-    if sample_count(plan.duration, rate) > MOST_SAMPLES:
-        raise InputError(
-            f"only motions up to {MOST_SAMPLES / rate:.0f} s are processed beforehand"
-        )
-    chunks = simulate_inverse(problem.robot, motion_chunks(plan, rate))
+    times = sample_times(plan.duration, rate, end=MOST_SAMPLES / rate)
+    chunks = simulate_inverse(problem.robot, map(plan.evaluate, times))
     samples = replace(join_measurements(chunks), qd=None, qdd=None)
     pieces = [Piece("", samples)]
     (dataset,), _ = low_pass_recordings(problem.robot, pieces, recording.options)
@@ -472,7 +376,7 @@ def _row_noise(
     filtered_sigma = sigma * np.sqrt(np.sum(low_pass.kernel**2))
     density = sigma / np.sqrt(low_pass.step)
     unmodelled = UNMODELLED_TORQUE * torque if recording.is_payload else 0.0
-    total = np.hypot(density, unmodelled) / np.sqrt(recording.repetitions)
+    total = np.hypot(density, unmodelled)
     return density / (total * filtered_sigma), total
 
 
@@ -497,30 +401,6 @@ def _errors_with_priors(
     # The right-hand side b has no part in the errors.
     space = triangle_space(triangle[:, :-1])
     return uncertainty(with_priors, *noise, space=space)
-
-
-def _suspected_scale(
-    separate: tuple[Unknowns, Uncertainty], common: tuple[Unknowns, Uncertainty]
-) -> tuple[float, Uncertainty]:
-    """Return the share of recordings in which a scale of all torques is suspected although there is
-    none, and the errors that an estimate states in these recordings.
-
-    Args:
-        separate: unknowns and errors of an estimate without a scale of all torques.
-        common: unknowns and errors of an estimate with a scale of all torques.
-    """
-    covariances = []
-    for unknowns, errors in (separate, common):
-        scales = next(group for group in unknowns.groups if group.cause == SCALES)
-        indices = scales.indices(unknowns.estimated_names)
-        prior = scales.factor @ scales.factor.T
-        covariances.append((prior, errors.inverse[np.ix_(indices, indices)]))
-    share, products = false_alarms(*covariances)
-    # The mean square change of the estimate by the common scale, times the probability that there
-    # is none: one half. The ``indices`` are those of the scales in ``common``, the last pair.
-    common_errors = common[1]
-    gain = common_errors.inverse[:, indices]
-    return share, common_errors.with_cause(0.5 * gain @ products @ gain.T)
 
 
 def friction_lines(

@@ -24,13 +24,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robot_sysid.dynamics.inverse_dynamics import (
-    LinksMotion,
-    bracket_transposed,
-    split_motion,
-)
+from robot_sysid.dynamics.inverse_dynamics import LinksMotion, bracket_transposed
 from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.records import Array, MotionPlan
+from robot_sysid.records import Array
 from robot_sysid.regressor import wrench_regressor
 
 _RIDGE = 1e-10
@@ -48,13 +44,6 @@ _N_TERMS = len(JOINT_TERMS)
 _RANDOM_SIZE = 400_000
 """Largest number of samples of random motion times the square of the number of joints: bounds the
 memory for arms with many joints (50 MB for 60 joints)."""
-
-_INSTANTS_HZ = 10.0
-"""Instants per second at which ``plan_information`` evaluates a motion [Hz]."""
-_FEWEST_INSTANTS = 100
-"""Fewest instants at which ``plan_information`` evaluates a motion, however short."""
-_MOST_INSTANTS = 4000
-"""Most instants at which ``plan_information`` evaluates a motion, however long."""
 
 Gradient = tuple[Array, Array, Array]
 """Gradient of a scalar with respect to q, qd and qdd, (N, n) each."""
@@ -453,28 +442,3 @@ def random_information(
     q = np.clip(problem.rest + 2.0 * q, problem.limits.lower, problem.limits.upper)
     sigma = np.full(len(problem.rows), noise)
     return InformationModel(problem, sigma, knowledge).evaluate(q, qd, qdd).information
-
-
-def plan_information(
-    problem: ExcitationProblem, plan: MotionPlan, rate: float, knowledge: PriorKnowledge
-) -> Array:
-    """Return the information (10 L, 10 L) that a recording of a planned motion will have about all
-    L links with mass, the terminal link first.
-
-    It is computed at fewer instants than are recorded; the noise of each is lowered to make up
-    for that.
-
-    Args:
-        problem: the arm, with the torque noise of one recorded sample.
-        plan: the motion.
-        rate: sample rate of the recording [Hz].
-        knowledge: of the estimate beforehand; decides which unknowns each joint has.
-    """
-    n_instants = _INSTANTS_HZ * plan.duration
-    count = int(np.clip(n_instants, _FEWEST_INSTANTS, _MOST_INSTANTS))
-    motion = plan.evaluate((np.arange(count) + 0.5) * plan.duration / count)
-    sigma = problem.sigma * np.sqrt(count / (rate * plan.duration))
-    model = InformationModel(problem, sigma, knowledge)
-    series = motion.q, motion.qd, motion.qdd
-    chunks = split_motion(10 * problem.n_joints**2, *series)
-    return np.asarray(sum(model.evaluate(*chunk).information for chunk in chunks))

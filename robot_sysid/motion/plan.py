@@ -48,8 +48,6 @@ class MotionRequest:
         poses: purpose of the motion, and its resting poses if it has some.
         prior_knowledge: returns the priors of the estimate for an arm; None where all but the
             terminal link and friction is known.
-        identifiability_note: takes a random motion before a search and returns a note on
-            parameters that no motion identifies; "" for none.
         link_uncertainty: how far the links may be off [%]; torque is reserved for that.
     """
 
@@ -61,7 +59,6 @@ class MotionRequest:
     played: bool = False
     poses: PoseOptions = PoseOptions()
     prior_knowledge: Callable[[ExcitationProblem], PriorKnowledge] | None = None
-    identifiability_note: Callable[[ExcitationProblem, MotionPlan], str] | None = None
     link_uncertainty: float = 0.0
 
     @property
@@ -266,15 +263,7 @@ def _designed_plan(
     if request.prior_knowledge is not None:
         knowledge = request.prior_knowledge(problem)
     design = Design(problem, request.excitation, request.trajectory, knowledge)
-
-    def report_start(plan: MotionPlan) -> None:
-        """Note which parameters no motion identifies, with this one as the example."""
-        if request.identifiability_note is not None:
-            note = request.identifiability_note(problem, plan)
-            if note:
-                progress.note(note)
-
-    result = design_excitation(design, rng, progress, report_start)
+    result = design_excitation(design, rng, progress)
     progress.note(*result.notes)
     gain = result.start_objective / result.objective
     progress.stage(

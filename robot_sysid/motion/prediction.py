@@ -6,7 +6,7 @@ The standard errors that are expected of the estimate are numbers (``Prediction`
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +30,6 @@ from robot_sysid.records import Array, MotionPlan
 from robot_sysid.records.messages import (
     PARAMETER_UNITS,
     Detail,
-    NextStep,
     percent,
     position_unit,
     torque_unit,
@@ -52,29 +51,6 @@ _MOST_POSTURES = 3000
 
 
 @dataclass(frozen=True)
-class Improvement:
-    """A change that would make the predicted errors smaller.
-
-    Attributes:
-        description: of the change, in words.
-        mass_error: standard error of the mass after it [kg]; 0 where the mass is then known.
-        centre_error: standard error of the centre of mass after it [m].
-        options: command-line options that plan such a motion, if any.
-    """
-
-    description: str
-    mass_error: float
-    centre_error: float
-    options: tuple[str, ...] = ()
-
-    @property
-    def figures(self) -> str:
-        """The errors after the change, in words."""
-        mass = f"mass ± {self.mass_error:.2g} kg, " if self.mass_error else ""
-        return f"{mass}centre of mass ± {1e3 * self.centre_error:.2g} mm"
-
-
-@dataclass(frozen=True)
 class Prediction:
     """Standard errors that are expected of an identification of one recording of a motion.
 
@@ -89,10 +65,6 @@ class Prediction:
         covariance_by_cause: cause of errors to its part (10, 10) of the covariance.
         link_mass_errors: name of every other link to the standard error of its mass over its mass.
         invisible: combinations of parameters that no motion of these joints shows, in words.
-        improvements: changes that would make the errors smaller, the best first.
-        caveat: why the errors are only a lower bound, computed from all samples; "" where not.
-        common_scale: how often the identification will suspect one wrong scale of all torques, with
-            the larger errors that it will then state; None where that is rare.
     """
 
     recordings: str
@@ -103,9 +75,6 @@ class Prediction:
     covariance_by_cause: Mapping[str, Array]
     link_mass_errors: Mapping[str, float]
     invisible: tuple[str, ...]
-    improvements: tuple[Improvement, ...] = ()
-    caveat: str = ""
-    common_scale: Improvement | None = None
 
     @property
     def standard_errors(self) -> Array:
@@ -121,14 +90,6 @@ class Prediction:
     def relative_mass_error(self) -> float:
         """Predicted standard error of the mass over the mass; infinite if not identified."""
         return self.errors_of(self.covariance)[0] / float(self.size[0])
-
-    def combined_error(self, mass_error: float, centre_error: float) -> float:
-        """Return errors of mass [kg] and centre of mass [m] as one number: the root of the sum of
-        squares of both, each over the body's size.
-        """
-        mass = float(self.size[0])
-        length = float(np.linalg.norm(self.size[1:4])) / mass
-        return float(np.hypot(mass_error / mass, centre_error / length))
 
     def errors_by_cause(self) -> list[tuple[str, float, float]]:
         """Return (cause, its error of the mass [kg], its error of the centre of mass [m]) of all
@@ -185,8 +146,8 @@ def plan_lines(
     check: LimitCheck,
     prediction: Prediction,
 ) -> Iterator[str]:
-    """Yield the lines that ``robot-sysid plan`` prints about a checked motion, but for those on
-    improvements; a ``Detail`` is printed on demand only.
+    """Yield the lines that ``robot-sysid plan`` prints about a checked motion; a ``Detail`` is
+    printed on demand only.
     """
     yield from limit_lines(problem, plan, check)
     yield from _error_lines(prediction)
@@ -222,8 +183,6 @@ def limit_lines(
 def _error_lines(prediction: Prediction) -> Iterator[str]:
     """Yield the errors that an identification will state, and their largest causes."""
     yield f"{prediction.recordings}, it determines {prediction.subject} with these errors:"
-    if prediction.caveat:
-        yield f"  {prediction.caveat}"
     mass, centre = prediction.errors_of(prediction.covariance)
     causes = prediction.errors_by_cause()
     if np.isfinite(mass):
@@ -254,9 +213,6 @@ def _error_lines(prediction: Prediction) -> Iterator[str]:
             f"No motion of these joints identifies {combination}: use --torques chain if only the "
             "last joint is used now, or mount the base at another angle"
         )
-    if prediction.common_scale:
-        doubt = prediction.common_scale
-        yield Detail(f"  {doubt.description}: {doubt.figures}")
     for cause, mass_error, centre_error in causes:
         figures = (
             f"mass {mass_error:.2g} kg, centre of mass {1e3 * centre_error:.2g} mm"
@@ -266,27 +222,6 @@ def _error_lines(prediction: Prediction) -> Iterator[str]:
     for name, error, unit in errors:
         if np.isfinite(error):
             yield Detail(f"  {name:3s} ± {error:9.2e} {unit}")
-
-
-def improvement_lines(
-    improvements: Sequence[Improvement],
-    command_of: Callable[[Improvement], tuple[str, ...]],
-) -> Iterator[str]:
-    """Yield lines on the change with the largest gain, and on the best one that a command makes.
-
-    Args:
-        improvements: the one with the largest gain first.
-        command_of: returns the words of the command that plans the changed motion, () without one.
-    """
-    title = "What helps most is"
-    for change in improvements:
-        command = command_of(change)
-        yield from NextStep(
-            f"{title} {change.description} ({change.figures})", command
-        ).lines()
-        if command:
-            return
-        title = "What helps as well is"
 
 
 def motion_lines(

@@ -5,23 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robot_sysid.config import SysidConfig
+from robot_sysid.errors import InputError
 from robot_sysid.export import MotorFile, Outcome
 from robot_sysid.motion import WEIGHT
 from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
 from robot_sysid.records import MotionPlan, RobotModel
-from robot_sysid.records.file_access import (
-    DAMIAO_NAME,
-    AtomicFiles,
-    atomic_files,
-    is_same_file,
-)
+from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_files
 from robot_sysid.records.messages import NextStep, Progress
 from robot_sysid.records.option_fields import given_arguments, joint_values
 from robot_sysid.results.next_steps import Words, step_after
@@ -38,10 +33,8 @@ from robot_sysid.trajectory import motion_chunks
 if TYPE_CHECKING:
     from robot_sysid.config import MotorOptions
     from robot_sysid.damiao.trajectory import MotionChunk
-    from robot_sysid.motion.prediction import Improvement, Prediction
+    from robot_sysid.motion.prediction import Prediction
 
-_SAMPLING = ("duration", "sample_rate", "speed", "seed")
-"""Keys of a trajectory's options that another motion has, too."""
 _SMOOTH_REVERSAL = 0.01
 """Speed at which exported dry friction has reached 76 % of its size [rad/s]. A wider transition is
 gentler, but an arm that sticks longer at its reversals shows less: 0.03 costs a millimetre more."""
@@ -87,15 +80,12 @@ def design_motion(
         link_uncertainty=estimation.link_uncertainty,
     )
     if config.excitation.kind == "optimal":
-        from robot_sysid.motion.expected_errors import RecordingPlan, prior_knowledge
-        from robot_sysid.motion.improvements import identifiability_note
+        from robot_sysid.motion.expected_errors import prior_knowledge
 
         target = config.poses.target
-        recording = RecordingPlan(config.trajectory.sample_rate, estimation, target)
         request = replace(
             request,
             prior_knowledge=partial(prior_knowledge, options=estimation, target=target),
-            identifiability_note=partial(identifiability_note, recording=recording),
         )
     return make_plan(request, robot, seed, progress), seed
 
@@ -110,7 +100,6 @@ def predict_plan(
     """
     from robot_sysid.motion import expected_errors, static
     from robot_sysid.motion import prediction as predictions
-    from robot_sysid.motion.improvements import expected_improvements
 
     problem = checked.problem
     plan = checked.plan
@@ -120,13 +109,14 @@ def predict_plan(
     assert problem is not None and check is not None
     if not poses.sets_its_time:
         recording = expected_errors.RecordingPlan(rate, config.estimation, poses.target)
-        prediction = expected_errors.predict(problem, plan, recording)
-        improvements = expected_improvements(problem, plan, recording, prediction)
-        prediction = replace(prediction, improvements=improvements)
-        lines = [*predictions.plan_lines(problem, plan, check, prediction)]
-        command_of = partial(_command_of_plan, config)
-        lines += predictions.improvement_lines(improvements, command_of)
-        return prediction, lines
+        try:
+            prediction = expected_errors.predict(problem, plan, recording)
+        except InputError as error:
+            limits = [*predictions.limit_lines(problem, plan, check)]
+            unknown = f"The errors that it will leave cannot be predicted: {error}"
+            details = predictions.motion_lines(problem, plan, check)
+            return None, [*limits, unknown, *details]
+        return prediction, [*predictions.plan_lines(problem, plan, check, prediction)]
     lines = [*predictions.limit_lines(problem, plan, check)]
     if poses.static:
         mass = float(expected_errors.typical_load(problem)[0])
@@ -138,31 +128,6 @@ def predict_plan(
         lines += expected_errors.friction_lines(problem, plan, rate, config.estimation)
     lines += predictions.motion_lines(problem, plan, check)
     return None, lines
-
-
-def _command_of_plan(config: SysidConfig, change: Improvement) -> tuple[str, ...]:
-    """Return the words of the command that plans a changed motion with the options of this one.
-
-    () where no options make the change, and where no file of the options is written.
-    """
-    if not change.options or config.plan_file is None:
-        return ()
-    settings = config.plan_file.with_suffix(".toml")
-    folder = str(config.plan_file.parent / "again")
-    # The settings of a motion from a file ask for that motion again, and a file that the settings
-    # were read from lacks those of the command line.
-    is_from_file = config.trajectory.file is not None
-    if is_from_file or is_same_file(settings, config.output.config):
-        sampling = given_arguments(config.trajectory, _SAMPLING)
-        source = [str(config.model.path), *sampling]
-        motion = (config.limits, config.excitation, config.motors)
-        for record in (config.model, *motion, config.arm, config.estimation):
-            source += given_arguments(record)
-        if "--for" not in change.options:
-            source += given_arguments(config.poses)
-    else:
-        source = ["--config", str(settings)]
-    return ("robot-sysid", "plan", *source, *change.options, "--output-dir", folder)
 
 
 def write_plan(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Outcome:
@@ -181,11 +146,10 @@ def write_plan(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> 
     else:
         paths, clamping = _write_motion(config, robot, checked.plan)
         lines += clamping
-    shortfall, step = _shortfall(config, prediction)
+    shortfall = _shortfall(config, prediction)
     verdict = [plan_verdict(failure, shortfall, _conditions(checked))]
-    if failure:
-        step = None
-    elif not shortfall:
+    step = None
+    if not (failure or shortfall):
         step = _step_after(config, paths)
     verdict += () if step is None else step.lines()
     return Outcome(
@@ -231,40 +195,26 @@ def _write_motion(
     return (*paths, motor_path), clamping_lines(report, robot.joint_names)
 
 
-def _shortfall(
-    config: SysidConfig, prediction: Prediction | None
-) -> tuple[str, NextStep | None]:
-    """Return what keeps a motion from its purpose, and the step that plans a better one.
+def _shortfall(config: SysidConfig, prediction: Prediction | None) -> str:
+    """Return what keeps a motion from its purpose; "" for nothing.
 
     Args:
         config: the settings with which the motion was planned.
         prediction: errors to expect of an identification from it; None where it serves another
-            purpose.
-
-    Returns:
-        The shortfall, "" for none; the step, None where there is no better motion to plan.
+            purpose, or where they cannot be predicted.
     """
     from robot_sysid.motion.prediction import LARGE_SHARE
 
-    if prediction is None or config.poses.purpose == WEIGHT:
-        return "", None
+    if config.poses.sets_its_time or config.poses.purpose == WEIGHT:
+        return ""
+    if prediction is None:
+        return "the errors that it will leave cannot be predicted"
     mass_share = prediction.relative_mass_error
     # Where no motion determines the mass by these torques, the lines on the plan say so.
     if np.isinf(mass_share) and prediction.invisible:
-        return "", None
+        return ""
     largest = LARGE_SHARE if config.poses.target == "payload" else UNKNOWN
-    shortfall = plan_shortfall(prediction.subject, mass_share, largest)
-    if not shortfall:
-        return "", None
-    mass_error = largest * float(prediction.size[0])
-    commands = []
-    for change in sorted(prediction.improvements, key=attrgetter("mass_error")):
-        if change.mass_error <= mass_error:
-            commands.append(_command_of_plan(config, change))
-    command = next(filter(None, commands), None)
-    if command is None:
-        return shortfall, None
-    return shortfall, NextStep("Next, plan a motion that determines it", command)
+    return plan_shortfall(prediction.subject, mass_share, largest)
 
 
 def _conditions(checked: CheckedPlan) -> list[str]:

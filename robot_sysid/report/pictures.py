@@ -11,10 +11,11 @@ import numpy as np
 from robot_sysid.dynamics.spatial import characteristic_length, com_from_theta
 from robot_sysid.errors import SysidError
 from robot_sysid.parser import load_robot_model
-from robot_sysid.preview.film import Colour, Studio, png_bytes
 from robot_sysid.records import Array, Flange, RobotModel
+from robot_sysid.report.motion_strip import motion_strip
 from robot_sysid.report.runs import Body, Run
 from robot_sysid.report.sections import Figure, Section
+from robot_sysid.report.studio import Colour, Studio, png_bytes
 
 _SIZE = (800, 620)
 """Width and height of a picture [pixels]."""
@@ -29,7 +30,7 @@ _FARTHER = 1.25
 """Least distance of the camera from the whole arm, in distances at which just the arm fits."""
 _NEAREST = 3.0
 """Least distance of the camera from the last link, in extents of its largest ellipsoid."""
-_TITLE = "Inertia on the arm"
+_TITLE = "Inertia on the arm, and its motion"
 """Heading of the section with the pictures."""
 Bodies = list[tuple[int, Body]]
 """Pairs (MuJoCo id of the body that carries the frame, body in that frame)."""
@@ -57,7 +58,11 @@ def picture(run: Run, mesh_dir: Path | None = None) -> Section:
             raise SysidError(
                 f"no pictures of the arm: {path} has changed since the run"
             )
-        return _ellipsoid_section(robot, list(_drawn_bodies(robot, run)))
+        section = _ellipsoid_section(robot, list(_drawn_bodies(robot, run)))
+        if run.data is None:
+            return section
+        strip = motion_strip(robot, run.data.time, run.data.q)
+        return replace(section, figures=(*section.figures, strip))
     except SysidError as error:
         return Section("picture", _TITLE, missing=(str(error),))
 

@@ -56,7 +56,7 @@ BESIDE = {
 
 def is_path(action):
     """Whether an option or a word of a parser takes a path."""
-    kinds = {"Path", "parse_folder", "film_path", "parse_factors"}
+    kinds = {"Path", "parse_folder", "parse_factors"}
     return getattr(action.type, "__name__", "") in kinds or action.dest == "park"
 
 
@@ -133,8 +133,6 @@ def test_no_path_leads_to_a_pipe_or_a_device(
     files, tmp_path, monkeypatch, capsys, bus, command, action, name
 ):
     arguments = words_with(command, action, name)
-    if "--video" in arguments:
-        pytest.importorskip("imageio")
     for path in files.iterdir():
         (tmp_path / path.name).symlink_to(path)
     os.mkfifo(tmp_path / "pipe")

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from robot_sysid.config import MotorOptions, SysidConfig
 from robot_sysid.errors import InputError
 from robot_sysid.motion.plan import CheckedPlan
-from robot_sysid.motion.prediction import Improvement, Prediction
+from robot_sysid.motion.prediction import Prediction
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import planning
 from robot_sysid.pipeline.planning import (
@@ -59,55 +57,28 @@ def test_no_motor_file_is_written_that_no_option_asks_for(robot):
     assert motor_writer(MotorOptions(), robot, None, 100.0) is None
 
 
-WEIGHING = ("--for", "payload")
-
-
-def predicted(mass_error, error_after):
-    """A made-up prediction for a mass of 1 kg, and one change that a command makes."""
-    change = Improvement("weighing", error_after, 0.001, WEIGHING)
+def predicted(mass_error):
+    """A made-up prediction for a mass of 1 kg."""
     covariance = np.eye(10) * mass_error**2
     theta = np.eye(10)[0]
     causes = {"links": covariance}
-    return Prediction(
-        "Once", "link1", theta, np.ones(10), covariance, causes, {}, (), (change,)
-    )
+    return Prediction("Once", "link1", theta, np.ones(10), covariance, causes, {}, ())
 
 
 @pytest.mark.parametrize(
-    ("mass_error", "error_after", "verdict", "sentence"),
+    ("prediction", "verdict"),
     [
-        (0.1, 0.05, "Usable", "Next, play it"),
-        (0.8, 0.05, "Not ready", "Next, plan a motion that determines it"),
-        (0.8, 0.7, "Not ready", None),
+        (predicted(0.1), "Usable"),
+        (predicted(0.8), "Not ready: after this motion the mass of link1"),
+        (None, "Not ready: the errors that it will leave cannot be predicted"),
     ],
 )
 def test_the_step_after_a_motion_that_is_not_ready_does_not_play_it(
-    robot, tmp_path, monkeypatch, mass_error, error_after, verdict, sentence
+    robot, tmp_path, monkeypatch, prediction, verdict
 ):
-    """It plans one that is, or there is none."""
-    prediction = predicted(mass_error, error_after)
     monkeypatch.setattr(planning, "predict_plan", lambda *_: (prediction, []))
     config = SysidConfig.of_plan(robot.path, output_dir=tmp_path)
     plan = SineTrajectory(*np.zeros((1, 2)), *np.zeros((3, 2, 1)), 4.0, fade=1.0)
     outcome = write_plan(config, robot, CheckedPlan(plan))
     assert outcome.verdict[0].startswith(verdict)
-    step = outcome.next_step
-    assert (step and step.sentence.partition(",")[0]) == (sentence and "Next")
-    assert sentence is None or step.sentence.startswith(sentence)
-
-
-def test_the_command_of_a_better_motion_keeps_the_options_of_this_one(tmp_path):
-    """The file that a plan's options came from lacks those of its command line."""
-    save = tmp_path / "plan.json"
-    settings = tmp_path / "plan.toml"
-    values = {"for_": "payload", "save_trajectory": save, "max_torque": (3.0,)}
-    change = Improvement("longer", 0.1, 0.1, ("--duration", "60"))
-    config = SysidConfig.of_plan("arm.xml", **values)
-    command = planning._command_of_plan(config, change)
-    assert command[2:4] == ("--config", str(settings))
-    settings.write_text('path = "arm.xml"\n')
-    own = replace(config, output=replace(config.output, config=settings))
-    command = " ".join(planning._command_of_plan(own, change))
-    assert "plan arm.xml " in command and "--for payload" in command
-    assert "--max-torque 3" in command and "--save-trajectory" not in command
-    assert command.endswith(f"--duration 60 --output-dir {tmp_path / 'again'}")
+    assert (outcome.next_step is None) == verdict.startswith("Not ready")

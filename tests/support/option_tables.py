@@ -16,8 +16,7 @@ from robot_sysid.config import PayloadOptions
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
-from robot_sysid.motion import PoseOptions
-from robot_sysid.preview import PreviewOptions
+from robot_sysid.motion import PoseOptions, ViewOptions
 from robot_sysid.records.option_fields import Option, default_of, options_of
 from tests.support.places import ROOT
 
@@ -31,7 +30,7 @@ TABLES: Mapping[str, Sequence[type]] = {
         ConsoleOptions,
     ),
     "plan for a payload": (PoseOptions,),
-    "preview": (PreviewOptions,),
+    "preview": (ViewOptions,),
     "console": (ConsoleOptions,),
     "payload": (PayloadOptions,),
     "motors: bus": (BusAddress, BusTiming),

@@ -1,4 +1,4 @@
-"""An error that the torque scales of all joints share: when results note it, and false alarms.
+"""An error that the torque scales of all joints share: when results note it.
 
 Where the model's links are the only reference, torques that all read 10 % too high and links that
 are all 10 % lighter than modelled give the same equations. A prior for a common scale is used where
@@ -8,7 +8,7 @@ the recordings show such a scale, so that arms whose links are all off by chance
 from __future__ import annotations
 
 from dataclasses import replace
-from math import erfc, exp, pi, sqrt
+from math import sqrt
 
 import numpy as np
 
@@ -32,57 +32,9 @@ def is_notable_scale(scales: Array, spread: Array) -> bool:
         scales: (joints,) estimated relative errors of the torque scales, 0.1 for 10 %.
         spread: (joints, joints) covariance of these estimates.
     """
-    return bool(abs(np.mean(scales)) > _least_notable_scale(spread))
-
-
-def _least_notable_scale(spread: Array) -> float:
-    """Return the smallest mean scale (relative) that results note.
-
-    ``spread`` (joints, joints) is the covariance of the scales.
-    """
     # The mean of all elements of a covariance is the variance of the mean.
-    return max(SIGNIFICANT * sqrt(np.mean(spread)), LEAST_SCALE)
-
-
-def false_alarms(
-    separate: tuple[Array, Array], common: tuple[Array, Array]
-) -> tuple[float, Array]:
-    """Return the probability that a common torque scale is noted although there is none, and the
-    mean products E[D x x^T D] (joints, joints) over these false alarms.
-
-    The probability is over arms drawn from the prior of separate scales. Estimates x of the scales
-    with separate priors become (1 + C_common D) x with a common scale, D = K_separate - K_common, K
-    the prior precision of the scales, C their posterior covariance. x is Gaussian; its covariance
-    is the prior covariance minus the posterior one. Both results are zero where the data holds no
-    information on the scales, so that the two are equal.
-
-    Args:
-        separate: (prior, posterior) covariance of the scales with separate priors, each (joints,
-            joints).
-        common: (prior, posterior) covariance of the scales with a common scale in the prior.
-    """
-    prior, posterior = separate
-    common_prior, common_posterior = common
-    # D of the docstring.
-    precision_loss = np.linalg.inv(prior) - np.linalg.inv(common_prior)
-    # The mean of the scales with a common scale is weights^T x.
-    weights = np.mean(np.eye(len(prior)) + common_posterior @ precision_loss, axis=0)
-    covariance = prior - posterior
-    variance = float(weights @ covariance @ weights)
-    # Without information on scales, rounding remains.
-    if variance <= 0.0:
-        return 0.0, 0.0 * covariance
-    # L, the least mean that is noted, in standard deviations.
-    limit = _least_notable_scale(common_posterior) / sqrt(variance)
-    probability = erfc(limit / sqrt(2.0))
-    # The mean square of a unit Gaussian beyond L is 1 + L phi(L) / (1 - Phi(L)) (Johnson, Kotz,
-    # Balakrishnan, "Continuous Univariate Distributions", vol. 1, 1994, ch. 13).
-    excess = 0.0
-    if probability:
-        excess = limit * exp(-0.5 * limit**2) * sqrt(2.0 / pi) / probability
-    along = covariance @ weights
-    products = covariance + excess / variance * np.outer(along, along)
-    return probability, precision_loss @ products @ precision_loss
+    least = max(SIGNIFICANT * sqrt(np.mean(spread)), LEAST_SCALE)
+    return bool(abs(np.mean(scales)) > least)
 
 
 def with_common(group: NuisanceGroup, common_deviation: float) -> NuisanceGroup:

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.algebra import common_scale
-from robot_sysid.estimation.algebra.common_scale import false_alarms, with_common
+from robot_sysid.estimation.algebra.common_scale import with_common
 from robot_sysid.estimation.algebra.least_squares import InformationAccumulator, solver
 from robot_sysid.estimation.algebra.priors import (
     WIDEST,
@@ -294,38 +293,6 @@ def mass_and_scale_priors():
 def precision_of(groups):
     rows = [group.covariance_rows(SCALED_NAMES, np.eye(5)) for group in groups]
     return np.vstack(rows).T @ np.vstack(rows)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_rate_of_false_alarms_is_that_of_drawn_arms(seed, monkeypatch):
-    rng = np.random.default_rng(seed)
-    # Each joint feels its own scale, and both masses by its own arms.
-    rows = np.hstack((rng.uniform(0.3, 1.0, (3, 2)), np.eye(3))) / 0.01
-    narrow, wide = map(np.linalg.inv, map(precision_of, mass_and_scale_priors()))
-    posteriors = [
-        np.linalg.inv(rows.T @ rows + np.linalg.inv(prior)) for prior in (narrow, wide)
-    ]
-    monkeypatch.setattr(common_scale, "LEAST_SCALE", 0.05)
-    scale_priors = narrow[2:, 2:], wide[2:, 2:]
-    pairs = zip(scale_priors, [posterior[2:, 2:] for posterior in posteriors])
-    rate, products = false_alarms(*pairs)
-    arms = rng.multivariate_normal(np.zeros(5), narrow, 20000)
-    data = (arms @ rows.T + rng.normal(size=(20000, 3))) @ rows
-    mean_scale = np.mean((data @ posteriors[1])[:, 2:], axis=1)
-    threshold = max(0.05, np.sqrt(np.mean(posteriors[1][2:, 2:])))
-    is_alarm = np.abs(mean_scale) > threshold
-    assert 0.01 < rate < 0.5
-    assert np.mean(is_alarm) == pytest.approx(rate, abs=0.01)
-    plain = (data @ posteriors[0])[is_alarm, 2:]
-    freed = plain @ (np.linalg.inv(scale_priors[0]) - np.linalg.inv(scale_priors[1]))
-    expected = freed.T @ freed / np.sum(is_alarm)
-    assert_allclose(products, expected, rtol=0.0, atol=0.1 * np.max(expected))
-
-
-def test_a_recording_that_shows_nothing_of_scales_gives_no_alarm():
-    narrow = 4e-4 * np.eye(3)
-    wide = 4e-4 * np.eye(3) + 0.0225
-    assert false_alarms((narrow, narrow), (wide, wide))[0] == 0.0
 
 
 @pytest.mark.parametrize(

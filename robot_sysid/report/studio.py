@@ -1,20 +1,14 @@
-"""Pictures of an arm without a screen, and films of a motion with its distance to all limits.
-
-Pictures come from MuJoCo's renderer on EGL or OSMesa. A film shows the arm beside plots over time.
-"""
+"""Pictures of an arm without a screen, from MuJoCo's renderer on EGL or OSMesa."""
 
 from __future__ import annotations
 
 import copy
-import importlib.util
+import importlib
+import io
 import os
 import subprocess
 import sys
-import time
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -23,12 +17,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
-from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
-from robot_sysid.records.file_access import atomic_files, require_writable
-from robot_sysid.records.installation import install_hint
-from robot_sysid.records.messages import Progress
-from robot_sysid.simulation.playback import interpolate
+from robot_sysid.records import Array, RobotModel
 
 Picture = NDArray[np.uint8]
 """Pixels (height, width, 3), red, green and blue."""
@@ -39,8 +28,6 @@ NO_RENDERER = (
     "no pictures of the arm: MuJoCo finds neither EGL nor OSMesa here (Debian: apt-get install "
     "libegl1 libosmesa6); MUJOCO_GL chooses one"
 )
-NO_DISPLAY = "--view needs a display and there is none here; --video FILE.mp4 renders without one"
-"""What is said where no window can be opened."""
 _WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
 """Colour of the background."""
 _BONE: Colour = (0.55, 0.58, 0.62, 1.0)
@@ -56,27 +43,6 @@ context.free()
 """
 """Program that opens a graphics context of the library that it is given, and may crash. It loads
 that part of MuJoCo without the rest, which takes three times as long."""
-RATE = 20.0
-"""Pictures per second of a film."""
-_MAX_CLEARANCE = 0.3
-"""Clearance above which the plot stays level [m]: thirty times the least that a plan keeps."""
-# Widths and heights of films are multiples of sixteen, which every player can show.
-_SIZE = (640, 480)
-"""Width and height of the picture of the arm [pixels]."""
-_PANEL = 400
-"""Width of the panel of plots beside the picture [pixels]."""
-_GIF_STEP = 2
-"""A .gif has every second picture only, as it compresses each picture by itself."""
-_PAUSE = 1.0
-"""Rest before the viewer plays the motion again [s]."""
-_INK = "#1b1f24"
-"""Colour of text in the panel of plots (RGB, hexadecimal)."""
-_LINE = "#0b62a8"
-"""Colour of a curve."""
-_LIMIT = "#b02a1c"
-"""Colour of the dashed line of a limit."""
-_CURSOR = (176, 42, 28)
-"""Red, green and blue (0 to 255) of the column of pixels at the present instant."""
 
 
 @lru_cache(maxsize=1)
@@ -295,226 +261,10 @@ class Studio:
         return self._renderer.render()
 
 
-@dataclass(frozen=True)
-class Plot:
-    """One quantity over time and its limit.
-
-    Attributes:
-        title: text above the plot, with the unit of the quantity.
-        values: (T,) the quantity at T instants; NaN where it is unknown.
-        limit: limit of the quantity, drawn as a dashed line, in the same unit.
-    """
-
-    title: str
-    values: Array
-    limit: float
-
-
-@dataclass(frozen=True)
-class Preview:
-    """A motion to be shown, sampled at T pictures.
-
-    Attributes:
-        time: (T,) instants [s].
-        q: (T, n) chain positions [rad or m].
-        plots: quantities over the same instants, drawn beside the arm, the first one on top.
-    """
-
-    time: Array
-    q: Array
-    plots: tuple[Plot, ...]
-
-
-def plan_preview(problem: ExcitationProblem, plan: MotionPlan) -> Preview:
-    """Return the preview of a planned motion with its limits, clearance included.
-
-    The clearance is the least distance of two bodies of the arm, or of one and an obstacle, beyond
-    the distance that has to be kept.
-
-    Args:
-        problem: the arm, its limits and its obstacles.
-        plan: the motion.
-    """
-    motion = plan.evaluate(_picture_times(plan.duration))
-    limits = problem.limits
-    torque = problem.torque(motion)
-    distances = problem.obstacles.distances
-    slacks = np.array([distances.slack_at(q)[0] for q in motion.q])
-    clearance = np.minimum(slacks, _MAX_CLEARANCE)
-    # Where there is nothing to collide with, the clearance is unknown.
-    if not np.isfinite(distances.closest(motion.q[0]).distance):
-        clearance *= np.nan
-    half_range, speed, _, torque_limit = limits.largest
-    signals = motion.q - limits.center, motion.qd, torque
-    plots = _share_plots(signals, (half_range, speed, torque_limit))
-    clearance_plot = Plot("clearance [mm]", 1000.0 * clearance, limit=0.0)
-    return Preview(motion.time, motion.q, (*plots, clearance_plot))
-
-
-def log_preview(robot: RobotModel, log: Measurement) -> Preview:
-    """Return the preview of a recorded motion with position, speed and torque over the limits.
-
-    Speeds that the log does not have are differences of its positions.
-    """
-    time = log.time - log.time[0]
-    picture_times = _picture_times(float(time[-1]))
-    q = interpolate(picture_times, time, log.q)
-    tau = interpolate(picture_times, time, log.tau)
-    if log.qd is None:
-        qd = np.gradient(q, picture_times, axis=0)
-    else:
-        qd = interpolate(picture_times, time, log.qd)
-    limits = robot.limits
-    half_range = 0.5 * (limits.upper - limits.lower)
-    # A joint without limits has its centre at zero; no position is a share of its range.
-    has_range = np.isfinite(half_range)
-    upper = np.where(has_range, limits.upper, 0.0)
-    center = upper - np.where(has_range, half_range, 0.0)
-    largest = (half_range, limits.velocity, limits.torque)
-    plots = _share_plots((q - center, qd, tau), largest)
-    return Preview(picture_times, q, tuple(plots))
-
-
-def _picture_times(duration: float) -> Array:
-    """Return the instants [s] of the pictures of a motion, evenly spaced, two at least."""
-    return np.linspace(0.0, duration, max(2, round(duration * RATE) + 1))
-
-
-def _share_plots(signals: Iterable[Array], limits: Iterable[Array]) -> Iterator[Plot]:
-    """Yield plots of position, speed and torque (T, n) as shares of their limits (n,) [%].
-
-    Each plot shows at every instant the largest share of any joint; NaN where no joint has a limit.
-
-    Args:
-        signals: position from the middle of its range, speed and torque, (T, n) each.
-        limits: half the range, and the largest speed and torque, (n,) each; infinite for none.
-    """
-    titles = ("position [% of range]", "speed [% of limit]", "torque [% of limit]")
-    for title, values, limit in zip(titles, signals, limits):
-        shares = 100.0 * np.max(np.abs(values) / limit, axis=1)
-        if not np.any(np.isfinite(limit)):
-            shares *= np.nan
-        yield Plot(title, shares, limit=100.0)
-
-
-def require_film(path: Path) -> None:
-    """Raise InputError where a film cannot be made and written to ``path``, before a long run."""
-    libraries = ["matplotlib", "imageio"]
-    if path.suffix.lower() == ".mp4":
-        libraries.append("imageio_ffmpeg")
-    missing = [name for name in libraries if importlib.util.find_spec(name) is None]
-    if missing:
-        raise InputError(f"--video {install_hint(', '.join(missing), 'report')}")
-    if renderer_library() is None:
-        raise InputError(NO_RENDERER)
-    require_writable(path.absolute().parent)
-
-
-def write_film(
-    robot: RobotModel, preview: Preview, path: Path, progress: Progress
-) -> None:
-    """Write a motion as .mp4 or .gif; the file appears complete or not at all.
-
-    Args:
-        robot: the arm that moves.
-        preview: its positions, and the quantities plotted beside the picture of the arm.
-        path: file of the film; its ending chooses the format.
-        progress: is advanced with each picture.
-    """
-    import imageio.v2 as imageio
-
-    is_gif = path.suffix.lower() == ".gif"
-    step = _GIF_STEP if is_gif else 1
-    options: dict[str, Any] = {"fps": RATE, "codec": "libx264", "quality": 7}
-    if is_gif:
-        options = {"mode": "I", "duration": 1000.0 * step / RATE, "loop": 0}
-    frames = range(0, len(preview.time), step)
-    panel, columns = _draw_panel(preview)
-    with atomic_files() as files, Studio(robot, *_SIZE) as studio:
-        studio.look_at_arm(preview.q[:: max(1, len(preview.q) // 50)])
-        writer: Any
-        with imageio.get_writer(files.draft(path), **options) as writer:
-            for count, k in enumerate(frames, start=1):
-                studio.pose(preview.q[k])
-                panel_with_cursor = panel.copy()
-                panel_with_cursor[:, columns[k]] = _CURSOR
-                writer.append_data(np.hstack((studio.render(), panel_with_cursor)))
-                progress.advance("Rendering", done=count, total=len(frames), text="")
-
-
 def png_bytes(picture: Picture) -> bytes:
-    """Return the content of a PNG file of a picture; InputError if there is no imageio."""
-    try:
-        import imageio.v2 as imageio
-    except ImportError:
-        hint = install_hint("imageio", "report")
-        raise InputError(f"a picture of the arm {hint}") from None
-    content: bytes = imageio.imwrite("<bytes>", picture, format="png")
-    return content
+    """Return the content of a PNG file of a picture."""
+    from matplotlib.image import imsave
 
-
-def _draw_panel(preview: Preview) -> tuple[Picture, NDArray[np.int64]]:
-    """Return a preview's plots as a picture, and its column of pixels (T,) at each instant.
-
-    The plots lie below each other and share the time axis.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    size = (_PANEL / 100, _SIZE[1] / 100)
-    figure = Figure(figsize=size, dpi=100, layout="constrained")
-    canvas = FigureCanvasAgg(figure)
-    axes = figure.subplots(len(preview.plots), 1, sharex=True)
-    for ax, plot in zip(axes, preview.plots):
-        if np.any(np.isfinite(plot.values)):
-            ax.plot(preview.time, plot.values, color=_LINE, lw=1.2)
-        else:
-            text = "no limit in the model"
-            ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", fontsize=8)
-        ax.axhline(plot.limit, color=_LIMIT, ls="--", lw=1.0)
-        ax.set_title(plot.title, fontsize=8, loc="left", color=_INK)
-        ax.tick_params(labelsize=7, colors=_INK)
-        ax.margins(x=0.0)
-        ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
-    axes[-1].set_xlabel("time [s]", fontsize=8, color=_INK)
-    canvas.draw()
-    # Pixels from the left of the points (time, 0) of the lowest plot; all share its time axis.
-    points = np.column_stack((preview.time, 0.0 * preview.time))
-    pixels = axes[-1].transData.transform(points)[:, 0]
-    columns = np.clip(np.round(pixels).astype(np.int64), 0, _PANEL - 1)
-    return np.array(canvas.buffer_rgba())[..., :3], columns
-
-
-def require_display() -> None:
-    """Raise InputError where no window can be opened; called before a long run."""
-    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if sys.platform.startswith("linux") and not display:
-        raise InputError(NO_DISPLAY)
-
-
-def play_in_viewer(robot: RobotModel, preview: Preview) -> None:
-    """Play a motion again and again until the window is closed; InputError where none opens.
-
-    The arm's compiled model is shown, not changed; joints outside the chain stay at the reference.
-    """
-    import mujoco.viewer
-
-    data = mujoco.MjData(robot.mj_model)
-    data.qpos[:] = robot.reference_qpos
-    try:
-        window = mujoco.viewer.launch_passive(robot.mj_model, data)
-    except RuntimeError as error:
-        raise InputError(f"the viewer does not start: {error}") from None
-    start = time.monotonic()
-    with window:
-        while window.is_running():
-            elapsed = time.monotonic() - start
-            if elapsed > preview.time[-1] + _PAUSE:
-                start = time.monotonic()
-                continue
-            q = interpolate(elapsed, preview.time, preview.q)
-            with window.lock():
-                data.qpos[robot.qpos_index] = q
-                mujoco.mj_forward(robot.mj_model, data)
-            window.sync()
-            time.sleep(0.01)
+    buffer = io.BytesIO()
+    imsave(buffer, picture, format="png")
+    return buffer.getvalue()
