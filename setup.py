@@ -21,6 +21,7 @@ setup(
     package_data={
         "robot_sysid": ["py.typed", "*.pyi", "schemas/*.json"],
         "robot_sysid.report": ["*.html"],
+        "robot_sysid.results": ["card_templates/*.txt"],
         EXAMPLE: ["README.md", "*.ipynb", "model/*.xml", "model/meshes/*.stl"],
     },
 )

@@ -32,7 +32,7 @@ from robot_sysid.records import InertialParameters, Motion, Traces, file_access
 from robot_sysid.records.controllers import AUTO
 from robot_sysid.records.messages import NextStep, Progress
 from robot_sysid.results.body_errors import ERROR_NAMES, INERTIA, load_errors
-from robot_sysid.results.cards import Card, card_text, payload_cards
+from robot_sysid.results.cards import card_text, number_groups
 from robot_sysid.results.next_steps import last_lines
 from robot_sysid.results.record import (
     BodyEstimate,
@@ -183,7 +183,7 @@ def save(
     is_calibration = payload is not None and payload.known_mass is not None
     failure = refusal(result) or refused
     report = None
-    cards: tuple[Card, ...] = ()
+    card: Mapping[str, Any] | None = None
     written: list[Path] = []
     notes: tuple[str, ...] = ()
     with file_access.atomic_files() as files:
@@ -200,14 +200,16 @@ def save(
                 )
             if payload is not None:
                 written.append(folder / file_access.CARD_NAME)
-                cards = _write_card(files, written[-1], result, payload, card_choice)
+                card = number_groups(payload.body)
+                text = card_text(payload, card, result.robot, card_choice)
+                files.write(written[-1], text)
         if motor_file is not None:
             written.append(folder / file_access.DAMIAO_NAME)
             with files.open(written[-1]) as file:
                 report = motor_file(file)
         step = None if failure else step
         verdict = last_lines(result, written, step, failure)
-        text = params_json_text(result, cards, notes, verdict, step)
+        text = params_json_text(result, card, notes, verdict, step)
         written.append(folder / file_access.PARAMS_NAME)
         files.write(written[-1], text)
         model_files = [file.path for file in read_document(result.robot.path).files]
@@ -221,22 +223,6 @@ def save(
     result_hash = hashlib.sha256(text.encode()).hexdigest()
     outcome = Outcome(lines, verdict, failure, tuple(written), result, notes)
     return replace(outcome, result_hash=result_hash, next_step=step)
-
-
-def _write_card(
-    files: file_access.AtomicFiles,
-    path: Path,
-    result: Result,
-    payload: Payload,
-    choice: str,
-) -> tuple[Card, ...]:
-    """Write the card of a payload among files that appear together; return all cards.
-
-    ``choice``: whose cards the file holds, of ``controllers.CHOICES``.
-    """
-    cards = payload_cards(payload.body, payload.flange)
-    files.write(path, card_text(cards, payload, result.robot, choice))
-    return cards
 
 
 def _write_models(
@@ -326,7 +312,7 @@ def export_params_json(result: Result, path: Path, notes: Sequence[str] = ()) ->
 
 def params_json_text(
     result: Result,
-    cards: Sequence[Card] = (),
+    card: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
     verdict: Sequence[str] = (),
     step: NextStep | None = None,
@@ -335,7 +321,7 @@ def params_json_text(
 
     Args:
         result: of the identification.
-        cards: of the payload.
+        card: numbers of the payload's card; None where none is written.
         notes: added to those of the result, one sentence each.
         verdict: last lines of the console; by default the verdict on the result alone.
         step: what to do next, or None.
@@ -353,7 +339,7 @@ def params_json_text(
         "verdict": verdict or (verdict_line(result),),
         "next_step": step,
         "file": _file_entry(result.file),
-        "payload": _payload_entry(result.payload, cards),
+        "payload": _payload_entry(result.payload, card),
         "links": [_link_entry(result, body) for body in result.links],
         "joints": joints,
         "couplings": couplings,
@@ -438,16 +424,12 @@ def _file_entry(file: ModelFile | None) -> dict[str, Any] | None:
 
 
 def _payload_entry(
-    payload: Payload | None, cards: Sequence[Card]
+    payload: Payload | None, card: Mapping[str, Any] | None
 ) -> dict[str, Any] | None:
-    """Return flange, bodies, recordings and cards of a payload."""
+    """Return flange, bodies, recordings and card of a payload."""
     if payload is None:
         return None
     flange = payload.flange
-    card_entries = {}
-    for card in cards:
-        card_entry = {**vars(card)}
-        card_entries[card_entry.pop("name")] = card_entry
     return {
         "flange": {
             "name": flange.name,
@@ -462,7 +444,7 @@ def _payload_entry(
         "scatter": payload.scatter,
         "known_mass": payload.known_mass,
         "torque_scale": payload.torque_scale,
-        "cards": card_entries,
+        "card": card,
     }
 
 

@@ -72,7 +72,7 @@ LIBRARIES = {
     | {"estimation.algebra"},  # its solver of quadratic programs
     "can": {"damiao.adapters"},
     "matplotlib": {"report", "api"},
-    "jinja2": {"report"},
+    "jinja2": {"report", "results"},
     "rosbags": {"logs"},
     "pyarrow": {"logs"},
     "h5py": {"logs"},

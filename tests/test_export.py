@@ -31,7 +31,7 @@ from robot_sysid.export import (
 )
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import InertialParameters
-from robot_sysid.results.cards import load_errors, payload_cards
+from robot_sysid.results.cards import load_errors, number_groups
 from robot_sysid.results.record import Quantity, Verdict
 from tests.results.test_written_model import checkpoints, payload_of, result_of
 from tests.support import results as made
@@ -122,7 +122,7 @@ def test_a_payload_has_a_card_beside_the_model(robot, out):
     assert card.startswith(
         "Payload of 2.00000 ± 0.00010 kg, identified with m.xml from 1 empty and 2"
     )
-    assert json.loads((out / "params.json").read_text())["payload"]["cards"]
+    assert json.loads((out / "params.json").read_text())["payload"]["card"]["kg"]
     assert output.failure is None
 
 
@@ -253,7 +253,7 @@ def test_a_run_that_ends_with_an_error_leaves_the_old_set(robot, out, monkeypatc
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(module, "payload_cards", interrupt)
+        patch.setattr(module, "number_groups", interrupt)
         with pytest.raises(KeyboardInterrupt):
             save_result(robot, result_of(robot, payload=payload_of(robot, THETA)), out)
     assert files_in(out) == old_files
@@ -275,9 +275,9 @@ SPECIFIED = [
 VALIDATOR = jsonschema.Draft202012Validator(schema("params"))
 
 
-def content_of(result, cards=(), notes=()):
+def content_of(result, card=None, notes=()):
     """The params.json of a result, which is strict JSON and keeps to the schema."""
-    text = params_json_text(result, cards, notes)
+    text = params_json_text(result, card, notes)
     content = json.loads(text, parse_constant=pytest.fail)
     VALIDATOR.validate(content)
     return content
@@ -430,7 +430,7 @@ def test_every_formula_is_the_column_of_its_term():
 
 def test_a_payload_stands_between_the_link_without_and_with_it():
     result = made.payload(known_mass=2.0, torque_scale={"j5": Quantity(1.02, 0.003)})
-    content = content_of(result, payload_cards(result.body, result.payload.flange))
+    content = content_of(result, number_groups(result.body))
     expected = {
         "question": "payload",
         "mass": 2.0,
@@ -443,6 +443,7 @@ def test_a_payload_stands_between_the_link_without_and_with_it():
         "payload/recordings": {"empty": ["a.csv"], "loaded": ["b.csv", "c.csv"]},
         "payload/scatter/0/mass": 1.19,
         "payload/known_mass": 2.0,
+        "payload/card/kg": 1.2,
         "payload/torque_scale/j5/value": 1.02,
         "payload/body/standard_errors/m": approx(0.01),
         "payload/body/standard_errors/com_z": approx(load_errors(made.body())[3]),
@@ -450,7 +451,6 @@ def test_a_payload_stands_between_the_link_without_and_with_it():
         "payload/body/error_budget/torque scale/m": approx(0.008),
     }
     assert_holds(content, expected)
-    assert len(content["payload"]["cards"]) > 5
     errors = content["payload"]["body"]["standard_errors"]
     assert errors["m"] == errors["mass"]
     expected = {

@@ -416,7 +416,7 @@ def written_payload(answer: Answer) -> tuple[Array, str]:
     body = answer.body("payload", combinations, theta, model_theta=None)
     if mass <= 0.0 or is_inertia_known(body):
         return theta, ""
-    moments, errors, _ = principal_moments(body)
+    moments, errors = principal_moments(body)
     listed = ", ".join(map(with_error, moments.tolist(), errors.tolist()))
     reason = (
         f"the payload's principal moments of inertia, {listed} kg·m², do not differ significantly "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from robot_sysid.records import RobotModel
@@ -15,32 +15,18 @@ ALL = "all"
 """Choice of every card."""
 
 
-class Maker(NamedTuple):
-    """The maker of a controller.
-
-    Attributes:
-        title: its name.
-        pattern: regular expression of the names of its arms, in lower case with "_" between words.
-    """
-
-    title: str
-    pattern: str
-
-
-MAKERS: Mapping[str, Maker] = {
-    "franka": Maker("Franka", r"franka\w*?|emika|panda\d*|fr3\w*?|fp3"),
-    "ur": Maker(
-        "Universal Robots",
-        r"ur|ur\d+[a-z]*|universal_?robots?|"
-        r"shoulder_pan_\w*elbow_\w*wrist_1_\w*wrist_2_\w*wrist_3",
-    ),
-    "kuka": Maker("KUKA", r"kuka|iiwa\w*?|lbr|lwr\d*|kr_?\d+\w*?"),
-    "kinova": Maker("Kinova", r"kinova|kortex|gen3"),
-    "xarm": Maker("UFACTORY", r"ufactory|xarm\d*|uf850|lite6"),
-    "abb": Maker("ABB", r"abb|irb_?\d+|yumi|gofa"),
-    "mecademic": Maker("Mecademic", r"mecademic|meca500"),
+MAKERS: Mapping[str, str] = {
+    "franka": r"franka\w*?|emika|panda\d*|fr3\w*?|fp3",
+    "ur": r"ur|ur\d+[a-z]*|universal_?robots?|"
+    r"shoulder_pan_\w*elbow_\w*wrist_1_\w*wrist_2_\w*wrist_3",
+    "kuka": r"kuka|iiwa\w*?|lbr|lwr\d*|kr_?\d+\w*?",
+    "kinova": r"kinova|kortex|gen3",
+    "xarm": r"ufactory|xarm\d*|uf850|lite6",
+    "abb": r"abb|irb_?\d+|yumi|gofa",
+    "mecademic": r"mecademic|meca500",
 }
-"""Key of a maker in ``CHOICES`` to the maker."""
+"""Key of a maker in ``CHOICES`` to a regular expression of the names of its arms, in lower case
+with "_" between words."""
 CHOICES = (AUTO, ALL, *MAKERS, "urdf", "mujoco")
 """Choices of the cards that are written."""
 
@@ -54,9 +40,7 @@ def makers_of(robot: RobotModel) -> tuple[str, ...]:
     """
     for name in _names(robot):
         joined = "_".join(re.findall(r"[a-z0-9]+", name.lower()))
-        keys = [
-            key for key, maker in MAKERS.items() if _has_word(joined, maker.pattern)
-        ]
+        keys = [key for key, pattern in MAKERS.items() if _has_word(joined, pattern)]
         if keys:
             return tuple(keys)
     return ()

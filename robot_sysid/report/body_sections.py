@@ -22,15 +22,7 @@ from robot_sysid.records.file_access import CARD_NAME
 from robot_sysid.records.messages import PARAMETER_UNITS, percent, with_error
 from robot_sysid.report.drawing import SERIES, Boxes, Drawing, Panel, Points
 from robot_sysid.report.runs import Body, Run
-from robot_sysid.report.sections import (
-    Block,
-    Figure,
-    Section,
-    Table,
-    plus_minus,
-    table,
-    text,
-)
+from robot_sysid.report.sections import Figure, Section, Table, plus_minus, table, text
 from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.parameter_table import (
     BeforeAfter,
@@ -361,7 +353,7 @@ def _source(body: Body, k: int, is_payload: bool) -> str:
 
 
 def card(run: Run) -> Section | None:
-    """Return the section with the payload's numbers in the form of each controller, to be copied.
+    """Return the section with the payload's numbers in the form of the controller, to be copied.
 
     None if the run identified no payload. If the run wrote no card, the section has the reason in
     place of the numbers.
@@ -372,7 +364,8 @@ def card(run: Run) -> Section | None:
     scales = payload["torque_scale"]
     rows = zip(scales, itertools.starmap(with_error, scales.values()))
     tables = [table(("joint", "torque scale"), rows)] if scales else []
-    if not payload["cards"]:
+    path = run.folder / CARD_NAME
+    if payload["card"] is None or not path.is_file():
         reason = "no card was written, because the payload is not to be used"
         if payload["known_mass"] is not None:
             reason = "this run calibrated the torques; it writes no card"
@@ -382,25 +375,9 @@ def card(run: Run) -> Section | None:
         f"In the frame of the flange {flange['name']} on body {flange['in_body']}. Check that the "
         "controller means the same frame."
     )
-    # The run wrote the card of this arm's controller to the file.
-    path = run.folder / CARD_NAME
-    written = path.read_text("utf-8") if path.is_file() else ""
-    blocks: list[Block] = []
-    other_blocks: list[Block] = []
-    for index, entry in enumerate(payload["cards"].values()):
-        remarks = " ".join(filter(None, (entry["explanation"], *entry["notes"])))
-        block = (entry["title"], remarks, entry["text"])
-        # The first one states the numbers for no particular controller.
-        is_shown = index == 0 or f"== {entry['title']} ==" in written
-        (blocks if is_shown else other_blocks).append(block)
+    blocks = [(path.name, "", path.read_text("utf-8"))]
     return Section(
-        "card",
-        "Payload card",
-        (explanation,),
-        tables,
-        blocks=blocks,
-        folded_blocks=("Other controllers and formats", other_blocks),
-        is_open=True,
+        "card", "Payload card", (explanation,), tables, blocks=blocks, is_open=True
     )
 
 

@@ -30,8 +30,6 @@ MOMENT_SIGNIFICANCE = 2.5
 Estimates that had to be made physically consistent have too large moments: of 48 payloads in
 simulation, all 11 that count as known at 2.5 are nearer the truth than the ball of aluminium (arms
 of benchmarks/payload_by_difference.py); at 2, some are 183 times too large."""
-_MAX_AXIS_ERROR = 45.0
-"""Error of an axis' direction [degrees] beyond which it is not known: two axes change places."""
 _MULTIPLICITY = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
 """How often each of xx, xy, xz, yy, yz, zz stands in a symmetric matrix."""
 
@@ -80,33 +78,21 @@ def load_errors(body: BodyEstimate) -> Array:
     return np.sqrt(np.maximum(np.diag(load_covariance(body)), 0.0))
 
 
-def principal_moments(body: BodyEstimate) -> tuple[Array, Array, Array]:
-    """Return the principal moments of a body, their errors, and those of the principal axes.
+def principal_moments(body: BodyEstimate) -> tuple[Array, Array]:
+    """Return the principal moments (3,) of a body and their standard errors (3,).
 
-    To first order, the moment i changes by a_i^T dI a_i, and the axes i and j turn by a_i^T dI a_j
-    over the difference of the moments i and j.
-
-    Returns:
-        Moments (3,) about the centre of mass, ascending [kg m^2]; their standard errors (3,);
-        standard errors (3,) of the turn about each axis [degrees], infinite where not known.
+    They are about the centre of mass [kg m^2]; infinite errors where not known. To first order,
+    the moment about the axis a changes by a^T dI a.
     """
     moments, axes = spatial.principal_axes(body.inertial.inertia_com)
     covariance = load_covariance(body)[4:, 4:]
     if not np.all(np.isfinite(covariance)):
-        return moments, np.full(3, np.inf), np.full(3, np.inf)
-    # Rows (6, 6) that take the six elements of dI to a_i^T dI a_j, for i <= j.
-    rows = []
-    for i, j in zip(*np.triu_indices(3)):
-        product = np.outer(axes[:, i], axes[:, j])
-        symmetric = 0.5 * (product + product.T)
-        rows.append(_MULTIPLICITY * spatial.six_from_symmetric(symmetric))
-    variances = np.diag(np.array(rows) @ covariance @ np.array(rows).T)
-    xx, xy, xz, yy, yz, zz = np.sqrt(np.maximum(variances, 0.0))
-    # The turn about an axis moves the other two: y and z, x and z, x and y.
-    gaps = np.abs(moments[[1, 0, 0]] - moments[[2, 2, 1]])
-    turns = np.degrees(np.array([yz, xz, xy]) / np.maximum(gaps, 1e-300))
-    turns = np.where(turns <= _MAX_AXIS_ERROR, turns, np.inf)
-    return moments, np.array([xx, yy, zz]), turns
+        return moments, np.full(3, np.inf)
+    # Rows (3, 6) that take the six elements of dI to a^T dI a.
+    squares = [spatial.six_from_symmetric(np.outer(axis, axis)) for axis in axes.T]
+    rows = _MULTIPLICITY * np.array(squares)
+    variances = np.diag(rows @ covariance @ rows.T)
+    return moments, np.sqrt(np.maximum(variances, 0.0))
 
 
 def is_inertia_known(body: BodyEstimate) -> bool:
@@ -115,5 +101,5 @@ def is_inertia_known(body: BodyEstimate) -> bool:
     One is enough: the smallest moment of a rod never does, and a wrist that only spins determines
     one moment alone.
     """
-    moments, errors, _ = principal_moments(body)
+    moments, errors = principal_moments(body)
     return bool(np.any(moments > MOMENT_SIGNIFICANCE * errors))

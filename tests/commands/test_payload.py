@@ -101,7 +101,7 @@ def test_swapped_recordings_are_refused_and_nothing_is_written_as_if_it_were_goo
     assert left == ["params.json", "report_data.npz", "run.toml"]
     content = json.loads((folder / "params.json").read_text())
     assert content["status"] == "SWAPPED" and not content["valid"]["trustworthy"]
-    assert content["payload"]["cards"] == {}
+    assert content["payload"]["card"] is None
 
 
 @pytest.mark.slow

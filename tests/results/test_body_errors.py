@@ -64,24 +64,18 @@ def test_intervals_of_a_centre_of_mass_cover_it_where_the_mass_is_uncertain(mass
 
 
 @given(SEEDS)
-def test_errors_of_principal_moments_and_axes_follow_from_those_of_theta(seed):
+def test_errors_of_principal_moments_follow_from_those_of_theta(seed):
     body, factor = random_body_estimate(seed)
-    moments, errors, angle_errors = principal_moments(body)
-    eigenvalues, axes = np.linalg.eigh(body.inertial.inertia_com)
-    order = [int(np.argmin(np.abs(eigenvalues - moment))) for moment in moments]
-    assume(np.min(np.diff(eigenvalues)) > 1e-3 * eigenvalues[-1])
-
-    axes = axes[:, order]
+    moments, errors = principal_moments(body)
+    order = np.argsort(np.argsort(moments))
+    assume(np.min(np.diff(np.sort(moments))) > 1e-3 * np.max(moments))
 
     def outcome(theta):
-        """Principal moments, and the small angles [deg] by which their axes have turned."""
-        eigenvalues, vectors = np.linalg.eigh(spatial.com_from_theta(theta)[2])
-        cosines = axes.T @ vectors[:, order]
-        x, y, z = cosines * np.sign(np.diag(cosines))
-        return np.array([*eigenvalues[order], *np.degrees([z[1], x[2], y[0]])])
+        """Principal moments."""
+        return np.linalg.eigvalsh(spatial.com_from_theta(theta)[2])[order]
 
     expected = propagated_errors(outcome, body.inertial.theta, factor)
-    assert_allclose([*errors, *angle_errors], expected, rtol=1e-2)
+    assert_allclose(errors, expected, rtol=1e-2)
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,7 @@ from robot_sysid.errors import ExportError
 from robot_sysid.records import Flange
 from robot_sysid.records.controllers import CHOICES
 from robot_sysid.results.body_errors import load_errors
-from robot_sysid.results.card_forms import FORMS
-from robot_sysid.results.cards import NOT_KNOWN, card_text, payload_cards
+from robot_sysid.results.cards import NOT_KNOWN, card_text, number_groups
 from robot_sysid.results.record import Payload
 from tests.support import results as made
 from tests.support.arms import SEEDS
@@ -126,52 +125,56 @@ def read_mjcf(text):
 
 
 READERS = {
-    "franka_set_load": read_franka,
-    "franka_end_effector": read_desk,
-    "ur_set_target_payload": read_six,
-    "ur_msgs_set_payload": read_six,
-    "kuka_load": read_kuka,
-    "abb_loaddata": read_abb,
-    "kinova_payload_information": read_kinova,
-    "xarm_set_tcp_load": read_point,
-    "mecademic_set_payload": read_point,
-    "urdf_inertial": read_urdf,
-    "mjcf_inertial": read_mjcf,
+    "franka": [read_franka, read_desk],
+    "ur": [read_six, read_six],
+    "kuka": [read_kuka],
+    "abb": [read_abb],
+    "kinova": [read_kinova],
+    "xarm": [read_point],
+    "mecademic": [read_point],
+    "urdf": [read_urdf],
+    "mujoco": [read_mjcf],
 }
-
-
-WITH_AXES = ("kuka_load", "abb_loaddata")
-"""Cards that state principal moments and the turn of their axes."""
-
+"""Maker or format to a reader for each of its cards."""
+WITH_AXES = (read_kuka, read_abb)
+"""Readers of cards that state principal moments and the turn of their axes."""
 EXAMPLE = (1.517, [0.001, -0.02, 0.0453], np.diag([2e-3, 2.5e-3, 1e-3]))
 """Mass, centre of mass and inertia about it of the body whose cards are read line by line."""
 
 
-def cards_by_name(
-    mass, com, inertia, flange=FLANGE, covariance=COVARIANCE, n_identified=10
-):
-    """The cards of a body (kg, m, kg m^2) by name."""
-    body = body_estimate(mass, com, inertia, covariance, n_identified)
-    return {card.name: card for card in payload_cards(body, flange)}
+def text_of(body, choice="auto", path="m.xml"):
+    """The text of payload_card.txt for an arm in a file of this name."""
+    flange = replace(FLANGE, note="found by name")
+    recordings = {"empty": ("a",), "loaded": ("b", "c")}
+    payload = Payload(flange, body, body, body, recordings)
+    arm = replace(made.ARM, path=Path(path))
+    return card_text(payload, number_groups(body), arm, choice)
+
+
+def bodies_in(body):
+    """Yield each card's reader and what it reads: mass, centre of mass and inertia."""
+    for choice, readers in READERS.items():
+        _, *cards = text_of(body, choice).split("\n== ")
+        assert len(cards) == len(readers)
+        for read, card in zip(readers, cards):
+            yield read, read(card.strip().splitlines()[-1])
 
 
 @given(SEEDS, st.sampled_from(SHAPES))
 def test_every_card_of_an_exact_body_read_back_is_the_body(seed, shape):
     mass, com, inertia = random_body(np.random.default_rng(seed), shape)
-    cards = cards_by_name(mass, com, inertia, covariance=EXACT)
-    assert list(cards) == ["payload", *READERS]
-    assert [form.name for form in FORMS] == list(READERS)
     # An inertia about a distant origin knows the one about the centre of mass to its own rounding.
     rounding = 1e-14 * mass * (com @ com)
     size = np.max(np.abs(inertia))
-    for name, read in READERS.items():
-        card_mass, card_com, card_inertia = read(cards[name].text)
+    for read, found in bodies_in(body_estimate(mass, com, inertia, EXACT)):
+        card_mass, card_com, card_inertia = found
+        name = read.__name__
         assert card_mass == pytest.approx(mass, rel=1e-6, abs=0.0), name
         assert_allclose(card_com, com, rtol=1e-6, atol=1e-9, err_msg=name)
         if card_inertia is None:
             continue
         # Angles have their own digits; a quaternion has six decimals.
-        share = {"abb_loaddata": 4e-6, "kuka_load": 1e-6}.get(name, 1e-8)
+        share = {read_abb: 4e-6, read_kuka: 1e-6}.get(read, 1e-8)
         assert_allclose(card_inertia, inertia, 0.0, share * size + rounding, name)
 
 
@@ -184,12 +187,10 @@ def test_cards_are_rounded_by_less_than_their_errors_to_a_possible_body(
     scale = np.array([mass, *[0.1 * mass] * 3, *[moment] * 6])
     body = body_estimate(mass, com, inertia, np.diag(np.square(share * scale)))
     errors = load_errors(body)
-    cards = {card.name: card for card in payload_cards(body, FLANGE)}
-    for name, read in READERS.items():
-        card_mass, card_com, card_inertia = read(cards[name].text)
+    for read, (card_mass, card_com, card_inertia) in bodies_in(body):
         assert abs(card_mass - mass) <= 0.051 * errors[0]
         assert np.all(np.abs(np.subtract(card_com, com)) <= 0.051 * errors[1:4] + 1e-9)
-        if card_inertia is None or name in WITH_AXES:
+        if card_inertia is None or read in WITH_AXES:
             continue
         off = spatial.six_from_symmetric(np.asarray(card_inertia) - inertia)
         assert np.all(np.abs(off) <= 0.051 * errors[4:] + 1e-12)
@@ -199,45 +200,19 @@ def test_cards_are_rounded_by_less_than_their_errors_to_a_possible_body(
         assert moments[0] >= 0.49 * least - 1e-15
 
 
-def leaves(value):
-    """All values of nested lists and dictionaries."""
-    if isinstance(value, (dict, list)):
-        children = value.values() if isinstance(value, dict) else value
-        return [leaf for child in children for leaf in leaves(child)]
-    return [value]
-
-
 @given(SEEDS, st.sampled_from(SHAPES))
-def test_values_of_a_card_are_the_numbers_of_its_text_without_exponents(seed, shape):
-    cards = cards_by_name(*random_body(np.random.default_rng(seed), shape))
-    for name in READERS:
-        values = json.loads(json.dumps(cards[name].values, allow_nan=False))
-        assert set(leaves(values)) <= set(floats(cards[name].text)), name
-        if "inertial" not in name:  # controllers do not all read them
-            assert not re.search(r"\d[eE]", cards[name].text), cards[name].text
+def test_no_number_has_an_exponent_which_not_all_controllers_read(seed, shape):
+    mass, com, inertia = random_body(np.random.default_rng(seed), shape)
+    text = text_of(body_estimate(mass, com, inertia, COVARIANCE), "all")
+    cards = text.partition("\n== ")[2]
+    assert not re.search(r"\d[eE][-+\d]", cards), cards
 
 
-def payload_of(body, flange=FLANGE):
-    """A payload that two loaded recordings and an empty one show."""
-    return Payload(flange, body, body, body, {"empty": ("a",), "loaded": ("b", "c")})
-
-
-def text_of(body, flange=FLANGE, choice="auto", **robot):
-    """The text of payload_card.txt for an arm with these names."""
-    arm = replace(made.ARM, **{"path": Path("m.xml"), **robot})
-    return card_text(payload_cards(body, flange), payload_of(body, flange), arm, choice)
-
-
-def test_a_card_states_frame_numbers_with_errors_and_each_remark_once():
-    body = body_estimate(*EXAMPLE)
-    flange = replace(FLANGE, note="found by name")
-    heading, text = text_of(body, flange, "all").split("\n\n", 1)
-    assert heading == (
-        "Payload of 1.517 ± 0.015 kg, identified with m.xml from 1 empty and 2 loaded "
-        "recordings."
-    )
-    assert text.startswith("frame           site 'tool': origin at 0.0, 0.0, 0.107 m")
+def test_a_card_states_frame_and_numbers_with_errors():
+    text = text_of(body_estimate(*EXAMPLE), "all")
     for phrase in (
+        "Payload of 1.517 ± 0.015 kg, identified with m.xml from 1 empty and 2 loaded recordings.",
+        "frame           site 'tool': origin at 0.0, 0.0, 0.107 m",
         "of body 'link7'",
         "# Found by name.",
         "mass            1.517 ± 0.015 kg",
@@ -249,76 +224,59 @@ def test_a_card_states_frame_numbers_with_errors_and_each_remark_once():
         "arm.set_tcp_load(1.517, [1.0, -20.0, 45.3])",
     ):
         assert phrase in text, phrase
-    # Errors of principal moments and axes belong to the two cards that have these numbers.
-    axes = "0.0001 kg m^2; turn about the axes X, Y, Z 3.9, 5.8, 11 degrees"
-    assert text.replace("\n# ", " ").count(axes) == 2
-    assert (
-        text.count("Standard errors") == 2
-        and text.count("carried is not in these") == 1
-    )
-    assert text.endswith("\n") and "--cards" not in text
-    assert max(len(line) for line in text.splitlines() if line.startswith("#")) <= 100
-    card = payload_cards(body, flange)[0]
-    errors = card.values["standard_errors"]
-    assert errors["com_z"] == pytest.approx(4.8e-4, rel=0.01) and len(errors) == 10
+    comments = [line for line in text.splitlines() if line.startswith("#")]
+    assert max(map(len, comments)) <= 100
 
 
-TITLES = {
-    "franka": "== Franka",
-    "ur": "== Universal Robots",
-    "kuka": "== KUKA",
-    "kinova": "== Kinova",
-    "xarm": "== UFACTORY",
-    "abb": "== ABB",
-    "mecademic": "== Mecademic",
-    "urdf": "== URDF",
-    "mujoco": "== MuJoCo",
-}
+def cards_in(text):
+    """Return the makers and formats whose cards are in a text, in their order."""
+    titles = {
+        "Franka load": "franka",
+        "Universal Robots:": "ur",
+        "UFACTORY": "xarm",
+        "KUKA": "kuka",
+        "Kinova": "kinova",
+        "ABB": "abb",
+        "Mecademic": "mecademic",
+        "URDF": "urdf",
+        "MuJoCo": "mujoco",
+    }
+    headings = re.findall(r"^== (.*) ==$", text, re.MULTILINE)
+    return [titles[t] for h in headings for t in titles if h.startswith(t)]
 
 
 @pytest.mark.parametrize("choice", CHOICES)
-def test_a_choice_has_its_own_cards_alone(choice):
-    text = text_of(body_estimate(*EXAMPLE), choice=choice)
-    shown = [key for key, title in TITLES.items() if title in text]
-    assert shown == {"auto": [], "all": list(TITLES)}.get(choice, [choice])
-    assert ("of a known maker" in text) == (choice == "auto")
-
-
-def test_the_cards_of_this_arm_s_controller_are_written_by_default():
+def test_a_choice_has_its_own_cards_alone_and_the_arms_own_maker_comes_first(choice):
     body = body_estimate(*EXAMPLE)
-    text = text_of(body, path=Path("ur5e.xml"))
-    assert "set_target_payload(" in text and "setLoad(" not in text
-    assert "# Other forms: --cards all, or --cards with one of franka, kuka" in text
-    both = text_of(body, path=Path("panda_on_ur5e.xml"))
-    assert "set_target_payload(" in both and "setLoad(" in both
-    assert "fit Franka and Universal Robots, so each has a card" in both
+    own = ["kuka"]
+    others = [key for key in READERS if key not in own]
+    expected = {"auto": own, "all": own + others}.get(choice, [choice])
+    shown = cards_in(text_of(body, choice, path="kuka.xml"))
+    assert (shown[:1], set(shown)) == (expected[:1], set(expected))
+    if choice == "auto":
+        assert cards_in(text_of(body)) == []
+        assert cards_in(text_of(body, path="panda_on_ur5e.xml")) == ["franka", "ur"]
 
 
 def test_a_round_body_is_not_turned():
-    body = spatial.aluminium_ball(0.3, np.array([-0.0011, -0.0033, 0.1445]))
-    card = cards_by_name(*spatial.com_from_theta(body))["kuka_load"]
-    assert [card.values["CM"][name] for name in "ABC"] == [0.0, 0.0, 0.0]
+    ball = spatial.com_from_theta(spatial.aluminium_ball(0.3, np.array([0, 0.03, 0.1])))
+    assert number_groups(body_estimate(*ball))["axes_yaw_pitch_roll_deg"] == [0.0] * 3
 
 
 def test_an_inertia_that_is_not_known_has_no_error_and_few_digits():
     text = text_of(body_estimate(*EXAMPLE, n_identified=4), choice="all")
-    assert text.count(NOT_KNOWN) == 1 and "Standard errors" not in text
+    assert text.count(NOT_KNOWN) == 1
     assert "inertia         xx 0.002, xy 0.0, xz 0.0 kg m^2" in text
     ball = spatial.com_from_theta(spatial.aluminium_ball(0.31, np.zeros(3)))
     text = text_of(body_estimate(*ball, n_identified=4), choice="ur")
     assert re.search(r"\[(0\.000\d{3}), \1, \1, 0\.0, 0\.0, 0\.0\]", text)
-    cards = cards_by_name(*EXAMPLE, n_identified=4)
-    errors = cards["payload"].values["standard_errors"].values()
-    assert [error is None for error in errors] == [k >= 4 for k in range(10)]
 
 
 @pytest.mark.parametrize(("largest", "is_refused"), [(133.0, False), (133.001, True)])
 def test_an_inertia_that_a_ur_controller_refuses_is_noted(largest, is_refused):
     inertia = np.diag([100.0, 120.0, largest])
-    cards = cards_by_name(50.0, np.zeros(3), inertia)
-    for name, card in cards.items():
-        refused = [note for note in card.notes if "may exceed 133." in note]
-        assert bool(refused) == (is_refused and name.startswith("ur_")), name
+    text = text_of(body_estimate(50.0, np.zeros(3), inertia, EXACT), choice="ur")
+    assert ("may exceed 133." in text) == is_refused
 
 
 @pytest.mark.parametrize(
@@ -326,7 +284,8 @@ def test_an_inertia_that_a_ur_controller_refuses_is_noted(largest, is_refused):
     [(0.0, (1, 1, 1)), (-1.0, (1, 1, 1)), (1.0, (1, 1, 2.1)), (1.0, (1, 1, -0.1))],
 )
 def test_an_impossible_body_has_no_card(mass, moments):
+    inertia = np.diag(np.array(moments, dtype=float))
     with pytest.raises(
         ExportError, match="not a possible rigid body, so there is no card"
     ):
-        cards_by_name(mass, [0.1, 0.0, 0.0], np.diag(np.array(moments, dtype=float)))
+        number_groups(body_estimate(mass, [0.1, 0.0, 0.0], inertia))

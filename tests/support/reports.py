@@ -13,7 +13,7 @@ from robot_sysid.records import DataOrigin, JointLimits, Source
 from robot_sysid.records.data import Traces
 from robot_sysid.report.page import REPORT_NAME, save_data, write_report
 from robot_sysid.report.runs import fingerprint, load_run
-from robot_sysid.results.cards import payload_cards
+from robot_sysid.results.cards import card_text, number_groups
 from robot_sysid.results.record import Quantity, Verdict
 from tests.support import arms
 from tests.support import results as made
@@ -80,10 +80,12 @@ def saved(folder, result):
     """A folder that a run left, without its report."""
     folder.mkdir(parents=True, exist_ok=True)
     payload = result.payload
-    cards = ()
+    card = None
     if payload is not None and result.verdict.is_trustworthy:
-        cards = payload_cards(payload.body, payload.flange)
-    text = params_json_text(result, cards)
+        card = number_groups(payload.body)
+        text = card_text(payload, card, result.robot)
+        (folder / "payload_card.txt").write_text(text, encoding="utf-8")
+    text = params_json_text(result, card)
     (folder / "params.json").write_text(text, encoding="utf-8")
     return folder
 
