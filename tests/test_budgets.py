@@ -16,16 +16,16 @@ from pathlib import Path
 from tests.support.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 7059,
-    "robot_sysid/commands": 15578,
-    "robot_sysid/damiao": 49382,
+    "robot_sysid/api": 7044,
+    "robot_sysid/commands": 14227,
+    "robot_sysid/damiao": 45765,
     "robot_sysid/diagnosis": 20139,
     "robot_sysid/dynamics": 8386,
     "robot_sysid/estimation": 57398,
     "robot_sysid/logs": 23305,
     "robot_sysid/mjcf": 12687,
     "robot_sysid/model": 11034,
-    "robot_sysid/motion": 32231,
+    "robot_sysid/motion": 31616,
     "robot_sysid/pipeline": 7130,
     "robot_sysid/records": 9137,
     "robot_sysid/report": 16196,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 10406,
     "robot_sysid/simulation": 5928,
     "robot_sysid": 12794,
-    "tests": 311175,
+    "tests": 305244,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -46,12 +46,8 @@ ONLY = {
     + symbols_of("servo", "run_servo")
 }
 """Command to the stage that it takes of those that all questions share."""
-UNSAID = {
-    "motors simulate": "; give --yes",
-    "motors hold": "--also-joint is about a second arm; add --also",
-}
-"""Command to what it does not say of what it shares: a simulated arm is not asked for, and an arm
-that is held has no file of its own."""
+UNSAID = {"motors simulate": "; give --yes"}
+"""Command to what it does not say of what it shares: a simulated arm is not asked for."""
 RUNS = ("run", "identify", "payload")
 """Commands whose options a page speaks of."""
 OF_PLANS = symbols_of("pipeline.planning", "write_plan")
@@ -61,7 +57,6 @@ CHOSEN = symbols_of(
 USUAL = symbols_of(
     "records.option_fields", "require_countable"
 )  # the motion that nobody asked for is short
-SECOND = symbols_of("damiao.settings", "SecondArm")  # one arm at a time
 LIFTED = symbols_of(
     "motion.problem", "_space_above_base"
 )  # what was planned below the base may be played
@@ -114,7 +109,7 @@ NEVER = {
     **dict.fromkeys(
         [f"motors {word}" for word in ("check", "play", "simulate")], LIFTED
     ),
-    "motors hold": LIFTED + SECOND,
+    "motors hold": LIFTED,
     "motors map": symbols_of(
         *(
             "damiao.preflight",
@@ -127,7 +122,6 @@ NEVER = {
     + symbols_of(
         "damiao.model_check", "model_checks", "torque_checks", "transfer_check"
     )
-    + SECOND
     + symbols_of("damiao.execution", "MotorRun"),  # nothing is played
     # No model.
     **dict.fromkeys(

@@ -29,7 +29,7 @@ Interface = Literal[
     "cantact", "seeedstudio", "damiao", "virtual"
 ]  # fmt: skip
 
-class _PlanPlay(TypedDict, total=False):
+class _PlayPlan(TypedDict, total=False):
     clearance: float
     keep_out: Numbers | Sequence[Numbers]
     max_acceleration: float | None
@@ -92,7 +92,6 @@ class InformationKeywords(
 class HoldKeywords(IdentifyFromKeywords, _HoldPlanIdentify, total=False):
     accept_directions: bool
     accept_register_limits: bool
-    also_joint: str | None
     approach_speed: float
     bitrate: float
     bus_option: str | Sequence[str]
@@ -125,8 +124,10 @@ class PayloadKeywords(
     order: str | None
     save_torque_scale: File | None
 
+class PlayKeywords(HoldKeywords, _PlayPlan, total=False): ...
+
 class PlanKeywords(
-    IdentifyFromKeywords, _PlanPlay, _InformationPlan, _PlanIdentify, _HoldPlanIdentify,
+    IdentifyFromKeywords, _PlayPlan, _InformationPlan, _PlanIdentify, _HoldPlanIdentify,
     _PayloadPlan, total=False
 ):  # fmt: skip
     below_base: bool
@@ -139,9 +140,6 @@ class PlanKeywords(
     max_tool_speed: float | None
     motor_type: str | Sequence[str]
     payload_reserve: float
-
-class PlayKeywords(HoldKeywords, _PlanPlay, total=False):
-    also: File | None
 
 class IdentifyKeywords(
     InformationKeywords, _PlanIdentify, _PayloadIdentify, _HoldPlanIdentify, total=False

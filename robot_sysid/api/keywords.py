@@ -27,12 +27,7 @@ from robot_sysid.config import (
 )
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.protocol import BusTiming
-from robot_sysid.damiao.settings import (
-    Permissions,
-    PlaySettings,
-    RecordingOptions,
-    SecondArm,
-)
+from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.question import EstimationOptions
@@ -108,7 +103,6 @@ _MOTORS = (
     Permissions,
     RecordingOptions,
     ModelOptions,
-    SecondArm,
 )
 """Records of options of the motor commands."""
 RECORDS: Mapping[str, Sequence[Any]] = {
@@ -161,7 +155,6 @@ _USELESS: Mapping[str, Mapping[str, str]] = {
     "payload": {"links": "means nothing for a payload; leave it out"},
     "read_log": {"accept": "is about an estimate; reading makes none"},
     "play": dict.fromkeys(keys_of(LimitOptions) - {*LIMITS}, _DESIGN),
-    "hold": {"also": "is a motion; an arm that is held has none"},
 }
 """Function to the options in its ``RECORDS`` that are no keywords of it, each with the reason."""
 _HELP_WIDTH = 88

@@ -43,20 +43,17 @@ from robot_sysid.damiao.recorder import (
     SamplingRipple,
 )
 from robot_sysid.damiao.references import (
-    STRAIGHT,
     FileHolding,
     HoldingCheck,
     add_held_motors,
     trajectory_reference,
 )
-from robot_sysid.damiao.safety.guards import Overload
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import (
     Permissions,
     Plan,
     PlaySettings,
     RecordingOptions,
-    SecondArm,
     recording_header,
 )
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
@@ -71,7 +68,7 @@ from robot_sysid.records.option_fields import given_options, record_from
 class MotorRun:
     """One run on motors: makes its plan, checks it, opens the bus and plays.
 
-    The robot, the joint map and the orders of joints in transfers are computed once and cached.
+    The robot, the joint map and the search of contacts are made once and cached.
 
     Args:
         values: value of each option that was given, by its key, from the command line or the API.
@@ -90,39 +87,21 @@ class MotorRun:
         self._tell = tell
         self.address = record_from(BusAddress, values)
         self.timing = record_from(BusTiming, values)
-        # Results of ``_order``, by the bytes of its two poses.
-        self._order_between: dict[tuple[bytes, bytes], tuple[str, str]] = {}
 
     def plan(self) -> Plan:
-        """Return the plan of the trajectory file, or of the files of two arms as one.
+        """Return the plan of the trajectory file.
 
-        InputError where a file does not fit the model or the joint map.
+        InputError where the file does not fit the model or the joint map.
         """
-        paths = self.values["trajectory"], self.values.get("also")
-        files = [motion.read_damiao_trajectory(path) for path in paths if path]
-        for file, robot in zip(files, self.robots):
-            if file.n_joints != robot.n_joints:
-                raise InputError(
-                    f"{file.path} has {file.n_joints} joints but the chain of {robot.path} has "
-                    f"{robot.n_joints}: {', '.join(robot.joint_names)}"
-                )
-        trajectory = motion.join_arms(*files) if self._has_two_arms else files[0]
+        trajectory = motion.read_damiao_trajectory(self.values["trajectory"])
+        robot = self.robot
+        if robot is not None and trajectory.n_joints != robot.n_joints:
+            raise InputError(
+                f"{trajectory.path} has {trajectory.n_joints} joints but the chain of "
+                f"{robot.path} has {robot.n_joints}: {', '.join(robot.joint_names)}"
+            )
         mounted = replace(trajectory, joints=self._with_joint_map(trajectory.joints))
         return self._plan_of(mounted)
-
-    @cached_property
-    def _has_two_arms(self) -> bool:
-        """Whether the options name a second arm; InputError where they are incomplete."""
-        values = self.values
-        second = record_from(SecondArm, values)
-        has_trajectory = values.get("trajectory") is not None
-        if second.also is None and second.also_joint and has_trajectory:
-            raise InputError("--also-joint is about a second arm; add --also")
-        is_named = second.also_joint and values.get("model") and values.get("joint")
-        if (second.also or second.also_joint) and not is_named:
-            problem = "two arms need --model, --joint and --also-joint: which they are"
-            raise InputError(problem)
-        return second.also_joint is not None
 
     def hold_plan(self, inspection: Inspection) -> Plan:
         """Return a plan that holds the arm for a second in the pose of an inspection.
@@ -164,7 +143,6 @@ class MotorRun:
             q=np.tile(q, (2, 1)),
             qd=np.zeros((2, len(q))),
             tau=np.tile(gravity_torque, (2, 1)),
-            has_two_arms=self._has_two_arms,
         )
         return self._plan_of(at_rest)
 
@@ -254,40 +232,18 @@ class MotorRun:
         if plan.parking_pose is not None:
             # The last transfer leads from the last point to the parking pose.
             name, begin, end = list(plan.transfers(plan.trajectory.q[0]))[-1]
-            order, touching = self._order(begin, end)
-            checks += model_check.transfer_check(name, order, touching)
+            touching = self._contacts.on_the_way(begin, end)
+            checks += model_check.transfer_check(name, touching)
         checks += model_check.torque_checks(plan.trajectory, plan.settings, self.robot)
         return checks
 
-    def orders(self, plan: Plan, q: Array) -> tuple[str, ...]:
-        """Return in which order joints move in each transfer of an arm that stands at q (n,) [rad].
-
-        The transfers are those to the first point and, if there is one, to the parking pose. Each
-        order is one of ``references.ORDERS``, or "" where the arm would touch something in all.
-        """
-        return tuple(self._order(begin, end)[0] for _, begin, end in plan.transfers(q))
-
-    def _order(self, begin: Array, end: Array) -> tuple[str, str]:
-        """Return an order of joints in which nothing touches between two poses (n,) [rad].
-
-        It is one of ``references.ORDERS``, or "" where something touches in each of them; without a
-        model it is straight. The second result names the bodies that touch on the straight line, or
-        is "". Results are cached: checks and run need them.
-        """
-        if self.robot is None:
-            return STRAIGHT, ""
-        key = begin.tobytes(), end.tobytes()
-        if key not in self._order_between:
-            self._order_between[key] = self._contacts.order(begin, end)
-        return self._order_between[key]
-
     @cached_property
     def _contacts(self) -> Any:
-        """Finder of contacts of the model's arms within the user's limits (Contacts)."""
+        """Finder of contacts of the model's arm within the user's limits (Contacts)."""
         # Imported here so that playing on real motors does not wait for MuJoCo.
         from robot_sysid.damiao.model_check import Contacts
 
-        return Contacts(self.robots, self._limits())
+        return Contacts(self.robot, self._limits())
 
     def inspection_checks(
         self, plan: Plan, inspection: Inspection, real: bool = True
@@ -299,15 +255,15 @@ class MotorRun:
         checks = preflight.bus_checks(plan, inspection)
         q = plan.joint_positions(inspection)
         if np.all(np.isfinite(q)):
-            checks += preflight.limit_checks(plan, q, self.orders(plan, q))
+            checks += preflight.limit_checks(plan, q)
             for name, begin, end in plan.transfers(q) if self.robot is not None else ():
                 from robot_sysid.damiao.model_check import transfer_check
 
                 # Transfers from and to where the arm stands: the way from the end of the
                 # trajectory to a parking pose has been checked without a bus, by ``checks``.
                 if begin is q or end is q:
-                    order, touching = self._order(begin, end)
-                    checks += transfer_check(name, order, touching)
+                    touching = self._contacts.on_the_way(begin, end)
+                    checks += transfer_check(name, touching)
         if real:
             checks += preflight.direction_checks(plan, self.holding(plan))
         return checks
@@ -324,26 +280,15 @@ class MotorRun:
         """Play a plan, checked by the model while it moves, and return the report of the run.
 
         Signals that end a program stop the run. Arguments and errors are those of the function
-        ``run``; the message about an overload adds how to weigh the arm.
+        ``run``.
         """
         with stop.on_signals():
             holding = self.holding(plan)
-            orders = self.orders(plan, plan.joint_positions(inspection))
-            try:
-                return run(
-                    link, plan, inspection, stop, on_phase, on_progress, holding, orders
-                )
-            except Overload as error:
-                if self.robot is None:
-                    raise
-                from robot_sysid.damiao.model_check import weighing_remedy
-
-                remedy = weighing_remedy(plan.trajectory, self.robot)
-                raise HardwareAbort(f"{error}; {remedy}") from error
+            return run(link, plan, inspection, stop, on_phase, on_progress, holding)
 
     def require_free(self, plan: Plan) -> None:
         """Raise InputError if a recording would replace an input, or a file without --overwrite."""
-        keys = "trajectory", "model", "also", "joint_map", "park"
+        keys = "trajectory", "model", "joint_map", "park"
         inputs = [self.values[key] for key in keys if self.values.get(key)]
         plan.recording.require_free(*inputs)
 
@@ -353,50 +298,24 @@ class MotorRun:
             return None
         from robot_sysid.damiao.model_check import gravity_check
 
-        is_chain = not self._has_two_arms
-        return gravity_check(self.robot, plan.trajectory.joints, is_chain=is_chain)
+        return gravity_check(self.robot, plan.trajectory.joints)
 
     @cached_property
     def robot(self) -> Any:
-        """The arm of the model file (RobotModel), or both arms as one; None without a model."""
-        if not self._has_two_arms:
-            return self.robots[0] if self.robots else None
-        from robot_sysid.motion.limit_check import as_one
-
-        return as_one(*self.robots)
-
-    @cached_property
-    def robots(self) -> tuple[Any, ...]:
-        """The one or two arms of the model file (RobotModel each); empty without a model.
-
-        InputError where the options name joints of one and the same arm.
-        """
-        if self.values.get("model") is None:
-            return ()
+        """The arm of the model file (RobotModel); None without a model."""
+        path = self.values.get("model")
+        if path is None:
+            return None
         from robot_sysid.parser import load_robot_model
 
         model = record_from(ModelOptions, self.values)
-        terminals = [model.joint]
-        if self._has_two_arms:
-            terminals.append(self.values.get("also_joint"))
-        path = self.values["model"]
-        arms = []
-        names: list[str] = []
-        for joint in terminals:
-            arm = load_robot_model(
-                path,
-                model.mesh_dir,
-                joint,
-                max_velocity=np.inf,
-                keyframe=model.keyframe,
-            )
-            arms.append(arm)
-            names += arm.joint_names
-        for name in names:
-            if names.count(name) > 1:
-                problem = f"--joint and --also-joint are of one arm: both move {name}"
-                raise InputError(problem)
-        return tuple(arms)
+        return load_robot_model(
+            path,
+            model.mesh_dir,
+            model.joint,
+            max_velocity=np.inf,
+            keyframe=model.keyframe,
+        )
 
     def simulated_arm(
         self, plan: Plan, watchdog: float, *timestep: float
@@ -458,7 +377,6 @@ def run(
     on_phase: Callable[[str], None],
     on_progress: Callable[[float], None],
     holding: HoldingCheck | None = None,
-    orders: Sequence[str] = (STRAIGHT, STRAIGHT),
 ) -> PlayReport:
     """Play a plan on the motors of an inspection, record it, and return the report of the run.
 
@@ -470,7 +388,6 @@ def run(
         on_phase: called with the name of each phase of the run.
         on_progress: called with the time played so far [s].
         holding: check of the torques that hold the arm; None compares with the trajectory's own.
-        orders: orders of joints in the transfers, see ``Player``.
 
     Raises:
         HardwareAbort: a check forbids the run, or the run was stopped; the message has the reason.
@@ -511,7 +428,6 @@ def run(
                 lambda time: console.if_idle(partial(on_progress, time)),
                 park,
                 holding,
-                orders,
             )
             reference = trajectory_reference(plan.trajectory, settings.speed)
             reference = add_held_motors(reference, held_positions)
@@ -587,8 +503,6 @@ def _open_recorder(
     registers = [motor.registers for motor in motors[: played.n_joints]]
     head = recording_header(played.joints, registers, plan.settings, played.path.name)
     names = [f"j{j}" for j in range(played.n_joints)]
-    if played.has_two_arms:
-        names = [joint.name for joint in played.joints]
     # Without --record, a recorder still writes the frames: kept until the end, they fill memory.
     with contextlib.ExitStack() as stack:
         frames = stack.enter_context(RawFrameLog(path, link))

@@ -22,8 +22,8 @@ required::
     shoulder,can0,1,0x11,+1,0.0,1.0,hand
     elbow,can0,2,0x12,-1,0.785,1.0,
 
-``verified`` records how it was verified that this motor turns this joint in this direction: see
-``VERIFIED``.
+``verified`` is ``hand`` where somebody turned the joint by hand and saw that this motor turned with
+it in this direction, else empty.
 
 A file of LeRobot is accepted as a joint map, either a robot's configuration or its calibration::
 
@@ -162,10 +162,6 @@ MASTER_ID_OFFSET = 0x10
 """Default difference between a motor's master id (of its replies) and its CAN id."""
 BY_HAND = "hand"
 """``DamiaoJoint.verified`` of a joint that somebody turned by hand while its motor was read."""
-BY_MOTION = "motion"
-"""``DamiaoJoint.verified`` of a joint whose motor made a small motion that somebody watched."""
-VERIFIED = ("", BY_HAND, BY_MOTION)
-"""Valid values of ``DamiaoJoint.verified``; "" where the mounting is not verified."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +178,7 @@ class DamiaoJoint:
         direction: 1, or -1 where the motor turns opposite to the joint.
         offset: position of the motor where the joint is at zero [rad].
         torque_ratio: torque that the motor delivers divided by the torque that it reports.
-        verified: one of ``VERIFIED``: how the mounting was verified.
+        verified: how the mounting was verified: ``BY_HAND``, or "" where it was not.
     """
 
     motor_type: str
@@ -508,9 +504,9 @@ def _parse_row(row: Mapping[str, str | None], where: str) -> DamiaoJoint:
         raise InputError(
             f"{where}: expected a name and numbers, as in elbow,can0,2,0x12,-1,0,1"
         ) from None
-    if joint.verified not in VERIFIED:
+    if joint.verified not in ("", BY_HAND):
         raise InputError(
-            f"{where}: verified must be {BY_HAND}, {BY_MOTION} or nothing, got {joint.verified}"
+            f"{where}: verified must be {BY_HAND} or nothing, got {joint.verified}"
         )
     if joint.direction not in (1, -1):
         raise InputError(f"{where}: direction must be +1 or -1, got {joint.direction}")

@@ -9,9 +9,8 @@ with what the motors can do.
 
 from __future__ import annotations
 
-import shlex
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -20,25 +19,20 @@ from numpy.typing import NDArray
 
 from robot_sysid.damiao.joints import DamiaoJoint, peak_torques
 from robot_sysid.damiao.preflight import NOTE, OK, STOP, Check
-from robot_sysid.damiao.references import (
-    ORDERS,
-    STRAIGHT,
-    HoldingCheck,
-    poses_between,
-    torque_doubt,
-)
+from robot_sysid.damiao.references import HoldingCheck, torque_doubt
 from robot_sysid.damiao.safety.moved_zeros import MovedZeroCheck
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.trajectory import (
     CANNOT_FOLLOW,
     NO_LIMITS,
+    WEIGH_FIRST,
     DamiaoTrajectory,
     peaks_beyond,
 )
 from robot_sysid.errors import InputError
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import WEIGHT, LimitOptions
-from robot_sysid.motion.limit_check import BetweenArms, first_contact
+from robot_sysid.motion.limit_check import first_contact
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.solids import unguarded_text
 from robot_sysid.motion.trajectories import straight_way
@@ -46,12 +40,13 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.file_access import plan_settings
 from robot_sysid.records.option_fields import record_from
-from robot_sysid.simulation.plant import ArmStepper
 from robot_sysid.simulation.playback import interpolate
 from robot_sysid.simulator import ArmTorque
 
 _ROUNDING = 1e-9
 """Relative excess of a limit that is ignored: limits and trajectories share their numbers."""
+_SMALLER = "export a smaller trajectory for this arm, or bring it elsewhere by hand"
+"""Remedy for a trajectory that leaves the model's limits, or touches something."""
 _PRINTED = 1e-4
 """Largest error of the difference of two positions with four decimals [rad or m]."""
 
@@ -95,153 +90,78 @@ class SampledTrajectory:
 
 
 class Contacts:
-    """Finds contacts of one or two arms: with themselves, each other, surroundings and planes.
+    """Finds contacts of an arm: with itself, its surroundings and planes.
 
     Args:
-        arms: the one or two arms of a model.
+        robot: model of the arm.
         limits: the user's planes and boxes, and the least clearance.
 
     Attributes:
-        arms: as given.
-        between: check of two arms against each other; None for one arm.
-        problems: geometry, obstacles and limits of each arm, for the search of contacts.
-        joints_of_arms: slice of each arm's joints among the n joints of all arms.
+        robot: as given.
+        problem: geometry, obstacles and limits of the arm, for the search of contacts.
     """
 
-    def __init__(
-        self, arms: Sequence[RobotModel], limits: LimitOptions = NO_LIMITS
-    ) -> None:
-        self.arms = arms
-        self.between = BetweenArms(*arms) if len(arms) > 1 else None
-        self.problems = [build_problem(robot, limits) for robot in arms]
-        self.joints_of_arms = []
-        end = 0
-        for robot in arms:
-            begin = end
-            end = begin + robot.n_joints
-            self.joints_of_arms.append(slice(begin, end))
+    def __init__(self, robot: RobotModel, limits: LimitOptions = NO_LIMITS) -> None:
+        self.robot = robot
+        self.problem = build_problem(robot, limits)
 
-    def order(self, begin: Array, end: Array) -> tuple[str, str]:
-        """Return an order of joints in which arms touch nothing between two poses (n,) [rad].
+    def on_the_way(self, begin: Array, end: Array) -> str:
+        """Return the bodies that touch first on the line between two poses (n,) [rad], or "".
 
-        Returns:
-            The first such order of ``ORDERS`` (straight, joint by joint from the base, or from the
-            tip), or "" where there is none; and the names of the bodies that touch on the straight
-            line, or "". Where all joints move less than 0.02 rad, the order is always straight.
+        A line on which all joints move less than 0.02 rad is not looked at: bodies that touch there
+        touch where the arm stands, and the model has a contact too many.
         """
-        touching = self._contact_between(poses_between(begin, end, STRAIGHT))
-        if not touching or np.max(np.abs(end - begin)) <= _SHORT:
-            return STRAIGHT, ""
-        for order in ORDERS[1:]:
-            if not self._contact_between(poses_between(begin, end, order)):
-                return order, touching
-        return "", touching
-
-    def _contact_between(self, poses: Sequence[Array]) -> str:
-        """Return the bodies that touch first on straight lines between poses (n,) [rad], or "".
-
-        For two arms that touch each other, this is "arms".
-        """
-        for begin, end in zip(poses, poses[1:]):
-            for problem, joints in zip(self.problems, self.joints_of_arms):
-                arm_line = straight_way(begin[joints], end[joints])
-                contact = first_contact(problem, arm_line)
-                if contact is not None:
-                    return contact.label
-            line = straight_way(begin, end)
-            if self.between is not None and self.between.touch_at(line) is not None:
-                return "arms"
-        return ""
+        if np.max(np.abs(end - begin)) <= _SHORT:
+            return ""
+        contact = first_contact(self.problem, straight_way(begin, end))
+        return "" if contact is None else contact.label
 
 
 _SHORT = 0.02
-"""Largest motion of a joint in a transfer that is too short for another order [rad].
-
-Bodies that touch on so short a way touch where the arm stands: the model has a contact too many.
-"""
+"""Largest motion of a joint in a transfer that is too short to be judged [rad]."""
 
 
 def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
     """Yield a stop for each limit of the model that a plan exceeds and for each contact.
 
     If there is none, one check with severity OK is yielded. A note names the links whose contacts
-    cannot be found. The trajectory and the parking pose are checked. ``contacts`` has the arms of
+    cannot be found. The trajectory and the parking pose are checked. ``contacts`` has the arm of
     the model, loaded with an infinite ``max_velocity``, so that only the model's limits of speed
     count.
     """
-    played = plan.trajectory
-    speed = plan.settings.speed
-    excesses: list[str] = []
-    for robot, problem, joints in zip(
-        contacts.arms, contacts.problems, contacts.joints_of_arms
-    ):
-        arm_trajectory = replace(
-            played,
-            joints=played.joints[joints],
-            q=played.q[:, joints],
-            qd=played.qd[:, joints],
-            tau=played.tau[:, joints],
-        )
-        unguarded = unguarded_text(problem.unguarded)
-        if unguarded:
-            yield Check(NOTE, unguarded)
-        motion = SampledTrajectory(arm_trajectory, speed)
-        excesses += _joint_excesses(robot, motion)
-        contact = first_contact(problem, motion)
-        if contact is not None:
-            excesses.append(
-                f"the model's {contact.label} touch at {contact.time:.2f} s"
-            )
-    if excesses:
-        remedy = _smaller_motion_remedy(played, contacts.arms[0])
-        excesses = [f"{excess}; {remedy}" for excess in excesses]
+    robot = contacts.robot
+    unguarded = unguarded_text(contacts.problem.unguarded)
+    if unguarded:
+        yield Check(NOTE, unguarded)
+    motion = SampledTrajectory(plan.trajectory, plan.settings.speed)
+    excesses = list(_joint_excesses(robot, motion))
+    contact = first_contact(contacts.problem, motion)
+    if contact is not None:
+        excesses.append(f"the model's {contact.label} touch at {contact.time:.2f} s")
+    excesses = [f"{excess}; {_SMALLER}" for excess in excesses]
     if plan.parking_pose is not None:
-        for robot, joints in zip(contacts.arms, contacts.joints_of_arms):
-            excesses += _pose_excesses(robot, plan.parking_pose[joints])
-    if contacts.between is not None:
-        time = contacts.between.touch_at(SampledTrajectory(played, speed))
-        if time is not None:
-            excesses.append(
-                f"the arms touch while both move, at {time:.2f} s; play one after the other"
-            )
+        excesses += _pose_excesses(robot, plan.parking_pose)
     for excess in excesses:
         yield Check(STOP, excess)
     if not excesses:
-        name = contacts.arms[0].path.name
-        if len(contacts.arms) > 1:
-            name += ", and the arms apart"
+        name = robot.path.name
         yield Check(OK, f"the trajectory stays within the limits of {name}")
 
 
-def _smaller_motion_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
-    """Return the remedy for a motion that is too large for an arm, with a command if possible."""
-    is_moving = np.any(np.ptp(trajectory.q, axis=0))
-    if not is_moving:
-        return "bring the arm elsewhere by hand"
-    remedy = "export a smaller trajectory for this arm"
-    return _planning_remedy(
-        remedy, folder="smaller", trajectory=trajectory, robot=robot
-    )
-
-
-def transfer_check(name: str, order: str, touching: str) -> Iterator[Check]:
-    """Yield a note or stop for a transfer on whose straight line the arms touch something.
+def transfer_check(name: str, touching: str) -> Iterator[Check]:
+    """Yield a stop for a transfer on whose straight line the arm touches something.
 
     Args:
         name: begin of the message: "on the way to the first point" or "... to where it is parked".
-        order: the order of ``ORDERS`` in which nothing touches; "" where there is none.
-        touching: names of the bodies that touch on the straight line; "" where nothing touches.
+        touching: names of the bodies that touch on the line; "" where nothing touches.
     """
-    if not touching:
-        return
-    finding = f"{name} the model's {touching} touch if it goes straight"
-    if order:
-        yield Check(NOTE, f"{finding}: it goes {order}")
-        return
-    remedy = (
-        "choose another --park" if "parked" in name else "bring the arm nearer by hand"
-    )
-    yield Check(STOP, f"{finding}, and joint by joint something touches too; {remedy}")
+    if touching:
+        remedy = (
+            "choose another --park"
+            if "parked" in name
+            else "bring the arm nearer by hand"
+        )
+        yield Check(STOP, f"{name} the model's {touching} touch; {remedy}")
 
 
 def _pose_excesses(robot: RobotModel, pose: Array) -> Iterator[str]:
@@ -326,7 +246,7 @@ def torque_checks(
         yield Check(
             STOP,
             f"{joints[j].label}: the motion needs {peak:.1f} N m and its motor makes "
-            f"{available[j]:g} at most; {CANNOT_FOLLOW}, {weighing_remedy(trajectory, robot)}",
+            f"{available[j]:g} at most; {CANNOT_FOLLOW}, {WEIGH_FIRST}",
         )
     yield from _foreign_torque_checks(trajectory, robot)
     max_error = np.array(settings.max_torque_error)
@@ -334,8 +254,7 @@ def torque_checks(
         yield Check(
             STOP,
             f"{joints[j].label}: the motion needs {error:.1f} N m more or less than the file "
-            f"feeds forward, limit {max_error[j]:g}; {CANNOT_FOLLOW}, "
-            f"{weighing_remedy(trajectory, robot)}",
+            f"feeds forward, limit {max_error[j]:g}; {CANNOT_FOLLOW}, {WEIGH_FIRST}",
         )
 
 
@@ -366,13 +285,7 @@ def _foreign_torque_checks(
                 NOTE, f"{finding}; the file is as its model has it, and weighs this arm"
             )
             continue
-        remedy = "export the file again for this arm"
-        if is_as_planned:
-            remedy = weighing_remedy(trajectory, robot)
-        else:
-            remedy = _planning_remedy(
-                remedy, folder="exported", trajectory=trajectory, robot=robot
-            )
+        remedy = WEIGH_FIRST if is_as_planned else "export the file again for this arm"
         yield Check(STOP, f"{finding}, and {CANNOT_FOLLOW}; {remedy}")
 
 
@@ -428,11 +341,9 @@ def _is_weighing(trajectory: DamiaoTrajectory) -> bool:
 def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
     """Tell whether a file's torque agrees with the model that the motion was planned with.
 
-    False where the file has two arms, or the settings of its plan are not beside it, or the model
-    that they name cannot be loaded or has another number of joints.
+    False where the settings of its plan are not beside it, or the model that they name cannot be
+    loaded or has another number of joints.
     """
-    if trajectory.has_two_arms:
-        return False
     plan_file = plan_settings(trajectory.path.parent)
     if plan_file is None:
         return False
@@ -450,74 +361,12 @@ def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
     return fits and not np.any(_FedTorque.of(trajectory, robot).is_foreign)
 
 
-def _planning_remedy(
-    remedy: str, folder: str, trajectory: DamiaoTrajectory, robot: RobotModel
-) -> str:
-    """Return a remedy, and on a line below it the command that plans a file's motion again.
-
-    The command writes into ``folder`` beside the file. For the file of two arms there is no
-    command, and the remedy is returned as it is.
-    """
-    command = _plan_command(trajectory, robot, for_model=True)
-    if not command:
-        return remedy
-    command += ["--output-dir", str(trajectory.path.parent / folder)]
-    return f"{remedy}:\n  {shlex.join(command)}"
-
-
-def weighing_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
-    """Return the remedy for an arm that needs more torque than its motors make, with a command."""
-    command = _plan_command(trajectory, robot)
-    if not command:
-        return "plan a smaller motion for that arm with plan --for weight"
-    folder = trajectory.path.parent
-    if _is_weighing(trajectory):
-        # Weighing uses half of the limits, so the next motion takes half of this one's torques.
-        peaks = np.abs(trajectory.tau).max(axis=0)
-        command += ["--max-torque", ",".join(f"{peak:.3g}" for peak in peaks)]
-    command += ["--for", WEIGHT, "--output-dir", str(folder / "weighing")]
-    return f"weigh the arm with a smaller motion first:\n  {shlex.join(command)}"
-
-
-def _plan_command(
-    trajectory: DamiaoTrajectory, robot: RobotModel, for_model: bool = False
-) -> list[str]:
-    """Return the words of the command that plans another motion for the motors of a file.
-
-    Where the settings of the file's plan are beside it, the command uses them; with ``for_model``
-    it replaces their model by that of ``robot``. Empty for a file of two arms.
-    """
-    if trajectory.has_two_arms:
-        return []
-    command = ["robot-sysid", "plan"]
-    plan_file = plan_settings(trajectory.path.parent)
-    # The settings of a plan that only exported a given trajectory plan no motion.
-    if plan_file is not None and "trajectory" not in plan_file[1]:
-        path, _ = plan_file
-        if for_model:
-            command.append(str(robot.path))
-        return [*command, "--config", str(path)]
-    command += [str(robot.path), "--joint", robot.terminal_joint, "--export-damiao"]
-    for joint in trajectory.joints:
-        command += ["--motor-type", joint.motor_type]
-        command += ["--can-id", str(joint.can_id), "--master-id", str(joint.master_id)]
-    return command
-
-
-_STEP = 1e-4
-"""Step of central differences of the tip's position [rad]."""
-
-
-def gravity_check(
-    robot: RobotModel, joints: tuple[DamiaoJoint, ...], is_chain: bool = True
-) -> HoldingCheck:
+def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> HoldingCheck:
     """Return a check that compares the torques that hold an arm with those of the model's gravity.
 
     Args:
         robot: model of the arm with n joints.
         joints: joints of the arm with their motors, base to terminal.
-        is_chain: whether every joint carries all later ones; then the torques of a motion are also
-            checked for joints whose zero has moved, see ``MovedZeroCheck``.
     """
     arm = ArmTorque(robot)
 
@@ -526,29 +375,11 @@ def gravity_check(
         zero = np.zeros((1, len(q)))
         return np.asarray(arm(Motion(np.zeros(1), q[None], zero, zero))[0])
 
-    stepper = ArmStepper(robot)
-    gravity = np.array(robot.mj_model.opt.gravity)
-
-    def tip_position(q: Array) -> Array:
-        """Return the position (3,) of the arm's end in a pose q (n,) [m]."""
-        stepper.q = q
-        return stepper.tip()
-
-    def load_torque(q: Array) -> Array:
-        """Return the torque (n,) [N m] that holds 1 kg at the arm's end in a pose q (n,) [rad].
-
-        By virtual work it is minus gravity times the derivative of the end's position by q.
-        """
-        differences = []
-        for step in _STEP * np.eye(len(q)):
-            differences.append(tip_position(q + step) - tip_position(q - step))
-        return -np.array(differences) / (2.0 * _STEP) @ gravity
-
     return HoldingCheck(
         joints,
         holding_torque,
         robot.friction.largest_dry,
         source=f"the model {robot.path.name} needs",
-        load=load_torque,
-        watch=partial(MovedZeroCheck, robot, joints) if is_chain else None,
+        is_model=True,
+        watch=partial(MovedZeroCheck, robot, joints),
     )

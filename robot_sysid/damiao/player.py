@@ -13,7 +13,7 @@ import contextlib
 import signal
 import time
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
@@ -33,7 +33,7 @@ from robot_sysid.damiao.references import (
     hold_reference,
 )
 from robot_sysid.damiao.safety.guards import Mask, Replies
-from robot_sysid.damiao.safety.observer import Fault, Observer
+from robot_sysid.damiao.safety.observer import Observer
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort, error_text, handle_stop_signals
@@ -156,8 +156,6 @@ class Player:
             positions (n,) [rad] are approached, and None leaves it where the trajectory ends.
         holding: computes the torque that holds the arm, and compares it with the torques measured
             while the arm stands, before the transfer and at the first point.
-        orders: first and last entry are those of ``references.ORDERS`` in which the joints move to
-            the first point and to the parking pose.
     """
 
     def __init__(
@@ -170,7 +168,6 @@ class Player:
         on_progress: Callable[[float], None],
         park: str | Array | None,
         holding: HoldingCheck,
-        orders: Sequence[str],
     ) -> None:
         self._session = session
         self._clock = session.clock
@@ -181,7 +178,6 @@ class Player:
         self._on_progress = on_progress
         self._park = park
         self._holding = holding
-        self._orders = orders
         self._observer = Observer(
             session.joints, settings, session.steps, session.peak_torque, holding
         )
@@ -218,8 +214,6 @@ class Player:
                 self._run_phases(trajectory, duration)
             except BaseException as error:
                 self._stop_gently()
-                if isinstance(error, Fault):
-                    raise self._explain(error) from None
                 if isinstance(error, HardwareAbort):
                     raise
                 reason = f"{type(error).__name__}: {error_text(error)}"
@@ -234,13 +228,6 @@ class Player:
             worst_tracking=self._observer.worst_tracking,
         )
 
-    def _explain(self, fault: Fault) -> HardwareAbort:
-        """Return a fault, with its cause if the stopped arm's mean position and torque show it."""
-        if not self._recent_states:
-            return fault
-        q, commanded_torque = np.mean(self._recent_states, axis=0)
-        return self._observer.explain(fault, q, commanded_torque)
-
     def _run_phases(self, trajectory: ReferenceFunction, duration: float) -> None:
         """Go through the phases of a run: enable, raise gains, approach, play, rest, park.
 
@@ -252,11 +239,10 @@ class Player:
         self._announce("enabling the motors")
         start = self._session.enable()
         standing = Reference(start, np.zeros_like(start), self._holding.torque(start))
-        order = self._orders[0]
         speed = settings.approach_speed
         shortest = settings.approach_time
         approach, approach_time = paths.transfer_reference(
-            standing, first, speed, shortest, order, carries=self._holding.torque
+            standing, first, speed, shortest, carries=self._holding.torque
         )
         self._timer = CycleTimer(self._clock, settings.period, settings.max_lateness)
         self._announce("raising the gains")
@@ -267,7 +253,7 @@ class Player:
         # The torques that held the arm in the last cycles, or else the feed-forward torque.
         torques = [torque for _, torque in self._recent_states] or [standing.torque]
         holding_torque = np.asarray(np.mean(torques, axis=0))
-        self._announce(f"moving to the first point, {order} ({approach_time:.1f} s)")
+        self._announce(f"moving to the first point ({approach_time:.1f} s)")
         self._phase(approach, approach_time)
         self._hold_and_compare(first)
         self._announce(f"playing ({duration:.1f} s)")
@@ -307,12 +293,11 @@ class Player:
             # The feed-forward torque keeps its present difference from the expected torque.
             torque = carries(self._park) + last.torque - carries(last.position)
             target = Reference(self._park, np.zeros_like(self._park), torque)
-        order = self._orders[-1]
         speed = self._settings.approach_speed
         parking, parking_time = paths.transfer_reference(
-            last, target, speed, shortest=1.0, order=order, carries=carries
+            last, target, speed, shortest=1.0, carries=carries
         )
-        self._announce(f"parking, {order} ({parking_time:.1f} s)")
+        self._announce(f"parking ({parking_time:.1f} s)")
         self._phase(parking, parking_time)
         self._phase(hold_reference(target), self._settings.rest_time)
 
@@ -470,7 +455,6 @@ class Player:
         # An arm that is stopped while the gains rise needs the full stiffness.
         self._gain = 1.0
         self._heard_at = self._clock.now()
-        self._recent_states.clear()
         # Drivers may raise SystemExit and KeyboardInterrupt too; the user's requests come by
         # ``self._stop``.
         with contextlib.suppress(BaseException):

@@ -83,17 +83,13 @@ _note = partial(Check, NOTE)
 _stop = partial(Check, STOP)
 
 
-def limit_checks(
-    plan: Plan, q: Array | None = None, orders: Sequence[str] = ()
-) -> list[Check]:
+def limit_checks(plan: Plan, q: Array | None = None) -> list[Check]:
     """Return a stop for each limit of the user that the trajectory, or a transfer, exceeds.
 
     Args:
         plan: plan of the run, with the user's limits.
         q: positions (n,) at which the arm stands [rad]; then only its transfers to the first point
             and to the parking pose are compared. None compares only the trajectory.
-        orders: order in which joints move in each transfer, of ``references.ORDERS``: all at once
-            or one after the other; only used with ``q``.
     """
     trajectory = plan.trajectory
     settings = plan.settings
@@ -105,8 +101,8 @@ def limit_checks(
         f"move it nearer by hand, or lower --approach-speed {settings.approach_speed:g}"
     )
     checks = []
-    for (name, begin, end), order in zip(plan.transfers(q), orders):
-        rows = transfer_rows(trajectory, begin, end, pace, order)
+    for name, begin, end in plan.transfers(q):
+        rows = transfer_rows(trajectory, begin, end, pace)
         # ``rows`` have the speed of the transfer already.
         for excess in motion.limit_excesses(rows, speed=1.0, limits=plan.limits):
             checks.append(_stop(f"{name}, {excess}; {remedy}"))
@@ -576,9 +572,8 @@ def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
         yield _note(f"{finding}: mirrored or swapped, they would be played like that")
         return
     yield _stop(
-        f"{finding}; move them by hand once with motors map --model, or let each move a "
-        "little with motors play --verify, and give the --joint-map; --accept-directions "
-        "plays without"
+        f"{finding}; move them by hand once with motors map --model, and give the --joint-map; "
+        "--accept-directions plays without"
     )
 
 

@@ -71,73 +71,40 @@ def trajectory_reference(
     return reference
 
 
-STRAIGHT = "straight"
-ORDERS = (STRAIGHT, "joint by joint from the base", "joint by joint from the tip")
-"""Orders in which joints move from one pose to another: all at once, or one after the other."""
-
-
-def poses_between(begin: Array, end: Array, order: str) -> list[Array]:
-    """Return the corners (n,) [rad] of the path from ``begin`` to ``end`` (n,), both included.
-
-    The path is straight between corners. ``order`` is one of ``ORDERS``: all joints move at once,
-    or one after the other, those that need not move left out.
-    """
-    poses = [begin]
-    if order != STRAIGHT:
-        moving_joints = np.flatnonzero(begin != end)
-        is_from_base = order == ORDERS[1]
-        if not is_from_base:
-            moving_joints = moving_joints[::-1]
-        # The motion of the last joint leads to ``end``.
-        for joint in moving_joints[:-1]:
-            pose = poses[-1].copy()
-            pose[joint] = end[joint]
-            poses.append(pose)
-    return [*poses, end]
-
-
 def transfer_reference(
     start: Reference,
     target: Reference,
     speed: float,
     shortest: float,
-    order: str = STRAIGHT,
     carries: Callable[[Array], Array] = np.zeros_like,
 ) -> tuple[ReferenceFunction, float]:
-    """Return a motion from rest at ``start`` to rest at ``target``, and its duration [s].
+    """Return a straight motion from rest at ``start`` to rest at ``target``, and its duration [s].
 
-    The arm rests at each corner of the path, see ``poses_between``. After a share s of a line's
-    time it has covered the share 10 s^3 - 15 s^4 + 6 s^5 of this straight line; the peak speed is
-    15/8 = 1.875 of the mean speed.
+    After a share s of the time it has covered the share 10 s^3 - 15 s^4 + 6 s^5 of the line; the
+    peak speed is 15/8 = 1.875 of the mean speed.
 
     Args:
         start: begin; its velocity is ignored.
         target: end; its velocity is ignored.
         speed: velocity that no joint exceeds [rad/s].
-        shortest: least duration of a line [s].
-        order: one of ``ORDERS``.
+        shortest: least duration [s].
         carries: returns the torque (n,) [N m] that carries the arm in a pose (n,) [rad]. The
-            feed-forward torque is this plus a difference, interpolated over time, so that it equals
-            the torques of ``start`` and ``target`` at the ends.
+            feed-forward torque is this plus a difference, interpolated along the line, so that it
+            equals the torques of ``start`` and ``target`` at the ends.
     """
-    poses = poses_between(start.position, target.position, order)
-    lines = np.diff(poses, axis=0)
-    times = np.maximum(shortest, 1.875 * np.max(np.abs(lines), axis=1) / speed)
-    begins = np.append(0.0, np.cumsum(times))
-    duration = float(begins[-1])
+    line = target.position - start.position
+    duration = float(max(shortest, 1.875 * np.max(np.abs(line)) / speed))
     extra_at_start = start.torque - carries(start.position)
     extra_at_target = target.torque - carries(target.position)
 
     def reference(time: float) -> Reference:
-        """Return the state at ``time`` [s] after the beginning, on straight line number k."""
-        k = int(np.clip(np.searchsorted(begins, time) - 1, 0, len(times) - 1))
-        s = min(max((time - begins[k]) / times[k], 0.0), 1.0)
+        """Return the state at ``time`` [s] after the beginning."""
+        s = min(max(time / duration, 0.0), 1.0)
         share = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
-        share_per_second = 30.0 * s * s * (1.0 - s) ** 2 / times[k]
-        done = (begins[k] + share * times[k]) / duration
-        q = poses[k] + share * lines[k]
-        fed = carries(q) + (1.0 - done) * extra_at_start + done * extra_at_target
-        return Reference(q, share_per_second * lines[k], fed)
+        share_per_second = 30.0 * s * s * (1.0 - s) ** 2 / duration
+        q = start.position + share * line
+        extra = (1.0 - share) * extra_at_start + share * extra_at_target
+        return Reference(q, share_per_second * line, carries(q) + extra)
 
     return reference, duration
 
@@ -147,11 +114,7 @@ TRANSFER_RATE = 100.0
 
 
 def transfer_rows(
-    trajectory: DamiaoTrajectory,
-    begin: Array,
-    end: Array,
-    pace: tuple[float, float],
-    order: str = STRAIGHT,
+    trajectory: DamiaoTrajectory, begin: Array, end: Array, pace: tuple[float, float]
 ) -> DamiaoTrajectory:
     """Return the motion from rest to rest between two poses as rows of a trajectory, torque zero.
 
@@ -159,13 +122,12 @@ def transfer_rows(
         trajectory: trajectory whose joints the result has.
         begin: first pose (n,) [rad].
         end: last pose (n,) [rad].
-        pace: largest velocity of a joint [rad/s] and least duration of a straight line [s].
-        order: one of ``ORDERS``.
+        pace: largest velocity of a joint [rad/s] and least duration [s].
     """
     zero = np.zeros_like(begin)
     start = Reference(begin, zero, zero)
     target = Reference(end, zero, zero)
-    reference, duration = transfer_reference(start, target, *pace, order)
+    reference, duration = transfer_reference(start, target, *pace)
     time = np.linspace(0.0, duration, int(np.ceil(duration * TRANSFER_RATE)) + 1)
     # References stacked as (rows, 3, n): position, velocity and torque.
     rows = np.array([reference(moment) for moment in time])
@@ -299,14 +261,13 @@ class HoldingCheck:
         torque: returns the torque (n,) [N m] that should hold the arm in a pose (n,) [rad].
         doubt: dry friction (n,) [N m], or 0 where unknown; ``torque_doubt`` is added.
         source: begin of the phrase that states the expected torque: "the model arm.xml needs".
-        load: returns the torque (n,) [N m] that a mass of 1 kg at the arm's end adds in a pose
-            (n,) [rad]; None without a model.
+        is_model: whether a model of the arm gives the expected torque in every pose.
         watch: returns a new check of the motion of one run; None where there is none.
 
     Attributes:
         n_joints: number n of joints that are judged; in longer arrays further motors follow them.
         doubt: torque (n,) that friction alone may explain [N m].
-        is_model: whether a model of the arm gives the expected torque in every pose.
+        is_model: as given.
         watch: as given.
     """
 
@@ -316,28 +277,22 @@ class HoldingCheck:
         torque: Callable[[Array], Array],
         doubt: Array | float,
         source: str,
-        load: Callable[[Array], Array] | None = None,
+        is_model: bool = False,
         watch: Callable[[], MotionCheck] | None = None,
     ) -> None:
         self._expected_torque = torque
         self._joints = joints
         self._source = source
-        self._load = load
         self.watch = watch
         self.n_joints = len(joints)
         self.doubt = doubt + torque_doubt(joints)
-        self.is_model = load is not None
+        self.is_model = is_model
 
     def unverified_joints(self, q: Array) -> list[DamiaoJoint]:
         """Return the unverified joints whose load at q (n,) [rad] does not show how they turn."""
         is_bare = np.abs(self._expected_torque(q)) <= _LOADED * self.doubt
         joints = zip(self._joints, is_bare)
         return [joint for joint, bare in joints if bare and not joint.verified]
-
-    def load(self, q: Array) -> Array:
-        """Return the torque (n,) [N m] that 1 kg at the arm's end adds at q (n + m,) [rad]."""
-        assert self._load is not None
-        return self._load(q[: self.n_joints])
 
     def torque(self, q: Array) -> Array:
         """Return the torque (n + m,) [N m] that should hold n joints and m other motors.

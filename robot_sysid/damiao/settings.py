@@ -275,18 +275,6 @@ class RecordingOptions(OptionRecord):
 
 
 @dataclass(frozen=True)
-class SecondArm(OptionRecord):
-    """Options for another arm of the same model that moves, or is held, at the same time."""
-
-    also: Path | None = option(
-        None, "trajectory of the model's other arm, played at the same time", "FILE"
-    )
-    also_joint: str | None = option(
-        None, "terminal joint of the model's other arm", "NAME"
-    )
-
-
-@dataclass(frozen=True)
 class Plan:
     """A trajectory of n joints and all settings with which it is played.
 

@@ -82,8 +82,6 @@ class DamiaoTrajectory:
         q: positions (N, n) [rad].
         qd: velocities (N, n) [rad/s].
         tau: feed-forward torques (N, n) [N m].
-        has_two_arms: whether the files of two arms are joined; the columns of a recording then
-            have the joints' names.
     """
 
     path: Path
@@ -93,7 +91,6 @@ class DamiaoTrajectory:
     q: Array
     qd: Array
     tau: Array
-    has_two_arms: bool = False
 
     @property
     def n_joints(self) -> int:
@@ -221,6 +218,8 @@ def _rows(time: Array, values: Array, decimals: int) -> str:
 
 CANNOT_FOLLOW = "it cannot follow"
 """End of a sentence about a motor that cannot do what a motion needs."""
+WEIGH_FIRST = "weigh the arm with a smaller motion first (see plan --for weight)"
+"""Remedy for an arm that needs more torque than its model says, or than its motors make."""
 
 
 def rating_warnings(
@@ -338,65 +337,6 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     tau = table[:, 3::3]
     line_array = np.array(line_numbers, int)
     return DamiaoTrajectory(path, tuple(joints), line_array, time, q, qd, tau)
-
-
-def join_arms(first: DamiaoTrajectory, second: DamiaoTrajectory) -> DamiaoTrajectory:
-    """Return the trajectories of two arms as one that has the joints of both.
-
-    Both begin at time 0; the shorter one holds its end. For messages, the path is that of the first
-    trajectory, and the line numbers are those of the longer one.
-    """
-    first_time = first.time - first.time[0]
-    second_time = second.time - second.time[0]
-    time = _merge_times(first_time, second_time)
-    pairs = zip(_resample(first, time), _resample(second, time))
-    q, qd, tau = map(np.hstack, pairs)
-    if second_time[-1] > first_time[-1]:
-        line = np.interp(time, second_time, second.line)
-    else:
-        line = np.interp(time, first_time, first.line)
-    return DamiaoTrajectory(
-        first.path,
-        first.joints + second.joints,
-        line.astype(int),
-        time,
-        q,
-        qd,
-        tau,
-        has_two_arms=True,
-    )
-
-
-def _resample(trajectory: DamiaoTrajectory, time: Array) -> list[Array]:
-    """Return q, qd and tau (N, n) of a trajectory at times (N,) after its beginning [s].
-
-    They are interpolated linearly, and after the end they keep their last values.
-    """
-    signals = np.hstack([trajectory.q, trajectory.qd, trajectory.tau])
-    elapsed = trajectory.time - trajectory.time[0]
-    columns = [np.interp(time, elapsed, signal) for signal in signals.T]
-    return np.split(np.column_stack(columns), 3, axis=1)
-
-
-def _merge_times(first: Array, second: Array) -> Array:
-    """Return the union (M,) of two time grids [s] without times that differ by rounding only.
-
-    Times closer than half of the shortest step count as one: a slope between two of them would be
-    rounding error over rounding error.
-
-    Args:
-        first: increasing times (N,) that begin at 0 [s].
-        second: increasing times (K,) that begin at 0 [s].
-    """
-    steps = np.append(np.diff(first), np.diff(second))
-    shortest = 0.5 * np.min(steps, initial=np.inf)
-    merged = [0.0]
-    for moment in np.union1d(first, second):
-        if moment - merged[-1] >= shortest:
-            merged.append(moment)
-    # The end of the longer file stays as it is, because its motion comes to rest there.
-    merged[-1] = max(first[-1], second[-1])
-    return np.array(merged)
 
 
 def _numbers(line: str, width: int, path: Path, number: int) -> list[float]:

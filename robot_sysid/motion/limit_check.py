@@ -8,33 +8,20 @@ advancement, Mirtich, "Impulse-based dynamic simulation of rigid body systems", 
 
 Of a motion that repeats itself, one period and both ends are checked.
 
-The check is for one serial chain. For two arms of one model that move at the same time
-(``BetweenArms``), the distance between the arms is tested: it shrinks no faster than the sum of the
-speeds of each arm's fastest point.
+The check is for one serial chain.
 """
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from operator import attrgetter
-from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
-from robot_sysid.model.bodies import count_moving_joints
-from robot_sysid.model.chain import joint_friction
-from robot_sysid.motion.clearance import (
-    Clearance,
-    Closest,
-    approach_rates,
-    update_contacts,
-)
+from robot_sysid.motion.clearance import Clearance, Closest
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
-from robot_sysid.records import Array, JointLimits, Motion, MotionPlan, RobotModel
-from robot_sysid.trajectory import SineTrajectory, motion_chunks, sample_times
+from robot_sysid.records import Array, Motion, MotionPlan
+from robot_sysid.trajectory import SineTrajectory, sample_times
 
 LEAST_RATE_HZ = 1000.0
 """Lowest rate at which a motion is checked [Hz]."""
@@ -455,92 +442,3 @@ class _Approach:
             previous = np.concatenate((speed[:1], speed[:-1]))
             self._paths[row] = np.cumsum(np.maximum(speed, previous)) / FINEST_RATE_HZ
         return self._paths[row]
-
-
-_FAR = 0.2
-"""Largest distance between two arms that is computed [m]; larger ones count as this."""
-_TOUCH = 2e-3
-"""Distance between two arms below which they count as touching [m]."""
-
-
-def as_one(first: RobotModel, second: RobotModel) -> RobotModel:
-    """Return one arm with the joints of two arms of one model, those of the first in front.
-
-    It is no serial chain, so it is only for computations joint by joint: inverse dynamics, limits,
-    stepping. Its terminal link is that of the first arm.
-    """
-
-    def both(name: str) -> Any:
-        """Return the joined arrays of both arms' attribute of this name, which may have dots."""
-        return np.concatenate([attrgetter(name)(arm) for arm in (first, second)])
-
-    limits = ("lower", "upper", "velocity", "torque")
-    return replace(
-        first,
-        joint_names=first.joint_names + second.joint_names,
-        qpos_index=both("qpos_index"),
-        dof_index=both("dof_index"),
-        is_slide=both("is_slide"),
-        limits=JointLimits(*(both(f"limits.{name}") for name in limits)),
-        friction=joint_friction(first.mj_model, both("dof_index")),
-        links=first.links + second.links,
-    )
-
-
-class BetweenArms:
-    """Distances between two arms of one model, in which both are compiled.
-
-    Args:
-        first: one arm; its joints come first in positions of both.
-        second: the other arm.
-    """
-
-    def __init__(self, first: RobotModel, second: RobotModel) -> None:
-        self._model = model = copy.copy(first.mj_model)
-        model.geom_margin[:] = model.body_margin[:] = _FAR
-        model.geom_gap[:] = 0.0
-        self._data = data_at_pose(model, first.reference_qpos)
-        both = as_one(first, second)
-        self._at_q = both.qpos_index
-        self._arm = np.zeros(model.nbody, int)
-        rates = []
-        for number, arm in enumerate((first, second), start=1):
-            base = model.jnt_bodyid[model.dof_jntid[arm.dof_index[0]]]
-            self._arm[subtree(model, int(base))] = number
-            # The last row bounds the speed of every point of the arm.
-            bounds = approach_rates(arm, self._data, count_moving_joints(arm))
-            rates.append(bounds[-1])
-        self._rates = np.concatenate(rates)
-        # Arms that rest close to each other have to keep half of that distance.
-        self._least = min(_TOUCH, 0.5 * self.distance(both.reference))
-
-    def distance(self, q: Array) -> float:
-        """Return how far the arms are apart at positions q (n,) of both [m]; ``_FAR`` at most."""
-        self._data.qpos[self._at_q] = q
-        update_contacts(self._model, self._data)
-        contact = self._data.contact
-        # Per contact the arms (C, 2) of its bodies, 1 or 2, and 0 for bodies of none of them.
-        arms = self._arm[self._model.geom_bodyid[contact.geom.reshape(-1, 2)]]
-        between = np.all(np.sort(arms, axis=1) == (1, 2), axis=1)
-        return float(np.min(contact.dist[between], initial=_FAR))
-
-    def touch_at(self, motion: MotionPlan) -> float | None:
-        """Return when the arms first touch along a motion of both [s], or None.
-
-        ``motion`` has the joints of the first arm, then those of the second. Always None for arms
-        that touch at rest.
-        """
-        if self._least <= 0.0:
-            return None
-        # How far the arms may still approach each other before their distance is needed [m].
-        slack = 0.0
-        for chunk in motion_chunks(motion, LEAST_RATE_HZ):
-            approaches = np.abs(chunk.qd) @ self._rates / LEAST_RATE_HZ
-            for k, approach in enumerate(approaches):
-                slack -= approach
-                if slack > 0.0:
-                    continue
-                slack = self.distance(chunk.q[k])
-                if slack < self._least:
-                    return float(chunk.time[k])
-        return None

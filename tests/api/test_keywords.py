@@ -154,7 +154,6 @@ def test_what_cannot_be_used_is_said_in_the_words_of_python(call, message):
         ("leave it off with --no-friction", "leave it off with no_friction=True"),
         ("weigh (--known-mass KG --save-torque-scale FILE)",
          "weigh (known_mass=KG save_torque_scale=FILE)"),
-        ("--also needs --also-joint and --joint-map", "also needs also_joint and joint_map"),
         ("see robot-sysid motors map --model", "see robot-sysid motors map --model"),
         ("an --option of another tool", "an --option of another tool"),
         ("weigh it:\n  robot-sysid plan --config out/run.toml --for payload --output-dir out/two",

@@ -6,7 +6,6 @@ import pytest
 
 from robot_sysid.damiao import execution
 from robot_sysid.damiao.simulated import SimulatedLink
-from robot_sysid.errors import InputError
 from robot_sysid.motion.prediction import limit_lines, motion_lines
 from robot_sysid.pipeline import planning
 from tests.support.clocks import ScriptedClock, heard_signals
@@ -33,21 +32,14 @@ class SimulatedBus:
         arm: who answers.
         clock: simulated time, also that of the command.
         wire: the frames of the last link that was opened, or None.
-        rates: nominal bit rates that it was opened with.
-        impossible: nominal bit rates that the adapter cannot be set to.
     """
 
     def __init__(self):
         self.arm = two_motor_arm()
         self.clock = ScriptedClock()
         self.wire = None
-        self.rates = []
-        self.impossible = []
 
     def open_link(self, address, timing, clock, tell):
-        self.rates.append(timing.bitrate)
-        if timing.bitrate in self.impossible:
-            raise InputError("cannot open slcan channel can0: Invalid bitrate")
         link = SimulatedLink(self.clock, self.arm, timing, echo=True)
         self.wire = RememberingLink(link, self.clock)
         return self.wire

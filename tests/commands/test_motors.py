@@ -12,7 +12,6 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import replace
 
 import can
 import numpy as np
@@ -24,8 +23,7 @@ from robot_sysid.commands.motors import session
 from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.joints import damiao_joints, write_joint_map
 from robot_sysid.damiao.model_check import gravity_check
-from robot_sysid.damiao.protocol import DISABLED, ESC_ID, MST_ID, TIMEOUT
-from robot_sysid.motion.limit_check import as_one
+from robot_sysid.damiao.protocol import DISABLED, TIMEOUT
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulation.plant import ArmStepper
 from tests.support import arms
@@ -235,8 +233,6 @@ def test_a_terminal_that_takes_nothing_does_not_keep_it_from_ending(monkeypatch)
         (["simulate", "T"], "the following arguments are required: --model"),
         (["play", "T", *CAN0, *CAN0], "--channel names can0 twice; give each bus once"),
         (["check", "--channel", "a=can0", "--channel", "a=can1"], "--channel names a twice"),
-        (["play", "T", *CAN0, "--also", "T"], "two arms need --model, --joint and --also-joint"),
-        (["play", "T", *CAN0, "--also-joint", "j"], "--also-joint is about a second arm"),
         (["simulate", "T", "--model", "M", "--interface", "pcan"], "--interface needs --channel"),
     ],
 )  # fmt: skip
@@ -455,143 +451,6 @@ def test_a_map_of_two_buses_needs_none_to_be_checked(capsys, trajectory, two_bus
         capsys, "play", trajectory, "--joint-map", two_buses, "--dry-run", "-v"
     )
     assert "ids are unique: 1, 1" in out
-
-
-SIDE = """<body name="{side}" pos="0 {y} .5">
- <joint name="{side}_j" axis="{way} 0 0" range="-3 3"/>
- <geom type="capsule" fromto="0 0 0 0 0 .4" size=".04" mass="1"/></body>"""
-
-
-@pytest.fixture
-def both_arms(tmp_path):
-    """Function: words for two arms that bend towards each other, from so far apart [m]."""
-    table = tmp_path / "map.csv"
-    paths = []
-    write_joint_map(table, [map_line(f"{s}_j", s, 1, 0x11) for s in ("right", "left")])
-    for name, duration in (("first", 0.5), ("second", 0.3)):
-        (tmp_path / name).mkdir()
-        time, q, qd, _ = swing(1, duration=duration, amplitude=0.05)
-        paths.append(write_trajectory(tmp_path / name, (time, q, qd, 0.0 * q)))
-
-    def command_options(distance):
-        path = tmp_path / "two.xml"
-        ends = (("left", 0.5 * distance, 1), ("right", -0.5 * distance, -1))
-        bodies = "".join(
-            SIDE.format(side=s, y=y, way=direction) for s, y, direction in ends
-        )
-        head = "<mujoco><compiler angle='radian'/><worldbody>"
-        path.write_text(f"{head}{bodies}</worldbody></mujoco>")
-        arms = ("--joint", "left_j", "--also", paths[1], "--also-joint", "right_j")
-        return (
-            "simulate",
-            paths[0],
-            *arms,
-            "--model",
-            path,
-            "--joint-map",
-            table,
-            "--play",
-        )
-
-    return command_options
-
-
-def test_both_arms_of_a_model_are_played_in_one_run(
-    capsys, both_arms, tmp_path, quickly
-):
-    record = tmp_path / "measured.csv"
-    command_options = both_arms(0.4)
-    mirrored = map_line("left_j", "left", 1, 0x11, -1, 0.4)
-    write_joint_map(
-        tmp_path / "map.csv", [map_line("right_j", "right", 1, 0x11), mirrored]
-    )
-    out = succeed(capsys, *command_options, "--verbose", "--record", record)
-    assert "the limits of two.xml, and the arms apart" in out
-    columns = read_recording(record).columns
-    left = columns["left_j_pos"]
-    right = columns["right_j_pos"]
-    assert len(left) == 126 and np.max(left) > 0.045 and np.max(right) > 0.045
-    assert np.max(np.abs(right[-40:])) < 5e-3
-
-
-def test_arms_that_would_touch_are_not_played_together(capsys, both_arms):
-    """Each alone passes: it moves by 20 mm, and the other one is 30 mm away."""
-    command_options = both_arms(0.11)
-    err = fail(capsys, 3, *command_options)
-    assert "the arms touch while both move, at 0.1" in err
-    alone = [word for word in command_options[1:-1] if word not in command_options[4:8]]
-    succeed(capsys, "play", *alone, "--dry-run")
-
-
-def stand_on_two_buses(bus, q):
-    """Put the two motors on a bus each, and their joints at a place [rad]."""
-    for side, motor in enumerate(bus.motors):
-        motor.joint = replace(motor.joint, can_id=1, master_id=0x11, bus=side)
-        motor.registers.update({ESC_ID: 1.0, MST_ID: 17.0})
-    bus.arm.mechanism.q[:] = q
-
-
-def test_arms_that_are_in_each_others_way_to_the_first_point_are_not_played(
-    capsys, both_arms, bus
-):
-    """They stand bent towards each other: their own motions begin apart."""
-    stand_on_two_buses(bus, 0.4)
-    buses = (
-        "--channel",
-        "left",
-        "--channel",
-        "right",
-        "--dry-run",
-        "--accept-directions",
-    )
-    code, out, err = run(capsys, "play", *both_arms(0.3)[1:-1], *buses)
-    message = (
-        "on the way to the first point the model's arms touch if it goes straight, and "
-        "joint by"
-    )
-    assert code == 3 and message in err
-
-
-def test_both_arms_are_held_in_one_run(capsys, both_arms, bus, tmp_path):
-    """Each bends by another angle, and its weight is carried: stiffness alone sinks by 0.1 rad."""
-    *_, model, _, table = both_arms(1.0)[:-1]
-    both = (
-        "--joint",
-        "left_j",
-        "--also-joint",
-        "right_j",
-        "--model",
-        model,
-        "--joint-map",
-        table,
-    )
-    arms = [load_robot_model(model, None, f"{s}_j") for s in ("left", "right")]
-    start = [0.5, -0.3]
-    stand_on_two_buses(bus, 0.0)
-    bus.arm.mechanism = ArmStepper(as_one(*arms), np.array(start), 4e-3)
-    buses = ("--channel", "left", "--channel", "right", *SOFT, "--yes", "--for", "0.5")
-    record = tmp_path / "held.csv"
-    succeed(capsys, "hold", *both, *buses, "--record", record)
-    columns = read_recording(record).columns
-    for side, angle in zip(("left", "right"), start):
-        assert np.max(np.abs(columns[f"{side}_j_pos"] - angle)) < 5e-3
-    assert [m.status for m in bus.motors] == [DISABLED] * 2
-    err = fail(capsys, 2, "hold", *both[:3], "left_j", *both[4:], *buses)
-    assert "--joint and --also-joint are of one arm: both move left_j" in err
-    err = fail(capsys, 2, "hold", *both[2:], *buses)
-    assert "two arms need --model, --joint and --also-joint" in err
-
-
-def test_the_small_motions_of_two_arms_are_checked_and_not_their_files(
-    capsys, both_arms, bus
-):
-    """They stand at the end of their ranges, where their files never bring them."""
-    stand_on_two_buses(bus, 2.98)
-    buses = ("--channel", "left", "--channel", "right", "--verify")
-    err = fail(capsys, 3, "play", *both_arms(3.0)[1:-1], *buses)
-    assert "not moved (where there is no room for 0.1 rad" in err
-    assert "position 3.08 rad is beyond the model's limit 3" in err
-    assert only_asks(bus.wire.sent)
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")

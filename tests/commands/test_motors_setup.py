@@ -127,7 +127,6 @@ def test_an_error_is_cleared_by_name(capsys, bus):
     ("options", "message", "code"),
     [
         (("--mit",), "--motor says which motor", 2),
-        (("--scan",), "the bit rate of socketcan is set outside", 2),
         (("--motor", 9, "--mit"), "0 motors answer to CAN id 9", 3),
         (
             ("--motor", 1, "--new-id", 2),
@@ -264,18 +263,3 @@ def test_the_model_says_which_way_is_positive(arm_file):
     texts = movement_texts(robot)
     assert [text.partition("seen from ")[2] for text in texts] == ["+z (up)", "+y"]
     assert all("counter-clockwise" in text for text in texts)
-
-
-def test_motors_are_looked_for_at_every_bit_rate_that_the_adapter_has(capsys, bus):
-    bus.impossible = [1e6, 2e5]
-    scan = ("setup", *CAN0, "--interface", "slcan", "--scan")
-    out = succeed(capsys, *scan)
-    assert "500000 bit/s: 2 motors" in out
-    assert (
-        "200000 bit/s: not tried, cannot open" in out
-        and "125000 bit/s: 2 motors" in out
-    )
-    assert bus.rates == [1e6, 5e5, 2.5e5, 2e5, 1.25e5]
-    bus.impossible = bus.rates
-    err = fail(capsys, 2, *scan)
-    assert "cannot open slcan" in err

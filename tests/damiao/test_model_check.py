@@ -18,7 +18,6 @@ from robot_sysid.damiao.model_check import (
 )
 from robot_sysid.damiao.preflight import NOTE, OK, STOP
 from robot_sysid.damiao.protocol import BusTiming
-from robot_sysid.damiao.references import ORDERS, STRAIGHT
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.trajectory import NO_LIMITS
 from robot_sysid.motion import LimitOptions
@@ -61,13 +60,13 @@ def check_trajectory(folder, motion, speed, robot, park=None, limits=NO_LIMITS):
     plan = Plan(
         played, PlaySettings(speed=speed, park=park and str(park)), limits=limits
     )
-    checks = model_checks(plan, Contacts([robot], limits))
+    checks = model_checks(plan, Contacts(robot, limits))
     return [check for check in checks if check.severity != NOTE]
 
 
 def test_links_whose_contacts_cannot_be_found_are_named(arm, folder):
     played = trajectory_file(folder, swing(), MOTOR)
-    note, check = model_checks(Plan(played, PlaySettings()), Contacts([arm]))
+    note, check = model_checks(Plan(played, PlaySettings()), Contacts(arm))
     assert (note.severity, check.severity) == (NOTE, OK)
     assert note.text.startswith("nothing keeps link0, link1, link2 from touching")
 
@@ -141,19 +140,6 @@ def test_printed_digits_of_positions_do_not_count_as_speed(arm, folder, rate=100
     )
     motion = time, q, np.full_like(q, velocity), 0 * q
     assert limit_findings(check_trajectory(folder, motion, 1.0, robot)) == set()
-
-
-def test_a_message_tells_joint_limit_value_and_moment(arm, folder):
-    time, q, qd, tau = swing(3, duration=1.0, amplitude=0.98)
-    free = np.full(3, np.inf)
-    narrow = np.array([0.3, 2.0, 2.0])
-    robot = replace(arm, limits=JointLimits(-narrow, narrow, free, free))
-    (check,) = check_trajectory(folder, (time, -q, -qd, tau), 0.5, robot)
-    assert check.severity == STOP
-    assert check.text.startswith(
-        "joint joint0: position -0.98 rad is beyond the model's limit -0.3, at 1.00 s; export a "
-        "smaller trajectory for this arm:\n  robot-sysid plan inline.xml --joint joint2 "
-    )
 
 
 # --- torque -------------------------------------------------------------------------------------
@@ -248,7 +234,6 @@ def test_a_wall_on_the_way_is_found_even_where_the_file_states_no_velocity(
 
 @given(angle=st.floats(-2.9, 1.4) | st.floats(1.7, 2.9) | st.floats(3.1, 3.5))
 def test_where_the_arm_is_parked_and_each_way_are_compared_too(folder, angle):
-    """The one joint has no order that avoids the wall between zero and an angle."""
     robot = arms.robot_of(WALL, max_velocity=np.inf)
     (folder / "pose").write_text(f"{angle}")
     texts = [
@@ -257,16 +242,14 @@ def test_where_the_arm_is_parked_and_each_way_are_compared_too(folder, angle):
     assert any(
         "outside the model's -3 to 3; choose another" in text for text in texts
     ) == (angle > 3.0)
-    order, touching = Contacts([robot]).order(np.zeros(1), np.array([angle]))
-    assert (order, "wall" in touching) == (
-        ("", True) if angle > 1.5 else (STRAIGHT, False)
-    )
+    touching = Contacts(robot).on_the_way(np.zeros(1), np.array([angle]))
+    assert ("wall" in touching) == (angle > 1.5)
     for message, ends in (
         ("the first point", "nearer by hand"),
         ("parked", "choose another --park"),
     ):
         excesses = [
-            c.text for c in transfer_check(f"on the way to {message}", order, touching)
+            c.text for c in transfer_check(f"on the way to {message}", touching)
         ]
         assert [message in text and text.endswith(ends) for text in excesses] == [
             True
@@ -290,35 +273,8 @@ def test_planes_and_boxes_hold_for_what_is_played_approached_and_parked(folder):
         assert fits.severity == OK
         (beyond,) = check_trajectory(folder, high, 1.0, robot, None, limits)
         assert beyond.severity == STOP and "0.3 m" in beyond.text
-        order, touching = Contacts([robot], limits).order(np.zeros(1), np.ones(1))
-        assert order == "" and "0.3 m" in touching
-
-
-ELBOW = arms.world(
-    '<body name="upper"><inertial pos="0 0 .1" mass="1" diaginertia=".01 .01 .01"/>'
-    '<joint name="a" axis="0 0 1" range="-3 3"/><geom size=".02" pos=".3 0 0"/>'
-    '<body name="fore" pos=".4 0 0"><inertial pos="0 0 .1" mass="1" diaginertia=".01 .01 .01"/>'
-    '<joint name="b" axis="0 0 1" range="-3 3"/><geom size=".02" pos=".4 0 0"/></body></body>'
-    '<body name="post"><geom type="box" size=".02 .02 .02" pos="{x} {y} 0"/></body>'
-)
-
-
-@pytest.mark.parametrize(
-    ("post", "order"),
-    [((0.6, -0.3), 0), ((0.154, 0.72), 1), ((0.55, 0.55), 2), ((0.8, 0.0), None)],
-)
-def test_an_arm_goes_joint_by_joint_where_the_straight_way_touches(post, order):
-    """Folding first passes inside of a post, turning first outside of it; not one at the start."""
-    robot = arms.robot_of(
-        ELBOW.format(x=post[0], y=post[1]), joint="b", max_velocity=np.inf
-    )
-    free_order, touching = Contacts([robot]).order(np.zeros(2), np.array([1.2, 1.0]))
-    assert (free_order, bool(touching)) == (
-        "" if order is None else ORDERS[order],
-        order != 0,
-    )
-    (check,) = [*transfer_check("on the way", free_order, touching)] or [None]
-    assert (check and check.severity) == {0: None, None: STOP}.get(order, NOTE)
+        touching = Contacts(robot, limits).on_the_way(np.zeros(1), np.ones(1))
+        assert "0.3 m" in touching
 
 
 # --- a planned motion that an arm with another load is to play ----------------------------------
@@ -330,31 +286,6 @@ def settings_file(folder, model, **values):
     (folder / "trajectory.toml").write_text("\n".join(lines))
 
 
-def heavy_motion(arm):
-    """A swing with its torque, of which motors of the type make a tenth."""
-    time, q, qd, tau = with_its_torque(arm, 0)
-    return time, q, 40.0 * qd, tau
-
-
-def test_an_arm_that_needs_more_than_its_motors_make_is_to_be_weighed_first(
-    arm, tmp_path
-):
-    first = refusals(tmp_path, arm, heavy_motion(arm))[0]
-    command = first.partition("with a smaller motion first:\n  ")[2]
-    assert command.startswith(
-        "robot-sysid plan inline.xml --joint joint2 --export-damiao "
-    )
-    assert command.count("--motor-type DM4340") == 3
-    assert command.endswith(f"--for weight --output-dir {tmp_path / 'weighing'}")
-    settings_file(tmp_path, "guess.xml")
-    first = refusals(tmp_path, arm, heavy_motion(arm))[0]
-    message = f"--config {tmp_path / 'trajectory.toml'} --for weight --output-dir"
-    line = f"  robot-sysid plan {message} {tmp_path / 'weighing'}"
-    assert first.endswith(f" first:\n{line}")
-    settings_file(tmp_path, "guess.xml", for_="weight")
-    assert " --max-torque " in refusals(tmp_path, arm, heavy_motion(arm))[0]
-
-
 LIGHT = arms.THREE
 HEAVY = arms.THREE.replace('mass=".8"', 'mass="8"')
 
@@ -362,19 +293,9 @@ HEAVY = arms.THREE.replace('mass=".8"', 'mass="8"')
 @pytest.mark.parametrize(
     ("purpose", "factor", "severity", "message"),
     [
-        (
-            "link",
-            1.0,
-            STOP,
-            "weigh the arm with a smaller motion first:\n  robot-sysid plan ",
-        ),
+        ("link", 1.0, STOP, "weigh the arm with a smaller motion first"),
         ("weight", 1.0, NOTE, "the file is as its model has it, and weighs this arm"),
-        (
-            "weight",
-            -1.0,
-            STOP,
-            "export the file again for this arm:\n  robot-sysid plan ",
-        ),
+        ("weight", -1.0, STOP, "export the file again for this arm"),
     ],
 )
 def test_a_load_that_the_plan_did_not_know_is_told_from_a_wrong_file(

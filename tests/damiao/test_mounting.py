@@ -14,7 +14,7 @@ from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints, map_joints
 from robot_sysid.damiao.model_check import gravity_check
 from robot_sysid.damiao.preflight import bus_checks, stops
 from robot_sysid.damiao.protocol import DISABLED, ENABLED, TIMEOUT
-from robot_sysid.damiao.references import ORDERS, FileHolding
+from robot_sysid.damiao.references import FileHolding
 from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import HardwareAbort, InputError
 from tests.support.damiao_rig import GRAVITY, Rig, map_line, swing, trajectory_file
@@ -175,15 +175,6 @@ def test_an_arm_is_parked_slowly(tmp_path, where, target):
     assert run.error is None
     np.testing.assert_allclose(run.arm.mechanism.q, target, atol=0.03)
     assert np.max(speeds) < 0.4
-
-
-def test_joints_go_one_after_the_other_where_that_is_the_way(tmp_path):
-    run = rig(tmp_path, start=[0.1, -0.1], orders=ORDERS[1:])
-    approach = []
-    speeds = fastest_after(run, f"moving to the first point, {ORDERS[1]}")
-    run.during("playing", 0.0, lambda r: approach.extend(speeds)).run(settle=0.0)
-    slower, faster = np.sort(approach, axis=1).T
-    assert run.error is None and np.max(faster) > 0.1 and np.max(slower) < 0.03
 
 
 @pytest.mark.parametrize("text", ["1,2,3", "a,b", "1,nan"])

@@ -240,11 +240,6 @@ def extra(*joint):
             None,
             "would be taken as commands by the motor with CAN id 2",
         ),
-        (
-            extra("DM4310", 9, 0x12),
-            None,
-            "master id 0x12 is used by more than one motor",
-        ),
         ({}, as_if_somebody_talked, "another program is talking to these motors"),
         ({}, answers_in_fd, "motor 1 does not answer"),
         (
@@ -254,11 +249,6 @@ def extra(*joint):
         ),
         ({"start": [-2 * np.pi, 0.0]}, None, "lost its turn count"),
         ({"adapter": lambda: 0.016}, None, "use --rate 50"),
-        (
-            {"rate": 2000.0},
-            None,
-            "load classic CAN to 108 %, limit 70 %; use --rate 1000",
-        ),
     ],
 )
 def test_a_bus_or_an_arm_that_is_not_as_it_should_be_is_refused(
@@ -280,26 +270,12 @@ def changed_swing(change):
     return time, q, qd, tau
 
 
-def moving(q, qd, tau):
-    qd[[0, -1], 0] = 0.06
-
-
 def strong(q, qd, tau):
     tau[50:60, 1] = 27.5
 
 
-def drifting(q, qd, tau):
-    q[:, 0] = 0.0
-    qd[:, 0] = 9.0
-    qd[[0, -1], 0] = 0.0
-
-
 def reverse_velocity(q, qd, tau):
     qd[:, 1] *= -1.0
-
-
-def jumping(q, qd, tau):
-    q[125:, 0] += 0.15
 
 
 COLUMN = "but the positions change by"
@@ -307,13 +283,7 @@ COLUMN = "but the positions change by"
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [
-        (moving, "starts or ends at 0.06 rad/s"),
-        (strong, "exceeds the peak torque"),
-        (drifting, f"line 5: velocity 9 rad/s of motor 1, {COLUMN} 0 "),
-        (reverse_velocity, f"of motor 2, {COLUMN}"),
-        (jumping, f"of motor 1, {COLUMN}"),
-    ],
+    [(strong, "exceeds the peak torque"), (reverse_velocity, f"of motor 2, {COLUMN}")],
 )
 def test_a_trajectory_that_no_motor_can_follow_is_refused(rig, change, message):
     run = rig(motion=changed_swing(change)).run()
@@ -427,12 +397,6 @@ def hung_up(rig):
     rig.clock.at(rig.clock.now() + 0.01, lambda: rig.stop("stopped by SIGHUP"))
 
 
-def send_sigterm(rig):
-    """Nobody reads our output any more, and the system asks us to end."""
-    rig.console = raising(BrokenPipeError(errno.EPIPE, "Broken pipe"))
-    rig.stop("stopped by SIGTERM")
-
-
 def insist_on_stop(rig):
     """Ctrl-C, and again while the motors brake."""
     rig.stop("stopped by SIGINT")
@@ -517,7 +481,6 @@ class Line:
 
 KEPT = {"watchdog": 0.0, "permissions": Permissions(watchdog=0.1)}
 DEAF = {"max_speed_error": 9.0, "max_tracking_error": 9.0}
-PATH = {"max_speed_error": 9.0, "max_torque_error": (99.0,)}
 UNPLUGGED = driver_fails(LinkError("gone"), 1e9)
 LOST = "answer in time for 6 cycles; no confirmation that these motors are disabled: motor 2. Cut"
 RAMP = "raising the gains"
@@ -525,26 +488,17 @@ WAY = "moving to the first point"
 FIRST = {"start": [0.3, -0.3]}
 TABLE = (
     Line("terminal closed", hung_up, BRAKES, "stopped by SIGHUP"),
-    Line("output closed, SIGTERM", send_sigterm, BRAKES, "stopped by SIGTERM"),
     Line("Ctrl-C", send_signal("SIGINT"), BRAKES, "stopped by SIGINT"),
-    *(
-        Line(name, send_signal(name), BRAKES, f"stopped by {name}")
-        for name in ("SIGTERM", "SIGQUIT", "SIGUSR1")
-    ),
     Line("Ctrl-C twice", insist_on_stop, DROPS, "stopped by SIGINT"),
     Line("disk full", disk_full, BRAKES, "cannot record: No space left on device"),
     Line("a defect", raising(RuntimeError("unforeseen")), BRAKES, "RuntimeError: unforeseen"),
-    Line("driver raises, 20 ms", driver_fails(RuntimeError("usb"), 0.02), BRAKES, "usb"),
     Line("driver raises, for good", driver_fails(KeyError("x"), 1e9), TRIPS, "Cut their power"),
     Line("driver exits, 20 ms", driver_fails(SystemExit(7), 0.02), BRAKES, "SystemExit: 7"),
-    Line("driver interrupts", driver_fails(KeyboardInterrupt(), 1e9), TRIPS, "Interrupt; no conf"),
     Line("adapter unplugged", UNPLUGGED, TRIPS, "gone; no confirmation"),
     Line("motor dies", fault("silent", 1), "1D 0D 0D", LOST),
     Line("answers lost", fault("lost_replies", 1), "11 00 00", LOST),
     Line("over-current", fault("status", 1, 0xA), "1A 0A 0A", "motor 2 reports status A"),
     Line("disabled by itself", fault("status", 1, 0), "10 00 00", "motor 2 reports status 0"),
-    Line("watchdog", fault("status", 0, 0xD), "D1 D0 D0", "status D: communication lost"),
-    Line("unknown status", fault("status", 0, 0xF), "F1 F0 F0", "motor 1 reports status F"),
     Line("all fail", both(fault("status", 0, 9), fault("status", 1, 9)), "99 99 99", "status 9"),
     Line(
         "a second one fails while it brakes",
@@ -554,10 +508,8 @@ TABLE = (
     Line("watchdog set for the run", fault("silent", 1), "1D 0D 0D", "motor 2. Cut", KEPT),
     Line("blocked joint", fault("jammed", 0), "01 00 00", "one and the same position"),
     Line("weak motor", fault("peak_torque", 1, 0.05), SLOWLY, "motor 2 makes 0.01 times its"),
-    Line("jammed for good", fault("jammed", 0), "01 00 00", "one and the same position", PATH),
     Line("torque turned", fault("torque_factor", 1, -1), BRAKES, "its sign is reversed", USUAL),
     Line("power stage hot", fault("temperature_mos", 1, 81), BRAKES, "motor 2 is at 81 deg C"),
-    Line("winding hot", fault("temperature_rotor", 1, 81), BRAKES, "at 81 deg C, limit 80"),
     Line("encoder slips 0.15 rad", fault("shift", 1, 0.15), SLOWLY, "what cannot be true"),
     Line("stall", lambda rig: rig.clock.stall(0.05), BRAKES, "late for a control cycle, limit 20"),
     Line("long stall", lambda rig: rig.clock.stall(0.2), TRIPS, "ms late for a control cycle"),
@@ -662,8 +614,7 @@ def test_velocities_that_do_not_add_up_to_positions_stop_the_run(rig, kp):
     run.assert_stopped("motor 2 moves 1.2")
 
 
-@pytest.mark.parametrize("seed", range(1))
-def test_what_a_slow_adapter_delivers_is_never_paired_with_another_command(rig, seed):
+def test_what_a_slow_adapter_delivers_is_never_paired_with_another_command(rig):
     """Answers begin to come 5 to 16 ms late: each one that is believed answers the last command."""
     run = rig(1, max_missed=50, **DEAF, **USUAL)
     hit = run.motors[0]
@@ -685,8 +636,7 @@ def test_what_a_slow_adapter_delivers_is_never_paired_with_another_command(rig, 
         return replies
 
     def slow(rig):
-        delays = np.random.default_rng(seed).uniform(5e-3, 16e-3, 10**5)
-        rig.adapter.delay = iter(delays).__next__
+        slow_adapter(rig)
 
     hit._command_answer = number_commands
     with pytest.MonkeyPatch.context() as patch:

@@ -13,15 +13,11 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
-from robot_sysid.errors import InputError
-from robot_sysid.model.bodies import count_moving_joints
 from robot_sysid.motion import limit_check
 from robot_sysid.motion.clearance import Closest, Slack
 from robot_sysid.motion.limit_check import (
     CLEARANCE_RESOLUTION,
     RESERVE,
-    BetweenArms,
-    as_one,
     check_limits,
     checked_time,
     first_contact,
@@ -34,9 +30,7 @@ from robot_sysid.motion.trajectories import (
     at_speed,
     straight_way,
 )
-from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion
-from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms
 from tests.support.arms import SEEDS
@@ -242,58 +236,3 @@ def test_a_clearance_may_fall_short_by_rounding_alone(shortfall, holds):
     plan = straight_way(problem.rest, problem.rest + end * towards)
     check = check_limits(problem, plan)
     assert any("clearance" in excess.limit for excess in check.excesses) != holds
-
-
-LINK = """
-<body name="{side}0" pos="0 {y} 0"><joint name="{side}_a" axis="0 0 1" range="-3 3"/>
- <geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" mass="1"/>
- <body name="{side}1" pos=".3 0 0"><joint name="{side}_b" axis="0 1 0" range="-3 3"/>
-  <geom type="capsule" fromto="0 0 0 .2 0 0" size=".03" mass=".5"/></body></body>"""
-
-
-@pytest.fixture(scope="module")
-def pair(tmp_path_factory):
-    """Two arms side by side along x, 0.5 m apart, that can reach each other."""
-    path = tmp_path_factory.mktemp("arms") / "two.xml"
-    bodies = LINK.format(side="left", y=0.25) + LINK.format(side="right", y=-0.25)
-    head = "<mujoco><compiler angle='radian'/><worldbody>"
-    path.write_text(f"{head}{bodies}</worldbody></mujoco>")
-    return [load_robot_model(path, joint=f"{side}_b") for side in ("left", "right")]
-
-
-def test_two_arms_as_one_need_the_torques_of_each(pair):
-    both = as_one(*pair)
-    assert both.joint_names == ("left_a", "left_b", "right_a", "right_b")
-    derivatives = default_rng(0).uniform(-1.0, 1.0, (3, 5, 4))
-    time = np.arange(5.0)
-    torques = []
-    for arm, motion in zip(pair, np.split(derivatives, 2, axis=2)):
-        torques.append(ArmTorque(arm)(Motion(time, *motion)))
-    torque = ArmTorque(both)(Motion(time, *derivatives))
-    assert_allclose(torque, np.hstack(torques), atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    "end", [[-0.6, 0.0, 0.6, 0.0], [-1.2, 0.5, 0.0, 0.0], [0.9, 1, -0.9, -1]]
-)
-def test_the_first_touch_equals_that_of_dense_samples(pair, end):
-    between = BetweenArms(*pair)
-    path = straight_way(np.zeros(4), np.array(end))
-    time = np.linspace(0.0, path.duration, 2000)
-    is_close = [between.distance(q) < 2e-3 for q in path.evaluate(time).q]
-    touch_time = between.touch_at(path)
-    assert (touch_time is None) == (not any(is_close))
-    if touch_time is not None:
-        assert touch_time == pytest.approx(time[is_close.index(True)], abs=3e-3)
-
-
-def test_two_arms_are_refused_where_a_serial_chain_is_needed(pair):
-    with pytest.raises(InputError, match="no serial chain: take one arm"):
-        count_moving_joints(as_one(*pair))
-
-
-def test_two_arms_overlap_in_one_pose_and_not_at_rest(pair):
-    """The three ends of the test above are of both kinds."""
-    between = BetweenArms(*pair)
-    assert between.distance(np.array([-0.6, 0.0, 0.6, 0.0])) < 0.0
-    assert between.distance(np.zeros(4)) == 0.2

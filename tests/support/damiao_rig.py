@@ -14,7 +14,6 @@ from robot_sysid.damiao.execution import MotorRun, run
 from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.preflight import bus_checks
-from robot_sysid.damiao.references import STRAIGHT
 from robot_sysid.damiao.settings import (
     Permissions,
     Plan,
@@ -185,8 +184,6 @@ class Rig:
         name="measured",
         adapter=None,
         console=lambda sentence: None,
-        holding=None,
-        orders=(STRAIGHT, STRAIGHT),
         **settings,
     ):
         freeze_heap()
@@ -202,7 +199,6 @@ class Rig:
         self.bus = SimulatedLink(self.clock, self.arm, timing, echo)
         self.adapter = SlowAdapter(self.bus, self.clock, adapter)
         self.console = console
-        self.how = (holding, orders)
         self.wire = RememberingLink(self.adapter, self.clock)
         self.link = GuardedLink(self.wire, self.clock, timing.fd)
         self.record_path = folder / f"{name}.csv"
@@ -276,9 +272,7 @@ class Rig:
         try:
             self.checks = bus_checks(self.plan, inspection)
             self.plan.recording.require_free()
-            self.report = run(
-                self.link, self.plan, inspection, self.stop, *callbacks, *self.how
-            )
+            self.report = run(self.link, self.plan, inspection, self.stop, *callbacks)
         except Exception as error:
             self.error = error
         self.arm.advance(self.clock.now() + settle)

@@ -63,7 +63,7 @@ MOVED = "its zero has moved"
 WEAK_SUPPLY = "it is weak, or its supply sags"
 UNANSWERED = "did not answer in time"
 LINES = (
-    Line("motor makes half its torque", WeakMotor(SHOULDER, 0.5), "its motor is weak"),
+    Line("motor makes half its torque", WeakMotor(SHOULDER, 0.5), "suddenly needs"),
     Line("motor makes 0.6 of its torque, at kp 500", WeakMotor(SHOULDER, 0.6), ""),
     Line("motor makes half and says so", WeakMotor(SHOULDER, 0.5, True), WEAK_SUPPLY),
     Line("motor lost", LostMotor(SHOULDER), UNANSWERED, quantity=OTHERS),
@@ -87,12 +87,12 @@ LINES = (
     Line("stale answers", MotorSetting(SHOULDER, "is_stale", True), "its answers are stale"),
     Line(
         "velocity reversed", MotorSetting(SHOULDER, "velocity_factor", -1.0),
-        "the sign of one is reversed",
+        "off its speed",
     ),
     Line("torque reversed", MotorSetting(SHOULDER, "torque_factor", -1.0), "its sign is reversed"),
     Line("supply sags", SaggingSupply(SHOULDER), "reports status 9", quantity=OTHERS),
-    Line("3 kg gripped", GrippedMass(), "the arm carries about"),
-    Line("push of 60 N", Push(), "something pushed it for a moment"),
+    Line("3 kg gripped", GrippedMass(), "suddenly needs"),
+    Line("push of 60 N", Push(), "suddenly needs"),
     Line("joint jammed, shoulder", JammedJoint(SHOULDER), "motor 2 (joint joint1) stands still"),
     Line("joint jammed, wrist", JammedJoint(WRIST), "or it is blocked"),
     Line("answers lost", MotorSetting(SHOULDER, "lost_replies", True), UNANSWERED),

@@ -11,12 +11,7 @@ from typing import NamedTuple
 
 from robot_sysid.commands import PROGRAM
 from robot_sysid.commands.arguments import Parser, parse_command
-from robot_sysid.commands.motors.mapping import (
-    DirectionChoices,
-    MapOptions,
-    map_joints,
-    verify_directions,
-)
+from robot_sysid.commands.motors.mapping import MapOptions, map_joints
 from robot_sysid.commands.motors.next_steps import play_step, step_after_play
 from robot_sysid.commands.motors.session import (
     Session,
@@ -44,7 +39,6 @@ from robot_sysid.damiao.settings import (
     Plan,
     PlaySettings,
     RecordingOptions,
-    SecondArm,
 )
 from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG, serve, slcan_terminal
 from robot_sysid.damiao.trajectory import LIMITS
@@ -137,19 +131,15 @@ def check(session: Session) -> int:
 
 
 def play(session: Session) -> int:
-    """Play a trajectory on the motors, only check it, or verify directions; return the exit code.
+    """Play a trajectory on the motors, or only check it; return the exit code.
 
-    InputError without --channel, unless it is a dry run; other errors are those of ``_play_on`` and
-    ``verify_directions``.
+    InputError without --channel, unless it is a dry run; other errors are those of ``_play_on``.
     """
     choices = record_from(PlayChoices, session.values)
-    verifies = record_from(DirectionChoices, session.values).verify
     plan = session.plan()
     checks = session.checks(plan)
     if session.address.channel:
         with session.open_guarded() as link:
-            if verifies and not choices.dry_run:
-                return verify_directions(session, link, plan)
             return _play_on(link, plan, checks, choices, session, is_real=True)
     if not choices.dry_run:
         raise InputError(
@@ -250,11 +240,7 @@ _PLAYED = {
         "Go through all checks, ask for confirmation, enable the motors, move slowly to the first "
         "point, play, come to rest, and disable. A disabled arm sinks: support it or park it where "
         "it cannot fall.",
-        {
-            **_MOTION,
-            "recording": (RecordingOptions,),
-            "asking": (PlayChoices, DirectionChoices),
-        },
+        {**_MOTION, "recording": (RecordingOptions,), **_ASKING},
     ),
 }
 COMMANDS: Mapping[str, MotorCommand] = {
@@ -355,12 +341,8 @@ def build_parser(command: str, full: bool = True) -> Parser:
 def _add_arm_options(parser: Parser, command: str) -> None:
     """Add to a command's parser the options that say which arm the motors drive."""
     help_text = "of the arm"
-    if command == "map":
-        group = parser.add("arm", ModelOptions, leave_out=("also",))
-    else:
-        # A held arm has no second trajectory.
-        leave_out = ("also",) if command == "hold" else ()
-        group = parser.add("arm", ModelOptions, SecondArm, leave_out=leave_out)
+    group = parser.add("arm", ModelOptions)
+    if command != "map":
         help_text = (
             "MJCF or URDF of the arm; the trajectory is checked against its limits"
         )

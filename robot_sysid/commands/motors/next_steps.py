@@ -41,7 +41,7 @@ def step_after_play(session: Session, plan: Plan, is_real: bool) -> NextStep:
         command = session.command("check", "speed", "record", **missing)
         return NextStep("Next, with the arm connected, check its motors", command)
     folder = plan.trajectory.path.parent
-    settings = None if plan.trajectory.has_two_arms else plan_settings(folder)
+    settings = plan_settings(folder)
     planned = {} if settings is None else settings[1]
     is_payload = planned.get("for_") == "payload"
     record = plan.recording.record

@@ -21,12 +21,7 @@ from robot_sysid.damiao.player import PlayReport
 from robot_sysid.damiao.preflight import OK, Check
 from robot_sysid.damiao.protocol import Feedback
 from robot_sysid.damiao.recorder import Aside
-from robot_sysid.damiao.settings import (
-    Permissions,
-    PlaySettings,
-    RecordingOptions,
-    SecondArm,
-)
+from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.model import ModelOptions
@@ -38,7 +33,7 @@ _PRINT_TIMEOUT = 1.0
 """Time that printing one line may take while a driver stalls [s]."""
 # Classes whose options ``Session.command`` repeats: before the model's file, and after it.
 _BUS_RECORDS = BusAddress, protocol.BusTiming
-_RUN_RECORDS = ModelOptions, SecondArm, PlaySettings, Permissions, RecordingOptions
+_RUN_RECORDS = ModelOptions, PlaySettings, Permissions, RecordingOptions
 
 
 def ask(prompt: str) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from robot_sysid.commands import Console
@@ -30,7 +30,7 @@ from robot_sysid.damiao.bus import (
 from robot_sysid.damiao.joints import id_problems
 from robot_sysid.damiao.protocol import refuse_motion
 from robot_sysid.errors import HardwareAbort, InputError
-from robot_sysid.records.messages import NextStep, count_text
+from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import (
     OptionRecord,
     given_options,
@@ -69,9 +69,6 @@ _ID: dict[str, Any] = {
 class SetupOptions(OptionRecord):
     """Changes of one motor by ``motors setup``; without any, the motors are listed."""
 
-    scan: bool = option(
-        False, "look for motors at every bit rate that the adapter can be set to"
-    )
     motor: int | None = option(None, "CAN id of the motor to change", **_ID)
     new_id: int | None = option(None, "new CAN id", **_ID)
     new_master_id: int | None = option(
@@ -262,16 +259,14 @@ class MotorSetup:
 def setup(session: Session) -> int:
     """List the motors on a bus, change one of them if the options say so; return the exit code.
 
-    With --scan only the motors at every bit rate are listed. Errors are those of ``MotorSetup``,
-    ``_motor_to_change`` and ``_scan_bit_rates``, and InputError for a change without --motor.
+    Errors are those of ``MotorSetup`` and ``_motor_to_change``, and InputError for a change without
+    --motor.
     """
     options = record_from(SetupOptions, session.values)
     keys = {option.key for option in given_options(options)}
-    changes = bool(keys - {"scan", "motor"})
+    changes = bool(keys - {"motor"})
     if changes and options.motor is None:
         raise InputError("--motor says which motor to change, for instance --motor 1")
-    if options.scan:
-        return _scan_bit_rates(session)
     with session.open_guarded(refuse_motion) as link:
         inspection = inspect_bus(link)
         session.console.stage(*motor_table(inspection))
@@ -296,42 +291,6 @@ def _conclude_listing(session: Session, count: int, summary: str = "") -> int:
     step = NextStep("Next, check the motors", session.command("check"))
     session.conclude(verdict, step)
     return 0
-
-
-def _scan_bit_rates(session: Session) -> int:
-    """Inspect the bus at every classic CAN bit rate, from the highest down; return the exit code.
-
-    Rates that the adapter refuses are printed and left out. InputError where the adapter takes none
-    of them, or where its bit rate is set outside of this program.
-    """
-    interface = session.address.interface
-    if interface in ("socketcan", "damiao", "virtual"):
-        raise InputError(
-            f"the bit rate of {interface} is set outside of this program (ip link, "
-            "or the adapter's own tool); set one after the other there and run setup without --scan"
-        )
-    count = 0
-    errors = []
-    # Faster ones are those of CAN-FD.
-    rates = [rate for rate in protocol.BIT_RATES if rate <= 1_000_000]
-    for rate in sorted(rates, reverse=True):
-        timing = replace(session.timing, bitrate=float(rate))
-        try:
-            with session.open_guarded(refuse_motion, timing) as link:
-                inspection = inspect_bus(link)
-        except InputError as error:
-            errors.append(error)
-            session.console.stage(f"{rate} bit/s: not tried, {error}")
-            continue
-        count += len(inspection.motors)
-        session.console.stage(
-            f"{rate} bit/s: {count_text(len(inspection.motors), 'motor')}"
-        )
-        if inspection.motors:
-            session.console.stage(*motor_table(inspection))
-    if len(errors) == len(rates):
-        raise errors[0]
-    return _conclude_listing(session, count)
 
 
 def _motor_to_change(inspection: Inspection, options: SetupOptions) -> InspectedMotor:

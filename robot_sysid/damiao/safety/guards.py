@@ -467,10 +467,6 @@ class BeyondBounds(HardwareAbort):
     """A command was not sent because it is beyond the bounds of a joint."""
 
 
-class Overload(BeyondBounds):
-    """A command was not sent because it needs more torque than a joint's motor makes."""
-
-
 @dataclass(frozen=True)
 class CommandRange:
     """Positions and speeds that commands of n joints may have, each (n,).
@@ -545,9 +541,6 @@ class CommandBounds:
             elapsed: (n,) time since the last command [s].
             q: (n,) last believed positions [rad]; NaN where a joint has never answered.
 
-        Raises:
-            BeyondBounds: for a position or velocity.
-            Overload: a BeyondBounds too, where the command needs more torque than the motor makes.
         """
         lowest, highest = self._reach(last, elapsed)
         slack = self.position_step + _ROUNDING
@@ -571,10 +564,10 @@ class CommandBounds:
         requested = np.abs(command.kp * error + command.torque)
         available = self.torque + self.torque_step + command.kp * self.position_step
         for j in np.flatnonzero(~(requested <= available * (1.0 + _ROUNDING))).tolist():
-            raise Overload(
+            raise BeyondBounds(
                 f"{labels[j]} would be asked for {requested[j]:.1f} N m and makes "
-                f"{self.torque[j]:.1f} at most: the arm needs more than this motor has, or "
-                "something holds it back"
+                f"{self.torque[j]:.1f} at most: something holds the arm back, or it needs "
+                "more than this motor has (see plan --for weight)"
             )
 
     def confine(

@@ -1,7 +1,7 @@
-"""An observer of all joints, which stops a run when signals disagree, and names the cause.
+"""An observer of all joints, which stops a run when signals disagree.
 
 In every control cycle it compares each motor's command, the state that the motor reports, and the
-torque that the arm needs. The cause follows from which of these disagree, and for which joints:
+torque that the arm needs:
 
 =====================================  =========================================================
 the bus                                answers missing, damaged, doubled; commands of others
@@ -26,7 +26,6 @@ import numpy as np
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.protocol import ENABLED, MitCommand, status_text
 from robot_sysid.damiao.references import HoldingCheck, torque_doubt
-from robot_sysid.damiao.safety.causes import EffortChange, explain_change
 from robot_sysid.damiao.safety.guards import (
     NO_STATUS,
     Mask,
@@ -70,7 +69,6 @@ _LEAST_EFFORT = 0.1  # Least such limit [share of the peak torque].
 _MOST_EFFORT = 0.25  # Largest such limit [share of the peak torque].
 _STILL_EFFORT = 0.03  # Least such limit of a standing joint [share of the peak torque].
 _MOMENT = 0.25  # Time over which the effort before a sudden change is averaged [s].
-_LONG = 1.5  # Time over which the usual effort is averaged, by which a change is explained [s].
 _LOADED_DOUBTS = 2.0  # Feed-forward torque from which loads are judged [doubts].
 _OPPOSITE_DOUBTS = 0.5  # Opposite load that stops the run [doubts].
 _MODEL_SHARE = 0.5  # Relative error of a model's change of feed-forward torque.
@@ -81,18 +79,6 @@ _FROZEN_DOUBTS = 2.0  # Change of torque that overcomes dry friction [doubts].
 _MOMENTS = 25  # Number of last cycles in which a blocked joint is looked for.
 _LED_BY = 0.015  # Least change of command by which a joint is judged as blocked [rad].
 _CAME_SHARE = 0.3  # Share of its command that a blocked joint moves at most.
-
-
-class Fault(HardwareAbort):
-    """A fault of one joint, which stops the run.
-
-    ``joint`` is its index, ``label`` its name, and ``description`` the rest of a sentence that
-    begins with this name.
-    """
-
-    def __init__(self, joint: int, label: str, description: str) -> None:
-        super().__init__(f"{label} {description}")
-        self.joint = joint
 
 
 class Observer:
@@ -146,7 +132,6 @@ class Observer:
         self._torque_check = TorqueScalingCheck(torque_step, peak_torque)
         self._zero_check = holding.watch() if holding.watch is not None else None
         self._added = _RunningMean(n_joints, settings.period / _MOMENT)
-        self._long_added = _RunningMean(n_joints, settings.period / _LONG)
         self._needed = _RunningMean(n_joints, settings.period / _MOMENT)
         self._fed = _RunningMean(n_joints, settings.period / _FED_TIME)
         self._cycles = 0
@@ -172,7 +157,6 @@ class Observer:
         self._was_fast = np.zeros(n_joints, bool)
         # Whether path, velocity and torque error (3, n) were beyond their limits a cycle ago.
         self._was_beyond = np.zeros((3, n_joints), bool)
-        self._change: EffortChange | None = None
 
     def update(self, replies: Replies) -> None:
         """Count missing, doubted and surplus answers, and foreign commands, of a cycle's replies.
@@ -232,7 +216,6 @@ class Observer:
             self._check_sudden_effort(acted)
             self._check_opposite_load()
         self._added.add(self._added_now, restart=rising)
-        self._long_added.add(self._added_now, restart=rising)
         self._needed.add(acted.torque, restart=rising)
         self._fed.add(acted.torque, restart=rising)
         self._check_limits(replies, acted, rising)
@@ -522,15 +505,13 @@ class Observer:
     def _raise_effort(self, joint: int, description: str) -> None:
         """Raise a fault of a blocked joint if there is one, else of ``joint``.
 
-        ``description`` is a sentence about ``joint`` without its name. Where nothing is blocked,
-        the change of effort is stored, for which ``explain`` looks for a cause.
+        ``description`` is a sentence about ``joint`` without its name.
         """
         blocked = self._blocked_joint()
         if blocked is not None:
             self.stuck[blocked] = True
             text = f"stands still while its path goes on: it is blocked ({description})"
             self._raise(blocked, text)
-        self._change = EffortChange(joint, self._long_added.value, self._added_now)
         self._raise(joint, description)
 
     def _blocked_joint(self) -> int | None:
@@ -542,33 +523,14 @@ class Observer:
         joint = int(np.argmin(np.min(share, axis=0)))
         return joint if np.min(share[:, joint]) < _CAME_SHARE else None
 
-    def explain(self, fault: Fault, q: Array, commanded: Array) -> HardwareAbort:
-        """Return ``fault`` with its cause, or unchanged if none is found, for an arm that stopped.
-
-        Args:
-            fault: fault that stopped the run.
-            q: (n,) positions at which the arm stands [rad].
-            commanded: (n,) torque that holds it there, as commanded [N m].
-        """
-        if self._change is None:
-            return fault
-        if self._slip is not None and self._slip.joint == fault.joint:
-            return HardwareAbort(f"{fault}: it {self._slip.description}")
-        if not np.all(np.isfinite(q + commanded)):
-            return fault
-        cause = explain_change(
-            self._change, self._holding, q, commanded, self.fed_torque, self._joints
-        )
-        return HardwareAbort(f"{fault}: {cause}") if cause else fault
-
     def _raise_first(self, mask: Mask, describe: Callable[[int], str]) -> None:
-        """Raise a Fault of the first joint in a mask (n,); ``describe`` gets the joint's index."""
+        """Raise HardwareAbort for the first joint in a mask (n,); ``describe`` gets its index."""
         for j in np.flatnonzero(mask)[:1].tolist():
             self._raise(j, describe(j))
 
     def _raise(self, joint: int, description: str) -> None:
-        """Raise a Fault of a joint; ``description`` is a sentence without the joint's name."""
-        raise Fault(joint, self._joints[joint].label, description)
+        """Raise HardwareAbort for a joint; ``description`` is a sentence without its name."""
+        raise HardwareAbort(f"{self._joints[joint].label} {description}")
 
 
 _OFF = "rad off its path", "rad/s off its speed", "N m off its torque"

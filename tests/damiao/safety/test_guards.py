@@ -24,7 +24,6 @@ from robot_sysid.damiao.safety.guards import (
     BeyondBounds,
     CommandBounds,
     CommandRange,
-    Overload,
     Replies,
     SampleFilter,
     TorqueScalingCheck,
@@ -383,23 +382,18 @@ def command(position=0.0, velocity=0.0, torque=0.0, kp=100.0):
 
 
 @pytest.mark.parametrize(
-    ("requested", "error_type", "message"),
+    ("requested", "message"),
     [
-        (command(position=0.03), BeyondBounds, "would be sent to 0.030 rad"),
-        (command(position=float("nan")), BeyondBounds, "would be sent to nan"),
-        (command(velocity=2.1), BeyondBounds, "would be told 2.10 rad/s, limit 2.00"),
-        (
-            command(torque=7.2),
-            Overload,
-            "would be asked for 7.2 N m and makes 7.0 at most",
-        ),
-        (command(position=0.01, torque=6.5), Overload, "would be asked for 7.5 N m"),
+        (command(position=0.03), "would be sent to 0.030 rad"),
+        (command(position=float("nan")), "would be sent to nan"),
+        (command(velocity=2.1), "would be told 2.10 rad/s, limit 2.00"),
+        (command(torque=7.2), "would be asked for 7.2 N m and makes 7.0 at most"),
+        (command(position=0.01, torque=6.5), "would be asked for 7.5 N m"),
     ],
 )
-def test_what_is_asked_too_much_is_named(requested, error_type, message):
-    with pytest.raises(BeyondBounds, match=f"^second {message}") as error:
+def test_what_is_asked_too_much_is_named(requested, message):
+    with pytest.raises(BeyondBounds, match=f"^second {message}"):
         BOUNDS.require(LABELS, requested, *STANDING)
-    assert error.type is error_type
     BOUNDS.require(LABELS, BOUNDS.confine(requested, *STANDING), *STANDING)
 
 

@@ -26,9 +26,7 @@ def gravity(q):
     return LOAD * np.cos(q)
 
 
-HOLDING = HoldingCheck(
-    JOINTS, gravity, 0.0, "the model needs", load=lambda q: np.array([2.0, 1.0])
-)
+HOLDING = HoldingCheck(JOINTS, gravity, 0.0, "the model needs", is_model=True)
 
 
 def complete_settings(**settings):
@@ -234,78 +232,6 @@ def one(value):
 
 
 STILL = 0.3 * np.sin(2.0 * BEGIN * CYCLE)
-
-
-def slip(speed):
-    """The encoder runs away from the joint, and the motor follows it."""
-
-    def away(k, signals):
-        return signals["p"] + speed * CYCLE * (k - BEGIN)
-
-    return change_after(q=away, p=away)
-
-
-DISAGREE = (
-    (
-        change_after(tau=lambda k, s: lambda commanded: -commanded),
-        "its sign is reversed",
-        5,
-    ),
-    (
-        change_after(
-            tau=lambda k, s: lambda commanded: 0.4 * commanded, t=lambda k, s: 9.0
-        ),
-        "makes 0.40 times",
-        5,
-    ),
-    (
-        change_after(tau=lambda k, s: lambda commanded: commanded + (-9.0) ** (k % 2)),
-        "does not do what it is commanded",
-        8,
-    ),
-    (
-        change_after(qd=lambda k, s: -s["qd"]),
-        "moves against the velocity that it reports",
-        60,
-    ),
-    (slip(0.4), "rad/s beside the velocity", 80),
-    (
-        change_after(
-            q=lambda k, s: STILL,
-            qd=lambda k, s: 0.1,
-            tau=lambda k, s: lambda commanded: 2.0,
-        ),
-        "repeats the same answer",
-        15,
-    ),
-    (
-        change_after(q=lambda k, s: STILL, qd=lambda k, s: 0.0),
-        "its encoder is frozen",
-        25,
-    ),
-    (
-        change_after(extra=lambda k, s: {"surplus": one(1)}),
-        "a second motor has its id",
-        3,
-    ),
-    (
-        change_after(extra=lambda k, s: {"foreign": one(1)}),
-        "gets commands of another program",
-        3,
-    ),
-    (change_after(extra=lambda k, s: {"jump": one(0.2)}), "jumped by 0.200 rad", 1),
-    (change_after(q=lambda k, s: s["p"] - 0.01 * (k - BEGIN)), "suddenly needs", 8),
-)
-
-
-@pytest.mark.parametrize(
-    ("change", "message", "cycles"), DISAGREE, ids=[w for _, w, _ in DISAGREE]
-)
-def test_what_disagrees_stops_the_run_soon_and_names_the_joint(change, message, cycles):
-    k, stopped, _ = stop_of(change)
-    assert stopped is not None and message in str(stopped), stopped
-    assert str(stopped).startswith("motor 2 ")
-    assert BEGIN <= k <= BEGIN + cycles
 
 
 def test_an_arm_that_does_as_it_should_is_left_alone():
