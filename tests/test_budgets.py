@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 20139,
     "robot_sysid/dynamics": 8386,
     "robot_sysid/estimation": 57398,
-    "robot_sysid/logs": 23305,
+    "robot_sysid/logs": 22115,
     "robot_sysid/mjcf": 12687,
     "robot_sysid/model": 11034,
     "robot_sysid/motion": 31616,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 10406,
     "robot_sysid/simulation": 5928,
     "robot_sysid": 12794,
-    "tests": 305244,
+    "tests": 304856,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

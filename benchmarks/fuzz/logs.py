@@ -29,7 +29,7 @@ from tests.support import log_files, recorded
 
 ROWS = 24
 _ARM = log_files.arm_of(log_files.JOINTS, log_files.limits())
-_ARROW = ("Parquet", "Feather")
+_ARROW = ("Parquet",)
 _TEXT = ("libfranka", "RTDE", "PlotJuggler")
 _ARRAYS = ("npz", "ALOHA", *_ARROW)
 _SLOW = (*(name for name in recorded.FORMS if "ROS" in name), "LeRobot")

@@ -1,5 +1,5 @@
-"""Logs in the form of named arrays: NumPy's .npz, MATLAB's .mat, Parquet, Feather, and LeRobot data
-sets, which are folders with meta/info.json and Parquet files; ``hdf5`` reads HDF5 files.
+"""Logs in the form of named arrays: NumPy's .npz, MATLAB's .mat, Parquet, and LeRobot data sets,
+which are folders with meta/info.json and Parquet files; ``hdf5`` reads HDF5 files.
 
 The reader of each form refuses files that unpack to more than ``table.unpacked_limit``, by the size
 that the file states.
@@ -223,31 +223,13 @@ def parquet_table(source: LogSource) -> LogTable:
     """Return the columns of numbers of a Parquet file; a list in a cell is a column each."""
     path = source.path
     parquet = import_optional("pyarrow.parquet", "parquet")
-    names = _numeric_columns(parquet.read_schema(path))
+    schema = parquet.read_schema(path)
+    names = [f.name for f in schema if _NUMERIC_TYPE.fullmatch(str(f.type))]
     unpacked = _unpacked_bytes(parquet.read_metadata(path), names)
     refuse_bomb(path, unpacked, path.stat().st_size)
-    return _arrow_table(path, "Parquet", parquet.read_table(path, columns=names))
-
-
-def feather_table(source: LogSource) -> LogTable:
-    """Return the columns of numbers of a Feather file, an Arrow table in a file."""
-    path = source.path
-    ipc = import_optional("pyarrow.ipc", "parquet")
-    with ipc.open_file(str(path)) as file:
-        columns = file.read_all().select(_numeric_columns(file.schema))
-        refuse_bomb(path, float(columns.nbytes), path.stat().st_size)
-        return _arrow_table(path, "Feather", columns)
-
-
-def _numeric_columns(schema: Any) -> list[str]:
-    """Return the names of an Arrow schema's columns of numbers."""
-    return [field.name for field in schema if _NUMERIC_TYPE.fullmatch(str(field.type))]
-
-
-def _arrow_table(path: Path, layout: str, columns: Any) -> LogTable:
-    """Return an Arrow table as a log's table."""
-    arrays = map(_arrow_array, columns.column_names, columns.columns)
-    return arrays_table(path, layout, dict(zip(columns.column_names, arrays)))
+    columns = parquet.read_table(path, columns=names)
+    arrays = {name: _arrow_array(name, columns.column(name)) for name in names}
+    return arrays_table(path, "Parquet", arrays)
 
 
 def _arrow_array(name: str, column: Any) -> Array:

@@ -97,17 +97,8 @@ _FAST = 30.0
 second."""
 _OFTEN = 0.01
 """Share of steps faster than _FAST above which positions are not in radians."""
-_TURN = 2.0 * np.pi
-"""A full turn [rad]."""
 _ANGLE_OPTIONS = (("--units", "deg"), ("--units", "rad"))
 """Options, one of which lets positions pass that look like degrees."""
-_MAX_TURNS = 3.0
-"""Largest number of full turns from the model's zero that a multi-turn encoder shows; a choice."""
-_WINDOW = 0.1
-"""Time over which the mean speed is hardly affected by noise of positions [s]; a choice."""
-_DENSE = 2.4e-4
-"""A shorter sampling period is in a wrong unit of time [s]; a choice: arms record at 4 kHz at most.
-"""
 _JUMP_SPEED = 100.0
 """Speed within one step that no joint reaches [rad/s]; above _FAST, as noise adds to it."""
 _JUMP = 0.5
@@ -253,9 +244,10 @@ def clock_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
             f"time steps of {period:.6g} s are too long for a motion; {remedy}"
         )
     if period < _SHORTEST_PERIOD:
-        units = "declare the unit of time with --units (s, ms, us or ns)"
-        fault = f"time steps of {period:.3g} s are too short for a recording; {units}"
-        raise InputError(f"{fault}{_longer_unit_remedy(period)}")
+        raise InputError(
+            f"time steps of {period:.3g} s are too short for a recording; declare the unit of time "
+            "with --units (s, ms, us or ns), or write 'time = 60 * TITLE' in --columns FILE"
+        )
     if period * _SLOW_RATE > 1.0:
         yield f"the log has only {1 / period:.3g} samples per second"
     step = np.diff(rows.samples.time)
@@ -267,18 +259,6 @@ def clock_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
             f"samples are missing before {rows.cite(late)}; the longest gap is "
             f"{1e3 * np.max(step):.4g} ms where {1e3 * period:.4g} ms is usual"
         )
-
-
-def _longer_unit_remedy(period: float) -> str:
-    """Return the remedy for a sampling period [s] that is short as time is in minutes or longer.
-
-    "" where the period is plausible in none of the longer units.
-    """
-    for unit, seconds in (("minutes", 60), ("hours", 3600), ("days", 86400)):
-        if 1e-3 <= seconds * period <= _LONGEST_PERIOD:
-            column = f"time = {seconds} * TITLE"
-            return f"; if time is in {unit}, write '{column}' in --columns FILE"
-    return ""
 
 
 def require_one_clock(rows: LogRows, robot: RobotModel) -> None:
@@ -318,41 +298,14 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
     if np.any(is_far):
         joint = int(np.argmax(is_far))
         subject = f"joint {robot.joint_names[joint]} reaches {largest[joint]:.4g}"
-        turns = np.abs(_offset_turns(q, limit, is_far))
-        if turns[joint]:
-            plural = "s" if turns[joint] > 1 else ""
-            raise InputError(
-                f"{subject} rad, {turns[joint]:g} full turn{plural} from the model's zero; "
-                "pass --units rad if it counts turns, which change nothing, or --units deg if not",
-                _ANGLE_OPTIONS,
-            )
-        or_turns = ""
-        if limit[joint] == np.inf:
-            or_turns = f", or like {largest[joint] / _TURN:.3g} turns"
         raise InputError(
-            f"positions look like degrees{or_turns} ({subject}); pass --units deg, or --units rad "
-            "if they are radians",
+            f"positions look like degrees ({subject}); pass --units deg, or --units rad if they "
+            "are radians or count turns",
             _ANGLE_OPTIONS,
         )
     if np.any(is_fast):
         name = robot.joint_names[int(np.argmax(is_fast))]
         raise _speed_error(time, q, name, is_fast)
-
-
-def _offset_turns(q: Array, limit: Array, is_far: Mask) -> Array:
-    """Return the number of full turns (n,) by which positions q (N, n) are off the model's zero.
-
-    Zero for all joints, unless subtracting the turns brings every far joint within its limits.
-
-    Args:
-        limit: (n,) largest absolute position [rad]; infinite without a limit.
-        is_far: (n,) whether a joint's positions are implausibly large.
-    """
-    turns = np.round(np.median(q, axis=0) / _TURN)
-    bound = np.where(limit < np.inf, limit, np.pi)
-    is_within = np.max(np.abs(q - _TURN * turns), axis=0) <= bound
-    is_explained = ~is_far | (is_within & (np.abs(turns) <= _MAX_TURNS))
-    return turns if np.all(is_explained) else np.zeros_like(turns)
 
 
 def _are_often_fast(q: Array, step: Array) -> Mask:
@@ -376,13 +329,7 @@ def _speed_error(time: Array, q: Array, name: str, is_fast: Mask) -> InputError:
         is_fast: (n,) whether a joint is too fast.
     """
     step = np.diff(time)
-    period = sampling_period(time)
     symptom = f"joint {name} would often exceed {_FAST:g} rad/s"
-    remedy = _longer_unit_remedy(period)
-    if period < _DENSE:
-        return InputError(
-            f"time steps of {period:.3g} s are so short that {symptom}{remedy}"
-        )
     # Are speeds plausible once no step is shorter than the usual one?
     if not np.any(is_fast & _are_often_fast(q, np.maximum(step, np.median(step)))):
         mean = float(np.mean(step))
@@ -392,17 +339,10 @@ def _speed_error(time: Array, q: Array, name: str, is_fast: Mask) -> InputError:
             "or were written; record when they were measured, or write "
             f"'rate = {1.0 / mean:.6g}' in --columns FILE if rows are evenly spaced"
         )
-    # Are speeds plausible over many rows, which hides the noise of positions?
-    n_rows = max(2, int(np.ceil(_WINDOW / period)))
-    if not np.any(is_fast & _are_often_fast(q, time[n_rows:] - time[:-n_rows])):
-        noise = np.median(np.abs(np.diff(q, axis=0)[:, int(np.argmax(is_fast))]))
-        return InputError(
-            f"the position of joint {name} goes to and fro by {noise:.2g} rad from row to row; "
-            "check its encoder, its unit and the order of the rows"
-        )
     return InputError(
-        f"positions look like degrees ({symptom}); pass --units deg, or --units rad if they are "
-        f"radians{remedy}",
+        f"positions look like degrees, or time has another unit or an encoder is noisy: {symptom} "
+        f"at steps of {np.median(step):.3g} s; pass --units deg, or --units rad if they are "
+        "radians",
         _ANGLE_OPTIONS,
     )
 

@@ -39,12 +39,10 @@ class JointMatch:
         model_names: the recording's name of each joint of the arm to the model's name, from base
             to terminal.
         unused: names of the recording's other joints.
-        is_counted: whether the names count from another number than the model's.
     """
 
     model_names: Mapping[str, str]
     unused: tuple[str, ...]
-    is_counted: bool = False
 
     @property
     def has_equal_words(self) -> bool:
@@ -58,9 +56,8 @@ class JointMatch:
         joints = list(self.model_names.values())
         if names == joints:
             return ""
-        counted = ", by counting" if self.is_counted else ""
         verb = "are" if len(names) > 1 else "is"
-        text = f"log joints: {join_names(names)} {verb} {join_names(joints)}{counted}"
+        text = f"log joints: {join_names(names)} {verb} {join_names(joints)}"
         if self.unused:
             text += f"; not used: {', '.join(self.unused)}"
         return text
@@ -93,7 +90,7 @@ def match_joint_names(
 
     Raises:
         InputError: several sets of names fit, two names fit one joint, or the set is that of an arm
-            with more or fewer joints, or counts from another number.
+            with more joints.
     """
     names = list(dict.fromkeys(names))
     if not names or not joint_names:
@@ -101,9 +98,6 @@ def match_joint_names(
     arm = _NameSet.of(joint_names)
     frames = arm.frames_in(names)
     complete = {f: cores for f, cores in frames.items() if {*arm.cores} <= {*cores}}
-    is_counted = not complete
-    if is_counted:
-        complete = _renumbered_frames(frames, arm)
     if not complete:
         return None
     frame = _choose_frame(complete, arm)
@@ -111,11 +105,11 @@ def match_joint_names(
     # Equal names come before those that differ in signs only, such as arm-1 and arm_1.
     if not {*joint_names} <= {*names}:
         arm_joints = _single_names(complete[frame], arm)
-    _refuse_contradiction(arm_joints, frame, arm, is_counted)
-    if other_joints is not None and not is_counted:
+    _refuse_other_side(arm_joints, frame, arm)
+    if other_joints is not None:
         _refuse_further_joints(arm_joints, frames[frame], arm, other_joints)
     unused = tuple(name for name in names if name not in arm_joints)
-    return JointMatch(dict(zip(arm_joints, joint_names)), unused, is_counted)
+    return JointMatch(dict(zip(arm_joints, joint_names)), unused)
 
 
 def find_joint_match(
@@ -196,35 +190,6 @@ def _is_number(core: NamePieces) -> bool:
     return len(core) == 1 and core[0].isdecimal()
 
 
-def _renumbered_frames(
-    frames: Mapping[Frame, NamesByCore], arm: _NameSet
-) -> dict[Frame, NamesByCore]:
-    """Return the frames whose numbers count the joints from another beginning, by the arm's cores.
-
-    That is from 1 with a model that counts from 0, or the reverse. InputError where numbers count
-    joints, but more or fewer than the arm has.
-    """
-    n_joints = len(arm.names)
-    if arm.numbers not in (list(range(n_joints)), list(range(1, n_joints + 1))):
-        return {}
-    renumbered = {}
-    other_counts = []
-    for frame, by_core in frames.items():
-        cores = sorted(by_core, key=lambda core: int(core[0]))
-        first = int(cores[0][0])
-        numbers = [int(core[0]) for core in cores]
-        if first > 1 or numbers != list(range(first, first + len(numbers))):
-            continue
-        if len(cores) == n_joints:
-            named = [by_core[core] for core in cores]
-            renumbered[frame] = dict(zip(arm.cores, named))
-        elif 2 * len(cores) > n_joints:
-            other_counts.append([by_core[core][0] for core in cores])
-    if other_counts and not renumbered:
-        raise _count_error(other_counts[0], arm)
-    return renumbered
-
-
 def _choose_frame(complete: Mapping[Frame, NamesByCore], arm: _NameSet) -> Frame:
     """Return the only frame, the model's own one, or the only one with words of the model's frame.
 
@@ -260,33 +225,19 @@ def _single_names(by_core: NamesByCore, arm: _NameSet) -> list[str]:
     return [by_core[core][0] for core in arm.cores]
 
 
-def _refuse_contradiction(
-    names: Sequence[str], frame: Frame, arm: _NameSet, is_counted: bool
-) -> None:
-    """Raise InputError where words say that names (n,) are another arm's, or other joints'.
+def _refuse_other_side(names: Sequence[str], frame: Frame, arm: _NameSet) -> None:
+    """Raise InputError where words say that names (n,) are those of the other arm of two.
 
-    Args:
-        names: the recording's, of each joint of the arm.
-        frame: pieces around their cores.
-        arm: the model's names.
-        is_counted: whether they count from another number than the model's. Where words are equal,
-            so are the numbers' meanings, and these joints are others.
+    ``frame``: pieces around the cores of the names.
     """
     pieces = {*chain(*frame)}
     arm_pieces = {*chain(*arm.frame)}
-    log_text = f"the log's joints {join_names(names)}"
     for side, other_side in _OPPOSITE_SIDES:
         if side in pieces - arm_pieces and other_side in arm_pieces - pieces:
             raise InputError(
-                f"{log_text} are those of another arm than the model's {join_names(arm.names)}: "
-                "give the model of the arm that was recorded"
+                f"the log's joints {join_names(names)} are those of another arm than the model's "
+                f"{join_names(arm.names)}: give the model of the arm that was recorded"
             )
-    if is_counted and pieces & arm_pieces:
-        first = 1 - arm.numbers[0]
-        raise InputError(
-            f"{log_text} count from {first}, the model's {join_names(arm.names)} from "
-            f"{arm.numbers[0]}"
-        )
 
 
 def _refuse_further_joints(
@@ -306,12 +257,9 @@ def _refuse_further_joints(
     model_cores = {*arm.cores, *arm.frames_in(other_joints).get(arm.frame, {})}
     further = [by_core[core][0] for core in by_core if core not in model_cores]
     if further:
-        raise _count_error([*arm_joints, *further], arm)
-
-
-def _count_error(names: Sequence[str], arm: _NameSet) -> InputError:
-    """Return the error for a set of names that belongs to an arm with more or fewer joints."""
-    return InputError(
-        f"the log's joints {join_names(names)} are {len(names)}, the model's "
-        f"{join_names(arm.names)} are {len(arm.names)}: give the model of the arm that was recorded"
-    )
+        names = [*arm_joints, *further]
+        raise InputError(
+            f"the log's joints {join_names(names)} are {len(names)}, the model's "
+            f"{join_names(arm.names)} are {len(arm.names)}: give the model of the arm that was "
+            "recorded"
+        )

@@ -242,7 +242,6 @@ _READERS = {
     b"\x89HDF\r\n\x1a\n": hdf5_table,
     b"PK\x03\x04": arrays.npz_table,
     b"PAR1": arrays.parquet_table,
-    b"ARROW1": arrays.feather_table,
 }
 """First bytes of a file to the reader of its form; any other file is a text table."""
 _FOLDER_READERS = {"metadata.yaml": bag_table, "meta/info.json": arrays.lerobot_table}
@@ -253,7 +252,6 @@ _FORMS: dict[TableReader, str] = {
     hdf5_table: "an HDF5 file",
     arrays.npz_table: "a NumPy .npz file",
     arrays.parquet_table: "a Parquet file",
-    arrays.feather_table: "a Feather file",
     arrays.lerobot_table: "a LeRobot data set",
     text_table: "a table of text",
 }
@@ -301,7 +299,7 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
     if is_folder and reader is text_table:
         raise InputError(
             f"{path} is a folder of no known form; a log is a text table (CSV), a ROS 1 or ROS 2 "
-            "bag, a LeRobot data set, HDF5, Parquet, Feather, NumPy .npz or MATLAB .mat"
+            "bag, a LeRobot data set, HDF5, Parquet, NumPy .npz or MATLAB .mat"
         )
     form = _FORMS[reader]
     with as_input_errors(path, form):

@@ -248,37 +248,6 @@ class LogRows:
         return f"{self.row_noun} {lines[0]}{more}"
 
 
-class _GrowingBuffers:
-    """Collects rows in one array for each group of their columns, without a second copy.
-
-    Attributes:
-        widths: number of columns of each group, in the order of a row.
-    """
-
-    def __init__(self, widths: Sequence[int]) -> None:
-        self.widths = widths
-        self._arrays = [np.empty((0, width)) for width in widths]
-        self._count = 0
-
-    def append(self, rows: Array, expected: float) -> None:
-        """Append rows (R, sum of widths) of a log that will have about ``expected`` rows."""
-        end = self._count + len(rows)
-        groups = np.split(rows, np.cumsum(self.widths)[:-1], axis=1)
-        for array, group in zip(self._arrays, groups):
-            if end > len(array):
-                # The lines of a file are not all of one length, so this is an estimate.
-                capacity = max(end, round(1.1 * expected))
-                array.resize((capacity, group.shape[1]), refcheck=False)
-            array[self._count : end] = group
-        self._count = end
-
-    def finish(self) -> list[Array]:
-        """Return an array (rows, width) of each group; no row can be appended any more."""
-        for array in self._arrays:
-            array.resize((self._count, array.shape[1]), refcheck=False)
-        return self._arrays
-
-
 def read_rows(
     table: LogTable,
     columns: ColumnMap,
@@ -299,7 +268,7 @@ def read_rows(
     used = columns.columns()
     # Of line, time, position, torque, velocity and time stamps of the joints.
     widths = [1, 1, *map(len, columns.groups())]
-    buffers = _GrowingBuffers(widths)
+    chunks = []
     thinning = None
     # Rows that wait until it is known whether the log is thinned.
     pending = np.empty((0, sum(widths)))
@@ -312,10 +281,11 @@ def read_rows(
         if thinning is None and is_enough and len(pending) > 1:
             thinning = Thinning.of(pending[:, 1], expected)
         if thinning is not None:
-            buffers.append(thinning.push(pending), expected / thinning.every)
+            chunks.append(thinning.push(pending))
             pending = pending[:0]
-    buffers.append(pending, expected=0.0)
-    lines, time, q, tau, qd, stamps = buffers.finish()
+    chunks.append(pending)
+    groups = np.split(np.concatenate(chunks), np.cumsum(widths)[:-1], axis=1)
+    lines, time, q, tau, qd, stamps = map(np.ascontiguousarray, groups)
     command = None
     if columns.commanded:
         # A servo's torque follows its position error, the measure of torque here [rad].

@@ -9,7 +9,6 @@ reads the rows; only a block with a row that NumPy refuses is read cell by cell.
 
 from __future__ import annotations
 
-import codecs
 import contextlib
 import csv
 import functools
@@ -45,19 +44,6 @@ _CONTROL = bytes({*range(32)} - {*b"\t\n\v\f\r"})
 _BINARY = 0.05
 """Share of control characters at the beginning of a file beyond which it is no text; fewer may be
 a serial port's noise."""
-
-_LATIN = frozenset(b"\xb0\xb2\xb3\xb5\xb7") | frozenset(range(0xC0, 0x100))
-"""Signs of units and letters with accents in Latin-1, which titles hold; noise holds others too."""
-
-
-def _is_utf8(text: bytes) -> bool:
-    """Return whether bytes are UTF-8; a character that is cut off at their end is none."""
-    decoder = codecs.getincrementaldecoder("utf-8")()
-    try:
-        decoder.decode(text)
-    except UnicodeDecodeError:
-        return False
-    return True
 
 
 @dataclass(frozen=True)
@@ -129,9 +115,11 @@ def read_dialect(path: Path, first_bytes: bytes) -> Dialect:
     """
     is_utf16 = first_bytes[:2] in (b"\xff\xfe", b"\xfe\xff")
     encoding = "utf-16" if is_utf16 else "utf-8-sig"
-    others = {byte for byte in first_bytes if byte > 127}
-    if others and others <= _LATIN and not is_utf16 and not _is_utf8(first_bytes):
-        encoding = "cp1252"
+    try:
+        # The last line may be cut off within a character.
+        first_bytes.rpartition(b"\n")[0].decode(encoding)
+    except UnicodeDecodeError:
+        encoding = "utf-16" if is_utf16 else "cp1252"
     control = len(first_bytes) - len(first_bytes.translate(None, _CONTROL))
     if not is_utf16 and control > _BINARY * len(first_bytes):
         raise InputError(
@@ -307,18 +295,14 @@ def _read_with_numpy(
     if dialect.is_quoted or not columns:
         return None
     separator = None if dialect.separator == " " else dialect.separator
-    first_row = dialect.first_row
     if separator != ",":
         lines = [line.replace(",", ".") for line in lines]
-    dates = [k for k in columns if k < len(first_row) and ":" in first_row[k]]
     # A type of all columns, unlike a choice of some, refuses rows with more or fewer cells. Columns
     # that are not wanted are texts of one character; NumPy calls columns without a name f0, f1, ...
     types: list[tuple[str, Any]] = [("", "U1")] * len(dialect.titles)
     for column in columns:
         types[column] = ("", float)
     try:
-        if dates:
-            lines = [_with_seconds(line, separator, dates, first_row) for line in lines]
         table = np.loadtxt(lines, types, delimiter=separator, comments=None, ndmin=1)
     except (ValueError, IndexError):
         return None
@@ -326,24 +310,6 @@ def _read_with_numpy(
     if len(table) != len(lines):
         return None
     return np.column_stack([table[f"f{k}"] for k in columns])
-
-
-def _with_seconds(
-    line: str, separator: str | None, dates: Sequence[int], first_row: Sequence[str]
-) -> str:
-    """Return a line in which the dates are seconds since those of the first row.
-
-    Args:
-        line: a row of data.
-        separator: between cells; None for any run of blanks.
-        dates: indices of the columns with dates.
-        first_row: the cells of the first row of data.
-    """
-    cells = line.split(separator)
-    for column in dates:
-        seconds = _parse_cell(cells[column].strip(), first_row[column])
-        cells[column] = repr(seconds)
-    return (separator or " ").join(cells)
 
 
 def _read_rows(

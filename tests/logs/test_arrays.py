@@ -73,27 +73,19 @@ def parquet(path, **arrays):
     module.write_table(arrow_table(arrays), path)
 
 
-def feather(path, **arrays):
-    module = pytest.importorskip("pyarrow.feather")
-    module.write_feather(arrow_table(arrays), path, compression="zstd")
-
-
-@pytest.mark.parametrize("write", [parquet, feather])
-def test_lists_of_unequal_length_are_refused_and_missing_ones_are_missing(
-    tmp_path, write
-):
+def test_lists_of_unequal_length_are_refused_and_missing_ones_are_missing(tmp_path):
     """Their numbers are as many as those of equal lists, and would stand in wrong rows."""
     pa = pytest.importorskip("pyarrow")
     q = [[1.0, 2.0], [3.0], [4.0, 5.0, 6.0], [7.0, 8.0]]
     time = [0.0, 0.1, 0.2, 0.3]
-    write(tmp_path / "log", time=time, q=pa.array(q))
+    parquet(tmp_path / "log", time=time, q=pa.array(q))
     assert_refused(
         "column q holds lists of 1 to 3 numbers; write as many", tmp_path / "log"
     )
     for list_type in (pa.list_(pa.float64()), pa.list_(pa.float64(), 2)):
         lists = pa.array([q[0], None, None, q[3]], list_type)
         try:
-            write(tmp_path / "log", time=time, q=lists)
+            parquet(tmp_path / "log", time=time, q=lists)
         except pa.ArrowNotImplementedError:
             continue  # earlier releases write no Parquet of missing lists of a fixed length
         (block,) = open_table(tmp_path / "log", JOINTS, LogOptions()).blocks(range(3))
@@ -120,13 +112,7 @@ def test_a_pickled_object_is_never_loaded(tmp_path):
 
 @pytest.mark.parametrize(
     ("write", "rows"),
-    [
-        (np.savez_compressed, 20_000),
-        (hdf5, 20_000),
-        (lerobot, 8000),
-        (parquet, 20_000),
-        (feather, 20_000),
-    ],
+    [(np.savez_compressed, 20_000), (hdf5, 20_000), (lerobot, 8000), (parquet, 20_000)],
 )
 def test_a_recording_that_unpacks_to_far_more_than_its_size_is_refused(
     tmp_path, monkeypatch, write, rows

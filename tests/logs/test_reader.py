@@ -107,7 +107,6 @@ def test_what_is_no_recording_is_refused_in_one_line(tmp_path):
         (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
         (b"PK\x03\x04", "a NumPy .npz file"),
         (b"PAR1", "a Parquet file"),
-        (b"ARROW1\x00\x00", "a Feather file"),
     ],
 )
 def test_a_damaged_file_is_refused_in_one_line(tmp_path, first_bytes, form):
@@ -140,7 +139,6 @@ FILES_AND_CALLS = {
     reader.hdf5_table: (hdf5, "h5py.File", STACK),
     arrays.npz_table: (FORMS["npz"], "numpy.load", STACK),
     arrays.parquet_table: (FORMS["Parquet"], READ_TABLE, STACK),
-    arrays.feather_table: (FORMS["Feather"], "pyarrow.ipc.open_file", STACK),
     arrays.lerobot_table: (FORMS["LeRobot"], READ_TABLE, STACK),
     reader.text_table: (FORMS["libfranka"], "csv.reader", "numpy.loadtxt"),
 }

@@ -223,13 +223,6 @@ def parquet(folder: Path, data: Measurement) -> Path:
     return folder / "log.parquet"
 
 
-def feather(folder: Path, data: Measurement) -> Path:
-    from pyarrow.feather import write_feather
-
-    write_feather(arrow(data), folder / "log.feather", compression="zstd", chunksize=7)
-    return folder / "log.feather"
-
-
 def libfranka(folder: Path, data: Measurement) -> Path:
     """The columns of logToCSV."""
     groups = "state.q state.q_d state.dq state.dq_d state.tau_J "
@@ -271,7 +264,6 @@ FORMS: dict[str, Callable[[Path, Measurement], Path]] = {
     "ROS 2 FrankaRobotState": franka_state,
     "LeRobot": lerobot("v2.1"),
     "Parquet": parquet,
-    "Feather": feather,
     "npz": npz,
     "libfranka": libfranka,
     "RTDE": rtde,
