@@ -3,8 +3,6 @@ from robot_sysid.api.calls import Frame as Frame
 from robot_sysid.api.calls import Log as Log
 from robot_sysid.api.calls import Regressor as Regressor
 from robot_sysid.api.calls import identify as identify
-from robot_sysid.api.calls import identify_from as identify_from
-from robot_sysid.api.calls import information as information
 from robot_sysid.api.calls import joint_torque_regressor as joint_torque_regressor
 from robot_sysid.api.calls import payload as payload
 from robot_sysid.api.calls import plan as plan
@@ -23,7 +21,6 @@ from robot_sysid.errors import InputError as InputError
 from robot_sysid.errors import ModelError as ModelError
 from robot_sysid.errors import SimulationError as SimulationError
 from robot_sysid.errors import SysidError as SysidError
-from robot_sysid.estimation.log_information import LogInformation as LogInformation
 from robot_sysid.logs.column_map import ColumnMap as ColumnMap
 from robot_sysid.logs.reader import MeasurementLog as MeasurementLog
 from robot_sysid.motion.plan import CheckedPlan as CheckedPlan

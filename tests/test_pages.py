@@ -37,8 +37,6 @@ def test_what_a_page_says_to_type_works(page, workshop, tmp_path, monkeypatch, c
     if "run1.mcap" in page.read_text(encoding="utf-8"):
         pytest.importorskip("rosbags")
         pages.add_recordings(folder)
-    if "import dask" in page.read_text(encoding="utf-8"):
-        pytest.importorskip("dask")
     said = ""
     for language, block in pages.blocks(page):
         if language == "python":

@@ -1,8 +1,4 @@
-"""The Python functions: the commands' pipeline with arrays as input, and nothing printed.
-
-``information`` reduces one log to a record that adds; ``identify_from`` identifies an arm from the
-sum of such records, which may come from many machines.
-"""
+"""The Python functions: the commands' pipeline with arrays as input, and nothing printed."""
 
 from __future__ import annotations
 
@@ -11,8 +7,6 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import reduce
-from operator import add
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, Union
 
@@ -24,22 +18,16 @@ from robot_sysid.config import PLANNED, Config, PayloadConfig, SysidConfig
 from robot_sysid.dynamics.equations import link_names
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics
 from robot_sysid.errors import InputError
-from robot_sysid.estimation import log_information as log_sums
-from robot_sysid.estimation.build_result import result_of
-from robot_sysid.estimation.log_information import LogInformation
-from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.arrays import arrays_table, can_be_column
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.logs.table import LogTable
 from robot_sysid.logs.titles import read_title
-from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.pipeline import stages
 from robot_sysid.pipeline.planning import design_motion, predict_plan, require_motors
-from robot_sysid.pipeline.recordings import diagnose_logs
 from robot_sysid.pipeline.stages import load_arm
-from robot_sysid.records import Array, Measurement, RobotModel, Traces, checked_array
+from robot_sysid.records import Array, Measurement, RobotModel, checked_array
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import record_from
 
@@ -65,8 +53,6 @@ Log = Union[
 ]
 """A path; arrays time (N,), q, tau and perhaps qd (N, n) by these or like names [s, rad, N m,
 rad/s]; a data frame with a column per joint and quantity; or a log that was read."""
-_ADDED = Path("added information")
-"""Stands for the path of a log where there are only sums of several."""
 
 
 def _log_source(log: Log) -> Any:
@@ -271,98 +257,6 @@ def payload(
     }
     return _run_quietly(
         PayloadConfig.of(path_of(model, options.get("mesh_dir")), **values)
-    )
-
-
-@with_keywords()
-def information(
-    model: Model,
-    log: Log | Sequence[Log],
-    *,
-    around: LogInformation | None = None,
-    **options: Unpack[types.InformationKeywords],
-) -> LogInformation:
-    """Reduce one log or several to their square-root information, a record that adds (``+``).
-
-    For all equations [Y tau] = Q R of a joint it holds R, and sums over lags of residuals: its size
-    does not grow with the log (Bierman, "Factorization Methods for Discrete Sequential
-    Estimation", 1977, ch. IV).
-
-    Args:
-        model: path of an MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
-        log: see ``robot_sysid.Log``.
-        around: None in a first round over all logs; in a second round the sum of the first, around
-            whose estimate the equations are linearised. ``identify_from`` takes the second sum.
-        options: those of ``identify`` on reading and fitting a log. ``cutoff`` [Hz] is required;
-            options whose value would be chosen from all logs together are refused.
-
-    Raises:
-        InputError: an option, the model or the log cannot be used, or does not add.
-    """
-    values = {**options, "measurements": _log_sources(log)}
-    robot = arm_of(model, values)
-    log_options = record_from(LogOptions, values)
-    estimation = log_sums.settled_options(record_from(EstimationOptions, values))
-    config = SysidConfig(
-        record_from(ModelOptions, values), log=log_options, estimation=estimation
-    )
-    config = config.with_scale_uncertainty(robot.joint_names)
-    records = []
-    with _quietly() as notes:
-        for source in log_options.measurements:
-            opened = open_log(robot, source, log_options, notes)
-            diagnose_logs(robot, [opened], log_options.accept, config.estimation, notes)
-            record = log_sums.log_information(
-                robot, opened.pieces, config.estimation, around, opened.notes
-            )
-            records.append(record)
-    return reduce(add, records)
-
-
-@with_keywords()
-def identify_from(
-    model: Model,
-    information: LogInformation,
-    *,
-    validation: LogInformation | None = None,
-    **options: Unpack[types.IdentifyFromKeywords],
-) -> Identified:
-    """Identify the terminal link from the sum of the records of several logs.
-
-    Args:
-        model: path of an MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
-        information: the sum of a second round.
-        validation: the sum of other logs in that round, to test the result on.
-        options: ``joint``, ``mesh_dir`` and ``keyframe``, as they were given to ``information``.
-
-    Raises:
-        InputError: it is the sum of a first round, or was made with another model.
-    """
-    sums_given = [information] if validation is None else [information, validation]
-    for record in sums_given:
-        if not isinstance(record, LogInformation):
-            type_name = type(record).__name__
-            raise InputError(f"a sum of rs.information is needed, not {type_name}")
-    robot = arm_of(model, options)
-    config = SysidConfig(
-        record_from(ModelOptions, options),
-        log=LogOptions(measurements=(_ADDED,)),
-        estimation=information.settled.estimation,
-    )
-    with _quietly() as messages:
-        answer = log_sums.answer_from(robot, information, validation)
-        result = result_of(answer, information.origin)
-    notes = (*information.notes, *messages.notes)
-    return Identified(
-        config, result, information.checkpoints, _no_traces, answer, notes=notes
-    )
-
-
-def _no_traces() -> Traces:
-    """Raise InputError; stands for ``traces`` of a result of sums, which has no samples."""
-    raise InputError(
-        "added information holds no samples, so there are no torques to draw; identify one of the "
-        "logs to see them"
     )
 
 

@@ -29,6 +29,16 @@ Interface = Literal[
     "cantact", "seeedstudio", "damiao", "virtual"
 ]  # fmt: skip
 
+class _PayloadIdentify(TypedDict, total=False):
+    accept: Accept | Sequence[Accept]
+    coupling: File | None
+    cutoff: float | None
+    delay: Literal["off", "auto"]
+    friction_model: str | None
+    keep: Keep | Sequence[Keep]
+    no_friction: bool
+    tilt: Literal["off", "auto"]
+
 class _PlayPlan(TypedDict, total=False):
     clearance: float
     keep_out: Numbers | Sequence[Numbers]
@@ -37,7 +47,7 @@ class _PlayPlan(TypedDict, total=False):
     max_velocity: float | Numbers
     workspace: Numbers | None
 
-class _InformationPlan(TypedDict, total=False):
+class _PayloadPlanIdentify(TypedDict, total=False):
     delay_uncertainty: float
     friction_uncertainty: float
     gravity_uncertainty: float
@@ -54,21 +64,16 @@ class _PlanIdentify(TypedDict, total=False):
     seed: int | None
     trajectory: File | None
 
-class _PayloadIdentify(TypedDict, total=False):
-    keep: Keep | Sequence[Keep]
-
 class _HoldPlanIdentify(TypedDict, total=False):
     speed: float
 
 class _PayloadPlan(TypedDict, total=False):
     static: bool
 
-class IdentifyFromKeywords(TypedDict, total=False):
+class JointTorqueRegressorKeywords(TypedDict, total=False):
     joint: str | None
     keyframe: str | None
     mesh_dir: File | None
-
-class JointTorqueRegressorKeywords(IdentifyFromKeywords, total=False): ...
 
 class ReadLogKeywords(TypedDict, total=False):
     columns: File | None
@@ -78,18 +83,7 @@ class ReadLogKeywords(TypedDict, total=False):
     torque_scale: float | Numbers | File | None
     units: str | None
 
-class InformationKeywords(
-    ReadLogKeywords, IdentifyFromKeywords, _InformationPlan, total=False
-):  # fmt: skip
-    accept: Accept | Sequence[Accept]
-    coupling: File | None
-    cutoff: float | None
-    delay: Literal["off", "auto"]
-    friction_model: str | None
-    no_friction: bool
-    tilt: Literal["off", "auto"]
-
-class HoldKeywords(IdentifyFromKeywords, _HoldPlanIdentify, total=False):
+class HoldKeywords(JointTorqueRegressorKeywords, _HoldPlanIdentify, total=False):
     accept_directions: bool
     accept_register_limits: bool
     approach_speed: float
@@ -115,7 +109,8 @@ class HoldKeywords(IdentifyFromKeywords, _HoldPlanIdentify, total=False):
     start_tolerance: float
 
 class PayloadKeywords(
-    InformationKeywords, _PayloadIdentify, _PayloadPlan, total=False
+    ReadLogKeywords, JointTorqueRegressorKeywords, _PayloadIdentify, _PayloadPlanIdentify,
+    _PayloadPlan, total=False
 ):  # fmt: skip
     as_body: str | None
     cards: Cards
@@ -127,8 +122,8 @@ class PayloadKeywords(
 class PlayKeywords(HoldKeywords, _PlayPlan, total=False): ...
 
 class PlanKeywords(
-    IdentifyFromKeywords, _PlayPlan, _InformationPlan, _PlanIdentify, _HoldPlanIdentify,
-    _PayloadPlan, total=False
+    JointTorqueRegressorKeywords, _PlayPlan, _PayloadPlanIdentify, _PlanIdentify,
+    _HoldPlanIdentify, _PayloadPlan, total=False
 ):  # fmt: skip
     below_base: bool
     can_id: int | Sequence[int]
@@ -142,7 +137,8 @@ class PlanKeywords(
     payload_reserve: float
 
 class IdentifyKeywords(
-    InformationKeywords, _PlanIdentify, _PayloadIdentify, _HoldPlanIdentify, total=False
+    ReadLogKeywords, JointTorqueRegressorKeywords, _PayloadIdentify, _PayloadPlanIdentify,
+    _PlanIdentify, _HoldPlanIdentify, total=False
 ):  # fmt: skip
     encoder_resolution: float
     links: bool

@@ -119,8 +119,6 @@ RECORDS: Mapping[str, Sequence[Any]] = {
     ),
     "payload": _PAYLOAD,
     "read_log": (LogOptions,),
-    "information": (ModelOptions, LogOptions, EstimationOptions),
-    "identify_from": (ModelOptions,),
     "joint_torque_regressor": (ModelOptions,),
     "play": (*_MOTORS, LimitOptions),
     "hold": _MOTORS,

@@ -480,22 +480,13 @@ def rms_torque(datasets: Sequence[Dataset]) -> Array:
     Raises:
         InputError: the recordings have no sample.
     """
-    squares, count = squared_torque(datasets)
+    count = sum(len(dataset.torque) for dataset in datasets)
     if not count:
         raise InputError("there is no sample to identify from")
+    squares = sum(np.sum(dataset.torque**2, axis=0) for dataset in datasets)
     return np.asarray(np.sqrt(squares / count))
 
 
 def motion_signals(datasets: Iterable[Dataset]) -> list[ProcessedSignals]:
     """Return the filtered signals of the recordings that are motions, not poses at rest."""
     return [dataset.signals for dataset in datasets if dataset.signals is not None]
-
-
-def squared_torque(datasets: Sequence[Dataset]) -> tuple[Array, int]:
-    """Return (sums of squares (n,) of the measured torque [N^2 m^2], number of its samples)."""
-    squares: Array | float = 0.0
-    count = 0
-    for dataset in datasets:
-        squares = squares + np.sum(dataset.torque**2, axis=0)
-        count += len(dataset.torque)
-    return np.asarray(squares), count

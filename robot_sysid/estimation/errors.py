@@ -36,11 +36,7 @@ from robot_sysid.dynamics.inverse_dynamics import split_motion
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimation.algebra.common_scale import common_error
 from robot_sysid.estimation.algebra.consistent_bodies import BODIES, project_errors
-from robot_sysid.estimation.algebra.least_squares import (
-    normal_matrix,
-    restrict,
-    sample_counts,
-)
+from robot_sysid.estimation.algebra.least_squares import normal_matrix, sample_counts
 from robot_sysid.estimation.algebra.priors import (
     SURE,
     WithPriors,
@@ -57,13 +53,7 @@ from robot_sysid.estimation.algebra.uncertainty import (
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import DecimatedSamples, release_memory
 from robot_sysid.estimation.fit import Fit, squared_effect
-from robot_sysid.estimation.unknowns import (
-    COMMON,
-    LINKS,
-    SCALES,
-    EstimatedRows,
-    scale_spread,
-)
+from robot_sysid.estimation.unknowns import COMMON, LINKS, SCALES, scale_spread
 from robot_sysid.records import Array, Measurement, Motion, PriorConflict
 from robot_sysid.signals.process import ProcessedSignals
 
@@ -176,23 +166,17 @@ class FitErrors:
         return shares
 
 
-def fit_errors(
-    fit: Fit, residuals: Sequence[JointResiduals] = (), pull: Array | None = None
-) -> FitErrors:
+def fit_errors(fit: Fit) -> FitErrors:
     """Return the errors of a fit from all causes, with torque noise that is correlated in time.
 
     Args:
-        fit: the fit.
-        residuals: sums over lags of each joint's residuals, from which the autocorrelation of noise
-            follows; if empty, they are computed from the fit's rows. Without rows, noise is white.
-        pull: (joints, p) sums Y_j^T d_j of ``filtering_bias``; None computes them from the rows.
+        fit: the fit; without its rows, noise is white.
     """
-    if pull is None:
-        point = replace(fit.point, values=fit.values)
-        pull = filtering_bias(fit.columns, point, fit.samples)
+    point = replace(fit.point, values=fit.values)
+    pull = filtering_bias(fit.columns, point, fit.samples)
 
     # Noise and priors, then causes without a prior, then the steps to consistent bodies.
-    total = _noise_errors(fit, residuals)
+    total = _noise_errors(fit)
     names = fit.unknowns.estimated_names
     causes = {}
     for group in fit.unknowns.groups:
@@ -242,21 +226,18 @@ def _unlikely_move(fit: Fit) -> Array:
     return move[:0]
 
 
-def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
+def _noise_errors(fit: Fit) -> Uncertainty:
     """Return the errors of a fit that torque noise and priors explain.
 
-    Memory that is free is given back to the system on the way.
-
-    Args:
-        fit: the fit.
-        residuals: sums over lags of each joint's residuals; if empty, they are computed from the
-            fit's rows. Without rows, noise is white.
+    Memory that is free is given back to the system on the way. Without the fit's rows, noise is
+    white.
     """
     release_memory()
     information = fit.information
     weights = fit.weights
     space = joint_space(information, weights)
-    if fit.samples and not residuals:
+    residuals = list[JointResiduals]()
+    if fit.samples:
         values = fit.values[fit.unknowns.estimated]
         root = space.inverse_root()
         residuals = collect_residuals(information, fit.rows, values, root, weights)
@@ -383,65 +364,6 @@ def _common_scale_change(fit: Fit) -> Array:
     log_odds = min(np.nan_to_num(evidence - plain_evidence), _SURE)
     plain_share = 1.0 / (1.0 + np.exp(log_odds))
     return np.asarray(np.sqrt(plain_share) * (values - plain_values))[None]
-
-
-def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals]:
-    """Return sums over lags of one log's residuals at the estimate of a fit, one per joint.
-
-    Sums of several logs add, and ``residuals_within`` restricts them to the unknowns of a later
-    fit. They include friction at its bound: a fit to the sum of all logs may not hold it there.
-
-    Args:
-        fit: gives the estimate and the noise.
-        samples: rows of the log.
-
-    Returns:
-        The sums per joint; ``columns`` are indices among all p parameters.
-    """
-    unknowns = fit.unknowns
-    weights = fit.weights
-    indices = np.union1d(
-        unknowns.estimated, fit.columns.indices(unknowns.names_at_bound)
-    )
-    all_unknowns = replace(unknowns, estimated=indices)
-    # G (k, r) with C = G G^T, among all p parameters; zero for parameters at their bounds.
-    inverse_root = joint_space(fit.information, weights).inverse_root()
-    root = np.zeros((len(fit.columns.names), inverse_root.shape[1]))
-    root[unknowns.estimated] = inverse_root
-    information = restrict(
-        fit.evidence.total, all_unknowns.estimated_names, unknowns.held
-    )
-    rows = EstimatedRows((samples,), all_unknowns)
-    values = fit.values[indices]
-    sums = collect_residuals(
-        information, rows, values, root[indices], weights, to_add=True
-    )
-    return [replace(joint, columns=indices[joint.columns]) for joint in sums]
-
-
-def residuals_within(
-    fit: Fit, residuals: Sequence[JointResiduals]
-) -> list[JointResiduals]:
-    """Return residual sums of each joint, restricted to the parameters that a fit estimates.
-
-    Only the matrices ``sums`` (1 + m, c, c), one for each kernel, have axes of parameters; the
-    other fields stay as they are.
-
-    Args:
-        fit: the fit whose estimated parameters are kept.
-        residuals: per joint, with ``columns`` (c,) among all p parameters (``residuals_to_add``).
-
-    Returns:
-        New records per joint, with ``columns`` among the k estimated parameters.
-    """
-    indices = fit.unknowns.estimated
-    restricted_sums = []
-    for joint in residuals:
-        is_unknown = np.isin(joint.columns, indices)
-        columns = np.searchsorted(indices, joint.columns[is_unknown])
-        sums = joint.sums[:, is_unknown][:, :, is_unknown]
-        restricted_sums.append(replace(joint, columns=columns, sums=sums))
-    return restricted_sums
 
 
 def _common_scale_error(fit: Fit) -> float:

@@ -52,7 +52,6 @@ def fit_file(
     unchanged_parts: tuple[str, ...],
     estimate: Fit,
     errors: FitErrors,
-    pull: Array | None = None,
     carried: Array | None = None,
 ) -> Answer:
     """Return the fit of the model file that predicts held-out torques best.
@@ -69,8 +68,6 @@ def fit_file(
         estimate: a fit of all effects, at which the search starts; rotors are taken from it, and
             bodies are moved towards its bodies.
         errors: errors of the estimate.
-        pull: (joints, p) sums of ``errors.filtering_bias``, for the error due to the low-pass of
-            positions; None computes them from the rows.
         carried: the payload (10,) of loaded recordings; None without one.
     """
     robot = fitter.columns.robot
@@ -92,9 +89,9 @@ def fit_file(
     # A URDF states no rotor inertia: one that differs from the model's is not zero.
     has_rotors = _holds_rotors(mjcf_question) and any(select_rotors(estimate).values())
     if robot.kind == "mjcf" or not (motors or has_rotors):
-        return _fit_kind(fitter, question, motors, estimate, errors, pull)
-    best = _fit_kind(fitter, mjcf_question, motors, estimate, errors, pull)
-    urdf = _fit_kind(fitter, question, (), estimate, errors, pull)
+        return _fit_kind(fitter, question, motors, estimate, errors)
+    best = _fit_kind(fitter, mjcf_question, motors, estimate, errors)
+    urdf = _fit_kind(fitter, question, (), estimate, errors)
     return replace(best, file=urdf)
 
 
@@ -104,7 +101,6 @@ def _fit_kind(
     motors: tuple[Coupling, ...],
     estimate: Fit,
     errors: FitErrors,
-    pull: Array | None,
 ) -> Answer:
     """Return the best file of the kind ``question.file_kind``, "mjcf" or "urdf".
 
@@ -118,7 +114,6 @@ def _fit_kind(
         motors: motors that turn several joints, which the file holds.
         estimate: a fit of all effects, at which the search starts; rotors are taken from it.
         errors: errors of the estimate.
-        pull: (joints, p) sums of ``errors.filtering_bias``; None computes them from the rows.
     """
     columns = fitter.columns
     rotors = select_rotors(estimate) if _holds_rotors(question) else {}
@@ -162,7 +157,7 @@ def _fit_kind(
     judge = held_out(fit, fit.unknowns)
     validation = judge.validation(judge.consistent_squared_errors(fit.unknowns))
     del judge
-    file_errors = fit_errors(fit, residuals=(), pull=pull)
+    file_errors = fit_errors(fit)
     return Answer(fit, file_errors, validation, model_validation=model_validation)
 
 

@@ -259,15 +259,12 @@ class Fitter:
         columns: parameter names, and the rows of recordings.
         torque: (n,) root mean square of each joint's measured torque [N m].
         on_pass: called before every pass over the recordings.
-        residual_correlation: (joints,) rows per independent row, by the residuals' autocorrelation,
-            if they are known; None takes them from the rows, or from the choice without rows.
         linearised: the last point with the evidence and rows around it; None before there are any.
     """
 
     columns: Columns
     torque: Array
     on_pass: Callable[[], None] = lambda: None
-    residual_correlation: Array | None = None
     linearised: tuple[Point, Evidence, tuple[DecimatedSamples, ...]] | None = None
     _noise: Array | None = None
 
@@ -308,9 +305,7 @@ class Fitter:
         """
         data, samples = self.around(point)
         factors = correlation_factors_of(choice, len(self.columns.joints))
-        correlation = self.residual_correlation
-        if correlation is None:
-            correlation = factors
+        correlation = factors
         noise = self._noise
         start = data.unknowns(self.columns, question, choice)
         for _ in range(_MAX_BOUND_ROUNDS):
@@ -323,7 +318,7 @@ class Fitter:
                 noise=noise,
             )
             noise = effective_noise / np.sqrt(factors)
-            if self.residual_correlation is None and samples:
+            if samples:
                 correlation = _correlation_times(residuals_of(samples, free))
                 if any(group.may_widen for group in unknowns.groups):
                     unknowns, free, effective_noise = _solve_within_bounds(

@@ -373,23 +373,6 @@ def validate_datasets(
     columns = Columns(fitted.robot, datasets, fitted.torques, fitted.couplings)
     samples = columns.samples(replace(fit.point, values=fit.values))
     data = evidence_of([samples], fit.evidence.torque)
-    return validate_rows(fit, errors, data, source)
-
-
-def validate_rows(
-    fit: Fit, errors: FitErrors, data: Evidence, source: str
-) -> Validation:
-    """Return the error with which a fit predicts the torques of rows that were not fitted.
-
-    Args:
-        fit: the fit that predicts.
-        errors: errors of the fit's parameters.
-        data: evidence of these rows, linearised around the fit.
-        source: name of these rows for the user.
-
-    Raises:
-        InputError: the rows hold no usable samples.
-    """
     counts = sample_counts(data.total)
     squares = np.sum(data.squared_torque, axis=0)
     if not np.any(counts):

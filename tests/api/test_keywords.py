@@ -127,10 +127,6 @@ def test_help_says_what_every_keyword_means(function):
             "torque_from is for logs without torque; it needs the command robot-sysid identify "
             "MODEL LOG --torque-from position-error",
         ),
-        (
-            lambda: rs.identify_from("m", None),
-            "a sum of rs.information is needed, not NoneType",
-        ),
     ],
 )
 def test_what_cannot_be_used_is_said_in_the_words_of_python(call, message):

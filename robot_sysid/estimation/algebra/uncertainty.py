@@ -30,7 +30,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -186,7 +185,7 @@ def _alone(
     is that of the torque errors that the joint's own noise causes [N^2 m^2]. ``weight`` is that of
     the joint's equations [1/(N m)], ``inverse`` C (p, p), the inverse of the normal matrix.
     """
-    hat = joint.inside(weight**2 * inverse[np.ix_(joint.columns, joint.columns)])
+    hat = weight**2 * inverse[np.ix_(joint.columns, joint.columns)]
     absorbed = joint.absorbed_share(hat)
     kernels = joint.fit(absorbed, leaked=0.0)
     errors = hat @ np.tensordot(kernels, joint.sums, axes=1) @ hat
@@ -239,12 +238,11 @@ class JointResiduals:
         columns: (k,) indices of the parameters of this joint's equations.
         count: number of samples n.
         decay: (m,) exp(-1 / T_i).
-        sums: (1 + m, k, k) the Q_i, the first is Y^T Y; (1 + m, n, n) with a ``basis``.
+        sums: (1 + m, k, k) the Q_i, the first is Y^T Y.
         lags: (v,) lags l = 0, 1, 2, ... [samples].
         products: (v,) mean of r_t r_(t+l) over t [N^2 m^2].
         hats: (v,) mean of H_(t,t+l) over t, H the hat matrix from this joint's torque to its fit.
         pairs: (v,) number of pairs (t, t+l) in these means.
-        basis: (n, k) rows Y where n < k, with Q_i = Y^T sums_i Y; None where ``sums`` are the Q_i.
     """
 
     columns: NDArray[np.int64]
@@ -255,52 +253,14 @@ class JointResiduals:
     products: Array
     hats: Array
     pairs: Array
-    basis: Array | None = None
-
-    def inside(self, spread: Array) -> Array:
-        """Return the matrix B with tr(sums_i B) = tr(Q_i C) for ``spread`` C (k, k)."""
-        return spread if self.basis is None else self.basis @ spread @ self.basis.T
 
     def energy(self, spread: Array) -> float:
         """Return tr(Y C Y^T), the torque energy of errors of covariance C (k, k) [N^2 m^2]."""
-        if self.basis is None:
-            return float(np.vdot(spread, self.sums[0]))
-        return float(np.vdot(self.basis @ spread, self.basis))
+        return float(np.vdot(spread, self.sums[0]))
 
     def score(self, kernels: Array) -> Array:
         """Return sum_i c_i Q_i (k, k), the score's covariance; ``kernels`` (1 + m,) are the c_i."""
-        score = np.tensordot(kernels, self.sums, axes=1)
-        return score if self.basis is None else self.basis.T @ score @ self.basis
-
-    def __add__(self, other: JointResiduals) -> JointResiduals:
-        """Return the sums of two logs, both made with ``to_add``; no lag leads from log to log."""
-        pairs = self.pairs + other.pairs
-
-        def mean(ours: Array, theirs: Array) -> Array:
-            """Return the mean (v,) over all pairs of both logs from the mean of each."""
-            return (self.pairs * ours + other.pairs * theirs) / np.maximum(pairs, 1.0)
-
-        return replace(
-            self,
-            count=self.count + other.count,
-            sums=self.sums + other.sums,
-            products=mean(self.products, other.products),
-            hats=mean(self.hats, other.hats),
-            pairs=pairs,
-        )
-
-    def limit_lags(self) -> JointResiduals:
-        """Return a copy without lags and time constants above a tenth of the samples."""
-        lags, kernels = _reach(self.count)
-        return replace(
-            self,
-            decay=self.decay[:kernels],
-            sums=self.sums[: 1 + kernels],
-            lags=self.lags[: lags + 1],
-            products=self.products[: lags + 1],
-            hats=self.hats[: lags + 1],
-            pairs=self.pairs[: lags + 1],
-        )
+        return np.asarray(np.tensordot(kernels, self.sums, axes=1))
 
     def absorbed_share(self, hat: Array) -> Array:
         """Return the share (1 + m,) of each kernel's noise energy that is missing in residuals.
@@ -308,7 +268,7 @@ class JointResiduals:
         With H = Y hat Y^T, residuals of noise V have the energy tr V - 2 tr H V + tr H V H.
 
         Args:
-            hat: ``inside`` of w^2 C (k, k), w the joint's weight, C the inverse normal matrix.
+            hat: w^2 C (k, k), w the joint's weight, C the inverse normal matrix.
         """
         once = np.tensordot(self.sums, hat, axes=2)
         twice = np.tensordot(self.sums, hat @ self.sums[0] @ hat, axes=2)
@@ -364,7 +324,6 @@ def collect_residuals(
     values: Array,
     root: Array,
     weights: Array,
-    to_add: bool = False,
 ) -> list[JointResiduals]:
     """Return each joint's residuals in sums over time lags and kernels, by one pass over samples.
 
@@ -374,77 +333,49 @@ def collect_residuals(
         values: (p,) the estimate.
         root: (p, r) with root root^T = C, the inverse of the normal matrix.
         weights: (joints,) of each joint's equations [1/(N m)].
-        to_add: keep all lags, so that the result can be added to that of another log.
     """
     residuals = []
     for index, rows, tau in samples:
         columns = information.joints[index].columns
         residual = tau - rows @ values[columns]
         scaled = weights[index] * root[columns]
-        residuals.append(joint_residuals(columns, scaled, rows, residual, to_add))
+        residuals.append(joint_residuals(columns, scaled, rows, residual))
     return residuals
 
 
 def joint_residuals(
-    columns: NDArray[np.int64],
-    root: Array,
-    rows: Array,
-    residual: Array,
-    to_add: bool = False,
+    columns: NDArray[np.int64], root: Array, rows: Array, residual: Array
 ) -> JointResiduals:
     """Return one joint's residuals in sums over time lags and kernels exp(-|l| / T_i).
 
-    Without ``to_add``, lags and time constants stay below a tenth of the number of samples.
+    Lags and time constants stay below a tenth of the number of samples.
 
     Args:
         columns: (k,) indices of the parameters of the joint's rows.
         root: (k, r) with root root^T = w^2 C, w the joint's weight, C the inverse normal matrix.
         rows: (N, k) equations of the joint.
         residual: (N,) [N m]; NaN where a sample is left out.
-        to_add: keep all lags, so that the result can be added to that of another log.
     """
     is_used = np.isfinite(residual)
     count = int(np.count_nonzero(is_used))
-    # A log of ten times the largest lag has all lags.
-    lags, kernels = _reach(10 * _MAX_LAG if to_add else count)
+    lags, kernels = _reach(count)
     products, pairs = autocovariance(residual, lags)
     decay = _decay(kernels)
-    basis = None
-    # With few samples, sums over pairs of samples are smaller than over pairs of parameters.
-    if len(rows) < len(columns) and not to_add:
-        basis = np.where(is_used[:, None], rows, 0.0)
-        sums = _sums_of_ones(len(rows), kernels)
-        image = basis @ root
-        hat = image @ image.T
-        hats = np.array([np.trace(hat, offset=lag) for lag in range(lags + 1)])
-    else:
-        sums = _sums(rows, is_used, decay)
-        hats = np.zeros(lags + 1)
-        # A few channels at a time: all channels together would be as large as the log.
-        batches = -(-root.shape[1] // _CHANNELS)  # rounded up
-        for channels in np.array_split(root, batches, axis=1):
-            image = np.where(is_used[:, None], rows @ channels, 0.0)
-            hats += lagged_sums(image, lags)
+    sums = _sums(rows, is_used, decay)
+    hats = np.zeros(lags + 1)
+    # A few channels at a time: all channels together would be as large as the log.
+    batches = -(-root.shape[1] // _CHANNELS)  # rounded up
+    for channels in np.array_split(root, batches, axis=1):
+        image = np.where(is_used[:, None], rows @ channels, 0.0)
+        hats += lagged_sums(image, lags)
     hats = hats / np.maximum(pairs, 1.0)
     lag = np.arange(lags + 1)
-    return JointResiduals(
-        columns, count, decay, sums, lag, products, hats, pairs, basis
-    )
+    return JointResiduals(columns, count, decay, sums, lag, products, hats, pairs)
 
 
 def _decay(kernels: int) -> Array:
     """Return exp(-1 / T_i) (m,) for a number m of kernels with T_i = 1, 2, 4, ... samples."""
     return np.exp(-1.0 / 2.0 ** np.arange(kernels))
-
-
-@lru_cache(maxsize=2)
-def _sums_of_ones(count: int, kernels: int) -> Array:
-    """Return the Q_i (1 + m, n, n) of a unit matrix: 1, then exp(-|t - s| / T_i) at (t, s).
-
-    There are n = ``count`` samples, m = ``kernels``. The array is cached: do not change it.
-    """
-    lags = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
-    return np.asarray(np.append(0.0, _decay(kernels))[:, None, None] ** lags)
 
 
 def _sums(rows: Array, is_used: NDArray[np.bool_], decay: Array) -> Array:

@@ -115,11 +115,11 @@ def test_intervals_cover_under_white_and_under_autocorrelated_noise(memory):
 # ---- autocorrelation
 
 
-def residuals_of(rows, residual, *options):
+def residuals_of(rows, residual):
     """Return JointResiduals of all columns of some rows."""
     width = rows.shape[1]
     root = 0.1 * np.eye(width)
-    return joint_residuals(np.arange(width), root, rows, residual, *options)
+    return joint_residuals(np.arange(width), root, rows, residual)
 
 
 def dense_kernels(residuals, count):
@@ -135,22 +135,6 @@ def test_kernel_sums_are_those_of_the_dense_kernels(seed):
     residuals = residuals_of(rows, rng.normal(size=80))
     expected = [rows.T @ kernel @ rows for kernel in dense_kernels(residuals, 80)]
     assert_allclose(residuals.sums, expected, rtol=0.0, atol=1e-10)
-
-
-@given(SEEDS)
-def test_sums_kept_as_rows_equal_sums_in_the_parameters(seed):
-    rng = np.random.default_rng(seed)
-    rows = rng.normal(size=(30, 40))
-    factor = rng.normal(size=(40, 40))
-    residual = rng.normal(size=30)
-    spread = 1e-3 * factor @ factor.T
-    residual[7] = np.nan
-    as_rows = residuals_of(rows, residual)
-    as_sums = residuals_of(rows, residual, True).limit_lags()
-    kernels = rng.uniform(size=len(as_rows.sums))
-    assert_allclose(as_rows.score(kernels), as_sums.score(kernels), atol=1e-10)
-    share = as_rows.absorbed_share(as_rows.inside(spread))
-    assert_allclose(share, as_sums.absorbed_share(as_sums.inside(spread)), atol=1e-12)
 
 
 @given(
@@ -211,28 +195,6 @@ def test_an_absorbed_share_is_that_of_the_dense_projection():
     remainder = residual_maker @ kernels @ residual_maker
     expected = np.clip(1.0 - np.trace(remainder, axis1=1, axis2=2) / 70.0, 0.0, 0.8)
     assert_allclose(residuals.absorbed_share(inverse), expected, atol=1e-10)
-
-
-def random_log(rng):
-    """Return JointResiduals of a log of random length with gaps."""
-    count = int(rng.integers(30, 400))
-    rows = rng.normal(size=(count, 2))
-    residual = rng.normal(size=count)
-    residual[:: int(rng.integers(5, 50))] = np.nan
-    return residuals_of(rows, residual, True)
-
-
-@given(SEEDS)
-def test_sums_of_logs_are_means_over_the_pairs_of_all(seed):
-    rng = np.random.default_rng(seed)
-    logs = [random_log(rng) for _ in range(3)]
-    one, two, three = logs
-    total = (one + two) + three
-    regrouped = vars(one + (two + three))
-    for name in ("count", "sums", "products", "hats", "pairs"):
-        assert_allclose(vars(total)[name], regrouped[name], atol=1e-11)
-    expected = sum(log.products * log.pairs for log in logs)
-    assert_allclose(total.products * total.pairs, expected, atol=1e-10)
 
 
 def test_a_burst_counts_as_few_rows():
