@@ -113,25 +113,13 @@ class LowPass:
         return LowPass(self.cutoff, rate, kernel, self.step // stride)
 
     def filter(self, values: Array) -> Array:
-        """Return (N - 2 M, ...) filtered samples of values (N, ...): all but M at each end.
+        """Return (N - 2 M, ...) filtered samples of values (N, ...): all but M at each end."""
+        from scipy.signal import oaconvolve
 
-        Computed by Fourier transforms of overlapping blocks (Oppenheim, Schafer, sec. 8.7.3).
-        """
-        lost = len(self.kernel) - 1
-        if lost == 0:
-            return self.kernel[0] * values
-        count = max(0, len(values) - lost)
-        # A power of two, four to eight times as long as the kernel.
-        size = 1 << (4 * len(self.kernel)).bit_length()
-        gain = np.fft.rfft(self.kernel, size)
-        gain = gain.reshape(-1, *(1,) * (np.ndim(values) - 1))
-        filtered = np.empty((count, *np.shape(values)[1:]))
-        for start in range(0, count, size - lost):
-            transform = np.fft.rfft(values[start : start + size], size, axis=0)
-            convolution = np.fft.irfft(gain * transform, size, axis=0)
-            block = filtered[start : start + size - lost]
-            block[:] = convolution[lost : lost + len(block)]
-        return filtered
+        if len(values) < len(self.kernel):
+            return values[:0]
+        kernel = self.kernel.reshape(-1, *(1,) * (np.ndim(values) - 1))
+        return np.asarray(oaconvolve(values, kernel, mode="valid", axes=0))
 
     def decimate(self, values: Array) -> Array:
         """Return (K, ...) filtered samples of values (N, ...), one per ``step`` samples."""
@@ -261,7 +249,7 @@ def first_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
     ahead, weights = _central_weights(reach)
     later = weights / ahead
     stencil = np.concatenate((-later[::-1], [0.0], later))
-    return _correlate(values, stencil, order=1, scale=rate)
+    return rate * _correlate(values, stencil)
 
 
 def second_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
@@ -275,7 +263,7 @@ def second_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
     ahead, weights = _central_weights(reach)
     later = 2.0 * weights / ahead**2
     stencil = np.concatenate((later[::-1], [-2.0 * np.sum(later)], later))
-    return _correlate(values, stencil, order=2, scale=rate**2)
+    return rate**2 * _correlate(values, stencil)
 
 
 def _central_weights(reach: int) -> tuple[Array, Array]:
@@ -308,24 +296,10 @@ def shift_samples(values: Array, samples: float) -> tuple[Array, int]:
     return inner[whole_samples:], SHIFT_REACH
 
 
-def _correlate(
-    values: Array, stencil: Array, order: int = 0, scale: float = 1.0
-) -> Array:
-    """Return ``scale`` times the sums of values (N, ...) under a stencil (S,), (N - S + 1, ...).
+def _correlate(values: Array, stencil: Array) -> Array:
+    """Return the sums of values (N, ...) under a stencil (S,), (N - S + 1, ...)."""
+    from scipy.ndimage import correlate1d
 
-    A stencil whose sums with polynomials of a degree below ``order`` are zero is summed by parts
-    ``order`` times: sum_k s_k x_k = -sum_k S_k (x_(k+1) - x_k), S_k = s_0 + ... + s_k. Differences
-    of successive values have no rounding errors, which the square of the rate would make large.
-    """
-    reach = len(stencil) - 1
-    count = max(0, len(values) - len(stencil) + 1)
-    sums = np.zeros((count, *np.shape(values)[1:]))
-    for _ in range(order):
-        stencil = -np.cumsum(stencil)[:-1]
-    for start in range(0, count, CHUNK):
-        block = sums[start : start + CHUNK]
-        moved = np.diff(values[start : start + len(block) + reach], order, axis=0)
-        for offset, weight in enumerate(stencil):
-            block += weight * moved[offset : offset + len(block)]
-        block *= scale
-    return sums
+    reach = len(stencil) // 2
+    sums = correlate1d(values, stencil, axis=0)
+    return np.asarray(sums[reach : len(values) - reach])

@@ -75,18 +75,6 @@ def test_derivatives_are_exact_for_polynomials_of_their_order(reach, coefficient
         assert_allclose(function(polynomial(time), 20.0, reach), expected, atol=5e-9)
 
 
-@pytest.mark.parametrize("order", [1, 2])
-def test_rounding_stays_small_at_a_high_rate(order):
-    """The low-pass removes rounding errors of positions, which are as fast as the samples."""
-    swing = Swing()
-    rate = 20000.0
-    function = (first_derivative, second_derivative)[order - 1]
-    true = swing.q(seconds(2.0, rate), order)[FINE_REACH:-FINE_REACH]
-    error = function(swing.q(seconds(2.0, rate)), rate, FINE_REACH) - true
-    smooth_error = design_low_pass(12.0, rate).filter(error)
-    assert np.max(np.abs(smooth_error)) < 2e-11 * np.max(np.abs(true))
-
-
 @given(st.floats(-40.0, 40.0), st.integers(0, 1000))
 def test_a_shift_evaluates_the_signal_at_later_instants(samples, seed):
     swing = Swing(seed, np.array([1.0, 7.0, 23.0]))
