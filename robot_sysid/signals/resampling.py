@@ -28,9 +28,6 @@ sample; a late sample comes up to 1.7 periods after an early one (tests/signals/
 """
 _CLOCK_ERROR = 0.01
 """Deviation from an even grid, in sampling periods, that most clocks have (chosen)."""
-_LOST_ROW_SHARE = 0.01
-"""Largest share of long steps of time that count as lost rows; more of them come from time stamps
-that are rounded."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +56,8 @@ def resample_uniformly(measurement: Measurement) -> UniformSignals:
     """Return a log on a uniform grid, or raise InputError where it has fewer than 8 samples.
 
     The samples of a log with evenly spaced time stamps (up to their number of digits) are not
-    changed, except that lost rows are bridged by cubic splines (``count_lost_rows``). In any other
-    log every joint is interpolated by cubic splines, at its own time stamps where it has them.
+    changed. In any other log every joint is interpolated by cubic splines, at its own time stamps
+    where it has them.
     """
     time = measurement.time
     if len(time) < 8:
@@ -72,44 +69,10 @@ def resample_uniformly(measurement: Measurement) -> UniformSignals:
         reason = "each joint at its own" if has_joint_time else "uneven"
         reason = f"{reason} time stamps, cubic splines"
         return _interpolate(measurement, 1.0 / sampling_period(time), reason)
-    duration = float(time[-1] - time[0])
-    lost = count_lost_rows(measurement)
-    if np.any(lost):
-        count = np.arange(len(time)) + np.concatenate(([0], np.cumsum(lost)))
-        period = duration / float(count[-1])
-        even = replace(measurement, time=time[0] + count * period)
-        reason = f"{np.sum(lost)} lost rows bridged by cubic splines"
-        return _interpolate(even, 1.0 / period, reason)
     gap = np.zeros(len(time))
-    rate = (len(time) - 1) / duration
+    rate = (len(time) - 1) / float(time[-1] - time[0])
     start = float(time[0])
     return UniformSignals(start, rate, measurement.q, measurement.tau, gap, notes=())
-
-
-def count_lost_rows(measurement: Measurement) -> NDArray[np.int64]:
-    """Return (N - 1,) how many rows are missing after each row but the last of a log.
-
-    A step of time that is twice as long is a lost row or, with coarse time stamps, a rounded stamp.
-    Positions decide: over a lost row they move twice as far as over the steps around it. With m the
-    rows that a long step of time could hide, these count as lost where positions move farther than
-    over 1 + m / 2 usual steps. None are lost where more than 1 % of the steps are long, and none at
-    the first and the last step.
-    """
-    step = np.diff(measurement.time)
-    lost = np.zeros(len(step), dtype=np.int64)
-    median = float(np.median(step))
-    long = np.flatnonzero(step > GAP_STEPS * median)
-    if len(long) > _LOST_ROW_SHARE * len(step):
-        return lost
-    for row in long[(long > 0) & (long < len(step) - 1)]:
-        missing = round(float(step[row]) / median) - 1
-        previous, moved, following = np.diff(measurement.q[row - 1 : row + 3], axis=0)
-        around = 0.5 * (previous + following)
-        # ``moved`` along the direction of the usual motion, over all joints.
-        expected = (1.0 + 0.5 * missing) * np.sum(around**2)
-        if np.sum(moved * around) - expected > 0.0:
-            lost[row] = missing
-    return lost
 
 
 def sampling_period(time: Array) -> float:
@@ -254,18 +217,9 @@ def piece_notes(
         omission = f", without {rows} of other pieces"
         if sum(map(_duration, pieces)) > 0.5 * MOST_TIME:
             omission += ", as the log is longer than any result needs"
-    step = np.diff(samples.time)
-    is_separation = np.isclose(step, RECORDING_SEPARATION, rtol=0.0, atol=1e-6)
-    gap = float(np.max(step[~is_separation], initial=0.0))
-    is_gapped = gap > splitting_gap(float(np.median(step)))
-    n_recordings = np.count_nonzero(is_separation) + 1
-    if n_recordings > 1 and not is_gapped:
-        return (f"its {n_recordings} recordings are filtered on their own{omission}",)
-    cause = f"gaps of up to {gap:.3g} s split" if is_gapped else "its length splits"
-    log = f"its {n_recordings} recordings" if n_recordings > 1 else "the log"
     return (
-        f"{cause} {log} into {len(pieces)} pieces of at least {SHORTEST_PIECE:g} s, each "
-        f"filtered on its own{omission}",
+        f"the log is filtered in {len(pieces)} pieces of at least {SHORTEST_PIECE:g} s, cut at "
+        f"gaps, between recordings or by length{omission}",
     )
 
 
