@@ -212,7 +212,7 @@ def save(
         text = params_json_text(result, card, notes, verdict, step)
         written.append(folder / file_access.PARAMS_NAME)
         files.write(written[-1], text)
-        model_files = [file.path for file in read_document(result.robot.path).files]
+        model_files = read_document(result.robot.path).contents
         notes += remove_earlier(files, folder, written, (*inputs, *model_files))
     lines = (
         *block_lines(result, links),

@@ -17,7 +17,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.documents import Edits, ModelDocument, Node, attribute_text
+from robot_sysid.mjcf.documents import ModelDocument, Node
 from robot_sysid.records import Array, SubtreeBody
 
 NEGLIGIBLE = 1e-6
@@ -258,11 +258,11 @@ def urdf_inertial_about_com(mass: float, com: Array, inertia: Array) -> str:
         inertia: (3, 3) about the centre of mass, in the link's axes [kg m^2].
     """
     six = map(format_number, spatial.six_from_symmetric(inertia))
-    moments = attribute_text(dict(zip(URDF_MOMENTS, six)))
+    moments = " ".join(f'{name}="{text}"' for name, text in zip(URDF_MOMENTS, six))
     return (
         f'<inertial><origin xyz="{format_numbers(com)}" rpy="0 0 0"/>'
         f'<mass value="{float(mass)!r}"/>'
-        f"<inertia{moments}/></inertial>"
+        f"<inertia {moments}/></inertial>"
     )
 
 
@@ -318,8 +318,8 @@ def check_settings(
     if setting_number(document, "settotalmass") > 0.0:
         _refuse(document, "settotalmass", "rescales the mass of every body; remove it")
     is_fused = setting(document, "fusestatic") == "true" and not document.is_urdf
-    _, *elements_below = body.walk()
-    if is_fused and (gets_child or any(map(_is_welded, elements_below))):
+    bodies_below = body.iterdescendants("body")
+    if is_fused and (gets_child or any(map(_is_welded, bodies_below))):
         reason = "merges bodies with the identified one; set it to false"
         _refuse(document, "fusestatic", reason)
     mass, _, inertia = spatial.com_from_theta(theta)
@@ -332,36 +332,34 @@ def check_settings(
             _refuse(document, name, f"{change}; lower it")
 
 
-def _is_welded(node: Node) -> bool:
-    """Return whether an element is a body without joints."""
-    has_joint = node.child("joint") or node.child("freejoint")
-    return node.tag == "body" and not has_joint
+def _is_welded(body: Node) -> bool:
+    """Return whether a body has no joints."""
+    return body.find("joint") is None and body.find("freejoint") is None
 
 
-def let_inertials_count(edits: Edits, written: Collection[Node]) -> None:
+def let_inertials_count(document: ModelDocument, written: Collection[Node]) -> None:
     """Keep ``inertiafromgeom="true"`` from overriding the inertials of written bodies.
 
     The setting becomes "auto", which lets an ``<inertial>`` count; the other bodies lose the
     ``<inertial>`` that was ignored so far, so that their geoms still decide.
     """
-    document = edits.document
     if setting(document, "inertiafromgeom") != "true":
         return
     for node in document.settings("compiler"):
         if node.get("inertiafromgeom"):
-            edits.set(node, "inertiafromgeom", "auto")
-    for body in document.walk("body"):
-        old = body.child("inertial")
-        has_geom = any(map(_is_geom, body.children()))
+            node.set("inertiafromgeom", "auto")
+    for body in document.root.iter("body"):
+        old = body.find("inertial")
+        has_geom = any(map(_is_geom, body.iterchildren()))
         if old is not None and body not in written and has_geom:
-            edits.replace(old, "")
+            body.remove(old)
 
 
 def _is_geom(node: Node) -> bool:
     """Return whether an element is a geom, or a frame with one in it."""
     if node.tag == "frame":
-        return any(map(_is_geom, node.children()))
-    return node.tag == "geom"
+        return any(map(_is_geom, node.iterchildren()))
+    return bool(node.tag == "geom")
 
 
 def _refuse(document: ModelDocument, name: str, reason: str) -> NoReturn:

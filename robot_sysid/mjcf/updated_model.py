@@ -1,6 +1,6 @@
 """A model file's own text with other inertias, joint numbers, gravity, and a new body where wanted.
 
-Comments, order and white space stay; paths are rewritten so that it loads from its new folder.
+Comments and order stay; paths are rewritten so that it loads from its new folder.
 """
 
 from __future__ import annotations
@@ -13,15 +13,18 @@ from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
+from lxml import etree
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.assets import relocated_text
+from robot_sysid.mjcf.assets import relocate
 from robot_sysid.mjcf.documents import (
-    Edits,
+    OWN_COMMENT,
     ModelDocument,
     Node,
-    attribute_text,
+    append,
+    put_comment,
+    put_inertial,
     read_document,
 )
 from robot_sysid.mjcf.inertial import (
@@ -168,9 +171,8 @@ def changed_model_text(
 ) -> bytes:
     """Return the text of a model file with a change made, for the folder where it will live.
 
-    Of an MJCF with includes, the included files that lead to a changed element, and those that
-    contain paths, take the place of their ``<include>``; the others stay included. In a URDF,
-    moving links without mass get a minimum of it.
+    Included files take the place of their ``<include>``. In a URDF, moving links without mass get a
+    minimum of it.
 
     Args:
         source: the model file, which stays as it is.
@@ -182,34 +184,34 @@ def changed_model_text(
         ExportError: the file does not contain an element itself (see ``find_element``), or one of
             its settings changes inertias.
     """
-    edits = Edits(read_document(source))
-    written = _write_bodies(edits, change)
+    document = read_document(source)
+    written = _write_bodies(document, change)
     for joint in change.joints:
-        write_joint(edits, joint)
+        write_joint(document, joint)
     for actuator in change.actuators:
-        write_actuator(edits, actuator)
+        write_actuator(document, actuator)
     for tendon in change.tendons:
-        _write_tendon(edits, tendon, change.rmse)
+        _write_tendon(document, tendon, change.rmse)
     if change.welded is not None:
-        _write_welded_body(edits, change.welded, change)
+        _write_welded_body(document, change.welded, change)
     if change.gravity is not None:
-        _write_gravity(edits, change.gravity, change.rmse)
-    if edits.document.is_urdf:
+        _write_gravity(document, change.gravity, change.rmse)
+    if document.is_urdf:
         # MuJoCo has to load the text by itself, so links get what compilation gave them.
-        give_minimum(edits, excluded=written)
-        raise_inertias(edits, excluded=written)
+        give_minimum(document, excluded=written)
+        raise_inertias(document, excluded=written)
     else:
-        let_inertials_count(edits, written)
-    return relocated_text(edits, folder, mesh_dir)
+        let_inertials_count(document, written)
+    relocate(document, folder, mesh_dir)
+    return document.text()
 
 
-def _write_bodies(edits: Edits, change: ModelChange) -> list[Node]:
+def _write_bodies(document: ModelDocument, change: ModelChange) -> list[Node]:
     """Write the inertias of ``change.bodies``, with comments, and zeros into the emptied bodies.
 
     Returns the elements of all these bodies. ExportError where the file does not contain one of
     them itself (see ``find_element``), or a compiler setting would change its inertia.
     """
-    document = edits.document
     zero_inertial = _inertial(document, np.zeros(10), change.principal)
     written = list[Node]()
     for body in change.bodies:
@@ -218,12 +220,12 @@ def _write_bodies(edits: Edits, change: ModelChange) -> list[Node]:
         check_settings(document, node, theta)
         additions = filter(None, (body.addition, body.plan.note))
         comment = _comment(f"body '{body.label}'", change.rmse, "; ".join(additions))
-        edits.comment(node, comment)
-        edits.put_inertial(node, _inertial(document, theta, change.principal))
+        put_comment(node, comment)
+        put_inertial(node, _inertial(document, theta, change.principal))
         written.append(node)
         for emptied in body.plan.emptied:
             node = find_element(document, "body", emptied.name)
-            edits.put_inertial(node, zero_inertial)
+            put_inertial(node, zero_inertial)
             written.append(node)
     return written
 
@@ -239,55 +241,53 @@ def _inertial(document: ModelDocument, theta: Array, principal: bool) -> str:
 
 
 def _comment(subject: str, rmse: float, addition: str) -> str:
-    """Return the XML comment that a subject, such as "body 'hand'", was identified.
+    """Return the text of the XML comment that a subject, such as "body 'hand'", was identified.
 
     Args:
         rmse: residual of the identification [N m].
         addition: further text; "" for none.
     """
-    text = f"System ID: {subject} identified with {format_rmse(rmse)}"
+    text = f"{OWN_COMMENT} {subject} identified with {format_rmse(rmse)}"
     text += f"; {addition}" if addition else ""
     # A name may hold ends of lines, and dashes that would end the comment.
-    return f"<!-- {re.sub('-(?=-)', '- ', ' '.join(text.split()))} -->"
+    return f" {re.sub('-(?=-)', '- ', ' '.join(text.split()))} "
 
 
-def _write_welded_body(edits: Edits, body: WeldedBody, change: ModelChange) -> None:
+def _write_welded_body(
+    document: ModelDocument, body: WeldedBody, change: ModelChange
+) -> None:
     """Add the new body of a change, with its comment, to its carrier; in a URDF with a fixed joint.
 
     ExportError where its name is empty or taken, or a compiler setting would change its inertia.
     """
-    document = edits.document
     joint_name = f"{body.name}_joint"
     carrier = find_element(document, "body", body.carrier)
     check_settings(document, carrier, body.theta, gets_child=True)
-    names = {node.get("name") for node in document.walk("body", "link")}
+    names = {node.get("name") for node in document.root.iter("body", "link")}
     bodies = {"world", *filter(None, names)}
-    joints = {node.get("name") for node in document.walk("joint")}
+    joints = {node.get("name") for node in document.root.iter("joint")}
     is_taken = body.name in bodies or (document.is_urdf and joint_name in joints)
-    if is_taken or not body.name.strip():
+    if is_taken or not body.name.strip() or not body.name.isprintable():
         raise ExportError(
             f"{document.path}: the new body cannot be called '{body.name}', because that name is "
-            f"empty or taken; bodies of the model: {', '.join(sorted(bodies))}"
+            f"empty, taken or no text; bodies of the model: {', '.join(sorted(bodies))}"
         )
     comment = _comment(f"body '{body.name}'", change.rmse, body.comment)
-    inertial = _inertial(document, body.theta, change.principal)
-    name = attribute_text({"name": body.name})
     position = format_numbers(body.translation)
+    link = etree.Element("link" if document.is_urdf else "body", name=body.name)
+    link.append(etree.fromstring(_inertial(document, body.theta, change.principal)))
+    append(document.root if document.is_urdf else carrier, etree.Comment(comment), link)
     if document.is_urdf:
         # All links of a URDF stand side by side.
+        joint = etree.Element("joint", name=joint_name, type="fixed")
+        etree.SubElement(joint, "parent", link=body.carrier)
+        etree.SubElement(joint, "child", link=body.name)
         angles = format_numbers(spatial.roll_pitch_yaw(body.rotation))
-        joint = (
-            f'<joint{attribute_text({"name": joint_name})} type="fixed">'
-            f"<parent{attribute_text({'link': body.carrier})}/>"
-            f"<child{attribute_text({'link': body.name})}/>"
-            f'<origin xyz="{position}" rpy="{angles}"/></joint>'
-        )
-        link = f"<link{name}>{inertial}</link>"
-        edits.append(document.root, comment, link, joint)
+        etree.SubElement(joint, "origin", xyz=position, rpy=angles)
+        append(document.root, joint)
     else:
-        quaternion = format_numbers(spatial.quaternion(body.rotation))
-        start_tag = f'<body{name} pos="{position}" quat="{quaternion}">'
-        edits.append(carrier, comment, start_tag, f"  {inertial}", "</body>")
+        link.set("pos", position)
+        link.set("quat", format_numbers(spatial.quaternion(body.rotation)))
 
 
 _DEFAULT_GRAVITY = "0 0 -9.81"
@@ -295,39 +295,35 @@ _DEFAULT_GRAVITY = "0 0 -9.81"
 
 
 def _write_gravity(
-    edits: Edits, gravity: tuple[float, float, float], rmse: float
+    document: ModelDocument, gravity: tuple[float, float, float], rmse: float
 ) -> None:
     """Give a model another gravity; MuJoCo reads the ``<option>`` in a URDF's ``<mujoco>``.
 
     ExportError where the file switches gravity off, or the numbers are not finite.
 
     Args:
-        edits: of the model file.
+        document: the model file.
         gravity: in the world frame [m/s^2].
         rmse: residual of the identification, for the comment [N m].
     """
-    options = edits.document.settings("option")
-    for node in chain(*map(Node.children, options)):
-        if node.tag == "flag" and node.get("gravity") == "disable":
+    options = document.settings("option")
+    for flag in chain.from_iterable(option.findall("flag") for option in options):
+        if flag.get("gravity") == "disable":
             fault = '<flag gravity="disable"/> switches gravity off; remove it'
-            raise ExportError(f"{edits.document.path}: {fault}")
+            raise ExportError(f"{document.path}: {fault}")
     if not np.all(np.isfinite(gravity)):
         raise ExportError(f"gravity cannot be written as {gravity}: it is no vector")
     # The last option that states it counts, in whichever file it stands.
-    old = _DEFAULT_GRAVITY
-    changed = options[-1] if options else None
-    for option in options:
-        if option.get("gravity"):
-            old = option.attributes["gravity"]
-            changed = option
+    if not options:
+        document.add_setting(etree.Element("option"))
+        options = document.settings("option")
+    stating = [option for option in options if option.get("gravity")]
+    changed = (stating or options)[-1]
+    old = changed.get("gravity", _DEFAULT_GRAVITY)
     addition = f"in place of {old}, because the arm does not stand as the file said"
     comment = _comment("gravity", rmse, addition)
-    text = format_numbers(np.asarray(gravity))
-    if changed is None:
-        edits.settings += [comment, f'<option gravity="{text}"/>']
-    else:
-        edits.comment(changed, comment)
-        edits.set(changed, "gravity", text)
+    put_comment(changed, comment)
+    changed.set("gravity", format_numbers(np.asarray(gravity)))
 
 
 def _require_resistance(owner: str, numbers: Mapping[str, float]) -> None:
@@ -345,43 +341,40 @@ def _require_resistance(owner: str, numbers: Mapping[str, float]) -> None:
             raise ExportError(f"{owner} {fault}")
 
 
-def write_joint(edits: Edits, change: JointChange) -> None:
+def write_joint(document: ModelDocument, change: JointChange) -> None:
     """Give a joint its new numbers.
 
     ExportError where a number is negative or not finite, or the file does not contain the joint
     itself (see ``find_element``).
     """
-    document = edits.document
     _require_resistance(f"joint '{change.label}'", change.numbers)
     texts = {name: format_number(value) for name, value in change.numbers.items()}
     node = find_element(document, "joint", change.label)
     if document.is_urdf:
         if "frictionloss" in texts:
             texts["friction"] = texts.pop("frictionloss")
-        dynamics = node.child("dynamics")
-        if dynamics is None:
-            if texts:
-                edits.append(node, f"<dynamics{attribute_text(texts)}/>")
-            return
-        node = dynamics
+        joint = node
+        node = joint.find("dynamics")
+        if node is None and texts:
+            node = etree.Element("dynamics")
+            append(joint, node)
     elif "damping" in texts:
         further = map(format_number, change.nonlinear_damping)
         texts["damping"] = " ".join([texts["damping"], *further])
-    _set_numbers(edits, node, texts)
+    _set_numbers(node, texts)
 
 
-def _set_numbers(edits: Edits, node: Node, texts: Mapping[str, str]) -> None:
+def _set_numbers(node: Node, texts: Mapping[str, str]) -> None:
     """Set attributes of an element; nonlinear damping stays behind a new linear one."""
     for name, text in texts.items():
         if name == "damping" and " " not in text:
             nonlinear = (node.get(name) or "").split()[1:]
             text = " ".join([text, *nonlinear])
-        edits.set(node, name, text)
+        node.set(name, text)
 
 
-def _write_tendon(edits: Edits, change: TendonChange, rmse: float) -> None:
+def _write_tendon(document: ModelDocument, change: TendonChange, rmse: float) -> None:
     """Give a fixed tendon its new numbers, or add it; ExportError where the file cannot hold it."""
-    document = edits.document
     joints = list(change.coefficients)
     subject = f"motor that turns {' and '.join(joints)}"
     _require_resistance(f"the {subject}", change.numbers)
@@ -392,24 +385,21 @@ def _write_tendon(edits: Edits, change: TendonChange, rmse: float) -> None:
         if node is None or node.tag != "fixed":
             fault = f"tendon number {change.tendon} is not written out in the file"
             raise ExportError(f"{document.path}: {fault} as a <fixed>; write it out")
-        edits.comment(node, comment)
-        _set_numbers(edits, node, texts)
+        put_comment(node, comment)
+        _set_numbers(node, texts)
         return
     nameless = [joint for joint in joints if joint.startswith("#")]
     if nameless:
         fault = f"a tendon cannot refer to joint {nameless[0]}, which has no name; give it one"
         raise ExportError(f"{document.path}: {fault}")
-    lines = [comment, f"<fixed{attribute_text(texts)}>"]
+    fixed = etree.Element("fixed", texts)
     for joint, coefficient in change.coefficients.items():
-        pair = {"joint": joint, "coef": format_number(coefficient)}
-        lines.append(f"  <joint{attribute_text(pair)}/>")
-    lines.append("</fixed>")
-    sections = document.root_children("tendon")
-    if sections:
-        edits.append(sections[-1], *lines)
-    else:
-        indented = [f"  {line}" for line in lines]
-        edits.append(document.root, "<tendon>", *indented, "</tendon>")
+        etree.SubElement(fixed, "joint", joint=joint, coef=format_number(coefficient))
+    sections = document.root.findall("tendon")
+    if not sections:
+        sections = [etree.Element("tendon")]
+        append(document.root, sections[0])
+    append(sections[-1], etree.Comment(comment), fixed)
 
 
 def _section_child(document: ModelDocument, section: str, index: int) -> Node | None:
@@ -422,17 +412,15 @@ def _section_child(document: ModelDocument, section: str, index: int) -> Node | 
     Returns:
         The element; None where there are no more than ``index`` children.
     """
-    sections = document.root_children(section)
-    children = chain.from_iterable(map(Node.children, sections))
+    children = document.root.iterfind(f"{section}/*")
     return next(islice(children, index, None), None)
 
 
-def write_actuator(edits: Edits, change: ActuatorChange) -> None:
+def write_actuator(document: ModelDocument, change: ActuatorChange) -> None:
     """Give an actuator its new numbers.
 
     ExportError unless the file itself contains it, as a position servo where it gets gains.
     """
-    document = edits.document
     node = _section_child(document, "actuator", change.actuator)
     kinds = "an element of its own"
     numbers = {name: format_number(x) for name, x in change.mechanical.items()}
@@ -447,11 +435,11 @@ def write_actuator(edits: Edits, change: ActuatorChange) -> None:
         }
         kinds = " or ".join(f"<{tag}>" for tag in gains)
         node = node if node.tag in gains else None
-        numbers.update(gains[node.tag] if node else {})
+        numbers.update({} if node is None else gains[node.tag])
     if node is None:
         fault = f"actuator number {change.actuator} is not written out in the file"
         raise ExportError(f"{document.path}: {fault} as {kinds}; write it out")
-    _set_numbers(edits, node, numbers)
+    _set_numbers(node, numbers)
 
 
 _MULTIPLIERS = ("replicate", "attach", "composite", "flexcomp")
@@ -485,9 +473,7 @@ def find_element(document: ModelDocument, element: str, label: str) -> Node:
         tags = {node.tag for node in first}
         if len(first) == count > 0 and tags.isdisjoint(_MULTIPLIERS):
             matches = first[-1:]
-    multipliers = document.walk(*_MULTIPLIERS)
-    repeated = chain.from_iterable(map(Node.walk, multipliers))
-    if not matches or matches[0] in repeated:
+    if not matches or next(matches[0].iterancestors(*_MULTIPLIERS), None) is not None:
         raise ExportError(
             f"{document.path}: {element} '{label}' is not written out in the file (it comes from "
             "an attached, repeated or generated part); write it out, with a name"
@@ -504,10 +490,10 @@ def _compiled_order(document: ModelDocument, element: str) -> Iterator[Node]:
     ``element``: "body" or "joint".
     """
     if document.is_urdf:
-        yield from document.root_children("link" if element == "body" else "joint")
+        yield from document.root.findall("link" if element == "body" else "joint")
         return
-    for world in document.root_children("worldbody"):
-        for node in world.walk():
+    for world in document.root.findall("worldbody"):
+        for node in world.iter("*"):
             is_multiplier = node.tag in _MULTIPLIERS
             if is_multiplier or (element == "body" and node.tag == "body"):
                 yield node
@@ -521,7 +507,7 @@ _WITH_JOINTS = ("worldbody", "body")
 
 def _joints_of(body: Node) -> Iterator[Node]:
     """Yield the joints of a body, those in a ``<frame>`` of it too."""
-    for child in body.children():
+    for child in body:
         if child.tag == "frame":
             yield from _joints_of(child)
         elif child.tag in ("joint", "freejoint"):

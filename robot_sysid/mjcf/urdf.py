@@ -18,7 +18,7 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import Asset, find_assets, urdf_shapes
-from robot_sysid.mjcf.documents import Edits, ModelDocument, Node
+from robot_sysid.mjcf.documents import ModelDocument, Node, get, put_inertial
 from robot_sysid.mjcf.inertial import (
     MARGIN,
     URDF_MOMENTS,
@@ -42,13 +42,13 @@ LARGEST = 1e12
 """Largest size of any number of an arm in SI units; squares of far larger ones overflow."""
 
 
-def compilable_urdf(
+def make_compilable(
     document: ModelDocument,
     mesh_dir: Path | None = None,
     with_minimum: bool = False,
     increases: Mapping[str, float] = {},
-) -> tuple[bytes, tuple[str, ...]]:
-    """Return (text that MuJoCo can compile, notes on what was changed).
+) -> tuple[str, ...]:
+    """Make a URDF one that MuJoCo can compile, and return notes on what was changed.
 
     Args:
         mesh_dir: folder of the meshes; default as the file says.
@@ -60,56 +60,52 @@ def compilable_urdf(
         ModelError: a mesh that decides a link's inertia is missing.
         ValueError: a number cannot be read.
     """
-    edits = Edits(document)
-    # Line numbers in MuJoCo's messages must stay those of the file.
-    edits.settings_lead = ""
-    notes = list(_use_absolute_meshes(edits, mesh_dir))
-    edits.set_compiler({"fusestatic": "false", "strippath": "false"})
+    notes = list(_use_absolute_meshes(document, mesh_dir))
+    document.set_compiler({"fusestatic": "false", "strippath": "false"})
     inertias = link_inertias(document)
-    for link in document.root_children("link"):
-        inertial = link.child("inertial")
-        angles = _floats(link.child_attribute("inertial", "origin", "rpy"))
+    for link in document.root.findall("link"):
+        angles = _floats(get(link.find("inertial/origin"), "rpy"))
         # MuJoCo 3.3 ignores the rpy of an inertial.
-        is_turned = inertial and np.any(angles) and not _lacks_inertia(link)
+        is_turned = np.any(angles) and not _lacks_inertia(link)
         increase = increases.get(str(link.get("name")), 0.0)
-        if inertial and (is_turned or increase):
+        if is_turned or increase:
             mass, com, inertia = inertias[str(link.get("name"))]
             raised = inertia + increase * np.eye(3)
-            text = urdf_inertial_about_com(mass, com, raised)
-            edits.replace(inertial, text, keep_lines=True)
-    names = give_minimum(edits) if with_minimum else []
+            put_inertial(link, urdf_inertial_about_com(mass, com, raised))
+    names = give_minimum(document) if with_minimum else []
     if names:
         listed = "', '".join(names)
         notes.append(
             f"moving link '{listed}' has no mass, or no inertia, which MuJoCo refuses; where it "
             f"has none it was given {_MINIMUM_MASS:g} kg and {_MINIMUM_INERTIA:g} kg m^2"
         )
-    return edits.text(), tuple(notes)
+    return tuple(notes)
 
 
-def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
+def _use_absolute_meshes(
+    document: ModelDocument, mesh_dir: Path | None
+) -> Iterator[str]:
     """Write the absolute path of every mesh, remove shapes with an unusable one; yield notes.
 
     A shape is a link's <visual> or <collision>. ModelError where the inertia of a link that moves
     would be computed from the removed shape: the link has no <inertial>, or ``inertiafromgeom``
     overrules it.
     """
-    document = edits.document
     settings = document.settings("compiler")
     from_geometry = any(node.get("inertiafromgeom") == "true" for node in settings)
     assets = {asset.node: asset for asset in find_assets(document, mesh_dir)}
     moving_links = _moving_links(document)
     removed = set()
-    for link, shape in urdf_shapes(document):
-        meshes = [assets[node] for node in shape.walk() if node in assets]
+    for link, shape in list(urdf_shapes(document)):
+        meshes = [assets[node] for node in shape.iter("mesh")]
         unusable = next((mesh for mesh in meshes if not _is_readable(mesh)), None)
         if unusable is None:
             for mesh in meshes:
-                edits.set(mesh.node, "filename", str(mesh.path))
+                mesh.node.set("filename", str(mesh.path))
             continue
-        edits.replace(shape, "", keep_lines=True)
+        link.remove(shape)
         if shape.tag == "collision":
-            is_weighed = from_geometry or link.child("inertial") is None
+            is_weighed = from_geometry or link.find("inertial") is None
             if is_weighed and link.get("name") in moving_links:
                 raise _missing_mesh_error(document, link, unusable)
             removed.add(unusable.name)
@@ -126,10 +122,10 @@ def _moving_links(document: ModelDocument) -> set[str | None]:
     """Return the names of the links that a joint moves, or that are fixed to one that moves."""
     links_on_fixed = defaultdict(list)
     waiting = []
-    for joint in document.root_children("joint"):
-        link = joint.child_attribute("child", "link")
+    for joint in document.root.findall("joint"):
+        link = get(joint.find("child"), "link")
         if joint.get("type") == "fixed":
-            links_on_fixed[joint.child_attribute("parent", "link")].append(link)
+            links_on_fixed[get(joint.find("parent"), "link")].append(link)
         else:
             waiting.append(link)
     moving = set()
@@ -157,19 +153,19 @@ def _missing_mesh_error(document: ModelDocument, link: Node, mesh: Asset) -> Mod
     )
 
 
-def give_minimum(edits: Edits, excluded: Collection[Node] = ()) -> list[str]:
+def give_minimum(document: ModelDocument, excluded: Collection[Node] = ()) -> list[str]:
     """Give moving links that weigh nothing, but for the excluded ones, a minimum of inertia.
 
     Returns the names of the links that got one.
     """
     names = []
-    for link in _massless_moving_links(edits.document):
+    for link in _massless_moving_links(document):
         if link in excluded:
             continue
-        com = _floats(link.child_attribute("inertial", "origin", "xyz"))
+        com = _floats(get(link.find("inertial/origin"), "xyz"))
         inertia = _MINIMUM_INERTIA * np.eye(3)
         minimum = urdf_inertial_about_com(max(_mass(link), _MINIMUM_MASS), com, inertia)
-        edits.put_inertial(link, minimum, own_line=False)
+        put_inertial(link, minimum)
         names.append(str(link.get("name")))
     return names
 
@@ -181,12 +177,12 @@ def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Arra
     cannot be read or is larger than ``LARGEST``.
     """
     inertias = {}
-    for link in document.root_children("link"):
-        node = link.child("inertial", "inertia")
+    for link in document.root.findall("link"):
+        node = link.find("inertial/inertia")
         if node is None:
             continue
-        com = _floats(link.child_attribute("inertial", "origin", "xyz"))
-        angles = _floats(link.child_attribute("inertial", "origin", "rpy"))
+        com = _floats(get(link.find("inertial/origin"), "xyz"))
+        angles = _floats(get(link.find("inertial/origin"), "rpy"))
         moments = [float(node.get(name) or 0.0) for name in URDF_MOMENTS]
         if not np.all(np.abs([*moments, *com, *angles]) <= LARGEST):
             raise ValueError(
@@ -229,25 +225,25 @@ def inertia_increases(document: ModelDocument) -> dict[str, float]:
     return increases
 
 
-def raise_inertias(edits: Edits, excluded: Collection[Node] = ()) -> None:
+def raise_inertias(document: ModelDocument, excluded: Collection[Node] = ()) -> None:
     """Add the increases of ``inertia_increases`` to the file's links, but for the excluded ones."""
-    increases = inertia_increases(edits.document)
-    for link in edits.document.root_children("link"):
+    increases = inertia_increases(document)
+    for link in document.root.findall("link"):
         increase = increases.get(str(link.get("name")), 0.0)
-        node = link.child("inertial", "inertia")
+        node = link.find("inertial/inertia")
         if node is None or not increase or link in excluded:
             continue
         for name in ("ixx", "iyy", "izz"):
             moment = float(node.get(name) or 0.0) + increase
-            edits.set(node, name, format_number(moment))
+            node.set(name, format_number(moment))
 
 
 def velocity_limits(document: ModelDocument) -> dict[str, float]:
     """Return joint name to the speed limit it states [rad/s or m/s]; MuJoCo drops these."""
     limits = {}
-    for joint in document.root_children("joint"):
+    for joint in document.root.findall("joint"):
         with contextlib.suppress(ValueError):
-            limit = float(joint.child_attribute("limit", "velocity") or "")
+            limit = float(get(joint.find("limit"), "velocity") or "")
             if 0.0 < limit < math.inf:
                 limits[str(joint.get("name"))] = limit
     return limits
@@ -260,17 +256,17 @@ def _floats(text: str | None) -> Array:
 
 def _massless_moving_links(document: ModelDocument) -> Iterator[Node]:
     """Yield links on joints of their own that weigh nothing, nor do the links welded to them."""
-    links = {link.get("name"): link for link in document.root_children("link")}
+    links = {link.get("name"): link for link in document.root.findall("link")}
     carrying_mass = set()
     moving_links = []
-    for joint in document.root_children("joint"):
-        link = links.get(joint.child_attribute("child", "link"))
+    for joint in document.root.findall("joint"):
+        link = links.get(get(joint.find("child"), "link"))
         if link is None:
             continue
         if joint.get("type") != "fixed":
             moving_links.append(link)
         elif _mass(link) > 0.0:
-            carrying_mass.add(joint.child_attribute("parent", "link"))
+            carrying_mass.add(get(joint.find("parent"), "link"))
     for link in moving_links:
         if _lacks_inertia(link) and link.get("name") not in carrying_mass:
             yield link
@@ -278,12 +274,12 @@ def _massless_moving_links(document: ModelDocument) -> Iterator[Node]:
 
 def _lacks_inertia(link: Node) -> bool:
     """Return whether a link has no mass or no inertia, and no shape to compute them from."""
-    if link.child("inertial") is None:
-        return link.child("collision") is None
+    if link.find("inertial") is None:
+        return link.find("collision") is None
     if _mass(link) <= 0.0:
         return True
     for name in ("ixx", "iyy", "izz"):
-        if float(link.child_attribute("inertial", "inertia", name) or 0.0) > 0.0:
+        if float(get(link.find("inertial/inertia"), name) or 0.0) > 0.0:
             return False
     return True
 
@@ -291,6 +287,6 @@ def _lacks_inertia(link: Node) -> bool:
 def _mass(link: Node) -> float:
     """Return the mass that a link states [kg]; 0 where it states none."""
     try:
-        return float(link.child_attribute("inertial", "mass", "value") or 0.0)
+        return float(get(link.find("inertial/mass"), "value") or 0.0)
     except ValueError:
         return 0.0

@@ -2,8 +2,7 @@
 
 MuJoCo's warnings become notes and its errors ModelErrors. Before release 3.14 it finds the
 principal axes of a full inertia matrix to about six digits. A URDF cannot state them any other way,
-so its compiled inertias are replaced by accurate ones. Models at which MuJoCo would wait for ever,
-end the process or eat the memory are refused by ``mjcf.assets``.
+so its compiled inertias are replaced by accurate ones.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from html import unescape
 from pathlib import Path
 from typing import Any, Union
 from weakref import WeakKeyDictionary
@@ -26,18 +24,18 @@ import numpy as np
 
 from robot_sysid.errors import ModelError, error_text
 from robot_sysid.mjcf.assets import (
-    check_assets,
     find_assets,
-    refuse_hazards,
-    relocated_text,
+    refuse_missing_assets,
+    refuse_special_assets,
+    relocate,
 )
-from robot_sysid.mjcf.documents import Edits, ModelDocument, read_document
+from robot_sysid.mjcf.documents import ModelDocument, read_document
 from robot_sysid.mjcf.inertial import format_number, format_numbers
 from robot_sysid.mjcf.urdf import (
     LARGEST,
-    compilable_urdf,
     inertia_increases,
     link_inertias,
+    make_compilable,
     velocity_limits,
 )
 from robot_sysid.model.actuators import with_actuators_in_joints
@@ -143,7 +141,8 @@ def compile_model(
         raise ModelError(
             f"a locale that has {point!r} for a decimal point spoils OBJ meshes; {remedy}"
         )
-    refuse_hazards(document, mesh_dir)
+    # MuJoCo would wait for a pipe for ever.
+    refuse_special_assets(document, mesh_dir)
     notes: tuple[str, ...] = ()
     speeds = {}
     increases: Mapping[str, float] = {}
@@ -191,15 +190,17 @@ def meshes_not_kept() -> Iterator[None]:
 
 def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
     """Return the MjModel of an MJCF document, or raise ModelError."""
+    moved = None
     try:
-        if mesh_dir is None and all(file.is_utf8 for file in document.files):
+        if mesh_dir is None and document.is_utf8:
             return mujoco.MjModel.from_xml_path(str(document.path))
-        text = relocated_text(Edits(document), folder=None, mesh_dir=mesh_dir)
-        return mujoco.MjModel.from_xml_string(text.decode())
+        moved = read_document(document.path)
+        relocate(moved, folder=None, mesh_dir=mesh_dir)
+        return mujoco.MjModel.from_xml_string(moved.text().decode())
     except FAILURES as error:
         # Asked only now, so that MuJoCo's own rules decide what is missing.
-        check_assets(document, mesh_dir)
-        raise ModelError(_compiler_message(document, error)) from None
+        refuse_missing_assets(document, mesh_dir)
+        raise ModelError(_compiler_message(document.path, error, moved)) from None
 
 
 def _compile_urdf(
@@ -213,14 +214,15 @@ def _compile_urdf(
     with_minimum = False
     increases: dict[str, float] = {}
     while True:
+        changed = read_document(document.path)
         try:
-            text, notes = compilable_urdf(document, mesh_dir, with_minimum, increases)
+            notes = make_compilable(changed, mesh_dir, with_minimum, increases)
         except (ValueError, TypeError) as error:
             raise ModelError(
                 f"{document.path}: a number cannot be read: {error}"
             ) from None
         try:
-            mj_model = mujoco.MjModel.from_xml_string(text.decode())
+            mj_model = mujoco.MjModel.from_xml_string(changed.text().decode())
             break
         except FAILURES as error:
             # A link without mass is told by MuJoCo's constant for the smallest one.
@@ -231,8 +233,8 @@ def _compile_urdf(
             elif new_increases:
                 increases = new_increases
             else:
-                check_assets(document, mesh_dir)
-                raise ModelError(_compiler_message(document, error)) from None
+                message = _compiler_message(document.path, error, changed)
+                raise ModelError(message) from None
     inertias = link_inertias(document)
     for name, increase in increases.items():
         mass, com, inertia = inertias[name]
@@ -248,8 +250,13 @@ _BALANCE = (
 )
 
 
-def _compiler_message(document: ModelDocument, error: BaseException) -> str:
-    """Return the first line of an error of MuJoCo's, with element, line number and remedy."""
+def _compiler_message(
+    path: Path, error: BaseException, changed: ModelDocument | None
+) -> str:
+    """Return the first line of an error of MuJoCo's, with element, line number and remedy.
+
+    ``changed``: the document whose text MuJoCo refused, where that is not the file itself.
+    """
     text = str(error).strip() or "unknown error"
     first = re.sub(r"^(XML )?Error: ", "", text.splitlines()[0])
     name = _NAME.search(text)
@@ -258,14 +265,16 @@ def _compiler_message(document: ModelDocument, error: BaseException) -> str:
     if name and name[1].strip():
         location.append(f"'{name[1].strip()}'")
     if line and line[1] != "0":
-        location.append(f"line {line[1]}")
+        number = int(line[1])
+        number = number if changed is None else changed.line_in_file(number)
+        location.append(f"line {number}")
     where = f" ({', '.join(location)})" if location else ""
     remedy = ""
     if "balanceinertia" in first:
         remedy = _BALANCE
     elif "eigenvalues" in first:
         remedy = _IMPOSSIBLE
-    return f"MuJoCo cannot compile {document.path}: {first}{where}{remedy}"
+    return f"MuJoCo cannot compile {path}: {first}{where}{remedy}"
 
 
 def _check_values(mj_model: Any, document: ModelDocument) -> None:
@@ -431,20 +440,22 @@ def _portable_text(path: Path, model: Any) -> bytes:
     ``<general input="pos">`` of a ``<position>``, which releases before 3.17 refuse; without that
     attribute the actuator makes the same force.
     """
-    edits = Edits(read_document(path))
-    for node, body in zip(edits.document.walk("body"), range(1, model.nbody)):
-        inertial = node.child("inertial")
+    document = read_document(path)
+    for node, body in zip(document.root.iter("body"), range(1, model.nbody)):
+        inertial = node.find("inertial")
         # The order differs where MuJoCo wrote another model, or frames around bodies.
-        if inertial is None or (node.get("name") or "") != model.body(body).name:
+        if inertial is None or node.get("name", "") != model.body(body).name:
             continue
         mass = float(model.body_mass[body])
-        if np.isclose(float(inertial.get("mass") or 0.0), mass, _WRITING_ACCURACY):
-            edits.set(inertial, "pos", format_numbers(model.body_ipos[body]))
-            edits.set(inertial, "quat", format_numbers(model.body_iquat[body]))
-            moments = format_numbers(model.body_inertia[body])
-            edits.set(inertial, "diaginertia", moments)
-            edits.set(inertial, "mass", format_number(mass))
-    return re.sub(rb'(<general\b[^>]*) input="pos"', rb"\1", edits.text())
+        if np.isclose(float(inertial.get("mass", 0.0)), mass, _WRITING_ACCURACY):
+            inertial.set("pos", format_numbers(model.body_ipos[body]))
+            inertial.set("quat", format_numbers(model.body_iquat[body]))
+            inertial.set("diaginertia", format_numbers(model.body_inertia[body]))
+            inertial.set("mass", format_number(mass))
+    for node in document.root.iter("general"):
+        if node.get("input") == "pos":
+            del node.attrib["input"]
+    return document.text()
 
 
 def _reload_error(path: Path, fault: str) -> ModelError:
@@ -468,8 +479,8 @@ def _has_all_names(path: Path, model: Any) -> bool:
     """Return whether an MJCF file has the names of all bodies and joints of an MjModel."""
     names = {model.body(k).name for k in range(1, model.nbody)}
     names |= {model.joint(k).name for k in range(model.njnt)}
-    written = re.findall('\\bname="([^"]*)"', path.read_text(encoding="utf-8"))
-    return names - {""} <= set(map(unescape, written))
+    written = {node.get("name") for node in read_document(path).root.iter("*")}
+    return names - {""} <= written
 
 
 def _file_of_spec(spec: Any, folder: Path) -> Path:

@@ -25,7 +25,7 @@ import numpy as np
 from robot_sysid import __version__
 from robot_sysid.dynamics.inverse_dynamics import MUJOCO_VERSION
 from robot_sysid.errors import ExportError, InputError, delay_signals
-from robot_sysid.mjcf.assets import bundled_text, find_assets
+from robot_sysid.mjcf.assets import bundle, find_assets
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import WriteBack, plan_write_back, setting_number
 from robot_sysid.mjcf.updated_model import (
@@ -462,12 +462,12 @@ def write_bundle(model: Path, folder: Path) -> Path:
         ExportError: the model refers to another model, or the copy does not load as the same model.
         InputError: a file cannot be copied, or another run has the folder.
     """
-    bundle = folder / BUNDLE_NAME
+    bundle_folder = folder / BUNDLE_NAME
     try:
         with (
             lock_folder(folder),
-            draft_folder(bundle) as draft,
-            draft_folder(bundle) as trash,
+            draft_folder(bundle_folder) as draft,
+            draft_folder(bundle_folder) as trash,
         ):
             text, asset_names = _bundled_model(model, f"{ASSETS}/")
             (draft / ASSETS).mkdir()
@@ -478,12 +478,12 @@ def write_bundle(model: Path, folder: Path) -> Path:
             copied_model = verification.compiled_again(copy).mj_model
             original = compile_model(model).mj_model
             verification.require_same_model(original, copied_model, {})
-            _replace_folder(bundle, draft, trash / BUNDLE_NAME)
+            _replace_folder(bundle_folder, draft, trash / BUNDLE_NAME)
     except OSError as error:
         raise InputError(
-            f"--bundle: cannot write {bundle}: {error.strerror or error}"
+            f"--bundle: cannot write {bundle_folder}: {error.strerror or error}"
         ) from None
-    return bundle / model.name
+    return bundle_folder / model.name
 
 
 def _replace_folder(folder: Path, new: Path, trash: Path) -> None:
@@ -537,4 +537,5 @@ def _bundled_model(model: Path, folder: str) -> tuple[bytes, dict[Path, str]]:
                 break
             name = f"{folder}{path.stem}_{number}{path.suffix}"
         names[path] = name
-    return bundled_text(document, names), names
+    bundle(document, names)
+    return document.text(), names

@@ -371,7 +371,7 @@ def run_servo(
             target = ModelTarget(files, folder, poses, rmse=0.0, mesh_dir=mesh_dir)
             reason = servo_refusal(result.rollout, result.goal, logs.accept)
             outcome = _write_results(result, target, reason)
-            model_files = [file.path for file in read_document(robot.path).files]
+            model_files = read_document(robot.path).contents
             protected = [*filter(None, input_files), *model_files]
             notes = remove_earlier(files, folder, outcome.files, protected)
     # The notes that were added when the model was written.

@@ -7,9 +7,10 @@ import os
 import sys
 
 import pytest
+from lxml import etree
 
 from robot_sysid.errors import InputError, ModelError
-from robot_sysid.mjcf.documents import Edits, read_document
+from robot_sysid.mjcf.documents import append, read_document, set_or_remove
 from tests.support.model_files import ARM, document_of, write_files
 
 BODY = "<mujoco><worldbody><body name='{}'/></worldbody></mujoco>"
@@ -20,9 +21,7 @@ OUTSIDE = """<!DOCTYPE a [<!ENTITY a SYSTEM "file:///etc/hostname">]>
 
 
 def names(path):
-    return [
-        node.get("name") for node in read_document(path).walk() if node.tag == "body"
-    ]
+    return [node.get("name") for node in read_document(path).root.iter("body")]
 
 
 @pytest.mark.parametrize(
@@ -34,6 +33,7 @@ def names(path):
         (ARM[:200].encode(), "Expected an XML model file, but .* is not XML"),
         (LAUGHS.encode(), "declares XML entities"),
         (OUTSIDE.encode("utf-16"), "declares XML entities"),
+        (b"<mujoco>" * 300, "not XML: Excessive depth"),
         (b"<default/>", "is a fragment, not a whole model: its root is <default>"),
         (b"<mujoco/>", "is a fragment, not a whole model: no <worldbody>"),
         (b"<robot xmlns:xacro='http://ros.org/wiki/xacro'/>", "run xacro on it first"),
@@ -179,15 +179,6 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path):
         read_document(tmp_path / "m.xml")
 
 
-def test_elements_are_counted_with_those_of_includes(tmp_path):
-    main = '<mujoco><include file="a.xml"/><worldbody/></mujoco>'
-    files = {"m.xml": main, "a.xml": f"<mujoco>{'<site/>' * 20_000}</mujoco>"}
-    with pytest.raises(
-        ModelError, match="a.xml: more than the 20000 elements .* includes counted"
-    ):
-        read_document(write_files(tmp_path, files))
-
-
 @pytest.mark.timeout(20)
 @pytest.mark.parametrize("mark", ["<!--", "<!DOCTYPE"])
 def test_marks_that_never_end_take_no_longer_than_their_length(tmp_path, mark):
@@ -197,45 +188,65 @@ def test_marks_that_never_end_take_no_longer_than_their_length(tmp_path, mark):
         read_document(path)
 
 
-WORLD = "<worldbody/>"
-TEXT = """<?xml version='1.0'?>
-<!-- <fake/> -- dashes --><mujoco x = '1>2' y="3"><b/><c
-   z='4' ><d >t</d ></c  ><!----><worldbody/></mujoco>
+TEXT = """<?xml version='1.0' encoding='UTF-8'?>
+<!-- <fake/> -- dashes --><mujoco x="1&gt;2" y="3"><b/><c z="4"><d>t</d></c><!----><worldbody/>
+</mujoco>
+"""
+PREFIXES = """<!DOCTYPE robot>
+<robot xmlns="http://drake.mit.edu" xmlns:x="http://x" x:y="1">
+  <link name="a"/>
+  <gazebo><sensor:camera/></gazebo>
+</robot>
 """
 
 
+@pytest.mark.parametrize("text", [TEXT, PREFIXES, ARM, ARM.replace("\n", "\r\n")])
+def test_nothing_but_quotes_and_white_space_inside_tags_changes(tmp_path, text):
+    written = document_of(tmp_path, text).text().decode()
+    marks = str.maketrans("'", '"', " \r\n")
+    assert written.translate(marks) == text.translate(marks)
+    assert written.count("\n") == written.count("\r\n") or "\r" not in text
+
+
 @pytest.mark.parametrize(
-    ("element", "name", "value", "old", "new"),
+    ("tag", "name", "value", "old", "new"),
     [
-        (0, "x", "5", "'1>2'", '"5"'),
-        (0, "new", 'a&"<', 'y="3"', 'y="3" new="a&amp;&quot;&lt;"'),
-        (1, "q", "1", "<b/>", '<b q="1"/>'),
-        (2, "z", "9", "'4'", '"9"'),
-        (0, "x", None, " x = '1>2'", ""),
-        (0, "no", None, "", ""),
+        ("mujoco", "x", "5", "1&gt;2", "5"),
+        ("mujoco", "new", 'a&"<', 'y="3"', 'y="3" new="a&amp;&quot;&lt;"'),
+        ("b", "q", "1", "<b/>", '<b q="1"/>'),
+        ("mujoco", "x", None, ' x="1&gt;2"', ""),
+        ("b", "no", None, "", ""),
     ],
 )
-def test_an_attribute_is_changed_and_nothing_else(
-    tmp_path, element, name, value, old, new
-):
+def test_an_attribute_is_changed_and_nothing_else(tmp_path, tag, name, value, old, new):
     document = document_of(tmp_path, TEXT)
-    edits = Edits(document)
-    edits.set(list(document.walk())[element], name, value)
-    assert edits.text().decode() == TEXT.replace(old, new, 1)
+    unchanged = document.text().decode()
+    set_or_remove(next(document.root.iter(tag)), name, value)
+    assert document.text().decode() == unchanged.replace(old, new, 1)
 
 
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("\n  <a x='1'/>\n", "\n  <a x='1'>\n    <n>\n    </n>\n  </a>\n"),
-        ("\n  <a>\n    <b/>\n  </a>", "\n  <a>\n    <b/>\n    <n>\n    </n>\n  </a>"),
-        ("\n  <a><b/></a>", "\n  <a><b/>\n    <n>\n    </n>\n  </a>"),
-        ("\r\n  <a></a>", "\r\n  <a>\r\n    <n>\r\n    </n>\r\n  </a>"),
-        ("<!-- 1 -- 2 --><a/>", "<!-- 1 -- 2 --><a>\n  <n>\n  </n>\n</a>"),
+        ('\n  <a x="1"/>\n', '\n  <a x="1">\n    <n/>\n  </a>\n'),
+        ("\n  <a>\n    <b/>\n  </a>", "\n  <a>\n    <b/>\n    <n/>\n  </a>"),
+        ("<a><b/></a>", "<a><b/><n/></a>"),
     ],
 )
-def test_lines_are_put_last_and_one_step_deeper(tmp_path, text, expected):
-    document = document_of(tmp_path, f"<mujoco>{text}{WORLD}</mujoco>")
-    edits = Edits(document)
-    edits.append(next(document.walk("a")), "<n>", "</n>")
-    assert edits.text().decode() == f"<mujoco>{expected}{WORLD}</mujoco>"
+def test_what_is_put_last_stands_like_its_siblings(tmp_path, text, expected):
+    document = document_of(tmp_path, f"<mujoco>{text}<worldbody/></mujoco>")
+    append(document.root.find("a"), etree.Element("n"))
+    assert document.text().decode() == f"<mujoco>{expected}<worldbody/></mujoco>\n"
+
+
+def test_a_line_of_the_text_is_found_in_the_file(tmp_path):
+    """MuJoCo names a line of what it compiled, where each tag is a line."""
+    text = "<robot\n\n name='r'>\n<!-- a\n -->\n<link/>\n<link\n/>\n<joint/></robot>"
+    document = document_of(tmp_path, text)
+    document.root.remove(document.root.find("link"))
+    document.set_compiler({"angle": "radian"})
+    lines = document.text().decode().splitlines()
+    (line,) = (k for k, content in enumerate(lines, 1) if "<joint" in content)
+    assert (
+        document.line_in_file(line) == text.splitlines().index("<joint/></robot>") + 1
+    )

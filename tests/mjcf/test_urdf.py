@@ -5,11 +5,20 @@ from __future__ import annotations
 import pytest
 
 from robot_sysid.errors import ModelError
-from robot_sysid.mjcf.assets import find_assets, relocated_text
-from robot_sysid.mjcf.documents import Edits
-from robot_sysid.mjcf.urdf import compilable_urdf, inertia_increases
+from robot_sysid.mjcf.assets import find_assets, relocate
+from robot_sysid.mjcf.urdf import inertia_increases, make_compilable
 from tests.support import urdf
 from tests.support.model_files import document_of, write_files
+
+
+def compilable_urdf(document, **options):
+    notes = make_compilable(document, **options)
+    return document.text(), notes
+
+
+def moved_text(document, folder):
+    relocate(document, folder)
+    return document.text()
 
 
 def arm(tmp_path, content, *more):
@@ -137,18 +146,16 @@ def test_names_are_rewritten_where_the_file_exists_and_kept_elsewhere(tmp_path):
     shapes = urdf.mesh("visual", "package://pack/a.stl") + urdf.mesh(
         "visual", "gone.dae"
     )
-    text = relocated_text(
-        Edits(document(tmp_path, urdf.link("l", shapes))), tmp_path / "out"
-    )
+    text = moved_text(document(tmp_path, urdf.link("l", shapes)), tmp_path / "out")
     assert b'filename="../pack/a.stl"' in text and b'filename="gone.dae"' in text
-    assert b'<mujoco><compiler strippath="false"/></mujoco>' in text
+    assert b'<compiler strippath="false"/>' in text
 
 
 def test_a_mesh_folder_of_the_file_goes_when_the_names_say_it_all(tmp_path):
     write_files(tmp_path, {"robots/m/a.stl": ""})
     setting = '<mujoco><compiler meshdir="m" strippath="true"/></mujoco>'
     link = urdf.link("l", urdf.mesh("collision", "a.stl"))
-    text = relocated_text(Edits(document(tmp_path, setting, link)), tmp_path / "out")
+    text = moved_text(document(tmp_path, setting, link), tmp_path / "out")
     assert b'<compiler strippath="false"/>' in text and b'"../robots/m/a.stl"' in text
 
 

@@ -60,6 +60,10 @@ def test_an_mjcf_file_compiles_to_what_mujoco_makes_of_it(tmp_path):
         (world(BODY.format("")), "mass and inertia of moving bodies .*'b', line 1"),
         (world("\n<body foo='1'/>"), "unrecognized attribute: 'foo' .*line 2"),
         (world(f"<body pos='0 nan 0'>{INERTIAL}</body>"), "not a number .body_pos"),
+        (
+            "<mujoco><option gravity='0 0 -1e300'/><worldbody/></mujoco>",
+            r"a value no arm has \(gravity 1e\+300\)",
+        ),
         (MESH_MODEL, r"mesh file m.obj not found \(looked in .*d\); pass --mesh-dir"),
         (
             urdf.robot(urdf.link("a"), urdf.joint("a", "gone")),
