@@ -119,9 +119,7 @@ NEVER = {
             "limit_checks",
         )
     )
-    + symbols_of(
-        "damiao.model_check", "model_checks", "torque_checks", "transfer_check"
-    )
+    + symbols_of("damiao.model_check", "model_checks", "torque_checks", "Contacts")
     + symbols_of("damiao.execution", "MotorRun"),  # nothing is played
     # No model.
     **dict.fromkeys(

@@ -25,7 +25,6 @@ from robot_sysid.damiao.protocol import (
     Scaling,
     decode_feedback,
     decode_mit,
-    encode_feedback,
     encode_mit,
     is_special,
 )
@@ -173,8 +172,6 @@ def _codec(frames: list[Frame]) -> None:
         try:
             scaling = Scaling(ranges)
             assert np.all(np.isfinite(decode_feedback(raw, scaling, True).position))
-            encoded = encode_feedback(decode_feedback(raw, scaling), scaling)
-            assert encoded.shape == raw.shape
             encode_mit(decode_mit(raw, scaling), scaling)
         except SysidError:
             continue

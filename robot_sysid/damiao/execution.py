@@ -232,8 +232,7 @@ class MotorRun:
         if plan.parking_pose is not None:
             # The last transfer leads from the last point to the parking pose.
             name, begin, end = list(plan.transfers(plan.trajectory.q[0]))[-1]
-            touching = self._contacts.on_the_way(begin, end)
-            checks += model_check.transfer_check(name, touching)
+            checks += self._contacts.transfer_checks(name, begin, end)
         checks += model_check.torque_checks(plan.trajectory, plan.settings, self.robot)
         return checks
 
@@ -257,13 +256,10 @@ class MotorRun:
         if np.all(np.isfinite(q)):
             checks += preflight.limit_checks(plan, q)
             for name, begin, end in plan.transfers(q) if self.robot is not None else ():
-                from robot_sysid.damiao.model_check import transfer_check
-
                 # Transfers from and to where the arm stands: the way from the end of the
                 # trajectory to a parking pose has been checked without a bus, by ``checks``.
                 if begin is q or end is q:
-                    touching = self._contacts.on_the_way(begin, end)
-                    checks += transfer_check(name, touching)
+                    checks += self._contacts.transfer_checks(name, begin, end)
         if real:
             checks += preflight.direction_checks(plan, self.holding(plan))
         return checks

@@ -105,16 +105,19 @@ class Contacts:
         self.robot = robot
         self.problem = build_problem(robot, limits)
 
-    def on_the_way(self, begin: Array, end: Array) -> str:
-        """Return the bodies that touch first on the line between two poses (n,) [rad], or "".
+    def transfer_checks(self, name: str, begin: Array, end: Array) -> Iterator[Check]:
+        """Yield a stop where the arm touches something on the line between two poses (n,) [rad].
 
         A line on which all joints move less than 0.02 rad is not looked at: bodies that touch there
-        touch where the arm stands, and the model has a contact too many.
+        touch where the arm stands, and the model has a contact too many. ``name`` is the begin of
+        the message: "on the way to the first point" or "... to where it is parked".
         """
         if np.max(np.abs(end - begin)) <= _SHORT:
-            return ""
+            return
         contact = first_contact(self.problem, straight_way(begin, end))
-        return "" if contact is None else contact.label
+        if contact is not None:
+            remedy = "bring the arm nearer by hand, or choose another --park"
+            yield Check(STOP, f"{name} the model's {contact.label} touch; {remedy}")
 
 
 _SHORT = 0.02
@@ -146,22 +149,6 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
     if not excesses:
         name = robot.path.name
         yield Check(OK, f"the trajectory stays within the limits of {name}")
-
-
-def transfer_check(name: str, touching: str) -> Iterator[Check]:
-    """Yield a stop for a transfer on whose straight line the arm touches something.
-
-    Args:
-        name: begin of the message: "on the way to the first point" or "... to where it is parked".
-        touching: names of the bodies that touch on the line; "" where nothing touches.
-    """
-    if touching:
-        remedy = (
-            "choose another --park"
-            if "parked" in name
-            else "bring the arm nearer by hand"
-        )
-        yield Check(STOP, f"{name} the model's {touching} touch; {remedy}")
 
 
 def _pose_excesses(robot: RobotModel, pose: Array) -> Iterator[str]:
@@ -270,15 +257,10 @@ def _foreign_torque_checks(
     fed = _FedTorque.of(trajectory, robot)
     is_as_planned = bool(np.any(fed.is_foreign)) and _is_as_planned(trajectory)
     for j in np.flatnonzero(fed.is_foreign).tolist():
-        fault = "is another joint's or another arm's"
-        if fed.is_missing[j]:
-            fault = "is missing"
-        elif fed.is_against[j]:
-            fault = "has the other sign"
         finding = (
-            f"{trajectory.joints[j].label}: the torque that the file feeds forward {fault}: "
-            f"it is off by {fed.error[j]:.1f} N m where {robot.path.name} needs "
-            f"{fed.needed[j]:.1f} (rms)"
+            f"{trajectory.joints[j].label}: the torque that the file feeds forward is that of "
+            f"another motion or arm: it is off by {fed.error[j]:.1f} N m where "
+            f"{robot.path.name} needs {fed.needed[j]:.1f} (rms)"
         )
         if is_as_planned and _is_weighing(trajectory):
             yield Check(
@@ -296,16 +278,12 @@ class _FedTorque:
     Attributes:
         needed: rms (n,) of the needed torque [N m].
         error: rms (n,) of feed-forward minus needed torque [N m].
-        is_missing: whether the file has no more torque for a joint than friction explains (n,).
-        is_against: whether the file's torque mostly has the opposite sign (n,).
         is_foreign: whether the error is more than friction explains, and more than 0.8 times the
             needed torque (n,).
     """
 
     needed: Array
     error: Array
-    is_missing: NDArray[np.bool_]
-    is_against: NDArray[np.bool_]
     is_foreign: NDArray[np.bool_]
 
     @classmethod
@@ -317,14 +295,10 @@ class _FedTorque:
         # Torque (n,) that friction alone may explain [N m].
         doubt = torque_doubt(trajectory.joints) + robot.friction.largest_dry
         needed_rms = np.sqrt(np.mean(needed**2, axis=0))
-        fed_rms = np.sqrt(np.mean(trajectory.tau**2, axis=0))
         error = np.sqrt(np.mean((trajectory.tau - needed) ** 2, axis=0))
         return cls(
             needed=needed_rms,
             error=error,
-            is_missing=fed_rms < doubt,
-            # The mean product of two torques is negative where their signs mostly differ.
-            is_against=np.sum(trajectory.tau * needed, axis=0) < 0.0,
             is_foreign=(error > doubt) & (error > _OTHER_TORQUE * needed_rms),
         )
 

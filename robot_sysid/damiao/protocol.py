@@ -113,21 +113,15 @@ class Scaling:
         position, velocity, torque = steps.T[_MEASURED]
         return position, velocity, torque
 
-    def _codes(self, values: Array, offset: float, fields: Any = slice(None)) -> Codes:
-        """Return integers (..., n, F) that encode quantities; beyond a range, those of its end.
+    def _codes(self, values: Array) -> Codes:
+        """Return the integers (..., n, 5) nearest to a command's quantities, in a range its ends.
 
-        Args:
-            values: quantities (..., n, F) in the units of ``MitCommand``.
-            offset: added to the exact code before it is rounded down: 0.5 rounds to the nearest
-                code, 0.0 truncates.
-            fields: index or slice that selects the F fields of ``values`` among the five fields of
-                a command; by default all.
+        ``values`` (..., n, 5) are in the units of ``MitCommand``.
         """
-        low = self._low[:, fields]
-        max_codes = _COMMAND.max_codes[fields]
-        codes_per_unit = max_codes / (self._high[:, fields] - low)
-        exact = (values - low) * codes_per_unit + offset
-        return np.clip(np.floor(exact), 0, max_codes).astype(np.int64)
+        codes_per_unit = _COMMAND.max_codes / (self._high - self._low)
+        # floor(x + 1/2): numpy's rint rounds halves to even, which differs in the last bit.
+        nearest = np.floor((values - self._low) * codes_per_unit + 0.5)
+        return np.clip(nearest, 0, _COMMAND.max_codes).astype(np.int64)
 
     def _values(self, codes: Any, fields: Any = slice(None)) -> Array:
         """Return the quantities (F, ..., n) that codes (..., n, F), which may be fractional, mean.
@@ -220,8 +214,7 @@ def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
     """
     values = _stack_last(*command)
     scaling._require_inside(values)
-    # floor(x + 1/2): numpy's rint rounds halves to even, which differs in the last bit.
-    codes = scaling._codes(values, offset=0.5)
+    codes = scaling._codes(values)
     # The third and the fourth field of a command are kp and kd.
     is_unstable = (values[..., 2] > 0.0) & (codes[..., 3] == 0)
     if np.any(is_unstable):
@@ -243,17 +236,6 @@ def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
 def decode_mit(frames: Bytes, scaling: Scaling) -> MitCommand:
     """Return the command, fields (..., n), that n motors read from MIT frames (..., n, 8)."""
     return MitCommand(*scaling._values(_COMMAND.unpack(frames)))
-
-
-def encode_feedback(feedback: Feedback, scaling: Scaling) -> Bytes:
-    """Return feedback frames (..., n, 8) as motors send them: rounded down, within the range."""
-    measured = _stack_last(feedback.position, feedback.velocity, feedback.torque)
-    codes = scaling._codes(measured, offset=0.0, fields=_MEASURED)
-    position, velocity, torque = np.moveaxis(codes, -1, 0)
-    heads = feedback.status, feedback.can_id
-    temperatures = feedback.temperature_mos, feedback.temperature_rotor
-    fields = _stack_last(*heads, position, velocity, torque, *temperatures)
-    return _FEEDBACK.pack(fields)
 
 
 def decode_feedback(

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.joints import MOTORS
+from robot_sysid.damiao.joints import MOTORS, damiao_joints
 from robot_sysid.damiao.protocol import (
     INTEGERS,
     KD_MAX,
@@ -25,7 +25,6 @@ from robot_sysid.damiao.protocol import (
     decode_feedback,
     decode_mit,
     default_rate,
-    encode_feedback,
     encode_mit,
     is_fault,
     read_frame,
@@ -34,6 +33,7 @@ from robot_sysid.damiao.protocol import (
     suggested_rate,
     value_from_bytes,
 )
+from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import InputError, SysidError
 
 TYPES = sorted(MOTORS)
@@ -135,9 +135,16 @@ def test_feedback_survives_within_a_step_and_half_a_step_centred(names, seed):
     n = len(names)
     scaling = scaling_of(*names)
     truth = rng.uniform(-1.3, 1.3, (3, n)) * scaling.limits.T
-    codes = rng.integers(0, 16, (4, n))
-    sent = Feedback(codes[0], codes[1], *truth, codes[2] + 40, codes[3] + 50)
-    frames = encode_feedback(sent, scaling)
+    codes = rng.integers(0, 16, (3, n))
+    can_ids = 1 + np.arange(n)
+    sent = Feedback(can_ids, codes[0], *truth, codes[1] + 40, codes[2] + 50)
+    motors = [simulated_motor(joint) for joint in damiao_joints(names, n)]
+    for motor, status, p, v, t, mos, rotor in zip(
+        motors, *list(vars(sent).values())[1:]
+    ):
+        motor.status, motor.position, motor.velocity, motor.torque = status, p, v, t
+        motor.temperature_mos, motor.temperature_rotor = int(mos), int(rotor)
+    frames = np.array([list(motor._feedback()) for motor in motors], np.uint8)
     plain = decode_feedback(frames, scaling)
     centred = decode_feedback(frames, scaling, True)
     inside = np.clip(truth, -scaling.limits.T, scaling.limits.T)
