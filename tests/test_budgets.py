@@ -18,7 +18,7 @@ from tests.support.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 6571,
     "robot_sysid/commands": 14227,
-    "robot_sysid/damiao": 45765,
+    "robot_sysid/damiao": 44961,
     "robot_sysid/diagnosis": 20139,
     "robot_sysid/dynamics": 8386,
     "robot_sysid/estimation": 54536,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 8508,
     "robot_sysid/simulation": 5928,
     "robot_sysid": 12775,
-    "tests": 300027,
+    "tests": 296005,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -210,8 +210,7 @@ class MotorRun:
     def rows(self) -> tuple[DamiaoJoint, ...]:
         """Joints in the rows of the joint map file, in its order; empty without a file."""
         path = self.values.get("joint_map")
-        names = self.robot.joint_names if self.robot else ()
-        return () if path is None else read_joint_map(Path(path), names)
+        return () if path is None else read_joint_map(Path(path))
 
     @property
     def channels(self) -> tuple[str, ...]:

@@ -24,25 +24,12 @@ required::
 
 ``verified`` is ``hand`` where somebody turned the joint by hand and saw that this motor turned with
 it in this direction, else empty.
-
-A file of LeRobot is accepted as a joint map, either a robot's configuration or its calibration::
-
-    {"motor_config": {"joint_1": [1, 17, "dm8009"], ...}, "port": "can0", ...}      configuration
-    {"joint_1": {"id": 1, "drive_mode": 0, "homing_offset": 0, ...}, ...}             calibration
-
-A configuration of two arms has the sections ``left_arm_config`` and ``right_arm_config``; their
-motors' names then get the prefix left_ or right_, as in LeRobot's own recordings.
-
-LeRobot uses the positions that Damiao motors report unchanged, in degrees: its calibration stores a
-new zero in the motor and applies neither drive_mode nor homing_offset. So the joint of a motor in a
-LeRobot file has direction 1 and offset 0.
 """
 
 from __future__ import annotations
 
 import csv
 import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -55,11 +42,7 @@ import numpy as np
 from robot_sysid.damiao.protocol import Address, MitCommand
 from robot_sysid.errors import InputError, error_text
 from robot_sysid.records import Array
-from robot_sysid.records.file_access import (
-    read_json,
-    refuse_special_file,
-    write_atomically,
-)
+from robot_sysid.records.file_access import refuse_special_file, write_atomically
 
 RPM = 2.0 * pi / 60.0
 """One revolution per minute [rad/s]."""
@@ -367,23 +350,12 @@ _REQUIRED_COLUMNS = ("joint", "can_id", "direction")
 """Columns without which a joint map file is refused."""
 
 
-def read_joint_map(path: Path, names: Sequence[str] = ()) -> tuple[DamiaoJoint, ...]:
+def read_joint_map(path: Path) -> tuple[DamiaoJoint, ...]:
     """Return the joints in a joint map file, in the order of its rows.
 
-    Args:
-        path: file in the CSV format of this module, or a .json file of LeRobot.
-        names: joint names of the model, used for LeRobot files only: a motor gets the name of the
-            only joint whose letters and digits end with the motor's, so that joint_1 becomes
-            openarm_left_joint1.
-
-    Returns:
-        Joints without a motor type, each with ``bus`` 0 and the bus's name as ``channel``.
-
-    Raises:
-        InputError: the file is unreadable or incomplete, a row is wrong, or names or ids clash.
+    They have no motor type, ``bus`` 0, and the bus's name as ``channel``. InputError where the file
+    is unreadable or incomplete, a row is wrong, or names or ids clash.
     """
-    if path.suffix == ".json":
-        return _read_lerobot_map(path, names)
     refuse_special_file(path, "give a joint map")
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
@@ -400,21 +372,10 @@ def read_joint_map(path: Path, names: Sequence[str] = ()) -> tuple[DamiaoJoint, 
             f"(at least {', '.join(_REQUIRED_COLUMNS)})"
         )
     rows = [_parse_row(row, f"{path}, row {k}") for k, row in enumerate(table, start=1)]
-    return _require_distinct(path, rows)
-
-
-def _require_distinct(
-    path: Path, rows: Sequence[DamiaoJoint]
-) -> tuple[DamiaoJoint, ...]:
-    """Return ``rows`` as a tuple; InputError if it is empty, names repeat or ids clash on a bus.
-
-    ``path`` is only for the messages.
-    """
     if not rows:
         raise InputError(f"{path} has no lines")
-    n_rows = Counter(row.name for row in rows)
-    for name in n_rows:
-        if n_rows[name] > 1:
+    for name, count in Counter(row.name for row in rows).items():
+        if count > 1:
             raise InputError(f"{path} names {name} twice")
     ids = [(row.channel, row.can_id, row.master_id) for row in rows]
     for problem in id_problems(ids):
@@ -513,84 +474,3 @@ def _parse_row(row: Mapping[str, str | None], where: str) -> DamiaoJoint:
     if not math.isfinite(joint.offset) or not 0.0 < joint.torque_ratio < math.inf:
         raise InputError(f"{where}: offset must be a number and torque_ratio positive")
     return joint
-
-
-_SIDES = {f"{side}_arm_config": f"{side}_" for side in ("left", "right")}
-"""Section of one arm in a two-arm LeRobot configuration, to the prefix of its motors' names."""
-
-
-def _read_lerobot_map(path: Path, names: Sequence[str]) -> tuple[DamiaoJoint, ...]:
-    """Return the joints of a LeRobot file, renamed to the model's ``names`` where one matches.
-
-    InputError where the file cannot be read, has another content, or names or ids clash.
-    """
-    remedy = "give LeRobot's calibration, or a configuration with motor_config"
-    content = read_json(path, remedy)
-    try:
-        rows = list(_lerobot_joints(content))
-    except (TypeError, ValueError, KeyError, AttributeError, IndexError) as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise InputError(
-            f"{path} is no calibration or configuration of LeRobot ({reason})"
-        ) from None
-    named = [replace(row, name=_matching_name(row.name, names)) for row in rows]
-    return _require_distinct(path, named)
-
-
-def _lerobot_joints(
-    content: Mapping[str, Any], prefix: str = ""
-) -> Iterator[DamiaoJoint]:
-    """Yield the joints in the content of a LeRobot configuration or calibration.
-
-    A configuration may have sections, one per arm or "robot", which are configurations again.
-
-    Args:
-        content: the parsed file, or one section of a configuration.
-        prefix: text before the names of the motors in a configuration, such as "left_".
-    """
-    keys = (*_SIDES, "robot")
-    sections = {key: section for key, section in content.items() if key in keys}
-    if sections:
-        for key, section in sections.items():
-            yield from _lerobot_joints(section, prefix=_SIDES.get(key, ""))
-    elif "motor_config" in content:
-        channel = str(content.get("port", ""))
-        for name, (can_id, master_id, *_) in content["motor_config"].items():
-            joint = DamiaoJoint(
-                motor_type="", can_id=int(can_id), master_id=int(master_id)
-            )
-            yield replace(joint, name=prefix + name, channel=channel)
-    else:
-        for name, motor in content.items():
-            yield _calibrated_joint(name, motor)
-
-
-def _calibrated_joint(name: str, motor: Mapping[str, Any]) -> DamiaoJoint:
-    """Return the joint of one motor in a LeRobot calibration.
-
-    ValueError if drive_mode or homing_offset is not 0: LeRobot applies neither to Damiao motors.
-    """
-    for key in ("drive_mode", "homing_offset"):
-        if motor[key] != 0:
-            raise ValueError(f"{key} of {name} is {motor[key]}, 0 for Damiao motors")
-    can_id = int(motor["id"])
-    master_id = can_id + MASTER_ID_OFFSET
-    return DamiaoJoint(motor_type="", can_id=can_id, master_id=master_id, name=name)
-
-
-def _matching_name(name: str, names: Sequence[str]) -> str:
-    """Return the entry of ``names`` that ends with ``name``; ``name`` if none or several do.
-
-    Only letters and digits are compared, without case.
-    """
-    ending = _letters_and_digits(name)
-    matches = []
-    for joint_name in names:
-        if _letters_and_digits(joint_name).endswith(ending):
-            matches.append(joint_name)
-    return matches[0] if len(matches) == 1 else name
-
-
-def _letters_and_digits(name: str) -> str:
-    """Return a name in lower case without any character but ASCII letters and digits."""
-    return re.sub(r"[^a-z0-9]", "", name.lower())

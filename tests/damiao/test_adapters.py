@@ -124,16 +124,6 @@ def test_extended_frames_are_passed_over_and_echoes_marked(clock):
     assert link.receive(1.0) is None and clock.now() == 1.0
 
 
-def test_a_bus_that_breaks_raises_our_error():
-    clock = SystemClock()
-    link = open_bus(virtual("broken"), BusTiming(), clock)
-    link.close()
-    with pytest.raises(LinkError, match="does not take frames"):
-        link.send(Frame(1, b""))
-    with pytest.raises(LinkError, match="cannot be read"):
-        link.receive(clock.now())
-
-
 class Broken:
     """A driver that raises something, whatever it is asked."""
 
@@ -433,14 +423,3 @@ def test_can_fd_is_refused_because_it_would_be_classic_frames():
         open_bus(
             BusAddress("damiao", ("/dev/null",)), BusTiming(fd=True), SystemClock()
         )
-
-
-@NEEDS_TERMINALS
-def test_a_line_that_breaks_or_a_frame_that_is_none_is_our_error(line):
-    link, _ = line
-    for frame in (Frame(0x800, bytes(8)), Frame(1, bytes(9))):
-        with pytest.raises(LinkError):
-            link.send(frame)
-    link.close()
-    with pytest.raises(LinkError):
-        link.send(Frame(1, bytes(8)))

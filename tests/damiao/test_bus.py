@@ -81,17 +81,6 @@ def test_priority_is_given_back_on_every_way_out(monkeypatch, error):
 
 
 @LINUX
-@pytest.mark.parametrize(
-    ("policy", "is_granted"), [("SCHED_RR", True), ("SCHED_BATCH", False)]
-)
-def test_a_policy_that_somebody_has_chosen_stays(monkeypatch, policy, is_granted):
-    scheduler = Scheduler(monkeypatch, policy=getattr(os, policy))
-    with undisturbed_processor() as has_priority:
-        assert has_priority == is_granted
-    assert scheduler.schedules == {}
-
-
-@LINUX
 def test_a_user_without_the_right_goes_on_without(monkeypatch):
     scheduler = Scheduler(monkeypatch, is_allowed=False)
     with undisturbed_processor() as is_granted:
@@ -129,14 +118,6 @@ def test_garbage_collection_and_the_switch_interval_are_put_back():
         raise ValueError
     assert gc.isenabled()
     assert sys.getswitchinterval() == interval
-
-
-@LINUX
-def test_the_system_itself_gives_and_takes_it():
-    policy_before = os.sched_getscheduler(0)
-    with undisturbed_processor() as is_granted:
-        assert (os.sched_getscheduler(0) == os.SCHED_FIFO) == is_granted
-    assert os.sched_getscheduler(0) == policy_before
 
 
 def test_a_refused_frame_does_not_reach_the_bus():

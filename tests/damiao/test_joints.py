@@ -1,8 +1,6 @@
-"""The motor table; from a file, LeRobot's too, to joints that are mounted that way."""
+"""The motor table; from a file to joints that are mounted that way."""
 
 from __future__ import annotations
-
-import json
 
 import numpy as np
 import pytest
@@ -11,7 +9,6 @@ from hypothesis import strategies as st
 
 from robot_sysid.damiao.joints import (
     MOTORS,
-    DamiaoJoint,
     JointSpace,
     damiao_joints,
     id_problems,
@@ -70,13 +67,6 @@ def test_an_unknown_type_lists_the_valid_ones():
 def test_motor_types_have_to_match_the_chain(names, message):
     with pytest.raises(InputError, match=message):
         damiao_joints(names, 7)
-
-
-def test_every_joint_gets_its_name():
-    with pytest.raises(InputError, match="name was given 2 times but the chain has 3"):
-        damiao_joints(["DM4340"] * 3, 3, names=("a", "b"))
-    named = damiao_joints(["DM4340"] * 2, 2, names=("a 1", "b"))
-    assert [joint.name for joint in named] == ["a_1", "b"]
 
 
 WAYS = st.sampled_from([-1, 1])
@@ -167,77 +157,3 @@ def test_only_motors_on_one_bus_can_clash():
     """Replies to 0x102 read as commands to motor 2."""
     assert list(id_problems([("can0", 1, 0x102), ("can1", 2, 0x102)])) == []
     assert len(list(id_problems([("can0", 1, 0x102), ("can0", 2, 0x12)]))) == 1
-
-
-# As LeRobot's OpenArm follower writes it, typed from its source.
-CALIBRATION = {
-    name: {
-        "id": k,
-        "drive_mode": 0,
-        "homing_offset": 0,
-        "range_min": -90,
-        "range_max": 90,
-    }
-    for k, name in enumerate(("joint_1", "joint_2", "gripper"), start=1)
-}
-ARM = {"port": "can0", "side": None, "motor_config": {"joint_1": [1, 17, "dm8009"]}}
-LEFT = ["openarm_left_joint1", "openarm_left_joint2"]
-
-
-@pytest.fixture
-def read(tmp_path):
-    def reads(content, names=()):
-        path = tmp_path / "lerobot.json"
-        path.write_text(json.dumps(content))
-        return read_joint_map(path, names)
-
-    return reads
-
-
-def test_a_calibration_names_motors_that_turn_as_their_joints_do(read):
-    first, second, gripper = read(CALIBRATION, LEFT)
-    assert first == DamiaoJoint("", 1, 0x11, "openarm_left_joint1")
-    assert (second.name, second.can_id) == ("openarm_left_joint2", 2)
-    assert gripper == DamiaoJoint("", 3, 0x13, "gripper")
-    assert [row.name for row in read(CALIBRATION)] == ["joint_1", "joint_2", "gripper"]
-
-
-def test_a_configuration_tells_ids_and_buses_of_one_arm_or_two(read):
-    assert (
-        read({"robot": ARM})
-        == read(ARM)
-        == (DamiaoJoint("", 1, 17, "joint_1", 0, "can0"),)
-    )
-    right_arm = {"port": "can1", "motor_config": {"joint_1": [1, 33, "dm8009"]}}
-    rows = read(
-        {"left_arm_config": ARM, "right_arm_config": right_arm}, [*LEFT, "right_joint1"]
-    )
-    assert [(row.name, row.master_id, row.channel) for row in rows] == [
-        ("openarm_left_joint1", 17, "can0"),
-        ("right_joint1", 33, "can1"),
-    ]
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (
-            {"joint_1": {**CALIBRATION["joint_1"], "homing_offset": 512}},
-            "homing_offset of joint_1",
-        ),
-        (
-            {"joint_1": {**CALIBRATION["joint_1"], "drive_mode": 1}},
-            "drive_mode of joint_1 is 1",
-        ),
-        ({"joint_1": {"id": 1}}, "is no calibration or configuration of LeRobot"),
-        ([1, 2], "is no calibration or configuration of LeRobot"),
-        (
-            {"motor_config": {"a": [1, 2, "x"], "b": [2, 18, "x"]}},
-            "would be taken as commands",
-        ),
-        ({}, "has no lines"),
-    ],
-)
-def test_what_is_no_file_of_damiao_motors_is_refused(read, content, message):
-    with pytest.raises(InputError, match=message):
-        read(content)

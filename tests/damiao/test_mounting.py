@@ -216,18 +216,6 @@ def test_a_map_that_lacks_a_joint_of_the_model_is_refused(tmp_path):
     assert [j.bus for j in map_joints(joints, far, ["can0"])] == [0, 0]
 
 
-def test_one_arm_of_a_map_is_never_played_on_the_bus_of_the_other():
-    rows = [map_line(f"left_{k}", "can0", k, k + 16, 1) for k in (1, 2)]
-    rows += [map_line(f"right_{k}", "can1", k, k + 16, 1) for k in (1, 2)]
-    joints = damiao_joints(["DM4340"] * 2, 2)
-    right_arm = ["right_1", "right_2"]
-    with pytest.raises(
-        InputError, match="right_1 on can1; open it with --channel can1"
-    ):
-        map_joints(joints, rows, ["can0"], right_arm)
-    assert [j.can_id for j in map_joints(joints, rows, ["can1"], right_arm)] == [1, 2]
-
-
 def test_holding_torques_are_compared_with_the_models_gravity(three_joint_arm):
     joints = damiao_joints(["DM4310"] * 3, 3)
     check = gravity_check(three_joint_arm, joints)

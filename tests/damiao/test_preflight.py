@@ -125,16 +125,6 @@ def test_what_a_motor_cannot_do_is_refused_and_what_is_beyond_its_rating_noted(n
     assert severities(checks, spec.note)
 
 
-def test_a_joint_that_its_motor_would_shake_is_noted():
-    """A DM10010 makes torque in steps of 0.1 N m: 1.6 rad/s within a cycle for a bare wrist."""
-    types = ["DM10010", "DM4310"]
-    inertia = np.array([1.3e-4, 1.3e-4])
-    shaken = checks_of(rows_of(2), types, inertia=inertia)
-    assert severities(shaken, "will shake") == [NOTE]
-    assert severities(shaken, "motor 1 moves") == [NOTE]
-    assert severities(checks_of(rows_of(2), types), "shake") == []
-
-
 @pytest.mark.parametrize("rate", [2.0, 9.0, 12.5, 250.0])
 @pytest.mark.parametrize("timeout", [0.0, 1e-3, 4.9, 20.0])
 def test_the_watchdog_that_is_advised_can_be_given_and_lets_the_arm_play(rate, timeout):
@@ -151,13 +141,3 @@ def test_the_watchdog_that_is_advised_can_be_given_and_lets_the_arm_play(rate, t
         settings = PlaySettings(rate=options.get("rate", rate))
         check = _watchdog_check("motor 1", permissions.watchdog, settings)
     assert check.severity != STOP
-
-
-@given(
-    position=st.floats(-12.4, 12.4) | st.floats(12.6, 30.0), offset=st.floats(-3.0, 3.0)
-)
-def test_a_motor_cannot_be_parked_beyond_what_its_frames_carry(position, offset):
-    pose = np.array([-offset, position - offset])
-    checks = checks_of(rows_of(2), ["DM4340"] * 2, parking_pose=pose, offset=offset)
-    assert severities(checks, "choose another --park") == [STOP] * (position > 12.5)
-    assert beyond(checks) == ({(1, "position")} if position > 12.5 else set())

@@ -24,13 +24,9 @@ from robot_sysid.damiao.protocol import (
     bytes_from_value,
     decode_feedback,
     decode_mit,
-    default_rate,
     encode_mit,
-    is_fault,
     read_frame,
     refuse_harmful,
-    status_text,
-    suggested_rate,
     value_from_bytes,
 )
 from robot_sysid.damiao.simulated import simulated_motor
@@ -180,16 +176,6 @@ def test_what_is_beyond_its_limit_by_a_millionth_of_it_is_refused(field, sign):
         assert field in refusal(command(**{**values, field: limit_value}), scaling)
 
 
-def test_the_message_names_the_joint_that_is_out_of_range():
-    """The first sample is fine; motor 2 has limits of its own."""
-    one = np.ones((2, 3))
-    velocity = np.ones((2, 3))
-    velocity[1, 1] = 31.0
-    scaling = Scaling([(13.0, 40.0, 29.0), (12.5, 30.0, 10.0), (13.0, 40.0, 29.0)])
-    expected = "velocity 31 of motor number 2 is outside its range, limit 30"
-    assert refusal(MitCommand(one, velocity, one, one, one), scaling) == expected
-
-
 def test_stiffness_without_damping_is_refused():
     damping = np.array([[1.0, 1.0], [1.0, 0.0]])
     shaky = MitCommand(
@@ -224,21 +210,6 @@ def test_scaling_has_to_be_positive(limit_value):
         Scaling([(1.0, 2.0, 3.0), (12.5, limit_value, 28.0)])
 
 
-@given(
-    st.lists(st.floats(-10.0, 10.0), min_size=5, max_size=5),
-    st.floats(0, 1),
-    st.floats(0, 1),
-)
-def test_a_motor_is_pulled_towards_where_and_how_fast_it_should_be(values, kp, kd):
-    """By a spring and a damper to its reference, beside the torque asked for."""
-    p, v, t, q, qd = values
-    request = command(p, v, kp, kd, t)
-    at_reference = request.motor_torque(np.array([p]), np.array([v]))[0]
-    off_reference = request.motor_torque(np.array([p + q]), np.array([v + qd]))[0]
-    assert at_reference == pytest.approx(t, abs=1e-12)
-    assert off_reference - at_reference == pytest.approx(-kp * q - kd * qd, abs=1e-12)
-
-
 # Typed from the maker's protocol description.
 SET_ZERO = 0xFE
 CLEAR_ERROR = 0xFB
@@ -270,22 +241,6 @@ def test_rates_at_seventy_percent_are_those_of_the_manual(motors, classic, fast)
     assert bus_load(motors, fast, FD) == pytest.approx(0.7, abs=1e-3)
 
 
-def test_frame_times():
-    assert CLASSIC.frame_time == pytest.approx(135e-6)
-    assert FD.frame_time == pytest.approx(56.6e-6)
-    assert BusTiming(True, 1e6, 2e6).frame_time == pytest.approx(90.5e-6)
-    assert BusTiming(True, 1e6, 1e6).frame_time == pytest.approx(147e-6)
-
-
-def test_defaults_fit_the_bus():
-    assert default_rate(7, CLASSIC) == 250.0
-    assert default_rate(7, FD) == 500.0
-    for motors in range(1, 16):
-        for timing in (CLASSIC, FD):
-            assert bus_load(motors, default_rate(motors, timing), timing) <= 0.7
-            assert bus_load(motors, suggested_rate(motors, timing), timing) <= 0.7
-
-
 @given(number=st.sampled_from(sorted(NAMES)), data=st.data())
 def test_register_values_survive_their_four_bytes(number, data):
     is_integer = number in INTEGERS
@@ -296,13 +251,6 @@ def test_register_values_survive_their_four_bytes(number, data):
     )
     value = data.draw(values)
     assert value_from_bytes(number, bytes_from_value(number, value)) == value
-
-
-def test_every_code_has_words_and_all_but_two_are_faults():
-    assert [
-        status_text(code).startswith(f"status {code:X}: ") for code in range(16)
-    ] == [True] * 16
-    assert [code for code in range(16) if not is_fault(code)] == [0, 1]
 
 
 def test_a_request_holds_both_bytes_of_the_motors_number():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +28,6 @@ from robot_sysid.damiao.session import Replies
 from robot_sysid.damiao.settings import PlaySettings, RecordingOptions, recording_header
 from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import InputError, error_text
-from tests.support.log_files import read_measurements
 from tests.support.recordings import read_recording
 
 
@@ -117,28 +115,6 @@ def test_every_frame_can_be_told_back_from_the_recording(data, tmp_path_factory)
             )
 
 
-def test_the_identification_reads_it_directly(tmp_path):
-    path = tmp_path / "measured.csv"
-    with recorder_for(path, ["DM4340"] * 2) as recorder:
-        for k in range(40):
-            _, _, replies, acted = one_cycle(2, 0.1 * np.sin(0.3 * k))
-            stamps = 0.004 * k + np.array([0.0001, 0.0002])
-            recorder.write(0.004 * k, 0.0, replace(replies, time=stamps), acted)
-    log = read_measurements(path, ("first", "second"))
-    recorded = (
-        log.columns.position,
-        log.columns.velocity,
-        log.columns.torque,
-        log.columns.joint_time,
-    )
-    for quantity, signals in zip(("pos", "vel", "tau", "time"), recorded):
-        assert [signal.title for signal in signals] == [
-            f"j0_{quantity}",
-            f"j1_{quantity}",
-        ]
-    assert log.columns.time.title == "time"
-
-
 def one_cycle(n, value=1.0):
     """Arguments of ``MeasurementRecorder.write`` for n joints."""
     same = np.full(n, value)
@@ -198,16 +174,6 @@ def test_an_error_is_written_at_the_end(tmp_path):
     with pytest.raises(RuntimeError), recorder_for(path):
         raise RuntimeError("two\nlines")
     assert read_recording(path).ending == "stopped: two lines"
-
-
-def test_frames_are_written_beside_the_recording_or_where_that_was_asked_for():
-    row = Path("a/m.csv")
-    raw = Path("r.asc")
-    frame_logs = [
-        RecordingOptions(*paths).frames
-        for paths in ((), (row,), (None, raw), (row, raw))
-    ]
-    assert frame_logs == [None, Path("a/m.log"), raw, raw]
 
 
 def test_neither_what_is_there_nor_what_the_run_reads_is_written_to(
@@ -385,14 +351,6 @@ def test_ripple_is_the_periodic_response_to_steps_at_their_moments(damping, stif
         np.testing.assert_allclose(
             values, integrated, atol=2e-3 * np.max(np.abs(values))
         )
-
-
-def test_a_step_leaves_a_twelfth_of_its_impulse_where_nothing_damps():
-    ripple = SamplingRipple(lambda q: np.array([[4.0]]), np.zeros(1))
-    zero = np.zeros(1)
-    free = stiff(zero, 0.0, 0.0)
-    _, velocity = ripple.motion(zero, free, np.array([0.6]), zero, zero, PERIOD)
-    assert velocity[0] == pytest.approx(-0.6 * PERIOD * 4.0 / 12.0, rel=1e-3)
 
 
 def test_a_model_without_inertia_tells_nothing_of_ripple():

@@ -572,25 +572,6 @@ def test_a_value_that_no_frame_carries_stops_the_run(rig, monkeypatch):
     rig().run().assert_stopped("motor 1 would be asked for")
 
 
-def test_the_other_motors_come_to_rest_before_they_are_disabled(rig):
-    run = rig(3, rest_time=0.5)
-    speeds = []
-    send = run.bus.send
-
-    def watch_call(frame):
-        if frame.data == b"\xff" * 7 + b"\xfd" and not speeds:
-            speeds.extend(abs(run.arm.mechanism.qd[[0, 2]]))
-        send(frame)
-
-    run.bus.send = watch_call
-    run.during("playing", 0.15, fault("status", 1, 0xA)).run()
-    run.assert_stopped("status A", {1: 0xA})
-    assert max(speeds) < 0.05
-    recording = run.recording
-    assert recording.ending.startswith("stopped: motor 2 reports status A")
-    assert recording.columns["j1_status"][-1] == 0xA
-
-
 def test_frames_that_are_recorded_alone_are_written_as_the_run_goes_on(rig, tmp_path):
     """An arm may be held for days: what is kept until the end fills the memory, and it falls."""
     path = tmp_path / "frames.log"

@@ -26,8 +26,6 @@ from robot_sysid.records.option_fields import options_of
 
 SPECS = st.lists(st.sampled_from(list(MOTORS.values())), min_size=1, max_size=8)
 TIMINGS = st.builds(BusTiming, fd=st.booleans())
-KP = st.floats(0.0, KP_MAX)
-KD = st.floats(0.01, KD_MAX)
 INERTIA = st.floats(1e-4, 10.0)
 
 
@@ -50,18 +48,6 @@ def test_what_is_left_open_suits_motors_and_bus(specs, timing):
         8,
     )
     assert settings.for_motors(specs, timing) == settings
-
-
-@given(specs=SPECS, timing=TIMINGS, data=st.data())
-def test_what_was_asked_for_is_kept(specs, timing, data):
-    kp = data.draw(st.tuples(*[KP] * len(specs)))
-    kd = data.draw(KD)
-    rate = data.draw(st.floats(1.0, 1000.0))
-    settings = PlaySettings(kp=kp, kd=(kd,), rate=rate, speed=0.3).for_motors(
-        specs, timing
-    )
-    assert (settings.kp, settings.kd) == (kp, (kd,) * len(specs))
-    assert (settings.rate, settings.period, settings.speed) == (rate, 1.0 / rate, 0.3)
 
 
 def test_another_number_of_gains_is_refused():

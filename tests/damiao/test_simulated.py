@@ -89,41 +89,6 @@ def test_each_frame_is_answered_when_it_comes_and_an_echo_is_no_question():
     assert -1e-9 < 1.0 - arm.time < arm.mechanism.timestep + 1e-3
 
 
-def test_watchdogs_expire_while_nobody_talks():
-    clock = SimulatedClock()
-    arm = two_motor_arm(watchdog=0.1)
-    far = FarEnd(
-        clock, (0.1, enable_frame(Address(0, 1))), (0.3, disable_frame(Address(0, 2)))
-    )
-    serve_frames(clock, far, arm, 0.15)
-    assert arm.motors[0].driving
-    serve_frames(clock, far, arm, 0.3)
-    assert not arm.motors[0].driving
-
-
-def test_a_computer_that_falls_behind_leaves_time_out_instead_of_catching_up():
-    clock = SimulatedClock()
-    arm = two_motor_arm()
-    far = FarEnd(clock, (0.1, enable_frame(Address(0, 1))), (0.11, Frame(99, bytes(8))))
-    ordinary = far.receive
-    steps = []
-    step = arm.mechanism.step
-    arm.mechanism.step = lambda *law: steps.append(law[-1]) or step(*law)
-
-    def pause_clock(until):
-        if 0.3 < clock.now() < 0.4:
-            clock.sleep_until(5.0)
-        return ordinary(until)
-
-    far.receive = pause_clock
-    report = serve_frames(clock, far, arm, 5.3)
-    assert report.left_out == pytest.approx(5.0 - 0.3, abs=5e-3)
-    assert report.longest_delay == pytest.approx(5.0 - 0.3, abs=5e-3)
-    assert arm.time == pytest.approx(5.3, abs=3e-3)
-    # Physics ran from enabling to the pause and after it.
-    assert sum(steps) == pytest.approx(0.2 + 0.3, abs=10 * arm.mechanism.timestep)
-
-
 NEEDS_TERMINALS = pytest.mark.skipif(
     not hasattr(os, "openpty"), reason="needs pseudo-terminals"
 )

@@ -122,32 +122,6 @@ def test_ids_that_cannot_share_a_bus_are_refused(options, message):
         export_motion([motion()], ["DM4340"] * 2, **options)
 
 
-def test_what_is_told_is_what_was_asked_for_not_what_is_left_of_it():
-    """Some types can be told no more than their peak torque; that must not hide the excess."""
-    time, q, qd, tau = motion(4, 1)
-    report, _ = export_motion(
-        [(time, q, qd, np.array([[40.0], [0], [0], [0]]))], ["DM4340"]
-    )
-    clamped, rating = report.warnings
-    assert clamped.startswith("motor 1: 25.00 % of the samples were clamped")
-    assert rating.startswith(
-        "motor 1: 40.00 N m exceeds the peak torque of a DM4340, 27 N m"
-    )
-
-
-def test_a_failure_half_way_leaves_the_old_file_alone(tmp_path):
-    path = tmp_path / "t.csv"
-    path.write_text("old")
-
-    def failing():
-        yield motion()
-        raise RuntimeError("half way")
-
-    with pytest.raises(RuntimeError):
-        export_damiao_trajectory(failing(), ["DM4340"] * 2, path)
-    assert [p.read_text() for p in tmp_path.iterdir()] == ["old"]
-
-
 @pytest.mark.parametrize("where", [1, 2, 3])
 def test_values_that_are_not_finite_are_refused(where, tmp_path):
     chunk = [np.array(x) for x in motion()]

@@ -350,7 +350,7 @@ def _add_arm_options(parser: Parser, command: str) -> None:
             "--joint-map",
             metavar="FILE",
             type=Path,
-            help="how each joint's motor is mounted (see: motors map), or LeRobot's file",
+            help="how each joint's motor is mounted (see: motors map)",
         )
     is_required = command in ("simulate", "hold", "map")
     group.add_argument(

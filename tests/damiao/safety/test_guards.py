@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -111,33 +109,6 @@ def test_a_position_that_the_torque_contradicts_is_never_believed():
     assert believe_answers(*(offset(k) for k in range(11, 17))) == [False] * 6
 
 
-def test_an_encoder_that_jumps_with_its_motor_is_a_finding():
-    """A motor whose encoder jumps pulls its joint after it, and its torque shows that."""
-    judge = started_filter()
-    jumps = []
-    for k in range(1, 14):
-        shift = 0.15 if k > 10 else 0.0
-        jumps.append(float(judge.believe(*answer(k, q=swing(k)[0] + shift)).jump[0]))
-    assert jumps[:11] == [0.0] * 11 and jumps[12] == 0.0
-    assert jumps[11] == pytest.approx(0.15, abs=0.01)
-
-
-def test_a_motor_that_goes_off_does_not_jump():
-    """A second motor of the same id that is disabled says so from where it stands itself."""
-    other = {"status": 0, "q": 1.3, "qd": 0.0, "tau": 0.0}
-    assert believe_answers(*[other] * 4) == [False] * 4
-
-
-def test_missing_answers_change_nothing():
-    judge = started_filter()
-    replies, command = answer(1)
-    judge.believe(replies, command)
-    missing = replace(replies, answered=np.zeros(1, bool), time=np.full(1, np.nan))
-    for _ in range(3):
-        assert not judge.believe(missing, command).doubted[0]
-    assert judge.believe(*answer(5)).answered[0]
-
-
 SAMPLES = st.lists(
     st.tuples(
         st.floats(-12.5, 12.5),
@@ -236,19 +207,6 @@ def test_a_motor_that_reports_another_torque_than_it_was_told_to_make_is_found(r
         worst = check.worst()
         assert (worst is not None) == (is_wrong and k >= 24)
     assert worst is None or (worst[0] == 1 and worst[1] == pytest.approx(ratio))
-
-
-@pytest.mark.parametrize("speed", [-0.3, 0.3])
-@pytest.mark.parametrize("fades", [1e-6, 0.05])
-def test_a_joint_that_slips_is_found_within_two_windows(speed, fades):
-    check = VelocityScalingCheck(np.full(2, 0.005), np.full(2, fades))
-    slips = []
-    for t in np.arange(0.0, 0.4, 0.004):
-        q = np.sin(2.0 * t) + np.array([0.0, speed * t])
-        slips.append(check.add(np.full(2, t), q, np.full(2, 2.0 * np.cos(2.0 * t))))
-    slip = next(slip for slip in slips if slip is not None)
-    assert slip.joint == 1
-    assert slip.speed == pytest.approx(speed, rel=0.3 if fades < 0.1 else 0.8)
 
 
 JOINTS = damiao_joints(["DM4340", "DM4310"], 2)
@@ -397,14 +355,6 @@ def test_what_is_asked_too_much_is_named(requested, message):
     BOUNDS.require(LABELS, BOUNDS.confine(requested, *STANDING), *STANDING)
 
 
-def test_what_is_within_the_bounds_is_left_as_it_is():
-    requested = command(position=0.019, velocity=1.9, torque=5.0)
-    BOUNDS.require(LABELS, requested, *STANDING)
-    np.testing.assert_allclose(
-        BOUNDS.confine(requested, *STANDING), requested, atol=1e-12
-    )
-
-
 def test_a_range_wider_than_frames_can_say_is_cut_to_what_they_can():
     """In a stop a command beyond the frames' scale would be an error, and nothing be sent."""
     clock = ScriptedClock()
@@ -421,9 +371,3 @@ def test_a_range_wider_than_frames_can_say_is_cut_to_what_they_can():
     assert len(link.sent) == n_sent + 2
     np.testing.assert_array_equal(session.command_range.upper, SCALING.limits[:, 0])
     np.testing.assert_array_equal(session.command_range.speed, SCALING.limits[:, 1])
-
-
-def test_where_an_arm_stands_is_within_its_range():
-    wider = BOUNDS.including(np.array([-0.6, np.nan]))
-    np.testing.assert_array_equal(wider.command_range.lower, [-0.6, -1.0])
-    np.testing.assert_array_equal(wider.command_range.upper, UPPER)

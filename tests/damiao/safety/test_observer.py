@@ -142,25 +142,6 @@ def test_a_motor_may_be_silent_for_so_long_and_no_longer(requested, cycles, mess
     assert message in stop_words(*[gap] * cycles)
 
 
-def test_what_a_run_was_like_is_counted():
-    watched = observer()
-    zero_command = MitCommand(*[np.zeros(2)] * 5)
-    for replies in (
-        sample(q=0.1),
-        sample(1, 0.095),
-        sample(answered=False),
-        sample(status=0xA),
-    ):
-        watched.update(replies)
-        if replies.feedback.status[1] != 0xA:
-            watched.check(replies, zero_command)
-    np.testing.assert_allclose(watched.worst_tracking, [0.0, 0.1])
-    assert watched.total_missed.tolist() == [0, 1] and watched.failed.tolist() == [
-        False,
-        True,
-    ]
-
-
 # --- signals that disagree -----------------------------------------------------------------------
 
 CYCLE = 0.004
@@ -264,20 +245,6 @@ def test_a_joint_that_carries_the_arm_the_other_way_is_another_joint():
 def test_a_frozen_encoders_motor_is_to_be_switched_off():
     *_, watched = stop_of(change_after(q=lambda k, s: STILL, qd=lambda k, s: 0.0))
     assert watched.to_switch_off.tolist() == [False, True]
-
-
-def test_answers_of_two_motors_are_no_fault_of_one():
-    """A second motor that is disabled answers "disabled" for the first."""
-
-    def with_second_motor(k, signals):
-        if k >= BEGIN:
-            signals["extra"] = {"surplus": one(1)}
-
-    k, stopped, watched = stop_of(with_second_motor)
-    assert "second motor" in str(stopped) and not watched.failed.any()
-    for _ in range(3):
-        watched.update(sample(status=0))
-    assert not watched.failed.any()
 
 
 def test_a_sagging_supply_names_the_other_joints_and_not_the_joint_itself():
