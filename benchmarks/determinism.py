@@ -1,10 +1,10 @@
-"""Do results depend on the number of threads of linear algebra, or of worker processes?
+"""Do results depend on the number of threads of linear algebra?
 
 Run from the checkout:  python -m benchmarks.determinism
 
 The example arm, by the commands and by the Python functions, which both take one thread, whatever
-is set; a search for a trajectory that ends of itself, by one worker and by several. One line per
-file: how many different ones were written.
+is set; a search for a trajectory that ends of itself. One line per file: how many different ones
+were written.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from tests.support.command_line import files_in
 from tests.support.places import GUESS, ROOT, TRUTH
 
 VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-SETTINGS = ((1, 1), (1, 2), (1, 3), (2, 1))
-"""Threads and workers."""
+THREADS = (1, 2)
+"""Numbers of threads."""
 RATE = {"duration": 6.0, "sample_rate": 250.0}
 WORDS = "--duration 6 --sample-rate 250 --seed 1 --noise-torque 0.1"
 WAYS = ("functions", "commands")
 
 
-def functions(folder: Path, workers: int) -> None:
+def functions(folder: Path) -> None:
     """Write the results of all functions."""
     import robot_sysid as rs
 
@@ -39,11 +39,11 @@ def functions(folder: Path, workers: int) -> None:
     rs.identify(GUESS, logs, accept=("zero",), links=True).save("links")
     rs.payload(GUESS, logs[:1], logs[1:], accept=("zero",)).save("payload")
     rs.plan(GUESS, seed=1, excitation="sines", **RATE).save("plan/plan.json")
-    _search(Path("plan/search.json"), workers)
+    _search(Path("plan/search.json"))
 
 
-def _search(path: Path, workers: int) -> None:
-    """Write the trajectory that a search with so many worker processes ends with."""
+def _search(path: Path) -> None:
+    """Write the trajectory that a search ends with."""
     import numpy as np
 
     from robot_sysid.api.results import one_thread
@@ -52,14 +52,14 @@ def _search(path: Path, workers: int) -> None:
     from tests.support.excitation_arms import TUBES_AND_POST, make_design
 
     few = {"draws": 30, "starts": 3, "rounds": 3, "iterations": 20}
-    problem = make_design(TUBES_AND_POST, workers=workers, **few)
+    problem = make_design(TUBES_AND_POST, **few)
     with one_thread():
         result = design_excitation(problem, np.random.default_rng(1))
     assert not result.stopped
     save_trajectory(path, result.trajectory, problem.problem.joint_names)
 
 
-def commands(folder: Path, workers: int) -> None:
+def commands(folder: Path) -> None:
     """Write the results of all commands."""
     from robot_sysid.cli import main
 
@@ -77,8 +77,8 @@ def commands(folder: Path, workers: int) -> None:
         assert main([*line.split(), "--quiet"]) in (0, 1), line
 
 
-def child(command: str, folder: Path, threads: int, workers: int) -> dict[str, str]:
-    """Return the hash of each file that a process with these settings writes."""
+def child(command: str, folder: Path, threads: int) -> dict[str, str]:
+    """Return the hash of each file that a process with so many threads writes."""
     settings = {
         **os.environ,
         **dict.fromkeys(VARIABLES, str(threads)),
@@ -86,7 +86,7 @@ def child(command: str, folder: Path, threads: int, workers: int) -> dict[str, s
     }
     with tempfile.TemporaryDirectory(dir=folder) as scratch:
         call = [sys.executable, "-m", "benchmarks.determinism", "--way", command]
-        call += ["--folder", str(folder), "--workers", str(workers)]
+        call += ["--folder", str(folder)]
         subprocess.run(call, cwd=scratch, env=settings, check=True)
         digests = files_in(Path(scratch))
     return {
@@ -106,8 +106,8 @@ def compare(folder: Path) -> None:
             run([*line.split(), "--save-measurements", f"{folder}/{k}.csv", "--quiet"])
     for command in WAYS:
         digests: dict[str, set[str]] = defaultdict(set)
-        for setting in SETTINGS:
-            for name, value in child(command, folder, *setting).items():
+        for threads in THREADS:
+            for name, value in child(command, folder, threads).items():
                 digests[name].add(value)
         for name, values in sorted(digests.items()):
             print(f"{command:10s} {name:36s} {len(values)}", flush=True)
@@ -120,12 +120,10 @@ def main() -> None:
         "--folder", type=Path, help="kept and used again (default: a new one)"
     )
     parser.add_argument("--way", choices=WAYS, help=argparse.SUPPRESS)
-    parser.add_argument("--workers", type=int, default=1, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.way:
-        return {"functions": functions, "commands": commands}[options.way](
-            options.folder, options.workers
-        )
+        way = {"functions": functions, "commands": commands}[options.way]
+        return way(options.folder)
     with tempfile.TemporaryDirectory() as nowhere:
         folder = (options.folder or Path(nowhere)).absolute()
         folder.mkdir(parents=True, exist_ok=True)

@@ -9,8 +9,7 @@ and friction are drawn from the priors of the estimate, and identifies it with d
 Lines per arm: root mean square errors of the mass, the centre of mass and the ten parameters
 (median), over the predicted standard errors:
 
-- of all results, also over the prediction that counts both kinds of recordings, with and without a
-  common torque scale;
+- of all results;
 - of results without a common torque scale, with their number;
 - of the plain estimates, before bodies were made possible;
 - of results with a common torque scale, over the standard errors that they state;
@@ -36,7 +35,6 @@ from robot_sysid.dynamics.inverse_dynamics import (
     turn_gravity,
 )
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.algebra.consistent_bodies import projected_covariance
 from robot_sysid.estimation.algebra.priors import own_errors
 from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.columns import Columns
@@ -187,7 +185,7 @@ def lines(path, runs, exact):
     robot = load_robot_model(path)
     problem = build_problem(robot, LimitOptions(), noise_torque=SIGMA)
     motion = TrajectoryOptions(sample_rate=RATE)
-    options = ExcitationOptions(workers=1)
+    options = ExcitationOptions()
     design = Design(problem, options, motion, prior_knowledge(problem, OPTIONS, "link"))
     plan = design_excitation(design, np.random.default_rng(1)).trajectory
     posterior = predict_posterior(problem, plan, RecordingPlan(RATE, OPTIONS))
@@ -196,11 +194,6 @@ def lines(path, runs, exact):
     terminal = np.ix_(indices, indices)
     errors = posterior.errors
     covariance = (errors.noise if exact else errors.covariance)[terminal]
-    suspected = posterior.suspected_errors.covariance[terminal]
-    suspected_covariance = projected_covariance(robot.prior.theta, suspected)
-    both = (
-        1.0 - posterior.suspicion
-    ) * covariance + posterior.suspicion * suspected_covariance
     moves = plan.evaluate(np.arange(sample_count(plan.duration, RATE)) / RATE)
     began = time.process_time()
     errors = []
@@ -219,10 +212,6 @@ def lines(path, runs, exact):
         yield error_line(
             robot.prior.theta, squares, covariance, f"{title} ({len(is_selected)})"
         )
-        if is_selected is off and not exact:
-            yield error_line(
-                robot.prior.theta, squares, both, "result, over both predictions"
-            )
     if np.any(common):
         ratio = np.sqrt(np.mean((off / stated)[common] ** 2, axis=0))
         yield f"  common torque scale, over stated: {np.array2string(ratio, precision=2)}"

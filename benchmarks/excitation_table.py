@@ -28,8 +28,6 @@ from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation
 from robot_sysid.motion.expected_errors import prior_knowledge
 from robot_sysid.motion.information import mass_and_centre_errors, random_information
-from robot_sysid.motion.limit_check import DISTANCE_RESOLUTION
-from robot_sysid.motion.prediction import parameter_sizes
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import ArmTorque
@@ -79,7 +77,7 @@ def figures(design, information):
     """Return standard deviations of mass, centre of mass, Izz and the ten, from information."""
     covariance = design.criterion.covariance(information)
     standard_errors = np.sqrt(np.diag(covariance))
-    scale = parameter_sizes(design.problem)
+    scale = design.problem.scale
     centre = mass_and_centre_errors(design.problem.robot.prior.theta, covariance)[1]
     mean = np.exp(design.criterion.evaluate(information)[0])
     median = np.median(standard_errors / scale)
@@ -129,7 +127,7 @@ def line(path, joint, seeds, budget):
     """Return the table's line of one arm."""
     robot = load_robot_model(path, joint=joint)
     motion = TrajectoryOptions()
-    options = ExcitationOptions(workers=1)
+    options = ExcitationOptions()
     top = options.basis(motion.duration).top_frequency_hz
     problem = build_problem(robot, LimitOptions(), top_frequency_hz=top)
     prior = prior_knowledge(problem, EstimationOptions(), "link")
@@ -149,10 +147,7 @@ def line(path, joint, seeds, budget):
     spent = (time.process_time() - began) / len(seeds)
     best = np.median(ratios, axis=0)
     check = result.limit_check
-    neighbours = problem.obstacles.neighbours.distance
-    stated = min(
-        check.nearest.distance - check.resolution, neighbours - DISTANCE_RESOLUTION
-    )
+    stated = check.closest.distance
     real = nearest(robot, result.trajectory)
     pairs = zip(NAMES, sines / best, least / best)
     ratio_text = "  ".join(

@@ -33,8 +33,6 @@ from tests.support.command_line import files_in
 WRITING = 0.02
 """Within this time after the first draft a run is killed while it writes [s]."""
 LONGEST = 300.0
-WORKER_DELAYS = (0.0, 0.02, 0.1, 0.3, 1.0)
-"""Times after the start of the first worker process [s]."""
 
 
 class Study:
@@ -218,7 +216,7 @@ def has_said(run: Run, line: str) -> Callable[[], bool]:
 
 
 def interrupts(study: Study, count: int) -> None:
-    """Interrupt each stage, any time, the writing and the start of workers."""
+    """Interrupt each stage, any time, and the writing."""
     print(
         "\ninterrupts: command, stage, exit codes, lines on standard error that are no notes"
     )
@@ -234,14 +232,6 @@ def interrupts(study: Study, count: int) -> None:
             moment = time.monotonic() + study.random.uniform(0.02, study.time[name])
             any_time = lambda run, m=moment: lambda: time.monotonic() > m  # noqa: E731
             interrupt_runs(study, name, "(any time)", 1, any_time)
-    for delay in WORKER_DELAYS if SEARCH in study.names else ():
-        stage = f"(workers start, +{delay:g} s)"
-        interrupt_runs(study, SEARCH, stage, count, _has_workers, delay)
-
-
-def _has_workers(run: Run) -> Callable[[], bool]:
-    """Return a function that tells whether a run has started worker processes."""
-    return lambda: len(session_of(run.process.pid)) > 1
 
 
 def interrupt_runs(
@@ -250,7 +240,6 @@ def interrupt_runs(
     stage: str,
     count: int,
     moment: Callable[[Run], Callable[[], bool]],
-    delay: float = 0.0,
 ) -> None:
     """Interrupt runs of a command at a moment, as a terminal does: all its processes."""
     codes: collections.Counter[int] = collections.Counter()
@@ -259,7 +248,6 @@ def interrupt_runs(
     for _ in range(count):
         run = study.start(name)
         if run.wait_for(moment(run)):
-            time.sleep(delay)
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(run.process.pid, signal.SIGINT)
         run.process.join(LONGEST)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Any
 
 import numpy as np
 
@@ -21,18 +20,11 @@ from robot_sysid.records import (
 
 
 class ArmTorque:
-    """A function of a motion that returns the torques the model needs for it, friction included.
-
-    It is pickled as its robot alone, and computes everything else anew in the other process.
-    """
+    """A function of a motion that returns the torques the model needs for it, friction included."""
 
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot
         self._dynamics = ArmDynamics(robot)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Return how pickle makes the object again: its class and its robot."""
-        return type(self), (self._robot,)
 
     def __call__(self, motion: Motion) -> Array:
         """Return joint torques (N, n) [N m]."""

@@ -14,7 +14,6 @@ from robot_sysid.records.option_fields import (
     PerJoint,
     option,
     parse_numbers,
-    processor_count,
 )
 
 if TYPE_CHECKING:
@@ -54,8 +53,6 @@ FEWEST_DRAWS = 5
 """Least number of random trajectories in a shortened search."""
 FEWEST_EVALUATIONS = 20
 """Least number of evaluations per round in a shortened search."""
-WORTH_WORKERS = 5.0
-"""Least time budget for which it pays to start other processes [s]; each takes a second for it."""
 
 
 @dataclass(frozen=True)
@@ -234,7 +231,6 @@ class ExcitationOptions(OptionRecord):
         rounds: largest number of rounds by which a random trajectory is improved.
         iterations: largest number of iterations of the optimiser per round.
         evaluations: largest number of evaluations of the objective per round.
-        workers: processes to use; 1 stays in this one, None takes one per processor.
     """
 
     kind: str = option(
@@ -255,7 +251,6 @@ class ExcitationOptions(OptionRecord):
     rounds: int = 20
     iterations: int = 60
     evaluations: int = 15000
-    workers: int | None = None
 
     def basis(self, duration: float) -> FourierBasis:
         """Return the Fourier basis of a designed trajectory of this duration [s]."""
@@ -286,18 +281,6 @@ class ExcitationOptions(OptionRecord):
             rounds=max(min(2, self.rounds), round(share * self.rounds)),
             evaluations=min(self.evaluations, max(FEWEST_EVALUATIONS, evaluations)),
         )
-
-    @property
-    def n_workers(self) -> int:
-        """Number of processes of a search: ``workers``, or one per processor where that is None,
-        but at most max(2, ``starts``), as more would idle once the random trajectories are drawn.
-
-        Where ``workers`` is None and the time budget is None or below ``WORTH_WORKERS``, it is 1:
-        starting processes would take longer than they save.
-        """
-        if self.workers is None and (self.time_budget or 0.0) < WORTH_WORKERS:
-            return 1
-        return min(self.workers or processor_count(), max(2, self.starts))
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ link lengths in between plus the outer body's own extent.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -118,12 +118,8 @@ class Clearance:
         is_solid: whether the model has collision geometry.
         rates: approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most;
             one row per pair of links, and a last row for every pair (``approach_rates``).
-        at_rest: state of pairs of bodies at rest to descriptions of these pairs: "ignored" pairs
-            are inside each other by design and are not tested; "deep" pairs are inside each other
-            otherwise, collisions; "touching" pairs touch and must not get deeper; "near" pairs are
-            so near that they keep half of that distance, not the clearance.
-        neighbours: the nearest of the pairs of links next to each other that keep their distance
-            over the entire range of the joint between them, and so are not tested.
+        collisions: descriptions of the pairs of bodies that are inside each other at rest, but not
+            by design and deeper than ``DEEPEST_TOUCH``.
         outside_at_rest: (half-space, name of the body, distance outside [m]) of each body that is
             outside a half-space at rest.
     """
@@ -135,7 +131,6 @@ class Clearance:
         clearance: float,
         half_spaces: Sequence[HalfSpace],
     ) -> None:
-        self._arguments = (robot, start, clearance, tuple(half_spaces))
         self._robot = robot
         self._model = model = _with_margin(robot.mj_model, clearance + HORIZON)
         self._data = data_at_pose(model, robot.reference_qpos)
@@ -155,18 +150,14 @@ class Clearance:
         # (P,) slack of each row of ``rates`` where no pair is within the horizon; the last row,
         # which stands for every pair, has no more slack than the horizon then.
         self._free = np.append(np.full(len(self.rates) - 1, np.inf), HORIZON)
-        self.at_rest = self._set_required_distances(clearance)
-        self.neighbours = self._ignore_harmless_neighbours(start)
+        self.collisions = self._set_required_distances(clearance)
+        self._ignore_harmless_neighbours(start)
         drop_pairs(model, link_of_body, np.isneginf(self._required))
         self._set_configuration(start)
         self._spaces = HalfSpaces(model, half_spaces) if half_spaces else None
         self.outside_at_rest = []
         if self._spaces is not None:
             self.outside_at_rest = self._set_required_heights(self._spaces)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments of the constructor: another process makes its own MuJoCo data."""
-        return type(self), self._arguments
 
     def slack(self, q: Array) -> Slack:
         """Return the slack, with its gradient, at joint positions q (N, n) [rad or m]."""
@@ -209,17 +200,6 @@ class Clearance:
             label = self._label(first, second)
         return Closest(float(nearest.slack[0]), float(nearest.distance[0]), label)
 
-    @property
-    def distances(self) -> Clearance:
-        """A copy that requires no distance of any tested pair and has no half-spaces: its slack is
-        the distance of the nearest two bodies itself.
-        """
-        other = copy.copy(self)
-        other._required = np.where(np.isneginf(self._required), -np.inf, 0.0)
-        other._spaces = None
-        other.rates = self.rates * self.is_solid
-        return other
-
     def _label(self, first: int, second: int) -> str:
         """Return the names of two bodies, given by MuJoCo ids, joined by "and"."""
         return f"{body_label(self._model, first)} and {body_label(self._model, second)}"
@@ -238,9 +218,9 @@ class Clearance:
         # A contact of a deformable body has no geom, so no body here: its distance is infinite.
         return np.where(np.all(contact.geom >= 0, axis=1), contact.dist, np.inf), bodies
 
-    def _set_required_distances(self, clearance: float) -> Mapping[str, Sequence[str]]:
+    def _set_required_distances(self, clearance: float) -> Sequence[str]:
         """Set ``self._required``, in place, to the distance that each pair has to keep, from its
-        distance in the configuration that ``self._data`` has; return ``at_rest``.
+        distance in the configuration that ``self._data`` has; return ``collisions``.
 
         ``clearance`` is the distance of pairs that are farther apart there [m].
         """
@@ -255,17 +235,20 @@ class Clearance:
         if touching:
             by_design = ContactFinder(self._robot).by_design(touching)
         self._required[link[:, None] == link] = -np.inf
-        states = ("ignored", "deep", "touching", "near")
-        pairs: dict[str, list[str]] = {state: [] for state in states}
+        collisions = []
         for (a, b), distance in distances.items():
-            is_by_design = (a, b) in by_design
-            state, required = _required_distance(distance, clearance, is_by_design)
+            required = min(clearance, KEPT_SHARE * distance)
+            if (a, b) in by_design:
+                required = -np.inf
+            elif distance < -DEEPEST_TOUCH:
+                required = clearance
+                collisions.append(
+                    f"{self._label(a, b)} ({-1e3 * distance:.2g} mm deep)"
+                )
+            elif distance <= 0.0:
+                required = distance - _TOUCH_ROOM
             self._required[a, b] = self._required[b, a] = required
-            if state:
-                side = "apart" if distance > 0.0 else "deep"
-                millimetres = f"{1e3 * abs(distance):.2g} mm {side}"
-                pairs[state].append(f"{self._label(a, b)} ({millimetres})")
-        return pairs
+        return collisions
 
     def _set_required_heights(
         self, spaces: HalfSpaces
@@ -286,9 +269,9 @@ class Clearance:
             required[:] = np.minimum(required, np.maximum(0.0, KEPT_SHARE * height))
         return outside
 
-    def _ignore_harmless_neighbours(self, start: Array) -> Closest:
+    def _ignore_harmless_neighbours(self, start: Array) -> None:
         """Ignore pairs of neighbours that keep their distance over the entire range of the joint
-        between them, the other joints at ``start`` (n,); return the nearest of these pairs.
+        between them, the other joints at ``start`` (n,).
 
         To ignore a pair, its entry in ``self._required`` is set to minus infinity.
         """
@@ -303,14 +286,7 @@ class Clearance:
             self._sweep(start, joint, np.clip(around, low, high), least)
         is_harmless = np.isfinite(least) & np.isfinite(self._required)
         is_harmless &= least >= self._required
-        distances = np.where(is_harmless, least, np.inf)
-        distance = float(np.min(distances))
         self._required[is_harmless | is_harmless.T] = -np.inf
-        label = ""
-        if np.any(is_harmless):
-            first, second = np.unravel_index(np.argmin(distances), distances.shape)
-            label = self._label(int(first), int(second))
-        return Closest(slack=min(distance, HORIZON), distance=distance, label=label)
 
     def _sweep(self, start: Array, joint: int, positions: Array, least: Array) -> float:
         """Return the position of a joint, of ``positions`` (K,), at which the bodies on its two
@@ -445,28 +421,6 @@ def _with_margin(mj_model: Any, margin: float) -> Any:
         model.pair_gap[:] = 0.0
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     return model
-
-
-def _required_distance(
-    distance: float, clearance: float, is_by_design: bool
-) -> tuple[str, float]:
-    """Return (state, required distance [m]) of a pair of bodies.
-
-    The state is a key of ``Clearance.at_rest``, or "" for a pair that has to keep the clearance.
-
-    Args:
-        distance: of the pair at rest [m]; negative where the bodies are inside each other.
-        clearance: distance that pairs have to keep unless they are nearer at rest [m].
-        is_by_design: whether the bodies overlap whatever the joints between them do.
-    """
-    if distance > 0.0:
-        required = KEPT_SHARE * distance
-        return ("near" if required < clearance else ""), min(clearance, required)
-    if is_by_design:
-        return "ignored", -np.inf
-    if distance < -DEEPEST_TOUCH:
-        return "deep", clearance
-    return "touching", distance - _TOUCH_ROOM
 
 
 def drop_pairs(mj_model: Any, link_of_body: Any, ignored: Any) -> None:

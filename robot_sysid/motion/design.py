@@ -30,7 +30,6 @@ from robot_sysid.motion.information import (
     PriorKnowledge,
     design_criterion,
     known_arm,
-    mass_and_centre_errors,
 )
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ExcitationProblem
@@ -95,12 +94,12 @@ It changes no predicted standard deviation by more than 3 %
 MOST_MEMORY = 2e9
 """Most memory that a search may take [bytes]."""
 COPIES = 3
-"""How many arrays of the size of the basis functions each process needs at a time."""
+"""How many arrays of the size of the basis functions a search needs at a time."""
 _WORST = 1e6
 """Stands for an infinite criterion: the optimiser needs a number."""
 
 clock = time.monotonic
-"""Returns the machine's time [s], which other processes share, so that they share deadlines."""
+"""Returns the machine's time [s]."""
 
 
 def is_over(deadline: float) -> bool:
@@ -258,7 +257,7 @@ class Design:
         points = int(np.ceil(GRID_PER_CYCLE * top * self.basis.duration))
         points = max(FEWEST_GRID_POINTS, points)
         # The basis functions, and two derivatives, of 8 bytes per number.
-        memory = options.n_workers * COPIES * 3.0 * 8.0 * points * self.basis.size
+        memory = COPIES * 3.0 * 8.0 * points * self.basis.size
         if memory > MOST_MEMORY:
             raise InputError(
                 f"designing {motion.duration:g} s would take about {memory / 1e9:.2g} GB of "
@@ -303,23 +302,6 @@ class Design:
         """
         return self.information.evaluate(
             *(signal[INFORMATION_POINTS] for signal in motion)
-        )
-
-    def expected_errors(self, x: Array | None) -> str:
-        """Return the expected standard errors of the terminal link's mass and centre of mass, in
-        words, for free coefficients x (n, M).
-
-        "" where x is None or zero, and for a payload, most of whose error is no noise.
-        """
-        is_payload = self.criterion.target == "payload"
-        if x is None or not np.any(x) or is_payload:
-            return ""
-        information = self.information_of(self.motion(x)).information
-        covariance = self.criterion.covariance(information)
-        theta = self.problem.robot.prior.theta
-        mass_error, centre_error = mass_and_centre_errors(theta, covariance)
-        return (
-            f"mass ± {mass_error:.2g} kg, centre of mass ± {1e3 * centre_error:.2g} mm"
         )
 
     def criterion_of(self, x: Array) -> float:

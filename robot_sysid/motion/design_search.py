@@ -3,29 +3,18 @@
 Random feasible trajectories first; the best of them are improved by a round of L-BFGS, and the
 best of these by more rounds until one gains next to nothing. All of the work is counted in
 trajectories, rounds and iterations, never in seconds: the same seed and options give the same
-trajectory on a fast and on a slow machine, with one worker or with several. Only a time budget
-makes the result depend on the clock: the search then goes on with the next trajectories until it is
-used up.
+trajectory on a fast and on a slow machine. Only a time budget makes the result depend on the clock:
+the search then goes on with the next trajectories until it is used up.
 """
 
 from __future__ import annotations
 
-import contextlib
-import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, Callable
 
 import numpy as np
 
-from robot_sysid.errors import InputError, delay_signals
-from robot_sysid.motion import ExcitationOptions
+from robot_sysid.errors import InputError
 from robot_sysid.motion import design as design_module
 from robot_sysid.motion.design import (
     GRID_PER_CYCLE,
@@ -42,8 +31,8 @@ from robot_sysid.motion.trajectories import FourierTrajectory
 from robot_sysid.records import Array
 from robot_sysid.records.messages import Progress
 
-DRAWS_PER_JOB = 5
-"""Random trajectories per job; an interruption loses those of the unfinished jobs."""
+DRAWS_PER_ROUND = 5
+"""Random trajectories that take about as long as a round of improvement, for the progress."""
 CHECK_TIME = 2.0
 """Time of a budget that is reserved for the final check of all limits [s]: what the check of a 15 s
 motion of a seven-joint arm takes."""
@@ -73,8 +62,6 @@ DRAW_SHARE = 0.99 * np.cos(np.pi / GRID_PER_CYCLE)
 the remainder is for peaks between them."""
 COARSE_STEP = 8
 """A random motion is first checked at every eighth grid point, which is cheap."""
-_THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Environment variables for the number of threads of linear algebra."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +74,6 @@ class ExcitationResult:
             the scaled parameters.
         start_objective: objective of the best random trajectory.
         limit_check: of the trajectory.
-        n_feasible: number of random trajectories that keep all limits.
-        n_drawn: number of random trajectories.
         stopped: "" where the search was finished, else "interrupted" or "time budget".
         notes: sentences for the user on the limits, and on a search that ended early.
     """
@@ -97,8 +82,6 @@ class ExcitationResult:
     objective: float
     start_objective: float
     limit_check: LimitCheck
-    n_feasible: int
-    n_drawn: int
     stopped: str
     notes: tuple[str, ...]
 
@@ -113,7 +96,7 @@ def design_excitation(
     Args:
         design: the arm, its limits and what is minimised.
         rng: source of randomness; a seed is drawn from it.
-        progress: is advanced after every job; None to show nothing.
+        progress: is advanced after every trajectory and round; None to show nothing.
 
     Raises:
         InputError: no drawn trajectory keeps all limits; names the limit that is in the way.
@@ -140,8 +123,6 @@ def design_excitation(
         objective=float(np.exp(best.feasible_score)),
         start_objective=float(np.exp(min(draw.score for draw in draws))),
         limit_check=check_limits(design.problem, trajectory, design.sample_rate),
-        n_feasible=len(_feasible_draws(draws)),
-        n_drawn=len(draws),
         stopped=stopped,
         notes=design.problem.notes + _STOP_NOTES[stopped],
     )
@@ -162,86 +143,71 @@ def _search(
         seed: of the random trajectories.
         draws: every random trajectory is appended, so that an interruption loses none.
         candidates: every improved trajectory is appended.
-        progress: is advanced after every job.
+        progress: is advanced after every trajectory and round.
     """
     options = design.options
     started = design_module.clock()
     budget = options.time_budget or np.inf
     deadline = started + budget - min(0.5 * budget, CHECK_TIME)
-    # Numbers of the random trajectories, those of one job in each batch.
-    numbers = range(options.draws)
-    batches = [numbers[k : k + DRAWS_PER_JOB] for k in numbers[::DRAWS_PER_JOB]]
-    n_jobs = len(batches) + options.starts + options.rounds
+    draws_time = options.draws / DRAWS_PER_ROUND
+    n_rounds = draws_time + options.starts + options.rounds
 
-    def report(n_done: int) -> None:
-        """Show the progress after ``n_done`` jobs, and the errors by the best trajectory so far."""
-        best = _best(candidates)
-        # Zero coefficients of a draw that keeps no limits give no errors.
-        x = best.feasible_x if best else min(draws, key=lambda draw: draw.score).x
-        errors = design.expected_errors(x)
-        done: float = n_done
-        total: float = n_jobs
+    def report(done: float, text: str) -> None:
+        """Show the progress after as much work as ``done`` rounds take."""
+        total = n_rounds
         if options.time_budget:
             done = min(design_module.clock() - started, budget)
             total = budget
-        progress.advance("Designing the trajectory", min(done, total), total, errors)
+        progress.advance("Designing the trajectory", min(done, total), total, text)
 
-    with _worker_pool(design, options.n_workers) as run:
-        draw = partial(draw_trajectories, seed=seed, deadline=deadline)
-        jobs = [partial(draw, numbers=batch) for batch in batches]
-        for n_done, batch_draws in enumerate(run(jobs), start=1):
-            draws += batch_draws
-            report(n_done)
-            if is_over(deadline) and _feasible_draws(draws):
-                return "time budget"
-        starts = [draw.x for draw in _feasible_draws(draws)]
-        if not options.rounds:
-            starts = starts[:1]
-        for first in range(0, len(starts), options.starts):
-            batch = starts[first : first + options.starts]
-            for n_done in _improve_starts(run, options, batch, candidates, deadline):
-                report(len(batches) + n_done)
-            if is_over(deadline):
-                return "time budget"
-            if options.time_budget is None:
-                break
-    report(n_jobs)
+    for number in range(options.draws):
+        draws.append(draw_trajectory(design, seed, number))
+        report((number + 1) / DRAWS_PER_ROUND, "random motions")
+        if is_over(deadline) and _feasible_draws(draws):
+            return "time budget"
+    starts = [draw.x for draw in _feasible_draws(draws)]
+    if not options.rounds:
+        starts = starts[:1]
+    for first in range(0, len(starts), options.starts):
+        batch = starts[first : first + options.starts]
+        for n_done in _improve_starts(design, batch, candidates, deadline):
+            report(draws_time + n_done, "improving the best")
+        if is_over(deadline):
+            return "time budget"
+        if options.time_budget is None:
+            break
+    report(n_rounds, "improving the best")
     return ""
 
 
 def _improve_starts(
-    run: Callable[[Sequence[Job]], Iterator[Any]],
-    options: ExcitationOptions,
+    design: Design,
     starts: Sequence[Array],
     candidates: list[Candidate],
     deadline: float,
 ) -> Iterator[int]:
     """Improve starts by a round each, then the best of them until it gains next to nothing; yield
-    the number of jobs done after each job.
+    the number of rounds done after each round.
 
     Args:
-        run: yields the results of jobs in order, see ``_worker_pool``.
-        options: of the search.
+        design: the arm, its limits and what is minimised.
         starts: coefficients (n, M) of random trajectories that keep all limits.
         candidates: one candidate per start is appended, and replaced there when it improves.
         deadline: time of ``design.clock`` after which no round begins [s].
     """
     first = len(candidates)
-    candidates += list(run([partial(first_candidate, x=x) for x in starts]))
-    jobs = []
-    if options.rounds:
-        for candidate in candidates[first:]:
-            jobs.append(partial(improve, candidate=candidate, deadline=deadline))
-    for k, improved in enumerate(run(jobs)):
-        candidates[first + k] = improved
-        yield k + 1
+    candidates += [first_candidate(design, x) for x in starts]
+    if design.options.rounds:
+        for k in range(first, len(candidates)):
+            candidates[k] = improve(design, candidates[k], deadline)
+            yield k - first + 1
     scores = [candidate.feasible_score for candidate in candidates[first:]]
     best = first + int(np.argmin(scores))
-    for n_rounds in range(1, options.rounds):
+    for n_rounds in range(1, design.options.rounds):
         if is_over(deadline):
             break
         previous = candidates[best]
-        (improved,) = run([partial(improve, candidate=previous, deadline=deadline)])
+        improved = improve(design, previous, deadline)
         candidates[best] = improved
         yield len(starts) + n_rounds
         gain = previous.feasible_score - improved.feasible_score
@@ -305,25 +271,16 @@ class Draw:
     obstacle: str
 
 
-def draw_trajectories(
-    design: Design, seed: int, numbers: Sequence[int], deadline: float = np.inf
-) -> list[Draw]:
-    """Return random trajectories, scaled to keep the limits; of an infeasible one the score is inf.
+def draw_trajectory(design: Design, seed: int, number: int) -> Draw:
+    """Return a random trajectory, scaled to keep the limits; of an infeasible one the score is inf.
 
     Args:
         design: the arm, its limits and the criterion.
         seed: of the search.
-        numbers: of the trajectories; each depends on the seed and its own number alone.
-        deadline: time of ``design.clock`` [s]; once it has passed, drawing ends with the first
-            feasible trajectory.
+        number: of the trajectory, which depends on both numbers alone.
     """
-    draws = []
-    for number in numbers:
-        x = _draw_within_motion_limits(design, np.random.default_rng([seed, number]))
-        draws.append(_shrink_to_limits(design, x))
-        if is_over(deadline) and np.isfinite(draws[-1].score):
-            break
-    return draws
+    x = _draw_within_motion_limits(design, np.random.default_rng([seed, number]))
+    return _shrink_to_limits(design, x)
 
 
 def _draw_within_motion_limits(design: Design, rng: np.random.Generator) -> Array:
@@ -402,99 +359,3 @@ def _shrink_to_limits(design: Design, full: Array) -> Draw:
         closest = design.problem.obstacles.closest(q[sample])
         obstacle = f"clearance of {closest.label}"
     return Draw(np.inf, np.zeros_like(full), obstacle)
-
-
-Job = Callable[[Any], Any]
-"""A function of the shared object of a ``_worker_pool``. It is sent to other processes, so it is a
-function of a module or a ``functools.partial`` of one."""
-
-# The shared object that the jobs of this process work on, where this process is a worker.
-_received: Any = None
-
-
-@contextlib.contextmanager
-def _worker_pool(
-    shared: Any, count: int
-) -> Iterator[Callable[[Sequence[Job]], Iterator[Any]]]:
-    """Provide a function that takes jobs and yields their results, in order, from worker processes.
-
-    Workers are started afresh ("spawn"), so nothing depends on what this process has loaded; each
-    receives the shared object once and keeps it. At the end they are ended at once, in the middle
-    of a job too.
-
-    Args:
-        shared: the argument of every job; it is pickled once per worker.
-        count: number of workers; with 1 the present process does the work.
-    """
-    pool = None
-    earlier_children = set(multiprocessing.active_children())
-    # Without memory for another process, for its pipes or its semaphores there is no pool.
-    with contextlib.suppress(OSError, RuntimeError, ImportError):
-        if count > 1:
-            context = multiprocessing.get_context("spawn")
-            pool = ProcessPoolExecutor(count, context, _receive, (shared,))
-    try:
-        yield partial(_run_jobs, shared, pool)
-    finally:
-        if pool is not None:
-            workers = set(multiprocessing.active_children()) - earlier_children
-            pool.shutdown(wait=False, cancel_futures=True)
-            # A job that nobody waits for any more would keep this program from ending.
-            for worker in workers:
-                worker.terminate()
-
-
-def _run_jobs(
-    shared: Any, pool: ProcessPoolExecutor | None, jobs: Sequence[Job]
-) -> Iterator[Any]:
-    """Yield the results of jobs in order; this process does the jobs of workers that died or could
-    not start, and all jobs where there is no pool.
-    """
-    n_done = 0
-    with contextlib.suppress(BrokenProcessPool, OSError, RuntimeError):
-        for future in () if pool is None else _submit(pool, jobs):
-            yield future.result()
-            n_done += 1
-    # A job that fails by itself, and not for want of a worker, fails here again and raises.
-    for job in jobs[n_done:]:
-        yield job(shared)
-
-
-def _submit(pool: ProcessPoolExecutor, jobs: Sequence[Job]) -> list[Future[Any]]:
-    """Return the futures of jobs, in their order; submitting the first ones starts the workers.
-
-    The workers ignore Ctrl-C, and do their linear algebra in one thread: the matrices are small,
-    and threads that wait for each other would cost as much as they gain. For that,
-    ``_THREAD_COUNTS`` are set in this process while workers start, where they have no value yet.
-    """
-    unset = [name for name in _THREAD_COUNTS if name not in os.environ]
-    os.environ.update(dict.fromkeys(unset, "1"))
-    try:
-        with delay_signals((signal.SIGINT,)):
-            return [pool.submit(_run_received, job) for job in jobs]
-    finally:
-        for name in unset:
-            os.environ.pop(name, None)
-
-
-def _receive(shared: Any) -> None:
-    """Keep the shared object for the jobs of this worker process, and make the process end when its
-    parent process ends.
-    """
-    global _received
-    _received = shared
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """Wait for the end of the parent process, then end this one at once."""
-    # Workers hold both ends of their queue: one whose parent was killed would wait for ever.
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _run_received(job: Job) -> Any:
-    """Return the result of a job on the object that this worker has received."""
-    return job(_received)

@@ -43,11 +43,7 @@ from robot_sysid.estimation.unknowns import (
 from robot_sysid.model.bodies import usual_bodies
 from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD
 from robot_sysid.motion.information import JOINT_TERMS, PriorKnowledge, design_criterion
-from robot_sysid.motion.prediction import (
-    Prediction,
-    invisible_combinations,
-    parameter_sizes,
-)
+from robot_sysid.motion.prediction import Prediction, invisible_combinations
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array, MotionPlan, SquareRootInformation
 from robot_sysid.records.messages import percent
@@ -211,7 +207,7 @@ def predict(
     recordings = "Recorded once"
     subject = robot.body_name
     theta = robot.prior.theta
-    size = parameter_sizes(problem)
+    size = problem.scale
     if recording.is_payload:
         names = PAYLOAD_NAMES
         recordings = RECORDED_FOR_PAYLOAD

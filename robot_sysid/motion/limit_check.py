@@ -29,13 +29,6 @@ FEW_RATE_HZ = 100.0
 """Rate of a first coarse check [Hz]: most motions that break a limit break it at these samples."""
 CLEARANCE_RESOLUTION = 1e-3
 """Largest error of the reported slack of the tightest pair [m]."""
-DISTANCE_RESOLUTION = 1e-4
-"""Largest error of the reported least distance between bodies [m]."""
-EXACT_UP_TO = 15.0
-"""Duration up to which ``CLEARANCE_RESOLUTION`` and ``DISTANCE_RESOLUTION`` hold [s]; for longer
-motions they grow with the square of the duration."""
-LEAST_EXACT = 3e-3
-"""Largest error of slacks and distances of a long motion [m]."""
 TOUCH = 1e-6
 """By how much a clearance may be missed [m]: MuJoCo's tolerance for distances of convex shapes. The
 approach is a sum with rounding errors, so a motion that just keeps a clearance may miss it by
@@ -115,15 +108,10 @@ class LimitCheck(Peaks):
 
     Attributes:
         closest: the pair with the least slack: distance minus required distance.
-        nearest: the pair that comes nearest to each other.
-        resolution: largest error of the distance of ``nearest``: no pair comes nearer than that
-            distance minus this [m].
         excesses: limits that are not kept, the worst first; () for a trajectory that may be run.
     """
 
     closest: Closest
-    nearest: Closest
-    resolution: float
     excesses: tuple[Excess, ...]
 
     @property
@@ -154,23 +142,13 @@ def check_limits(
         sample_rate: at which it will be run [Hz]; it is checked at this rate, at least at 1 kHz.
     """
     peaks = _peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate), tool=True)
-    coarser = max(1.0, checked_time(plan) / EXACT_UP_TO) ** 2
-    resolution = min(LEAST_EXACT, coarser * DISTANCE_RESOLUTION)
-    clearance_resolution = min(LEAST_EXACT, coarser * CLEARANCE_RESOLUTION)
-    closest = _tightest(problem.obstacles, plan, clearance_resolution)
-    nearest = _tightest(problem.obstacles.distances, plan, resolution)
+    closest = _tightest(problem.obstacles, plan, CLEARANCE_RESOLUTION)
     excesses = list(_excesses(problem, peaks))
     if closest.slack < -TOUCH:
         share = 1.0 - closest.slack / OBSTACLE_LENGTH
         excesses.append(Excess(f"clearance of {closest.label}", share, closest.time))
     worst = tuple(sorted(excesses, key=lambda excess: -excess.share))
-    return LimitCheck(
-        **vars(peaks),
-        closest=closest,
-        nearest=nearest,
-        resolution=resolution,
-        excesses=worst,
-    )
+    return LimitCheck(**vars(peaks), closest=closest, excesses=worst)
 
 
 def scale_to_limits(
@@ -234,14 +212,6 @@ def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> Closest | Non
     """
     closest = _tightest(problem.obstacles, plan, np.inf, stop_below=0.0)
     return closest if closest.slack < 0.0 else None
-
-
-def checked_time(plan: MotionPlan) -> float:
-    """Return how much of a motion is checked for clearance [s]: all of it, or one period and both
-    ends of a motion that repeats itself.
-    """
-    lengths = np.diff(_spans(plan))
-    return float(np.sum(lengths))
 
 
 def _spans(plan: MotionPlan, rate: float = 0.0) -> tuple[tuple[float, float], ...]:

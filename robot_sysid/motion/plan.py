@@ -269,7 +269,7 @@ def _designed_plan(
     progress.stage(
         Detail(
             f"Mean standard deviation: {result.objective:.4g}, {gain:.2f} times better than "
-            f"the best of {result.n_feasible} feasible random ones"
+            "the best random one"
         )
     )
     return CheckedPlan(result.trajectory, problem, result.limit_check)

@@ -14,36 +14,16 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.identifiability import describe
 from robot_sysid.motion.information import Criterion, mass_and_centre_errors
-from robot_sysid.motion.limit_check import DISTANCE_RESOLUTION, LimitCheck
-from robot_sysid.motion.problem import (
-    ASKED,
-    ASSUMED,
-    CAPPED,
-    LIMIT_NAMES,
-    MODEL,
-    RESERVE_WORDS,
-    ExcitationProblem,
-)
+from robot_sysid.motion.limit_check import LimitCheck
+from robot_sysid.motion.problem import LIMIT_NAMES, RESERVE_WORDS, ExcitationProblem
 from robot_sysid.motion.solids import swept_space, unguarded_text
 from robot_sysid.motion.static import contact_on_the_way
 from robot_sysid.records import Array, MotionPlan
-from robot_sysid.records.messages import (
-    PARAMETER_UNITS,
-    Detail,
-    percent,
-    position_unit,
-    torque_unit,
-)
-from robot_sysid.trajectory import TORQUE_MARGIN, spread_motion
+from robot_sysid.records.messages import PARAMETER_UNITS, Detail, percent, position_unit
+from robot_sysid.trajectory import spread_motion
 
 LARGE_SHARE = 0.2
 """Predicted standard error over the parameter's size above which the parameter is named."""
-_DIAGONAL = (0, 4, 7, 9)
-"""Indices of the parameters whose errors are compared with their own value: mass and moments of
-inertia."""
-_OFF_DIAGONAL = {5: (4, 7), 6: (4, 9), 8: (7, 9)}
-"""Index of a product of inertia to those of the two moments of inertia whose geometric mean its
-error is compared with."""
 _SAME_POSE = 1e-6
 """How near to the model's pose a start counts as that pose [rad or m]."""
 _MOST_POSTURES = 3000
@@ -58,9 +38,8 @@ class Prediction:
         recordings: how the motion is recorded, in words that begin a sentence.
         subject: which body is identified, in words.
         theta: (10,) of that body.
-        size: (10,) magnitude that each error is compared with: for the mass and the moments of
-            inertia the model's value, for a first moment the mass times a length of the body, for a
-            product of inertia Iij sqrt(Iii Ijj).
+        size: (10,) magnitude that each error is compared with: m, m L and m L^2 with a length L
+            of the body.
         covariance: (10, 10) of theta; infinite on the diagonal where the model's value stays.
         covariance_by_cause: cause of errors to its part (10, 10) of the covariance.
         link_mass_errors: name of every other link to the standard error of its mass over its mass.
@@ -110,18 +89,6 @@ class Prediction:
         return mass_and_centre_errors(self.theta, covariance)
 
 
-def parameter_sizes(problem: ExcitationProblem) -> Array:
-    """Return the magnitudes (10,) that errors of the terminal link are compared with, as described
-    for ``Prediction.size``.
-    """
-    theta = problem.robot.prior.theta
-    is_own = (theta > 0.0) & np.isin(np.arange(10), _DIAGONAL)
-    size = np.where(is_own, theta, problem.scale)
-    for k, (i, j) in _OFF_DIAGONAL.items():
-        size[k] = np.sqrt(size[i] * size[j])
-    return size
-
-
 def invisible_combinations(
     problem: ExcitationProblem, criterion: Criterion
 ) -> tuple[str, ...]:
@@ -157,18 +124,18 @@ def plan_lines(
 def limit_lines(
     problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
 ) -> Iterator[str]:
-    """Yield a line with the least distance between bodies where the motion keeps all limits, else
-    a line for each limit that it breaks, and one on the reserve for links that are less known.
+    """Yield a line with the pair that has the least room where the motion keeps all limits, else a
+    line for each limit that it breaks, and one on the reserve for links that are less known.
 
     A further line names the links that no distance is known of.
     """
     unguarded = unguarded_text(problem.unguarded)
     if check.holds:
-        nearest = check.nearest
+        closest = check.closest
         nearness = "nothing comes near"
-        if np.isfinite(nearest.distance):
-            distance = _at_least(nearest.distance, check.resolution)
-            nearness = f"least distance {distance} mm, between {nearest.label}"
+        if np.isfinite(closest.distance):
+            distance = f"about {1e3 * closest.distance:.0f} mm"
+            nearness = f"least room between {closest.label}, {distance} apart"
         elif unguarded:
             nearness = "distances between its parts are not known"
         yield f"Keeps all limits for {plan.duration:.1f} s; {nearness}"
@@ -227,14 +194,13 @@ def _error_lines(prediction: Prediction) -> Iterator[str]:
 def motion_lines(
     problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
 ) -> Iterator[str]:
-    """Yield, mostly as details, how a motion uses its limits, its space and the torque, and where
-    it starts; assumed limits are no detail.
+    """Yield, mostly as details, how a motion uses its limits and its space, and where it starts;
+    assumed limits are no detail.
     """
     yield Detail("Peaks (share of limit):")
     yield from map(Detail, _joint_lines(problem, check))
-    yield from _origin_lines(problem)
+    yield from _assumed_lines(problem)
     yield from map(Detail, _space_lines(problem, plan, check))
-    yield from map(Detail, _load_lines(problem, plan))
     yield from _start_lines(problem, plan)
 
 
@@ -262,39 +228,26 @@ def _share_text(peak: float, limit: float) -> str:
     return f" ({100.0 * peak / limit:3.0f} %)" if np.isfinite(limit) else " (no limit)"
 
 
-def _origin_lines(problem: ExcitationProblem) -> Iterator[str]:
-    """Yield which limits are the model's and which were asked for, as details, and which are this
-    program's own or assumed: a real arm may allow less than that.
+def _assumed_lines(problem: ExcitationProblem) -> Iterator[str]:
+    """Yield a line on the limits that neither the model nor an option states: a real arm may allow
+    less than that.
     """
-    for origin, title in (
-        (MODEL, "Limits of the model"),
-        (ASKED, "Limits that were asked for"),
-        (CAPPED, "Limits of this program, unless --max-velocity states others"),
-        (ASSUMED, "Limits assumed, as the model states none (check them)"),
-    ):
-        limits: list[str] = []
-        for family in LIMIT_NAMES:
-            for is_slide in (False, True):
-                limits += _limits_with_origin(problem, family, origin, is_slide)
-        line = f"{title}: {'; '.join(limits)}"
-        if limits:
-            yield line if origin in (CAPPED, ASSUMED) else Detail(line)
+    limits: list[str] = []
+    for family in problem.assumed:
+        for is_slide in (False, True):
+            limits += _assumed_limits(problem, family, is_slide)
+    if limits:
+        yield f"Limits of this program (check them against the arm's): {'; '.join(limits)}"
 
 
-def _limits_with_origin(
-    problem: ExcitationProblem, family: str, origin: str, is_slide: bool
+def _assumed_limits(
+    problem: ExcitationProblem, family: str, is_slide: bool
 ) -> Iterator[str]:
-    """Yield the limits that are from one origin in words, such as "velocity 2 rad/s of joint0,
-    joint1"; nothing where none is.
-
-    Args:
-        problem: the arm and its limits.
-        family: one of ``LIMIT_NAMES``.
-        origin: ``MODEL``, ``ASKED``, ``CAPPED`` or ``ASSUMED``.
-        is_slide: whether those of slides are wanted, else those of hinges.
+    """Yield the assumed limits of a family in words, such as "velocity 2 rad/s of joint0, joint1",
+    those of slides or those of hinges; nothing where there are none.
     """
-    is_listed = problem.origins[family] == origin
-    joints = np.flatnonzero(is_listed & (problem.robot.is_slide == is_slide)).tolist()
+    is_listed = problem.assumed[family] & (problem.robot.is_slide == is_slide)
+    joints = np.flatnonzero(is_listed).tolist()
     if not joints:
         return
     names = ", ".join(problem.joint_names[j] for j in joints)
@@ -305,9 +258,6 @@ def _limits_with_origin(
         return
     limit = problem.limits.largest[LIMIT_NAMES.index(family), joints]
     unit = f"{position_unit(is_slide)}/s{'²' if family == 'acceleration' else ''}"
-    if family == "torque":
-        limit = limit / TORQUE_MARGIN
-        unit = torque_unit(is_slide)
     values = ", ".join(f"{value:.4g}" for value in np.unique(limit))
     yield f"{family} {values} {unit} of {names}"
 
@@ -330,52 +280,10 @@ def _space_lines(
         reach = f"gets {below:.2f} m below z = 0" if below else "stays above z = 0"
         advice = "--keep-out 0 0 1 0 keeps all parts above it"
         yield f"The model has no floor: this motion {reach}; {advice}"
-    nearest = check.nearest
-    tightest = check.closest
-    if np.isfinite(nearest.distance):
-        distance = _at_least(nearest.distance, check.resolution)
-        bodies = f"between {nearest.label} at {nearest.time:.2f} s"
-        yield f"Clearance: {distance} mm {bodies}"
-    elif not problem.unguarded:
-        yield "Clearance: nothing comes near"
-    if np.isfinite(tightest.distance) and tightest.label != nearest.label:
-        slack = f"{1000.0 * tightest.slack:.1f} mm more than required"
-        yield f"Least room: {slack}, between {tightest.label} at {tightest.time:.2f} s"
-    neighbours = problem.obstacles.neighbours
-    if np.isfinite(neighbours.distance):
-        distance = _at_least(neighbours.distance)
-        yield f"No motion brings these nearer than {distance} mm: {neighbours.label}"
-
-
-def _at_least(distance: float, resolution: float = DISTANCE_RESOLUTION) -> str:
-    """Return a distance [m] less its largest error, ``resolution`` [m], in mm, rounded down to
-    tenths.
-    """
-    tenths = np.floor(1e4 * (distance - resolution) + 1e-6)
-    return f"{tenths / 10.0:.1f}"
-
-
-def _load_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
-    """Yield lines on the torque that is reserved for errors of the links, and on the heaviest load
-    at the tool's tip that the torque limits allow; nothing where no torque is limited.
-    """
-    if not np.any(np.isfinite(problem.limits.torque)):
-        return
-    motion = spread_motion(plan, _MOST_POSTURES)
-    if problem.has_torque_reserve:
-        reserves = np.max(problem.torque_reserve(motion), axis=0)
-        pairs = zip(problem.joint_names, reserves)
-        listed = ", ".join(
-            f"{name} {reserve:.2g}" for name, reserve in pairs if reserve > 0.0
-        )
-        yield f"Torque reserve for errors of the links (--link-uncertainty), up to: {listed}"
-    load, joint = problem.load_left(motion)
-    name = problem.joint_names[joint]
-    note = ""
-    if problem.reserve > 0.0:
-        note = f" (--payload-reserve {problem.reserve:.12g} kept)"
-    load = np.floor(100.0 * load) / 100.0
-    yield f"Torque left: a load of {load:.2f} kg at the tool's tip, then {name} is full{note}"
+    closest = check.closest
+    if np.isfinite(closest.distance):
+        slack = f"about {1000.0 * closest.slack:.0f} mm more than required"
+        yield f"Least room: {slack}, between {closest.label} at {closest.time:.2f} s"
 
 
 def contact_before(problem: ExcitationProblem, plan: MotionPlan) -> str | None:

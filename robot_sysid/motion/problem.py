@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +24,6 @@ from robot_sysid.motion.solids import (
     unguarded_links,
 )
 from robot_sysid.records import Array, JointLimits, Motion, RobotModel
-from robot_sysid.records.messages import Detail
 from robot_sysid.records.option_fields import (
     DEFAULT_MAX_VELOCITY,
     PerJoint,
@@ -53,16 +52,6 @@ RESERVE_WORDS = ", with the reserve for errors of the links"
 """End of the name of a torque limit of which a reserve is kept."""
 _LEVEL = 0.9
 """Cosine of the slope up to which a keep-out plane counts as the ground."""
-MODEL = "the model"
-"""Origin of a limit that the model states."""
-ASKED = "the options"
-"""Origin of a limit that an option states."""
-ASSUMED = "an assumption"
-"""Origin of a limit that this program assumes, as the model states none."""
-CAPPED = "a cap"
-"""Origin of a limit that this program does not exceed, whatever the model allows."""
-NONE = "nothing"
-"""Origin of a limit that does not exist."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +178,8 @@ class ExcitationProblem:
             where the links are taken as they are.
         rows: indices of the chain joints whose torque will be used.
         sigma: (len(rows),) standard deviation of the noise of these torques [N m].
-        origins: per family in ``LIMIT_NAMES`` where the limit of each joint (n,) comes from.
+        assumed: family of ``LIMIT_NAMES`` to whether each joint's limit (n,) is stated neither by
+            the model nor by an option.
         obstacles: distances between bodies that have to be kept.
         notes: sentences for the user on these limits.
         has_floor: whether a floor, a half-space or a workspace keeps the arm above the ground.
@@ -208,7 +198,7 @@ class ExcitationProblem:
     obstacles: Clearance
     rows: tuple[int, ...]
     sigma: Array
-    origins: Mapping[str, NDArray[np.str_]]
+    assumed: Mapping[str, NDArray[np.bool_]]
     notes: tuple[str, ...] = ()
     has_floor: bool = True
     unguarded: tuple[str, ...] = ()
@@ -265,24 +255,6 @@ class ExcitationProblem:
         point_inertia = np.zeros((3, 3))
         thetas[-1] = spatial.theta_from_com(1.0, self.tool.tip, point_inertia)
         return self.dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
-
-    def load_left(self, motion: Motion) -> tuple[float, int]:
-        """Return the heaviest load [kg] at the tool's tip within all torque limits, and the index
-        of the joint whose limit it reaches.
-
-        Infinite where no torque is limited, negative where the arm alone is beyond a limit.
-        """
-        torque = self.arm_torque(motion)
-        per_kilogram = self.torque_per_kilogram(motion)
-        limit = self.limits.torque - self.torque_reserve(motion)
-        # Torque that is left in the direction in which the load pulls; negative beyond the limit.
-        margin = np.where(per_kilogram >= 0.0, limit - torque, limit + torque)
-        margin = np.where(np.abs(torque) > limit, limit - np.abs(torque), margin)
-        # More than rounding leaves where a joint does not carry the load.
-        is_loaded = np.abs(per_kilogram) > 1e-12
-        divisor = np.where(is_loaded, np.abs(per_kilogram), 1.0)
-        load = np.min(np.where(is_loaded, margin / divisor, np.inf), axis=0)
-        return float(np.min(load)), int(np.argmin(load))
 
     def torque_at(
         self, q: Array, qd: Array | float = 0.0, qdd: Array | float = 0.0
@@ -358,7 +330,7 @@ def build_problem(
     Raises:
         InputError: the arm breaks a limit already at rest; says which.
     """
-    motion_limits, origins = _limits(robot, limits, top_frequency_hz)
+    motion_limits, assumed = _limits(robot, limits, top_frequency_hz)
     start_pose = np.clip(robot.reference, motion_limits.lower, motion_limits.upper)
     moved = []
     for name, q, reference in zip(robot.joint_names, start_pose, robot.reference):
@@ -372,7 +344,6 @@ def build_problem(
         )
     base = _space_above_base(robot, limits, start_pose)
     obstacles = _obstacles(robot, limits, start_pose, base)
-    notes += _obstacle_notes(obstacles)
     links = (robot.n_joints - 1, *reversed(other_links(robot)))
     rows = tuple(range(robot.n_joints)) if torques == "chain" else (robot.n_joints - 1,)
     return ExcitationProblem(
@@ -388,7 +359,7 @@ def build_problem(
         obstacles=obstacles,
         rows=rows,
         sigma=joint_values(noise_torque, robot.n_joints, "--noise-torque")[list(rows)],
-        origins=origins,
+        assumed=assumed,
         notes=tuple(notes),
         has_floor=bool(base or limits.keep_out or limits.workspace) or has_floor(robot),
         unguarded=unguarded_links(robot),
@@ -412,9 +383,8 @@ def _position_limits(robot: RobotModel) -> tuple[Array, Array]:
 
 def _limits(
     robot: RobotModel, options: LimitOptions, top_frequency_hz: float | None
-) -> tuple[MotionLimits, Mapping[str, NDArray[np.str_]]]:
-    """Return the limits of a motion, and per family in ``LIMIT_NAMES`` the origin (n,) of each
-    joint's limit: ``MODEL``, ``ASKED``, ``ASSUMED``, ``CAPPED`` or ``NONE``.
+) -> tuple[MotionLimits, Mapping[str, NDArray[np.bool_]]]:
+    """Return the limits of a motion, and which of them are assumed (``ExcitationProblem.assumed``).
 
     ``top_frequency_hz`` is as in ``build_problem``.
     """
@@ -442,20 +412,13 @@ def _limits(
     speed = joint_values(options.max_velocity, robot.n_joints, "--max-velocity")
     default_speed = np.where(is_slide, np.minimum(DEFAULT_SLIDE_VELOCITY, speed), speed)
     is_default = is_slide | (speed == DEFAULT_MAX_VELOCITY)
-    speed_origin = np.where(is_default, CAPPED, ASKED)
     has_range = np.isfinite(model_limits.lower) & np.isfinite(model_limits.upper)
-    acceleration_origin = np.where(is_natural, ASSUMED, ASKED)
-    has_acceleration = np.isfinite(acceleration)
-    is_model_torque = limits.torque >= TORQUE_MARGIN * model_limits.torque
-    is_model_speed = model_limits.velocity < default_speed
-    origins = {
-        "position": np.where(has_range, MODEL, ASSUMED),
-        "velocity": np.where(is_model_speed, MODEL, speed_origin),
-        "acceleration": np.where(has_acceleration, acceleration_origin, NONE),
-        "torque": np.where(is_model_torque, MODEL, ASKED),
+    assumed = {
+        "position": ~has_range,
+        "velocity": is_default & (model_limits.velocity >= default_speed),
+        "acceleration": is_natural & np.isfinite(acceleration),
     }
-    origins["torque"][~np.isfinite(limits.torque)] = NONE
-    return limits, origins
+    return limits, assumed
 
 
 def _space_above_base(
@@ -507,20 +470,3 @@ def _obstacles(
             f"{space.label}; move that limit, or change the model's reference configuration"
         )
     return clearance
-
-
-def _obstacle_notes(clearance: Clearance) -> Iterator[str]:
-    """Yield notes on bodies that are near each other at rest."""
-    for state, description in _STATE_NOTES.items():
-        pairs = "; ".join(clearance.at_rest[state])
-        if pairs:
-            yield Detail(f"{description}: {pairs}")
-
-
-_STATE_NOTES = {
-    "ignored": "links that overlap by design, next to each other or in every position, are not "
-    "looked at",
-    "touching": "touching already at rest, and never to get deeper",
-    "near": "so near at rest that they keep half that distance, less than elsewhere",
-}
-"""State of pairs of bodies at rest, see ``Clearance.at_rest``, to a note on them."""

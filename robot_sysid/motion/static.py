@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from robot_sysid.errors import InputError
 from robot_sysid.motion import RECORDED_FOR_PAYLOAD, PoseOptions
 from robot_sysid.motion.limit_check import first_contact, keeps_limits
-from robot_sysid.motion.problem import ExcitationProblem
+from robot_sysid.motion.problem import RESERVE_WORDS, ExcitationProblem
 from robot_sysid.motion.trajectories import (
     PEAK_ACCELERATION,
     PEAK_OF_RAMP,
@@ -33,7 +33,7 @@ from robot_sysid.motion.trajectories import (
     LineTrajectory,
     straight_way,
 )
-from robot_sysid.records import Array, Motion, MotionPlan
+from robot_sysid.records import Array, MotionPlan
 from robot_sysid.records.messages import count_text, percent
 from robot_sysid.trajectory import TORQUE_MARGIN
 
@@ -107,7 +107,7 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
     Raises:
         InputError: no pose is free of collisions and held; names the bodies or the joint.
     """
-    collisions = problem.obstacles.at_rest["deep"]
+    collisions = problem.obstacles.collisions
     pose = problem.rest[None]
     hold_share = _torque_share(problem, pose, creep=0.0)[0]
     creep_share = _torque_share(problem, pose, creep=CREEP)[0]
@@ -158,18 +158,10 @@ def _overload(
     if is_held:
         task = "moving off against gravity and dry friction"
     unit = "N" if problem.robot.is_slide[joint] else "N·m"
-    reserve_note = ""
-    if problem.has_torque_reserve:
-        rates = np.zeros((2, 1, problem.n_joints))
-        pose = Motion(np.zeros(1), problem.rest[None], *rates)
-        reserve = problem.torque_reserve(pose)[0, joint]
-        reserve_note = (
-            f" ({reserve:.2g} of it for errors of the links, --link-uncertainty)"
-        )
+    reserve = RESERVE_WORDS if problem.has_torque_reserve else ""
     return (
-        f"{task} takes {share * limit:.3g} {unit}{reserve_note} at joint "
-        f"{problem.joint_names[joint]}, more than {100.0 * TORQUE_MARGIN:.0f} % of its "
-        f"torque limit of {limit / TORQUE_MARGIN:g}"
+        f"{task} at joint {problem.joint_names[joint]} takes {share * limit:.3g} {unit}{reserve}, "
+        f"more than {100.0 * TORQUE_MARGIN:.0f} % of its torque limit of {limit / TORQUE_MARGIN:g}"
     )
 
 

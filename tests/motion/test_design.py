@@ -14,7 +14,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.motion import ExcitationOptions
 from robot_sysid.motion import design as design_module
 from robot_sysid.motion.design import GRID_PER_CYCLE, INFORMATION_POINTS
-from robot_sysid.motion.design_search import draw_trajectories
+from robot_sysid.motion.design_search import draw_trajectory
 from robot_sysid.motion.information import InformationModel, known_arm
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.trajectory import TrajectoryOptions
@@ -32,7 +32,8 @@ from tests.support.excitation_arms import (
 
 def best_draw(design, seed=0):
     """Return the draw with the best score among four."""
-    return min(draw_trajectories(design, seed, range(4)), key=lambda d: d.score)
+    draws = [draw_trajectory(design, seed, number) for number in range(4)]
+    return min(draws, key=lambda draw: draw.score)
 
 
 def test_rounds_keep_the_best_feasible_trajectory():
@@ -84,8 +85,8 @@ def test_the_grid_is_fine_enough_for_the_band(xml):
     design = make_design(xml, duration=15.0)
     points_per_cycle = GRID_PER_CYCLE / INFORMATION_POINTS.step
     rate = points_per_cycle * design.basis.top_frequency_hz
-    for draw in draw_trajectories(design, 2, range(4)):
-        plan = design.trajectory(draw.x)
+    for number in range(4):
+        plan = design.trajectory(draw_trajectory(design, 2, number).x)
         fine = deviations(design, plan, 500.0, smooth=False)
         coarse = deviations(design, plan, rate, smooth=True)
         assert np.max(np.abs(coarse / fine - 1.0)) < 0.03
@@ -109,13 +110,13 @@ def test_unidentifiable_directions_have_no_information_on_any_motion(seed):
     ("changes", "message"),
     [
         ({"sample_rate": 1.0}, "rate 1 cannot show the motion's highest fr.*, 0.6 Hz"),
-        ({"duration": 2e4}, r"take about \d.* GB of memory.*make the motion shorter"),
+        ({"duration": 4e4}, r"take about \d.* GB of memory.*make the motion shorter"),
     ],
 )
 def test_impossible_searches_are_refused(changes, message):
     motion = TrajectoryOptions(**{"duration": 15.0, **changes})
     with pytest.raises(InputError, match=message):
-        Design(make_problem(arms.THREE), ExcitationOptions(workers=2), motion)
+        Design(make_problem(arms.THREE), ExcitationOptions(), motion)
 
 
 STRONG_MOTORS = arms.DRY_FRICTION.replace(
@@ -171,17 +172,3 @@ def test_gradient_of_the_clearance_equals_differences():
             exact = np.sum(by_q * direction)
             difference = slope(clearance, q, direction)
             assert exact == pytest.approx(difference, rel=1e-3, abs=1e-3)
-
-
-def test_constraints_are_shares_of_the_limits_minus_one():
-    problem = make_problem(arms.THREE, max_acceleration=5.0)
-    limits = problem.limits
-    q = np.vstack((limits.upper, limits.lower, 0.5 * (limits.lower + limits.upper)))
-    qd = np.tile(limits.velocity, (3, 1))
-    qdd = np.tile(-0.5 * limits.acceleration, (3, 1))
-    value = design_module.constraints_of(problem, (q, qd, qdd)).value
-    expected = np.full((3, 14), -1.0)
-    expected[:2, :3] = 0.0
-    expected[:, 3:6] = 0.0
-    expected[:, 6:9] = -0.5
-    assert np.allclose(value[:, :13], expected[:, :13])

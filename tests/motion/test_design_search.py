@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-import time
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +16,7 @@ from robot_sysid.model.bodies import find_new_contacts
 from robot_sysid.motion import design as design_module
 from robot_sysid.motion import design_search as search
 from robot_sysid.motion.design import Candidate, Design, constraints_of
-from robot_sysid.motion.design_search import design_excitation, draw_trajectories
+from robot_sysid.motion.design_search import design_excitation, draw_trajectory
 from robot_sysid.motion.expected_errors import prior_knowledge
 from robot_sysid.motion.problem import ROUNDING
 from robot_sysid.records.messages import Progress
@@ -32,7 +26,6 @@ from tests.support.arms import SEEDS
 from tests.support.excitation_arms import (
     DURATION,
     TOUCHING_AT_REST,
-    TUBES,
     TUBES_AND_POST,
     TUBES_ON_FLOOR,
     make_design,
@@ -40,7 +33,6 @@ from tests.support.excitation_arms import (
     options,
     robot,
 )
-from tests.support.places import ROOT
 
 ARMS = (
     arms.SLIDE_IN_CHAIN,
@@ -95,15 +87,11 @@ def test_limits_hold_for_a_slide_joint_and_over_a_floor(xml):
 
 @pytest.mark.slow
 def test_the_seed_alone_decides_the_trajectory():
-    """The process_id of workers does not."""
     design = make_design(arms.THREE, starts=2)
-    alone = run_search(design, 1)
-    together = run_search(make_design(arms.THREE, workers=2, starts=2), 1)
-    other = run_search(design, 2)
-    coefficients = alone.trajectory.coefficients
-    assert np.array_equal(coefficients, together.trajectory.coefficients)
-    assert alone.objective == together.objective
-    assert not np.array_equal(coefficients, other.trajectory.coefficients)
+    first, again, other = (
+        run_search(design, seed).trajectory.coefficients for seed in (1, 1, 2)
+    )
+    assert np.array_equal(first, again) and not np.array_equal(first, other)
 
 
 class RecordedProgress(Progress):
@@ -112,13 +100,11 @@ class RecordedProgress(Progress):
     def __init__(self, then=lambda done: None):
         self.done = []
         self.totals = set()
-        self.texts = []
         self._then = then
 
     def advance(self, label, done, total, text):
         self.done.append(done)
         self.totals.add(total)
-        self.texts.append(text)
         self._then(done)
 
 
@@ -129,9 +115,6 @@ def test_rounds_improve_the_objective_and_report_progress():
     assert result.objective < 0.9 * result.start_objective
     assert progress.done == sorted(progress.done)
     assert progress.totals == {progress.done[-1]}
-    text = progress.texts[-1]
-    assert text == design.expected_errors(result.trajectory.coefficients)
-    assert text.startswith("mass ± ") and text.endswith(" mm")
 
 
 def test_the_best_start_is_improved_until_a_round_gains_little(monkeypatch):
@@ -143,7 +126,7 @@ def test_the_best_start_is_improved_until_a_round_gains_little(monkeypatch):
         ((-1.0, -1.0), (-1.2, -1.2), (-1.2, -1.6), (-1.5, -1.51), (-1.505, -1.52))
     )
 
-    def fake_improve(shared, candidate, deadline):
+    def fake_improve(design, candidate, deadline):
         feasible_score, score = next(scores)
         rounds = candidate.rounds + 1
         return Candidate(None, None, 1.0, rounds, score, None, feasible_score)
@@ -151,30 +134,30 @@ def test_the_best_start_is_improved_until_a_round_gains_little(monkeypatch):
     monkeypatch.setattr(search, "first_candidate", lambda _, x: Candidate(x, None))
     monkeypatch.setattr(search, "improve", fake_improve)
     candidates = []
-    run = partial(search._run_jobs, None, None)
+    design = make_design(arms.THREE, rounds=50)
     starts = [np.zeros(1)] * 2
-    jobs = search._improve_starts(run, options(rounds=50), starts, candidates, np.inf)
-    assert list(jobs) == [1, 2, 3, 4, 5]
+    rounds = search._improve_starts(design, starts, candidates, np.inf)
+    assert list(rounds) == [1, 2, 3, 4, 5]
     first, second = candidates
     assert (first.rounds, first.feasible_score) == (1, -1.0)
     assert (second.rounds, second.feasible_score) == (4, -1.505)
 
 
-def interrupt_after(count):
-    """Return a listener that raises KeyboardInterrupt after ``count`` finished jobs."""
+def interrupt_after(rounds):
+    """Return a listener that raises KeyboardInterrupt after the work of some rounds."""
 
     def interrupt(done):
-        if done >= count:
+        if done >= rounds:
             raise KeyboardInterrupt
 
     return RecordedProgress(interrupt)
 
 
-@pytest.mark.parametrize(("count", "drawn"), [(2, 6), (1, 5)])
-def test_an_interruption_keeps_the_best_trajectory(count, drawn):
+@pytest.mark.parametrize("rounds", [2.0, 0.4])
+def test_an_interruption_keeps_the_best_trajectory(rounds):
     """Interrupted in a round of improvement, or among the first draws."""
-    result = run_search(make_design(arms.THREE, rounds=50), 3, interrupt_after(count))
-    assert (result.stopped, result.n_drawn) == ("interrupted", drawn)
+    result = run_search(make_design(arms.THREE, rounds=50), 3, interrupt_after(rounds))
+    assert result.stopped == "interrupted"
     assert any("interrupted" in note for note in result.notes)
     assert result.limit_check.holds
 
@@ -200,15 +183,15 @@ class Ticking:
         return self.step * self.asked
 
 
-@pytest.mark.parametrize(("step", "drawn"), [(1.0, 1), (0.01, 20)])
-def test_the_time_budget_ends_a_search_in_the_middle_of_a_job(step, drawn):
+@pytest.mark.parametrize("step", [1.0, 0.01])
+def test_the_time_budget_ends_a_search_in_the_middle_of_a_job(step):
     """Time is up after the first draw, or in the first round of improvement."""
     clock = Ticking(step)
     design = make_design(
         arms.THREE, time_budget=0.5, draws=20, rounds=50, iterations=1000
     )
     result = run_search(design, 3, clock=clock)
-    assert (result.stopped, result.n_drawn) == ("time budget", drawn)
+    assert result.stopped == "time budget"
     assert any("--save-trajectory" in note for note in result.notes)
     assert result.limit_check.holds
     assert step * clock.asked < 0.5 + 10.0 * step
@@ -224,37 +207,14 @@ def test_the_limit_that_no_draw_keeps_is_named():
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.slow
-def test_the_tool_uses_the_speed_that_its_limit_allows():
-    problem = make_problem(TUBES, max_tool_speed=0.3)
-    result = search_problem(problem, iterations=20, rounds=2)
-    assert result.limit_check.holds
-    assert 0.2 < result.limit_check.largest[-1] <= 0.3 * (1.0 + ROUNDING)
-
-
-def test_a_load_within_the_reserve_breaks_no_torque_limit():
-    """The load's torque is added by hand to the arm's own torque."""
-    unloaded = make_problem(arms.THREE, max_torque=8.0)
-
-    def largest_torque(problem):
-        plan = search_problem(problem, rounds=0, draws=3).trajectory
-        motion = plan.evaluate(np.arange(600) / 100.0)
-        torque = unloaded.torque(motion) + 3.0 * unloaded.torque_per_kilogram(motion)
-        return np.max(np.abs(torque))
-
-    loaded = make_problem(arms.THREE, max_torque=8.0, payload_reserve=3.0)
-    assert largest_torque(loaded) <= 0.95 * 8.0 * (1.0 + ROUNDING)
-    assert largest_torque(make_problem(arms.THREE)) > 8.0, "else nothing is reserved"
-
-
 DESIGNS = list(map(make_design, (arms.THREE, TUBES_AND_POST, arms.SLIDE_IN_CHAIN)))
 
 
 @given(st.sampled_from(DESIGNS), SEEDS)
 def test_every_feasible_draw_keeps_all_limits_on_the_grid(design, seed):
-    """Each draw depends on the seed and its own process_id alone."""
-    first, second = draw_trajectories(design, seed, [0, 1])
-    assert np.array_equal(draw_trajectories(design, seed, [1])[0].x, second.x)
+    """Each draw depends on the seed and its own number alone."""
+    first, second, again = (draw_trajectory(design, seed, k) for k in (0, 1, 1))
+    assert np.array_equal(again.x, second.x)
     assert not np.any(first.x) or not np.array_equal(first.x, second.x)
     if np.isfinite(first.score):
         value = constraints_of(design.problem, design.motion(first.x)).value
@@ -279,51 +239,3 @@ def test_the_target_decides_the_motion():
     other = design_module.improve(payload, start).feasible_x
     assert payload.criterion_of(other) < payload.criterion_of(x) - 0.01
     assert link.criterion_of(other) > link.criterion_of(x) + 0.005
-
-
-def die_in_worker(parent, number):
-    """Return (number, MKL threads, is_parent); end the process first unless it is the parent."""
-    if os.getpid() != parent and number:
-        os._exit(3)
-    return number, os.environ.get("MKL_NUM_THREADS"), os.getpid() == parent
-
-
-def test_jobs_of_dead_workers_run_in_the_parent(monkeypatch):
-    """Workers use one thread each unless the user sets the number of threads."""
-    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
-    with search._worker_pool(os.getpid(), 2) as run:
-        assert list(run([partial(die_in_worker, number=0)])) == [(0, "1", False)]
-        results = list(run([partial(die_in_worker, number=k) for k in range(1, 6)]))
-    assert [number for number, *_ in results] == [1, 2, 3, 4, 5]
-    assert all(is_parent for *_, is_parent in results)
-    assert "MKL_NUM_THREADS" not in os.environ
-
-
-def process_id(shared):
-    """Return the id of the process that runs this job."""
-    time.sleep(0.05)
-    return os.getpid()
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes cannot be listed")
-def test_workers_end_when_their_parent_is_killed():
-    """A killed process cannot end its workers itself."""
-    code = (
-        "from tests.motion.test_design_search import process_id, search\n"
-        "with search._worker_pool(0, 2) as run:\n"
-        "    print(*{*run([process_id] * 8)}, flush=True)\n"
-        "    input()\n"
-    )
-    pipe = subprocess.PIPE
-    with subprocess.Popen(
-        [sys.executable, "-c", code], cwd=ROOT, stdin=pipe, stdout=pipe
-    ) as run:
-        ids = run.stdout.readline().decode().split()
-        workers = [Path("/proc", worker_id) for worker_id in ids]
-        assert workers and all(worker.is_dir() for worker in workers)
-        run.kill()
-    limit = time.monotonic() + 20.0
-    while any(worker.is_dir() for worker in workers) and time.monotonic() < limit:
-        time.sleep(0.02)
-    assert not any(worker.is_dir() for worker in workers)

@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 import pytest
-from hypothesis import given
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics.equations import Equations, other_links
 from robot_sysid.dynamics.friction import TERMS, FrictionModel
-from robot_sysid.dynamics.inverse_dynamics import (
-    LinkDynamics,
-    analysis_copy,
-    data_at_pose,
-)
-from robot_sysid.errors import AmbiguousJointError
 from robot_sysid.motion.information import (
     JOINT_TERMS,
     Criterion,
@@ -25,7 +17,7 @@ from robot_sysid.motion.information import (
 )
 from robot_sysid.records import Measurement
 from tests.support import arms
-from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
+from tests.support.arms import random_motion, robot_of
 from tests.support.excitation_arms import make_problem, slope
 
 FREE = FrictionModel(JOINT_TERMS[:4])
@@ -162,58 +154,3 @@ def test_singular_information_has_an_infinite_criterion(size):
     matrix = np.full((10, 10), size)
     value, gradient = Criterion(np.eye(10), np.zeros((0, 0)), "link").evaluate(matrix)
     assert value == np.inf and gradient.shape == (10, 0)
-
-
-def arm_or_none(xml):
-    """Return the RobotModel of a random chain, or None where its terminal joint is ambiguous."""
-    try:
-        return robot_of(xml)
-    except AmbiguousJointError:
-        return None
-
-
-def terminal_motion(robot, q, qd, qdd):
-    """Return the last body's motion by MuJoCo.
-
-    Returns:
-        Body Jacobian (N, 6, n), twist (N, 6) and spatial acceleration minus gravity (N, 6).
-    """
-    model = analysis_copy(robot.mj_model)
-    frame = int(mujoco.mjtObj.mjOBJ_XBODY)
-    body = robot.body_id
-    dofs = robot.dof_index
-    jacobians = np.empty((len(q), 6, len(dofs)))
-    accelerations = np.empty((len(q), 6))
-    for k, acceleration in enumerate(accelerations):
-        data = data_at_pose(model, robot.reference_qpos)
-        data.qpos[robot.qpos_index] = q[k]
-        data.qvel[dofs] = qd[k]
-        data.qacc[dofs] = qdd[k]
-        mujoco.mj_inverse(model, data)
-        mujoco.mj_rnePostConstraint(model, data)
-        mujoco.mj_objectAcceleration(model, data, frame, body, acceleration, 1)
-        linear, angular = np.zeros((2, 3, model.nv))
-        mujoco.mj_jacBody(model, data, linear, angular, body)
-        to_body = data.xmat[body].reshape(3, 3).T
-        jacobians[k] = np.vstack(
-            (to_body @ angular[:, dofs], to_body @ linear[:, dofs])
-        )
-    twists = np.einsum("kij,kj->ki", jacobians, qd)
-    # MuJoCo's linear acceleration is the classical one minus gravity.
-    accelerations[:, 3:] -= np.cross(twists[:, :3], twists[:, 3:])
-    return jacobians, twists, accelerations
-
-
-@given(random_chain(), SEEDS)
-def test_motion_of_the_last_link_equals_mujoco(xml, seed):
-    robot = arm_or_none(xml)
-    if robot is None:
-        return
-    motion = random_motion(default_rng(seed), robot.n_joints, 5)
-    ours = LinkDynamics(robot).motion(*motion)
-    jacobian = np.einsum("nab,bin->nai", ours.to_links[-1], ours.joint_twists)
-    quantities = jacobian, ours.velocity[-1].T, ours.acceleration[-1].T
-    for actual, expected in zip(quantities, terminal_motion(robot, *motion)):
-        assert np.max(np.abs(actual - expected)) < 1e-10 * max(
-            1.0, np.max(np.abs(expected))
-        )

@@ -8,20 +8,15 @@ from functools import cache, partial
 import numpy as np
 import pytest
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
 
-from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.motion import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.motion.trajectories import save_trajectory
-from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms, witness
 from tests.support.excitation_arms import TUBES, TUBES_AND_POST, options, robot
-from tests.support.places import GUESS
-from tests.support.releases import since
 
 DURATION = 4.0
 
@@ -85,10 +80,6 @@ def test_motions_that_are_played_saved_or_limited_are_checked():
         ("sines", "weight", 0.5),
         ("optimal", "link", 0.5),
         ("optimal", "weight", 0.0),
-        pytest.param("sines", "link", 0.5, marks=pytest.mark.slow),
-        pytest.param("sines", "weight", 0.0, marks=pytest.mark.slow),
-        pytest.param("optimal", "link", 0.0, marks=pytest.mark.slow),
-        pytest.param("optimal", "weight", 0.5, marks=pytest.mark.slow),
     ],
 )
 def test_a_planned_motion_reserves_torque_for_errors_of_the_links(
@@ -122,39 +113,6 @@ def test_a_planned_motion_reserves_torque_for_errors_of_the_links(
     needed = np.maximum(np.abs(problem.arm_torque(motion)), np.abs(loaded))
     assert np.all(needed + 2.0 * deviation <= 0.96 * limit)
     assert np.max(np.abs(motion.qd)) <= fastest
-
-
-WEAK_LIMITS = np.array([39, 39, 39, 39, 9, 9, 0.6])
-"""Torque limits of a Kinova's joints, the last of them weak [N m]."""
-
-
-@since(4, 0)
-@pytest.mark.parametrize("first", ["motor", "pid"])
-def test_a_motion_keeps_the_torque_limits_whichever_actuator_comes_first(
-    tmp_path, first
-):
-    """A PID controller has two controls, each motor one."""
-    actuators = [
-        f'<motor joint="joint{k}" ctrlrange="-{limit} {limit}"/>'
-        for k, limit in enumerate(WEAK_LIMITS)
-    ]
-    if first == "pid":
-        actuators[0] = '<pid joint="joint0" input="pos ff" forcerange="-39 39"/>'
-    text = GUESS.read_text(encoding="utf-8")
-    beginning, _, rest = text.partition("<actuator>")
-    end = rest.partition("</actuator>")[2]
-    path = tmp_path / f"{first}_first.xml"
-    text = f"{beginning}<actuator>{''.join(actuators)}</actuator>{end}"
-    path.write_text(text, encoding="utf-8")
-    arm = load_robot_model(path, GUESS.parent / "meshes", max_velocity=3.0)
-    assert_allclose(arm.limits.torque, WEAK_LIMITS)
-    checked = make_plan(make_request(played=True), arm, 1, Listener())
-    motion = checked.plan.evaluate(np.linspace(0.0, checked.plan.duration, 400))
-    torque = np.abs(ArmDynamics(arm).torque(motion.q, motion.qd, motion.qdd))
-    dry = arm.friction.coulomb * (motion.qd != 0.0)
-    torque += dry + arm.friction.viscous * np.abs(motion.qd)
-    assert checked.check.holds
-    assert np.all(np.max(torque, axis=0) < WEAK_LIMITS)
 
 
 RATE = 100.0

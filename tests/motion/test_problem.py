@@ -153,32 +153,6 @@ def test_the_torque_with_a_reserve_covers_every_load_up_to_it(seed, mass):
     assert np.all(np.abs(loaded_torque(motion, mass)) <= reserved + 1e-12)
 
 
-def largest_load(problem, torque, motion):
-    """Return the largest load [kg] under torque limits (n,), and the joint that limits it."""
-    limits = replace(problem.limits, torque=torque)
-    return replace(problem, limits=limits).load_left(motion)
-
-
-@given(SEEDS)
-def test_the_largest_load_brings_one_joint_to_its_limit(seed):
-    motion = random_motion(7, seed)
-    limit = 1.5 * np.max(np.abs(SEVEN.torque(motion)), axis=0)
-    load, joint = largest_load(SEVEN, limit, motion)
-    share = np.max(np.abs(loaded_torque(motion, load)), axis=0) / limit
-    assert load > 0.0
-    assert share[joint] == pytest.approx(1.0, rel=1e-9) and np.max(share) <= 1.0 + 1e-9
-
-
-def test_the_largest_load_is_infinite_without_limits_and_negative_beyond():
-    """Also where the load relieves a joint that the arm alone brings beyond its limit."""
-    motion = random_motion(7, 0)
-    assert largest_load(SEVEN, np.full(7, np.inf), motion)[0] == np.inf
-    torque = -2.0 * np.sign(SEVEN.torque_per_kilogram(motion))
-    relieved = replace(SEVEN, arm_torque=lambda _: torque)
-    assert largest_load(relieved, np.full(7, 3.0), motion)[0] > 0.0
-    assert largest_load(relieved, np.full(7, 1.0), motion)[0] < 0.0
-
-
 @pytest.mark.parametrize("top", [0.6, 5.0, 15.0])
 def test_faster_harmonics_do_not_raise_the_acceleration_limit(top):
     problem = build(limited_arm(), "chain", 0.3, top)
@@ -190,13 +164,6 @@ def test_a_workspace_that_the_link_exceeds_at_rest_is_refused():
     message = "body link3 is 230 mm beyond the workspace's zmax = 1 m"
     with pytest.raises(InputError, match=message):
         make_problem(TUBES, workspace=box)
-
-
-def test_terminal_torques_use_one_row():
-    problem = make_problem(arms.SEVEN, "terminal", tuple(range(1, 8)))
-    assert problem.rows == (6,)
-    assert problem.sigma.tolist() == [7.0]
-    assert SEVEN.rows == tuple(range(7))
 
 
 BLOCK = '<geom type="box" size=".1 .1 .4" pos="0 0 -.4"/>'

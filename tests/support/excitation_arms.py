@@ -33,7 +33,7 @@ TOUCHING_AT_REST = TUBES_AND_POST.replace(
 )
 
 DURATION = 6.0
-SMALL = {"draws": 6, "starts": 1, "rounds": 1, "iterations": 8, "workers": 1}
+SMALL = {"draws": 6, "starts": 1, "rounds": 1, "iterations": 8}
 TOP_FREQUENCY_HZ = ExcitationOptions().basis(DURATION).top_frequency_hz
 
 
