@@ -25,7 +25,7 @@ BUDGETS = {
     "robot_sysid/logs": 22115,
     "robot_sysid/mjcf": 9445,
     "robot_sysid/model": 11076,
-    "robot_sysid/motion": 31616,
+    "robot_sysid/motion": 29453,
     "robot_sysid/pipeline": 7130,
     "robot_sysid/records": 9137,
     "robot_sysid/report": 16196,
@@ -33,8 +33,8 @@ BUDGETS = {
     "robot_sysid/servo": 10964,
     "robot_sysid/signals": 8508,
     "robot_sysid/simulation": 5928,
-    "robot_sysid": 12775,
-    "tests": 296005,
+    "robot_sysid": 12746,
+    "tests": 293559,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02
