@@ -494,8 +494,6 @@ def _joint_entry(
         "in_the_file": written_terms,
         "held_out_rmse_by_friction_model": joint.candidates,
         "two_ways": directional and dict(zip(("forward", "backward"), directional)),
-        "logs": joint.logs,
-        "another_day": joint.other_day_terms,
         "torque_noise": joint.noise,
     }
 

@@ -397,14 +397,11 @@ def test_links_joints_and_the_file_stand_beside_the_models():
         "joints/j5/two_ways/forward/value": 0.6,
         "joints/j5/two_ways/backward/value": 0.4,
         "joints/j5/in_the_file/viscous/value": 0.25,
-        "joints/j5/another_day/coulomb/standard_error": 0.08,
-        "joints/j5/logs/a.csv/coulomb/value": 0.45,
-        "joints/j5/logs/b.csv/coulomb/value": 0.55,
         "couplings/j5+j6/terms/viscous/value": 0.05,
     }
     assert_holds(content, expected)
     base_parameter = list(content["base_parameters"][1].values())
-    assert len(content["links"]) == 2 and len(content["joints"]["j5"]["logs"]) == 2
+    assert len(content["links"]) == 2
     assert base_parameter == ["hx(link6)", 0.02, 0.03, False]
     thetas = np.array([np.zeros(10), made.THETA])
     massless = made.model_file(thetas=thetas, validation_after=None)

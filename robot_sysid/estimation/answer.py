@@ -40,7 +40,6 @@ from robot_sysid.estimation.choices import Errors
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.errors import FitErrors
 from robot_sysid.estimation.fit import Fit
-from robot_sysid.estimation.log_comparison import FrictionOfLogs
 from robot_sysid.estimation.question import FILE_FRICTION
 from robot_sysid.estimation.trust import HARMLESS
 from robot_sysid.estimation.unknowns import LINKS
@@ -88,7 +87,6 @@ class Answer:
         tests: errors in predicting the torques of logs that were not fitted, one per log.
         acceleration_error: expected error of the acceleration, as a share of the acceleration.
         notes: sentences for the user.
-        friction_of_logs: friction according to each log; None for a single log.
         missed_friction: see ``trust.missed_friction``.
     """
 
@@ -101,7 +99,6 @@ class Answer:
     tests: tuple[Validation, ...] = ()
     acceleration_error: float = 0.0
     notes: tuple[str, ...] = ()
-    friction_of_logs: FrictionOfLogs | None = None
     missed_friction: str = ""
 
     @property
@@ -188,11 +185,6 @@ class Answer:
         choice = self.fit.choice
         for index, joint in enumerate(robot.joint_names):
             terms = self._friction(joint)
-            by_log = {}
-            other_day = {}
-            if self.friction_of_logs is not None:
-                by_log = self.friction_of_logs.by_log(joint)
-                other_day = self.friction_of_logs.on_another_day(joint, terms)
             model_terms = {
                 "coulomb": float(robot.friction.coulomb[index]),
                 "viscous": float(robot.friction.viscous[index]),
@@ -205,8 +197,6 @@ class Answer:
                 candidates=self.candidates.get(joint, {}) if terms else {},
                 noise=self.fit.noise_per_joint.get(joint, np.nan),
                 directional_coulomb=self._directional_coulomb(joint, terms),
-                logs=by_log,
-                other_day_terms=other_day,
             )
             yield joint, estimate
         for motor in choice.couplings:

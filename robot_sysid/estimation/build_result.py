@@ -30,7 +30,10 @@ from robot_sysid.estimation.answer import (
 )
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.dataset import DecimatedSamples, motion_signals
-from robot_sysid.estimation.identify import contradiction, payloads_by_recording
+from robot_sysid.estimation.payload_recordings import (
+    contradiction,
+    payloads_by_recording,
+)
 from robot_sysid.estimation.trust import (
     UNEXPLAINED,
     UNUSUAL,

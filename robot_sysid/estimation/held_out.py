@@ -30,7 +30,7 @@ from robot_sysid.estimation.algebra.least_squares import (
     update_triangle,
 )
 from robot_sysid.estimation.columns import Columns
-from robot_sysid.estimation.dataset import Dataset
+from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
 from robot_sysid.estimation.errors import FitErrors
 from robot_sysid.estimation.fit import Evidence, Fit, evidence_of, links_problem
 from robot_sysid.estimation.unknowns import Unknowns
@@ -310,6 +310,43 @@ def held_out_validation(fit: Fit) -> Validation:
         errors, noise, lambda: judge.expected_squared_errors(fit)
     )
     return replace(judge.validation(errors), is_informative=is_informative)
+
+
+def held_out_logs(fit: Fit) -> list[Validation]:
+    """Return the error of each log predicted from the others; () where there is a single log.
+
+    Recordings of one name are one log. A log whose error does not test the fit
+    (``is_informative_test``) is left out, as one with joints that the other logs do not identify.
+    The fit needs its rows (``Fit.samples``).
+    """
+    logs: dict[str, list[DecimatedSamples]] = {}
+    for dataset, samples in zip(fit.columns.datasets, fit.samples):
+        logs.setdefault(dataset.name, []).append(samples)
+    if len(logs) < 2:
+        return []
+    data = evidence_of(logs.values(), fit.evidence.torque)
+    judge = HeldOut(data, 1.0 / fit.weights, fit.unknowns)
+    errors = judge.consistent_squared_errors(fit.unknowns)
+    noise = judge.counts * fit.noise**2
+    expected = judge.expected_squared_errors(fit)
+
+    def tests_fit(k: int) -> bool:
+        """Tell whether the error of log k tests the fit."""
+        return is_informative_test(errors[[k]], noise[[k]], lambda: expected[[k]])
+
+    tests = []
+    for k, name in enumerate(logs):
+        if tests_fit(k):
+            source = f"{name}, predicted from the other logs"
+            test = validation_of(
+                fit.columns.joints,
+                errors[k],
+                data.squared_torque[k],
+                judge.counts[k],
+                source,
+            )
+            tests.append(test)
+    return tests
 
 
 NOISE_EXPLAINS = 3.0

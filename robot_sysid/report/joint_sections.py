@@ -232,15 +232,12 @@ def _residual_figure(data: ReportData, joint: int) -> Figure:
 def friction(run: Run) -> Section:
     """Return the section on friction: tables of coefficients, and a curve per joint against speed.
 
-    The tables have the coefficients of the run, with errors for another day, of each log and of the
-    written model, as far as the run has them. A joint without predicted friction has no curve, and
-    no joint has one if the run has no data to draw.
+    The tables have the coefficients of the run and of the written model. A joint without predicted
+    friction has no curve, and no joint has one if the run has no data to draw.
     """
     data = run.data
     coefficient_sets = {
         "joint": run.friction(),
-        "joint on another day": run.friction("another_day"),
-        **run.friction_of_logs(),
         "joint in the written model": run.friction("in_the_file"),
     }
     tables = []

@@ -378,24 +378,10 @@ class Run:
 
         Args:
             key: "terms" for the identified coefficients, "in_the_file" for those of the written
-                model, "another_day" for those in a log that was recorded on another day.
+                model.
         """
         owners = {**self.content["joints"], **self.content["couplings"]}
         return {owner: entry[key] for owner, entry in owners.items() if entry.get(key)}
-
-    def friction_of_logs(self) -> dict[str, Friction]:
-        """Return the friction coefficients of each log, if the run had several.
-
-        Returns:
-            "joint in LOG", the heading of a table, to the friction of each joint in that log; {}
-            for a run of a single log.
-        """
-        tables: dict[str, dict[str, Mapping[str, Quantity]]] = {}
-        for joint, entry in self.content["joints"].items():
-            for log, terms in entry.get("logs", {}).items():
-                if terms:
-                    tables.setdefault(f"joint in {log}", {})[joint] = terms
-        return {**tables}
 
 
 def number(value: Any) -> float:

@@ -109,9 +109,6 @@ def joint_lines(result: Result) -> Iterator[str]:
     rows = []
     for name, joint in owners.items():
         rows.append([name, *(_term_cell(term, joint) for term in terms)])
-        if joint.other_day_terms:
-            cells = [_other_day_cell(term, joint) for term in terms]
-            rows.append(["  on another day", *cells])
         if name in written:
             cells = [_file_cell(term, joint, written[name]) for term in terms]
             rows.append(["  in the file", *cells])
@@ -156,14 +153,6 @@ def _file_cell(term: str, joint: JointEstimate, written: Mapping[str, Quantity])
     if term not in joint.terms:
         return number_text(value)
     return _file_text(value, joint.terms[term])
-
-
-def _other_day_cell(term: str, joint: JointEstimate) -> str:
-    """Return the error that a friction term has on another day, "" where there is none."""
-    other_day = joint.other_day_terms.get(term)
-    if other_day is None or not math.isfinite(other_day.error):
-        return ""
-    return f"± {number_text(other_day.error, other_day.error)}"
 
 
 def _wide_lines(

@@ -190,10 +190,6 @@ class JointEstimate:
         noise: standard deviation of the joint's torque noise after filtering [N m]; NaN if unknown.
         directional_coulomb: Coulomb friction forward and backward, which differ by twice the
             offset; None where no offset is estimated.
-        logs: name of each of several logs to its friction terms; their errors leave out what all
-            logs have in common.
-        other_day_terms: friction term to its value, with the error that it has for a recording of
-            another day; empty of a single log.
     """
 
     friction_model: str
@@ -202,8 +198,6 @@ class JointEstimate:
     candidates: Mapping[str, float] = field(default_factory=dict)
     noise: float = float("nan")
     directional_coulomb: tuple[Quantity, Quantity] | None = None
-    logs: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
-    other_day_terms: Mapping[str, Quantity] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

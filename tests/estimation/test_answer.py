@@ -9,8 +9,7 @@ from robot_sysid.estimation.answer import base_parameters, structural_base
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.question import EstimationOptions
 from tests.support import arms
-from tests.support.core_fits import fit_recordings, result_of_logs
-from tests.support.measured_logs import CUTOFF, seeded_log
+from tests.support.core_fits import fit_recordings
 from tests.support.payload_logs import TrueArm, add_noise, four_joint_arm, wide_motion
 
 
@@ -50,17 +49,3 @@ def test_base_parameters_are_found_whatever_the_prior_of_links(link_uncertainty)
     # A rotor is confounded with some of the inertia, which is therefore not missed.
     assert is_essential["m"] and is_essential["Ixx"] and is_essential["Izz"]
     assert not is_essential["Izz(link0)"]
-
-
-def test_several_logs_have_friction_that_their_file_cannot_hold(plant, robot):
-    """The square root of a speed is a term of the estimate by log, and none of MuJoCo."""
-    logs = [seeded_log(plant, seed, noise_torque=0.05) for seed in (1, 2)]
-    options = EstimationOptions(
-        friction_model="coulomb-viscous-sqrt-armature", cutoff=CUTOFF
-    )
-    result = result_of_logs(robot, logs, options, kept=())
-    for joint, estimate in result.joints.items():
-        for term in ("coulomb", "viscous", "sqrt"):
-            other_day = estimate.other_day_terms[term]
-            assert other_day.error >= estimate.terms[term].error
-        assert set(result.file.joints[joint]) <= {"coulomb", "viscous", "armature"}

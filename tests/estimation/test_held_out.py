@@ -13,6 +13,7 @@ from robot_sysid.estimation.dataset import block_masks
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.held_out import (
     held_out,
+    held_out_logs,
     is_clearly_lower,
     validate_datasets,
 )
@@ -119,3 +120,35 @@ def test_only_another_body_is_informative_where_a_joints_friction_is_unknown(
     fit = fit_recordings(robot, [replace(recording, used=used)], options)
     is_informative = [validate(fit, log).is_informative for log in other_logs]
     assert is_informative == [is_moving, True]
+
+
+def errors_by_log(robot, arms_of_logs, resting=()):
+    """Return the log's name to its error predicted from the others, of one log per arm.
+
+    Joints that rest have no rows in the first log.
+    """
+    logs = [
+        log_of(arm, plan_of(arms_of_logs[0], 1 + k), k, noise_torque=0.05)
+        for k, arm in enumerate(arms_of_logs)
+    ]
+    (first, *others), options = filter_logs(robot, *logs)
+    used = np.ones(first.motion.q.shape, dtype=bool)
+    used[:, list(resting)] = False
+    fit = fit_recordings(robot, [replace(first, used=used), *others], options)
+    tests = held_out_logs(fit)
+    return {test.source.partition(",")[0]: test.relative_error for test in tests}
+
+
+@pytest.mark.parametrize("resting", [(), (2,), (0, 2)])
+def test_a_log_of_joints_that_move_in_it_alone_is_no_test_of_the_others(
+    plant, robot, resting
+):
+    errors = errors_by_log(robot, [plant, plant], resting)
+    assert list(errors) == (["log0"] if resting else ["log0", "log1"])
+    assert max(errors.values()) < 0.1
+
+
+def test_a_log_of_another_body_is_not_predicted(plant, robot):
+    lighter = arms.robot_of(XML.replace('mass=".8"', 'mass=".5"'))
+    assert max(errors_by_log(robot, [plant, lighter]).values()) > 0.1
+    assert errors_by_log(robot, [plant]) == {}

@@ -15,11 +15,13 @@ from robot_sysid.estimation.build_result import result_of
 from robot_sysid.estimation.identify import (
     Piece,
     answer_link,
+    low_pass_recordings,
+    refit,
+)
+from robot_sysid.estimation.payload_recordings import (
     bodies_apart,
     contradiction,
-    low_pass_recordings,
     payloads_by_recording,
-    refit,
 )
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import Flange, Measurement

@@ -181,8 +181,6 @@ def test_a_run_is_read_as_it_was_written(link_run):
     assert {"noise", "links"} == set(body.budget)
     assert body.is_from_model[8] and not body.is_from_model[0]
     assert run.friction("in_the_file")["j5"]["coulomb"] == (0.45, 0.01)
-    assert run.friction("another_day")["j5"]["coulomb"] == (0.5, 0.08)
-    assert run.friction_of_logs()["joint in b.csv"]["j5"]["coulomb"] == (0.55, 0.01)
     assert np.isnan(run.content["sensors"]["zero[j6]"].error)
 
 

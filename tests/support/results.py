@@ -237,11 +237,6 @@ def whole(**changes) -> Result:
         joint_of(estimate(), "j5"),
         candidates={"coulomb-viscous": 0.03, "none": 0.4},
         directional_coulomb=(Quantity(0.6, 0.01), Quantity(0.4, 0.02)),
-        logs={
-            "a.csv": {"coulomb": Quantity(0.45, 0.01)},
-            "b.csv": {"coulomb": Quantity(0.55, 0.01)},
-        },
-        other_day_terms={"coulomb": Quantity(0.5, 0.08)},
     )
     bodies = (SubtreeBody(6, "link6", THETA, True),)
     errors = RolloutError(
