@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 20139,
     "robot_sysid/dynamics": 8386,
     "robot_sysid/estimation": 51603,
-    "robot_sysid/logs": 22115,
+    "robot_sysid/logs": 22044,
     "robot_sysid/mjcf": 9445,
     "robot_sysid/model": 11076,
     "robot_sysid/motion": 29453,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 8508,
     "robot_sysid/simulation": 5928,
     "robot_sysid": 12734,
-    "tests": 291843,
+    "tests": 290802,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -195,11 +195,6 @@ def _map_columns(
     is_declared = bool(choices.columns or choices.time or choices.rate)
     currents = options.torque_constants is not None
     try:
-        if table.titles[:1] == ("#1",) and not is_declared:
-            # Numbers in the place of missing titles.
-            raise InputError(
-                f"no column titles say which of the {len(table.titles)} columns is what"
-            )
         return recognise_columns(
             table.titles, robot, choices, table.first_row, currents, options.commanded
         )

@@ -87,12 +87,6 @@ def text_table(source: LogSource) -> LogTable:
     dialect = read_dialect(source.path, source.first_bytes)
     separator = _SEPARATORS[dialect.separator]
     layout = f"{len(dialect.titles)} columns separated by {separator}"
-    if any("," in cell and is_number(cell) for cell in dialect.first_row):
-        layout += ", decimal comma"
-    if dialect.header and not dialect.header_line:
-        layout += ", titles in a comment line"
-    if any(map(DATE.fullmatch, dialect.first_row)):
-        layout += ", time in dates"
     choices = ColumnChoices()
     if {"time", "state.q[0]", "state.tau_J[0]"} <= set(dialect.header):
         layout = f"libfranka's logToCSV, time in ms, {layout}"

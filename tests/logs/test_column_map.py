@@ -54,6 +54,7 @@ def titled(quantity: str) -> list[str]:
         "time,jointPosition1,jointPosition2,jointPosition3,jointTorque1,jointTorque2,jointTorque3",
         "timestamp,actual_q_0,actual_q_1,actual_q_2,actual_current_as_torque_0,"
         "actual_current_as_torque_1,actual_current_as_torque_2,target_moment_0,actual_current_0",
+        "time,q0,q1,q2,tauEst0,tauEst1,tauEst2",
         "%time,field.position0,field.position1,field.position2,field.effort0,field.effort1,"
         "field.effort2,field.header.seq",
     ],

@@ -2,7 +2,7 @@
 
 Each entry of ``DRIVER_LOGS`` writes a motion of a public model in the format of one driver: names
 and order of the joints, extra joints, rates, units, and the zeros that a driver writes where it
-measures nothing. ``source`` says where the driver's public code states them.
+measures nothing.
 """
 
 from __future__ import annotations
@@ -15,34 +15,22 @@ from typing import Any
 
 import numpy as np
 
+from robot_sysid.logs.ros_messages import KORTEX, LBR
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, RobotModel
 from tests.support import recorded
-from tests.support.log_files import write
 from tests.support.places import MODELS
-from tests.support.recorded import STATE, joint_state
+from tests.support.recorded import START_NS, STATE, joint_state
 from tests.support.wrong_logs import truth_of
 
-START_NS = 1_700_000_000 * 10**9
-"""Time at which the recordings begin [ns since 1970]."""
-_LATENCY_NS = 400_000
-"""Time from a message's stamp until it was recorded [ns]."""
-LBR_STATE = "lbr_fri_idl/msg/LBRState"
-KORTEX_FEEDBACK = "kortex_driver/msg/BaseCyclic_Feedback"
 _DEFINITIONS = {
-    LBR_STATE: "float64 sample_time\nint8 session_state\nint8 connection_quality\n"
-    "int8 safety_state\nint8 operation_mode\nint8 drive_state\nint8 client_command_mode\n"
-    "int8 overlay_type\nint8 control_mode\nuint32 time_stamp_sec\n"
-    "uint32 time_stamp_nano_sec\nfloat64[7] measured_joint_position\n"
-    "float64[7] measured_torque\nfloat64[7] commanded_torque\nfloat64[7] external_torque\n"
-    "float64[7] ipo_joint_position\nfloat64 tracking_performance\n",
     "kortex_driver/msg/ActuatorFeedback": "uint32 command_id\nuint32 status_flags\n"
     "uint32 jitter_comm\nfloat32 position\nfloat32 velocity\nfloat32 torque\n"
     "float32 current_motor\nfloat32 voltage\nfloat32 temperature_motor\n"
     "float32 temperature_core\nuint32 fault_bank_a\nuint32 fault_bank_b\n"
     "uint32 warning_bank_a\nuint32 warning_bank_b\n",
     # The real message has the base's and the interconnect's feedback, too.
-    KORTEX_FEEDBACK: "uint32 frame_id\nActuatorFeedback[] actuators\n",
+    KORTEX: "uint32 frame_id\nActuatorFeedback[] actuators\n",
 }
 
 StampedMessage = tuple[float, Any]
@@ -97,32 +85,10 @@ def with_extra_joints(data: Measurement, count: int, position: float) -> Measure
 
 
 def write_bag(path: Path, topics: Sequence[Topic], storage: str, store: Any) -> Path:
-    """Write a bag, its messages in the order of time, and return its path.
-
-    ``storage``: "SQLITE3" or "MCAP" of ROS 2, or "ROS1".
-    """
-    import rosbags.rosbag1 as rosbag1
-    import rosbags.rosbag2 as rosbag2
-
+    """Write a bag and return its path; ``storage``: "SQLITE3" or "MCAP" of ROS 2, or "ROS1"."""
     if storage == "ROS1":
-        path = path.with_suffix(".bag")
-        writer = rosbag1.Writer(path)
-        serialize = store.serialize_ros1
-    else:
-        plugins = getattr(rosbag2, "StoragePlugin", None)
-        options = {"version": 9, "storage_plugin": plugins[storage]} if plugins else {}
-        writer = rosbag2.Writer(path, **options)
-        serialize = store.serialize_cdr
-    queue = []
-    with writer:
-        for name, message_type, messages in topics:
-            connection = writer.add_connection(name, message_type, typestore=store)
-            for time, message in messages:
-                received = START_NS + round(1e9 * time) + _LATENCY_NS
-                queue.append((received, connection, serialize(message, message_type)))
-        for received, connection, raw in sorted(queue, key=lambda entry: entry[0]):
-            writer.write(connection, received, raw)
-    return path
+        return recorded.write_bag1(path.with_suffix(".bag"), topics, store)
+    return recorded.write_bag2(path, topics, store, storage)
 
 
 def typestore(storage: str = "") -> Any:
@@ -140,43 +106,31 @@ def _numbered(name: str, count: int = 7) -> list[str]:
     return [f"{name}{k}" for k in range(1, count + 1)]
 
 
-def franka(folder: Path, arm: str, model: str, storage: str) -> Path:
-    """A bag of the topics of franka_bringup's launch file, with the hand.
+def franka(
+    folder: Path, arm: str, model: str, storage: str, topic_names: Sequence[str]
+) -> Path:
+    """A bag of topics of franka_bringup's launch file, with the hand.
 
     joint_state_broadcaster has the arm at the rate of the controller manager; franka_gripper has
-    the fingers; joint_state_publisher puts both together in /joint_states, at 30 Hz.
+    the fingers; joint_state_publisher puts both together in /joint_states, at 30 Hz, or at a rate
+    that is set where it is the only one.
     """
     store = typestore(storage)
     types = store.types
     data = motion_of(model, rate=1000.0)
     joints = _numbered(f"{arm}_joint")
     fingers = _numbered(f"{arm}_finger_joint", 2)
-    slow = every(data, 33)
+    slow = every(data, 33) if len(topic_names) > 1 else motion_of(model)
     both = with_extra_joints(slow, 2, 0.035)
-    topics = [
-        ("/franka/joint_states", STATE, states(types, data, joints)),
-        (
-            "/franka_gripper/joint_states",
-            STATE,
-            gripper_states(types, slow.time, fingers, 0.035),
+    contents = {
+        "/franka/joint_states": states(types, data, joints),
+        "/franka_gripper/joint_states": gripper_states(
+            types, slow.time, fingers, 0.035
         ),
-        ("/joint_states", STATE, states(types, both, [*joints, *fingers])),
-    ]
+        "/joint_states": states(types, both, [*joints, *fingers]),
+    }
+    topics = [(name, STATE, contents[name]) for name in topic_names]
     return write_bag(folder / "franka", topics, storage, store)
-
-
-def franka_joint_states(
-    folder: Path, arm: str, model: str, storage: str, rate: float = 250.0
-) -> Path:
-    """A bag of /joint_states alone, arm and fingers in one message.
-
-    The launch file's rate is 30 Hz; it may be set.
-    """
-    store = typestore(storage)
-    joints = [*_numbered(f"{arm}_joint"), *_numbered(f"{arm}_finger_joint", 2)]
-    data = with_extra_joints(motion_of(model, rate), 2, 0.035)
-    topics = [("/joint_states", STATE, states(store.types, data, joints))]
-    return write_bag(folder / "panda", topics, storage, store)
 
 
 UR_JOINTS = (
@@ -212,33 +166,16 @@ def universal_robots(
     order = np.argsort(UR_JOINTS)
     topics = [("/joint_states", STATE, states(types, data, UR_JOINTS, order))]
     if storage != "ROS1":
-        dynamic = dynamic_states(types, data, UR_JOINTS)
+        dynamic = recorded.dynamic_states(types, data, UR_JOINTS, [[0, 1, 2]] * 6)
         topics.append(("/dynamic_joint_states", recorded.DYNAMIC, dynamic))
     return write_bag(folder / "ur", topics, storage, store)
 
 
-def dynamic_states(types: Any, data: Measurement, names: Sequence[str]):
-    """Yield DynamicJointState messages with the interfaces of ros2_control."""
-    interface_values = types["control_msgs/msg/InterfaceValue"]
-    interfaces = list(recorded.INTERFACES)
-    rows = np.stack((data.q, data.qd, data.tau), axis=2)
-    for time, joints in zip(data.time, rows):
-        values = [interface_values(interfaces, numbers) for numbers in joints]
-        header = recorded.header(types, time)
-        yield time, types[recorded.DYNAMIC](header, list(names), values)
-
-
 def rtde(folder: Path, torque: str, load: float = 0.0) -> Path:
-    """What record.py of the RTDE client writes: blanks between cells, a column per element."""
+    """What record.py of the RTDE client writes of a UR."""
     data = motion_of(UR5E, 500.0, load)
-    is_current = torque == "actual_current"
-    measured = in_amperes(data).tau if is_current else data.tau
-    groups = ("actual_q", "actual_qd", torque, "target_moment")
-    titles = ["timestamp", *(f"{group}_{k}" for group in groups for k in range(6))]
-    # Time since the controller was switched on; the controller's model has no friction.
-    stamp = 1234.5 + data.time
-    rows = np.column_stack((stamp, data.q, data.qd, measured, 0.9 * data.tau))
-    return write(folder / "robot_data.csv", rows, titles, " ")
+    measured = in_amperes(data) if torque == "actual_current" else data
+    return recorded.rtde(folder, measured, torque)
 
 
 def xarm(folder: Path, storage: str) -> Path:
@@ -272,7 +209,7 @@ def lbr(folder: Path, storage: str, topic_names: Sequence[str]) -> Path:
     data = motion_of(IIWA, rate=100.0)
     contents = {
         "/lbr/joint_states": (STATE, states(types, data, _numbered("lbr_A"))),
-        "/lbr/state": (LBR_STATE, lbr_states(types, data)),
+        "/lbr/state": (LBR, lbr_states(types, data)),
     }
     topics = [(name, *contents[name]) for name in topic_names]
     return write_bag(folder / "lbr", topics, storage, store)
@@ -286,7 +223,7 @@ def lbr_states(types: Any, data: Measurement):
         modes = (0.01, 4, 3, 0, 2, 2, 1, 0, 4)
         stamp = (seconds, nanoseconds)
         arrays = (q, tau, zeros, 0.1 * tau, q + 1e-3)
-        yield time, types[LBR_STATE](*modes, *stamp, *arrays, 1.0)
+        yield time, types[LBR](*modes, *stamp, *arrays, 1.0)
 
 
 def iiwa_ros(folder: Path) -> Path:
@@ -319,7 +256,7 @@ def kortex(folder: Path, storage: str, topic_names: Sequence[str]) -> Path:
     space = "/my_gen3" if is_ros1 else ""
     contents = {
         "joint_states": (STATE, states(types, both, names)),
-        "base_feedback": (KORTEX_FEEDBACK, kortex_feedback(types, data)),
+        "base_feedback": (KORTEX, kortex_feedback(types, data)),
     }
     topics = [(f"{space}/{name}", *contents[name]) for name in topic_names]
     return write_bag(folder / "kortex", topics, storage, store)
@@ -333,7 +270,7 @@ def kortex_feedback(types: Any, data: Measurement):
         for angle, speed, torque in zip(q % 360.0, np.degrees(qd), tau):
             measured = (angle, speed, torque, 0.1 * torque, 24.0, 30.0, 30.0)
             actuators.append(actuator(0, 0, 0, *measured, 0, 0, 0, 0))
-        yield time, types[KORTEX_FEEDBACK](0, actuators)
+        yield time, types[KORTEX](0, actuators)
 
 
 @dataclass(frozen=True)
@@ -344,171 +281,114 @@ class DriverLog:
         name: of the recording, for tests.
         model: path of the model, below the folder of public models.
         write: writes the recording into a folder and returns its path.
-        source: repository and file that state names, order, rates and units.
         rate: of the samples that identification takes [Hz].
     """
 
     name: str
     model: str
     write: Callable[..., Path]
-    source: str
     rate: float
 
 
 PANDA = "franka_panda/panda.xml"
-PANDA_NOHAND = "franka_panda/panda_nohand.xml"
 FR3 = "franka_fr3/FrankaFR3_7DoF.urdf"
-_FRANKA_SOURCE = "frankarobotics/franka_ros2: franka_bringup/launch/franka.launch.py"
-_UR_SOURCE = (
-    "UniversalRobots/Universal_Robots_ROS2_Driver: "
-    "ur_robot_driver/doc/usage/utility_controllers.rst and pull request 1551"
-)
-_RTDE_SOURCE = "UniversalRobots/RTDE_Python_Client_Library: rtde/csv_writer.py"
-_XARM_SOURCE = "xArm-Developer/xarm_ros2: xarm_api/src/xarm_driver.cpp"
-_LBR_SOURCE = (
-    "lbr-stack/lbr_fri_ros2_stack: lbr_description/ros2_control/lbr_controllers.yaml; "
-    "lbr-stack/lbr_fri_idl: msg/LBRState.msg"
-)
-_IIWA_SOURCE = "epfl-lasa/iiwa_ros: iiwa_driver/config/iiwa.yaml"
-_KORTEX1_SOURCE = (
-    "Kinovarobotics/ros_kortex: "
-    "kortex_driver/src/non-generated/driver/kortex_arm_driver.cpp"
-)
-_KORTEX2_SOURCE = "Kinovarobotics/ros2_kortex: kortex_driver/src/hardware_interface.cpp"
-_JOINT_STATES = ("/lbr/joint_states",)
+_JOINT_STATES = ("/joint_states",)
+_ALL_FRANKA = ("/franka/joint_states", "/franka_gripper/joint_states", "/joint_states")
 _ALL_LBR = ("/lbr/joint_states", "/lbr/state")
 
 DRIVER_LOGS = (
+    # frankarobotics/franka_ros2: franka_bringup/launch/franka.launch.py
     DriverLog(
         "panda bag",
         PANDA,
-        lambda folder: franka_joint_states(folder, "panda", PANDA, "MCAP"),
-        _FRANKA_SOURCE,
-        250.0,
-    ),
-    DriverLog(
-        "panda bag at 30 Hz",
-        PANDA,
-        lambda folder: franka_joint_states(folder, "panda", PANDA, "MCAP", rate=30.0),
-        _FRANKA_SOURCE,
-        30.0,
-    ),
-    DriverLog(
-        "panda_nohand bag",
-        PANDA_NOHAND,
-        lambda folder: franka_joint_states(folder, "panda", PANDA_NOHAND, "SQLITE3"),
-        _FRANKA_SOURCE,
+        lambda folder: franka(folder, "panda", PANDA, "MCAP", _JOINT_STATES),
         250.0,
     ),
     DriverLog(
         "panda ROS 1 bag",
         PANDA,
-        lambda folder: franka_joint_states(folder, "panda", PANDA, "ROS1"),
-        _FRANKA_SOURCE,
+        lambda folder: franka(folder, "panda", PANDA, "ROS1", _JOINT_STATES),
         250.0,
     ),
     DriverLog(
         "fr3 all topics",
         FR3,
-        lambda folder: franka(folder, "fr3", FR3, "MCAP"),
-        _FRANKA_SOURCE,
+        lambda folder: franka(folder, "fr3", FR3, "MCAP", _ALL_FRANKA),
         1000.0,
     ),
     DriverLog(
         "fr3 on a panda's names",
         PANDA,
-        lambda folder: franka(folder, "fr3", PANDA, "SQLITE3"),
-        _FRANKA_SOURCE,
+        lambda folder: franka(folder, "fr3", PANDA, "SQLITE3", _ALL_FRANKA),
         1000.0,
     ),
+    # UniversalRobots/Universal_Robots_ROS2_Driver:
+    # ur_robot_driver/doc/usage/utility_controllers.rst and pull request 1551
     DriverLog(
         "UR torque as effort",
         UR5E,
         lambda folder: universal_robots(folder, "MCAP", is_current=False),
-        _UR_SOURCE,
         500.0,
     ),
-    DriverLog(
-        "UR ROS 1 torque as effort",
-        UR5E,
-        lambda folder: universal_robots(folder, "ROS1", is_current=False),
-        _UR_SOURCE,
-        500.0,
-    ),
+    # UniversalRobots/RTDE_Python_Client_Library: rtde/csv_writer.py
     DriverLog(
         "UR RTDE torque",
         UR5E,
         lambda folder: rtde(folder, "actual_current_as_torque"),
-        _RTDE_SOURCE,
         500.0,
     ),
+    # xArm-Developer/xarm_ros2: xarm_api/src/xarm_driver.cpp
     DriverLog(
         "xArm with gripper",
         "ufactory_xarm7/xarm7.xml",
         lambda folder: xarm(folder, "SQLITE3"),
-        _XARM_SOURCE,
         100.0,
     ),
+    # lbr-stack/lbr_fri_ros2_stack: lbr_description/ros2_control/lbr_controllers.yaml;
+    # lbr-stack/lbr_fri_idl: msg/LBRState.msg
     DriverLog(
-        "LBR joint_states",
-        IIWA,
-        lambda folder: lbr(folder, "SQLITE3", _JOINT_STATES),
-        _LBR_SOURCE,
-        100.0,
-    ),
-    DriverLog(
-        "LBR all topics",
-        IIWA,
-        lambda folder: lbr(folder, "MCAP", _ALL_LBR),
-        _LBR_SOURCE,
-        100.0,
+        "LBR all topics", IIWA, lambda folder: lbr(folder, "MCAP", _ALL_LBR), 100.0
     ),
     DriverLog(
         "LBR state alone",
         IIWA,
         lambda folder: lbr(folder, "SQLITE3", _ALL_LBR[1:]),
-        _LBR_SOURCE,
         100.0,
     ),
-    DriverLog("iiwa_ros", IIWA, iiwa_ros, _IIWA_SOURCE, 200.0),
+    # epfl-lasa/iiwa_ros: iiwa_driver/config/iiwa.yaml
+    DriverLog("iiwa_ros", IIWA, iiwa_ros, 200.0),
+    # Kinovarobotics/ros_kortex:
+    # kortex_driver/src/non-generated/driver/kortex_arm_driver.cpp
     DriverLog(
         "kortex ROS 1",
         GEN3,
         lambda folder: kortex(folder, "ROS1", ("joint_states", "base_feedback")),
-        _KORTEX1_SOURCE,
         100.0,
     ),
     DriverLog(
         "kortex base_feedback alone",
         GEN3,
         lambda folder: kortex(folder, "ROS1", ("base_feedback",)),
-        _KORTEX1_SOURCE,
         100.0,
     ),
+    # Kinovarobotics/ros2_kortex: kortex_driver/src/hardware_interface.cpp
     DriverLog(
         "kortex ROS 2",
         GEN3,
         lambda folder: kortex(folder, "MCAP", ("joint_states",)),
-        _KORTEX2_SOURCE,
         1000.0,
     ),
 )
-"""Recordings whose efforts are torques: they need no option."""
+"""Recordings whose efforts are torques: they need no option. The public code that is named states
+names, order, rates and units."""
 UNWEIGHED_LOGS = (
     DriverLog(
         "UR current as effort",
         UR5E,
         partial(universal_robots, storage="MCAP", is_current=True),
-        _UR_SOURCE,
         500.0,
     ),
-    DriverLog(
-        "UR RTDE current",
-        UR5E,
-        partial(rtde, torque="actual_current"),
-        _RTDE_SOURCE,
-        500.0,
-    ),
+    DriverLog("UR RTDE current", UR5E, partial(rtde, torque="actual_current"), 500.0),
 )
 """Recordings whose efforts are no torques. Their ``write`` takes ``load``, the mass of a weight on
 the terminal link [kg]."""

@@ -4,18 +4,15 @@ ROS node of AgileX's Piper, OpenArm's ROS 2 driver, and arrays of i2rt's observa
 SO-101's data sets follow huggingface/lerobot: src/lerobot/robots/so_follower (names, degrees, a
 gripper from 0 to 100) and src/lerobot/datasets (files of versions 2 and 3).
 
-``source`` of each entry says where the public code states names, order and units. Arms whose model
-is not public here are a serial arm with the joint names of the maker's model.
+Arms whose model is not public here are a serial arm with the joint names of the maker's model.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +21,7 @@ from robot_sysid.records import Measurement, RobotModel
 from tests.support import arms
 from tests.support.driver_logs import states, typestore, with_extra_joints, write_bag
 from tests.support.places import MODELS
-from tests.support.recorded import STATE, joint_state
+from tests.support.recorded import STATE, joint_state, write_data_set
 from tests.support.wrong_logs import truth_of
 
 SIX_JOINTS = arms.serial_arm(
@@ -102,53 +99,6 @@ def openarm_bag(folder: Path) -> Path:
     return write_bag(folder / "openarm", topics, "MCAP", store)
 
 
-def write_data_set(
-    root: Path, version: str, fps: int, features: dict[str, tuple[Sequence[str], Any]]
-) -> Path:
-    """Write a LeRobot data set of two episodes, in single precision as LeRobot does.
-
-    Args:
-        version: "v2.1", a file per episode, or "v3.0", one file.
-        features: name of a feature to the names of its numbers and their array (N, k).
-    """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    chunk = root / "data" / "chunk-000"
-    chunk.mkdir(parents=True)
-    (root / "meta").mkdir()
-    described = {}
-    for name, (titles, _) in features.items():
-        shape = [len(titles)]
-        described[name] = {"dtype": "float32", "shape": shape, "names": list(titles)}
-    image = {"dtype": "video", "names": ["height", "width", "channels"]}
-    described["observation.images.front"] = {**image, "shape": [480, 640, 3]}
-    for name in ("timestamp", "frame_index", "episode_index", "index", "task_index"):
-        described[name] = {"dtype": "float32", "shape": [1], "names": None}
-    info = {"codebase_version": version, "fps": fps, "features": described}
-    (root / "meta" / "info.json").write_text(json.dumps(info))
-    length = len(next(iter(features.values()))[1]) // 2
-    tables = []
-    for episode in range(2):
-        rows = slice(episode * length, (episode + 1) * length)
-        columns = {}
-        for name, (titles, array) in features.items():
-            values = np.asarray(array[rows], np.float32).tolist()
-            columns[name] = pa.array(values, pa.list_(pa.float32(), len(titles)))
-        columns["timestamp"] = pa.array((np.arange(length) / fps).astype(np.float32))
-        columns["frame_index"] = np.arange(length)
-        columns["episode_index"] = np.full(length, episode)
-        columns["index"] = episode * length + np.arange(length)
-        columns["task_index"] = np.zeros(length, int)
-        tables.append(pa.table(columns))
-    if version.startswith("v2"):
-        for episode, table in enumerate(tables):
-            pq.write_table(table, chunk / f"episode_{episode:06d}.parquet")
-    else:
-        pq.write_table(pa.concat_tables(tables), chunk / "file-000.parquet")
-    return root
-
-
 def openarm_data_set(folder: Path, version: str) -> Path:
     """LeRobot's OpenArm follower with ``use_velocity_and_torque``: deg, deg/s and N m by motor."""
     data = openarm_motion("left", 60.0)
@@ -206,7 +156,6 @@ class LabArmLog:
         robot: returns the arm, of a folder that its model may be written to.
         motion: returns what the recording holds.
         write: writes the recording into a folder and returns its path.
-        source: repository and file that state names, order and units.
         accuracy: of the recorded positions [rad].
     """
 
@@ -214,7 +163,6 @@ class LabArmLog:
     robot: Callable[[Path], RobotModel]
     motion: Callable[[], Measurement]
     write: Callable[[Path], Path]
-    source: str
     accuracy: float = 1e-6
 
 
@@ -223,43 +171,34 @@ def _six_joint_robot(folder: Path) -> RobotModel:
     return load_robot_model(six_joint_model(folder))
 
 
-_LEROBOT = "huggingface/lerobot: src/lerobot/robots/openarm_follower"
 LAB_ARM_LOGS = (
+    # agilexrobotics/Piper_ros: src/piper/piper/piper_ctrl_single_node.py;
+    # 0.017444 is 0.05 % less than a degree.
     LabArmLog(
         "Piper bag",
         _six_joint_robot,
         partial(six_joint_motion, 200.0),
         piper,
-        "agilexrobotics/Piper_ros: src/piper/piper/piper_ctrl_single_node.py",
-        accuracy=3e-3,  # 0.017444 is 0.05 % less than a degree
+        accuracy=3e-3,
     ),
+    # enactic/openarm_ros2: openarm_bringup/config/v10_controllers
     LabArmLog(
         "OpenArm bag",
         lambda folder: openarm("left"),
         partial(openarm_motion, "left", 100.0),
         openarm_bag,
-        "enactic/openarm_ros2: openarm_bringup/config/v10_controllers",
     ),
+    # huggingface/lerobot: src/lerobot/robots/openarm_follower
     LabArmLog(
         "OpenArm data set v2",
         lambda folder: openarm("left"),
         partial(openarm_motion, "left", 60.0),
         partial(openarm_data_set, version="v2.1"),
-        _LEROBOT,
     ),
+    # i2rt-robotics/i2rt: i2rt/robots/motor_chain_robot.py
     LabArmLog(
-        "OpenArm data set v3",
-        lambda folder: openarm("left"),
-        partial(openarm_motion, "left", 60.0),
-        partial(openarm_data_set, version="v3.0"),
-        _LEROBOT,
-    ),
-    LabArmLog(
-        "i2rt arrays",
-        _six_joint_robot,
-        partial(six_joint_motion, 100.0),
-        i2rt_arrays,
-        "i2rt-robotics/i2rt: i2rt/robots/motor_chain_robot.py",
+        "i2rt arrays", _six_joint_robot, partial(six_joint_motion, 100.0), i2rt_arrays
     ),
 )
-"""Recordings with torques, which need no option beside the model."""
+"""Recordings with torques, which need no option beside the model. The public code that is named
+states names, order and units."""

@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from robot_sysid.logs.ros_messages import DEFINITIONS, DYNAMIC, FRANKA, STATE
 from robot_sysid.records import Measurement
 from tests.support.log_files import JOINTS, write
 
-DYNAMIC = "control_msgs/msg/DynamicJointState"
-FRANKA = "franka_msgs/msg/FrankaRobotState"
-STATE = "sensor_msgs/msg/JointState"
+START_NS = 1_700_000_000 * 10**9
+"""Time at which recordings begin [ns since 1970]."""
+_LATENCY_NS = 400_000
+"""Time from a message's stamp until it was recorded [ns]."""
 INTERFACES = ("position", "velocity", "effort")
 ORDERS = ([2, 0, 1], [1, 0, 2], [2, 0, 1])
 """Order of ``INTERFACES`` in a joint's message, for each joint."""
 _DEFINITIONS = {
-    "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values\n",
-    DYNAMIC: "std_msgs/Header header\nstring[] joint_names\n"
-    "control_msgs/InterfaceValue[] interface_values\n",
     # The fields of the real message that stand before and behind the one that is read.
     FRANKA: "std_msgs/Header header\nsensor_msgs/JointState measured_joint_state\n"
-    "sensor_msgs/JointState desired_joint_state\nfloat64 time\n",
+    "sensor_msgs/JointState desired_joint_state\nfloat64 time\n"
 }
 
 
@@ -33,7 +33,7 @@ def typestore(ros1: bool = False):
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    for name, text in _DEFINITIONS.items():
+    for name, text in {**DEFINITIONS, **_DEFINITIONS}.items():
         store.register(get_types_from_msg(text, name))
     return store
 
@@ -41,7 +41,8 @@ def typestore(ros1: bool = False):
 def header(types, time: float):
     """A time in 2023, with nanoseconds that a float of seconds does not hold."""
     seconds, nanoseconds = divmod(round(1e9 * time), 10**9)
-    stamp = types["builtin_interfaces/msg/Time"](1_700_000_000 + seconds, nanoseconds)
+    seconds += START_NS // 10**9
+    stamp = types["builtin_interfaces/msg/Time"](seconds, nanoseconds)
     header_type = types["std_msgs/msg/Header"]
     sequence = (0,) if "seq" in header_type.__annotations__ else ()
     return header_type(*sequence, stamp, "base")
@@ -63,8 +64,8 @@ def shuffled_states(types, data: Measurement, names=JOINTS):
         yield joint_state(types, time, ["finger"], [0.01], [0.0], [1.0])
 
 
-def write_bag2(path: Path, topics, store, storage="SQLITE3", compression="") -> Path:
-    """A ROS 2 bag; ``topics`` are (name, type, messages), ``compression`` is by zstd."""
+def write_bag2(path: Path, topics, store, storage="SQLITE3") -> Path:
+    """A ROS 2 bag; ``topics`` are (name, type, messages), see ``_written``."""
     import rosbags.rosbag2 as rosbag2
 
     plugins = getattr(rosbag2, "StoragePlugin", None)
@@ -72,31 +73,27 @@ def write_bag2(path: Path, topics, store, storage="SQLITE3", compression="") -> 
         pytest.skip("the last rosbags for Python 3.9 writes .db3 only")
     options = {"version": 9, "storage_plugin": plugins[storage]} if plugins else {}
     writer = rosbag2.Writer(path, **options)
-    if compression:
-        names = rosbag2 if plugins else writer
-        mode = names.CompressionMode[compression]
-        form = names.CompressionFormat.ZSTD
-        writer.set_compression(mode, form)
     return _written(path, writer, topics, store, store.serialize_cdr)
 
 
-def write_bag1(path: Path, topics, store, compression=None) -> Path:
+def write_bag1(path: Path, topics, store) -> Path:
     """A ROS 1 bag."""
     from rosbags.rosbag1 import Writer
 
-    writer = Writer(path)
-    if compression:
-        writer.set_compression(Writer.CompressionFormat[compression])
-    return _written(path, writer, topics, store, store.serialize_ros1)
+    return _written(path, Writer(path), topics, store, store.serialize_ros1)
 
 
 def _written(path: Path, writer, topics, store, serialize) -> Path:
+    """Messages are 1 ms apart, or recorded a while behind the time [s] that comes with each."""
     with writer:
         for topic, message_type, messages in topics:
             connection = writer.add_connection(topic, message_type, typestore=store)
             for count, message in enumerate(messages):
-                data = serialize(message, message_type)
-                writer.write(connection, 10**9 + count * 10**6, data)
+                received = 10**9 + count * 10**6
+                if isinstance(message, tuple):
+                    time, message = message
+                    received = START_NS + round(1e9 * time) + _LATENCY_NS
+                writer.write(connection, received, serialize(message, message_type))
     return path
 
 
@@ -118,22 +115,22 @@ def rosbag1(folder: Path, data: Measurement) -> Path:
     return write_bag1(folder / "log.bag", topics, store)
 
 
+def dynamic_states(types, data: Measurement, names, orders):
+    """Yield (time, DynamicJointState), with an order of ``INTERFACES`` for each joint."""
+    value = types["control_msgs/msg/InterfaceValue"]
+    rows = np.stack((data.q, data.qd, data.tau), axis=2)
+    for time, joints in zip(data.time, rows):
+        values = []
+        for order, numbers in zip(orders, joints):
+            values.append(value([INTERFACES[k] for k in order], numbers[order]))
+        yield time, types[DYNAMIC](header(types, time), list(names), values)
+
+
 def dynamic_joint_state(folder: Path, data: Measurement) -> Path:
     """DynamicJointState with the interfaces in another order for every joint."""
     store = typestore()
-    value = store.types["control_msgs/msg/InterfaceValue"]
-
-    def messages():
-        rows = np.stack((data.q, data.qd, data.tau), axis=2)
-        for time, joints in zip(data.time, rows):
-            values = []
-            for order, numbers in zip(ORDERS, joints):
-                names = [INTERFACES[k] for k in order]
-                values.append(value(names, numbers[order]))
-            yield store.types[DYNAMIC](header(store.types, time), list(JOINTS), values)
-
-    topics = [("/dynamic_joint_states", DYNAMIC, messages())]
-    return write_bag2(folder / "bag", topics, store)
+    messages = dynamic_states(store.types, data, JOINTS, ORDERS)
+    return write_bag2(folder / "bag", [("/states", DYNAMIC, messages)], store)
 
 
 def franka_state(folder: Path, data: Measurement) -> Path:
@@ -152,43 +149,67 @@ def franka_state(folder: Path, data: Measurement) -> Path:
     return write_bag2(folder / "bag", topics, store, "MCAP")
 
 
+def write_data_set(
+    root: Path,
+    version: str,
+    fps: int,
+    features: dict[str, tuple[Sequence[str], Any]],
+    episodes: int = 2,
+    dtype: Any = np.float32,
+) -> Path:
+    """Write a LeRobot data set, in single precision as LeRobot does.
+
+    Args:
+        version: "v2.1", a file per episode, or "v3.0", one file.
+        features: name of a feature to the names of its numbers and their array (N, k), of which
+            each episode has an equal part.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    chunk = root / "data" / "chunk-000"
+    chunk.mkdir(parents=True)
+    (root / "meta").mkdir()
+    described = {}
+    for name, (titles, _) in features.items():
+        shape = [len(titles)]
+        described[name] = {"dtype": "float32", "shape": shape, "names": list(titles)}
+    info = {"codebase_version": version, "fps": fps, "features": described}
+    (root / "meta" / "info.json").write_text(json.dumps(info))
+    length = len(next(iter(features.values()))[1]) // episodes
+    tables = []
+    for episode in range(episodes):
+        rows = slice(episode * length, (episode + 1) * length)
+        columns = {}
+        for name, (_, array) in features.items():
+            values = np.asarray(array[rows], dtype)
+            columns[name] = pa.array(
+                values.tolist(), pa.list_(pa.from_numpy_dtype(dtype))
+            )
+        columns["timestamp"] = (np.arange(length) / fps).astype(dtype)
+        columns["frame_index"] = np.arange(length)
+        columns["episode_index"] = np.full(length, episode)
+        tables.append(pa.table(columns))
+    if version.startswith("v2"):
+        for episode, table in enumerate(tables):
+            pq.write_table(table, chunk / f"episode_{episode:06d}.parquet")
+    else:
+        pq.write_table(pa.concat_tables(tables), chunk / "file-000.parquet")
+    return root
+
+
 def lerobot(version: str, episodes: int = 1) -> Callable[[Path, Measurement], Path]:
-    """A data set in degrees; several episodes repeat the motion."""
+    """A data set in degrees; several episodes repeat the motion, which has 200 Hz."""
 
     def write(folder: Path, data: Measurement) -> Path:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
-        root = folder / "set"
-        chunk = root / "data" / "chunk-000"
-        chunk.mkdir(parents=True)
-        (root / "meta").mkdir()
         ends = ("pos", "vel", "torque")
         names = [f"{joint}.{end}" for joint in JOINTS for end in ends]
         values = (np.degrees(data.q), np.degrees(data.qd), data.tau)
         state = np.stack(values, axis=2).reshape(len(data), -1)
-        feature = {"dtype": "float64", "shape": [len(names)], "names": names}
-        info = {
-            "codebase_version": version,
-            "fps": 200,
-            "features": {"observation.state": feature},
-        }
-        (root / "meta" / "info.json").write_text(json.dumps(info))
-        columns = {
-            "observation.state": pa.array(state.tolist(), pa.list_(pa.float64())),
-            "timestamp": data.time - data.time[0],
-            "frame_index": np.arange(len(data)),
-        }
-        tables = []
-        for episode in range(episodes):
-            episode_index = np.full(len(data), episode)
-            tables.append(pa.table({**columns, "episode_index": episode_index}))
-        if version.startswith("v2"):
-            for episode, table in enumerate(tables):
-                pq.write_table(table, chunk / f"episode_{episode:06d}.parquet")
-        else:
-            pq.write_table(pa.concat_tables(tables), chunk / "file-000.parquet")
-        return root
+        features = {"observation.state": (names, np.tile(state, (episodes, 1)))}
+        return write_data_set(
+            folder / "set", version, 200, features, episodes, np.float64
+        )
 
     return write
 
@@ -237,9 +258,10 @@ def libfranka(folder: Path, data: Measurement) -> Path:
 def rtde(
     folder: Path, data: Measurement, torque: str = "actual_current_as_torque"
 ) -> Path:
-    """What record.py writes: blanks between cells."""
+    """What record.py of the RTDE client writes: blanks between cells, a column per element."""
     groups = ("actual_q", "actual_qd", torque, "target_moment")
-    titles = ["timestamp", *(f"{g}_{k}" for g in groups for k in range(3))]
+    joints = range(data.q.shape[1])
+    titles = ["timestamp", *(f"{g}_{k}" for g in groups for k in joints)]
     rows = np.column_stack((data.time, data.q, data.qd, data.tau, -data.tau))
     return write(folder / "rtde.csv", rows, titles, " ")
 
