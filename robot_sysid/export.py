@@ -25,8 +25,6 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.inertial import WriteBack
-from robot_sysid.mjcf.updated_model import BodyChange, ModelChange, changed_model_text
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.records import InertialParameters, Motion, Traces, file_access
 from robot_sysid.records.controllers import AUTO
@@ -111,34 +109,6 @@ def locked_folder(folder: Path, progress: Progress) -> Iterator[None]:
     file_access.require_writable(folder)
     with warnings_as_notes(progress), file_access.lock_folder(folder):
         yield
-
-
-def export_updated_xml(
-    source: Path,
-    body: str,
-    plan: WriteBack,
-    rmse: float,
-    destination: Path,
-    mesh_dir: Path | None = None,
-    principal: bool = False,
-) -> None:
-    """Write an MJCF or URDF file with one body's inertia replaced.
-
-    Args:
-        source: the model file to change; it stays as it is.
-        body: name of the terminal body, or "#7" for the nameless body with id 7.
-        plan: the new inertia of the body.
-        rmse: error of the identification, for the comment in the file [N m].
-        destination: the file to write; paths in it are relative to its folder.
-        mesh_dir: the user's mesh folder, if any.
-        principal: whether to write principal moments and axes instead of a full inertia matrix.
-    """
-    # The label alone decides which element is changed; the id is not used.
-    body_change = BodyChange(body, body_id=0, plan=plan)
-    change = ModelChange((body_change,), rmse, principal=principal)
-    folder = destination.absolute().parent
-    text = changed_model_text(source, change, folder, mesh_dir)
-    file_access.write_atomically(destination, text)
 
 
 def save(

@@ -23,18 +23,18 @@ BUDGETS = {
     "robot_sysid/dynamics": 8386,
     "robot_sysid/estimation": 51603,
     "robot_sysid/logs": 22044,
-    "robot_sysid/mjcf": 9445,
-    "robot_sysid/model": 11076,
+    "robot_sysid/mjcf": 9068,
+    "robot_sysid/model": 11079,
     "robot_sysid/motion": 29453,
     "robot_sysid/pipeline": 7130,
     "robot_sysid/records": 9137,
     "robot_sysid/report": 16089,
-    "robot_sysid/results": 17090,
+    "robot_sysid/results": 16884,
     "robot_sysid/servo": 10964,
     "robot_sysid/signals": 8508,
     "robot_sysid/simulation": 5928,
-    "robot_sysid": 12734,
-    "tests": 290802,
+    "robot_sysid": 12615,
+    "tests": 289308,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

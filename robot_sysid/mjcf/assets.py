@@ -15,7 +15,7 @@ from itertools import product
 from pathlib import Path
 
 from robot_sysid.errors import ModelError
-from robot_sysid.mjcf.documents import ModelDocument, Node, reference, set_or_remove
+from robot_sysid.mjcf.documents import ModelDocument, Node, reference
 from robot_sysid.records.file_access import refuse_special_file
 
 _CUBE_SIDES = ("fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
@@ -275,6 +275,9 @@ def _set_folders(document: ModelDocument, values: Mapping[str, str]) -> None:
     compilers = document.settings("compiler")
     for index, node in enumerate(compilers):
         for name in _FOLDER_SETTINGS:
-            set_or_remove(node, name, None if index else values.get(name))
+            if name in values and index == 0:
+                node.set(name, values[name])
+            else:
+                node.attrib.pop(name, None)
     if values and not compilers:
         document.set_compiler(values)

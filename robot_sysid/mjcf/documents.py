@@ -329,14 +329,6 @@ def put_comment(node: Node, text: str) -> None:
         insert(parent, parent.index(node), etree.Comment(text))
 
 
-def set_or_remove(node: Node, name: str, value: str | None) -> None:
-    """Give an element an attribute, or remove it where the value is None."""
-    if value is None:
-        node.attrib.pop(name, None)
-    else:
-        node.set(name, value)
-
-
 def get(node: Node | None, name: str) -> str | None:
     """Return an attribute's value; None where there is no element, or none of that name."""
     return None if node is None else node.get(name)

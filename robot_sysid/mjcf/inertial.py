@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NoReturn
 
 import numpy as np
 
@@ -33,8 +32,10 @@ URDF_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """Attributes of a URDF's <inertia> [kg m^2], in the order of ``spatial.six_from_symmetric``."""
 _SMALLEST_NORMAL = float(np.finfo(float).tiny)
 """Smallest positive float that is not denormal."""
-_ROUNDING = 1e-9
-"""Relative difference that the check of the written model lets pass (``results.verification``)."""
+_CHANGING = ("settotalmass", "boundmass", "boundinertia", "fusestatic")
+"""Attributes of MuJoCo's <compiler> that change inertias."""
+_HARMLESS = (None, "-1", "0", "false")
+"""Their values that change none."""
 
 
 @dataclass(frozen=True)
@@ -291,50 +292,9 @@ def setting(document: ModelDocument, name: str) -> str | None:
     return value
 
 
-def setting_number(document: ModelDocument, name: str) -> float:
-    """Return a compiler attribute that is a number, 0 where there is none.
-
-    ExportError where it is no number.
-    """
-    text = setting(document, name) or "0"
-    try:
-        return float(text)
-    except ValueError:
-        _refuse(document, name, f"is {text!r}; write it as a decimal number")
-
-
-def check_settings(
-    document: ModelDocument, body: Node, theta: Array, gets_child: bool = False
-) -> None:
-    """Raise ExportError where the compiler would change theta (10,) as it is written.
-
-    Settings that do so are settotalmass, fusestatic, boundmass and boundinertia.
-
-    Args:
-        document: the model file, whose compiler settings are checked.
-        body: the element that gets theta.
-        gets_child: whether body gets a new child with theta instead, fixed to it.
-    """
-    if setting_number(document, "settotalmass") > 0.0:
-        _refuse(document, "settotalmass", "rescales the mass of every body; remove it")
-    is_fused = setting(document, "fusestatic") == "true" and not document.is_urdf
-    bodies_below = body.iterdescendants("body")
-    if is_fused and (gets_child or any(map(_is_welded, bodies_below))):
-        reason = "merges bodies with the identified one; set it to false"
-        _refuse(document, "fusestatic", reason)
-    mass, _, inertia = spatial.com_from_theta(theta)
-    smallest = float(np.linalg.eigvalsh(inertia)[0])
-    for name, value in {"boundmass": mass, "boundinertia": smallest}.items():
-        bound = setting_number(document, name)
-        # A value that is at its bound but for rounding is written; the written model is checked.
-        if bound > value * (1.0 + _ROUNDING):
-            change = f"raises the identified value {value:.9g} to {bound:g}"
-            _refuse(document, name, f"{change}; lower it")
-
-
-def _is_welded(body: Node) -> bool:
-    """Return whether a body has no joints."""
-    return body.find("joint") is None and body.find("freejoint") is None
+def settings_of_inertia(document: ModelDocument) -> list[str]:
+    """Return the compiler settings by which MuJoCo makes other inertias of those in the file."""
+    return [name for name in _CHANGING if setting(document, name) not in _HARMLESS]
 
 
 def let_inertials_count(document: ModelDocument, written: Collection[Node]) -> None:
@@ -360,13 +320,3 @@ def _is_geom(node: Node) -> bool:
     if node.tag == "frame":
         return any(map(_is_geom, node.iterchildren()))
     return bool(node.tag == "geom")
-
-
-def _refuse(document: ModelDocument, name: str, reason: str) -> NoReturn:
-    """Raise ExportError for the compiler setting of a name.
-
-    ``reason``: what the setting does, and what to do about it, in the middle of the sentence.
-    """
-    raise ExportError(
-        f"{document.path}: the compiler setting {name} {reason} to write the model"
-    )

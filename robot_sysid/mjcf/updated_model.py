@@ -29,7 +29,6 @@ from robot_sysid.mjcf.documents import (
 )
 from robot_sysid.mjcf.inertial import (
     WriteBack,
-    check_settings,
     format_number,
     format_numbers,
     format_rmse,
@@ -55,7 +54,7 @@ class BodyChange:
     label: str
     body_id: int
     plan: WriteBack
-    addition: str | None = None
+    addition: str = ""
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,6 @@ class JointChange:
         damping, frictionloss: viscous and Coulomb friction [N m s/rad, N m or N s/m, N].
         nonlinear_damping: the model's coefficients of qd abs(qd) and of qd^3, which the attribute
             ``damping`` holds, too; () for none.
-        comment: text for the comment of the joint's body.
     """
 
     label: str
@@ -76,7 +74,6 @@ class JointChange:
     damping: float | None = None
     frictionloss: float | None = None
     nonlinear_damping: tuple[float, ...] = ()
-    comment: str = ""
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -98,14 +95,12 @@ class TendonChange:
         is_new: whether the file has no such tendon yet.
         coefficients: joint name to speed of the tendon per speed of that joint.
         numbers: new values by their name in MJCF: "armature", "damping", "frictionloss".
-        comment: text for its comment.
     """
 
     tendon: int
     is_new: bool
     coefficients: Mapping[str, float]
     numbers: Mapping[str, float]
-    comment: str = ""
 
 
 @dataclass(frozen=True)
@@ -181,8 +176,7 @@ def changed_model_text(
         mesh_dir: the user's mesh folder, if any.
 
     Raises:
-        ExportError: the file does not contain an element itself (see ``find_element``), or one of
-            its settings changes inertias.
+        ExportError: the file does not contain an element itself (see ``find_element``).
     """
     document = read_document(source)
     written = _write_bodies(document, change)
@@ -210,14 +204,13 @@ def _write_bodies(document: ModelDocument, change: ModelChange) -> list[Node]:
     """Write the inertias of ``change.bodies``, with comments, and zeros into the emptied bodies.
 
     Returns the elements of all these bodies. ExportError where the file does not contain one of
-    them itself (see ``find_element``), or a compiler setting would change its inertia.
+    them itself (see ``find_element``).
     """
     zero_inertial = _inertial(document, np.zeros(10), change.principal)
     written = list[Node]()
     for body in change.bodies:
         node = find_element(document, "body", body.label)
         theta = body.plan.theta
-        check_settings(document, node, theta)
         additions = filter(None, (body.addition, body.plan.note))
         comment = _comment(f"body '{body.label}'", change.rmse, "; ".join(additions))
         put_comment(node, comment)
@@ -240,7 +233,7 @@ def _inertial(document: ModelDocument, theta: Array, principal: bool) -> str:
     return mjcf_inertial(theta, principal)
 
 
-def _comment(subject: str, rmse: float, addition: str) -> str:
+def _comment(subject: str, rmse: float, addition: str = "") -> str:
     """Return the text of the XML comment that a subject, such as "body 'hand'", was identified.
 
     Args:
@@ -258,11 +251,10 @@ def _write_welded_body(
 ) -> None:
     """Add the new body of a change, with its comment, to its carrier; in a URDF with a fixed joint.
 
-    ExportError where its name is empty or taken, or a compiler setting would change its inertia.
+    ExportError where its name is empty or taken.
     """
     joint_name = f"{body.name}_joint"
     carrier = find_element(document, "body", body.carrier)
-    check_settings(document, carrier, body.theta, gets_child=True)
     names = {node.get("name") for node in document.root.iter("body", "link")}
     bodies = {"world", *filter(None, names)}
     joints = {node.get("name") for node in document.root.iter("joint")}
@@ -379,7 +371,7 @@ def _write_tendon(document: ModelDocument, change: TendonChange, rmse: float) ->
     subject = f"motor that turns {' and '.join(joints)}"
     _require_resistance(f"the {subject}", change.numbers)
     texts = {name: format_number(value) for name, value in change.numbers.items()}
-    comment = _comment(subject, rmse, change.comment)
+    comment = _comment(subject, rmse)
     if not change.is_new:
         node = _section_child(document, "tendon", change.tendon)
         if node is None or node.tag != "fixed":
@@ -457,22 +449,16 @@ def find_element(document: ModelDocument, element: str, label: str) -> Node:
         label: its name, or "#7" for the nameless one with MuJoCo id 7.
     """
     nodes = list(_compiled_order(document, element))
-    matches = []
-    for node in nodes:
-        if node.tag not in _MULTIPLIERS and node.get("name") == label:
-            matches.append(node)
+    matches = [node for node in nodes if node.get("name") == label]
     if len(matches) > 1:
         fault = f"{element} '{label}' stands in the file {len(matches)} times"
         raise ExportError(f"{document.path}: {fault}")
     number = re.fullmatch(r"#(\d+)", label)
-    if number and not matches and not document.is_urdf:
-        # The world is body 0, so "#1" is the first body, but the second joint. Behind a multiplier
-        # the number is unknown.
-        count = int(number[1]) + (0 if element == "body" else 1)
-        first = nodes[:count]
-        tags = {node.tag for node in first}
-        if len(first) == count > 0 and tags.isdisjoint(_MULTIPLIERS):
-            matches = first[-1:]
+    has_multiplier = next(document.root.iter(*_MULTIPLIERS), None) is not None
+    if number and not matches and not document.is_urdf and not has_multiplier:
+        # The world is body 0, so "#1" is the first body, but the second joint.
+        index = int(number[1]) - (1 if element == "body" else 0)
+        matches = nodes[index : index + 1]
     if not matches or next(matches[0].iterancestors(*_MULTIPLIERS), None) is not None:
         raise ExportError(
             f"{document.path}: {element} '{label}' is not written out in the file (it comes from "
@@ -482,10 +468,9 @@ def find_element(document: ModelDocument, element: str, label: str) -> Node:
 
 
 def _compiled_order(document: ModelDocument, element: str) -> Iterator[Node]:
-    """Yield bodies or joints as MuJoCo numbers them, and the elements that multiply bodies.
+    """Yield bodies or joints as MuJoCo numbers them: joints of a body before those of its bodies.
 
-    That is depth first, the joints of a body before those of the bodies in it. The world is left
-    out; of a URDF, links or joints come in the order of the file.
+    The world is left out; of a URDF, links or joints come in the order of the file.
 
     ``element``: "body" or "joint".
     """
@@ -493,12 +478,11 @@ def _compiled_order(document: ModelDocument, element: str) -> Iterator[Node]:
         yield from document.root.findall("link" if element == "body" else "joint")
         return
     for world in document.root.findall("worldbody"):
-        for node in world.iter("*"):
-            is_multiplier = node.tag in _MULTIPLIERS
-            if is_multiplier or (element == "body" and node.tag == "body"):
-                yield node
-            if element == "joint" and (is_multiplier or node.tag in _WITH_JOINTS):
-                yield from _joints_of(node)
+        if element == "body":
+            yield from world.iter("body")
+        else:
+            for body in world.iter(*_WITH_JOINTS):
+                yield from _joints_of(body)
 
 
 _WITH_JOINTS = ("worldbody", "body")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -46,15 +46,15 @@ def make_compilable(
     document: ModelDocument,
     mesh_dir: Path | None = None,
     with_minimum: bool = False,
-    increases: Mapping[str, float] = {},
+    is_raised: bool = False,
 ) -> tuple[str, ...]:
     """Make a URDF one that MuJoCo can compile, and return notes on what was changed.
 
     Args:
         mesh_dir: folder of the meshes; default as the file says.
         with_minimum: whether moving links without mass get a minimum of mass and inertia.
-        increases: link name to what its moments of inertia are raised by [kg m^2], see
-            ``inertia_increases``; without a note, as only the arm tells whether it matters.
+        is_raised: whether impossible moments of inertia are raised, see ``inertia_increases``;
+            without a note, as only the arm tells whether it matters.
 
     Raises:
         ModelError: a mesh that decides a link's inertia is missing.
@@ -62,16 +62,15 @@ def make_compilable(
     """
     notes = list(_use_absolute_meshes(document, mesh_dir))
     document.set_compiler({"fusestatic": "false", "strippath": "false"})
+    if is_raised:
+        raise_inertias(document)
     inertias = link_inertias(document)
     for link in document.root.findall("link"):
         angles = _floats(get(link.find("inertial/origin"), "rpy"))
         # MuJoCo 3.3 ignores the rpy of an inertial.
-        is_turned = np.any(angles) and not _lacks_inertia(link)
-        increase = increases.get(str(link.get("name")), 0.0)
-        if is_turned or increase:
-            mass, com, inertia = inertias[str(link.get("name"))]
-            raised = inertia + increase * np.eye(3)
-            put_inertial(link, urdf_inertial_about_com(mass, com, raised))
+        if np.any(angles) and not _lacks_inertia(link):
+            inertia = inertias[str(link.get("name"))]
+            put_inertial(link, urdf_inertial_about_com(*inertia))
     names = give_minimum(document) if with_minimum else []
     if names:
         listed = "', '".join(names)

@@ -216,7 +216,7 @@ def _compile_urdf(
     while True:
         changed = read_document(document.path)
         try:
-            notes = make_compilable(changed, mesh_dir, with_minimum, increases)
+            notes = make_compilable(changed, mesh_dir, with_minimum, bool(increases))
         except (ValueError, TypeError) as error:
             raise ModelError(
                 f"{document.path}: a number cannot be read: {error}"

@@ -25,7 +25,8 @@ from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
 )
 from robot_sysid.errors import ExportError, InputError
-from robot_sysid.mjcf.inertial import mjcf_inertial
+from robot_sysid.mjcf.documents import read_document
+from robot_sysid.mjcf.inertial import mjcf_inertial, settings_of_inertia
 from robot_sysid.mjcf.updated_model import ModelChange, WeldedBody
 from robot_sysid.model.bodies import body_theta, inertia_about_com
 from robot_sysid.model.chain import body_label, joint_label
@@ -170,7 +171,16 @@ def verify_written_model(
             not have the wanted value; the message names the field.
     """
     compiled = compiled_again(written)
-    require_change(original, compiled.mj_model, change)
+    try:
+        require_change(original, compiled.mj_model, change)
+    except ExportError as error:
+        settings = settings_of_inertia(read_document(written))
+        if not settings:
+            raise
+        remedy = (
+            f"its compiler settings {', '.join(settings)} change inertias: remove them"
+        )
+        raise ExportError(f"{error}; {remedy}") from None
     return compiled
 
 

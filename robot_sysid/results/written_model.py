@@ -27,7 +27,7 @@ from robot_sysid.dynamics.inverse_dynamics import MUJOCO_VERSION
 from robot_sysid.errors import ExportError, InputError, delay_signals
 from robot_sysid.mjcf.assets import bundle, find_assets
 from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.inertial import WriteBack, plan_write_back, setting_number
+from robot_sysid.mjcf.inertial import WriteBack, plan_write_back, setting
 from robot_sysid.mjcf.updated_model import (
     ActuatorChange,
     BodyChange,
@@ -113,9 +113,7 @@ def write_model(
     if result.file is not None and result.file.omissions:
         omissions = " and ".join(result.file.omissions)
         comments.append(f"without {omissions}, which no URDF can hold")
-    bodies, written_thetas = _body_changes(
-        robot, thetas, errors, joints, "; ".join(comments)
-    )
+    bodies, written_thetas = _body_changes(robot, thetas, errors, "; ".join(comments))
     written_thetas[-1] += theta_beside
     tendons = () if result.file is None else tuple(_tendon_changes(robot, result.file))
     change = ModelChange(bodies, target.rmse, joints, welded, tendons=tendons)
@@ -223,22 +221,9 @@ def _joint_changes(
             armature=values.get("armature"),
             damping=values.get("viscous"),
             frictionloss=values.get("coulomb"),
-            comment=_terms_text(terms),
         )
         changes.append(change)
     return tuple(changes)
-
-
-def _terms_text(terms: Mapping[str, Quantity]) -> str:
-    """Return friction terms as text, such as "damping 0.25 ± 0.02, armature 0.1".
-
-    ``terms`` is friction term to its estimate.
-    """
-    texts = []
-    for term, (value, error) in terms.items():
-        text = f"{_MJCF_ATTRIBUTES[term]} {value:.4g}"
-        texts.append(f"{text} ± {error:.2g}" if np.isfinite(error) else text)
-    return ", ".join(texts)
 
 
 def _tendon_changes(robot: RobotModel, file: ModelFile) -> Iterator[TendonChange]:
@@ -255,7 +240,6 @@ def _tendon_changes(robot: RobotModel, file: ModelFile) -> Iterator[TendonChange
             is_new=motor.tendon is None,
             coefficients={joint: ratio for joint, ratio in ratios if ratio != 0.0},
             numbers={_MJCF_ATTRIBUTES[term]: terms[term].value for term in terms},
-            comment=_terms_text(terms),
         )
 
 
@@ -264,11 +248,10 @@ def _changes_of_kind(
 ) -> tuple[tuple[JointChange, ...], tuple[str, ...]]:
     """Return the changes that the format of the model can hold, and a note on what it cannot.
 
-    The notes are one sentence or (). In an MJCF, nonlinear damping of the model stays. For a URDF,
-    comments on joints are left out, which name numbers that it lacks.
+    The notes are one sentence or (). In an MJCF, nonlinear damping of the model stays.
     """
     if robot.kind == "urdf":
-        possible = tuple(replace(c, armature=None, comment="") for c in changes)
+        possible = tuple(replace(c, armature=None) for c in changes)
         note = "a URDF cannot hold rotor inertia, so the written URDF lacks it"
         return possible, (note,) if any(c.armature for c in changes) else ()
     nonlinear_damping = dict(zip(robot.joint_names, robot.nonlinear_damping.tolist()))
@@ -282,11 +265,7 @@ def _changes_of_kind(
 
 
 def _body_changes(
-    robot: RobotModel,
-    thetas: Array,
-    errors: Array,
-    joints: Sequence[JointChange],
-    terminal_comment: str,
+    robot: RobotModel, thetas: Array, errors: Array, terminal_comment: str
 ) -> tuple[tuple[BodyChange, ...], Array]:
     """Return the changes of the bodies of all links that differ from the model.
 
@@ -297,7 +276,6 @@ def _body_changes(
         robot: the arm.
         thetas: (n, 10) parameters that the links are to have.
         errors: (n, 10) their standard errors, within which moments of inertia may be inflated.
-        joints: changes of the joints, for comments.
         terminal_comment: comment on the terminal link, or "".
 
     Returns:
@@ -308,12 +286,9 @@ def _body_changes(
     """
     body_ids = [link.body_id for link in robot.links]
     # Smallest principal moment that the model's compiler leaves alone [kg m^2].
-    bound = setting_number(read_document(robot.path), "boundinertia")
+    bound = float(setting(read_document(robot.path), "boundinertia") or 0.0)
     written_thetas = np.array(thetas, dtype=float)
     indices = np.flatnonzero(np.any(thetas != robot.thetas, axis=1)).tolist()
-    comments = _link_comments(robot, indices, joints)
-    if terminal_comment:
-        comments[len(body_ids) - 1].insert(0, terminal_comment)
     changes: list[BodyChange] = []
     for k in indices:
         link = robot.links[k]
@@ -328,7 +303,7 @@ def _body_changes(
         plan = plan_write_back(thetas[k], bodies, bound, max_inflation(errors[k]))
         # With the moments of inertia as they were inflated to be possible.
         written_thetas[k] = plan.written_composite(thetas[k])
-        comment = "; ".join(comments[k]) or None
+        comment = terminal_comment if k == len(body_ids) - 1 else ""
         changes.append(BodyChange(link.body_name, link.body_id, plan, comment))
         comment = f"mass and inertia {plan.scale:.4g} of the model's, for want of room in its link"
         for body in plan.lightened:
@@ -337,30 +312,6 @@ def _body_changes(
                 BodyChange(body.name, body.body_id, WriteBack(theta), comment)
             )
     return tuple(changes), written_thetas
-
-
-def _link_comments(
-    robot: RobotModel, written_links: Sequence[int], joints: Sequence[JointChange]
-) -> list[list[str]]:
-    """Return for each of the arm's links, base to terminal, the comments on changed joints.
-
-    A comment stands with the link that the joint moves, or, where that link is not written, with
-    the terminal link.
-
-    Args:
-        robot: the arm.
-        written_links: indices of the links that are written.
-        joints: the changed joints.
-    """
-    link_by_body = {robot.links[k].body_id: k for k in written_links}
-    comments: list[list[str]] = [[] for _ in robot.links]
-    for change in joints:
-        text = change.comment or ", ".join(change.numbers)
-        if text and change.label in robot.joint_names:
-            moved = robot.links[robot.joint_names.index(change.label)]
-            link_index = link_by_body.get(moved.body_id, -1)
-            comments[link_index].append(f"{text} of joint '{change.label}'")
-    return comments
 
 
 def _payload_body(

@@ -7,10 +7,9 @@ import os
 import sys
 
 import pytest
-from lxml import etree
 
 from robot_sysid.errors import InputError, ModelError
-from robot_sysid.mjcf.documents import append, read_document, set_or_remove
+from robot_sysid.mjcf.documents import read_document
 from tests.support.model_files import ARM, document_of, write_files
 
 BODY = "<mujoco><worldbody><body name='{}'/></worldbody></mujoco>"
@@ -206,37 +205,6 @@ def test_nothing_but_quotes_and_white_space_inside_tags_changes(tmp_path, text):
     marks = str.maketrans("'", '"', " \r\n")
     assert written.translate(marks) == text.translate(marks)
     assert written.count("\n") == written.count("\r\n") or "\r" not in text
-
-
-@pytest.mark.parametrize(
-    ("tag", "name", "value", "old", "new"),
-    [
-        ("mujoco", "x", "5", "1&gt;2", "5"),
-        ("mujoco", "new", 'a&"<', 'y="3"', 'y="3" new="a&amp;&quot;&lt;"'),
-        ("b", "q", "1", "<b/>", '<b q="1"/>'),
-        ("mujoco", "x", None, ' x="1&gt;2"', ""),
-        ("b", "no", None, "", ""),
-    ],
-)
-def test_an_attribute_is_changed_and_nothing_else(tmp_path, tag, name, value, old, new):
-    document = document_of(tmp_path, TEXT)
-    unchanged = document.text().decode()
-    set_or_remove(next(document.root.iter(tag)), name, value)
-    assert document.text().decode() == unchanged.replace(old, new, 1)
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ('\n  <a x="1"/>\n', '\n  <a x="1">\n    <n/>\n  </a>\n'),
-        ("\n  <a>\n    <b/>\n  </a>", "\n  <a>\n    <b/>\n    <n/>\n  </a>"),
-        ("<a><b/></a>", "<a><b/><n/></a>"),
-    ],
-)
-def test_what_is_put_last_stands_like_its_siblings(tmp_path, text, expected):
-    document = document_of(tmp_path, f"<mujoco>{text}<worldbody/></mujoco>")
-    append(document.root.find("a"), etree.Element("n"))
-    assert document.text().decode() == f"<mujoco>{expected}<worldbody/></mujoco>\n"
 
 
 def test_a_line_of_the_text_is_found_in_the_file(tmp_path):

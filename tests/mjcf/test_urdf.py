@@ -26,14 +26,6 @@ def arm(tmp_path, content, *more):
     return document_of(tmp_path, text, "m.urdf")
 
 
-def test_a_missing_collision_mesh_is_left_out_where_the_link_has_an_inertial(tmp_path):
-    text, notes = compilable_urdf(
-        arm(tmp_path, urdf.inertial() + urdf.mesh("collision", "x.stl"))
-    )
-    assert b"<collision>" not in text
-    assert len(notes) == 1 and "x.stl" in notes[0]
-
-
 @pytest.mark.parametrize(
     "setting", ["", '<mujoco><compiler inertiafromgeom="true"/></mujoco>']
 )
@@ -65,12 +57,6 @@ def test_a_mesh_weighs_nothing_in_a_link_that_no_joint_moves(
         return
     text, (note,) = compilable_urdf(document)
     assert b"x.stl" not in text and "x.stl" in note
-
-
-def test_what_is_only_drawn_is_left_out_in_silence(tmp_path):
-    content = urdf.inertial() + urdf.mesh("visual", "x.dae")
-    text, notes = compilable_urdf(arm(tmp_path, content))
-    assert b"<visual>" not in text and notes == ()
 
 
 @pytest.mark.parametrize(

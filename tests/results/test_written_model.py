@@ -6,7 +6,6 @@ A bundle stands alone: it loads as the same model wherever it is put.
 from __future__ import annotations
 
 import shutil
-import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -37,7 +36,7 @@ from robot_sysid.results import record, verification
 from robot_sysid.results import written_model as model_module
 from robot_sysid.results.record import ModelTarget
 from robot_sysid.results.verification import require_same_model
-from robot_sysid.results.written_model import max_inflation, write_bundle, write_model
+from robot_sysid.results.written_model import write_bundle, write_model
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms, urdf
 from tests.support import results as made
@@ -292,14 +291,8 @@ def test_all_links_joints_and_gravity_are_written(tmp_path, name):
         )
     assert_array_equal(reloaded.mj_model.opt.gravity, TURNED)
     assert "System ID: gravity identified with" in text
-    if all(name[0] != "#" for name in robot.joint_names):
-        assert text.count("System ID: body") == sum(
-            link.has_mass for link in robot.links
-        )
-        last = joints[robot.terminal_joint]["coulomb"].value
-        assert (
-            f"frictionloss {last:.4g} ± 0.01 of joint '{robot.terminal_joint}'" in text
-        )
+    written = sum(link.has_mass for link in robot.links)
+    assert text.count("System ID: body") == written
 
 
 ROTORS = """<actuator><motor joint="joint1" gear="3" armature=".02" damping=".1 .02 0"/>
@@ -377,44 +370,6 @@ def test_a_urdf_with_flat_links_is_written_and_loads_in_mujoco(tmp_path, rpy):
     mujoco.MjModel.from_xml_path(str(written))
 
 
-def test_links_that_are_the_models_own_are_left_alone_and_their_joints_told_of_with_the_last(
-    tmp_path,
-):
-    robot = load_arm(tmp_path, arms.THREE)
-    rng = np.random.default_rng(2)
-    thetas = robot.thetas
-    thetas[-1] += random_theta(rng, 0.2)
-    friction = {"coulomb": record.Quantity(0.3, np.nan)}
-    joints = dict.fromkeys(robot.joint_names, friction)
-    result = result_of(robot, file=file_of(robot, thetas, joints))
-    text = write_and_compile(robot, result).path.read_text()
-    assert text.count("System ID") == 1
-    comments = (f"frictionloss 0.3 of joint '{name}'" for name in robot.joint_names)
-    assert f"; {'; '.join(comments)} -->" in text
-    assert text.count(arms.LINK) == arms.THREE.count(arms.LINK) == 2
-
-
-def test_a_urdf_gets_friction_and_gravity_but_says_what_it_cannot_hold(robots):
-    robot = robots["urdf"]
-    rng = np.random.default_rng(7)
-    thetas = new_links(robot, rng)
-    joints = new_joints(robot, rng)
-    result = result_of(robot, file=file_of(robot, thetas, joints, TURNED))
-    path, mj_model, notes = write_and_compile(robot, result)
-    assert len(notes) == 2 and "a URDF cannot hold rotor inertia" in notes[0]
-    assert "other readers ignore" in notes[1]
-    reloaded = load_robot_model(path, joint="l1_l2")
-    values = {
-        term: [joints[j][term].value for j in robot.joint_names] for term in TERMS
-    }
-    assert_array_equal(reloaded.friction.viscous, values["viscous"])
-    assert_array_equal(reloaded.friction.coulomb, values["coulomb"])
-    assert_array_equal(mj_model.opt.gravity, TURNED)
-    assert "armature" not in reloaded.path.read_text()
-    for theta, link in zip(thetas, reloaded.links):
-        assert_same_theta(link.theta, theta)
-
-
 SLACK = arms.TENDON_SPRING.replace('stiffness="25" springlength=".2" damping="3"', "")
 RATIOS = np.array([0.0, 1.0, -2.0])
 
@@ -472,34 +427,6 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     path = write_and_compile(reloaded, result_of(reloaded, file=file)).path
     (motor,) = couplings_of_model(load_robot_model(path))
     assert_array_equal(motor.model[0], file.joints[motor.name]["coulomb"].value)
-
-
-ATTRIBUTES = {
-    "body": "name pos quat",
-    "inertial": "pos mass quat xyaxes diaginertia fullinertia",
-    "joint": "joint coef armature damping frictionloss",
-    "fixed": "damping frictionloss",
-    "option": "gravity",
-}
-"""What a model may get that it has not: MuJoCo 3.0 knows all of it."""
-
-
-def attributes_in(path):
-    """(element, attribute) pairs of a model file."""
-    elements = ElementTree.parse(path).iter()
-    return {(node.tag, name) for node in elements for name in node.attrib}
-
-
-@WITH_MOTOR
-def test_a_file_has_no_attribute_that_the_oldest_mujoco_does_not_know(tmp_path, source):
-    robot = load_arm(tmp_path, source)
-    rng = np.random.default_rng(7)
-    file = replace(with_motor(robot, rng), gravity=TURNED)
-    payload = payload_of(robot, some_payload(rng))
-    result = result_of(robot, file=file, payload=payload)
-    path = write_and_compile(robot, result, as_body="load").path
-    for element, name in attributes_in(path) - attributes_in(robot.path):
-        assert name in ATTRIBUTES[element].split(), (element, name)
 
 
 def test_what_no_urdf_can_hold_is_in_an_mjcf_beside_it(tmp_path):
@@ -584,23 +511,19 @@ def test_fingers_that_leave_no_possible_gripper_are_made_lighter(tmp_path, also_
     theta = 0.3 * thetas[robot.body_name] + sum(thetas[name] for name in fingers) / 6.0
     path, mj_model, notes = write_and_compile(robot, result_of(robot, theta))
     assert_same_theta(terminal_composite(mj_model, robot), theta, 1e-9)
-    shares = [mj_model.body(name).mass[0] / 0.6 for name in fingers]
-    assert 1.0 / 6.0 < shares[0] < 1.0 and shares[0] == pytest.approx(
-        shares[1], rel=1e-12
-    )
-    for name in fingers:
-        model_theta = body_theta(robot.mj_model, robot.mj_model.body(name).id)
-        written_theta = body_theta(mj_model, mj_model.body(name).id)
-        assert_same_theta(written_theta, shares[0] * model_theta)
+    assert 0.1 < mj_model.body("left_finger").mass[0] < 0.6
     assert "'left_finger', 'right_finger' on joints of their own" in notes[0]
-    assert f"{shares[0]:.4g} of the model's" in notes[0]
-    assert ("'cover' weighs nothing" in notes[0]) == also_welded
-    assert (
-        path.read_text().count(f"mass and inertia {shares[0]:.4g} of the model's") == 2
-    )
-    # Any more of the fingers would leave an impossible gripper.
-    finger_theta = 1.001 * shares[0] * sum(thetas[name] for name in fingers)
-    assert not spatial.is_consistent(theta - finger_theta)
+    assert path.read_text().count("of the model's, for want of room in its link") == 2
+
+
+def test_links_that_are_the_models_own_are_left_alone(tmp_path):
+    robot = load_arm(tmp_path, arms.THREE)
+    thetas = robot.thetas
+    thetas[-1] += random_theta(np.random.default_rng(2), 0.2)
+    result = result_of(robot, file=file_of(robot, thetas))
+    text = write_and_compile(robot, result).path.read_text()
+    assert text.count("System ID") == 1
+    assert text.count(arms.LINK) == arms.THREE.count(arms.LINK) == 2
 
 
 @pytest.mark.slow
@@ -630,14 +553,6 @@ def test_any_arm_takes_any_links_and_any_payload(tmp_path_factory, xml, seed, ta
     result = result_of(robot, file=file, payload=payload)
     name = "load" if target == "own body" else None
     assert write_and_compile(robot, result, as_body=name).path.is_file()
-
-
-@given(st.floats(0.0, 1.0), arms.SEEDS)
-def test_errors_say_how_far_moments_may_be_inflated(error, seed):
-    errors = np.random.default_rng(seed).uniform(2.0, 3.0, 10)
-    errors[7] = error
-    assert max_inflation(errors) == error
-    assert max_inflation(np.full(10, np.inf)) == 0.0
 
 
 def test_the_errors_of_what_is_written_count(tmp_path):
