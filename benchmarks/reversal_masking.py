@@ -15,13 +15,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.closed_loop import ClosedLoop
 from benchmarks.example_study import Noise, NoiseStudy, friction_errors, noise_study
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.signals.process import LARGEST_SLOW_SHARE, process
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation.plant import round_to_multiples
-from tests.support.closed_loop import ClosedLoop
 
 SEEDS = range(61, 73)
 SHARES = (0.2, 0.1, LARGEST_SLOW_SHARE, 0.035, 0.02)

@@ -39,7 +39,7 @@ import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import analysis_copy, data_at_pose
 from robot_sysid.errors import InputError, SimulationError
-from robot_sysid.model.chain import is_hinge_or_slide, joint_label
+from robot_sysid.model.chain import joint_label
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import robot_from_compiled
 from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
@@ -48,10 +48,6 @@ from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks, sample_times
 
-GEOMETRY_TOLERANCE = 1e-6
-"""Distance between the terminal bodies of model and plant above which a note is made [m]."""
-_PROBE_STEP = 0.5
-"""Shift of all joints from the reference to the second pose that is compared [rad or m]."""
 HELD_ARMATURE = 1e9
 """Armature that holds joints outside the chain still [kg m^2]."""
 DEFAULT_TIMESTEP = 5e-4
@@ -72,7 +68,7 @@ class PlantSimulation:
         rng: source of the sensor noise; drawn from once, here.
 
     Raises:
-        InputError: options, trajectory and arm do not have the same number of joints.
+        InputError: options and arm do not have the same number of joints.
         SimulationError: the plant cannot be simulated; raised by the iteration.
     """
 
@@ -85,11 +81,6 @@ class PlantSimulation:
         rng: np.random.Generator,
     ) -> None:
         joint_values(options.noise_torque, plant.n_joints, "--noise-torque")
-        plan_joints = plan.evaluate(np.zeros(1)).q.shape[1]
-        if plan_joints != plant.n_joints:
-            raise InputError(
-                f"the trajectory moves {plan_joints} joints, the plant has {plant.n_joints}"
-            )
         self._plant = plant
         self._plan = plan
         self._options = options
@@ -136,83 +127,38 @@ def load_plant(
         mesh_dir: folder of its meshes; default where the file says.
 
     Returns:
-        The plant, held at its own reference configuration apart from the chain; its notes say where
-        its geometry differs.
+        The plant, held at its own reference configuration apart from the chain.
 
     Raises:
         ModelError: the file cannot be used; says why.
-        InputError: its joints are others than the robot's; lists the differences.
+        InputError: its joints are others than the robot's; lists both.
     """
     compiled = compile_model(Path(plant_path), mesh_dir)
+    mj_model = compiled.mj_model
     terminal = robot.terminal_joint
-    plant_joints = _hinges_and_slides(compiled.mj_model)
-    if terminal not in plant_joints:
+    names = [joint_label(mj_model, joint) for joint in range(mj_model.njnt)]
+    if terminal not in names:
         raise InputError(
             f"the plant {Path(plant_path).name} has no joint {terminal}, the last joint of "
-            f"{robot.path.name}; its joints are: {', '.join(plant_joints) or 'none'}"
+            f"{robot.path.name}; its joints are: {', '.join(names) or 'none'}"
         )
     plant = robot_from_compiled(compiled, Path(plant_path), terminal)
-    differences = joint_differences(robot, plant)
-    if differences:
+    joints, plant_joints = map(_joints_text, (robot, plant))
+    if joints != plant_joints:
         raise InputError(
             f"the plant {plant.path.name} does not have the joints of {robot.path.name}: "
-            f"{'; '.join(differences)}. Give a model of the same arm with the same joint names"
+            f"{plant_joints} instead of {joints}. Give a model of the same arm with the same joint "
+            "names"
         )
-    robot_joints = _hinges_and_slides(robot.mj_model)
-    notes = list(plant.notes)
-    held = [name for name in plant_joints if name not in robot_joints]
-    if held:
-        notes.append(f"joints only the plant has are held still: {', '.join(held)}")
-    distance = _terminal_distance(robot, plant)
-    if distance > GEOMETRY_TOLERANCE:
-        notes.append(
-            f"the same joint positions put the terminal body of the plant {1e3 * distance:.3g} mm "
-            "from where the model has it, so the identified values also carry that difference"
-        )
-    return replace(plant, notes=tuple(notes))
+    return plant
 
 
-def _hinges_and_slides(mj_model: Any) -> list[str]:
-    """Return the names of a compiled model's hinge and slide joints."""
-    joints = range(mj_model.njnt)
-    return [joint_label(mj_model, j) for j in joints if is_hinge_or_slide(mj_model, j)]
-
-
-def joint_differences(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
-    """Return phrases on how the joints of a plant's chain differ from the robot's; empty if equal.
-
-    Names, their order and the types hinge and slide are compared.
-    """
-    if robot.joint_names != plant.joint_names:
-        names = ", ".join(plant.joint_names)
-        return (f"{names} instead of {', '.join(robot.joint_names)}",)
-    types = ("hinge", "slide")
-    differences = []
-    for joint in np.flatnonzero(plant.is_slide != robot.is_slide).tolist():
-        plant_type = types[int(plant.is_slide[joint])]
-        robot_type = types[int(robot.is_slide[joint])]
-        name = robot.joint_names[joint]
-        differences.append(f"{name} is a {plant_type} instead of a {robot_type}")
-    return tuple(differences)
-
-
-def _terminal_distance(robot: RobotModel, plant: RobotModel) -> float:
-    """Return the largest distance of the terminal bodies of robot and plant in two poses [m].
-
-    The poses are the robot's reference positions, and ``_PROBE_STEP`` more in every joint.
-    """
-
-    def terminal_position(arm: RobotModel, q: Array) -> Array:
-        """Return the position (3,) of an arm's terminal body at chain positions q (n,) [m]."""
-        qpos = arm.reference_qpos.copy()
-        qpos[arm.qpos_index] = q
-        return np.array(data_at_pose(arm.mj_model, qpos).xpos[arm.body_id])
-
-    distances = []
-    for q in (robot.reference, robot.reference + _PROBE_STEP):
-        offset = terminal_position(robot, q) - terminal_position(plant, q)
-        distances.append(float(np.linalg.norm(offset)))
-    return max(distances)
+def _joints_text(robot: RobotModel) -> str:
+    """Return the names of the chain's joints, in order, with a word for slides."""
+    texts = []
+    for name, is_slide in zip(robot.joint_names, robot.is_slide):
+        texts.append(f"{name} (slide)" if is_slide else name)
+    return ", ".join(texts)
 
 
 def round_to_multiples(values: Array, step: float) -> Array:

@@ -32,10 +32,9 @@ from robot_sysid.pipeline.payload import CHECKS_AT_REST
 from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Progress
 from robot_sysid.simulator import ArmTorque
-from robot_sysid.trajectory import motion_chunks
+from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.diagnosis.conftest import FOUR_AXES, JOINT
 from tests.support import arms
-from tests.support.closed_loop_proof import excitation
 from tests.support.log_files import JOINTS, motion, read_measurements
 from tests.support.places import DATA as real_logs
 from tests.support.places import MODELS as public_models
@@ -299,7 +298,9 @@ def test_correct_logs_draw_no_alarm(axes):
 def test_dry_friction_at_rest_is_no_contact_and_a_short_arm_no_odd_one(axes):
     """A light arm with much dry friction, which acts until the very end of its creep to rest."""
     robot = arms.robot_of(arms.serial_arm(axes, joint=JOINT))
-    motion = next(motion_chunks(excitation(robot, 0, 12.0), 200.0))
+    rng = np.random.default_rng(0)
+    plan, _ = generate_excitation_trajectory(robot, rng, 12.0, ArmTorque(robot))
+    motion = next(motion_chunks(plan, 200.0))
     noise = np.random.default_rng(0).normal(0.0, 0.05, motion.q.shape)
     log = Measurement(
         motion.time, np.round(motion.q, 5), None, ArmTorque(robot)(motion) + noise

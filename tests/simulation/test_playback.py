@@ -11,7 +11,8 @@ import pytest
 
 from robot_sysid.records import Measurement
 from robot_sysid.simulation import playback
-from tests.support.arms import SEVEN, X, Y, Z, robot_of, serial_arm
+from robot_sysid.simulation.plant import set_chain_state
+from tests.support.arms import MODELS, SEVEN, X, Y, Z, robot_of, serial_arm
 from tests.support.releases import since
 from tests.support.servo_logs import SERVOS, TRUTH, XML, commanded
 
@@ -99,6 +100,34 @@ def test_a_rollout_that_diverges_ends_there_and_disturbs_no_other(
     np.testing.assert_array_equal(positions[[0, 2, 3]], expected[[0, 2, 3]])
     np.testing.assert_array_equal(positions[1, :10], expected[1, :10])
     assert np.all(np.isnan(positions[1, 13:]))
+
+
+def test_actuators_and_contacts_of_the_model_do_not_act():
+    plain = serial_arm((Z, Y, X))
+    ball = '<geom type="sphere" size=".3" mass="0"/><joint name="joint'
+    servo = '<actuator><position joint="joint2" kp="500" ctrlrange="-1 1"/></actuator></mujoco>'
+    busy = plain.replace('<joint name="joint', ball).replace("</mujoco>", servo)
+    assert robot_of(busy).mj_model.nu == 1
+    played = []
+    for robot in map(robot_of, (plain, busy)):
+        runner = playback.RolloutRunner(robot, playback.rollout_model(robot, 0.002))
+        played.append(runner.positions(random_inputs(robot)))
+    np.testing.assert_array_equal(*played)
+
+
+@pytest.mark.parametrize("name", ["coupled fingers", "home keyframe"])
+def test_joints_behind_the_chain_stay_where_they_are(name):
+    robot = robot_of(MODELS[name])
+    model = playback.rollout_model(robot, 0.002)
+    data = mujoco.MjData(model)
+    speed = np.full(robot.n_joints, 2.0)
+    set_chain_state(robot, model, data, robot.reference, speed)
+    for _ in range(50):
+        mujoco.mj_step(model, data)
+    others = np.setdiff1d(np.arange(model.nq), robot.qpos_index)
+    reference = robot.reference_qpos
+    np.testing.assert_allclose(data.qpos[others], reference[others], atol=1e-6)
+    assert np.max(np.abs(data.qpos - reference)) > 0.01
 
 
 EDGES = np.linspace(0.0, 1.0, 501)
