@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 20139,
     "robot_sysid/dynamics": 8386,
     "robot_sysid/estimation": 51603,
-    "robot_sysid/logs": 22044,
+    "robot_sysid/logs": 21924,
     "robot_sysid/mjcf": 9068,
     "robot_sysid/model": 11079,
     "robot_sysid/motion": 29453,

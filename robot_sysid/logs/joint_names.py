@@ -44,12 +44,6 @@ class JointMatch:
     model_names: Mapping[str, str]
     unused: tuple[str, ...]
 
-    @property
-    def has_equal_words(self) -> bool:
-        """Whether the names differ from the model's in signs and capitals only."""
-        pairs = self.model_names.items()
-        return all(_split_name(name) == _split_name(joint) for name, joint in pairs)
-
     def describe(self) -> str:
         """Return one sentence that says which joints were matched; "" where all names are equal."""
         names = list(self.model_names)

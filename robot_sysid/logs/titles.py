@@ -304,9 +304,6 @@ def match_joints(
     by_name = find_joint_match(names, joint_names)
     if by_name is None:
         return candidates, joint_match
-    # Names that have the model's words, but go on counting, are those of another arm.
-    if by_name.has_equal_words:
-        match_joint_names(names, joint_names, other_joints)
     first_position = candidates["position"][0][0]
     is_named = first_position in chain(*named_positions.values())
     if not is_named and not name_numbers(joint_names):
@@ -414,11 +411,10 @@ def _strip_joint_names(
 ) -> Iterator[tuple[int, Title]]:
     """Yield (joint index, title without that joint's name), by the longest spellings first.
 
-    A title may begin or end with a name exactly as written, so that ``#3`` and ``arm-1`` are
-    matched and ``arm_1`` is told from ``arm-1``; or hold its tokens, as ``Joint_1.position`` does.
+    A title begins or ends with a name exactly as written, so that ``#3`` and ``arm-1`` are matched
+    and ``arm_1`` is told from ``arm-1``.
     """
     text = title.text.strip()
-    # The name as it is written.
     by_length = sorted(enumerate(joint_names), key=lambda pair: -len(pair[1]))
     for joint, name in by_length:
         suffix = text[len(name) :]
@@ -427,14 +423,6 @@ def _strip_joint_names(
             yield joint, read_title(suffix)
         elif text.endswith(name) and prefix and not prefix[-1].isalnum():
             yield joint, read_title(prefix)
-    # The name's letters and numbers, between blanks.
-    unit, unitless = _split_bracketed_unit(text.lstrip("%#"))
-    phrase = f" {' '.join(_pieces(unitless))} "
-    for joint, name in by_length:
-        prefix, alias, suffix = phrase.partition(f" {' '.join(_pieces(name))} ")
-        if alias.strip():
-            stripped = read_title(f"{prefix} {suffix}")
-            yield joint, replace(stripped, text=title.text, unit=unit or stripped.unit)
 
 
 def _match_numbers(
