@@ -275,11 +275,6 @@ FORMULAS = {
 """Friction term to its torque per unit of its coefficient."""
 
 
-def export_params_json(result: Result, path: Path, notes: Sequence[str] = ()) -> None:
-    """Write params.json with further notes, one sentence each, or raise InputError."""
-    file_access.write_atomically(path, params_json_text(result, notes=notes))
-
-
 def params_json_text(
     result: Result,
     card: Mapping[str, Any] | None = None,

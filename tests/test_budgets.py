@@ -23,8 +23,8 @@ BUDGETS = {
     "robot_sysid/dynamics": 8386,
     "robot_sysid/estimation": 51603,
     "robot_sysid/logs": 21924,
-    "robot_sysid/mjcf": 9068,
-    "robot_sysid/model": 11079,
+    "robot_sysid/mjcf": 9025,
+    "robot_sysid/model": 11051,
     "robot_sysid/motion": 29453,
     "robot_sysid/pipeline": 7130,
     "robot_sysid/records": 9137,
@@ -33,8 +33,8 @@ BUDGETS = {
     "robot_sysid/servo": 10964,
     "robot_sysid/signals": 8508,
     "robot_sysid/simulation": 5606,
-    "robot_sysid": 12615,
-    "tests": 285168,
+    "robot_sysid": 12576,
+    "tests": 283735,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

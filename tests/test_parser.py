@@ -92,11 +92,6 @@ def test_at_rest_the_arm_is_in_the_home_keyframe_or_in_the_only_one(xml):
     assert_allclose(robot_of(model).reference_qpos, pose)
 
 
-def test_without_keyframes_the_arm_is_at_its_joints_own_reference():
-    model = compile_xml(serial_arm((Z, Y, X), joint='range="-1 1" ref=".3"'))
-    assert_allclose(robot_of(model).reference_qpos, 0.3)
-
-
 def test_of_several_keyframes_without_home_none_is_taken_unless_asked_for():
     robot = robot_of(NO_HOME)
     assert_array_equal(robot.reference, np.zeros(4))
@@ -127,12 +122,6 @@ def notes_of(xml):
     return " ".join(robot_of(xml).notes)
 
 
-def test_what_the_analysis_leaves_out_is_told():
-    assert "joint1, joint2" in notes_of(arms.EQUALITY_ON_CHAIN)
-    assert "drag is ignored" in notes_of(arms.IN_WATER)
-    assert notes_of(arms.SEVEN) == ""
-
-
 def tied(one, other, extra_bodies=""):
     tie = f'<equality><weld body1="{one}" body2="{other}"/></equality>'
     return world(serial_bodies((Z, Y, X), tip=arms.fingers()) + extra_bodies, extra=tie)
@@ -154,12 +143,6 @@ MOCAP = '<body name="hand_target" mocap="true"/>'
 )
 def test_a_loop_closed_around_joints_of_the_arm_is_told(one, other, told):
     assert ("closed loop" in notes_of(tied(one, other, MOCAP))) is told
-
-
-@since(3, 7)
-def test_nonlinear_damping_that_is_taken_as_known_is_told():
-    assert "nonlinear damping of joint0, " in notes_of(arms.NONLINEAR_DAMPING)
-    assert "nonlinear damping" not in notes_of(arms.THREE)
 
 
 @since(3, 12)

@@ -255,14 +255,13 @@ def _write_welded_body(
     """
     joint_name = f"{body.name}_joint"
     carrier = find_element(document, "body", body.carrier)
-    names = {node.get("name") for node in document.root.iter("body", "link")}
-    bodies = {"world", *filter(None, names)}
-    joints = {node.get("name") for node in document.root.iter("joint")}
-    is_taken = body.name in bodies or (document.is_urdf and joint_name in joints)
-    if is_taken or not body.name.strip() or not body.name.isprintable():
+    nodes = document.root.iter("body", "link", "joint")
+    taken = {"world", *(node.get("name") for node in nodes)}
+    is_text = body.name.strip() and body.name.isprintable()
+    if not is_text or not taken.isdisjoint((body.name, joint_name)):
         raise ExportError(
             f"{document.path}: the new body cannot be called '{body.name}', because that name is "
-            f"empty, taken or no text; bodies of the model: {', '.join(sorted(bodies))}"
+            "empty or taken; choose another"
         )
     comment = _comment(f"body '{body.name}'", change.rmse, body.comment)
     position = format_numbers(body.translation)
@@ -439,10 +438,9 @@ _MULTIPLIERS = ("replicate", "attach", "composite", "flexcomp")
 
 
 def find_element(document: ModelDocument, element: str, label: str) -> Node:
-    """Return the element of a compiled body or joint, which the file itself must contain once.
+    """Return the element of a compiled body or joint, which the file itself must contain.
 
-    ExportError where it comes from an element that makes bodies, such as ``<replicate>``, is below
-    one, or is there several times.
+    ExportError where it comes from an element that makes bodies, such as ``<replicate>``.
 
     Args:
         element: "body", which is a ``<link>`` in a URDF, or "joint".
@@ -450,9 +448,6 @@ def find_element(document: ModelDocument, element: str, label: str) -> Node:
     """
     nodes = list(_compiled_order(document, element))
     matches = [node for node in nodes if node.get("name") == label]
-    if len(matches) > 1:
-        fault = f"{element} '{label}' stands in the file {len(matches)} times"
-        raise ExportError(f"{document.path}: {fault}")
     number = re.fullmatch(r"#(\d+)", label)
     has_multiplier = next(document.root.iter(*_MULTIPLIERS), None) is not None
     if number and not matches and not document.is_urdf and not has_multiplier:

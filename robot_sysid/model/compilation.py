@@ -243,17 +243,10 @@ def _compile_urdf(
     return mj_model, notes, increases
 
 
-_IMPOSSIBLE = ": no body has such moments of inertia; correct them"
-_BALANCE = (
-    f"{_IMPOSSIBLE}, or let MuJoCo do it with "
-    '<compiler balanceinertia="true"/> in <mujoco>'
-)
-
-
 def _compiler_message(
     path: Path, error: BaseException, changed: ModelDocument | None
 ) -> str:
-    """Return the first line of an error of MuJoCo's, with element, line number and remedy.
+    """Return the first line of an error of MuJoCo's, with element and line number.
 
     ``changed``: the document whose text MuJoCo refused, where that is not the file itself.
     """
@@ -269,12 +262,7 @@ def _compiler_message(
         number = number if changed is None else changed.line_in_file(number)
         location.append(f"line {number}")
     where = f" ({', '.join(location)})" if location else ""
-    remedy = ""
-    if "balanceinertia" in first:
-        remedy = _BALANCE
-    elif "eigenvalues" in first:
-        remedy = _IMPOSSIBLE
-    return f"MuJoCo cannot compile {path}: {first}{where}{remedy}"
+    return f"MuJoCo cannot compile {path}: {first}{where}"
 
 
 def _check_values(mj_model: Any, document: ModelDocument) -> None:

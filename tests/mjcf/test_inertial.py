@@ -115,7 +115,6 @@ def test_nameless_bodies_are_counted_as_mujoco_counts(tmp_path):
     ("content", "label", "message"),
     [
         ("<body name='a'/>", "b", "'b' is not written out in the file"),
-        ("<body name='a'/><body name='a'/>", "a", "'a' stands in the file 2 times"),
         ("<replicate count='2'><body/></replicate><body/>", "#3", "is not written out"),
         (
             "<replicate count='2'><body name='a'/></replicate>",

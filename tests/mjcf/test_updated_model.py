@@ -98,13 +98,6 @@ def test_its_own_output_can_be_exported_again(tmp_path):
     assert second.read_bytes().count(b"System ID") == 1
 
 
-def test_bodies_of_a_worldbody_in_a_urdf_are_no_links(tmp_path):
-    worldbody = '<worldbody><body name="l1"><joint name="base_l1"/></body></worldbody>'
-    links = urdf.serial({"l1": urdf.inertial()})
-    source = write_files(tmp_path, {"m.urdf": urdf.robot(worldbody, links)})
-    write_and_verify(source, "l1", 2.0 * THETA, tmp_path / "written.urdf")
-
-
 INCLUDING = {
     "scene.xml": '<mujoco>\n<include file="parts/arm.xml"/>\n<include file="parts/size.xml"/>\n'
     "<worldbody/></mujoco>",

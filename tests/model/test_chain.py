@@ -104,18 +104,6 @@ def test_two_arms_on_one_torso_are_doubt_and_the_torso_is_offered_too():
     assert candidates(xml) == ["waist", "left_joint2", "right_joint2"]
 
 
-def test_an_arm_on_a_rail_keeps_the_rail_in_its_chain():
-    rail = '<joint name="rail" type="slide" axis="1 0 0" range="-1 1"/>'
-    model = compile_xml(world(link(rail, serial_bodies((Z, Y, X)), "carriage")))
-    chain = module.chain_to(model, module.find_terminal_joint(model))
-    assert [module.joint_label(model, j) for j in chain] == [
-        "rail",
-        "joint0",
-        "joint1",
-        "joint2",
-    ]
-
-
 def jaw(joint, body, content=""):
     """A body that the joint of this name moves."""
     return f'<body name="{body}">{hinge(joint, X)}<geom size=".02"/>{content}</body>'
@@ -257,18 +245,6 @@ def limits_of(joint='range="-1 2"', actuators="", max_velocity=2.0, extra=""):
 def torque_of(actuators, joint="", extra=""):
     """Torque limit of joint1."""
     return limits_of(joint, actuators, extra=extra).torque[1]
-
-
-def test_degrees_and_default_classes_arrive_in_radians():
-    xml = serial_arm((Z, Y, X), joint="").replace('angle="radian"', 'angle="degree"')
-    default = '<default><joint range="-90 180"/></default>'
-    model = compile_xml(xml.replace("<worldbody>", default + "<worldbody>"))
-    limits = module.joint_limits(model, ALL, 2.0, UNSTATED)
-    np.testing.assert_allclose(limits.lower, [-np.pi / 2] * 3)
-    np.testing.assert_allclose(limits.upper, [np.pi] * 3)
-    # MuJoCo keeps the range 0 0 for a joint without one.
-    for without in ("", 'range="-1 2" limited="false"'):
-        np.testing.assert_array_equal(limits_of(without).upper, np.inf)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import itertools
-import json
 import math
 import os
 import signal
@@ -16,14 +15,10 @@ from pathlib import Path
 
 import pytest
 
-import robot_sysid as rs
 from robot_sysid.errors import InputError
-from robot_sysid.logs import LogOptions
-from robot_sysid.logs.reader import open_table
 from robot_sysid.records import file_access as files
 from robot_sysid.records.file_access import (
     LOCK_NAME,
-    atomic_file,
     atomic_files,
     lock_folder,
     plan_settings,
@@ -32,7 +27,7 @@ from robot_sysid.records.file_access import (
     refuse_special_file,
     write_atomically,
 )
-from tests.support.model_files import LFS_POINTER, write_files
+from tests.support.model_files import LFS_POINTER
 from tests.support.places import ROOT
 
 NAMES = ("model.xml", "b.csv", "a.json")
@@ -154,17 +149,6 @@ def test_a_process_that_is_killed_leaves_whole_files_and_keeps_no_folder(old_set
     assert {name: texts_in(old_set)[name] for name in NAMES} == dict.fromkeys(
         NAMES, "new"
     )
-
-
-def test_one_file_appears_when_the_block_ends_without_an_error(tmp_path):
-    path = tmp_path / "a.csv"
-    with atomic_file(path) as file:
-        file.write("1\n")
-        assert not path.exists()
-    with pytest.raises(ZeroDivisionError), atomic_file(path) as file:
-        file.write("half")
-        raise ZeroDivisionError
-    assert texts_in(tmp_path) == {"a.csv": "1\n"}
 
 
 def test_a_failed_group_leaves_nothing_not_even_its_folder(tmp_path):
@@ -338,31 +322,3 @@ def test_a_pointer_of_lfs_is_no_file_to_read(tmp_path):
     for read in (read_toml, partial(read_json, remedy="do this")):
         with pytest.raises(InputError, match="a is a pointer of Git LFS.*git lfs pull"):
             read(path)
-
-
-def assert_pipe_is_refused(path, folder):
-    """A recording in the folder is refused for the pipe at the path."""
-    with pytest.raises(InputError, match=f"{path.name} is a pipe or a device"):
-        open_table(folder, ("a",), LogOptions())
-
-
-def test_a_pipe_is_refused_as_a_file_of_a_lerobot_recording(tmp_path, pipe):
-    pytest.importorskip("pyarrow")
-    names = {"names": ["a.pos", "a.torque"]}
-    content = {"features": {"observation.state": names}}
-    write_files(tmp_path, {"meta/info.json": json.dumps(content)})
-    (tmp_path / "data").mkdir()
-    assert_pipe_is_refused(pipe.rename(tmp_path / "data" / "part.parquet"), tmp_path)
-
-
-def test_a_pipe_is_refused_as_a_file_of_a_bag(tmp_path, pipe):
-    pytest.importorskip("rosbags")
-    write_files(tmp_path, {"metadata.yaml": "rosbag2_bagfile_information:\n"})
-    assert_pipe_is_refused(pipe.rename(tmp_path / "part.db3"), tmp_path)
-
-
-def test_python_programs_get_the_same_refusal(pipe):
-    with pytest.raises(
-        rs.InputError, match="pipe is a pipe or a device; give columns another"
-    ):
-        rs.identify("arm.xml", "log.csv", columns=pipe)

@@ -273,12 +273,6 @@ def is_refused_for_torque(robot, mj_model, thetas=None, change=None):
     return False
 
 
-@pytest.mark.parametrize("name", ["seven", "springs", "coupled fingers"])
-def test_the_prediction_of_the_models_own_numbers_is_its_inverse_dynamics(name):
-    robot = arms.robot_of(arms.MODELS[name])
-    assert not is_refused_for_torque(robot, robot.mj_model)
-
-
 @pytest.mark.parametrize("link", range(3))
 def test_a_model_that_is_off_in_any_parameter_is_refused(three_joints, link):
     """One part in a million of the link's own size is enough, where its joint can tell."""

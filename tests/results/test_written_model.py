@@ -238,9 +238,9 @@ def test_a_name_that_is_taken_is_refused_and_leaves_nothing(robots, suffix, name
     result = result_of(
         robot, payload=payload_of(robot, some_payload(np.random.default_rng(0)))
     )
-    with pytest.raises(ExportError, match="cannot be called") as error:
+    with pytest.raises(ExportError, match="cannot be called"):
         write_and_compile(robot, result, folder, as_body=name)
-    assert "tool" in str(error.value) and not folder.exists()
+    assert not folder.exists()
 
 
 @since(3, 1)
