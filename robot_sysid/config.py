@@ -65,7 +65,6 @@ class OutputOptions(OptionRecord):
     report: bool = option(
         False, "also write report.html, a page with figures of the result"
     )
-    plots: bool = option(False, "also write the report's figures as PNG and SVG")
 
 
 _ID: dict[str, Any] = {
@@ -234,7 +233,6 @@ class Config:
 
 TORQUE_KEYS = (
     "report",
-    "plots",
     "keep",
     "links",
     "torque_scale",
@@ -362,7 +360,7 @@ class SysidConfig(Config):
             _set_options(self.log)
             + _set_options(self.estimation, only=("torque_from",)),
         )
-        files = ("bundle", "report", "plots", "plant_model", "save_measurements")
+        files = ("bundle", "report", "plant_model", "save_measurements")
         yield (
             not is_plan,
             "is about an estimate; a plan stops before it",

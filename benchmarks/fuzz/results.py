@@ -15,8 +15,8 @@ import matplotlib.font_manager  # noqa: F401 - makes its folders when it is firs
 from benchmarks.fuzz.harness import Case, write_case
 from benchmarks.fuzz.mutations import damage_bytes, damaged_json
 from robot_sysid.records.file_access import PARAMS_NAME
-from robot_sysid.report.page import html, save_data, sections_of
-from robot_sysid.report.runs import DATA_NAME, fingerprint, load_run
+from robot_sysid.report.page import write_report
+from robot_sysid.report.runs import DATA_NAME, load_run, save_data
 from tests.support import reports
 
 DATA_SHARE = 0.1
@@ -34,7 +34,7 @@ def _runs() -> tuple[tuple[Mapping[str, bytes], Any], ...]:
         model.write_text(reports.arm_text())
         result = reports.link_result(model)
         run = reports.saved(folder / "link", result)
-        save_data(run, reports.traces(result), fingerprint(run / PARAMS_NAME))
+        save_data(run, reports.traces(result), reports.fingerprint(run))
         link = {name: (run / name).read_bytes() for name in (PARAMS_NAME, DATA_NAME)}
         other = reports.saved(folder / "payload", reports.payload_result(model))
         payload = json.loads((other / PARAMS_NAME).read_bytes())
@@ -57,5 +57,5 @@ def use(case: Case, folder: Path) -> None:
     path = write_case(case, folder)
     run = load_run(path)
     if "page" in case:
-        html("a page", sections_of([run]))
-        html("a comparison", sections_of([run, run]))
+        write_report([run], path)
+        write_report([run, run], path)

@@ -135,7 +135,7 @@ ELSEWHERE = {
     "validation_measurements": "is the argument validation",
     "verify_rollout": f"plays models; {_COMMAND}",
     "torque_from": f"is for logs without torque; {_COMMAND} MODEL LOG --torque-from position-error",
-    **dict.fromkeys(("output_dir", "bundle", "report", "plots"), _SAVE),
+    **dict.fromkeys(("output_dir", "bundle", "report"), _SAVE),
     "plan_only": "designs a motion; call plan instead",
     **dict.fromkeys(("empty", "loaded"), "is an argument of its own"),
 }

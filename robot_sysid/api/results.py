@@ -161,7 +161,7 @@ class Identified(Identification):
         Raises:
             InputError: the folder cannot be written to.
         """
-        from robot_sysid.report.page import save_data
+        from robot_sysid.report.runs import save_data
 
         with in_python(), one_thread():
             with locked_folder(Path(folder), Progress()):

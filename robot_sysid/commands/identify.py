@@ -127,7 +127,7 @@ PLAN = CommandSpec(
         "preview": (ViewOptions,),
     },
     only={"prediction": PREDICTED},
-    leave_out=("keep", "links", "bundle", "report", "plots"),
+    leave_out=("keep", "links", "bundle", "report"),
     defaults=PLANNED,
 )
 IDENTIFY = CommandSpec(

@@ -22,7 +22,7 @@ from robot_sysid.records.option_fields import (
 
 @dataclass(frozen=True)
 class PageOptions(OptionRecord):
-    """Folder of the page (None for that of the first run), and files beside it."""
+    """Folder of the page; None for that of the first run."""
 
     output_dir: Path | None = option(
         None,
@@ -31,7 +31,6 @@ class PageOptions(OptionRecord):
         parse=parse_folder,
         default_text="the run's own, or the first one's",
     )
-    plots: bool = option(False, "also write the figures as PNG and SVG")
 
 
 def build_parser(full: bool = True) -> Parser:
@@ -59,19 +58,17 @@ def main(arguments: Sequence[str]) -> int:
     values, console = parse_command(build_parser, arguments)
     page = record_from(PageOptions, values)
     mesh_dir = record_from(ModelOptions, values).mesh_dir
-    require_report(OutputOptions(report=True, plots=page.plots))
+    require_report(OutputOptions(report=True))
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.report.page import write_report
     from robot_sysid.report.runs import load_run
 
     runs = [load_run(folder) for folder in values["folders"]]
     folder = page.output_dir or runs[0].folder
-    paths = write_report(runs, folder, mesh_dir, plots=page.plots, progress=console)
-    console.stage(f"Written: {paths[0]}")
-    if len(paths) > 1:
-        console.stage(f"Written: {len(paths) - 1} figures in {paths[-1].parent}")
+    path = write_report(runs, folder, mesh_dir, console)
+    console.stage(f"Written: {path}")
     verdicts = [run.content["verdict"] for run in runs]
-    console.result({"written": list(map(str, paths)), "verdicts": verdicts})
+    console.result({"written": [str(path)], "verdicts": verdicts})
     if len(runs) == 1:
         console.stage(*verdicts[0])
     return 0
@@ -79,10 +76,10 @@ def main(arguments: Sequence[str]) -> int:
 
 def require_report(output: OutputOptions) -> None:
     """Raise InputError where a wanted report cannot be made; called before a long run."""
-    if output.report or output.plots:
-        from robot_sysid.report.drawing import require_libraries
+    if output.report:
+        from robot_sysid.report.drawing import require_matplotlib
 
-        require_libraries()
+        require_matplotlib()
 
 
 def write_outcome_report(
@@ -96,36 +93,33 @@ def write_outcome_report(
     Args:
         outcome: an ``export.Outcome``. Its ``traces`` return the data for figures; they are None,
             and there is no report, for a plan and for servos that were found without torques.
-        output: folder of the results, and whether a report or figures are wanted.
+        output: folder of the results, and whether a report is wanted.
         mesh_dir: folder of the model's meshes; None as the model says.
         console: prints where the report is.
 
     Returns:
         Why a wanted report is missing, or None.
     """
-    is_wanted = output.report or output.plots
     traces = outcome.traces
-    if traces is None or not (is_wanted or outcome.result.is_measured):
+    if traces is None or not (output.report or outcome.result.is_measured):
         return None
-    from robot_sysid.report.page import save_data, write_report
-    from robot_sysid.report.runs import load_run
+    from robot_sysid.report.page import write_report
+    from robot_sysid.report.runs import load_run, save_data
 
     try:
         save_data(output.output_dir, traces(), outcome.result_hash)
-        if not is_wanted:
+        if not output.report:
             return None
         console.stage("Drawing the report...")
         run = load_run(output.output_dir)
-        paths = write_report(
-            [run], run.folder, mesh_dir, output.report, output.plots, console
-        )
+        path = write_report([run], run.folder, mesh_dir, console)
     except Exception as error:  # The run is done, and its results must stand.
         cause = f"{type(error).__name__}: {error}"
         if isinstance(error, SysidError):
             cause = str(error)
-        if is_wanted:
+        if output.report:
             return f"the results are written, but the report is not: {cause}"
         console.note(f"nothing was left for a later report: {cause}")
         return None
-    console.stage(f"Report: {paths[0] if output.report else paths[0].parent}")
+    console.stage(f"Report: {path}")
     return None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.report.sections import Figure
+from robot_sysid.report.drawing import Figure
 from robot_sysid.report.studio import Studio, png_bytes
 
 _POSES = 6
@@ -39,4 +39,4 @@ def motion_strip(robot: RobotModel, time: Array, q: Array) -> Figure:
             pictures.append(studio.render())
     instants = ", ".join(f"{instant:.1f}" for instant in time[shown])
     caption = f"Six postures along the motion, from left to right at {instants} s."
-    return Figure("motion-strip", caption, png=png_bytes(np.hstack(pictures)))
+    return Figure(caption, png=png_bytes(np.hstack(pictures)))

@@ -32,13 +32,13 @@ _THETA_LABELS = (
     *(f"inertia {name[1:]}" for name in INERTIA),
 )
 """Labels of the ten inertial parameters."""
-_CENTRAL_LABELS = (
+CENTRAL_LABELS = (
     "mass",
     *map("centre of mass {}".format, "xyz"),
     *(f"inertia {name[1:]} about CoM" for name in INERTIA),
 )
 """Labels of mass, centre of mass and inertia about it."""
-_CENTRAL_UNITS = ("kg", *"mmm", *PARAMETER_UNITS[4:])
+CENTRAL_UNITS = ("kg", *"mmm", *PARAMETER_UNITS[4:])
 """Their units."""
 TERM_LABELS = {
     "coulomb": "Coulomb friction",
@@ -166,7 +166,7 @@ def central_rows(body: BodyEstimate) -> list[BeforeAfter]:
     shares = body.data_share.copy()
     shares[1:4] = np.minimum(shares[0], shares[1:4])
     errors = load_errors(body)
-    columns = (_CENTRAL_LABELS, _CENTRAL_UNITS, errors, shares)
+    columns = (CENTRAL_LABELS, CENTRAL_UNITS, errors, shares)
     rows = _number_rows(body, _central_values, scale, *columns)
     return [*rows[:1], *itertools.compress(rows[1:], np.isfinite(errors[1:]))]
 

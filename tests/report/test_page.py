@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from html.parser import HTMLParser
 
 import pytest
+from markupsafe import escape
 
-from robot_sysid.report.page import html, title_of, write_report
+from robot_sysid.errors import InputError
+from robot_sysid.report.drawing import COLOURS
+from robot_sysid.report.page import COMPARISON_NAME, REPORT_NAME, write_report
 from robot_sysid.report.runs import load_run
-from robot_sysid.report.sections import Section
+from robot_sysid.results.record import Verdict
+from tests.support.reports import payload_result, saved
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 
@@ -59,7 +64,7 @@ def test_every_tag_is_closed_names_are_text_and_nothing_is_loaded_from_elsewhere
     assert policies[0]["content"].startswith("default-src 'none'")
     sections = ("section", "details")
     ids = [attrs["id"] for tag, attrs in page.tags if "id" in attrs and tag in sections]
-    assert len(ids) == len(set(ids)) > 8
+    assert len(ids) == len(set(ids)) > 6
     anchors = {attrs["id"] for _, attrs in page.tags if "id" in attrs}
     assert set(re.findall(r"url\(#([^)]+)\)", text)) <= anchors
     assert {a["xlink:href"][1:] for tag, a in page.tags if tag == "use"} <= anchors
@@ -70,20 +75,21 @@ def test_every_part_is_there_and_every_figure_has_a_caption_and_a_unit(text):
         "Links before and after",
         "Identifiability",
         "Torque and residual of each joint, before and after",
-        "Residual: noise or model error?",
         "Motion and its limits",
         "Friction",
         "Prediction errors",
+        "Played in the simulator",
         "truth",
-        "Inertia on the arm",
         "fifths of arm.csv",
     ):
         assert phrase in text, phrase
     figures = re.findall(r"<figure.*?</figure>", text, re.DOTALL)
-    assert len(figures) > 12
+    assert len(figures) > 9
     for figure in figures:
         assert re.search(r"<figcaption>.{10,}</figcaption>", figure, re.DOTALL)
         assert re.search(r"\[|±|%|posture", figure)
+        # Its colours are those of the page, light or dark.
+        assert not set(COLOURS.values()) & set(re.findall(r"#\w{6}", figure))
 
 
 def test_the_first_screen_is_the_verdict_with_one_figure_and_the_rest_is_folded(text):
@@ -91,44 +97,112 @@ def test_the_first_screen_is_the_verdict_with_one_figure_and_the_rest_is_folded(
     assert first_screen.count("<figure") == 1
     # The torque error is stated once, by the sentence of the console.
     assert len(re.findall("27\u00a0%\u00a0→\u00a00.25\u00a0%", first_screen)) == 1
-    assert len(folds) > 7 and not any(fold.startswith(" open") for fold in folds)
+    assert len(folds) > 6 and not any(fold.startswith(" open") for fold in folds)
 
 
-def run_with_model(link_run, folder, path):
-    """A run of two logs whose model is at a path."""
+def page_with(link_run, folder, **changes):
+    """The text of the page about a run with changed entries of params.json."""
+    for name in ("report_data.npz", "updated_model.xml"):
+        shutil.copy(link_run / name, folder)
     content = json.loads((link_run / "params.json").read_text())
-    content["model"]["path"] = str(path)
-    content["logs"] = ["/data/a.csv", "b.csv"]
-    (folder / "params.json").write_text(json.dumps(content))
-    return load_run(folder)
+    (folder / "params.json").write_text(json.dumps({**content, **changes}))
+    return write_report([load_run(folder)], folder).read_text(encoding="utf-8")
 
 
 def test_the_title_names_the_robot_the_day_and_the_logs(link_run, tmp_path):
     model = tmp_path / "scene.xml"
     text = (link_run.parent / "arm.xml").read_text()
     model.write_text(re.sub("<mujoco[^>]*>", '<mujoco model="gen3">', text))
-    run = run_with_model(link_run, tmp_path, model)
-    assert re.fullmatch(r"gen3, \d{4}-\d\d-\d\d: a\.csv, b\.csv", title_of(run))
+    entry = {"path": str(model), "sha256": ""}
+    logs = ["/data/a.csv", "b.csv"]
+    text = page_with(link_run, tmp_path, model=entry, logs=logs)
+    title = re.search("<title>(.*)</title>", text)[1]
+    assert re.fullmatch(r"gen3, \d{4}-\d\d-\d\d: a\.csv, b\.csv", title)
+    assert "has changed since the run" in text
+    model.unlink()
+    text = page_with(link_run, tmp_path, model=entry)
+    assert "<title>scene, " in text and "not at" in text
 
 
-def test_a_model_that_is_gone_is_named_by_its_file(link_run, tmp_path):
-    run = run_with_model(link_run, tmp_path, tmp_path / "gone.xml")
-    assert title_of(run).startswith("gone, ")
-
-
-def test_a_command_of_the_verdict_stands_alone_to_be_copied():
+def test_a_command_of_the_verdict_stands_alone_to_be_copied(link_run, tmp_path):
     lines = ("Usable: yes", "Next, to test it:", "  robot-sysid log 'a b.csv'")
-    text = html("t", [Section("verdict", "Verdict", lines, verdict="good")])
+    text = page_with(link_run, tmp_path, verdict=lines)
     assert "<pre>robot-sysid log &#39;a b.csv&#39;</pre>" in text
     assert "<p>Next, to test it:</p>" in text
 
 
-def test_print_opens_what_is_folded(text):
-    print_style = text.partition("@media print {\n  @page")[2].partition("</style>")[0]
-    assert "details::details-content { content-visibility: visible" in print_style
+def rating_in(text):
+    """The rating of a page's verdict, which is its colour."""
+    return re.search('class="verdict ([a-z]+)"', text)[1]
 
 
-@pytest.mark.slow
+def test_amber_is_the_colour_of_a_caveat_and_red_of_what_is_not_usable(
+    link_run, tmp_path
+):
+    for status, rating in (("AS_GOOD", "good"), ("TORQUES_ONLY", "part")):
+        assert rating_in(page_with(link_run, tmp_path, status=status)) == rating
+    refused = ["Not usable: no model was written: the rollout is no better"]
+    text = page_with(link_run, tmp_path, verdict=refused)
+    assert rating_in(text) == "bad" and "mass [kg]</td>" not in text.split("fold")[0]
+    # The torques of another run are not drawn.
+    assert "belongs to another run" in text and "time [s]" not in text
+
+
+def test_of_several_models_in_the_folder_the_runs_own_is_to_be_loaded(
+    link_run, tmp_path
+):
+    """A run that reads its model from its own output folder leaves two models there."""
+    other = (link_run / "updated_model.xml").read_text()
+    other = re.sub(r"RMSE [\d.]+ Nm", "RMSE 0.123456 Nm", other)
+    (tmp_path / "updated_model.urdf").write_text(other)
+    text = page_with(link_run, tmp_path)
+    assert re.findall("Do not load (\\S+):", text) == ["updated_model.urdf"]
+
+
+def test_a_model_of_its_own_simulation_has_one_body_without_errors(link_run, tmp_path):
+    absent = dict.fromkeys(("file", "standard_errors", "rollout", "base_parameters"))
+    absent |= {"links": [], "joints": {}, "couplings": {}, "validation": []}
+    text = page_with(
+        link_run, tmp_path, source="simulation of the model itself", **absent
+    )
+    main_table = re.search("<tbody>.*?</tbody>", text, re.DOTALL)[0]
+    first_row = re.search("<tr>.*?</tr>", main_table)[0]
+    assert re.sub("<[^>]*>", " ", first_row).split() == ["mass", "[kg]", "2"]
+
+
+@pytest.mark.parametrize(
+    "odd", [{"sensors": "much"}, {"joints": {"j5": 7}}, {"links": [1]}, {"mass": "m"}]
+)
+def test_a_result_with_an_entry_of_another_type_is_refused(link_run, tmp_path, odd):
+    absent = {"links": []} if "mass" in odd else {}
+    with pytest.raises(InputError, match="a result cannot be shown"):
+        page_with(link_run, tmp_path, **{**absent, **odd})
+    assert not (tmp_path / REPORT_NAME).exists()
+
+
+def test_a_payload_has_its_card_unless_it_is_refused(link_run, tmp_path):
+    model = link_run.parent / "arm.xml"
+    folder = saved(tmp_path, payload_result(model))
+    text = write_report([load_run(folder)], folder).read_text(encoding="utf-8")
+    assert str(escape((folder / "payload_card.txt").read_text())) in text
+    assert "$x^{1}&amp;" in text
+    assert "1.200" in text and rating_in(text) == "good"
+    folder = saved(tmp_path, payload_result(model, Verdict.SWAPPED))
+    text = write_report([load_run(folder)], folder).read_text(encoding="utf-8")
+    assert "No card was written" in text and rating_in(text) == "bad"
+
+
+def test_a_comparison_has_the_main_numbers_of_each_run(link_run, tmp_path):
+    run = load_run(link_run)
+    payload = load_run(saved(tmp_path, payload_result(link_run.parent / "arm.xml")))
+    path = write_report([run, payload], tmp_path)
+    text = path.read_text(encoding="utf-8")
+    page = Tags(text)
+    assert path.name == COMPARISON_NAME and page.faults == [] == page.open_tags
+    assert text.count("mass [kg]</td>") == 2 and "<script" not in text
+    assert "2 runs compared" in text
+
+
 def test_the_same_run_makes_the_same_bytes(page, link_run, tmp_path):
-    (second_page,) = write_report([load_run(link_run)], tmp_path)
+    second_page = write_report([load_run(link_run)], tmp_path)
     assert second_page.read_bytes() == page.read_bytes()

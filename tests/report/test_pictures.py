@@ -7,7 +7,7 @@ import pytest
 
 from robot_sysid.report import motion_strip as strips
 from robot_sysid.report import studio
-from robot_sysid.report.pictures import picture
+from robot_sysid.report.pictures import pictures
 from robot_sysid.report.runs import load_run
 from tests.support import arms
 
@@ -25,7 +25,8 @@ def robot():
 
 def test_no_renderer_means_no_pictures_but_a_page(monkeypatch, link_run):
     monkeypatch.setattr(studio, "renderer_library", lambda: None)
-    assert "neither EGL nor OSMesa" in picture(load_run(link_run)).missing[0]
+    figures, reason = pictures(load_run(link_run))
+    assert figures == [] and "neither EGL nor OSMesa" in reason
 
 
 @needs_renderer

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +12,8 @@ from robot_sysid.export import params_json_text
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import DataOrigin, JointLimits, Source
 from robot_sysid.records.data import Traces
-from robot_sysid.report.page import REPORT_NAME, save_data, write_report
-from robot_sysid.report.runs import fingerprint, load_run
+from robot_sysid.report.page import REPORT_NAME, write_report
+from robot_sysid.report.runs import load_run, save_data
 from robot_sysid.results.cards import card_text, number_groups
 from robot_sysid.results.record import Quantity, Verdict
 from tests.support import arms
@@ -76,6 +77,11 @@ def traces(result):
     return Traces(names, is_slide, time, q, qd, *torques, limits, made.ARM.prior)
 
 
+def fingerprint(folder):
+    """The hash of the result in a folder."""
+    return hashlib.sha256((folder / "params.json").read_bytes()).hexdigest()
+
+
 def saved(folder, result):
     """A folder that a run left, without its report."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -98,7 +104,7 @@ def link_run(tmp_path_factory):
     model.write_text(arm_text(), encoding="utf-8")
     result = link_result(model)
     run = saved(folder / "link", result)
-    save_data(run, traces(result), fingerprint(run / "params.json"))
+    save_data(run, traces(result), fingerprint(run))
     comment = "<!-- System ID: body 'x' identified with RMSE 0.030000 Nm -->"
     (run / "updated_model.xml").write_text(comment + arm_text(), encoding="utf-8")
     return run
@@ -107,6 +113,6 @@ def link_run(tmp_path_factory):
 @pytest.fixture(scope="session")
 def page(link_run):
     """The page about it."""
-    (path,) = write_report([load_run(link_run)], link_run)
+    path = write_report([load_run(link_run)], link_run)
     assert path.name == REPORT_NAME
     return path
