@@ -8,7 +8,7 @@ Run from the checkout:
     ... all --json motor_faults.json
     ... page          # the table of motor_faults.md
 
-Arms of public models are played on simulated Damiao motors, in simulated time. ``damage`` spoils
+The Kinova arm is played on simulated Damiao motors, in simulated time. ``damage`` spoils
 one feedback frame, as text on a serial line; ``faults`` disturbs a motor or the arm while it plays;
 ``stop`` measures how far joints fall after the stop of an arm that is held still; ``clean`` plays
 undisturbed. A fault's run branches off the undisturbed one in a process of its own.
@@ -35,21 +35,15 @@ import numpy as np
 from benchmarks.speed_table import rewrite
 from tests.support.damaged_links import Damage
 from tests.support.fault_bench import (
-    ARMS,
+    MOTOR_TYPES,
     BenchRun,
     Case,
     SetUp,
     loaded_joint,
     outcomes_of,
 )
-from tests.support.fault_lines import LINES, SHOULDER, UNSEEN, WRIST, Line
-from tests.support.motor_causes import (
-    DamagedFrame,
-    LostMotor,
-    SecondMaster,
-    WeakMotor,
-    joint_of,
-)
+from tests.support.fault_lines import LINES, SHOULDER, UNSEEN, Line
+from tests.support.motor_causes import DamagedFrame, LostMotor, SecondMaster, WeakMotor
 from tests.support.places import ROOT
 
 DAMAGES = {
@@ -81,13 +75,12 @@ PAGE_HEAD = "| Fault | Departure [rad] | The message contains |\n| --- | --- | -
 _UNSEEN_MASTER = SecondMaster(SHOULDER, 0.5, False)
 FAULTS = (*LINES, Line("second master, shoulder, not seen", _UNSEEN_MASTER, UNSEEN))
 """Faults of ``faults``: those of the page, and one more."""
-FAULT_AFTER = 1.5
 HOLD_FAULT_AFTER = 1.0
 HOLD_STIFFNESS = (60.0, 180.0)
 RATES = (50.0, 100.0, 250.0, 500.0)
 
 
-def damage_cases(arm: str, runs: int, seed: int) -> list[Case]:
+def damage_cases(runs: int, seed: int) -> list[Case]:
     """Return cases of one damaged frame each, spread over fields, sizes, phases and joints."""
     random = np.random.default_rng(seed)
     kinds = []
@@ -99,9 +92,9 @@ def damage_cases(arm: str, runs: int, seed: int) -> list[Case]:
         name, size = kinds[number % len(kinds)]
         phase = str(random.choice(list(MOMENTS), p=shares / shares.sum()))
         park = "rest" if phase == "lowering" or random.random() < 0.5 else None
-        setup = SetUp(arm, model_is_given=bool(random.random() < 0.5), park=park)
-        joint = int(random.integers(len(ARMS[arm].motor_types)))
-        damage = _damage(name, size, joint, len(ARMS[arm].motor_types), random)
+        setup = SetUp(model_is_given=bool(random.random() < 0.5), park=park)
+        joint = int(random.integers(len(MOTOR_TYPES)))
+        damage = _damage(name, size, joint, len(MOTOR_TYPES), random)
         begin, end, _ = MOMENTS[phase]
         instant = random.uniform(begin, end)
         cause = DamagedFrame(damage)
@@ -124,33 +117,21 @@ def _damage(name, size, joint: int, n: int, random: np.random.Generator) -> Dama
     return Damage(name, size, joint)
 
 
-def fault_cases(
-    arm: str, belief: str = "guess", instant: float = FAULT_AFTER
-) -> list[Case]:
-    """Return a case for each fault, with the model given and without.
-
-    Faults of the shoulder are those of the arm's most loaded joint.
-    """
+def fault_cases(belief: str = "guess") -> list[Case]:
+    """Return a case for each fault, with the model given and without."""
     cases = []
     for is_given in (True, False):
-        setup = SetUp(arm, belief, is_given)
-        light = len(ARMS[arm].motor_types) - 2
-        joints = {SHOULDER: loaded_joint(setup), WRIST: light, None: None}
-        for line in FAULTS:
-            joint = joints[joint_of(line.cause)]
-            cause = line.cause if joint is None else replace(line.cause, joint=joint)
-            phase = line.options.get("phase", "playing")
-            delay = instant if phase else 0.0
-            cases.append(Case(line.name, setup, cause, phase, delay, None, joint))
+        setup = SetUp(belief, is_given)
+        cases += [replace(line.case, setup=setup) for line in FAULTS]
     return cases
 
 
-def hold_cases(arm: str, belief: str = "truth") -> list[Case]:
+def hold_cases() -> list[Case]:
     """Return a case for each fault of a motor that holds the arm still, pose and stiffness."""
     cases = []
     for kp in HOLD_STIFFNESS:
         for pose in range(5):
-            setup = SetUp(arm, belief, kp=kp, pose=pose, stands=True, duration=2.5)
+            setup = SetUp("truth", kp=kp, pose=pose, stands=True, duration=2.5)
             joint = loaded_joint(setup)
             for name, cause in (
                 ("weak motor, half", WeakMotor(joint, 0.5)),
@@ -163,24 +144,17 @@ def hold_cases(arm: str, belief: str = "truth") -> list[Case]:
     return cases
 
 
-def clean_setups(arms: Sequence[str], rates: Sequence[float] = RATES) -> list[SetUp]:
+def clean_setups(rates: Sequence[float]) -> list[SetUp]:
     """Return what has to be played through undisturbed."""
-    setups = []
-    for arm, rate, is_given in itertools.product(arms, rates, (True, False)):
-        setups.append(SetUp(arm, "guess", is_given, rate=rate))
-    return setups
+    both = itertools.product(rates, (True, False))
+    return [SetUp("guess", is_given, rate=rate) for rate, is_given in both]
 
 
 def clean_result(setup: SetUp) -> dict:
     """Play a set-up undisturbed and return what came of it."""
     record, _ = BenchRun(setup).play()
     is_complete = not record.error
-    return {
-        "setup": str(setup),
-        "completed": is_complete,
-        "words": record.error,
-        "seconds": record.seconds,
-    }
+    return {"setup": str(setup), "completed": is_complete, "words": record.error}
 
 
 def shorten_message(message: str, length: int = 78) -> str:
@@ -214,20 +188,17 @@ def _by_name(outcomes: list) -> Iterator[tuple[str, list]]:
 
 def print_damage_table(outcomes: list) -> None:
     """Print, by field and size, the worst departure, how many runs were stopped, and the words."""
-    print(
-        "| field, size | runs | stopped | worst departure [rad] | in phase | top speed | words |"
-    )
-    print("|---|---|---|---|---|---|---|")
+    print("| field, size | runs | stopped | worst departure [rad] | in phase | words |")
+    print("|---|---|---|---|---|---|")
     for name, group in _by_name(outcomes):
         worst = max(group, key=lambda outcome: outcome.departure)
         stopped = [o for o in group if o.ending in ("stopped", "refused")]
-        top_speed = max(outcome.top_speed for outcome in group)
         endings = Counter(_rough(outcome.words) for outcome in stopped)
         texts = [f"{count}x {text}" for text, count in endings.most_common(3)]
         summary = "; ".join(texts)
         print(
             f"| {name} | {len(group)} | {len(stopped)} | {worst.departure:.3f} "
-            f"| {worst.phase[:12]} | {top_speed:.2f} | {summary} |"
+            f"| {worst.phase[:12]} | {summary} |"
         )
     worst = max(outcome.departure for outcome in outcomes)
     beyond = sum(outcome.departure > DAMAGE_BOUND for outcome in outcomes)
@@ -247,8 +218,6 @@ FAULT_COLUMNS = (
     ("departure [rad]", lambda o: f"{o.departure:.3f}"),
     ("others' departure [rad]", lambda o: f"{o.others_departure:.3f}"),
     _DELAY,
-    ("top speed [rad/s]", lambda o: f"{o.top_speed:.2f}"),
-    ("kinetic energy [J]", lambda o: f"{o.kinetic:.1f}"),
     _WORDS,
 )
 HOLD_COLUMNS = (
@@ -277,20 +246,15 @@ def print_table(outcomes: list, columns: Sequence[tuple]) -> None:
     print()
 
 
-def print_clean_runs(
-    arms: Sequence[str], rates: Sequence[float], jobs: int
-) -> list[dict]:
+def print_clean_runs(rates: Sequence[float], jobs: int) -> list[dict]:
     """Play undisturbed, print a line for each run, and return the results."""
     results = []
     with multiprocessing.get_context("fork").Pool(jobs) as pool:
-        for result in pool.imap(clean_result, clean_setups(arms, rates)):
+        for result in pool.imap(clean_result, clean_setups(rates)):
             ending = (
                 "completed" if result["completed"] else f"STOPPED: {result['words']}"
             )
-            print(
-                f"{result['setup']:44s} {ending} [{result['seconds']:.1f} s]",
-                flush=True,
-            )
+            print(f"{result['setup']:44s} {ending}", flush=True)
             results.append(result)
     stopped = sum(not result["completed"] for result in results)
     print(f"{stopped} of {len(results)} undisturbed runs were stopped\n", flush=True)
@@ -319,7 +283,6 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument(
         "campaign", choices=("damage", "faults", "stop", "clean", "page", "all")
     )
-    options.add_argument("--arm", choices=list(ARMS), default="kinova")
     options.add_argument("--belief", choices=("guess", "truth"), default="guess")
     options.add_argument(
         "--runs", type=int, default=40, help="damaged frames; 400 for a deep run"
@@ -344,25 +307,23 @@ def main() -> int:
     has_failed = False
     results: dict[str, list] = {}
     if is_all or options.campaign == "damage":
-        cases = damage_cases(options.arm, options.runs, options.seed)
+        cases = damage_cases(options.runs, options.seed)
         outcomes = print_outcomes(cases, options.jobs)
         print_damage_table(outcomes)
         has_failed |= any(outcome.departure > DAMAGE_BOUND for outcome in outcomes)
         results["damage"] = [asdict(outcome) for outcome in outcomes]
     if is_all or options.campaign == "faults":
-        cases = fault_cases(options.arm, options.belief)
+        cases = fault_cases(options.belief)
         cases = [case for case in cases if options.only in case.name]
         outcomes = print_outcomes(cases, options.jobs)
         print_table(outcomes, FAULT_COLUMNS)
         results["faults"] = [asdict(outcome) for outcome in outcomes]
     if is_all or options.campaign == "stop":
-        outcomes = print_outcomes(hold_cases(options.arm), options.jobs)
+        outcomes = print_outcomes(hold_cases(), options.jobs)
         print_table(outcomes, HOLD_COLUMNS)
         results["stop"] = [asdict(outcome) for outcome in outcomes]
     if is_all or options.campaign == "clean":
-        results["clean"] = print_clean_runs(
-            list(ARMS), options.rate or RATES, options.jobs
-        )
+        results["clean"] = print_clean_runs(options.rate or RATES, options.jobs)
         has_failed |= not all(result["completed"] for result in results["clean"])
     if options.json:
         options.json.write_text(json.dumps(results, indent=1))

@@ -35,7 +35,7 @@ def soft_and_stiff(first_pose, second_pose):
 @pytest.mark.parametrize("setup", [LOWERED, pytest.param(None, id=IN_DEPTH)])
 def test_one_damaged_frame_moves_no_joint_far_from_its_path(setup):
     """Each kind of damage once, every other one without a model, or 40 of them with any set-up."""
-    cases = damage_cases("kinova", KINDS if setup else 40, seed=1)
+    cases = damage_cases(KINDS if setup else 40, seed=1)
     if setup:
         for number, case in enumerate(cases):
             half = replace(setup, model_is_given=number % 2 == 0)
@@ -49,7 +49,7 @@ def test_one_damaged_frame_moves_no_joint_far_from_its_path(setup):
 def stopped_while_holding(fault, kp, poses):
     """What comes of faults whose name contains this, of an arm that is held still in two poses."""
     cases = []
-    for case in hold_cases("kinova"):
+    for case in hold_cases():
         setup = case.setup
         if fault in case.name and setup.kp == kp and setup.pose in poses:
             cases.append(replace(case, setup=replace(setup, duration=1.5)))

@@ -10,13 +10,11 @@ import os
 import pickle
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 from robot_sysid.damiao import protocol
@@ -32,7 +30,6 @@ from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,
     read_damiao_trajectory,
 )
-from robot_sysid.dynamics.inverse_dynamics import analysis_copy
 from robot_sysid.errors import SysidError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion
@@ -41,7 +38,7 @@ from robot_sysid.simulator import ArmTorque
 from tests.support.clocks import ScriptedClock
 from tests.support.damaged_links import FaultyLink
 from tests.support.faulty_arm import FaultyArm, bench_motor
-from tests.support.places import GUESS, MODELS, TRUTH
+from tests.support.places import GUESS, TRUTH
 
 PHYSICS_STEP = 1e-3
 DURATION = 5.0
@@ -57,56 +54,15 @@ FASTEST_CLASSIC = 250.0
 """Highest rate at which seven motors fit onto a classic CAN bus [Hz]."""
 CLEAN_MARGIN = 1.0
 """How long after the last case can end the undisturbed run goes on [s]."""
-CUT_BELIEF = 0.8
-"""Share of the true masses in a guessed model, where the arm comes with none."""
-
-
-@dataclass(frozen=True)
-class Arm:
-    """A real arm: its model's file and terminal joint, its motors' types, and a guessed model.
-
-    ``shoulder_load`` are the least and the most gravity on its most loaded joint in the poses that
-    count as loaded [N m].
-    """
-
-    truth: Path
-    motor_types: tuple[str, ...]
-    shoulder_load: tuple[float, float]
-    joint: str | None = None
-    guess: Path | None = None
-
-
-STRONG_SHOULDER = (
-    "DM8009",
-    "DM10010L",
-    "DM8009",
-    "DM8009",
-    "DM4340",
-    "DM4340",
-    "DM4340",
-)
-ARMS = {
-    "kinova": Arm(TRUTH, STRONG_SHOULDER, (20.0, 33.0), guess=GUESS),
-    "openarm": Arm(
-        MODELS / "openarm_v2" / "openarm_bimanual.xml",
-        ("DM8009", "DM8009", "DM4340", "DM4340", "DM4310", "DM4310", "DM4310"),
-        (6.0, 10.0),
-        joint="openarm_left_joint7",
-    ),
-    "ur5e": Arm(
-        MODELS / "universal_robots_ur5e" / "ur5e.xml",
-        ("DM10010L", "DM10010L", "DM8009", "DM4340", "DM4340", "DM4340"),
-        (20.0, 35.0),
-    ),
-    "xarm7": Arm(
-        MODELS / "ufactory_xarm7" / "xarm7.xml", STRONG_SHOULDER, (20.0, 33.0)
-    ),
-}
+MOTOR_TYPES = ["DM8009", "DM10010L", "DM8009", "DM8009", "DM4340", "DM4340", "DM4340"]
+"""Types of the motors of the Kinova arm, base to terminal."""
+SHOULDER_LOAD = 20.0, 33.0
+"""Least and most gravity on the most loaded joint in poses that count as loaded [N m]."""
 
 
 @dataclass(frozen=True)
 class SetUp:
-    """What is played, on which arm, and what the player knows about it.
+    """What the Kinova arm plays, and what the player knows about it.
 
     Attributes:
         belief: "truth" or "guess": the model whose torques are in the file.
@@ -117,7 +73,6 @@ class SetUp:
         stands: whether the trajectory stands still in that pose.
     """
 
-    arm: str = "kinova"
     belief: str = "guess"
     model_is_given: bool = True
     park: str | None = None
@@ -142,30 +97,13 @@ class SetUp:
         park = f", park {self.park}" if self.park else ""
         stiffness = f", kp {self.kp:g}" if self.kp else ""
         pose = f", pose {self.pose}" if self.pose else ""
-        return f"{self.arm}, model {model}, {self.rate:g} Hz{park}{stiffness}{pose}"
+        return f"model {model}, {self.rate:g} Hz{park}{stiffness}{pose}"
 
 
 @cache
-def true_robot(arm_name):
-    """Return the model of an arm as it really is."""
-    arm = ARMS[arm_name]
-    return load_robot_model(arm.truth, joint=arm.joint)
-
-
-@cache
-def believed_robot(arm_name, belief):
-    """Return the model of an arm that its user has."""
-    arm = ARMS[arm_name]
-    if belief == "truth":
-        return true_robot(arm_name)
-    if arm.guess is not None:
-        return load_robot_model(arm.guess, joint=arm.joint)
-    robot = true_robot(arm_name)
-    model = analysis_copy(robot.mj_model)
-    model.body_mass[:] *= CUT_BELIEF
-    model.body_inertia[:] *= CUT_BELIEF
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-    return replace(robot, mj_model=model)
+def robot_of(belief):
+    """Return the model of the arm as it really is ("truth"), or as its user has it ("guess")."""
+    return load_robot_model(TRUTH if belief == "truth" else GUESS)
 
 
 def gravity_torque(robot, q):
@@ -175,18 +113,12 @@ def gravity_torque(robot, q):
 
 
 @cache
-def loaded_poses(arm_name, count=5):
-    """Return poses (count, n) in which gravity loads an arm's shoulder as its table says [rad]."""
-    robot = true_robot(arm_name)
-    least, greatest = ARMS[arm_name].shoulder_load
+def loaded_poses(count=5):
+    """Return poses (count, n) in which gravity loads the arm's shoulder [rad]."""
+    robot = robot_of("truth")
+    least, greatest = SHOULDER_LOAD
     lower = np.maximum(robot.limits.lower, -1.8) + 0.6
     upper = np.minimum(robot.limits.upper, 1.8) - 0.6
-    middle = 0.5 * (
-        np.clip(robot.limits.lower, -9.0, 9.0) + np.clip(robot.limits.upper, -9.0, 9.0)
-    )
-    is_narrow = lower >= upper
-    lower = np.where(is_narrow, middle, lower)
-    upper = np.where(is_narrow, middle, upper)
     q = np.random.default_rng(7).uniform(lower, upper, (4000, robot.n_joints))
     load = np.max(np.abs(gravity_torque(robot, q)), axis=1)
     return q[(load > least) & (load < greatest)][:count]
@@ -194,8 +126,8 @@ def loaded_poses(arm_name, count=5):
 
 def loaded_joint(setup):
     """Return the joint on which gravity pulls most in a set-up's pose."""
-    pose = loaded_poses(setup.arm)[setup.pose]
-    return int(np.argmax(np.abs(gravity_torque(true_robot(setup.arm), pose[None])[0])))
+    pose = loaded_poses()[setup.pose]
+    return int(np.argmax(np.abs(gravity_torque(robot_of("truth"), pose[None])[0])))
 
 
 def multi_sine(pose, seed, duration, rate=FILE_RATE):
@@ -233,19 +165,17 @@ def _fade(t, duration, length=1.0):
 @cache
 def exported_trajectory(setup):
     """Return a set-up's trajectory as the player reads it from the exported file."""
-    pose = loaded_poses(setup.arm)[setup.pose]
+    pose = loaded_poses()[setup.pose]
     time_, q, qd, qdd = multi_sine(pose, seed=3, duration=setup.duration)
     if setup.stands:
         q = np.tile(pose, (len(time_), 1))
         qd = np.zeros_like(q)
         qdd = np.zeros_like(q)
-    robot = believed_robot(setup.arm, setup.belief)
+    robot = robot_of(setup.belief)
     tau = np.asarray(ArmTorque(robot)(Motion(time_, q, qd, qdd)))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "damiao_trajectory.csv"
-        export_damiao_trajectory(
-            [(time_, q, qd, tau)], ARMS[setup.arm].motor_types, path
-        )
+        export_damiao_trajectory([(time_, q, qd, tau)], MOTOR_TYPES, path)
         return read_damiao_trajectory(path)
 
 
@@ -253,11 +183,11 @@ def exported_trajectory(setup):
 def plan_of(setup):
     """Return the plan of a set-up, with the inertias of the model if there is one."""
     trajectory = exported_trajectory(setup)
-    robot = believed_robot(setup.arm, setup.belief)
+    robot = robot_of(setup.belief)
     names = robot.joint_names
     inertia = None
     if setup.model_is_given:
-        joints = damiao_joints(ARMS[setup.arm].motor_types, robot.n_joints, names=names)
+        joints = damiao_joints(MOTOR_TYPES, robot.n_joints, names=names)
         trajectory = replace(trajectory, joints=joints)
         inertia = ArmStepper(robot, trajectory.q[0]).moved_inertia()
     stiffness = {} if setup.kp is None else {"kp": (setup.kp,)}
@@ -270,7 +200,7 @@ class RunRecord:
     """What a run did from its onset on.
 
     Times are in the run's clock [s]; ``stop_at`` and ``disabled_at`` are None where there was none.
-    ``energy`` has a row of time, kinetic and potential energy [s, J] for every 20th step.
+    ``energy`` has a row of time and mechanical energy [s, J] for every 20th step.
     """
 
     onset: float
@@ -284,7 +214,6 @@ class RunRecord:
     disabled_at: float | None
     error: str
     was_ended: bool
-    seconds: float
 
 
 @dataclass(frozen=True)
@@ -324,7 +253,7 @@ class BenchRun:
         first = self.plan.trajectory.q[0]
         toward_start = np.where(np.arange(len(first)) % 2, 0.1, -0.1)
         start = first if setup.stands else first + toward_start
-        mechanism = ArmStepper(true_robot(setup.arm), start, PHYSICS_STEP)
+        mechanism = ArmStepper(robot_of("truth"), start, PHYSICS_STEP)
         self.arm = FaultyArm(mechanism, self.motors)
         for motor in self.motors:
             motor.registers[protocol.CAN_BR] = 9.0 if setup.timing.fd else 4.0
@@ -344,7 +273,6 @@ class BenchRun:
         self._children = set()
         self._case_number = None
         self._onset = 0.0
-        self._begun = time.monotonic()
 
     def at(self, delay, action):
         """Do something some time [s] from now."""
@@ -364,17 +292,8 @@ class BenchRun:
         return record, self._case_records()
 
     def _case_records(self):
-        paths = {
-            number: self._folder / f"{number}.pickle" for number in self._begun_cases
-        }
-        return {
-            number: pickle.loads(path.read_bytes()) for number, path in paths.items()
-        }
-
-    @property
-    def _begun_cases(self):
         paths = [] if self._folder is None else self._folder.glob("*.pickle")
-        return sorted(int(path.stem) for path in paths)
+        return {int(path.stem): pickle.loads(path.read_bytes()) for path in paths}
 
     def _branch_in(self, phase):
         """Let the cases of a phase that has just begun, or of the very beginning, branch off."""
@@ -399,7 +318,6 @@ class BenchRun:
             return
         self._case_number = number
         self._onset = self.clock.now()
-        self._begun = time.monotonic()
         case.cause(self)
         if case.patience is not None:
             self.at(case.patience, self._end)
@@ -410,29 +328,28 @@ class BenchRun:
 
     def _record(self, error):
         self.arm.advance(self.clock.now() + 0.05)
-        times, q, qd = self.arm.truth.arrays()
+        times, q, qd = map(np.array, zip(*self.arm.truth))
         since = np.searchsorted(times, self._onset - 0.01)
-        energy = self.arm.energies(q[since::20], qd[since::20])
+        energy = self.arm.energy(q[since::20], qd[since::20])
         return RunRecord(
             self._onset,
             times[since:],
             q[since:],
             qd[since:],
-            np.column_stack([times[since::20], *energy]),
+            np.column_stack([times[since::20], energy]),
             self.link.command_path(len(self.motors)),
             self.phases,
             self.stop_at,
             self.link.disabled_at,
             error,
             self.was_ended,
-            time.monotonic() - self._begun,
         )
 
     def _played(self):
         guarded = GuardedLink(self.link, self.clock, self.setup.timing.fd)
         holding = None
         if self.setup.model_is_given:
-            robot = believed_robot(self.setup.arm, self.setup.belief)
+            robot = robot_of(self.setup.belief)
             holding = gravity_check(robot, self.plan.trajectory.joints)
         callbacks = self._note_phase, lambda moment: None
         try:
@@ -508,16 +425,12 @@ class Outcome:
     Attributes:
         departure: farthest that a joint was from the undisturbed run's path, from the onset until
             a second after the stop began, while motors were enabled [rad].
-        departure_joint: which joint that was.
         others_departure: the same of the joints that are not at fault: where a motor has lost its
             supply, no software keeps its own joint.
-        departure_after_stop: farthest after the stop began, from where the joint was then [rad].
-        fall: that of the joint at fault, if one is named; else of all; ``others_fall`` of the
-            other joints.
+        fall: farthest of the joint at fault, if one is named, else of all, after the stop began
+            from where it was then [rad]; ``others_fall`` of the other joints.
         others_speed: greatest speed of the other joints after the stop began [rad/s];
             ``others_later_speed`` later than ``LATER`` after that.
-        top_speed: greatest speed of any joint after the stop began [rad/s].
-        kinetic: greatest kinetic energy after the onset [J]; ``clean_kinetic`` that of a clean run.
         energy_gain: most that the mechanical energy rose after the stop began [J].
         stop_delay: from the onset to the beginning of the stop [s]; None without a stop.
         ending: "stopped", "completed", "refused" (before anything moved) or "ended" by the bench.
@@ -525,32 +438,24 @@ class Outcome:
 
     name: str
     setup: SetUp
-    onset: float
     phase: str
     departure: float
-    departure_joint: int
     others_departure: float
-    departure_after_stop: float
     fall: float
     others_fall: float
     others_speed: float
     others_later_speed: float
-    top_speed: float
-    kinetic: float
-    clean_kinetic: float
     energy_gain: float
     stop_delay: float | None
     ending: str
     words: str
-    seconds: float
 
     def line(self):
         """Return a line for people."""
         delay = "   -  " if self.stop_delay is None else f"{self.stop_delay:6.3f}"
         return (
-            f"{self.name:34.34s} {self.phase[:10]:10s} {self.departure:6.3f} rad (j"
-            f"{self.departure_joint}) {self.top_speed:5.2f} rad/s {self.kinetic:6.2f} J {delay} s "
-            f"{self.ending:9s} {self.words[:90]}  [{self.setup}; {self.seconds:.1f} s]"
+            f"{self.name:34.34s} {self.phase[:10]:10s} {self.departure:6.3f} rad {delay} s "
+            f"{self.ending:9s} {self.words[:90]}  [{self.setup}]"
         )
 
 
@@ -622,30 +527,22 @@ def judged_outcome(case, record, clean):
     last = record.time[-1] if record.disabled_at is None else record.disabled_at
     until = last if stop_at is None else min(last, stop_at + OBSERVED)
     departure = _departures(record, clean, onset, until)
-    worst = int(np.argmax(departure))
     distance, speed, later_speed, gain = _motion_after_stop(record, until)
     is_other = np.arange(len(distance)) != case.joint
     return Outcome(
         name=case.name,
         setup=case.setup,
-        onset=onset,
         phase=_phase_at(record, onset),
-        departure=float(departure[worst]),
-        departure_joint=worst,
+        departure=float(departure.max()),
         others_departure=float(departure[is_other].max()),
-        departure_after_stop=float(distance.max()),
         fall=float(distance.max() if case.joint is None else distance[case.joint]),
         others_fall=float(distance[is_other].max()),
         others_speed=float(speed[is_other].max()),
         others_later_speed=float(later_speed[is_other].max()),
-        top_speed=float(speed.max()),
-        kinetic=_peak_kinetic(record, onset, until),
-        clean_kinetic=_peak_kinetic(clean, onset, clean.time[-1]),
         energy_gain=gain,
         stop_delay=None if stop_at is None else stop_at - onset,
         ending=_ending(record),
         words=record.error,
-        seconds=record.seconds,
     )
 
 
@@ -662,11 +559,6 @@ def _motion_after_stop(record, until):
     distance = np.abs(q - q[0]).max(axis=0)
     speed = np.abs(record.qd[inside])
     later_speed = speed[record.time[inside] >= stop_at + LATER].max(axis=0, initial=0.0)
-    times, kinetic, potential = record.energy.T
-    total = (kinetic + potential)[(times >= stop_at - 0.02) & (times <= until)]
+    times, energy = record.energy.T
+    total = energy[(times >= stop_at - 0.02) & (times <= until)]
     return distance, speed.max(axis=0), later_speed, float(np.max(total) - total[0])
-
-
-def _peak_kinetic(record, onset, until):
-    times, kinetic, _ = record.energy.T
-    return float(kinetic[(times >= onset) & (times <= until)].max(initial=0.0))

@@ -7,7 +7,7 @@ the joints': motors are mounted straight here.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -53,24 +53,11 @@ def bench_motor(joint, watchdog=DEFAULT_WATCHDOG):
     return BenchMotor(**vars(simulated_motor(joint, watchdog)))
 
 
-@dataclass
-class Truth:
-    """Where the joints really were: times [s], positions and velocities (n,), one per step."""
-
-    time: list[float] = field(default_factory=list)
-    q: list[np.ndarray] = field(default_factory=list)
-    qd: list[np.ndarray] = field(default_factory=list)
-
-    def arrays(self):
-        """Return times (N,), positions and velocities (N, n)."""
-        return np.array(self.time), np.array(self.q), np.array(self.qd)
-
-
 class FaultyArm(SimulatedArm):
     """A simulated arm in which something may be wrong.
 
     Attributes:
-        truth: where its joints really were.
+        truth: time [s], positions and velocities (n,) of its joints, as they really were, per step.
         torque_share: (n,) delivered torque per commanded torque.
         share_is_reported: (n,) whether a motor reports what it delivers.
         encoder_error: (n,) encoder minus joint position [rad].
@@ -86,7 +73,7 @@ class FaultyArm(SimulatedArm):
     def __init__(self, mechanism, motors):
         super().__init__(mechanism, motors)
         n = mechanism.n_joints
-        self.truth = Truth()
+        self.truth = []
         self.torque_share = np.ones(n)
         self.share_is_reported = np.zeros(n, bool)
         self.encoder_error = np.zeros(n)
@@ -98,9 +85,6 @@ class FaultyArm(SimulatedArm):
         self.supply_rate = 0.0
         self.least_supply = 0.4
         self.push = None
-        self._rows = None
-        self._states = []
-        self._driving = np.zeros(n, bool)
         # Motors that have had a frame since the sensors were read.
         self._asked = set()
         self._top_speed = np.array([_top_speed(motor) for motor in motors[:n]])
@@ -114,7 +98,7 @@ class FaultyArm(SimulatedArm):
             self._has_moved = True
             self.time += mechanism.timestep
             for motor in self.motors:
-                motor.tick(self.time)
+                self._changed |= motor.tick(self.time)
             self._age(mechanism.timestep)
             ahead = mechanism.q + 0.5 * mechanism.timestep * mechanism.qd
             torque, damping = self._load(*self._motor_torques(ahead))
@@ -138,7 +122,7 @@ class FaultyArm(SimulatedArm):
             answer = motor.handle(frame, time)
             if answer is not None:
                 answers.append(answer)
-        self._rows = None
+        self._changed = True
         self._was_enabled |= any(motor.driving for motor in listeners)
         return answers
 
@@ -148,28 +132,14 @@ class FaultyArm(SimulatedArm):
         self._keep()
 
     def _keep(self):
-        self.truth.time.append(self.time)
-        self.truth.q.append(self.mechanism.q.copy())
-        self.truth.qd.append(self.mechanism.qd.copy())
+        mechanism = self.mechanism
+        self.truth.append((self.time, mechanism.q.copy(), mechanism.qd.copy()))
 
     def _age(self, step):
         """Let slipping gears slip and the supply sag for a step [s]."""
         self.encoder_error = self.encoder_error + step * self.slip_rate
         if self.supply_rate:
             self.supply = max(self.supply - step * self.supply_rate, self.least_supply)
-
-    def _commands(self):
-        """Return p, v, kp, kd, t, brake and peak torque (7, n), and which motors drive (n,)."""
-        motors = self.motors[: self.mechanism.n_joints]
-        states = [motor.status for motor in motors]
-        if self._rows is None or states != self._states:
-            rows = [
-                (*motor.command, motor.brake, motor.peak_torque) for motor in motors
-            ]
-            self._rows = np.array(rows).T
-            self._states = states
-            self._driving = np.array([motor.driving for motor in motors])
-        return self._rows, self._driving
 
     def _encoder(self, q):
         """Return what the encoders read at positions q (n,): position and extra velocity (n,)."""
@@ -180,19 +150,20 @@ class FaultyArm(SimulatedArm):
 
     def _motor_torques(self, q):
         """Return what the motors believe to make at positions q (n,): torque, and damping (n,)."""
-        (p, v, kp, kd, t, brake, peak), driving = self._commands()
+        if self._changed:
+            self._gather()
         position, slip, is_frozen = self._encoder(q)
         qd = self.mechanism.qd
-        peak = peak * self.supply
-        torque = kp * (p - position) + kd * (v - slip) + t
-        damping = np.where(is_frozen, 0.0, kd)
+        driving = self._limited
+        torque = self._kp * (self._p - position) + self._offset - self._kd * slip
+        damping = np.where(is_frozen, 0.0, self._kd)
         total = torque - damping * qd
         is_too_fast = (np.abs(qd) > self.supply * self._top_speed) & (total * qd > 0.0)
-        limit = np.where(is_too_fast, 0.0, peak)
+        limit = np.where(is_too_fast, 0.0, self._peak * self.supply)
         is_limited = np.abs(total) > limit
         torque = np.where(is_limited, np.clip(total, -limit, limit), torque)
         damping = np.where(is_limited, 0.0, damping)
-        return np.where(driving, torque, 0.0), np.where(driving, damping, brake)
+        return np.where(driving, torque, 0.0), np.where(driving, damping, self._kd)
 
     def _load(self, torque, damping):
         """Return the torque and damping (n,) that really act on the joints."""
@@ -229,22 +200,21 @@ class FaultyArm(SimulatedArm):
         model.body_mass[self.mechanism._robot.body_id] += mass
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
-    def energies(self, q, qd):
-        """Return the kinetic and the potential energy (N,) at positions and velocities (N, n)."""
+    def energy(self, q, qd):
+        """Return the mechanical energy (N,) [J] at positions and velocities (N, n)."""
         robot = self.mechanism._robot
         model = self.mechanism._model
         data = mujoco.MjData(model)
         data.qpos[:] = robot.reference_qpos
-        kinetic = np.empty(len(q))
-        potential = np.empty(len(q))
-        for index in range(len(q)):
-            data.qpos[robot.qpos_index] = q[index]
-            data.qvel[robot.dof_index] = qd[index]
+        energy = []
+        for position, velocity in zip(q, qd):
+            data.qpos[robot.qpos_index] = position
+            data.qvel[robot.dof_index] = velocity
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_energyPos(model, data)
             mujoco.mj_energyVel(model, data)
-            potential[index], kinetic[index] = data.energy
-        return kinetic, potential
+            energy.append(data.energy.sum())
+        return np.array(energy)
 
 
 def _listens(motor, frame):
