@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 8508,
     "robot_sysid/simulation": 5606,
     "robot_sysid": 12562,
-    "tests": 278472,
+    "tests": 276720,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

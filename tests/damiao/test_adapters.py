@@ -284,15 +284,6 @@ def test_the_frame_log_is_lossless(tmp_path_factory, frames):
     np.testing.assert_allclose(np.diff(stamps), 0.001, atol=2e-6)
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [("x.unknown", "cannot log frames"), ("no/folder.log", "cannot write")],
-)
-def test_a_frame_log_that_cannot_be_made_is_said(tmp_path, name, message):
-    with pytest.raises(InputError, match=message):
-        RawFrameLog(tmp_path / name, GuardedLink(None, SimulatedClock()))
-
-
 # --- a full queue, and what is never sent -------------------------------------------------------
 
 

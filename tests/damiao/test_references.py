@@ -134,19 +134,6 @@ def test_it_begins_where_the_joints_were_led_and_ends_at_rest(q, v, off):
     assert path.duration == pytest.approx(np.max(np.abs(v)) / 10.0)
 
 
-def test_a_joint_that_was_slower_brakes_from_its_own_speed():
-    path = stop(velocity=(1.0, 1.0), qd=(0.4, -0.5))
-    np.testing.assert_allclose(path(0.0).velocity, [0.4, 0.0])
-
-
-def test_it_stays_within_the_range():
-    narrow_range = CommandRange(np.full(2, -1.0), np.full(2, 1.0), np.full(2, 9.0))
-    q = (0.9, 0.0)
-    v = (2.0, 0.0)
-    path = stop(q, v, q=q, qd=v, command_range=narrow_range)
-    assert path(path.duration).position[0] == 1.0
-
-
 def step_by_step(path, q, seconds):
     """Let joints stand at q (2,) while a stop goes on; return its last reference."""
     path.q = np.array(q)

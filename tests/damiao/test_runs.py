@@ -497,7 +497,6 @@ TABLE = (
     Line("adapter unplugged", UNPLUGGED, TRIPS, "gone; no confirmation"),
     Line("motor dies", fault("silent", 1), "1D 0D 0D", LOST),
     Line("answers lost", fault("lost_replies", 1), "11 00 00", LOST),
-    Line("over-current", fault("status", 1, 0xA), "1A 0A 0A", "motor 2 reports status A"),
     Line("disabled by itself", fault("status", 1, 0), "10 00 00", "motor 2 reports status 0"),
     Line("all fail", both(fault("status", 0, 9), fault("status", 1, 9)), "99 99 99", "status 9"),
     Line(
@@ -508,7 +507,6 @@ TABLE = (
     Line("watchdog set for the run", fault("silent", 1), "1D 0D 0D", "motor 2. Cut", KEPT),
     Line("blocked joint", fault("jammed", 0), "01 00 00", "one and the same position"),
     Line("weak motor", fault("peak_torque", 1, 0.05), SLOWLY, "motor 2 makes 0.01 times its"),
-    Line("torque turned", fault("torque_factor", 1, -1), BRAKES, "its sign is reversed", USUAL),
     Line("power stage hot", fault("temperature_mos", 1, 81), BRAKES, "motor 2 is at 81 deg C"),
     Line("encoder slips 0.15 rad", fault("shift", 1, 0.15), SLOWLY, "what cannot be true"),
     Line("stall", lambda rig: rig.clock.stall(0.05), BRAKES, "late for a control cycle, limit 20"),

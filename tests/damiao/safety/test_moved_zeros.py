@@ -122,12 +122,6 @@ def test_cycles_without_an_answer_are_left_out(arm):
     assert finding_now is not None and finding_now[0] == 1
 
 
-def test_a_link_without_mass_has_no_errors_to_compete(arm):
-    light = replace(arm.links[0], theta=0.0 * arm.links[0].theta)
-    robot = replace(arm, links=(light, *arm.links[1:]))
-    assert finding(robot, play_motion(robot, 0, 0.15)) is None
-
-
 LWR4_PEAK = (176.0, 176.0, 100.0, 100.0, 100.0, 38.0, 38.0)
 UR10E_PEAK = (330.0, 330.0, 150.0, 54.0, 54.0, 54.0)
 LWR4 = "kuka_lwr4/lwr4_hw{}_200Hz.csv", "kuka_lwr4/kuka_lwr4.urdf", LWR4_PEAK

@@ -198,34 +198,12 @@ def stop_of(change, cycles=500):
 BEGIN = 250
 
 
-def change_after(**changes):
-    """A change of signals from the moment ``BEGIN`` on; functions of the signals."""
-
-    def change(k, signals):
-        if k >= BEGIN:
-            signals.update({name: value(k, signals) for name, value in changes.items()})
-
-    return change
-
-
 def one(value):
     return np.array([0, value])
 
 
-STILL = 0.3 * np.sin(2.0 * BEGIN * CYCLE)
-
-
 def test_an_arm_that_does_as_it_should_is_left_alone():
     assert stop_of(lambda k, signals: None)[1] is None
-
-
-def test_a_model_that_is_a_third_off_is_no_fault():
-    """The joint's own control adds what is lacking, and more of it where gravity pulls more."""
-
-    def third_off(k, signals):
-        signals["q"] -= 0.5 * np.cos(signals["p"]) / 180.0
-
-    assert stop_of(third_off)[1] is None
 
 
 def test_a_joint_that_carries_the_arm_the_other_way_is_another_joint():
@@ -240,11 +218,6 @@ def test_a_joint_that_carries_the_arm_the_other_way_is_another_joint():
     assert "cables of two arms exchanged" in str(stopped) and str(stopped).startswith(
         "motor 2"
     )
-
-
-def test_a_frozen_encoders_motor_is_to_be_switched_off():
-    *_, watched = stop_of(change_after(q=lambda k, s: STILL, qd=lambda k, s: 0.0))
-    assert watched.to_switch_off.tolist() == [False, True]
 
 
 def test_a_sagging_supply_names_the_other_joints_and_not_the_joint_itself():
