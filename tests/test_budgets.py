@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 44961,
     "robot_sysid/diagnosis": 20139,
     "robot_sysid/dynamics": 8386,
-    "robot_sysid/estimation": 51603,
+    "robot_sysid/estimation": 51626,
     "robot_sysid/logs": 21924,
     "robot_sysid/mjcf": 9025,
     "robot_sysid/model": 11051,
@@ -31,10 +31,10 @@ BUDGETS = {
     "robot_sysid/report": 8319,
     "robot_sysid/results": 16884,
     "robot_sysid/servo": 10964,
-    "robot_sysid/signals": 8508,
+    "robot_sysid/signals": 9166,
     "robot_sysid/simulation": 5606,
     "robot_sysid": 12562,
-    "tests": 276720,
+    "tests": 277622,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -423,6 +423,8 @@ def _dry_changes(
 
     Changes (M, joints) are those by a second low-pass of the speeds, in successive rows [N m].
     """
+    if signals.is_noiseless:
+        return 0, np.zeros((0, len(columns.joints)))
     first_row, refiltered = signals.refiltered_speeds()
     start = first_row * signals.low_pass.step
     speeds = signals.qd[start : start + len(refiltered)]

@@ -2,12 +2,12 @@
 
 1. a uniform time grid (``resampling``);
 2. one low-pass for everything, its cut-off chosen from the data (``cutoff``, ``filters``);
-3. positions are low-passed and differentiated;
+3. positions are low-passed and differentiated, those without noise differentiated as they are;
    velocity columns of the log are not used: a drive filters and delays them in its own way;
 4. regressor columns and torques pass the same low-pass and are decimated to its bandwidth. What
    depends on the sign of a speed is computed at the full rate
    (``ProcessedSignals.filter_columns``);
-5. the ends are cut off. Rows over long holes in the log, or
+5. the ends are cut off. Rows over long holes in the log, over corners of motion without noise, or
    over moments at which a joint is too slow for its friction to have a sign, are masked
    (``ProcessedSignals.usable``). Where a joint's torque shows that it stands still as it turns
    round, the rows over its turns are masked too (``turning_samples``).
@@ -39,6 +39,7 @@ from robot_sysid.signals.cutoff import (
     acceleration_noise,
     acceleration_spectra,
     choose_cutoff,
+    longest_bridged_hole,
     quantisation_error,
 )
 from robot_sysid.signals.filters import (
@@ -69,8 +70,7 @@ LEAST_DIRECTION_SHARE = 0.05
 _LEAST_DEADBAND = 1e-3
 """Least deadband [rad/s]: encoder noise alone can look like this speed."""
 _LONGEST_HOLE_STEPS = 5.5
-"""Longest hole in the log, in sampling periods, that a spline bridges, at most one period of the
-cut-off: noise of the samples around
+"""Longest hole in the log, in sampling periods, that a spline bridges: noise of the samples around
 four lost ones is at most three times the usual noise in a row over them, and grows with the
 square of their number (tests/signals/test_process.py)."""
 _RIPPLE_SHARE = 0.0045
@@ -80,6 +80,15 @@ usual filter at the highest cut-off that noise allows."""
 _LARGEST_ATTENUATION = 150.0
 """Largest attenuation of the filter of positions with little noise [dB]; more is lost in
 rounding."""
+_NOISELESS = 1e-3 / 67.0
+"""Largest median difference of second derivatives of orders sixteen and fourteen, relative to the
+acceleration, at which positions need no filter. The noise of the acceleration is 67 times this
+difference, so at most 1e-3."""
+_CORNER_RATIO = 20.0
+"""Multiple of its median above which the difference of second derivatives of orders sixteen and
+fourteen shows a corner of the motion: a jump of a higher derivative."""
+_LEAST_CLEAN_SHARE = 0.5
+"""Least share of the log that has to be free of corners for positions to pass no filter."""
 _NOTED_SHARE = 0.05
 """Share of the rows lost beside holes or corners above which that is printed (chosen)."""
 SEPARATION = 6.0
@@ -100,11 +109,12 @@ class ProcessedSignals:
         tau: (N, n) torques, uniform but not filtered, so that they pass the low-pass exactly as
             often as the regressor columns do [N m].
         bridged: (N,) whether the motion of a sample was computed from samples over a long hole in
-            the log.
+            the log, or across a corner of motion without noise.
         deadband: (n,) speed below which the direction of a joint's friction is not sure [rad/s].
         turning: (N, n) whether a joint may be standing because it turns round.
         low_pass: the filter for regressor columns and torques.
-        position_filter: the filter that positions have passed.
+        position_filter: the filter that positions have passed; of one weight where they are free
+            of noise.
         notes: what a reader should know about the log.
         acceleration_error: expected error of the acceleration over its root mean square; 0 where
             the cut-off was given.
@@ -134,6 +144,11 @@ class ProcessedSignals:
     def cutoff(self) -> float:
         """Cut-off of the low-pass [Hz]."""
         return self.low_pass.cutoff
+
+    @property
+    def is_noiseless(self) -> bool:
+        """Whether positions are free of noise and have passed no filter."""
+        return self.position_filter.half_width == 0
 
     @property
     def rate(self) -> float:
@@ -184,12 +199,17 @@ class ProcessedSignals:
         """Indices (R,) of decimated rows, the ends left out, and a second estimate (R, n) of the
         motion in these rows.
 
-        The motion passes the low-pass of positions a second time. The difference from
+        Motion that passed a low-pass passes it a second time; motion without noise is
+        differentiated by the next lower order, and the change is low-passed. The difference from
         ``decimated_motion`` is an estimate of the error that the first pass makes. Computed once
         and cached: do not change the arrays.
         """
-        low_pass = replace(self.position_filter, step=self.low_pass.step)
-        reach = low_pass.half_width
+        noiseless = self.is_noiseless
+        # Samples that a derivative of the next lower order, fourteen, loses at each end.
+        inset = FINE_REACH - 1 if noiseless else 0
+        low_pass = self.low_pass if noiseless else self.position_filter
+        low_pass = replace(low_pass, step=self.low_pass.step)
+        reach = low_pass.half_width + inset
         centres = self.low_pass.centres(len(self))
         rows = np.flatnonzero((centres >= reach) & (centres < len(self) - reach))
         samples = centres[rows]
@@ -198,8 +218,16 @@ class ProcessedSignals:
         if len(rows):
             span = slice(samples[0] - reach, samples[-1] + reach + 1)
         inner = self.motion(span)
-        signals = (inner.q, inner.qd, inner.qdd)
-        return rows, Motion(self.time[samples], *map(low_pass.decimate, signals))
+        if not noiseless:
+            signals = (inner.q, inner.qd, inner.qdd)
+            return rows, Motion(self.time[samples], *map(low_pass.decimate, signals))
+        cut = slice(inset, len(inner.q) - inset)
+        qd_change = first_derivative(inner.q, self.rate, inset) - inner.qd[cut]
+        qdd_change = second_derivative(inner.q, self.rate, inset) - inner.qdd[cut]
+        motion = self.motion(samples)
+        qd = motion.qd + low_pass.decimate(qd_change)
+        qdd = motion.qdd + low_pass.decimate(qdd_change)
+        return rows, Motion(motion.time, motion.q, qd, qdd)
 
     def refiltered_speeds(self) -> tuple[int, Array]:
         """Return (number of a decimated row, speeds (M, n) that passed the low-pass a second time).
@@ -250,9 +278,10 @@ class ProcessedSignals:
 
     def is_complete(self) -> NDArray[np.bool_]:
         """Return (K,) whether the filter's window of each decimated row holds next to no weight of
-        bridged samples.
+        bridged samples, and none at all in motion without noise, which is differentiated exactly.
         """
-        return self.low_pass.weight_shares(self.bridged) <= LARGEST_SLOW_SHARE
+        largest_share = 0.0 if self.is_noiseless else LARGEST_SLOW_SHARE
+        return self.low_pass.weight_shares(self.bridged) <= largest_share
 
 
 @dataclass(frozen=True)
@@ -325,17 +354,22 @@ def process(
             f"the log's {len(uniform.q) / low_pass.rate:.3g} s are too short for a cut-off of "
             f"{low_pass.cutoff:.3g} Hz, which needs {shortest / low_pass.rate:.3g} s; record longer"
         )
-    position_filter, reach = _position_filter(low_pass, uniform, piece.spectra)
+    corners = _corners(uniform, low_pass)
+    position_filter = replace(low_pass, kernel=np.ones(1))
+    reach = FINE_REACH
+    if corners is None:
+        position_filter, reach = _position_filter(low_pass, uniform, piece.spectra)
     q = position_filter.filter(uniform.q)
     lost = position_filter.half_width + reach
-    longest_hole = min(_LONGEST_HOLE_STEPS / uniform.rate, 1.0 / cutoff)
-    # Whether the motion of a sample comes from samples in long holes.
-    share = replace(position_filter, step=1).weight_shares(uniform.gap > longest_hole)
+    longest_hole = min(
+        longest_bridged_hole(piece.spectra), _LONGEST_HOLE_STEPS / uniform.rate
+    )
+    is_hole = uniform.gap > longest_hole
     qd = first_derivative(q, uniform.rate, reach)
     qdd = second_derivative(q, uniform.rate, reach)
     peak_speed = np.max(np.abs(qd), axis=0)
     turning = np.zeros(qd.shape, dtype=bool)
-    if piece.spectra is not None:
+    if corners is None and piece.spectra is not None:
         # Of positions without noise any speed has a sign.
         turning = turning_samples(
             uniform.q[lost:-lost], qd, piece.spectra.position_noise
@@ -347,7 +381,7 @@ def process(
         qdd=qdd,
         # A view would keep the torque of the whole log.
         tau=uniform.tau[lost:-lost].copy(),
-        bridged=share[reach : len(share) - reach] > LARGEST_SLOW_SHARE,
+        bridged=_bridged(is_hole, corners, position_filter, reach),
         deadband=np.maximum(DEADBAND_SHARE * peak_speed, _LEAST_DEADBAND),
         turning=turning,
         low_pass=low_pass,
@@ -355,7 +389,10 @@ def process(
         notes=(),
         acceleration_error=expected_error,
     )
-    row_notes = _notes(signals, joint_names, longest_hole)
+    obstacle = "jumps of the acceleration"
+    if np.any(is_hole):
+        obstacle = f"lost samples (gaps of more than {1e3 * longest_hole:.3g} ms)"
+    row_notes = _notes(signals, joint_names, obstacle)
     notes = (*uniform.notes, Detail(reason), *row_notes)
     return replace(signals, notes=notes)
 
@@ -411,6 +448,55 @@ def turning_samples(readings: Array, qd: Array, noise: Array) -> NDArray[np.bool
     return is_turning
 
 
+def _corners(uniform: UniformSignals, low_pass: LowPass) -> NDArray[np.bool_] | None:
+    """Return where (N - 2 FINE_REACH,) motion without noise has corners; None where it has noise,
+    or too many corners.
+
+    Two orders of a derivative differ by noise and by what the sample rate does not resolve: next to
+    nothing in smooth motion, and a lot around a jump of a higher derivative.
+    """
+    fine = second_derivative(uniform.q, uniform.rate, FINE_REACH)
+    largest = np.max(np.sqrt(np.mean(fine**2, axis=0)))
+    fine -= second_derivative(uniform.q[1:-1], uniform.rate, FINE_REACH - 1)
+    difference = np.max(np.abs(fine), axis=1, initial=0.0)
+    steps = np.diff(uniform.q[FINE_REACH - 1 : -FINE_REACH], axis=0)
+    moves = np.any(steps != 0.0, axis=1)
+    median = np.median(difference[moves]) if np.any(moves) else math.inf
+    if median > _NOISELESS * largest:
+        return None
+    # Two samples more on each side: near a corner the two derivatives may agree by chance.
+    is_rough = difference > _CORNER_RATIO * median
+    corners = np.convolve(is_rough, np.ones(5), "same") > 0.0
+    count = np.concatenate(([0], np.cumsum(corners)))
+    width = len(low_pass.kernel)
+    is_clean = count[width:] == count[:-width]
+    return corners if np.mean(is_clean) >= _LEAST_CLEAN_SHARE else None
+
+
+def _bridged(
+    is_hole: NDArray[np.bool_],
+    corners: NDArray[np.bool_] | None,
+    position_filter: LowPass,
+    reach: int,
+) -> NDArray[np.bool_]:
+    """Return where the motion comes from samples in holes, or across corners of motion without
+    noise.
+
+    Args:
+        is_hole: (N,) whether a sample lies in a long hole of the log.
+        corners: (N - 2 reach,) where motion without noise has corners; None where it has noise.
+        position_filter: the filter of positions.
+        reach: of the derivatives [samples].
+    """
+    if corners is None:
+        every_sample = replace(position_filter, step=1)
+        shares = every_sample.weight_shares(is_hole)
+        return shares[reach : len(shares) - reach] > LARGEST_SLOW_SHARE
+    # Nothing damps what a derivative makes of a wrong sample.
+    near_hole = np.convolve(is_hole, np.ones(2 * reach + 1), "valid") > 0.0
+    return corners | near_hole
+
+
 def _position_filter(
     low_pass: LowPass, uniform: UniformSignals, spectra: Spectra | None
 ) -> tuple[LowPass, int]:
@@ -445,7 +531,7 @@ def _fewest_samples(low_pass: LowPass) -> int:
 
 
 def _notes(
-    signals: ProcessedSignals, joint_names: Sequence[str], longest_hole: float
+    signals: ProcessedSignals, joint_names: Sequence[str], obstacle: str
 ) -> Iterator[str]:
     """Yield sentences for the user on the rows of processed signals; a ``Detail`` is printed on
     demand only.
@@ -453,7 +539,7 @@ def _notes(
     Args:
         signals: the processed signals.
         joint_names: numbers stand for joints without a name.
-        longest_hole: longest gap that is bridged [s].
+        obstacle: what rows that are not complete lie next to.
     """
     usable = signals.usable()
     is_complete = signals.is_complete()
@@ -463,11 +549,14 @@ def _notes(
         f"{signals.rate / signals.low_pass.step:.4g} Hz: {len(usable)} rows per joint; "
         f"{lost / signals.rate:.2g} s cut off at each end"
     )
+    if signals.is_noiseless:
+        yield Detail(
+            "positions have no noise: they are differentiated without a low-pass"
+        )
     missing = 1.0 - float(np.mean(is_complete))
     if missing > 0.0:
         note = (
-            f"{percent(missing)} of the rows lie next to lost samples (gaps of more than "
-            f"{1e3 * longest_hole:.3g} ms), and are not used"
+            f"{percent(missing)} of the rows lie next to {obstacle}, and are not used"
         )
         yield note if missing > _NOTED_SHARE else Detail(note)
     if missing == 1.0:

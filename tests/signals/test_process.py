@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
+from robot_sysid.signals.filters import FINE_REACH
 from robot_sysid.signals.process import (
     LARGEST_SLOW_SHARE,
     SEPARATION,
@@ -22,6 +23,7 @@ from robot_sysid.signals.process import (
     turning_samples,
     with_delay,
 )
+from tests.support.arms import SEEDS
 from tests.support.swing import FREQUENCIES, Swing, seconds
 
 assert_close = partial(assert_allclose, rtol=0.0)
@@ -119,6 +121,60 @@ def test_positions_pass_a_filter_as_flat_as_their_noise_is_low():
     signals = process(swing.measurement(time), cutoff=8.0)
     true = swing.q(signals.time, 2)
     assert root_mean_square(signals.qdd - true) < 1e-6 * root_mean_square(true)
+
+
+@pytest.mark.parametrize(("seed", "rate"), [(0, 10.0), (1, 1000.0)])
+def test_positions_without_noise_are_differentiated_unfiltered(seed, rate):
+    """To 1e-8, most of it in the time stamps; with noise, positions pass a low-pass."""
+    swing = Swing(seed)
+    time = seconds(20.0, rate)
+    cutoff = 0.2 * min(rate, 60.0)
+    signals = process(swing.measurement(time), cutoff=cutoff)
+    assert signals.is_noiseless and not np.any(signals.bridged)
+    true = swing.q(signals.time, 2)
+    assert root_mean_square(signals.qdd - true) < 1e-8 * root_mean_square(true)
+    assert not process(swing.measurement(time, 1e-4), cutoff=cutoff).is_noiseless
+
+
+def corner_motion(time: np.ndarray, corner: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return a motion (N, 1) whose fourth derivative jumps, and its second derivative (N, 1)."""
+    sine = np.sin(0.5 * (time - corner))
+    cosine = np.cos(0.5 * (time - corner))
+    pair = 0.3 * sine**4, 0.3 * (3.0 * (sine * cosine) ** 2 - sine**4)
+    return tuple(np.where(time > corner, value, 0.0)[:, None] for value in pair)
+
+
+@given(SEEDS, st.floats(10.0, 30.0))
+def test_rows_over_a_corner_of_exact_motion_are_masked_and_no_others(seed, corner):
+    """Ten samples per second do not resolve the corner; the other rows are exact to 1e-8."""
+    swing = Swing(seed)
+    time = seconds(40.0, 10.0)
+    log = swing.measurement(time)
+    bent = log.q + corner_motion(time, corner)[0]
+    signals = process(replace(log, q=bent), cutoff=2.0)
+    true = swing.q(signals.time, 2) + corner_motion(signals.time, corner)[1]
+    error = signals.qdd - true
+    assert signals.is_noiseless and np.max(np.abs(error)) > 1e-6
+    assert np.max(np.abs(error[~signals.bridged])) < 1e-8
+    assert 0 < np.sum(signals.bridged) <= 2 * (FINE_REACH + 2) + 1
+    used = signals.decimated_time()[np.all(signals.usable(), axis=1)]
+    assert np.min(np.abs(used - corner)) > signals.low_pass.half_width / signals.rate
+
+
+def test_refiltering_exact_motion_bounds_its_error():
+    """The bound is at most a hundred times the error; 6 samples per period are few."""
+    time = seconds(20.0, 10.0)
+    omega = 2.0 * np.pi * 1.6
+    q = np.sin(omega * time)[:, None]
+    signals = process(Measurement(time, q, None, q + 1.0), cutoff=3.0)
+    rows, refiltered = signals.refiltered_motion
+    once = signals.decimated_motion()
+    assert signals.is_noiseless and len(rows) > 0.7 * len(once.time)
+    assert_array_equal(refiltered.q, once.q[rows])
+    true = -(omega**2) * np.sin(omega * refiltered.time)[:, None]
+    error = root_mean_square(true - once.qdd[rows])
+    stated_error = root_mean_square(refiltered.qdd - once.qdd[rows])
+    assert 1e-6 < error < stated_error < 100.0 * error
 
 
 def test_a_second_pass_repeats_the_change_of_the_first():
