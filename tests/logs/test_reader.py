@@ -187,9 +187,7 @@ def test_whatever_a_library_raises_is_an_input_error_that_names_the_file(
     assert is_odd == ("it is damaged, or of a kind" in str(caught.value))
 
 
-@pytest.mark.parametrize(
-    "suffix", ["csv", "txt", "log", "mcap", "bag", "db3", "parquet", "h5", "mat", "npz"]
-)
+@pytest.mark.parametrize("suffix", ["csv", "mcap", "npz"])
 def test_a_pointer_of_lfs_says_so_under_any_name(tmp_path, suffix):
     path = tmp_path / f"log.{suffix}"
     path.write_text(LFS_POINTER)
