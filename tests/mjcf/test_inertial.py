@@ -245,9 +245,7 @@ def test_what_hangs_on_joints_gets_as_light_as_it_has_to(seed):
     assert possible_body(plan.theta, 1.0) is not None
     lighter = composite - 1.0001 * plan.scale * (finger + thumb)
     assert possible_body(lighter, 1.0) is None
-    assert "'b4' weighs nothing" in plan.note and "\n" not in plan.note
     assert "'b5', 'b6' on joints of their own below body 'b3'" in plan.note
-    assert f"inertia are {plan.scale:.4g} of the model's" in plan.note
 
 
 def test_no_scale_makes_an_impossible_link_possible():

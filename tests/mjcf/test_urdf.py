@@ -26,17 +26,6 @@ def arm(tmp_path, content, *more):
     return document_of(tmp_path, text, "m.urdf")
 
 
-@pytest.mark.parametrize(
-    "setting", ["", '<mujoco><compiler inertiafromgeom="true"/></mujoco>']
-)
-def test_a_mesh_that_makes_the_inertia_must_be_there(tmp_path, setting):
-    content = urdf.mesh("collision", "x.stl") + (urdf.inertial() if setting else "")
-    with pytest.raises(
-        ModelError, match=r"collision mesh x.stl of link 'l1' is not found"
-    ):
-        compilable_urdf(arm(tmp_path, content, setting))
-
-
 @pytest.mark.parametrize("setting", ["", "true"])
 @pytest.mark.parametrize(("moving", "is_refused"), [((), False), (("l2",), True)])
 def test_a_mesh_weighs_nothing_in_a_link_that_no_joint_moves(
